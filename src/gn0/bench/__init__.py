@@ -1,0 +1,1 @@
+"""Metrics, suites, runner, results and the report."""

@@ -1,0 +1,60 @@
+"""Strict configuration: one frozen definition gives the CLI, JSON files and their errors.
+
+tyro does not enforce msgspec's bounds, so whatever comes from it passes `check_config` once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from gn0.errors import ConfigError, FormatError
+from gn0.storage import read_bytes
+
+T = TypeVar("T")
+
+JSON_LIMIT = 256 * 2**20  # bytes; a JSON file larger than this is refused unread
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parent of all settings: frozen, keyword-only, unknown fields refused."""
+
+
+def check_config(config: T) -> T:
+    """The same settings, checked against their types and bounds.
+
+    Raises:
+        ConfigError: a value is of the wrong type or out of range; names the field.
+    """
+    try:
+        return msgspec.convert(msgspec.to_builtins(config), type=type(config))
+    except msgspec.ValidationError as error:
+        raise ConfigError(str(error), where=type(config).__name__, remedy="see --help") from None
+
+
+def decode_json(data: bytes | str, type_: type[T], *, file: str | Path = "") -> T:
+    """Decode JSON into `type_`, strictly.
+
+    Raises:
+        FormatError: not JSON, or a field is missing, unknown or of the wrong type.
+    """
+    try:
+        return msgspec.json.decode(data, type=type_)
+    except msgspec.ValidationError as error:
+        raise FormatError(str(error), file=file, remedy="correct the named field") from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise FormatError(
+            f"not valid JSON: {error}", file=file, remedy="restore the file"
+        ) from None
+
+
+def load_json(path: Path | str, type_: type[T] = Any, *, limit: int = JSON_LIMIT) -> T:  # type: ignore[assignment]
+    """Read and decode a JSON file.
+
+    Raises:
+        StorageError: missing, unreadable or too large.
+        FormatError: see `decode_json`.
+    """
+    return decode_json(read_bytes(path, limit), type_, file=path)

@@ -1,0 +1,131 @@
+"""The one error tree: each error says what is wrong, where, and what to do.
+
+Every class has a stable `code` that scripts may match on; the text may improve over time.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class Gn0Error(Exception):
+    """Root of all errors that GN0 raises on purpose.
+
+    Args:
+        what: what is wrong, one sentence.
+        where: the file, byte offset, field or row at fault.
+        remedy: what the user can do about it.
+    """
+
+    code = "GN0"
+
+    def __init__(self, what: str, *, where: str | Path = "", remedy: str = "") -> None:
+        self.what = what
+        self.where = str(where)
+        self.remedy = remedy
+        super().__init__(what)
+
+    def __str__(self) -> str:
+        text = self.what
+        if self.where:
+            text = f"{self.where}: {text}"
+        if self.remedy:
+            text = f"{text} ({self.remedy})"
+        return text
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (_rebuild, (type(self), self.what, self.where, self.remedy))
+
+
+def _rebuild(cls: type[Gn0Error], what: str, where: str, remedy: str) -> Gn0Error:
+    error = cls.__new__(cls)
+    Gn0Error.__init__(error, what, where=where, remedy=remedy)
+    return error
+
+
+class FormatError(Gn0Error):
+    """A file is not what its format says: truncated, forged, or of another kind.
+
+    Args:
+        what: what is wrong.
+        file: the file at fault.
+        offset: byte offset of the fault, when known.
+        field: field, element or row of the fault, when known.
+        remedy: what to do.
+    """
+
+    code = "FORMAT"
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        file: str | Path = "",
+        offset: int | None = None,
+        field: str = "",
+        remedy: str = "",
+        where: str = "",
+    ) -> None:
+        parts = [str(file)] if file else ([where] if where else [])
+        if offset is not None:
+            parts.append(f"byte {offset}")
+        if field:
+            parts.append(f"field {field!r}")
+        self.file = str(file)
+        self.offset = offset
+        self.field = field
+        super().__init__(what, where=", ".join(parts), remedy=remedy)
+
+
+class ConfigError(Gn0Error):
+    """A setting is unknown, of the wrong type or out of range."""
+
+    code = "CONFIG"
+
+
+class StorageError(Gn0Error):
+    """Reading or writing failed: missing, unwritable, full, or a path that leaves its folder."""
+
+    code = "STORAGE"
+
+
+class SceneError(Gn0Error):
+    """A scene is incomplete or unusable for navigation."""
+
+    code = "SCENE"
+
+
+class EpisodeError(Gn0Error):
+    """An episode does not fit its scene, or is itself invalid."""
+
+    code = "EPISODE"
+
+
+class PlanError(Gn0Error):
+    """No path exists, or a start or goal is not walkable."""
+
+    code = "PLAN"
+
+
+class RenderError(Gn0Error):
+    """A picture was asked for that the renderer cannot make."""
+
+    code = "RENDER"
+
+
+class SimError(Gn0Error):
+    """The simulator was driven in a way that has no meaning (NaN pose, step before reset)."""
+
+    code = "SIM"
+
+
+class PolicyError(Gn0Error):
+    """A policy is unknown, broke its contract, or died."""
+
+    code = "POLICY"
+
+
+class BenchError(Gn0Error):
+    """A benchmark run cannot start, resume or finish."""
+
+    code = "BENCH"

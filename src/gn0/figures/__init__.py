@@ -1,0 +1,1 @@
+"""Figures of merit: each measured by one command, gathered on one board."""

@@ -1,0 +1,1 @@
+"""Splats and every file format of theirs, read safely."""

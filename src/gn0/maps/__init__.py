@@ -1,0 +1,1 @@
+"""Occupancy grids, planning and the exact action planner; knows no scene."""

@@ -1,0 +1,117 @@
+"""Episodes: scene, mission, start, reference path. Values only; files are read elsewhere."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from gn0.errors import EpisodeError
+from gn0.geometry import Pose2D
+
+
+class MissionGoal(msgspec.Struct, frozen=True, kw_only=True, tag="goal"):
+    """Go to a semantic target: goal (x, y) [m] snapped to walkable ground beside the object."""
+
+    goal: tuple[float, float]
+    object_id: str
+    category: str
+    instruction: str  # never empty: "Go to the sofa in the living room."
+
+
+class MissionInstruction(msgspec.Struct, frozen=True, kw_only=True, tag="instruction"):
+    """Follow a route instruction to goal (x, y) [m]."""
+
+    goal: tuple[float, float]
+    instruction: str
+
+
+class MissionFollow(msgspec.Struct, frozen=True, kw_only=True, tag="follow"):
+    """Follow a moving person; goal is where the person ends (x, y) [m]."""
+
+    goal: tuple[float, float]
+    instruction: str
+    human: str
+
+
+Mission = MissionGoal | MissionInstruction | MissionFollow
+
+
+class AgentSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An embodiment: what collides, where the eye is, how far an action goes.
+
+    Attributes:
+        radius: footprint radius [m].
+        camera_height: eye above the floor [m].
+        forward_step: length of FORWARD [m].
+        turn_degrees: angle of LEFT and RIGHT [degrees].
+    """
+
+    radius: float = 0.20
+    camera_height: float = 1.30
+    forward_step: float = 0.25
+    turn_degrees: float = 15.0
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.radius <= 5 and 0 < self.camera_height <= 10):
+            raise EpisodeError(f"agent radius {self.radius} m or camera {self.camera_height} m")
+        if not (0 < self.forward_step <= 10 and 0 < self.turn_degrees <= 180):
+            raise EpisodeError(f"agent step {self.forward_step} m, turn {self.turn_degrees}°")
+
+
+class Episode(msgspec.Struct, frozen=True, kw_only=True):
+    """One task. All coordinates in the 3DGS world frame [m], yaw [rad].
+
+    Attributes:
+        id: unique within its suite; safe as a file name.
+        scene_id: the scene it belongs to.
+        mission: what to do.
+        start: pose at reset.
+        path: reference path [(x, y) m], start first, goal last.
+        split: train, val, test, …
+        seed: seed of everything random in this episode.
+        agent: embodiment it was planned for.
+    """
+
+    id: str
+    scene_id: str
+    mission: Mission
+    start: tuple[float, float, float]
+    path: tuple[tuple[float, float], ...]
+    split: str = "test"
+    seed: int = 0
+    agent: AgentSpec = AgentSpec()
+
+    @property
+    def start_pose(self) -> Pose2D:
+        """Start as a `Pose2D`."""
+        return Pose2D(*self.start)
+
+    @property
+    def goal(self) -> tuple[float, float]:
+        """Goal (x, y) [m] of the mission."""
+        return self.mission.goal
+
+    @property
+    def instruction(self) -> str:
+        """The text given to the agent; never empty."""
+        return self.mission.instruction
+
+
+def check_episode(episode: Episode) -> Episode:
+    """The episode itself, if its values make sense on their own.
+
+    Raises:
+        EpisodeError: non-finite pose, goal or path, empty instruction, unsafe id.
+    """
+    where = f"episode {episode.id!r}"
+    values = [*episode.start, *episode.goal, *(v for point in episode.path for v in point)]
+    if not all(math.isfinite(v) for v in values):
+        raise EpisodeError(
+            "start, goal or path holds NaN or infinity", where=where, remedy="rebuild the suite"
+        )
+    if not episode.instruction.strip():
+        raise EpisodeError("instruction is empty", where=where, remedy="give it a text")
+    if not episode.id or episode.id != episode.id.strip() or any(c in episode.id for c in "/\\\0"):
+        raise EpisodeError("id is not a plain name", where=where, remedy="letters, digits, - and _")
+    return episode

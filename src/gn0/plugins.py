@@ -1,0 +1,74 @@
+"""One registry for every plug point: scene source, renderer, mission, policy, metric, exporter.
+
+Built-ins are named here as "module:attribute" and imported on first use. Third-party packages
+register through the entry-point group `gn0.plugins` (a module whose import calls `register`).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module, metadata
+from typing import Any, Literal
+
+from gn0.errors import ConfigError
+
+Kind = Literal["scene_source", "renderer", "mission", "policy", "metric", "exporter"]
+
+_BUILTIN: dict[str, dict[str, str]] = {
+    "scene_source": {
+        "interiorgs": "gn0.scenes.interiorgs:SceneSourceInteriorGS",
+        "world": "gn0.scenes.world:SceneSourceWorld",
+    },
+    "renderer": {"cpu": "gn0.render.cpu:RendererCpu"},
+    "mission": {"goal": "gn0.missions.episode:MissionGoal"},
+    "policy": {
+        "oracle": "gn0.policies.oracle:PolicyOracle",
+        "straight": "gn0.policies.simple:PolicyStraight",
+        "wall_follower": "gn0.policies.simple:PolicyWallFollower",
+        "random": "gn0.policies.simple:PolicyRandom",
+    },
+    "metric": {},
+    "exporter": {},
+}
+_registered: dict[tuple[str, str], Any] = {}
+_discovered = False
+
+
+def register(kind: Kind, name: str, plugin: Any) -> None:
+    """Register a plug-in object or class under a name.
+
+    Raises:
+        ConfigError: the name is taken by something else.
+    """
+    if name in _BUILTIN[kind] or _registered.get((kind, name), plugin) is not plugin:
+        raise ConfigError(f"{kind} {name!r} is already registered", remedy="choose another name")
+    _registered[kind, name] = plugin
+
+
+def _discover() -> None:
+    global _discovered
+    if not _discovered:
+        _discovered = True
+        for point in metadata.entry_points(group="gn0.plugins"):
+            point.load()
+
+
+def plugin_names(kind: Kind) -> list[str]:
+    """Names known for a kind, sorted."""
+    _discover()
+    return sorted({*_BUILTIN[kind], *(n for k, n in _registered if k == kind)})
+
+
+def get_plugin(kind: Kind, name: str) -> Any:
+    """The plug-in of that name.
+
+    Raises:
+        ConfigError: no such plug-in; lists those that exist.
+    """
+    if name in _BUILTIN[kind]:
+        module, attribute = _BUILTIN[kind][name].split(":")
+        return getattr(import_module(module), attribute)
+    _discover()
+    if (kind, name) in _registered:
+        return _registered[kind, name]
+    known = ", ".join(plugin_names(kind)) or "none"
+    raise ConfigError(f"no {kind} named {name!r}", remedy=f"known: {known}")

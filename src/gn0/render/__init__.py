@@ -1,0 +1,1 @@
+"""One renderer protocol and its backends."""

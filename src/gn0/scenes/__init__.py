@@ -1,0 +1,1 @@
+"""Sources of scenes, turned into one Scene and one scene folder."""

@@ -1,0 +1,1 @@
+"""Furnished apartments from a seed: plan, furniture, materials, light."""

@@ -1,0 +1,1 @@
+"""State, kinematics, collision, sensors, simulator, environments and the policy protocol."""

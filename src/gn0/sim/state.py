@@ -1,0 +1,102 @@
+"""Actions, observations and results: the words between simulator and policy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+from gn0.geometry import F32, U8, Pose2D
+
+
+class Action(IntEnum):
+    """VLN-CE compliant local actions."""
+
+    STOP = 0
+    FORWARD = 1
+    LEFT = 2
+    RIGHT = 3
+
+
+class Teleport(NamedTuple):
+    """A global action: go to x, y [m], yaw [rad] at once (paper, A_global).
+
+    Clipped by the same collision rule as FORWARD: the ray from here to there.
+    """
+
+    x: float
+    y: float
+    yaw: float
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a robot could know, and nothing else. Fields not asked for are None.
+
+    Attributes:
+        step: actions taken so far.
+        time: simulated seconds since reset.
+        instruction: the text of the mission.
+        rgb: [H, W, 3] uint8 egocentric picture.
+        depth: [Hd, Wd] float32 m, camera z, clipped to the sensor's range.
+        bev: [Hb, Wb, 3] uint8 metric map picture of the whole scene, north (+y) up.
+        bev_metres_per_pixel: scale of `bev` and `occupancy` [m].
+        occupancy: [Hb, Wb, 3] uint8 occupancy picture, same frame and scale as `bev`, with the
+            start (green) and the agent (red) drawn as discs.
+        history: [480, 640, 3] uint8 mosaic of the last sixteen views, newest first.
+        ranges: [R] float32 m, a planar lidar ring: ray k points at yaw + 2πk/R, the distance to
+            the first blocked cell of the agent's inflated map.
+        goal_vector: (forward, left) [m] to the goal, for policies that are told the place.
+        collided: whether the previous action was truncated (a bumper knows).
+    """
+
+    step: int
+    time: float
+    instruction: str
+    rgb: U8 | None = None
+    depth: F32 | None = None
+    bev: U8 | None = None
+    bev_metres_per_pixel: float | None = None
+    occupancy: U8 | None = None
+    history: U8 | None = None
+    ranges: F32 | None = None
+    goal_vector: tuple[float, float] | None = None
+    collided: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class StepResult:
+    """Outcome of one action.
+
+    Attributes:
+        observation: what the agent sees now.
+        moved: distance covered [m].
+        collided: the move was truncated by an obstacle.
+        terminated: the agent said STOP.
+        truncated: the step limit was reached; never counted as STOP.
+        info: privileged values for metrics and logs (pose); never handed to a policy.
+    """
+
+    observation: Observation
+    moved: float
+    collided: bool
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What happened in an episode: poses (index 0 the start), actions, collisions, ends.
+
+    Attributes:
+        poses: pose after reset and after each action, T+1 entries.
+        actions: T action codes; a teleport is written as −1.
+        collided: T flags.
+        stopped: the agent said STOP (as opposed to running out of steps).
+    """
+
+    poses: tuple[Pose2D, ...]
+    actions: tuple[int, ...]
+    collided: tuple[bool, ...]
+    stopped: bool

@@ -1,0 +1,281 @@
+"""Files that can be trusted: atomic writes, journals, hashes, caches, and paths that stay inside.
+
+Every write is a temporary file in the same folder, fsync, rename, fsync of the folder. A journal
+line counts only when its checksum is right, so what a journal names survived a power cut.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import StorageError
+
+TEMPORARY_PREFIX = ".gn0-tmp-"
+
+
+def cache_dir() -> Path:
+    """GN0's cache folder: `$GN0_CACHE`, else `$XDG_CACHE_HOME/gn0`, else `~/.cache/gn0`."""
+    explicit = os.environ.get("GN0_CACHE")
+    if explicit:
+        return Path(explicit)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "gn0"
+
+
+def storage_error(error: OSError, path: Path | str, doing: str) -> StorageError:
+    """A `StorageError` that says in plain words why the system refused."""
+    import errno
+
+    remedies = {
+        errno.ENOSPC: "the disk is full: free some space or choose another --out",
+        errno.EDQUOT: "the disk quota is used up: free some space or choose another --out",
+        errno.EACCES: "no permission: choose a folder you may use",
+        errno.EPERM: "no permission: choose a folder you may use",
+        errno.EROFS: "the file system is read-only: choose another --out",
+        errno.ENOENT: "check that the path exists",
+        errno.ENOTDIR: "part of the path is a file, not a folder",
+        errno.EISDIR: "this is a folder, not a file",
+        errno.ENAMETOOLONG: "the name is too long for this file system",
+    }
+    reason = error.strerror or str(error)
+    return StorageError(
+        f"cannot {doing}: {reason}",
+        where=path,
+        remedy=remedies.get(error.errno or 0, "see the system's message"),
+    )
+
+
+def _fsync_dir(folder: Path) -> None:
+    with contextlib.suppress(OSError):  # not every file system lets a folder be synced
+        fd = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)
+
+
+def write_atomic(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
+    """Write a file through `write(stream)` so that it is whole or absent, never half.
+
+    Raises:
+        StorageError: the folder is missing, unwritable or full.
+    """
+    path = Path(path)
+    temporary: str | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fd, temporary = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
+        with os.fdopen(fd, "wb") as stream:
+            write(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+        temporary = None
+        _fsync_dir(path.parent)
+    except OSError as error:
+        raise storage_error(error, path, "write") from error
+    finally:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+
+
+def write_bytes(path: Path | str, data: bytes) -> None:
+    """Atomically write bytes."""
+    write_atomic(path, lambda stream: (stream.write(data), None)[1])
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Atomically write UTF-8 text with Unix line ends."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: Path | str, value: Any) -> None:
+    """Atomically write JSON: sorted keys, two-space indent, no NaN, trailing newline."""
+    text = json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
+
+
+def read_bytes(path: Path | str, limit: int | None = None) -> bytes:
+    """Read a whole file, refusing one larger than `limit` bytes before reading it.
+
+    Raises:
+        StorageError: missing, unreadable, or larger than `limit`.
+    """
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+        if limit is not None and size > limit:
+            raise StorageError(
+                f"file has {size} bytes, more than the {limit} allowed here",
+                where=path,
+                remedy="check that this is the right file",
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise storage_error(error, path, "read") from error
+
+
+@contextlib.contextmanager
+def folder_atomic(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
+    """Fill a temporary folder that becomes `path` only when the block ends well.
+
+    Raises:
+        StorageError: `path` exists and is not empty (unless `overwrite`), or cannot be written.
+    """
+    path = Path(path)
+    temporary: Path | None = None
+    try:
+        if path.exists() and (not path.is_dir() or any(path.iterdir())) and not overwrite:
+            raise StorageError(
+                "the output folder exists and is not empty",
+                where=path,
+                remedy="choose another --out, or pass --overwrite",
+            )
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=path.parent))
+        os.chmod(temporary, 0o755)  # noqa: S103 (a scene is meant to be read)
+        yield temporary
+        old: Path | None = None
+        if path.exists():
+            old = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=path.parent))
+            os.replace(path, old / "old")
+        os.replace(temporary, path)
+        temporary = None
+        _fsync_dir(path.parent)
+        if old is not None:
+            shutil.rmtree(old, ignore_errors=True)
+    except OSError as error:
+        raise storage_error(error, path, "write") from error
+    finally:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def safe_join(root: Path | str, relative: str) -> Path:
+    """Join a path from untrusted data to `root`, refusing whatever would leave `root`.
+
+    Refuses absolute paths, `..`, NUL, backslashes, drive letters, percent-encoded separators and
+    symbolic links that lead outside.
+
+    Raises:
+        StorageError: the path climbs out of its folder.
+    """
+    root = Path(root)
+
+    def refuse(why: str) -> StorageError:
+        return StorageError(
+            f"path {relative!r} {why}", where=root, remedy="use a plain name inside the folder"
+        )
+
+    if not relative or "\0" in relative:
+        raise refuse("is empty or holds a NUL")
+    lowered = relative.lower()
+    if "%2e" in lowered or "%2f" in lowered or "%5c" in lowered or "%00" in lowered:
+        raise refuse("is percent-encoded")
+    if "\\" in relative or (len(relative) > 1 and relative[1] == ":"):
+        raise refuse("is not a plain relative path")
+    if relative.startswith(("/", "~")) or ".." in relative.split("/"):
+        raise refuse("climbs out of its folder")
+    joined = root / relative
+    try:
+        if not joined.resolve().is_relative_to(root.resolve()):
+            raise refuse("leads out of its folder through a link")
+    except (OSError, RuntimeError) as error:
+        raise refuse(f"cannot be resolved: {error}") from error
+    return joined
+
+
+def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
+    """A hex digest of decoded values (shape, dtype and bytes), never of file bytes."""
+    digest = hashlib.blake2b(digest_size=16)
+    for value in arrays:
+        if isinstance(value, np.ndarray):
+            data = np.ascontiguousarray(value)
+            little = data.astype(data.dtype.newbyteorder("<"), copy=False)
+            head = f"a{little.dtype.str}{little.shape}".encode()
+            digest.update(len(head).to_bytes(4, "little") + head)
+            digest.update(little.tobytes() if little.ndim == 0 else memoryview(little).cast("B"))
+        else:
+            raw = value if isinstance(value, bytes) else repr(value).encode()
+            digest.update(b"v" + len(raw).to_bytes(8, "little") + raw)
+    return digest.hexdigest()
+
+
+class Journal:
+    """An append-only file of JSON lines, each with its own checksum and synced to disk.
+
+    A line that was cut by a crash is ignored on reading and cut away before the next append.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._stream: IO[bytes] | None = None
+
+    def read(self) -> list[Any]:
+        """All whole records, in order.
+
+        Raises:
+            StorageError: the journal cannot be read.
+        """
+        return [record for record, _ in self._scan()]
+
+    def _scan(self) -> list[tuple[Any, int]]:
+        if not self.path.exists():
+            return []
+        records: list[tuple[Any, int]] = []
+        end = 0
+        for line in read_bytes(self.path).split(b"\n"):
+            body, _, check = line.rpartition(b"\t")
+            if not body or check != f"{zlib.crc32(body):08x}".encode():
+                break
+            end += len(line) + 1
+            records.append((json.loads(body), end))
+        return records
+
+    def append(self, record: Any) -> None:
+        """Append one record and wait until the disk has it.
+
+        Raises:
+            StorageError: the journal cannot be written.
+        """
+        try:
+            if self._stream is None:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                scanned = self._scan()
+                self._stream = open(self.path, "ab")  # noqa: SIM115
+                whole = scanned[-1][1] if scanned else 0
+                if self._stream.tell() != whole:
+                    self._stream.truncate(whole)
+                    self._stream.seek(whole)
+            body = json.dumps(record, sort_keys=True, allow_nan=False).encode()
+            self._stream.write(body + b"\t" + f"{zlib.crc32(body):08x}".encode() + b"\n")
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise storage_error(error, self.path, "append to the journal") from error
+
+    def close(self) -> None:
+        """Close the file; a later append opens it again."""
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,1 @@
+"""Public checks that a stranger's plug-in can be run against."""

@@ -1,0 +1,99 @@
+"""The floors of the house: a room imports only from lower floors, torch only where allowed."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+SRC = Path(__file__).resolve().parent.parent / "src" / "gn0"
+
+FLOORS = {
+    "__init__": 0, "errors": 0, "geometry": 0, "config": 0, "storage": 0, "seeds": 0, "plugins": 0,
+    "progress": 0, "jit": 0,
+    "gaussians": 1, "maps": 1,
+    "scenes": 2, "render": 2, "avatars": 2,
+    "missions": 3, "sim": 3.5,  # half a floor up: it knows what a mission is, not the other way round
+    "data": 4, "bench": 4,
+    "policies": 5,
+    "training": 6, "serving": 6, "export": 6,
+    "viewer": 7, "testing": 7, "figures": 7, "cli": 7,
+}  # fmt: skip
+TORCH_ROOMS = (
+    "render/gsplat", "scenes/grow", "scenes/capture", "policies/bae", "policies/expert",
+    "policies/cma", "training",
+)  # fmt: skip
+FILES = sorted(SRC.rglob("*.py"))
+
+
+def imports_of(path: Path) -> list[str]:
+    names = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names.append(node.module or "")
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return names
+
+
+def room_of(path: Path) -> str:
+    first = path.relative_to(SRC).parts[0]
+    return first.removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))
+def test_imports_go_down(path: Path) -> None:
+    """No room imports a room of its own floor (other than itself) or of a higher one."""
+    room = room_of(path)
+    for name in imports_of(path):
+        parts = name.split(".")
+        if parts[0] != "gn0" or len(parts) < 2:
+            continue
+        other = parts[1]
+        if other == room or other not in FLOORS:
+            continue
+        allowed = FLOORS[other] < FLOORS[room] or FLOORS[other] == FLOORS[room] == 0
+        allowed = allowed or FLOORS[other] == FLOORS[room] == 7
+        assert allowed, f"{path}: floor {FLOORS[room]} imports {name} of floor {FLOORS[other]}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))
+def test_torch_stays_in_its_rooms(path: Path) -> None:
+    relative = str(path.relative_to(SRC))
+    if not relative.startswith(TORCH_ROOMS):
+        assert not any(n.split(".")[0] in ("torch", "torchvision") for n in imports_of(path))
+
+
+def test_simulator_never_imports_a_renderer() -> None:
+    """The simulator is handed its renderer: only the protocol and the camera are known to it."""
+    for path in (SRC / "sim").glob("*.py"):
+        used = {n for n in imports_of(path) if n.startswith("gn0.render.")}
+        known = ("gn0.render.renderer", "gn0.render.camera")
+        assert all(name.startswith(known) for name in used), f"{path}: {used}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))
+def test_modules_stay_small_and_named(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= 700, f"{path} is over 700 lines"
+    assert path.stem not in {"utils", "util", "helpers", "helper", "misc", "common", "base"}
+    assert "manager" not in path.stem
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))
+def test_nothing_unsafe_is_called(path: Path) -> None:
+    """No pickle, eval, exec, torch.load or yaml.load anywhere in the source."""
+    for name in imports_of(path):
+        assert name.split(".")[0] not in {"pickle", "cloudpickle", "dill", "shelve", "marshal"}
+    for node in ast.walk(ast.parse(path.read_text())):
+        if not isinstance(node, ast.Call):
+            continue
+        text = ast.unparse(node.func)
+        assert text not in {"eval", "exec", "torch.load", "yaml.load", "np.load"} or (
+            text == "np.load"
+            and any(
+                k.arg == "allow_pickle" and ast.unparse(k.value) == "False" for k in node.keywords
+            )
+        ), f"{path}:{node.lineno}: {text}"

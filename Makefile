@@ -1,0 +1,44 @@
+# The front door: `make demo` shows what GN0 does, `make test` proves it.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+OUT ?= out/demo
+PIP_FLAGS ?= --disable-pip-version-check --quiet
+
+.PHONY: install dev demo test lint types figures pictures clean
+
+install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
+
+$(VENV)/.installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit("GN0 needs Python 3.11 or newer, this is %d.%d: call make PYTHON=python3.12" % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install $(PIP_FLAGS) -e .
+	@touch $@
+
+dev: $(VENV)/.dev
+
+$(VENV)/.dev: $(VENV)/.installed pyproject.toml
+	$(BIN)/pip install $(PIP_FLAGS) -e '.[dev]'
+	@touch $@
+
+demo: install ## an apartment, four policies, one report (about 90 s)
+	$(BIN)/gn0 demo --out $(OUT) --overwrite
+
+lint: dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: dev
+	$(BIN)/mypy
+
+test: dev lint types ## everything a change must pass (under 15 min on two cores)
+	$(BIN)/pytest -m 'not exhaustive' $(PYTEST_FLAGS)
+
+figures: dev ## measure the whole board again (run it on a quiet machine)
+	$(BIN)/gn0 figures --all --out docs
+
+pictures: demo ## refresh the README's pictures from the demo's own output
+	$(BIN)/python docs/refresh_pictures.py $(OUT)
+
+clean:
+	rm -rf $(VENV) out .pytest_cache .mypy_cache .ruff_cache

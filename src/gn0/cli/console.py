@@ -1,0 +1,63 @@
+"""What the command line draws: progress bars on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from gn0.progress import Progress
+
+_QUIET_SECONDS = 5.0  # between two lines of one stage when not on a terminal
+
+
+@contextmanager
+def draw_progress() -> Iterator[Progress]:
+    """A progress sink: rich bars on a terminal, at most a line every few seconds in a log."""
+    if sys.stderr.isatty():
+        yield from _draw_bars()
+    else:
+        yield _lines()
+
+
+def _draw_bars() -> Iterator[Progress]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.progress import Progress as Bars
+
+    columns = (
+        TextColumn("{task.description:<28}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Bars(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, object] = {}
+
+        def show(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total or None)
+            bars.update(tasks[stage], completed=done, total=total or None)  # type: ignore[arg-type]
+
+        yield show
+
+
+def _lines() -> Progress:
+    last: dict[str, float] = {}
+
+    def show(stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        finished = total > 0 and done >= total
+        if finished or now - last.get(stage, -_QUIET_SECONDS) >= _QUIET_SECONDS:
+            last[stage] = now
+            print(f"{stage}: {done}/{total or '?'}", file=sys.stderr, flush=True)
+
+    return show

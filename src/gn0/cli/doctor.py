@@ -1,0 +1,133 @@
+"""What is installed here, which renderer would run and why, and whether GN0 can write its cache."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from importlib import metadata
+from pathlib import Path
+
+from gn0.config import Config
+
+EXAMPLES = "  gn0 doctor"
+
+
+class Args(Config):
+    """No settings."""
+
+
+def run(args: Args) -> int:
+    """Print the findings; 1 when something needed is missing."""
+    lines, healthy = examine()
+    width = max(len(name) for name, _, _ in lines) + 2
+    for name, value, mark in lines:
+        print(f"{mark} {name:<{width}}{value}")
+    print("\nall is well" if healthy else "\nsomething is missing: see the lines marked ✗")
+    return 0 if healthy else 1
+
+
+def examine() -> tuple[list[tuple[str, str, str]], bool]:
+    """(name, finding, mark) lines, and whether everything needed is here."""
+    from gn0 import __version__
+    from gn0.render.renderer import choose_backend
+
+    rows: list[tuple[str, str, str]] = [
+        ("gn0", f"{__version__} from {Path(__file__).resolve().parent.parent}", "✓"),
+        ("python", f"{platform.python_version()} at {sys.executable}", "✓"),
+        (
+            "machine",
+            f"{platform.system()} {platform.machine()}, {_cores()} cores, {_memory()}",
+            "✓",
+        ),
+    ]
+    healthy = True
+    for package in _required():
+        try:
+            rows.append((package, metadata.version(package), "✓"))
+        except metadata.PackageNotFoundError:
+            rows.append((package, "missing: run `pip install gn0` again", "✗"))
+            healthy = False
+    backend, why = choose_backend()
+    rows += [
+        ("renderer", f"{backend}: {why}", "✓"),
+        ("threads", _threads(), "✓"),
+        ("gpu", _gpu(), "·"),
+    ]
+    cache, writable = _cache()
+    rows.append(("cache", cache, "✓" if writable else "✗"))
+    video, encodes = _video()
+    rows.append(("video", video, "✓" if encodes else "✗"))
+    data = os.environ.get("GN0_DATA", "")
+    rows.append(("GN0_DATA", data or "not set (only some tests and figures want it)", "·"))
+    return rows, healthy and writable and encodes
+
+
+def _required() -> list[str]:
+    import re
+
+    names = [re.split(r"[\s;<>=!~\[]", line)[0] for line in metadata.requires("gn0") or []]
+    extras = [line for line in metadata.requires("gn0") or [] if "extra ==" in line]
+    optional = {re.split(r"[\s;<>=!~\[]", line)[0] for line in extras}
+    return [name for name in names if name not in optional]
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _memory() -> str:
+    try:
+        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        return f"{total / 2**30:.0f} GiB memory"
+    except (ValueError, OSError, AttributeError):
+        return "memory unknown"
+
+
+def _threads() -> str:
+    from gn0.jit import njit, prange
+
+    @njit(parallel=True, cache=False)
+    def touch(n: int) -> int:
+        total = 0
+        for i in prange(n):
+            total += i
+        return total
+
+    import numba
+
+    touch(8)
+    return f"{numba.get_num_threads()} Numba threads on the {numba.threading_layer()} layer"
+
+
+def _gpu() -> str:
+    if shutil.which("nvidia-smi"):
+        return "an NVIDIA driver is here; GN0's present backends run on the CPU only"
+    return "none seen; nothing in GN0's core needs one"
+
+
+def _cache() -> tuple[str, bool]:
+    from gn0.storage import cache_dir
+
+    folder = cache_dir()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        free = shutil.disk_usage(folder).free / 1e9
+        return f"{folder} ({free:.0f} GB free)", True
+    except OSError as error:
+        return f"{folder} cannot be written ({error.strerror}); set GN0_CACHE", False
+
+
+def _video() -> tuple[str, bool]:
+    import av
+
+    for name in ("libvpx-vp9", "libsvtav1", "libaom-av1"):
+        if name in av.codecs_available:
+            return f"{name} through PyAV {av.__version__}", True
+    return "PyAV has neither a VP9 nor an AV1 encoder", False

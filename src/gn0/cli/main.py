@@ -1,0 +1,134 @@
+"""The `gn0` command: finds the verb, parses its settings strictly, and speaks plainly of errors.
+
+Nothing heavy is imported before the verb is known, so `gn0 --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+# verb -> (module, one line); the order is the order of --help
+VERBS: dict[str, tuple[str, str]] = {
+    "demo": ("demo", "generate an apartment, run four policies through it, write the report"),
+    "doctor": ("doctor", "what is installed here, which renderer would run, and why"),
+    "scene generate": ("scene_generate", "a furnished apartment from a seed"),
+    "scene import": ("scene_import", "an InteriorGS folder or a Gazebo world as a scene folder"),
+    "scene check": ("scene_check", "say in plain words what is wrong with a scene"),
+    "scene show": ("scene_show", "draw a sheet: plan, bird's-eye view, four views"),
+    "scene inspect": ("scene_inspect", "what a splat file holds"),
+    "bench run": ("bench_run", "run a policy over a suite, or over a scene folder"),
+    "bench report": ("bench_report", "one HTML page from one or more runs"),
+    "bench compare": ("bench_compare", "is run A better than run B, worse, or can nobody tell"),
+    "bench suite": ("bench_suite", "build a suite of goal episodes from scene folders"),
+    "figures": ("figures", "measure the figures of merit and write the board"),
+}
+GROUPS = {
+    "scene": "make, import, check and look at scenes",
+    "bench": "run policies, compare and report",
+}
+EXAMPLES = """examples:
+  gn0 demo --out out/demo
+  gn0 scene generate --kind apartment --seed 7 --out out/flat
+  gn0 scene import path/to/world --out out/house
+  gn0 bench run out/house --policy oracle --workers 2 --out out/house-oracle"""
+
+
+def top_help(group: str = "") -> str:
+    """Help of the whole command, or of one group of verbs."""
+    lines = [f"usage: gn0 {group or 'VERB'} ... [--help]", ""]
+    if not group:
+        lines += ["Embodied navigation in 3D Gaussian Splatting scenes.", ""]
+    verbs = {v: t for v, (_, t) in VERBS.items() if not group or v.split()[0] == group}
+    width = max(map(len, verbs)) + 2
+    lines += ["verbs:", *(f"  {verb:<{width}}{text}" for verb, text in verbs.items()), ""]
+    lines.append(EXAMPLES if not group else f"gn0 {group} VERB --help says more.")
+    return "\n".join(lines)
+
+
+def find_verb(argv: Sequence[str]) -> tuple[str, list[str]]:
+    """The verb at the start of `argv` and the arguments left; verb "" when there is none."""
+    for length in (2, 1):
+        verb = " ".join(argv[:length])
+        if len(argv) >= length and verb in VERBS:
+            return verb, list(argv[length:])
+    return "", list(argv)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0 well, 1 a finding, 2 an error, 130 stopped."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    verb, rest = find_verb(argv)
+    if not verb:
+        return _no_verb(argv)
+    module = import_module(f"gn0.cli.{VERBS[verb][0]}")
+    from gn0.errors import Gn0Error
+
+    try:
+        args = parse_arguments(module, verb, rest)
+        return int(module.run(args) or 0)
+    except Gn0Error as error:
+        print(format_error(error), file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\ngn0: stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output went away
+        sys.stderr.close()
+        return 141
+
+
+def _no_verb(argv: list[str]) -> int:
+    import difflib
+
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(top_help())
+        return 0
+    if argv[0] == "--version":
+        from gn0 import __version__
+
+        print(f"gn0 {__version__}")
+        return 0
+    if argv[0] in GROUPS and (len(argv) == 1 or argv[1] in ("-h", "--help")):
+        print(top_help(argv[0]))
+        return 0
+    said = " ".join(argv[:2] if argv[0] in GROUPS else argv[:1])
+    near = difflib.get_close_matches(said, list(VERBS), n=1, cutoff=0.5)
+    hint = f"did you mean `gn0 {near[0]}`?" if near else "see `gn0 --help`"
+    print(f"gn0: no verb {said!r}; {hint}", file=sys.stderr)
+    return 2
+
+
+def parse_arguments(module: Any, verb: str, rest: list[str]) -> Any:
+    """Parse and check a verb's `Args`; exits with usage and code 2 when they do not fit."""
+    import tyro
+
+    from gn0.config import check_config
+
+    doc = (module.__doc__ or "").strip()
+    args = tyro.cli(
+        module.Args,
+        prog=f"gn0 {verb}",
+        description=f"{doc}\n\nexamples:\n{module.EXAMPLES}",
+        args=rest,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+    return check_config(args)
+
+
+def format_error(error: Any) -> str:
+    """An error as the user reads it: code, place, what, and the remedy on its own line."""
+    place = f"{error.where}: " if error.where else ""
+    text = f"gn0: error [{error.code}] {place}{error.what}"
+    return text + (f"\n  → {error.remedy}" if error.remedy else "")
+
+
+def entry() -> None:
+    """Console-script entry point."""
+    raise SystemExit(main())
+
+
+if __name__ == "__main__":
+    entry()

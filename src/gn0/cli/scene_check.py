@@ -1,0 +1,38 @@
+"""Say in plain words what is wrong with a scene, before anyone wastes an hour on it.
+
+Exit code 0: nothing wrong (notes do not count); 1: something is.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = "  gn0 scene check out/house"
+
+
+class Args(Config):
+    """The scene.
+
+    Attributes:
+        folder: a scene folder.
+    """
+
+    folder: Annotated[str, tyro.conf.Positional]
+
+
+def run(args: Args) -> int:
+    """Print the findings, worst first."""
+    from gn0.scenes.check import check_folder
+
+    findings = check_folder(args.folder)
+    for finding in findings:
+        print(f"{finding.level:<8}{finding.code}: {finding.text}")
+        if finding.remedy:
+            print(f"        → {finding.remedy}")
+    wrong = [f for f in findings if f.level != "note"]
+    print(f"{args.folder}: " + (f"{len(wrong)} things to look at" if wrong else "fit to navigate"))
+    return 1 if any(f.level == "error" for f in findings) else 0

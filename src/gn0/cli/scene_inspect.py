@@ -1,0 +1,31 @@
+"""What a splat file holds: format, count, SH degree, bounds, dropped splats, oddities."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 scene inspect point_cloud.ply
+  gn0 scene inspect 3dgs_compressed.ply"""
+
+
+class Args(Config):
+    """The file.
+
+    Attributes:
+        file: a 3DGS PLY or a PlayCanvas compressed PLY.
+    """
+
+    file: Annotated[str, tyro.conf.Positional]
+
+
+def run(args: Args) -> int:
+    """Print what the file holds."""
+    from gn0.gaussians.files import describe_cloud_file
+
+    for name, value in describe_cloud_file(args.file).items():
+        print(f"{name:<14}{value}")
+    return 0

@@ -1,0 +1,45 @@
+"""Draw a sheet of a scene: plan with rooms and objects, bird's-eye view, four views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 scene show out/flat
+  gn0 scene show out/flat --out flat.png"""
+
+
+class Args(Config):
+    """The scene and the picture.
+
+    Attributes:
+        folder: a scene folder.
+        out: the PNG to write; default: sheet.png beside the scene folder.
+    """
+
+    folder: Annotated[str, tyro.conf.Positional]
+    out: str = ""
+
+
+def run(args: Args) -> int:
+    """Draw and write."""
+    from gn0.cli.console import draw_progress
+    from gn0.render.renderer import build_renderer
+    from gn0.scenes.folder import load_scene
+    from gn0.storage import write_atomic
+    from gn0.viewer.sheet import render_sheet
+
+    folder = Path(args.folder)
+    scene = load_scene(folder)
+    out = Path(args.out) if args.out else folder.resolve().parent / f"{folder.resolve().name}.png"
+    with draw_progress() as progress:
+        progress("drawing", 0, 1)
+        sheet = render_sheet(scene, build_renderer(scene.gaussians))
+        progress("drawing", 1, 1)
+    write_atomic(out, lambda stream: sheet.save(stream, "PNG"))
+    print(f"written to {out}")
+    return 0

@@ -238,7 +238,7 @@ class Journal:
             return []
         records: list[tuple[Any, int]] = []
         end = 0
-        for line in read_bytes(self.path).split(b"\n"):
+        for line in read_bytes(self.path).split(b"\n")[:-1]:  # a line counts with its newline
             body, _, check = line.rpartition(b"\t")
             if not body or check != f"{zlib.crc32(body):08x}".encode():
                 break

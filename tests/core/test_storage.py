@@ -1,0 +1,145 @@
+"""What is on disk can be trusted: whole or absent files, journals, hashes, safe paths."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gn0.errors import StorageError
+from gn0.storage import (
+    Journal,
+    cache_dir,
+    content_hash,
+    folder_atomic,
+    read_bytes,
+    safe_join,
+    write_atomic,
+    write_bytes,
+    write_json,
+)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_trace(tmp_path: Path) -> None:
+    write_bytes(tmp_path / "a", b"old")
+
+    def fail(stream: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(StorageError, match="No space left") as caught:
+        write_atomic(tmp_path / "a", fail)
+    assert "disk is full" in caught.value.remedy
+    assert (tmp_path / "a").read_bytes() == b"old"
+    assert names(tmp_path) == ["a"]
+
+
+def test_unwritable_folder_is_a_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(StorageError, match="cannot write"):
+        write_bytes(tmp_path / "file" / "below", b"x")
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError), folder_atomic(tmp_path / "out") as folder:
+        (folder / "half").write_text("x")
+        raise RuntimeError
+    assert names(tmp_path) == []
+    with folder_atomic(tmp_path / "out") as folder:
+        (folder / "whole").write_text("x")
+    assert names(tmp_path / "out") == ["whole"]
+    with pytest.raises(StorageError, match="not empty"), folder_atomic(tmp_path / "out"):
+        pass
+    with folder_atomic(tmp_path / "out", overwrite=True) as folder:
+        (folder / "new").write_text("x")
+    assert names(tmp_path / "out") == ["new"]
+    assert names(tmp_path) == ["out"]
+
+
+def test_json_refuses_nan(tmp_path: Path) -> None:
+    with pytest.raises(ValueError):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert names(tmp_path) == []
+
+
+def test_oversized_files_are_refused_unread(tmp_path: Path) -> None:
+    (tmp_path / "big").write_bytes(b"x" * 100)
+    with pytest.raises(StorageError, match="more than the 10 allowed"):
+        read_bytes(tmp_path / "big", limit=10)
+    with pytest.raises(StorageError, match="cannot read"):
+        read_bytes(tmp_path / "absent")
+
+
+@given(cut=st.integers(0, 400))
+def test_a_journal_cut_anywhere_keeps_its_whole_lines(
+    tmp_path_factory: pytest.TempPathFactory, cut: int
+) -> None:
+    path = tmp_path_factory.mktemp("journal") / "j"
+    records = [{"n": i, "text": "äx\n\t" * i} for i in range(8)]
+    with Journal(path) as journal:
+        for record in records:
+            journal.append(record)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: min(cut, len(whole))])
+    kept = Journal(path).read()
+    assert kept == records[: len(kept)]
+    with Journal(path) as journal:
+        journal.append({"n": "next"})
+    assert Journal(path).read() == [*kept, {"n": "next"}]
+
+
+def test_a_journal_with_a_flipped_byte_stops_there(tmp_path: Path) -> None:
+    with Journal(tmp_path / "j") as journal:
+        for i in range(3):
+            journal.append(i)
+    data = bytearray((tmp_path / "j").read_bytes())
+    lines = data.split(b"\n")
+    data[len(lines[0]) + 1] ^= 1
+    (tmp_path / "j").write_bytes(data)
+    assert Journal(tmp_path / "j").read() == [0]
+
+
+TRAVERSALS = [
+    "../x", "a/../../x", "/etc/passwd", "~/x", "a\0b", "", "..", "..\\x", "C:\\x", "c:x",
+    "%2e%2e/x", "a%2fb", "%5cx", "a/%2E%2E/b", "\\\\server\\x", "a/..", "./../x", "//x",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", TRAVERSALS)
+def test_paths_that_climb_out_are_refused(tmp_path: Path, bad: str) -> None:
+    with pytest.raises(StorageError):
+        safe_join(tmp_path, bad)
+
+
+def test_links_that_lead_out_are_refused(tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    root.mkdir()
+    os.symlink("/etc", root / "link")
+    with pytest.raises(StorageError, match="link"):
+        safe_join(root, "link/passwd")
+    assert safe_join(root, "a/b.txt") == root / "a" / "b.txt"
+
+
+def test_content_hash_is_of_values_not_of_memory_layout() -> None:
+    a = np.arange(12, dtype=np.float32).reshape(3, 4)
+    assert content_hash(a) == content_hash(np.asfortranarray(a))
+    assert content_hash(a) == content_hash(a.astype(">f4"))
+    assert content_hash(a) != content_hash(a.reshape(4, 3))
+    assert content_hash(a) != content_hash(a.astype(np.float64))
+    assert content_hash("ab", "c") != content_hash("a", "bc")
+
+
+def test_the_cache_is_where_the_user_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+    assert cache_dir() == tmp_path
+    monkeypatch.delenv("GN0_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert cache_dir() == tmp_path / "xdg" / "gn0"

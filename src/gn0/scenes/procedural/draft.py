@@ -14,6 +14,11 @@ Colour = tuple[float, float, float]  # linear RGB, 0..1
 class Material(Config):
     """A surface material: a procedural pattern with colours, evaluated at uv [m].
 
+    Patterns that show one whole image (picture_landscape, picture_abstract, picture_portrait,
+    screen, sky, rug_border, rug_persian) read uv as 0..1 across the panel, u right, v up; for
+    these `scale` is the panel's width / height. Faces of the pattern "sky" are window panes: they
+    let light from outside through; faces of "lampshade" glow by `emission`.
+
     Attributes:
         name: e.g. "oak planks".
         pattern: name of a pattern in `materials.py`, e.g. "paint", "planks", "fabric".

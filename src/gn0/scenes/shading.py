@@ -1,0 +1,53 @@
+"""What a surface looks like at a point: the one interface between light, surfels and truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F32
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSample:
+    """Appearance of M surface points.
+
+    Attributes:
+        albedo: linear base colour [M, 3] in 0..1.
+        irradiance: baked linear irradiance divided by π [M, 3] (radiance = albedo · irradiance).
+        colour: display colour [M, 3] in 0..1, after the tone curve.
+        normal: unit normal of the lit side [M, 3], world frame.
+    """
+
+    albedo: F32
+    irradiance: F32
+    colour: F32
+    normal: F32
+
+
+class Shader(Protocol):
+    """Appearance of a mesh as a function of its surface, the same from every direction."""
+
+    def shade(self, face: NDArray[np.integer], bary: NDArray[np.floating]) -> SurfaceSample:
+        """Shade points given by face index [M] and barycentric coordinates [M, 3].
+
+        The result at a point must not depend on which other points are asked for.
+        """
+        ...
+
+
+def encode_srgb(linear: NDArray[np.floating]) -> F32:
+    """Display values 0..1 of linear light (IEC 61966-2-1), clipped."""
+    x = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
+    high = np.float32(1.055) * np.power(x, np.float32(1 / 2.4)) - np.float32(0.055)
+    return np.where(x <= 0.0031308, np.float32(12.92) * x, high).astype(np.float32)
+
+
+def decode_srgb(display: NDArray[np.floating]) -> F32:
+    """Linear light of display values 0..1 (IEC 61966-2-1)."""
+    x = np.clip(np.asarray(display, np.float32), 0.0, 1.0)
+    high = np.power((x + np.float32(0.055)) / np.float32(1.055), np.float32(2.4))
+    return np.where(x <= 0.04045, x / np.float32(12.92), high).astype(np.float32)

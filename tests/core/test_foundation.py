@@ -75,7 +75,7 @@ def test_every_error_has_its_own_code_and_survives_a_process_border() -> None:
 
 def test_plugins_are_found_by_name_and_never_replaced() -> None:
     assert {"oracle", "random"} <= set(plugin_names("policy"))
-    with pytest.raises(ConfigError, match="known: .*oracle"):
+    with pytest.raises(ConfigError, match=r"known: .*oracle"):
         get_plugin("policy", "orcale")
     thing = object()
     register("metric", "mine", thing)

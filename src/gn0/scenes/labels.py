@@ -1,0 +1,181 @@
+"""`labels.json`: object instances with eight-corner boxes, as InteriorGS writes them.
+
+Our own files add `room`; corners 0–3 are the bottom face counter-clockwise, 4–7 above them, and the
+yaw runs along corner 0 → 1. Foreign files may wrap the list in {"labels": [...]}, leave a box out,
+or list the corners of a face in another order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from gn0.config import JSON_LIMIT, decode_json, load_json
+from gn0.errors import FormatError
+from gn0.geometry import F64, wrap_angle
+from gn0.scenes.scene import ObjectBox, SceneObject
+from gn0.storage import read_bytes
+
+REACH = 1e5  # m; a coordinate beyond this is a unit error
+
+
+class Corner(msgspec.Struct, forbid_unknown_fields=True):
+    """One box corner [m]."""
+
+    x: float
+    y: float
+    z: float
+
+
+class LabelRow(msgspec.Struct):
+    """One entry of a foreign `labels.json`."""
+
+    ins_id: str | int
+    label: str
+    bounding_box: list[Corner] | None = None
+
+
+class LabelRowOwn(msgspec.Struct, forbid_unknown_fields=True):
+    """One entry of our own `labels.json`: complete, with the room."""
+
+    ins_id: str
+    label: str
+    bounding_box: list[Corner]
+    room: str | None = None
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Objects of a label file, and how many entries could not be used."""
+
+    objects: tuple[SceneObject, ...]
+    without_box: int = 0
+
+
+def load_labels(path: Path) -> tuple[SceneObject, ...]:
+    """Objects of our own label file.
+
+    Raises:
+        FormatError: not JSON, a field missing, unknown, of the wrong type, or not a box.
+        StorageError: the file cannot be read.
+    """
+    rows = load_json(path, list[LabelRowOwn])
+    objects = []
+    for index, row in enumerate(rows):
+        box = box_from_corners(_corners(row.bounding_box), path, index)
+        objects.append(SceneObject(id=row.ins_id, category=row.label, box=box, room=row.room))
+    check_unique([thing.id for thing in objects], path, "ins_id")
+    return tuple(objects)
+
+
+def load_labels_foreign(path: Path) -> Labels:
+    """Objects of an InteriorGS label file; entries without a box are counted, not kept.
+
+    Raises:
+        FormatError: not a label file, or a box is not eight finite corners.
+        StorageError: the file cannot be read.
+    """
+    data: Any = decode_json(read_bytes(path, JSON_LIMIT), Any, file=path)
+    if isinstance(data, dict):
+        data = data.get("labels")
+    if not isinstance(data, list):
+        raise FormatError(
+            "expected a list of labels, or an object with a list under 'labels'",
+            file=path,
+            remedy="give the labels.json of an InteriorGS scene",
+        )
+    objects: list[SceneObject] = []
+    missing = 0
+    for index, entry in enumerate(data):
+        try:
+            row = msgspec.convert(entry, LabelRow)
+        except msgspec.ValidationError as error:
+            raise FormatError(
+                f"entry {index}: {error}", file=path, remedy="correct the named field"
+            ) from None
+        if not row.bounding_box:
+            missing += 1
+            continue
+        box = box_from_corners(_corners(row.bounding_box), path, index)
+        category = " ".join(row.label.lower().replace("_", " ").split()) or "object"
+        objects.append(SceneObject(id=str(row.ins_id), category=category, box=box))
+    check_unique([thing.id for thing in objects], path, "ins_id")
+    return Labels(tuple(objects), missing)
+
+
+def encode_labels(objects: tuple[SceneObject, ...]) -> list[dict[str, Any]]:
+    """The rows of our label file."""
+    return [
+        {
+            "ins_id": thing.id,
+            "label": thing.category,
+            "bounding_box": [
+                {"x": float(x), "y": float(y), "z": float(z)} for x, y, z in thing.box.corners()
+            ],
+            "room": thing.room,
+        }
+        for thing in objects
+    ]
+
+
+def check_unique(ids: list[str], file: Path, field: str) -> None:
+    """Refuse empty or repeated ids.
+
+    Raises:
+        FormatError: names the id.
+    """
+    seen: set[str] = set()
+    for value in ids:
+        if not value or len(value) > 256:
+            raise FormatError("an id is empty or longer than 256", file=file, field=field)
+        if value in seen:
+            raise FormatError(
+                f"id {value!r} occurs twice", file=file, field=field, remedy="make ids unique"
+            )
+        seen.add(value)
+
+
+def _corners(rows: list[Corner]) -> F64:
+    return np.array([(c.x, c.y, c.z) for c in rows], np.float64).reshape(-1, 3)
+
+
+def box_from_corners(corners: F64, file: Path, index: int) -> ObjectBox:
+    """An upright box from corners [8, 3] m, the first four being one horizontal face.
+
+    Raises:
+        FormatError: not eight finite corners within reach.
+    """
+    if corners.shape != (8, 3) or not (np.abs(corners) < REACH).all():
+        raise FormatError(
+            f"entry {index}: a box needs eight finite corners within {REACH:g} m",
+            file=file,
+            field="bounding_box",
+            remedy="correct the box, or leave it out",
+        )
+    face, other = corners[:4], corners[4:]
+    if face[:, 2].mean() > other[:, 2].mean():
+        face, other = other, face
+    middle = corners.mean(axis=0)
+    offset = face[:, :2] - face[:, :2].mean(axis=0)
+    turn = np.arctan2(offset[:, 1], offset[:, 0])
+    # start at the given corner 0 and go round counter-clockwise, whatever the file's order
+    ring = face[np.argsort(np.mod(turn - turn[0] + 1e-9, 2 * math.pi), kind="stable")]
+    along = (ring[1, :2] - ring[0, :2] + ring[2, :2] - ring[3, :2]) / 2
+    across = (ring[2, :2] - ring[1, :2] + ring[3, :2] - ring[0, :2]) / 2
+    sx, sy = float(np.hypot(*along)), float(np.hypot(*across))
+    if sx > 0:
+        yaw = math.atan2(along[1], along[0])
+    else:
+        yaw = math.atan2(across[1], across[0]) - math.pi / 2 if sy > 0 else 0.0
+    sz = float(other[:, 2].mean() - face[:, 2].mean())
+    centre = (round(middle[0], 6), round(middle[1], 6), round(middle[2], 6))
+    return ObjectBox(
+        centre=(float(centre[0]), float(centre[1]), float(centre[2])),
+        size=(round(sx, 6), round(sy, 6), round(sz, 6)),
+        yaw=round(wrap_angle(yaw), 6) + 0.0,
+    )

@@ -4,7 +4,7 @@
     occupancy.png, occupancy.json            the grid, InteriorGS orientation
     labels.json                              objects with eight-corner boxes and their room
     structure.json                           rooms, walls, doors, windows
-    gaussians_aux.npz                        label, albedo, irradiance, normal in the order of the PLY
+    gaussians_aux.npz                        label, albedo, irradiance, normal, in PLY order
     scene.json                               id, source, licence, bounds, hashes, layout version
 
 `point_cloud.ply` (exact) is the default: it costs five times the bytes of the compressed file, but

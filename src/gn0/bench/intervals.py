@@ -1,0 +1,113 @@
+"""Bootstrap intervals: how much a mean would move on other episodes, or on other scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import BenchError
+from gn0.geometry import F64
+from gn0.seeds import random_stream
+
+RESAMPLES = 10_000
+LEVEL = 0.95
+
+
+class Interval(msgspec.Struct, frozen=True, kw_only=True):
+    """A mean with its bootstrap interval.
+
+    Attributes:
+        mean: mean over the episodes.
+        low, high: percentile bounds at `level`.
+        level: e.g. 0.95.
+        count: episodes.
+        clusters: what was resampled: scenes when there are several, else 0 (episodes).
+    """
+
+    mean: float
+    low: float
+    high: float
+    level: float
+    count: int
+    clusters: int
+
+
+def bootstrap_means(
+    values: NDArray[np.floating],
+    clusters: Sequence[str] | None,
+    *,
+    seed: int,
+    name: str,
+    resamples: int = RESAMPLES,
+) -> F64:
+    """Means [resamples] of values [N] drawn again with replacement.
+
+    With two or more distinct clusters (scenes), whole clusters are drawn: episodes of one scene
+    are not independent (Field and Welsh 2007, the cluster bootstrap).
+    """
+    v = np.asarray(values, np.float64)
+    rng = random_stream(seed, "bootstrap", name)
+    names = sorted(set(clusters)) if clusters is not None else []
+    if len(names) >= 2 and clusters is not None:
+        index = {name: i for i, name in enumerate(names)}
+        member = np.array([index[c] for c in clusters])
+        sums = np.bincount(member, weights=v, minlength=len(names))
+        sizes = np.bincount(member, minlength=len(names)).astype(np.float64)
+    else:
+        sums, sizes = v, np.ones(len(v))
+    means = np.empty(resamples)
+    block = max(1, 4_000_000 // len(sums))  # at most 32 MB of indices at a time
+    for begin in range(0, resamples, block):
+        end = min(begin + block, resamples)
+        drawn = rng.integers(0, len(sums), size=(end - begin, len(sums)))
+        means[begin:end] = sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1)
+    return means
+
+
+def bootstrap_interval(
+    values: NDArray[np.floating] | Sequence[float],
+    *,
+    clusters: Sequence[str] | None = None,
+    seed: int = 0,
+    name: str = "",
+    level: float = LEVEL,
+    resamples: int = RESAMPLES,
+) -> Interval:
+    """Mean and percentile bootstrap interval (Efron 1979) of values [N].
+
+    Args:
+        values: one number an episode.
+        clusters: the scene of each episode; scenes are resampled when there are several.
+        seed: root seed; the same values give the same interval.
+        name: metric name, so that metrics do not share their draws by accident.
+        level: coverage, 0..1.
+        resamples: bootstrap draws.
+
+    Raises:
+        BenchError: no values, or one that is not finite.
+    """
+    v = np.asarray(values, np.float64)
+    if v.ndim != 1 or not len(v):
+        raise BenchError(
+            "an interval needs at least one value", where=name, remedy="run an episode"
+        )
+    if not np.isfinite(v).all():
+        raise BenchError(
+            "a value that is not finite cannot be averaged",
+            where=name,
+            remedy="count the episode as invalid",
+        )
+    means = bootstrap_means(v, clusters, seed=seed, name=name, resamples=resamples)
+    low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
+    distinct = len(set(clusters)) if clusters is not None else 0
+    return Interval(
+        mean=float(v.mean()),
+        low=float(low),
+        high=float(high),
+        level=level,
+        count=len(v),
+        clusters=distinct if distinct >= 2 else 0,
+    )

@@ -1,0 +1,224 @@
+"""Semantic targets: what can be a goal, where one stands to be there, and what to call it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F64
+from gn0.maps.grid import FREE, OccupancyGrid
+from gn0.scenes.scene import Scene, SceneObject, SceneRoom
+
+if TYPE_CHECKING:
+    from gn0.maps.navigation import NavigationMap
+
+REACH = 1.5  # m from an object's footprint within which its standing cell must lie
+LOWEST_OUT_OF_REACH = 1.8  # m; what hangs above this is not somewhere one goes
+NEIGHBOUR_REACH = 2.0  # m within which another object tells two of a kind apart
+
+# parts of the building and labels that say nothing
+NOT_A_GOAL = frozenset((
+    "wall", "walls", "floor", "floors", "ceiling", "roof", "door", "doors", "door_frame",
+    "doorframe", "window", "windows", "beam", "column", "baseboard", "skirting", "stairs", "other",
+    "others", "unknown", "object", "misc", "void", "background", "room", "building", "house",
+    "ground", "ground_plane", "ceiling_lamp", "ceiling_light", "chandelier", "downlight", "handle",
+    "switch", "socket",
+))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class GoalTarget:
+    """An object one can go to.
+
+    Attributes:
+        object: the instance.
+        goal: centre (x, y) [m] of the nearest safe cell on the object's own side of the walls.
+        region: connected region of that cell.
+        instruction: what to tell the agent; never empty.
+    """
+
+    object: SceneObject
+    goal: tuple[float, float]
+    region: int
+    instruction: str
+
+
+def points_in_polygon(points: NDArray[np.floating], polygon: NDArray[np.floating]) -> NDArray:
+    """Whether points [N, 2] lie inside a polygon [K, 2] (even-odd rule); bool [N]."""
+    p = np.asarray(points, np.float64).reshape(-1, 2)
+    inside = np.zeros(len(p), np.bool_)
+    a = np.asarray(polygon, np.float64)
+    for (x0, y0), (x1, y1) in zip(a, np.roll(a, -1, axis=0), strict=True):
+        crosses = (y0 > p[:, 1]) != (y1 > p[:, 1])
+        if y0 != y1:
+            inside ^= crosses & (p[:, 0] < (x1 - x0) * (p[:, 1] - y0) / (y1 - y0) + x0)
+    return inside
+
+
+def distance_to_footprint(points: NDArray[np.floating], item: SceneObject) -> F64:
+    """Distance [N] m from points [N, 2] to an object's box seen from above; 0 inside."""
+    c, s = np.cos(item.box.yaw), np.sin(item.box.yaw)
+    d = np.asarray(points, np.float64).reshape(-1, 2) - np.array(item.box.centre[:2])
+    local = np.column_stack([d @ (c, s), d @ (-s, c)])
+    outside = np.maximum(np.abs(local) - np.array(item.box.size[:2]) / 2, 0.0)
+    return np.hypot(outside[:, 0], outside[:, 1])
+
+
+def _crosses(a: F64, b: F64, p: F64, q: F64) -> NDArray[np.bool_]:
+    """Whether segments a[N]→b crosses segment p→q, properly."""
+
+    def side(o: F64, u: F64, v: F64) -> F64:
+        d = u - o
+        e = v - o
+        return d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
+
+    return (side(p, q, a) * side(p, q, b) < 0) & (side(a, b, p) * side(a, b, q) < 0)
+
+
+def room_of_object(item: SceneObject, rooms: tuple[SceneRoom, ...]) -> SceneRoom | None:
+    """The room an object says it is in, else the one whose polygon holds its centre."""
+    for room in rooms:
+        if room.id == item.room:
+            return room
+    centre = np.array([item.box.centre[:2]])
+    for room in rooms:
+        if points_in_polygon(centre, np.array(room.polygon))[0]:
+            return room
+    return None
+
+
+def _wall_cells(grid: OccupancyGrid, objects: tuple[SceneObject, ...]) -> NDArray[np.bool_]:
+    """Blocked cells [H, W] that no goal-worthy object explains: taken for walls."""
+    walls = grid.blocked.copy()
+    for item in objects:
+        if is_goal_worthy(item):
+            low, high = item.box.corners().min(axis=0), item.box.corners().max(axis=0)
+            (r0, c0), (r1, c1) = grid.cell_of(low[0], low[1]), grid.cell_of(high[0], high[1])
+            walls[max(r0 - 1, 0) : r1 + 2, max(c0 - 1, 0) : c1 + 2] = False
+    return walls
+
+
+def _sees(grid: OccupancyGrid, walls: NDArray[np.bool_], a: F64, b: F64) -> bool:
+    """Whether the straight line a→b [m] meets no wall cell."""
+    steps = int(np.hypot(*(b - a)) / grid.resolution * 2) + 2
+    cells = grid.cells_of(a + (b - a) * np.linspace(0, 1, steps)[:, None])
+    cells = np.clip(cells, 0, (grid.shape[0] - 1, grid.shape[1] - 1))
+    return not walls[cells[:, 0], cells[:, 1]].any()
+
+
+def is_goal_worthy(item: SceneObject) -> bool:
+    """Whether one would send somebody to this object."""
+    category = item.category.strip().lower()
+    if not category or category.replace(" ", "_") in NOT_A_GOAL:
+        return False
+    return item.box.centre[2] - item.box.size[2] / 2 <= LOWEST_OUT_OF_REACH
+
+
+def find_standing_cell(
+    scene: Scene,
+    navigation: NavigationMap,
+    item: SceneObject,
+    *,
+    reach: float = REACH,
+    walls: NDArray[np.bool_] | None = None,
+) -> tuple[float, float] | None:
+    """The safe cell (x, y) [m] nearest to an object on its own side of the walls, or None.
+
+    Paper, Alg. 'Goal Target Construction and Safe Goal Snapping' (FindNearestSafe). Rooms decide
+    the side where they are known, else wall segments, else blocked cells that are no object.
+    """
+    grid = navigation.inflated
+    corners = item.box.corners()[:, :2]
+    rows_cols = grid.cells_of(np.array([corners.min(axis=0) - reach, corners.max(axis=0) + reach]))
+    (r0, c0), (r1, c1) = np.clip(rows_cols, 0, (grid.shape[0] - 1, grid.shape[1] - 1))
+    block = grid.cells[r0 : r1 + 1, c0 : c1 + 1] == FREE
+    cells = np.argwhere(block) + np.array([r0, c0])
+    if not len(cells):
+        return None
+    points = grid.centres_of(cells)
+    centre = np.array(item.box.centre[:2])
+    away = distance_to_footprint(points, item)
+    from_centre = np.hypot(*(points - centre).T)
+    keep = away <= reach
+    room = room_of_object(item, scene.rooms)
+    if room is not None:
+        keep &= points_in_polygon(points, np.array(room.polygon))
+    for wall in scene.walls:
+        keep &= ~_crosses(points, centre[None], np.array(wall.a), np.array(wall.b))
+    if not keep.any():
+        return None
+    index = np.flatnonzero(keep)
+    order = index[np.lexsort((cells[index, 1], cells[index, 0], from_centre[index], away[index]))]
+    if room is None and not scene.walls:
+        solid = walls if walls is not None else _wall_cells(navigation.grid, scene.objects)
+        for i in order:
+            if _sees(navigation.grid, solid, points[i], centre):
+                return float(points[i, 0]), float(points[i, 1])
+        return None
+    return float(points[order[0], 0]), float(points[order[0], 1])
+
+
+def describe_target(scene: Scene, item: SceneObject) -> str:
+    """A short instruction, such as "Go to the chair next to the desk in the study".
+
+    Names the room where its type is known, and a neighbour where the room holds several of a kind.
+    """
+    room = room_of_object(item, scene.rooms)
+    name = _plain(item.category) or "object"
+    text = f"Go to the {name}"
+    if any(other is not item and _plain(other.category) == name for other in scene.objects):
+        near = _tell_tale_neighbour(scene, item, room)
+        if near:
+            text += f" next to the {near}"
+    kind = _plain(room.type) if room is not None else ""
+    if kind and kind not in ("room", "unknown", "other"):
+        text += f" in the {kind}"
+    return text + "."
+
+
+def _tell_tale_neighbour(scene: Scene, item: SceneObject, room: SceneRoom | None) -> str:
+    name = _plain(item.category)
+    centre = np.array([item.box.centre[:2]])
+    best: tuple[float, str] | None = None
+    for other in scene.objects:
+        kind = _plain(other.category)
+        if kind == name or not is_goal_worthy(other):
+            continue
+        if room is not None and room_of_object(other, scene.rooms) is not room:
+            continue
+        away = float(distance_to_footprint(centre, other)[0])
+        if away <= NEIGHBOUR_REACH and (best is None or (away, kind) < best):
+            best = (away, kind)
+    return best[1] if best else ""
+
+
+def _plain(text: str) -> str:
+    """A label as words: "CoffeeTable_01" and "coffee_table" become "coffee table"."""
+    words = "".join(
+        f" {c}" if c.isupper() and i and text[i - 1].islower() else c for i, c in enumerate(text)
+    )
+    parts = words.replace("_", " ").replace("-", " ").split()
+    while len(parts) > 1 and parts[-1].isdigit():
+        parts.pop()
+    return " ".join(parts).lower()
+
+
+def build_targets(
+    scene: Scene, navigation: NavigationMap, *, reach: float = REACH
+) -> list[GoalTarget]:
+    """All objects of a scene that one can walk up to, in the scene's order."""
+    walls = _wall_cells(navigation.grid, scene.objects)
+    targets = []
+    for item in scene.objects:
+        if not is_goal_worthy(item):
+            continue
+        goal = find_standing_cell(scene, navigation, item, reach=reach, walls=walls)
+        if goal is None:
+            continue
+        region = navigation.region_of(*goal)
+        if region >= 0:
+            targets.append(GoalTarget(item, goal, region, describe_target(scene, item)))
+    return targets

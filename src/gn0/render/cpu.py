@@ -1,0 +1,291 @@
+"""RendererCpu: 3D Gaussian splatting on any CPU, the same bytes every time.
+
+Depth order is (full float32 depth, index in the cloud), stable; splats of `extra` come after all
+static ones at equal depth. Nothing is reduced across threads, so the thread count cannot show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F32, F64
+from gn0.render import cpu_project as project
+from gn0.render.camera import Camera
+from gn0.render.cpu_order import (
+    BLOCKS,
+    RADIX,
+    RADIX_BITS,
+    count_tiles,
+    fill_tiles,
+    gather_rows,
+    has_ties,
+    key_range,
+    radix_pass,
+    take,
+)
+from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud
+from gn0.render.cpu_raster import TILE, raster_tiles
+from gn0.render.renderer import Output, RenderOptions, RenderResult
+
+OUTPUTS = ("rgb", "depth", "alpha")
+_RIGID = 1e-4  # how far a view's rotation may be from orthonormal
+
+
+class RendererCpu:
+    """Renders one cloud with Numba. Buffers are kept between calls: one thread at a time."""
+
+    name = "cpu"
+
+    def __init__(self, cloud: GaussianCloud, options: RenderOptions | None = None) -> None:
+        """Pack the cloud.
+
+        Raises:
+            RenderError: the cloud holds values that are not finite.
+        """
+        self.options = options or RenderOptions()
+        self._size = len(cloud)
+        with _threads(self.options.threads):
+            self._cloud = pack_cloud(cloud)
+        self._buffers = _Buffers()
+
+    def render(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        *,
+        extra: GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = OUTPUTS,  # type: ignore[assignment]
+        background: tuple[float, float, float] | None = None,
+    ) -> RenderResult:
+        """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.render`.
+
+        Raises:
+            RenderError: a view is not finite or not rigid, an output is unknown, or a colour or
+                a splat is not finite.
+        """
+        matrices = check_views(views)
+        unknown = [name for name in outputs if name not in OUTPUTS]
+        if unknown:
+            raise RenderError(f"unknown output {unknown[0]!r}", remedy="rgb, depth or alpha")
+        colour = np.array(self.options.background if background is None else background, np.float32)
+        if colour.shape != (3,) or not np.isfinite(colour).all():
+            raise RenderError("background is not three finite numbers", where="background")
+        shape = (len(matrices), camera.height, camera.width)
+        as_float = self.options.rgb_float
+        rgb_type = np.float32 if as_float else np.uint8
+        rgb = np.empty((*shape, 3), rgb_type) if "rgb" in outputs else None
+        depth = np.empty(shape, np.float32) if "depth" in outputs else None
+        alpha = np.empty(shape, np.float32) if "alpha" in outputs else None
+        wants = np.array(
+            [
+                rgb is not None and not as_float,
+                rgb is not None and as_float,
+                depth is not None,
+                alpha is not None,
+            ]
+        )
+        no_u8, no_f32 = np.empty((1, 1, 3), np.uint8), np.empty((1, 1, 3), np.float32)
+        no_map = np.empty((1, 1), np.float32)
+        with _threads(self.options.threads):
+            parts = [(self._cloud, 0)]
+            if extra is not None and len(extra):
+                parts.append((pack_cloud(extra, sort=False), self._size))
+            for v, matrix in enumerate(matrices):
+                lists = self._arrange(camera, matrix, parts)
+                raster_tiles(
+                    *lists,
+                    -(-camera.width // TILE),
+                    camera.width,
+                    camera.height,
+                    colour,
+                    wants,
+                    rgb[v] if wants[0] else no_u8,
+                    rgb[v] if wants[1] else no_f32,
+                    no_map if depth is None else depth[v],
+                    no_map if alpha is None else alpha[v],
+                )
+        return RenderResult(rgb, depth, alpha)
+
+    def _arrange(
+        self, camera: Camera, matrix: F64, parts: list[tuple[PackedCloud, int]]
+    ) -> tuple[F32, NDArray[np.int32], NDArray[np.int32]]:
+        """Project all parts and list each tile's splats front to back."""
+        view = view_parameters(camera, matrix)
+        ortho = camera.model == "ortho"
+        buffers = self._buffers
+        chosen = []
+        for cloud, _ in parts:
+            seen = np.empty(cloud.chunks, np.uint8)
+            project.cull_chunks(cloud.boxes, view, ortho, seen)
+            chosen.append(np.flatnonzero(seen).astype(np.int32))
+        buffers.need_rows(sum(map(len, chosen)) * CHUNK)
+        counts = np.zeros(sum(map(len, chosen)), np.int32)
+        done = 0
+        for (cloud, first), chunks in zip(parts, chosen, strict=True):
+            project.project_chunks(
+                *(cloud.pack, cloud.order, np.int32(first), cloud.sh, cloud.degree, chunks),
+                *(view, ortho, self.options.antialiased, done * CHUNK),
+                *(buffers.records, buffers.rects, buffers.keys, buffers.indices),
+                counts[done : done + len(chunks)],
+            )
+            done += len(chunks)
+        n = int(counts.sum())
+        starts = np.zeros(len(counts), np.int32)
+        np.cumsum(counts[:-1], out=starts[1:])
+        rows = self._sort(starts, counts, n, ordered=all(cloud.ordered for cloud, _ in parts))
+        tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
+        histogram, tile_starts = buffers.need_tiles(tiles_x * tiles_y)
+        entries = count_tiles(rows, n, buffers.rects, tiles_x, histogram)
+        items = buffers.need_items(int(entries))
+        fill_tiles(rows, n, buffers.rects, tiles_x, histogram, tile_starts, items)
+        return buffers.records, tile_starts, items
+
+    def _sort(
+        self, starts: NDArray[np.int32], counts: NDArray[np.int32], n: int, *, ordered: bool
+    ) -> NDArray[np.int32]:
+        buffers = self._buffers
+        row_starts = np.arange(len(counts), dtype=np.int32) * CHUNK
+        buffers.need_sort(n)
+        (keys, spare_keys), (rows, spare_rows) = buffers.sort_keys, buffers.sort_rows
+
+        def sort() -> None:
+            nonlocal keys, spare_keys, rows, spare_rows
+            low, high = key_range(keys, n)
+            for shift in range(0, int(high - low).bit_length(), RADIX_BITS):
+                radix_pass(
+                    *(keys, rows, n, low, np.uint32(shift)),
+                    *(spare_keys, spare_rows, buffers.radix_counts),
+                )
+                keys, spare_keys, rows, spare_rows = spare_keys, keys, spare_rows, rows
+
+        gather_rows(row_starts, counts, starts, buffers.keys, keys, rows)
+        if n > 1:
+            sort()
+            if not ordered and has_ties(keys, n):
+                # rare but exact: order all by splat index first, then by depth again
+                take(buffers.indices, rows, n, keys)
+                sort()
+                take(buffers.keys, rows, n, keys)
+                sort()
+        return rows
+
+
+class _Buffers:
+    """Arrays kept between views; each grows when a view needs more."""
+
+    def __init__(self) -> None:
+        self.records = np.empty((0, project.RECORD), np.float32)
+        self.rects = np.empty((0, 4), np.int16)
+        self.keys = np.empty(0, np.uint32)
+        self.indices = np.empty(0, np.uint32)
+        self.sort_keys = (np.empty(0, np.uint32), np.empty(0, np.uint32))
+        self.sort_rows = (np.empty(0, np.int32), np.empty(0, np.int32))
+        self.radix_counts = np.empty((BLOCKS, RADIX), np.int32)
+        self.histogram = np.empty((BLOCKS, 0), np.int32)
+        self.tile_starts = np.empty(1, np.int32)
+        self.items = np.empty(0, np.int32)
+
+    def need_rows(self, rows: int) -> None:
+        if rows > len(self.keys):
+            rows = _grown(rows)
+            self.records = np.empty((rows, project.RECORD), np.float32)
+            self.rects = np.empty((rows, 4), np.int16)
+            self.keys = np.empty(rows, np.uint32)
+            self.indices = np.empty(rows, np.uint32)
+
+    def need_sort(self, n: int) -> None:
+        if n > len(self.sort_keys[0]):
+            n = _grown(n)
+            self.sort_keys = (np.empty(n, np.uint32), np.empty(n, np.uint32))
+            self.sort_rows = (np.empty(n, np.int32), np.empty(n, np.int32))
+
+    def need_tiles(self, tiles: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        if self.histogram.shape[1] != tiles:
+            self.histogram = np.empty((BLOCKS, tiles), np.int32)
+            self.tile_starts = np.empty(tiles + 1, np.int32)
+        return self.histogram, self.tile_starts
+
+    def need_items(self, entries: int) -> NDArray[np.int32]:
+        if entries > 2**31 - 1:
+            raise RenderError(
+                f"the picture needs {entries} tile entries, more than 2^31",
+                remedy="render it in smaller pictures",
+            )
+        if entries > len(self.items):
+            self.items = np.empty(_grown(entries), np.int32)
+        return self.items
+
+
+def _grown(count: int) -> int:
+    return count + count // 4 + CHUNK
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """Run with `count` Numba threads (0: all), and restore what was set before."""
+    before = numba.get_num_threads()
+    wanted = before if count <= 0 else min(count, numba.config.NUMBA_NUM_THREADS)
+    numba.set_num_threads(wanted)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+def check_views(views: NDArray[np.floating]) -> F64:
+    """Views as float64 [V, 4, 4].
+
+    Raises:
+        RenderError: wrong shape, not finite, or not a rigid transform.
+    """
+    matrices = np.asarray(views, np.float64)
+    if matrices.ndim == 2:
+        matrices = matrices[None]
+    if matrices.ndim != 3 or matrices.shape[1:] != (4, 4):
+        raise RenderError(
+            f"views have shape {matrices.shape}, expected [V, 4, 4]", remedy="world-to-camera"
+        )
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    if not finite.all():
+        raise RenderError("a view is not finite", where=f"view {int(np.argmin(finite))}")
+    rotation = matrices[:, :3, :3]
+    off = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    bottom = np.abs(matrices[:, 3] - (0, 0, 0, 1)).max(axis=1)
+    rigid = (off < _RIGID) & (bottom < _RIGID) & (np.linalg.det(rotation) > 0)
+    if not rigid.all():
+        raise RenderError(
+            "a view is not a rigid transform",
+            where=f"view {int(np.argmin(rigid))}",
+            remedy="give a rotation and a translation, world to camera",
+        )
+    return matrices
+
+
+def view_parameters(camera: Camera, matrix: F64) -> F32:
+    """What the kernels need of a view, float32 (fields named in `cpu_project`)."""
+    view = np.zeros(project.VIEW_FIELDS, np.float32)
+    rotation = matrix[:3, :3]
+    view[:9] = rotation.ravel()
+    view[9:12] = -rotation.T @ matrix[:3, 3]
+    view[12:16] = camera.fx, camera.fy, camera.cx, camera.cy
+    # a pinhole divides by z, so even near = 0 stays in front of the camera
+    view[16:18] = max(camera.near, 1e-6) if camera.model == "pinhole" else camera.near, camera.far
+    size = (camera.width, camera.height)
+    focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
+    for axis in range(2):
+        widened = 0.3 * 0.5 * size[axis] / focal[axis]
+        positive = (size[axis] - centre[axis]) / focal[axis] + widened
+        negative = centre[axis] / focal[axis] + widened
+        view[18 + 2 * axis], view[19 + 2 * axis] = positive, negative
+        slope = max(abs(positive), abs(negative)) if camera.model == "pinhole" else 0.0
+        view[22 + axis] = math.sqrt(1.0 + slope * slope)
+    view[24:26] = size
+    return view

@@ -1,0 +1,171 @@
+"""The CPU renderer's own copy of a cloud: Morton-ordered chunks of 256 splats, ready to project.
+
+A chunk is one contiguous block `pack[c, field, lane]`, so a whole chunk is projected with vector
+instructions and a chunk out of sight costs one box test. Splats are stored in Morton order; the
+index a splat had in its cloud goes with it, because equal depths are drawn in that order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F32
+from gn0.jit import njit, prange
+from gn0.render.renderer import ALPHA_MIN
+
+CHUNK = 256  # splats a chunk
+FIELDS = 18
+# fields of a chunk: mean 0-2, factor M of the covariance M Mᵀ 3-11 (row-major), then
+REACH, EXTENT, LOG_OPACITY, RED, GREEN, BLUE = 12, 13, 14, 15, 16, 17
+DEAD = np.float32(-1.0)  # REACH of the padding at the end of the last chunk
+
+
+@dataclass(frozen=True, eq=False)
+class PackedCloud:
+    """A cloud ready to project.
+
+    Attributes:
+        pack: [C, FIELDS, CHUNK] float32.
+        boxes: [C, 7] float32: lowest and highest centre of a chunk, and its largest reach [m].
+        order: [C * CHUNK] int32, a packed splat's index in its cloud.
+        sh: [N, K, 3] the cloud's own coefficients, read by cloud index; empty for degree 0.
+        degree: SH degree.
+        ordered: whether packed order is cloud order, so that ties need no care.
+    """
+
+    pack: F32
+    boxes: F32
+    order: NDArray[np.int32]
+    sh: F32
+    degree: int
+    ordered: bool
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks."""
+        return len(self.boxes)
+
+
+def morton_codes(means: F32) -> NDArray[np.uint64]:
+    """63-bit Morton codes [N] of points [N, 3], over their own bounds."""
+    low = means.min(axis=0).astype(np.float64)
+    size = max(float((means.max(axis=0) - low).max()), 1e-9)
+    cells = ((means - low) * ((2**21 - 1) / size)).astype(np.uint64)
+    code = np.zeros(len(means), np.uint64)
+    for axis in range(3):
+        x = cells[:, axis]
+        for shift, mask in (
+            (32, 0x1F00000000FFFF),
+            (16, 0x1F0000FF0000FF),
+            (8, 0x100F00F00F00F00F),
+            (4, 0x10C30C30C30C30C3),
+            (2, 0x1249249249249249),
+        ):
+            x = (x | (x << np.uint64(shift))) & np.uint64(mask)
+        code |= x << np.uint64(axis)
+    return code
+
+
+def pack_cloud(cloud: GaussianCloud, *, sort: bool = True) -> PackedCloud:
+    """Pack a cloud for the CPU renderer.
+
+    Splats that can never reach 1/255 of opacity are left out. `sort` puts them in Morton order;
+    small moving clouds are packed as they come.
+
+    Raises:
+        RenderError: an array holds a value that is not finite, or a scale or opacity out of range.
+    """
+    _check_cloud(cloud)
+    index = np.flatnonzero(cloud.opacities >= np.float32(ALPHA_MIN)).astype(np.int32)
+    ordered = True
+    if sort and len(index):
+        by_code = np.argsort(morton_codes(cloud.means[index]), kind="stable")
+        ordered = bool((np.diff(by_code) > 0).all())
+        index = np.ascontiguousarray(index[by_code])
+    count = -(-len(index) // CHUNK)
+    order = np.zeros(count * CHUNK, np.int32)
+    order[: len(index)] = index
+    pack = np.zeros((count, FIELDS, CHUNK), np.float32)
+    boxes = np.zeros((count, 7), np.float32)
+    opacity = np.minimum(cloud.opacities.astype(np.float64), 1.0)
+    log_opacity = np.log(np.maximum(opacity, ALPHA_MIN / 2)).astype(np.float32)
+    _fill(
+        *(cloud.means, cloud.quats, cloud.scales, log_opacity, cloud.sh),
+        *(order, np.int32(len(index)), pack, boxes),
+    )
+    degree = cloud.sh_degree
+    sh = cloud.sh if degree else np.zeros((1, 1, 3), np.float32)
+    return PackedCloud(pack, boxes, order, sh, degree, ordered)
+
+
+def _check_cloud(cloud: GaussianCloud) -> None:
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        if not np.isfinite(getattr(cloud, name)).all():
+            raise RenderError(
+                "cloud holds values that are not finite",
+                where=f"cloud.{name}",
+                remedy="load it with load_cloud, which drops and counts such splats",
+            )
+    if len(cloud) and (cloud.scales.min() < 0 or cloud.opacities.min() < 0):
+        raise RenderError(
+            "cloud has negative scales or opacities",
+            where="cloud",
+            remedy="a GaussianCloud holds activated values, not logs or logits",
+        )
+
+
+@njit(parallel=True)
+def _fill(means, quats, scales, log_opacity, sh, order, count, pack, boxes):  # type: ignore[no-untyped-def]
+    one, two = np.float32(1.0), np.float32(2.0)
+    for c in prange(boxes.shape[0]):
+        reach_max = np.float32(0.0)
+        last = min((c + 1) * CHUNK, count) - c * CHUNK
+        for k in range(CHUNK):
+            if k >= last:
+                pack[c, REACH, k] = DEAD
+                continue
+            i = order[c * CHUNK + k]
+            w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
+            norm = np.sqrt(w * w + x * x + y * y + z * z)
+            if norm > np.float32(0.0):
+                w, x, y, z = w / norm, x / norm, y / norm, z / norm
+            else:
+                w = one  # no rotation stored: the axes of the world
+            a, b, s = scales[i, 0], scales[i, 1], scales[i, 2]
+            pack[c, 3, k] = (one - two * (y * y + z * z)) * a
+            pack[c, 4, k] = two * (x * y - w * z) * b
+            pack[c, 5, k] = two * (x * z + w * y) * s
+            pack[c, 6, k] = two * (x * y + w * z) * a
+            pack[c, 7, k] = (one - two * (x * x + z * z)) * b
+            pack[c, 8, k] = two * (y * z - w * x) * s
+            pack[c, 9, k] = two * (x * z - w * y) * a
+            pack[c, 10, k] = two * (y * z + w * x) * b
+            pack[c, 11, k] = (one - two * (x * x + y * y)) * s
+            # where the splat falls to 1/255: extent in standard deviations (at most 3.33)
+            squared = two * (log_opacity[i] - np.float32(_LOG_ALPHA_MIN))
+            extent = np.sqrt(max(squared, np.float32(0.0)))
+            reach = extent * max(a, max(b, s))
+            pack[c, REACH, k] = reach
+            pack[c, EXTENT, k] = extent
+            pack[c, LOG_OPACITY, k] = log_opacity[i]
+            reach_max = max(reach_max, reach)
+            for axis in range(3):
+                value = means[i, axis]
+                pack[c, axis, k] = value
+                colour = np.float32(_SH_C0) * sh[i, 0, axis] + np.float32(0.5)
+                pack[c, RED + axis, k] = max(colour, np.float32(0.0))
+                if k == 0:
+                    boxes[c, axis] = value
+                    boxes[c, 3 + axis] = value
+                boxes[c, axis] = min(boxes[c, axis], value)
+                boxes[c, 3 + axis] = max(boxes[c, 3 + axis], value)
+        boxes[c, 6] = reach_max
+
+
+_LOG_ALPHA_MIN = float(np.log(ALPHA_MIN))
+_SH_C0 = 0.28209479177387814

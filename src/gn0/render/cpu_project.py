@@ -1,0 +1,198 @@
+"""From packed chunks to screen: culling, EWA projection, spherical harmonics.
+
+The 2D covariance is kept as a factor, F = J W M with M Mᵀ the 3D covariance, and its determinant
+as a sum of squared minors (Cauchy-Binet), so thin splats lose no digits in float32. A splat's
+exponent is (qx·dx + qy·dy)² + dy²·k, the Cholesky form of half the Mahalanobis distance.
+
+Source of the rules: gsplat (EWA splatting, Zwicker et al. 2001); see `docs/conventions.md`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gn0.jit import njit, prange
+from gn0.render.cpu_pack import (
+    BLUE,
+    CHUNK,
+    EXTENT,
+    GREEN,
+    LOG_OPACITY,
+    REACH,
+    RED,
+)
+from gn0.render.cpu_sh import sh_colour
+from gn0.render.renderer import ALPHA_MIN, DILATION, EXTENT_MAX
+
+F = np.float32
+RECORD = 16  # floats a projected splat: one cache line
+U, V, QX, QY, QK, LOGO, DEPTH, CR, CG, CB, X0, X1, Y0, Y1 = range(14)
+
+# fields of the view parameters, float32 [VIEW_FIELDS]
+ROTATION, CENTRE, FX, FY, CX, CY, NEAR, FAR = 0, 9, 12, 13, 14, 15, 16, 17
+LIM_XP, LIM_XN, LIM_YP, LIM_YN, GAIN_X, GAIN_Y, WIDTH, HEIGHT = 18, 19, 20, 21, 22, 23, 24, 25
+VIEW_FIELDS = 26
+
+_PAD = F(EXTENT_MAX * math.sqrt(DILATION) + 0.5)  # px: what the dilation can add, and rounding
+_EPS = F(DILATION)
+_LOG_MIN = F(math.log(ALPHA_MIN))
+_EXTENT_MAX = F(EXTENT_MAX)
+_HALF, _ONE, _ZERO, _TWO = F(0.5), F(1.0), F(0.0), F(2.0)
+_SLACK = F(0.01)  # px: rounding of a footprint's edge
+_FAR_PX = F(30000.0)
+
+
+@njit(parallel=True)
+def cull_chunks(boxes, view, ortho, seen):  # type: ignore[no-untyped-def]
+    """Mark chunks that may touch the picture: `seen[c]` 1 or 0.
+
+    A chunk is dropped only if the test of `project_chunks` would drop each of its splats.
+    """
+    for c in prange(boxes.shape[0]):
+        cx = (boxes[c, 0] + boxes[c, 3]) * _HALF - view[CENTRE]
+        cy = (boxes[c, 1] + boxes[c, 4]) * _HALF - view[CENTRE + 1]
+        cz = (boxes[c, 2] + boxes[c, 5]) * _HALF - view[CENTRE + 2]
+        hx = (boxes[c, 3] - boxes[c, 0]) * _HALF
+        hy = (boxes[c, 4] - boxes[c, 1]) * _HALF
+        hz = (boxes[c, 5] - boxes[c, 2]) * _HALF
+        slack = (abs(cx) + abs(cy) + abs(cz) + hx + hy + hz) * F(1e-5)
+        keep = True
+        for plane in range(6):
+            # n·p + d > allowance for all centres p means out of sight
+            if plane == 0:  # nearer than near
+                a, b, e = -view[6], -view[7], -view[8]
+                d, allow = view[NEAR], _ZERO
+            elif plane == 1:
+                a, b, e = view[6], view[7], view[8]
+                d, allow = -view[FAR], _ZERO
+            else:
+                axis = 0 if plane < 4 else 1
+                f = view[FX + axis]
+                lim = (view[WIDTH + axis] - view[CX + axis] + _PAD) / f
+                sign = _ONE
+                if plane % 2 == 1:
+                    lim = (view[CX + axis] + _PAD) / f
+                    sign = -_ONE
+                a, b, e = view[3 * axis], view[3 * axis + 1], view[3 * axis + 2]
+                a, b, e = sign * a, sign * b, sign * e
+                d = _ZERO
+                if ortho:
+                    d = -lim
+                else:
+                    a, b, e = a - lim * view[6], b - lim * view[7], e - lim * view[8]
+                allow = boxes[c, 6] * view[GAIN_X + axis]
+            lowest = a * cx + b * cy + e * cz - abs(a) * hx - abs(b) * hy - abs(e) * hz + d
+            if lowest > allow * F(1.0001) + slack * (abs(a) + abs(b) + abs(e)):
+                keep = False
+        seen[c] = keep
+
+
+@njit(parallel=True)
+def project_chunks(  # type: ignore[no-untyped-def]
+    pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0, records, rects,
+    keys, indices, counts,
+):  # fmt: skip
+    """Project the splats of `chunks`; chunk v fills rows from `row0 + v * CHUNK`.
+
+    Fills `records` [rows, RECORD], `rects` [rows, 4] (first and past-the-last tile in x, in y),
+    `keys` [rows] (depth bits), `indices` [rows] (index in the cloud, plus `first_index`) and
+    `counts[v]`, the rows filled.
+    """
+    r00, r01, r02 = view[0], view[1], view[2]
+    r10, r11, r12 = view[3], view[4], view[5]
+    r20, r21, r22 = view[6], view[7], view[8]
+    ex, ey, ez = view[CENTRE], view[CENTRE + 1], view[CENTRE + 2]
+    fx, fy, cx, cy = view[FX], view[FY], view[CX], view[CY]
+    near, far, width, height = view[NEAR], view[FAR], view[WIDTH], view[HEIGHT]
+    lxp, lxn, lyp, lyn = view[LIM_XP], view[LIM_XN], view[LIM_YP], view[LIM_YN]
+    pinhole = _ZERO if ortho else _ONE
+    for v in prange(chunks.shape[0]):
+        lanes = np.empty((12, CHUNK), np.float32)
+        z_, u_, v_, qx_, qy_ = lanes[0], lanes[1], lanes[2], lanes[3], lanes[4]
+        qk_, rx_, ry_, lo_ = lanes[5], lanes[6], lanes[7], lanes[8]
+        ok = np.empty(CHUNK, np.int32)
+        p = pack[chunks[v]]
+        for k in range(CHUNK):
+            x, y, z = p[0, k] - ex, p[1, k] - ey, p[2, k] - ez
+            X = r00 * x + r01 * y + r02 * z
+            Y = r10 * x + r11 * y + r12 * z
+            Z = r20 * x + r21 * y + r22 * z + _ZERO  # + 0: no negative zero among the keys
+            inside = (near <= Z) & (far >= Z) & (p[REACH, k] >= _ZERO)
+            iz = _ONE / (Z if (inside & (pinhole > _ZERO)) else _ONE)
+            tx, ty = X * iz, Y * iz
+            u, w = fx * tx + cx, fy * ty + cy
+            # J clamps x/z and y/z to the picture widened by 0.3 of its half angle
+            tx = min(lxp, max(-lxn, tx)) * pinhole
+            ty = min(lyp, max(-lyn, ty)) * pinhole
+            jx, jy = fx * iz, fy * iz
+            m0, m1, m2 = jx * (r00 - tx * r20), jx * (r01 - tx * r21), jx * (r02 - tx * r22)
+            n0, n1, n2 = jy * (r10 - ty * r20), jy * (r11 - ty * r21), jy * (r12 - ty * r22)
+            f0 = m0 * p[3, k] + m1 * p[6, k] + m2 * p[9, k]
+            f1 = m0 * p[4, k] + m1 * p[7, k] + m2 * p[10, k]
+            f2 = m0 * p[5, k] + m1 * p[8, k] + m2 * p[11, k]
+            g0 = n0 * p[3, k] + n1 * p[6, k] + n2 * p[9, k]
+            g1 = n0 * p[4, k] + n1 * p[7, k] + n2 * p[10, k]
+            g2 = n0 * p[5, k] + n1 * p[8, k] + n2 * p[11, k]
+            a0 = f0 * f0 + f1 * f1 + f2 * f2
+            d0 = g0 * g0 + g1 * g1 + g2 * g2
+            b = f0 * g0 + f1 * g1 + f2 * g2
+            e0, e1, e2 = f0 * g1 - f1 * g0, f0 * g2 - f2 * g0, f1 * g2 - f2 * g1
+            thin = e0 * e0 + e1 * e1 + e2 * e2
+            a, d = a0 + _EPS, d0 + _EPS
+            det = thin + _EPS * (a0 + d)
+            # exponent = ((d dx - b dy)² / det + dy²) / 2d
+            ratio = np.sqrt(_HALF / (d * det))
+            extent = p[EXTENT, k]
+            qx_[k] = d * ratio
+            qy_[k] = -b * ratio
+            qk_[k] = _HALF / d
+            rx_[k] = extent * np.sqrt(a)
+            ry_[k] = extent * np.sqrt(d)
+            lo_[k] = thin / det
+            u_[k], v_[k], z_[k] = u, w, Z
+            rx, ry = rx_[k], ry_[k]
+            inside = inside & (u + rx > _ZERO) & (u - rx < width)
+            inside = inside & (w + ry > _ZERO) & (w - ry < height)
+            ok[k] = 1 if inside else 0
+        n = 0
+        row = row0 + v * CHUNK
+        for k in range(CHUNK):
+            if ok[k] == 0:
+                continue
+            rx, ry, log_opacity = rx_[k], ry_[k], p[LOG_OPACITY, k]
+            if antialiased:
+                if lo_[k] <= _ZERO:
+                    continue
+                log_opacity += _HALF * np.float32(math.log(lo_[k]))
+                squared = _TWO * (log_opacity - _LOG_MIN)
+                if squared <= _ZERO:
+                    continue
+                shrink = np.sqrt(squared) / p[EXTENT, k]
+                rx, ry = rx * shrink, ry * shrink
+            # pixel centres within the footprint's box: columns x0 <= x < x1
+            x0 = max(np.ceil(u_[k] - rx - _HALF - _SLACK), _ZERO)
+            x1 = min(np.floor(u_[k] + rx - _HALF + _SLACK) + _ONE, width)
+            y0 = max(np.ceil(v_[k] - ry - _HALF - _SLACK), _ZERO)
+            y1 = min(np.floor(v_[k] + ry - _HALF + _SLACK) + _ONE, height)
+            if not (x0 < x1 and y0 < y1):
+                continue
+            index = order[chunks[v] * CHUNK + k]
+            o = records[row + n]
+            o[U], o[V], o[QX], o[QY], o[QK] = u_[k], v_[k], qx_[k], qy_[k], qk_[k]
+            o[LOGO], o[DEPTH] = log_opacity, z_[k]
+            o[X0], o[X1], o[Y0], o[Y1] = x0, x1, y0, y1
+            if degree == 0:
+                o[CR], o[CG], o[CB] = p[RED, k], p[GREEN, k], p[BLUE, k]
+            else:
+                o[CR], o[CG], o[CB] = sh_colour(
+                    sh[index], degree, p[0, k] - ex, p[1, k] - ey, p[2, k] - ez
+                )
+            t = rects[row + n]
+            t[0], t[1] = np.int16(np.int32(x0) >> 4), np.int16((np.int32(x1) + 15) >> 4)
+            t[2], t[3] = np.int16(np.int32(y0) >> 4), np.int16((np.int32(y1) + 15) >> 4)
+            keys[row + n] = np.float32(z_[k]).view(np.uint32)
+            indices[row + n] = first_index + index
+            n += 1
+        counts[v] = n

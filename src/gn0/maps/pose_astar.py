@@ -1,0 +1,194 @@
+"""A* over poses: the actions themselves are the edges, so the plan is what the agent will do.
+
+A grid path has to be followed, and following costs length at every corner. This search expands
+FORWARD, LEFT and RIGHT from the agent's exact pose, with the simulator's own collision rule, so
+its plan replays without error. Poses that share a sub-cell and a heading are merged, the cheapest
+kept (as in hybrid A*, Dolgov et al. 2010, with exact positions instead of a motion model).
+
+The cost is travelled length plus a small price for a turn. The heuristic is the geodesic distance
+to the goal, which understates it: `weight` bounds how far from the best plan one may end.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import PlanError
+from gn0.jit import njit
+from gn0.maps.distance import GeodesicField
+from gn0.maps.ray import trace_points
+
+FORWARD, LEFT, RIGHT = 1, 2, 3  # the codes of `gn0.sim.state.Action`
+SUBCELLS = 2  # merging bins along a cell's edge
+NODES = 3_000_000  # poses looked at before the weight is raised
+WEIGHTS = (1.01, 1.05, 1.2, 2.0, 10.0)
+
+
+@njit(inline="always")
+def _remaining(label, roots, u, v):  # type: ignore[no-untyped-def]
+    """Geodesic distance [cells] from (u, v) in cells to the goal; inf where unreachable."""
+    root = label[math.floor(v), math.floor(u)]
+    if root < 0:
+        return math.inf
+    return roots[root, 2] + math.hypot(u - roots[root, 0], v - roots[root, 1])
+
+
+@njit(inline="always")
+def _slot_of(keys, key):  # type: ignore[no-untyped-def]
+    """Slot of a key in an open-addressed table: its own, or the empty one (−1) it would take."""
+    mask = len(keys) - 1
+    slot = ((key * 2654435761) >> 7) & mask
+    while keys[slot] != -1 and keys[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@njit
+def _grown(keys, costs):  # type: ignore[no-untyped-def]
+    bigger = np.full(2 * len(keys), -1, np.int64)
+    moved = np.empty(2 * len(keys))
+    for i in range(len(keys)):
+        if keys[i] != -1:
+            slot = _slot_of(bigger, keys[i])
+            bigger[slot] = keys[i]
+            moved[slot] = costs[i]
+    return bigger, moved
+
+
+@njit
+def _search(  # type: ignore[no-untyped-def]
+    blocked, origin_x, origin_y, resolution, label, roots, cosines, sines,
+    x0, y0, goal_x, goal_y, tolerance, step, turn_cost, weight, subcells, limit,
+):  # fmt: skip
+    """Actions [T] int8 of the plan, and whether one was found within `limit` poses."""
+    headings = len(cosines)
+    width = blocked.shape[1]
+    capacity = 1 << 14
+    xs, ys, costs = np.empty(capacity), np.empty(capacity), np.empty(capacity)
+    parents = np.empty(capacity, np.int32)
+    facing = np.empty(capacity, np.int32)
+    actions = np.zeros(capacity, np.int8)
+    keys, best = np.full(1 << 16, -1, np.int64), np.empty(1 << 16)
+    used = 1
+    xs[0], ys[0], costs[0], parents[0], facing[0] = x0, y0, 0.0, -1, 0
+    count = 1
+    u, v = (x0 - origin_x) / resolution, (y0 - origin_y) / resolution
+    start = _remaining(label, roots, u, v) * resolution
+    heap = [(weight * max(start - tolerance, 0.0), 0)]
+    bins = width * subcells
+    while len(heap) > 0:
+        _, node = heapq.heappop(heap)
+        x, y, k, g = xs[node], ys[node], facing[node], costs[node]
+        if math.hypot(goal_x - x, goal_y - y) <= tolerance:
+            _, _, hit = trace_points(blocked, origin_x, origin_y, resolution, x, y, goal_x, goal_y)
+            if not hit:
+                length = 0
+                i = node
+                while parents[i] >= 0:
+                    length += 1
+                    i = parents[i]
+                plan = np.empty(length, np.int8)
+                i = node
+                while parents[i] >= 0:
+                    length -= 1
+                    plan[length] = actions[i]
+                    i = parents[i]
+                return plan, True
+        u, v = (x - origin_x) / resolution, (y - origin_y) / resolution
+        key = (int(v * subcells) * bins + int(u * subcells)) * headings + k
+        slot = _slot_of(keys, key)
+        if keys[slot] == key and best[slot] < g:
+            continue  # a cheaper pose took this place after the push
+        before = actions[node]
+        for action in (1, 2, 3):
+            if action == 1:
+                nx, ny = x + step * cosines[k], y + step * sines[k]
+                nk, ng = k, g + step
+                _, _, hit = trace_points(blocked, origin_x, origin_y, resolution, x, y, nx, ny)
+                if hit:
+                    continue
+            else:
+                if before + action == 5:
+                    continue  # LEFT after RIGHT or RIGHT after LEFT undoes itself
+                nx, ny = x, y
+                nk = k + 1 if action == 2 else k - 1
+                nk = nk - headings if nk >= headings else (nk + headings if nk < 0 else nk)
+                ng = g + turn_cost
+            u, v = (nx - origin_x) / resolution, (ny - origin_y) / resolution
+            left = _remaining(label, roots, u, v) * resolution
+            if not left < math.inf:
+                continue
+            key = (int(v * subcells) * bins + int(u * subcells)) * headings + nk
+            slot = _slot_of(keys, key)
+            if keys[slot] == key:
+                if best[slot] <= ng + 1e-9:
+                    continue
+            else:
+                keys[slot] = key
+                used += 1
+            best[slot] = ng
+            if 2 * used > len(keys):
+                keys, best = _grown(keys, best)
+            if count == len(xs):
+                if count >= limit:
+                    return np.empty(0, np.int8), False
+                xs, ys = np.concatenate((xs, xs)), np.concatenate((ys, ys))
+                costs = np.concatenate((costs, costs))
+                parents = np.concatenate((parents, parents))
+                facing = np.concatenate((facing, facing))
+                actions = np.concatenate((actions, actions))
+            xs[count], ys[count], costs[count] = nx, ny, ng
+            parents[count], facing[count], actions[count] = node, nk, action
+            heapq.heappush(heap, (ng + weight * max(left - tolerance, 0.0), count))
+            count += 1
+    return np.empty(0, np.int8), False
+
+
+def plan_actions(
+    field: GeodesicField,
+    start: tuple[float, float],
+    yaws: Sequence[float],
+    *,
+    tolerance: float = 0.25,
+    step: float = 0.25,
+    turn_cost: float = 0.02,
+) -> NDArray[np.int8]:
+    """A collision-free plan of actions to within `tolerance` of the goal, in line of sight of it.
+
+    Args:
+        field: distances to the goal on the agent's inflated grid.
+        start: (x, y) m, in a free cell.
+        yaws: the headings [n] rad that LEFT leads through, the current one first; LEFT from the
+            last gives the first again.
+        tolerance: distance to the goal at which the plan may end [m].
+        step: length of FORWARD [m].
+        turn_cost: price of a turn [m of travel]; above 0, so no plan wiggles.
+
+    Returns:
+        int8 [T] of 1 FORWARD, 2 LEFT, 3 RIGHT; empty when the start is near enough.
+
+    Raises:
+        PlanError: no plan exists.
+    """
+    grid = field.grid
+    cosines = np.array([math.cos(yaw) for yaw in yaws])  # libm, as the simulator's own
+    sines = np.array([math.sin(yaw) for yaw in yaws])
+    if math.isfinite(field.distance_at(*start)):
+        for weight in WEIGHTS:
+            plan, found = _search(
+                grid.blocked, float(grid.origin[0]), float(grid.origin[1]), float(grid.resolution),
+                field.label, field.roots, cosines, sines, float(start[0]), float(start[1]),
+                *field.goal, float(tolerance), float(step), float(turn_cost), weight, SUBCELLS,
+                NODES,
+            )  # fmt: skip
+            if found:
+                return plan
+    raise PlanError(
+        f"no plan of actions from {start} to within {tolerance:g} m of {field.goal}",
+        remedy="check that both are walkable and in one region",
+    )

@@ -1,0 +1,109 @@
+"""The oracle: plans the whole route in actions, then carries it out.
+
+It is handed the simulator, so its numbers are an upper bound and never a competitor's. The plan
+comes from `gn0.maps.pose_astar`: exact actions from the exact pose, under the simulator's own
+collision rule, so nothing has to be corrected on the way and nothing dithers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gn0.errors import PolicyError
+from gn0.geometry import Pose2D
+from gn0.maps.pose_astar import plan_actions
+from gn0.sim.kinematics import heading_cycle
+from gn0.sim.policy import Sensor
+from gn0.sim.state import Action, Observation
+
+if TYPE_CHECKING:
+    from gn0.sim.simulator import Simulator
+
+REPLAN_ERROR = 1e-6  # m or rad between where the plan is and where the agent is
+
+
+class PolicyOracle:
+    """Knows map, pose and goal; walks the shortest sequence of actions and stops in time.
+
+    Args:
+        stop_distance: STOP within this distance of the goal [m], in line of sight of it.
+        turn_cost: price of a turn against travelled length [m]; keeps the walk calm.
+    """
+
+    name = "oracle"
+    sensors: frozenset[Sensor] = frozenset()
+
+    def __init__(self, stop_distance: float = 0.25, turn_cost: float = 0.02) -> None:
+        # a hair within the limit, so that no rounding in a metric can put it outside
+        self.stop_distance = stop_distance - 1e-3
+        self.turn_cost = turn_cost
+        self._simulator: Simulator | None = None
+        self._plan: deque[Action] = deque()
+        self._expected: Pose2D | None = None
+
+    def reset(self, instruction: str, rng: np.random.Generator) -> None:
+        """Begin an episode."""
+        self._simulator = None
+        self._plan.clear()
+        self._expected = None
+
+    def reset_privileged(self, simulator: Simulator) -> None:
+        """Take the simulator and plan the whole episode.
+
+        Raises:
+            PlanError: the goal cannot be reached.
+        """
+        self._simulator = simulator
+        self._replan()
+
+    def act(self, observation: Observation) -> Action:
+        """The next action of the plan.
+
+        Raises:
+            PolicyError: it was not handed the simulator.
+        """
+        if self._simulator is None:
+            raise PolicyError(
+                "the oracle was not handed the simulator", remedy="run it with run_episode"
+            )
+        if self._expected is not None and not _same(self._expected, self._simulator.pose):
+            self._replan()  # somebody moved the agent
+        if not self._plan:
+            return Action.STOP
+        action = self._plan.popleft()
+        self._expected = self._after(action)
+        return action
+
+    def _replan(self) -> None:
+        simulator = self._simulator
+        assert simulator is not None
+        pose = simulator.pose
+        plan = plan_actions(
+            simulator.navigation.geodesic(simulator.episode.goal),
+            (pose.x, pose.y),
+            heading_cycle(simulator.heading),
+            tolerance=self.stop_distance,
+            step=simulator.agent.forward_step,
+            turn_cost=self.turn_cost,
+        )
+        self._plan = deque(Action(int(code)) for code in plan)
+        self._expected = pose
+
+    def _after(self, action: Action) -> Pose2D:
+        """Where the agent will stand after an action of the plan."""
+        simulator = self._simulator
+        assert simulator is not None
+        x, y, yaw = simulator.pose
+        if action == Action.FORWARD:
+            step = simulator.agent.forward_step
+            return Pose2D(x + step * math.cos(yaw), y + step * math.sin(yaw), yaw)
+        turned = simulator.heading.turned(1 if action == Action.LEFT else -1)
+        return Pose2D(x, y, turned.yaw)
+
+
+def _same(a: Pose2D, b: Pose2D) -> bool:
+    return all(abs(p - q) <= REPLAN_ERROR for p, q in zip(a, b, strict=True))

@@ -1,0 +1,65 @@
+"""Motion clipped at obstacles (paper, Eq. collision): the one place where poses meet the map."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+from gn0.errors import EpisodeError, SimError
+from gn0.missions.episode import Episode
+
+if TYPE_CHECKING:
+    from gn0.maps.navigation import NavigationMap
+
+
+class Move(NamedTuple):
+    """Outcome of a translation: where it ended (x, y) [m], its length [m], whether it was cut."""
+
+    x: float
+    y: float
+    moved: float
+    collided: bool
+
+
+def move_agent(navigation: NavigationMap, x0: float, y0: float, x1: float, y1: float) -> Move:
+    """Go from (x0, y0) towards (x1, y1) [m] until the first blocked cell (paper, Eq. collision)."""
+    x, y, hit = navigation.move(x0, y0, x1, y1)
+    return Move(x, y, math.hypot(x - x0, y - y0), hit)
+
+
+def check_places(navigation: NavigationMap, episode: Episode, radius: float) -> None:
+    """Refuse an episode whose start or goal an agent of `radius` [m] cannot stand on or reach.
+
+    Raises:
+        EpisodeError: start or goal is blocked, or they lie in different regions.
+    """
+    where = f"episode {episode.id!r}"
+    regions = []
+    for name, (x, y) in (("start", episode.start[:2]), ("goal", episode.goal)):
+        region = navigation.region_of(x, y)
+        if region < 0:
+            raise EpisodeError(
+                f"{name} ({x:.3f}, {y:.3f}) m is blocked for an agent of radius {radius:g} m",
+                where=where,
+                remedy="snap it to walkable ground, or use a slimmer agent",
+            )
+        regions.append(region)
+    if regions[0] != regions[1]:
+        raise EpisodeError(
+            f"no path from start {episode.start[:2]} to goal {episode.goal} for an agent of "
+            f"radius {radius:g} m",
+            where=where,
+            remedy="choose a goal in the same connected region",
+        )
+
+
+def check_finite(name: str, *values: float) -> None:
+    """Refuse NaN and infinity before they reach the map.
+
+    Raises:
+        SimError: a value is not finite.
+    """
+    if not all(math.isfinite(value) for value in values):
+        raise SimError(
+            f"{name} {tuple(values)} holds NaN or infinity", remedy="give finite metres and radians"
+        )

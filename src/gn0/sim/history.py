@@ -1,0 +1,64 @@
+"""The history mosaic: the last sixteen views in one picture, newest at the top left.
+
+Layout of the official GN0 release: 4 x 4 tiles of 160 x 120 in 640 x 480, row by row, the current
+view excluded, black where there is no view yet. Tiles are reduced by exact area averaging.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+from PIL import Image
+
+from gn0.geometry import U8
+
+TILE_WIDTH, TILE_HEIGHT = 160, 120
+ROWS = COLUMNS = 4
+LENGTH = ROWS * COLUMNS
+
+
+def reduce_picture(rgb: U8, width: int, height: int) -> U8:
+    """A picture [H, W, 3] at another size [height, width, 3], by area averaging.
+
+    Each output pixel is the mean of the input area under it (what OpenCV calls INTER_AREA).
+    """
+    if rgb.shape[:2] == (height, width):
+        return rgb
+    image = Image.fromarray(rgb).resize((width, height), Image.Resampling.BOX)
+    return np.asarray(image, np.uint8)
+
+
+class History:
+    """The tiles of the last sixteen views, newest first."""
+
+    def __init__(self, tiles: Iterable[U8] = ()) -> None:
+        self._tiles: deque[U8] = deque(tiles, maxlen=LENGTH)
+
+    def add(self, rgb: U8) -> None:
+        """Remember a view [H, W, 3]; the oldest is forgotten when there are sixteen."""
+        self._tiles.appendleft(reduce_picture(rgb, TILE_WIDTH, TILE_HEIGHT))
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._tiles.clear()
+
+    @property
+    def tiles(self) -> tuple[U8, ...]:
+        """The tiles [120, 160, 3], newest first."""
+        return tuple(self._tiles)
+
+    def mosaic(self) -> U8:
+        """The mosaic [480, 640, 3]: a new array each time."""
+        return build_mosaic(self._tiles)
+
+
+def build_mosaic(tiles: Iterable[U8]) -> U8:
+    """Lay up to sixteen tiles [120, 160, 3], newest first, row by row on black [480, 640, 3]."""
+    mosaic = np.zeros((ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3), np.uint8)
+    for index, tile in zip(range(LENGTH), tiles, strict=False):
+        row, column = divmod(index, COLUMNS)
+        top, left = row * TILE_HEIGHT, column * TILE_WIDTH
+        mosaic[top : top + TILE_HEIGHT, left : left + TILE_WIDTH] = tile
+    return mosaic

@@ -1,0 +1,85 @@
+"""From a scene to a simulator that is ready to run, in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from gn0.config import check_config
+from gn0.errors import SceneError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec
+from gn0.render.bev import BevPicture, render_bev
+from gn0.render.renderer import Renderer, build_renderer
+from gn0.scenes.scene import Scene
+from gn0.sim.presets import CameraPreset, find_preset
+from gn0.sim.sensors import EYES, SensorConfig, check_sensors
+from gn0.sim.simulator import Simulator
+
+CEILING_CUT = 2.3  # m: the BEV leaves out what is above, so one looks into rooms
+
+
+def open_simulator(
+    scene: Scene | Path | str,
+    preset: str | CameraPreset = "gn_bench",
+    backend: str = "auto",
+    sensors: Iterable[str] = frozenset(),
+    agent: AgentSpec | None = None,
+    max_steps: int = 500,
+    *,
+    cut_height: float = CEILING_CUT,
+) -> Simulator:
+    """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
+
+    Args:
+        scene: a Scene, or the path of a scene folder.
+        preset: cameras and body, by name or value.
+        backend: renderer backend; "auto" takes the best that is here.
+        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector.
+        agent: the body, instead of the preset's.
+        max_steps: actions until an episode is truncated.
+        cut_height: what lies higher [m] is left out of the BEV.
+
+    Raises:
+        ConfigError: unknown preset, backend or sensor.
+        SceneError: nothing is walkable for this agent.
+        StorageError, FormatError: the scene folder is missing or broken.
+    """
+    active = check_sensors(sensors)
+    if not isinstance(scene, Scene):
+        from gn0.scenes.folder import load_scene  # readers are not needed for a Scene in memory
+
+        scene = load_scene(Path(scene))
+    cameras = find_preset(preset) if isinstance(preset, str) else check_config(preset)
+    body = agent or cameras.agent
+    navigation = NavigationMap(scene.grid, body.radius)
+    if not navigation.inflated.free_area:
+        raise SceneError(
+            f"nothing is walkable for an agent of radius {body.radius:g} m",
+            where=scene.path or scene.id,
+            remedy="run `gn0 scene check`, or use a slimmer agent",
+        )
+    renderer: Renderer | None = None
+    bev: BevPicture | None = None
+    if active & EYES or "bev" in active:
+        renderer = build_renderer(scene.gaussians, backend)
+    if "bev" in active and renderer is not None:
+        bev = render_bev(
+            scene.cloud_hash or scene.gaussians.content_hash,
+            renderer,
+            np.array(scene.grid.bounds).reshape(2, 2),
+            scene.grid.resolution,
+            cut_height,
+            background=cameras.background,
+        )
+    return Simulator(
+        scene,
+        navigation=navigation,
+        sensors=SensorConfig(active=frozenset(active), preset=cameras),
+        renderer=renderer,
+        bev=bev,
+        agent=body,
+        max_steps=max_steps,
+    )

@@ -1,0 +1,258 @@
+"""Sensors: what is measured at a pose. Only what is asked for is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast, get_args
+
+import numpy as np
+
+from gn0.config import Config
+from gn0.errors import ConfigError, SimError
+from gn0.geometry import F32, U8, Pose2D, view_from_pose, world_to_agent
+from gn0.maps.grid import OCCUPIED, OccupancyGrid
+from gn0.maps.ray import cast_rays
+from gn0.sim.history import reduce_picture
+from gn0.sim.policy import Sensor
+from gn0.sim.presets import CameraPreset, find_preset
+
+if TYPE_CHECKING:
+    from gn0.maps.navigation import NavigationMap
+    from gn0.render.bev import BevPicture
+    from gn0.render.renderer import Renderer
+
+SENSOR_NAMES: frozenset[str] = frozenset(get_args(Sensor))
+EYES = frozenset({"rgb", "depth", "history"})  # these need a renderer
+GREEN, RED = (0, 255, 0), (255, 0, 0)
+GREY_OF_CELL = np.array([255, 0, 127], np.uint8)  # free, occupied, unknown: as InteriorGS
+
+
+class SensorConfig(Config):
+    """Which sensors an agent carries, and how they are set.
+
+    Attributes:
+        active: names out of rgb, depth, bev, occupancy, history, ranges, goal_vector.
+        preset: cameras and body.
+        range_rays: rays of the range ring.
+        range_limit: reach of the range ring [m].
+        disc_radius: radius of the start and agent discs in the occupancy picture [px].
+    """
+
+    active: frozenset[str] = frozenset()
+    preset: CameraPreset = find_preset("gn_bench")
+    range_rays: int = 72
+    range_limit: float = 10.0
+    disc_radius: int = 3
+
+    def __post_init__(self) -> None:
+        check_sensors(self.active)
+        if not (1 <= self.range_rays <= 4096 and 0 < self.range_limit <= 1000):
+            raise ConfigError(
+                f"range ring of {self.range_rays} rays and {self.range_limit} m",
+                remedy="give 1 to 4096 rays and a reach in metres",
+            )
+        if not 0 <= self.disc_radius <= 100:
+            raise ConfigError(f"disc_radius is {self.disc_radius} px", remedy="give 0 to 100")
+
+
+def check_sensors(names: Iterable[str]) -> frozenset[Sensor]:
+    """The names as a set of sensors.
+
+    Raises:
+        ConfigError: a name is unknown; lists those that exist.
+    """
+    found = frozenset(names)
+    unknown = sorted(str(name) for name in found - SENSOR_NAMES)
+    if unknown:
+        raise ConfigError(
+            f"no sensor named {unknown[0]!r}", remedy="known: " + ", ".join(sorted(SENSOR_NAMES))
+        )
+    return cast(frozenset[Sensor], found)
+
+
+@dataclass(frozen=True)
+class MapFrame:
+    """A metric map picture, north (+y) up: pixel (0, 0) is the corner of least x and most y.
+
+    Attributes:
+        width, height: size [px].
+        metres_per_pixel: scale [m].
+        x_min, y_min: world point of the picture's lower-left corner [m].
+    """
+
+    width: int
+    height: int
+    metres_per_pixel: float
+    x_min: float
+    y_min: float
+
+    @classmethod
+    def of_grid(cls, grid: OccupancyGrid) -> MapFrame:
+        """A pixel a cell."""
+        height, width = grid.shape
+        return cls(width, height, grid.resolution, *grid.origin)
+
+    @classmethod
+    def of_bev(cls, bev: BevPicture) -> MapFrame:
+        """The frame of a BEV picture."""
+        height, width = bev.rgb.shape[:2]
+        return cls(width, height, bev.metres_per_pixel, *bev.origin)
+
+    def pixel_of(self, x: float, y: float) -> tuple[int, int]:
+        """(row, col) of the pixel that holds a world point [m]; may lie outside."""
+        col = int(np.floor((x - self.x_min) / self.metres_per_pixel))
+        row = self.height - 1 - int(np.floor((y - self.y_min) / self.metres_per_pixel))
+        return row, col
+
+
+def draw_disc(picture: U8, row: int, col: int, radius: int, colour: tuple[int, int, int]) -> None:
+    """Fill the pixels within `radius` [px] of (row, col), in place, clipped to the picture."""
+    height, width = picture.shape[:2]
+    top, bottom = max(row - radius, 0), min(row + radius + 1, height)
+    left, right = max(col - radius, 0), min(col + radius + 1, width)
+    if top < bottom and left < right:
+        v, u = np.ogrid[top:bottom, left:right]
+        inside = (v - row) ** 2 + (u - col) ** 2 <= radius**2
+        picture[top:bottom, left:right][inside] = colour
+
+
+def paint_grid(grid: OccupancyGrid, frame: MapFrame) -> U8:
+    """An occupancy grid as a picture [H, W, 3]: free 255, unknown 127, occupied 0.
+
+    Pixels outside the grid are occupied; others take the cell under their centre.
+    """
+    s = frame.metres_per_pixel
+    xs = frame.x_min + (np.arange(frame.width) + 0.5) * s
+    ys = frame.y_min + (np.arange(frame.height)[::-1] + 0.5) * s
+    cols = np.floor((xs - grid.origin[0]) / grid.resolution).astype(np.int64)
+    rows = np.floor((ys - grid.origin[1]) / grid.resolution).astype(np.int64)
+    height, width = grid.shape
+    picked = grid.cells[np.ix_(rows.clip(0, height - 1), cols.clip(0, width - 1))]
+    inside = ((rows >= 0) & (rows < height))[:, None] & ((cols >= 0) & (cols < width))[None, :]
+    grey = GREY_OF_CELL[np.where(inside, picked, OCCUPIED)]
+    return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+class SensorSuite:
+    """The sensors of one agent in one scene.
+
+    Args:
+        config: what is carried.
+        navigation: the map for occupancy picture and range ring.
+        camera_height: eye above the floor [m].
+        renderer: needed for rgb, depth and history.
+        bev: needed for bev; also sets the frame of the occupancy picture.
+
+    Raises:
+        SimError: a picture is asked for and nothing was handed in to make it.
+    """
+
+    def __init__(
+        self,
+        config: SensorConfig,
+        navigation: NavigationMap,
+        camera_height: float,
+        renderer: Renderer | None = None,
+        bev: BevPicture | None = None,
+    ) -> None:
+        if config.active & EYES and renderer is None:
+            raise SimError(
+                f"sensors {sorted(config.active & EYES)} need a renderer",
+                remedy="use open_simulator, or hand a renderer to Simulator",
+            )
+        if "bev" in config.active and bev is None:
+            raise SimError(
+                "sensor 'bev' needs a BEV picture",
+                remedy="use open_simulator, or hand render_bev(...) to Simulator",
+            )
+        self.config = config
+        self.active = check_sensors(config.active)
+        self._navigation = navigation
+        self._camera_height = camera_height
+        self._renderer = renderer
+        self._bev = bev
+        self._ring = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
+        self._pitch = float(np.radians(config.preset.pitch_degrees))
+
+    @cached_property
+    def map_frame(self) -> MapFrame:
+        """The frame shared by BEV and occupancy picture."""
+        if self._bev is not None:
+            return MapFrame.of_bev(self._bev)
+        return MapFrame.of_grid(self._navigation.grid)
+
+    @cached_property
+    def _occupancy(self) -> U8:
+        return paint_grid(self._navigation.grid, self.map_frame)
+
+    @cached_property
+    def _bev_rgb(self) -> U8:
+        assert self._bev is not None
+        rgb = np.array(self._bev.rgb, np.uint8)
+        rgb.setflags(write=False)
+        return rgb
+
+    def look(self, pose: Pose2D, wanted: frozenset[str]) -> tuple[U8 | None, F32 | None]:
+        """Render the eyes at a pose: (rgb [H, W, 3], depth [Hd, Wd] m), None where not wanted."""
+        want_rgb = bool(wanted & {"rgb", "history"})
+        want_depth = "depth" in wanted
+        preset = self.config.preset
+        view = view_from_pose(pose.x, pose.y, self._camera_height, pose.yaw, self._pitch)
+        rgb: U8 | None = None
+        depth: F32 | None = None
+        assert self._renderer is not None
+        if want_rgb:
+            both = want_depth and preset.depth == preset.rgb
+            result = self._renderer.render(
+                preset.rgb,
+                view,
+                outputs=("rgb", "depth") if both else ("rgb",),
+                background=preset.background,
+            )
+            assert result.rgb is not None
+            if result.rgb.dtype != np.uint8:
+                raise SimError(
+                    f"renderer gives {result.rgb.dtype} pictures", remedy="build it for uint8"
+                )
+            rgb = reduce_picture(cast(U8, result.rgb[0]), *preset.picture_size)
+            depth = result.depth[0] if both and result.depth is not None else None
+        if want_depth and depth is None:
+            depth = self._renderer.render(preset.depth, view, outputs=("depth",)).depth[0]  # type: ignore[index]
+        if depth is not None:
+            depth = np.clip(depth, *map(np.float32, preset.depth_range))
+            depth.setflags(write=False)
+        if rgb is not None:
+            rgb.setflags(write=False)
+        return rgb, depth
+
+    def occupancy_picture(self, start: Pose2D, pose: Pose2D) -> U8:
+        """The occupancy picture [H, W, 3] with the start in green, then the agent in red."""
+        picture = self._occupancy.copy()
+        radius = self.config.disc_radius
+        draw_disc(picture, *self.map_frame.pixel_of(start.x, start.y), radius, GREEN)
+        draw_disc(picture, *self.map_frame.pixel_of(pose.x, pose.y), radius, RED)
+        return picture
+
+    def ranges(self, pose: Pose2D) -> F32:
+        """The range ring [R] m at a pose, on the inflated map."""
+        angles = pose.yaw + self._ring
+        return cast_rays(self._navigation.inflated, pose.x, pose.y, angles, self.config.range_limit)
+
+    def read_static(
+        self, pose: Pose2D, start: Pose2D, goal: tuple[float, float], wanted: frozenset[str]
+    ) -> dict[str, Any]:
+        """Observation fields of the wanted sensors that need no rendering."""
+        fields: dict[str, Any] = {}
+        if "bev" in wanted:
+            fields["bev"] = self._bev_rgb
+        if "occupancy" in wanted:
+            fields["occupancy"] = self.occupancy_picture(start, pose)
+        if "bev" in wanted or "occupancy" in wanted:
+            fields["bev_metres_per_pixel"] = self.map_frame.metres_per_pixel
+        if "ranges" in wanted:
+            fields["ranges"] = self.ranges(pose)
+        if "goal_vector" in wanted:
+            fields["goal_vector"] = world_to_agent(pose, *goal)
+        return fields

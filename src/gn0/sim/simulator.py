@@ -1,0 +1,414 @@
+"""The simulator: one agent in one scene, driven by actions, answering with observations.
+
+Time is counted in actions: each takes `STEP_SECONDS`, the 0.25 m of a FORWARD at 0.5 m/s, whether
+it moves, turns or collides. Nothing survives from one episode to the next.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+from gn0.errors import EpisodeError, PolicyError, SimError
+from gn0.geometry import F32, U8, Pose2D, wrap_angle
+from gn0.missions.episode import AgentSpec, Episode, check_episode
+from gn0.scenes.scene import Scene
+from gn0.seeds import random_stream
+from gn0.sim.collision import check_finite, check_places
+from gn0.sim.history import History, build_mosaic
+from gn0.sim.kinematics import Heading, heading_yaw
+from gn0.sim.policy import Policy, PolicyPrivileged, Sensor
+from gn0.sim.sensors import EYES, SensorConfig, SensorSuite
+from gn0.sim.state import Action, Observation, StepResult, Teleport, Trajectory
+
+if TYPE_CHECKING:
+    from gn0.maps.navigation import NavigationMap
+    from gn0.render.bev import BevPicture
+    from gn0.render.renderer import Renderer
+
+STEP_SECONDS = 0.5
+TELEPORT_CODE = -1  # how a teleport is written in `Trajectory.actions`
+
+
+@dataclass(frozen=True, eq=False)
+class SimState:
+    """Everything that changes within an episode; see `Simulator.save_state`.
+
+    Attributes:
+        episode: the episode in progress.
+        wanted: sensors in use.
+        x, y: position [m].
+        base, turns: heading as base [rad] and whole turns (see `kinematics`).
+        steps: actions taken.
+        collided: the last action was truncated.
+        over: the episode has ended.
+        tiles: history tiles, newest first.
+    """
+
+    episode: Episode
+    wanted: frozenset[Sensor]
+    x: float
+    y: float
+    base: float
+    turns: int
+    steps: int
+    collided: bool
+    over: bool
+    tiles: tuple[U8, ...]
+
+
+class Simulator:
+    """Moves an agent through a scene and measures what its sensors see.
+
+    Args:
+        scene: where.
+        navigation: the scene's map, inflated by the agent's radius.
+        sensors: what the agent carries.
+        renderer: draws rgb, depth and history; not needed without them.
+        bev: the map picture for sensor bev.
+        agent: the body; the preset's when None. It is the simulator's agent that moves: the one
+            in an episode says what the episode was planned for.
+        max_steps: actions until an episode is truncated.
+
+    Raises:
+        SimError: a sensor lacks its renderer or picture, the map was inflated for another
+            radius, or max_steps < 1.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        navigation: NavigationMap,
+        sensors: SensorConfig | None = None,
+        renderer: Renderer | None = None,
+        bev: BevPicture | None = None,
+        agent: AgentSpec | None = None,
+        max_steps: int = 500,
+    ) -> None:
+        config = sensors or SensorConfig()
+        self.scene = scene
+        self.navigation = navigation
+        self.agent = agent or config.preset.agent
+        self.max_steps = max_steps
+        if max_steps < 1:
+            raise SimError(f"max_steps is {max_steps}", remedy="allow at least one action")
+        if abs(navigation.radius - self.agent.radius) > 1e-9:
+            raise SimError(
+                f"map inflated by {navigation.radius:g} m, agent radius {self.agent.radius:g} m",
+                remedy="build the NavigationMap with the agent's radius",
+            )
+        self._suite = SensorSuite(config, navigation, self.agent.camera_height, renderer, bev)
+        self._episode: Episode | None = None
+        self._history = History()
+        self._over = True
+
+    @property
+    def sensors(self) -> frozenset[Sensor]:
+        """Sensors that can be asked for."""
+        return self._suite.active
+
+    @property
+    def config(self) -> SensorConfig:
+        """Sensor settings, with the camera preset."""
+        return self._suite.config
+
+    @property
+    def suite(self) -> SensorSuite:
+        """The sensors themselves (map frame, pictures at any pose)."""
+        return self._suite
+
+    @property
+    def episode(self) -> Episode:
+        """The episode in progress.
+
+        Raises:
+            SimError: before the first reset.
+        """
+        if self._episode is None:
+            raise SimError("no episode yet", remedy="call reset(episode) first")
+        return self._episode
+
+    @property
+    def pose(self) -> Pose2D:
+        """Where the agent stands.
+
+        Raises:
+            SimError: before the first reset.
+        """
+        _ = self.episode
+        return Pose2D(self._x, self._y, self._yaw)
+
+    @property
+    def heading(self) -> Heading:
+        """The pose's yaw as base and whole turns: what LEFT and RIGHT really count.
+
+        Raises:
+            SimError: before the first reset.
+        """
+        _ = self.episode
+        return Heading(self._base, self._turns, self.agent.turn_degrees)
+
+    @property
+    def steps(self) -> int:
+        """Actions taken since reset."""
+        return self._steps if self._episode is not None else 0
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended, or none has begun."""
+        return self._over
+
+    def reset(self, episode: Episode, *, sensors: frozenset[str] | None = None) -> Observation:
+        """Begin an episode.
+
+        `sensors` narrows what is observed in this episode to a subset of `self.sensors`.
+
+        Raises:
+            EpisodeError: of another scene, with NaN, or with a blocked or unreachable start or
+                goal.
+            SimError: a sensor is asked for that the agent does not carry.
+        """
+        check_episode(episode)
+        if episode.scene_id != self.scene.id:
+            raise EpisodeError(
+                f"episode belongs to scene {episode.scene_id!r}, not to {self.scene.id!r}",
+                where=f"episode {episode.id!r}",
+                remedy="open the simulator with the episode's own scene",
+            )
+        check_places(self.navigation, episode, self.agent.radius)
+        wanted = self.sensors if sensors is None else frozenset(sensors)
+        if not wanted <= self.sensors:
+            raise SimError(
+                f"sensors {sorted(wanted - self.sensors)} are not carried by this agent",
+                remedy="open the simulator with them",
+            )
+        self._episode = episode
+        self._wanted = cast("frozenset[Sensor]", wanted)
+        self._eyes = bool(wanted & EYES)
+        self._steps = 0
+        self._collided = False
+        self._over = False
+        self._history.clear()
+        self._last_look: tuple[Pose2D, tuple[U8 | None, F32 | None]] | None = None
+        self._place(episode.start[0], episode.start[1], wrap_angle(episode.start[2]), 0)
+        return self._observe()
+
+    def step(self, action: Action | Teleport | int) -> StepResult:
+        """Take one action.
+
+        FORWARD and Teleport are cut at the first blocked cell (paper, Eq. collision); a teleport
+        takes its yaw in any case. STOP ends the episode (`terminated`); reaching `max_steps`
+        without STOP truncates it.
+
+        Raises:
+            SimError: before reset, after the end, or an action that is none or holds NaN.
+        """
+        if self._over:
+            raise SimError(
+                "no episode is in progress" if self._episode is None else "the episode is over",
+                remedy="call reset(episode) first",
+            )
+        moved, collided, stop = 0.0, False, False
+        x, y = self._x, self._y
+        if isinstance(action, Teleport):
+            check_finite("teleport", *action)
+            nx, ny, collided = self.navigation.move(x, y, float(action.x), float(action.y))
+            self._keep_view()
+            self._place(nx, ny, wrap_angle(float(action.yaw)), 0)
+            moved = math.hypot(nx - x, ny - y)
+        else:
+            code = action_code(action)
+            if self._eyes:
+                self._keep_view()
+            if code == 1:
+                reach = self.agent.forward_step
+                nx, ny, collided = self.navigation.move(
+                    x, y, x + reach * self._cos, y + reach * self._sin
+                )
+                self._x, self._y = nx, ny
+                moved = math.hypot(nx - x, ny - y)
+            elif code == 0:
+                stop = True
+            else:
+                self._turn(1 if code == 2 else -1)
+        self._steps += 1
+        self._collided = collided
+        truncated = not stop and self._steps >= self.max_steps
+        self._over = stop or truncated
+        return StepResult(
+            self._observe(),
+            moved,
+            collided,
+            stop,
+            truncated,
+            {"pose": Pose2D(self._x, self._y, self._yaw)},
+        )
+
+    def observe_at(self, pose: Pose2D) -> Observation:
+        """What the agent would see at another pose now; it does not move.
+
+        Raises:
+            SimError: before reset, or the pose holds NaN.
+        """
+        _ = self.episode
+        check_finite("pose", *pose)
+        kept = self.save_state()
+        self._place(float(pose.x), float(pose.y), wrap_angle(float(pose.yaw)), 0)
+        try:
+            return self._observe()
+        finally:
+            self.restore_state(kept)
+
+    def save_state(self) -> SimState:
+        """The whole state, to be restored later in this simulator.
+
+        Raises:
+            SimError: before the first reset.
+        """
+        return SimState(
+            episode=self.episode,
+            wanted=self._wanted,
+            x=self._x,
+            y=self._y,
+            base=self._base,
+            turns=self._turns,
+            steps=self._steps,
+            collided=self._collided,
+            over=self._over,
+            tiles=self._history.tiles,
+        )
+
+    def restore_state(self, state: SimState) -> None:
+        """Go back to a saved state, bit for bit."""
+        self._episode = state.episode
+        self._wanted = state.wanted
+        self._eyes = bool(state.wanted & EYES)
+        self._steps, self._collided, self._over = state.steps, state.collided, state.over
+        self._history = History(state.tiles)
+        self._last_look = None
+        self._place(state.x, state.y, state.base, state.turns)
+
+    def _place(self, x: float, y: float, base: float, turns: int) -> None:
+        self._x, self._y, self._base, self._turns = x, y, base, turns
+        self._turn(0)
+
+    def _turn(self, turns: int) -> None:
+        self._turns += turns
+        self._yaw = yaw = heading_yaw(self._base, self._turns, self.agent.turn_degrees)
+        self._cos, self._sin = math.cos(yaw), math.sin(yaw)
+
+    def _look(self) -> tuple[U8 | None, F32 | None]:
+        """Pictures here; not drawn again while the agent stands still."""
+        pose = Pose2D(self._x, self._y, self._yaw)
+        if self._last_look is None or self._last_look[0] != pose:
+            self._last_look = (pose, self._suite.look(pose, self._wanted))
+        return self._last_look[1]
+
+    def _keep_view(self) -> None:
+        if "history" in self._wanted:
+            rgb, _ = self._look()
+            assert rgb is not None
+            self._history.add(rgb)
+
+    def _observe(self) -> Observation:
+        assert self._episode is not None
+        step = self._steps
+        if not self._wanted:
+            return Observation(
+                step, step * STEP_SECONDS, self._episode.instruction, collided=self._collided
+            )
+        episode = self._episode
+        pose = Pose2D(self._x, self._y, self._yaw)
+        fields: dict[str, Any] = self._suite.read_static(
+            pose, episode.start_pose, episode.goal, self._wanted
+        )
+        if self._eyes:
+            rgb, depth = self._look()
+            if "rgb" in self._wanted:
+                fields["rgb"] = rgb
+            if "depth" in self._wanted:
+                fields["depth"] = depth
+            if "history" in self._wanted:
+                fields["history"] = build_mosaic(self._history.tiles)
+        return Observation(
+            step=step,
+            time=step * STEP_SECONDS,
+            instruction=episode.instruction,
+            collided=self._collided,
+            **fields,
+        )
+
+
+def action_code(action: Action | int) -> int:
+    """The code 0..3 of a local action.
+
+    Raises:
+        SimError: it is none.
+    """
+    try:
+        code = operator.index(action)
+    except TypeError:
+        code = -1
+    if not 0 <= code <= 3 or isinstance(action, bool):
+        raise SimError(
+            f"{action!r} is not an action",
+            remedy="give STOP 0, FORWARD 1, LEFT 2, RIGHT 3 or a Teleport",
+        )
+    return code
+
+
+def run_episode(
+    simulator: Simulator,
+    policy: Policy,
+    episode: Episode,
+    *,
+    watch: Callable[[Observation, StepResult | None], None] | None = None,
+) -> Trajectory:
+    """Let a policy act until it stops or runs out of steps.
+
+    The policy sees exactly the sensors it declares, also when the simulator carries more. Its
+    randomness is a stream named by the episode and the policy, so results do not depend on the
+    order of episodes. `watch` is called after reset (result None) and after every action.
+
+    Raises:
+        PolicyError: the policy wants a sensor that is not carried, or returns no action.
+        EpisodeError: see `Simulator.reset`.
+    """
+    missing = frozenset(policy.sensors) - simulator.sensors
+    if missing:
+        raise PolicyError(
+            f"policy {policy.name!r} reads {sorted(missing)}, which the agent does not carry",
+            remedy="open the simulator with sensors=policy.sensors",
+        )
+    observation = simulator.reset(episode, sensors=frozenset(policy.sensors))
+    policy.reset(
+        episode.instruction, random_stream(episode.seed, "policy", policy.name, episode.id)
+    )
+    if isinstance(policy, PolicyPrivileged):
+        policy.reset_privileged(simulator)
+    poses, actions, collisions = [simulator.pose], [], []
+    if watch is not None:
+        watch(observation, None)
+    while True:
+        action = policy.act(observation)
+        try:
+            result = simulator.step(action)
+        except SimError as error:
+            raise PolicyError(
+                f"policy {policy.name!r} returned no valid action: {error.what}",
+                where=f"episode {episode.id!r}, step {simulator.steps}",
+                remedy=error.remedy,
+            ) from error
+        poses.append(simulator.pose)
+        actions.append(TELEPORT_CODE if isinstance(action, Teleport) else int(action))
+        collisions.append(result.collided)
+        observation = result.observation
+        if watch is not None:
+            watch(observation, result)
+        if result.terminated or result.truncated:
+            break
+    return Trajectory(tuple(poses), tuple(actions), tuple(collisions), result.terminated)

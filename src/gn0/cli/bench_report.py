@@ -1,0 +1,43 @@
+"""One HTML page from one or more runs of a suite: policies side by side, failures first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 bench report out/walls
+  gn0 bench report out/walls out/house-oracle --out out/both.html"""
+
+
+class Args(Config):
+    """Runs and output.
+
+    Attributes:
+        runs: run folders, as written by `gn0 bench run`.
+        out: the page to write; default: report.html in the first run's folder.
+        videos: how many episodes are shown as video, a policy.
+    """
+
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional]
+    out: str = ""
+    videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4
+
+
+def run(args: Args) -> int:
+    """Write the page and say where it is."""
+    from gn0.bench.report import write_report
+    from gn0.cli.console import draw_progress
+    from gn0.errors import ConfigError
+
+    if not args.runs:
+        raise ConfigError("no run folder given", remedy="gn0 bench report RUN [RUN ...]")
+    folders = [Path(folder) for folder in args.runs]
+    out = Path(args.out) if args.out else folders[0] / "report.html"
+    with draw_progress() as progress:
+        print(write_report(folders, out, videos=args.videos, progress=progress))
+    return 0

@@ -1,0 +1,77 @@
+"""Run a policy over a suite, score it, and write the report.
+
+A scene folder given as a suite means fifty goal episodes sampled with seed 0, written beside the
+results. Results are the same bytes for any number of workers; a run that was stopped goes on
+where it stopped when the same command is given again.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
+  gn0 bench run out/suite --policy wall_follower --workers 2 --out out/walls
+  gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try"""
+
+
+class Args(Config):
+    """What to run and where to write.
+
+    Attributes:
+        suite: a suite folder, or a scene folder.
+        out: the folder of results; an interrupted run there is resumed.
+        policy: name of a policy (oracle, straight, wall_follower, random, or a plug-in).
+        workers: processes; never changes a result.
+        episodes: run only the first so many; 0 means all.
+        time_limit: seconds an episode may take before it counts as failed.
+        fresh: forget an earlier run in the output folder instead of resuming it.
+        no_report: do not write report.html.
+        videos: how many episodes the report shows as video.
+    """
+
+    suite: Annotated[str, tyro.conf.Positional]
+    out: str
+    policy: str = "oracle"
+    workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
+    episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
+    time_limit: Annotated[float, msgspec.Meta(gt=0)] = 300.0
+    fresh: bool = False
+    no_report: bool = False
+    videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4
+
+
+def run(args: Args) -> int:
+    """Run, print the table, write the report; 1 when an episode failed to run."""
+    from gn0.bench.report import write_report
+    from gn0.bench.runner import run_suite
+    from gn0.bench.suite import open_suite
+    from gn0.cli.console import draw_progress
+    from gn0.cli.tables import print_summaries
+
+    out = Path(args.out)
+    with draw_progress() as progress:
+        suite = open_suite(args.suite, beside=out)
+        summary = run_suite(
+            suite,
+            args.policy,
+            out,
+            workers=args.workers,
+            resume=not args.fresh,
+            episode_time_limit=args.time_limit,
+            max_episodes=args.episodes or None,
+            progress=progress,
+        )
+        report = None
+        if not args.no_report:
+            report = write_report([out], out / "report.html", videos=args.videos, progress=progress)
+    print_summaries([summary])
+    print(f"results: {out / 'results.jsonl'}")
+    if report is not None:
+        print(f"report:  {report}")
+    return 0 if not summary.failed else 1

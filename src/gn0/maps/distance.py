@@ -8,6 +8,7 @@ round the obstacles themselves, taken as the union of blocked cell squares.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,7 +165,8 @@ class GeodesicField:
         """Distance [m] of one point; inf where unreachable."""
         return float(self.distance(np.array([[x, y]]))[0])
 
-    def cell_distances(self) -> F64:
+    @cached_property
+    def cells(self) -> F64:
         """Distances [H, W] m of all cell centres; inf in blocked and unreachable cells."""
         rows, cols = np.indices(self.label.shape)
         roots = self.roots[np.maximum(self.label, 0)]

@@ -5,6 +5,7 @@ A leg is good when `trace_move` would not truncate it: planner and simulator use
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -15,7 +16,6 @@ from gn0.geometry import F64
 from gn0.maps.astar import PlannerAstar
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.ray import line_cells, trace_points
-import itertools
 
 
 class LineChecker:

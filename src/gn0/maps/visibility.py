@@ -2,11 +2,11 @@
 
 A shortest path among unions of square cells is a chain of straight legs that bends only at convex
 corners: lattice points with exactly one blocked cell around them. A corner becomes a *root* when
-its distance is final. From there a taut path can only go on into the shadow that the corner casts for
-the root before it, a cone between the straight continuation and the obstacle's edge. The cone is
-swept row by row, cut by the runs of free cells; each cell centre in it is offered the path through
-this root, and each corner in it becomes a candidate. As a corner is swept once, from its best
-predecessor, and dominated cones are dropped, a field costs little more than one visit a cell.
+its distance is final. From there a taut path can only go on into the shadow that the corner casts
+for the root before it, a cone between the straight continuation and the obstacle's edge. The cone
+is swept row by row, cut by the runs of free cells; each cell centre in it is offered the path
+through this root, and each corner in it becomes a candidate. As a corner is swept once, from its
+best predecessor, and dominated cones are dropped, a field costs little more than a visit a cell.
 
 All coordinates here are in cells: vertex (x, y) is the corner shared by cells (y−1, x−1) … (y, x).
 """

@@ -47,6 +47,16 @@ class SceneMesh:
         n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
         return n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-30)
 
+    def select(self, faces: NDArray[np.bool_] | NDArray[np.integer]) -> SceneMesh:
+        """The faces at `faces` (mask or indices) over the same vertices."""
+        return SceneMesh(
+            vertices=self.vertices,
+            faces=self.faces[faces],
+            uv=self.uv[faces],
+            material=self.material[faces],
+            instance=self.instance[faces],
+        )
+
 
 def join_meshes(meshes: list[SceneMesh]) -> SceneMesh:
     """One mesh of all faces in order; material and instance ids are kept as they are."""

@@ -1,0 +1,215 @@
+"""Gazebo/SDF worlds of textured meshes as scenes: splats, labels, rooms and exact occupancy."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import SceneError
+from gn0.geometry import F64
+from gn0.maps.grid import FREE, OccupancyGrid
+from gn0.progress import Progress, no_progress
+from gn0.scenes.mesh import SceneMesh, join_meshes
+from gn0.scenes.occupancy import build_occupancy, find_floor
+from gn0.scenes.rooms import RoomMap, assign_rooms, build_rooms
+from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneSourceInfo
+from gn0.scenes.sdf import SdfWorld, find_world_file, load_sdf
+from gn0.scenes.sources import ImportSettings
+from gn0.scenes.surfels import build_surfels
+from gn0.scenes.textures import TextureAlbedo
+from gn0.scenes.world_light import light_world
+from gn0.scenes.world_mesh import WorldMeshes, load_world_meshes
+
+_CLOSING = {"door", "window", "folding door", "gate"}  # they complete the shell of a room
+_LICENCE_BYTES = 20_000
+
+
+class SceneSourceWorld:
+    """A Gazebo world: a `.world`/`.sdf` file, or the folder that holds it and its models."""
+
+    name = "world"
+    looked_for = "a .world or .sdf file, or a folder with one in it or in worlds/"
+
+    def recognises(self, path: Path) -> bool:
+        """Whether there is a world file."""
+        try:
+            return find_world_file(path) is not None
+        except OSError:
+            return False
+
+    def build(
+        self, path: Path, settings: ImportSettings, progress: Progress = no_progress
+    ) -> Scene:
+        """Read the world, light it, cover it with splats.
+
+        Raises:
+            StorageError, FormatError: a file is missing or damaged, or leads out of the folder.
+            SceneError: there is nothing to stand on.
+        """
+        file = find_world_file(path)
+        if file is None:
+            raise SceneError("no world file here", where=path, remedy=f"give {self.looked_for}")
+        world = load_sdf(file)
+        meshes, floor_z = place_on_floor(load_world_meshes(world, progress))
+        grid = world_occupancy(meshes, settings)
+        rooms = world_rooms(meshes, grid)
+        objects = assign_rooms(world_objects(meshes), rooms, grid)
+        ground = max(float((rooms.label >= 0).sum()) * grid.resolution**2, grid.free_area, 1.0)
+        spacing = 1.0 / math.sqrt(settings.density)
+        albedo = TextureAlbedo(meshes.visual, meshes.paints, footprint=spacing)
+        shader = light_world(
+            meshes, albedo, world.lights, rooms, floor_z, settings.light, settings.seed, progress
+        )
+        cloud = build_surfels(
+            meshes.visual,
+            shader,
+            count=int(settings.density * ground),
+            detail=_detail(meshes),
+            seed=settings.seed,
+            progress=progress,
+        )
+        vertices = meshes.visual.vertices[meshes.visual.faces.ravel()]
+        counted = Counter(note.rsplit(" is ", 1)[-1] for note in meshes.notes)
+        notes = ", ".join(f"{n} {what}" for what, n in sorted(counted.items()))
+        return Scene(
+            id=settings.scene_id or file.stem,
+            source=SceneSourceInfo(
+                kind=self.name,
+                detail=f"{file.name}; {len(world.instances)} instances"
+                + (f"; textures: {notes}" if notes else ""),
+                seed=settings.seed,
+                settings={
+                    "height_band_low": settings.height_band[0],
+                    "height_band_high": settings.height_band[1],
+                    "resolution": settings.resolution,
+                    "density": settings.density,
+                    "light": settings.light,
+                    "floor_shift": round(floor_z, 4),
+                    "ceiling": round(ceiling_height(meshes), 3),
+                },
+                label_source="given",
+            ),
+            grid=grid,
+            objects=objects,
+            rooms=rooms.rooms,
+            bounds=np.stack([vertices.min(axis=0), vertices.max(axis=0)]),
+            load_cloud=lambda: cloud,
+            licence=_licence(world),
+            cloud_hash="",
+        )
+
+
+def place_on_floor(meshes: WorldMeshes) -> tuple[WorldMeshes, float]:
+    """The meshes shifted so that the floor is at z = 0, and by how much they stood above it [m]."""
+    floor_z = find_floor(_shell(meshes.visual, meshes))
+    return meshes.shifted(-floor_z), floor_z
+
+
+def world_occupancy(meshes: WorldMeshes, settings: ImportSettings) -> OccupancyGrid:
+    """Occupancy of what is seen and what is bumped into together.
+
+    Collision meshes alone miss what a model's author left out (a chair one could see and walk
+    through); visual meshes alone miss invisible guards. Against the SLAM map of `small_house` the
+    union does as well as either (`gn0 figures scenes.world`).
+    """
+    return build_occupancy(
+        join_meshes([meshes.collision, meshes.visual]),
+        resolution=settings.resolution,
+        band=settings.height_band,
+    )
+
+
+def world_rooms(meshes: WorldMeshes, grid: OccupancyGrid) -> RoomMap:
+    """Rooms from the building's shell (walls, windows, closed doors), ignoring furniture."""
+    shell = build_occupancy(
+        _shell(join_meshes([meshes.collision, meshes.visual]), meshes),
+        resolution=grid.resolution,
+        bounds=grid.bounds,
+    )
+    return build_rooms(shell, shell.cells == FREE, world_objects(meshes))
+
+
+def world_objects(meshes: WorldMeshes) -> tuple[SceneObject, ...]:
+    """One labelled box per model that is not part of the building."""
+    mesh = meshes.visual
+    order = np.argsort(mesh.instance, kind="stable")
+    start = np.searchsorted(mesh.instance[order], np.arange(len(meshes.names) + 1))
+    objects = []
+    for index, (name, category) in enumerate(zip(meshes.names, meshes.categories, strict=True)):
+        faces = order[start[index] : start[index + 1]]
+        if len(faces):
+            points = mesh.vertices[np.unique(mesh.faces[faces])]
+            box = upright_box(points, meshes.yaws[index])
+            objects.append(SceneObject(id=name, category=category, box=box))
+    return tuple(objects)
+
+
+def upright_box(points: F64, yaw: float) -> ObjectBox:
+    """The smallest upright box of points [N, 3] m, at the model's own yaw or a better one.
+
+    Another angle is taken only when it saves a tenth of the footprint: models are drawn along
+    their axes.
+    """
+    best: tuple[float, float, F64, F64] | None = None
+    for step in range(46):
+        angle = yaw if step == 0 else yaw + math.radians(2 * (step - 1))
+        c, s = math.cos(angle), math.sin(angle)
+        local = points[:, :2] @ np.array([[c, -s], [s, c]])
+        low, high = local.min(axis=0), local.max(axis=0)
+        area = float(np.prod(np.maximum(high - low, 1e-3)))
+        if best is None or area < (0.9 if best[1] == yaw else 1.0) * best[0]:
+            best = (area, angle, low, high)
+    assert best is not None
+    _, angle, low, high = best
+    c, s = math.cos(angle), math.sin(angle)
+    x, y = (low + high) / 2 @ np.array([[c, s], [-s, c]])
+    z0, z1 = points[:, 2].min(), points[:, 2].max()
+    sx, sy = high - low
+    return ObjectBox(
+        centre=(round(float(x), 4), round(float(y), 4), round(float(z0 + z1) / 2, 4)),
+        size=(round(float(sx), 4), round(float(sy), 4), round(float(z1 - z0), 4)),
+        yaw=round(math.remainder(angle, 2 * math.pi), 6),
+    )
+
+
+def ceiling_height(meshes: WorldMeshes) -> float:
+    """Height [m] of the lowest large level surface above 1.8 m; the top of all if there is none."""
+    shell = _shell(meshes.visual, meshes)
+    z = shell.corners()[:, :, 2].mean(axis=1)
+    flat = (np.abs(shell.normals()[:, 2]) > 0.95) & (z > 1.8)
+    areas = shell.areas()[flat]
+    if areas.sum() < 1.0:
+        return float(meshes.visual.vertices[:, 2].max())
+    order = np.argsort(z[flat], kind="stable")
+    reached = np.cumsum(areas[order]) >= 0.1 * areas.sum()
+    return float(z[flat][order][np.argmax(reached)])
+
+
+def _shell(mesh: SceneMesh, meshes: WorldMeshes) -> SceneMesh:
+    """The building alone: walls, floors, ceilings, and what closes its openings."""
+    closing = np.array([*(c in _CLOSING for c in meshes.categories), True])
+    keep = closing[mesh.instance]  # instance −1, the building itself, picks the last entry
+    if not keep.any():
+        return mesh
+    return mesh.select(keep)
+
+
+def _detail(meshes: WorldMeshes) -> NDArray[np.float64]:
+    """Textured faces are sampled finely, plain ones coarsely."""
+    busy = [1.0 if paint.busy else 0.35 for paint in meshes.paints]
+    return np.array(busy)[meshes.visual.material]
+
+
+def _licence(world: SdfWorld) -> str:
+    """The first lines of the world's own licence file, or nothing."""
+    for name in ("LICENSE", "LICENSE.txt", "LICENCE", "COPYING"):
+        path = world.root / name
+        if path.is_file() and path.stat().st_size <= _LICENCE_BYTES:
+            text = path.read_text("utf-8", errors="replace")
+            paragraphs = [" ".join(p.split()) for p in text.split("\n\n") if p.strip()]
+            return f"{name}: {' '.join(paragraphs[:2])}"[:600]
+    return ""

@@ -11,9 +11,10 @@ _BITS = 21  # an axis; 63 bits in all
 
 
 def morton_codes(means: F32) -> NDArray[np.uint64]:
-    """63-bit Z-order codes [N] of points [N, 3], in cubes that fit the longest side.
+    """63-bit Z-order codes [N] of points [N, 3]; each axis is cut into 2²¹ parts of its own extent.
 
-    Points that are not finite get the largest code.
+    The axes are scaled apart, as splat-transform does, so that repacking its files keeps their
+    chunks. Points that are not finite get the largest code.
     """
     points = means.astype(np.float64)
     finite = np.isfinite(points).all(axis=1)
@@ -21,12 +22,12 @@ def morton_codes(means: F32) -> NDArray[np.uint64]:
         return np.full(len(points), np.iinfo(np.uint64).max, np.uint64)
     low = points[finite].min(axis=0) if not finite.all() else points.min(axis=0)
     high = points[finite].max(axis=0) if not finite.all() else points.max(axis=0)
-    longest = float((high - low).max())
+    extent = np.where(high > low, high - low, 1.0)
     cells = (1 << _BITS) - 1
     codes = np.zeros(len(points), np.uint64)
     with np.errstate(invalid="ignore"):
         for axis in range(3):
-            unit = (points[:, axis] - low[axis]) / (longest or 1.0)
+            unit = (points[:, axis] - low[axis]) / extent[axis]
             cell = np.where(finite, unit * cells, 0.0).astype(np.uint64)
             codes |= _spread(cell) << np.uint64(axis)
     codes[~finite] = np.iinfo(np.uint64).max

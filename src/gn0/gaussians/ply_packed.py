@@ -70,9 +70,9 @@ def decode_ply_packed(source: PlySource, limit_bytes: int | None = None) -> Clou
     for start, rows in iterate_rows(source, chunk, fields, np.float32):
         bounds[start : start + len(rows)] = rows
     for start, rows in iterate_rows(source, vertex, _PACKED, np.uint32):
-        box = bounds[np.arange(start, start + len(rows)) // CHUNK].astype(np.float64)
         position, rotation, scale, colour = (np.ascontiguousarray(rows[:, i]) for i in range(4))
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # bounds may be NaN; their splats are dropped
+            box = bounds[np.arange(start, start + len(rows)) // CHUNK].astype(np.float64)
             rgba = _unpack_bytes(colour)
             rgb = rgba[:, :3]
             if coloured:

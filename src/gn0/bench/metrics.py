@@ -61,56 +61,39 @@ class EpisodeMetrics(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MetricInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """How a metric is shown: short name, unit, digits, and which way is better."""
+    """How a metric is named and shown.
 
+    Attributes:
+        key: name in `summary.json` and in tables.
+        field: field of `EpisodeMetrics`.
+        title: one line for people.
+        unit: "m", "%" or "".
+        better: "up", "down" or "" where neither is better.
+    """
+
+    key: str
     field: str
-    short: str
     title: str
     unit: str
-    better: str  # "up" | "down" | ""
-    percent: bool = False
+    better: str
 
 
-METRICS: tuple[MetricInfo, ...] = (
-    MetricInfo(
-        field="success", short="SR", title="Success", unit="%", better="up", percent=True
-    ),
-    MetricInfo(
-        field="spl", short="SPL", title="Success by path length", unit="%", better="up",
-        percent=True,
-    ),
-    MetricInfo(
-        field="oracle_success", short="OS", title="Oracle success", unit="%", better="up",
-        percent=True,
-    ),
-    MetricInfo(
-        field="navigation_error_geodesic", short="NE geodesic",
-        title="Navigation error, walking distance", unit="m", better="down",
-    ),
-    MetricInfo(
-        field="navigation_error_euclid", short="NE Euclidean",
-        title="Navigation error, straight line (the paper's)", unit="m", better="down",
-    ),
-    MetricInfo(
-        field="ndtw", short="nDTW", title="Agreement with the reference path", unit="%",
-        better="up", percent=True,
-    ),
-    MetricInfo(
-        field="sdtw", short="SDTW", title="nDTW of successful episodes, else 0", unit="%",
-        better="up", percent=True,
-    ),
-    MetricInfo(
-        field="success_euclid", short="SR Euclidean", title="Success by straight distance",
-        unit="%", better="up", percent=True,
-    ),
-    MetricInfo(
-        field="trajectory_length", short="TL", title="Trajectory length", unit="m", better=""
-    ),
-    MetricInfo(field="steps", short="Steps", title="Actions taken", unit="", better=""),
-    MetricInfo(
-        field="collision_rate", short="Collisions", title="Share of actions cut short", unit="%",
-        better="down", percent=True,
-    ),
+METRICS: tuple[MetricInfo, ...] = tuple(
+    MetricInfo(key=key, field=field, title=title, unit=unit, better=better)
+    for key, field, title, unit, better in (
+        ("SR", "success", "success: STOP within 3 m walking distance", "%", "up"),
+        ("SPL", "spl", "success weighted by path length", "%", "up"),
+        ("OS", "oracle_success", "oracle success: ever within 3 m", "%", "up"),
+        ("NE_geo", "navigation_error_geodesic", "walking distance left at the end", "m", "down"),
+        ("NE_euclid", "navigation_error_euclid", "straight distance left (the paper's)", "m",
+         "down"),
+        ("nDTW", "ndtw", "agreement with the reference path", "%", "up"),
+        ("SDTW", "sdtw", "nDTW where successful, else 0", "%", "up"),
+        ("SR_euclid", "success_euclid", "success by straight distance", "%", "up"),
+        ("TL", "trajectory_length", "trajectory length", "m", ""),
+        ("steps", "steps", "actions taken", "", ""),
+        ("collision_rate", "collision_rate", "share of actions cut short", "%", "down"),
+    )
 )  # fmt: skip
 
 

@@ -1,0 +1,86 @@
+"""What a run and its workers say to each other: one JSON line a message, schema-checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard
+from gn0.missions.episode import AgentSpec, Episode
+
+
+class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
+    """First message to a worker: which policy, with which body and eyes.
+
+    Attributes:
+        policy: plug-in name.
+        options: keyword arguments of the policy.
+        plugin_modules: modules to import first, so that they can register plug-ins.
+        camera, backend, agent, max_steps, success_radius: see `SuiteFile`.
+    """
+
+    policy: str
+    options: dict[str, Any]
+    plugin_modules: tuple[str, ...]
+    camera: str
+    backend: str
+    agent: AgentSpec
+    max_steps: int
+    success_radius: float
+
+
+class Lease(msgspec.Struct, frozen=True, kw_only=True, tag="lease"):
+    """Run this episode in the scene of that folder and hash."""
+
+    episode: Episode
+    folder: str
+    hash: str
+
+
+class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
+    """The policy is built."""
+
+    card: PolicyCard
+
+
+class Refused(msgspec.Struct, frozen=True, kw_only=True, tag="refused"):
+    """The policy cannot be built: the run cannot go on."""
+
+    what: str
+    traceback: str
+
+
+class Begun(msgspec.Struct, frozen=True, kw_only=True, tag="begun"):
+    """The scene is loaded and the episode starts now: its time limit counts from here."""
+
+    episode: str
+
+
+class Done(msgspec.Struct, frozen=True, kw_only=True, tag="done"):
+    """The episode is over."""
+
+    result: EpisodeResult
+    trace: EpisodeTrace
+    seconds: float
+    steps: int
+
+
+class Broke(msgspec.Struct, frozen=True, kw_only=True, tag="broke"):
+    """The episode raised an exception.
+
+    Attributes:
+        episode: its id.
+        what: type and text of the exception.
+        traceback: for people.
+        fatal: it is not the episode's fault, and every other one would meet it too.
+    """
+
+    episode: str
+    what: str
+    traceback: str
+    fatal: bool = False
+
+
+ToWorker = Open | Lease
+FromWorker = Ready | Refused | Begun | Done | Broke

@@ -1,0 +1,108 @@
+"""The protocol card: what the harness really did, in words; and the identity of a run."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import gn0
+from gn0.bench.results import PolicyCard
+from gn0.bench.suite import Suite
+from gn0.sim.presets import find_preset
+from gn0.storage import content_hash
+
+# what decides a result; the rest of the package may change between two sessions of one run
+_DECIDING = (
+    "geometry.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim", "policies",
+    "bench/metrics.py", "bench/worker.py",
+)  # fmt: skip
+
+
+@cache
+def code_version() -> str:
+    """The package's version and a digest of the source that decides results."""
+    root = Path(gn0.__file__).parent
+    digest = hashlib.blake2b(digest_size=6)
+    for name in _DECIDING:
+        path = root / name
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0")
+    return f"{gn0.__version__}+{digest.hexdigest()}"
+
+
+def config_hash(
+    suite: Suite, policy: str, options: Mapping[str, Any], backend: str, episodes: int
+) -> str:
+    """Digest of what decides a result beside suite and code; workers and order do not."""
+    return content_hash(
+        suite.hash,
+        policy,
+        msgspec.json.encode(dict(options), order="deterministic"),
+        backend,
+        episodes,
+    )
+
+
+def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str, str], ...]:
+    """(what, how) rows of a run; nothing here depends on workers, order or host."""
+    about, agent = suite.about, suite.about.agent
+    preset = find_preset(about.camera)
+    width, height = preset.picture_size
+    sees = ", ".join(card.sensors) or "nothing but the instruction and its bumper"
+    if card.privileged:
+        sees += "; and the simulator itself (map, pose, goal): an oracle, no robot could do this"
+    elif "goal_vector" in card.sensors:
+        sees += "; goal_vector tells it where the goal is"
+    radius = about.success_radius
+    return (
+        ("suite", f"{about.name}, version {about.version}, hash {suite.hash}"),
+        ("policy", card.name),
+        ("the policy sees", sees),
+        (
+            "camera",
+            f"{about.camera}: {width}×{height}, hfov {preset.rgb.hfov:.2f}°, "
+            f"vfov {preset.rgb.vfov:.2f}°, {agent.camera_height:g} m above the floor, "
+            f"pitch {preset.pitch_degrees:g}°",
+        ),
+        ("agent", f"disc of radius {agent.radius:g} m"),
+        (
+            "actions",
+            f"STOP, FORWARD {agent.forward_step:g} m, LEFT and RIGHT {agent.turn_degrees:g}°",
+        ),
+        (
+            "collision",
+            "a move is cut at the first blocked cell of the inflated map; no sliding",
+        ),
+        ("success", f"STOP at a walking distance < {radius:g} m; equality is a failure"),
+        ("oracle success", f"walking distance < {radius:g} m at any pose, start included"),
+        ("distances", "geodesic: any-angle shortest path on the agent's inflated map"),
+        (
+            "navigation error",
+            "both are reported; profile "
+            + (
+                "paper: NE is the straight distance"
+                if about.profile == "paper"
+                else "default: NE is the walking distance"
+            ),
+        ),
+        ("step limit", f"{about.max_steps} actions; running out is not a STOP and no success"),
+        (
+            "the harness",
+            "never acts for the agent: it sends no STOP, no retry within an episode, no hint",
+        ),
+        ("map mode", "unknown cells count as occupied; the map does not change in an episode"),
+        ("time", "simulated; a slow policy is not punished"),
+        (
+            "episodes without a score",
+            "counted and named, never averaged; the exit code is not 0 when there is one",
+        ),
+        ("randomness", "one stream an episode, named by seed, policy and episode"),
+        ("intervals", "95 %, percentile bootstrap over scenes where there are several, else "
+                      "episodes, 10,000 draws"),
+        ("code", f"gn0 {code}"),
+    )  # fmt: skip

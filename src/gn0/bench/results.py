@@ -1,0 +1,224 @@
+"""What a run leaves behind: a line an episode, a summary, and the protocol card.
+
+`results.jsonl`, `trajectories.jsonl` and `summary.json` hold no times and no hosts: they are the
+same bytes for any number of workers, any order and any number of interruptions. What may differ
+goes to `run.json`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import msgspec
+
+from gn0.bench.intervals import Interval, bootstrap_interval
+from gn0.bench.metrics import METRICS, EpisodeMetrics
+from gn0.config import decode_json, load_json
+from gn0.errors import BenchError
+from gn0.geometry import Pose2D
+from gn0.sim.state import Trajectory
+from gn0.storage import read_bytes, write_bytes, write_json
+
+RESULTS, TRAJECTORIES, SUMMARY, RUN = (
+    "results.jsonl",
+    "trajectories.jsonl",
+    "summary.json",
+    "run.json",
+)
+SIZE_LIMIT = 4 * 2**30  # bytes of a results file read at most
+T = TypeVar("T")
+
+
+class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One episode's outcome.
+
+    Attributes:
+        episode: episode id.
+        scene: scene id.
+        status: valid (scored), invalid (a metric has no finite value), failed (did not finish).
+        stopped: the agent said STOP.
+        metrics: scores of a valid episode.
+        reason: why it is invalid or failed.
+    """
+
+    episode: str
+    scene: str
+    status: Literal["valid", "invalid", "failed"]
+    stopped: bool = False
+    metrics: EpisodeMetrics | None = None
+    reason: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.episode}: {self.status}: {self.reason}" if self.reason else self.episode
+
+
+class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the agent did: enough to draw its path and to render its views again.
+
+    Attributes:
+        episode: episode id.
+        poses: (x, y, yaw) [m, m, rad] after reset and after each action.
+        actions: action codes; −1 is a teleport.
+        collided: indices of actions that an obstacle cut short.
+    """
+
+    episode: str
+    poses: tuple[tuple[float, float, float], ...] = ()
+    actions: tuple[int, ...] = ()
+    collided: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, episode_id: str, trajectory: Trajectory) -> EpisodeTrace:
+        """The trace of a trajectory."""
+        return cls(
+            episode=episode_id,
+            poses=tuple((float(p.x), float(p.y), float(p.yaw)) for p in trajectory.poses),
+            actions=tuple(int(a) for a in trajectory.actions),
+            collided=tuple(i for i, hit in enumerate(trajectory.collided) if hit),
+        )
+
+    def trajectory(self, stopped: bool) -> Trajectory:
+        """The trajectory again."""
+        hits = set(self.collided)
+        return Trajectory(
+            poses=tuple(Pose2D(*pose) for pose in self.poses),
+            actions=self.actions,
+            collided=tuple(i in hits for i in range(len(self.actions))),
+            stopped=stopped,
+        )
+
+
+class PolicyCard(msgspec.Struct, frozen=True, kw_only=True):
+    """What the policy said about itself.
+
+    Attributes:
+        name: its name.
+        sensors: observation fields it reads, sorted.
+        privileged: whether it was handed the simulator: an oracle.
+    """
+
+    name: str
+    sensors: tuple[str, ...]
+    privileged: bool
+
+
+class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """A run in numbers.
+
+    Attributes:
+        policy: name given on the command line.
+        suite: suite name; suite_hash, config_hash and code say exactly what ran.
+        expected, valid: episodes asked for and scored; the rest is in `failed`.
+        failed: episodes without a score, with the reason; their number is never hidden in a mean.
+        metrics: mean and interval by metric key, over the valid episodes.
+        protocol: (what, how) rows: what the harness really did.
+    """
+
+    policy: str
+    suite: str
+    suite_hash: str
+    config_hash: str
+    code: str
+    expected: int
+    valid: int
+    failed: tuple[EpisodeResult, ...]
+    metrics: dict[str, Interval]
+    protocol: tuple[tuple[str, str], ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether every expected episode was scored."""
+        return self.valid == self.expected
+
+    @property
+    def exit_code(self) -> int:
+        """0 when every episode was scored, else 1."""
+        return 0 if self.ok else 1
+
+
+def aggregate(results: Sequence[EpisodeResult], seed: int = 0) -> dict[str, Interval]:
+    """Mean and 95 % interval of each metric over the valid episodes; empty when there is none.
+
+    Intervals resample scenes where there are several, else episodes.
+    """
+    valid = [(r, r.metrics) for r in results if r.status == "valid" and r.metrics is not None]
+    if not valid:
+        return {}
+    scenes = [r.scene for r, _ in valid]
+    return {
+        info.key: bootstrap_interval(
+            [float(getattr(metrics, info.field)) for _, metrics in valid],
+            clusters=scenes,
+            seed=seed,
+            name=info.key,
+        )
+        for info in METRICS
+    }
+
+
+def write_lines(path: Path, records: Iterable[Any]) -> None:
+    """Write records as JSON lines with sorted keys, atomically."""
+    lines = [msgspec.json.encode(record, order="sorted") + b"\n" for record in records]
+    write_bytes(path, b"".join(lines))
+
+
+def _load_lines(path: Path, kind: type[T]) -> list[T]:
+    lines = read_bytes(path, SIZE_LIMIT).splitlines()
+    return [decode_json(line, kind, file=f"{path}, line {i}") for i, line in enumerate(lines, 1)]
+
+
+def load_results(run: Path | str) -> list[EpisodeResult]:
+    """The results of a run folder, in order of episode id.
+
+    Raises:
+        StorageError: no finished run there.
+        FormatError: a line is damaged; names it.
+        BenchError: an episode appears twice.
+    """
+    path = Path(run) / RESULTS
+    results = _load_lines(path, EpisodeResult)
+    seen: set[str] = set()
+    for result in results:
+        if result.episode in seen:
+            raise BenchError(
+                f"episode {result.episode!r} appears twice", where=path, remedy="run it again"
+            )
+        seen.add(result.episode)
+    return results
+
+
+def load_traces(run: Path | str) -> dict[str, EpisodeTrace]:
+    """Traces of a run folder by episode id.
+
+    Raises:
+        StorageError: no finished run there.
+        FormatError: a line is damaged; names it.
+    """
+    traces = _load_lines(Path(run) / TRAJECTORIES, EpisodeTrace)
+    return {trace.episode: trace for trace in traces}
+
+
+def load_summary(run: Path | str) -> RunSummary:
+    """The summary of a run folder.
+
+    Raises:
+        StorageError: no finished run there.
+        FormatError: damaged.
+    """
+    return load_json(Path(run) / SUMMARY, RunSummary)
+
+
+def save_run(
+    out: Path,
+    results: Sequence[EpisodeResult],
+    traces: Sequence[EpisodeTrace],
+    summary: RunSummary,
+    run: dict[str, Any],
+) -> None:
+    """Write the four files of a finished run; `summary.json` last, as the mark of completion."""
+    write_lines(out / RESULTS, sorted(results, key=lambda r: r.episode))
+    write_lines(out / TRAJECTORIES, sorted(traces, key=lambda t: t.episode))
+    write_json(out / RUN, run)
+    write_json(out / SUMMARY, msgspec.to_builtins(summary))

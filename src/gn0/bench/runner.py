@@ -1,0 +1,453 @@
+"""Runs a policy over a suite: one parent, its workers, and a journal that survives anything.
+
+The journal names every finished episode; an episode is finished when its line is on the disk. What
+was in flight when a run was stopped is run again, from its start, with the same outcome. Results
+are sorted by episode at the end, so neither workers nor order nor interruptions change a byte.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import shutil
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+
+from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
+from gn0.bench.pool import Worker, WorkerPool, check_workers, describe_end
+from gn0.bench.protocol import code_version, config_hash, protocol_card
+from gn0.bench.results import (
+    RESULTS,
+    RUN,
+    SUMMARY,
+    TRAJECTORIES,
+    EpisodeResult,
+    EpisodeTrace,
+    PolicyCard,
+    RunSummary,
+    aggregate,
+    save_run,
+)
+from gn0.bench.schedule import Schedule
+from gn0.bench.suite import Suite, load_suite_scene
+from gn0.errors import BenchError, PolicyError
+from gn0.missions.episode import Episode
+from gn0.plugins import get_plugin
+from gn0.progress import Progress, no_progress
+from gn0.storage import Journal, storage_error
+
+JOURNAL = "journal.jsonl"
+EPISODE_TIME_LIMIT = 300.0  # s
+LOAD_TIME_LIMIT = 900.0  # s to load a scene and to build the policy
+ATTEMPTS = 2  # one retry
+BYTES_PER_EPISODE = 200_000  # journal and results of a long episode
+PROBE_BYTES = 1 << 20
+
+
+def run_suite(
+    suite: Suite,
+    policy_name: str,
+    out: Path | str,
+    *,
+    workers: int = 1,
+    shuffle_seed: int | None = None,
+    resume: bool = True,
+    episode_time_limit: float = EPISODE_TIME_LIMIT,
+    progress: Progress = no_progress,
+    policy_options: Mapping[str, Any] | None = None,
+    max_episodes: int | None = None,
+    plugin_modules: Sequence[str] = (),
+    backend: str = "auto",
+) -> RunSummary:
+    """Run a policy over a suite and write results, trajectories, summary and times to `out`.
+
+    Args:
+        suite: what to run.
+        policy_name: plug-in name of the policy.
+        out: folder of results; an interrupted run there is resumed.
+        workers: processes; changes no result.
+        shuffle_seed: order of the episodes; changes no result.
+        resume: go on where an earlier run stopped; False forgets it.
+        episode_time_limit: wall-clock seconds until an episode counts as hung.
+        progress: progress sink.
+        policy_options: keyword arguments of the policy.
+        max_episodes: only the first so many, by id.
+        plugin_modules: modules to import first, here and in every worker.
+        backend: renderer backend.
+
+    Returns:
+        The summary; `summary.ok` says whether every episode was scored.
+
+    Raises:
+        BenchError: the folder holds another run, is in use, or the policy cannot be built.
+        ConfigError: no such policy.
+        StorageError: `out` cannot be written, or the disk is full.
+        KeyboardInterrupt: after all workers have ended; the same command resumes.
+    """
+    check_workers(workers)
+    if not episode_time_limit > 0:
+        raise BenchError(f"time limit is {episode_time_limit} s", remedy="give a positive number")
+    for module in plugin_modules:
+        import_module(module)
+    get_plugin("policy", policy_name)  # an unknown name ends here, before any work
+    episodes = _choose(suite, max_episodes)
+    out = Path(out)
+    check_room(out, len(episodes))
+    options = dict(policy_options or {})
+    with _lock(out):
+        if not resume:
+            _forget(out)
+        run = _Run(
+            out,
+            suite,
+            episodes,
+            identity={
+                "suite": suite.hash,
+                "config": config_hash(suite, policy_name, options, backend, len(episodes)),
+                "code": code_version(),
+                "policy": policy_name,
+            },
+            time_limit=episode_time_limit,
+            progress=progress,
+        )
+        try:
+            if run.left:
+                _check_scenes(suite, run.left, progress)
+                settings = Open(
+                    policy=policy_name,
+                    options=options,
+                    plugin_modules=tuple(plugin_modules),
+                    camera=suite.about.camera,
+                    backend=backend,
+                    agent=suite.about.agent,
+                    max_steps=suite.about.max_steps,
+                    success_radius=suite.about.success_radius,
+                )
+                run.begin_session(workers)
+                with WorkerPool(settings, workers) as pool:
+                    run.drive(pool, Schedule(run.left, shuffle_seed))
+            return run.finish()
+        finally:
+            with contextlib.suppress(OSError):
+                run.journal.close()
+
+
+def _choose(suite: Suite, max_episodes: int | None) -> tuple[Episode, ...]:
+    if max_episodes is not None and max_episodes < 1:
+        raise BenchError(f"max_episodes is {max_episodes}", remedy="give at least 1")
+    return suite.episodes[:max_episodes]
+
+
+def _check_scenes(suite: Suite, episodes: Sequence[Episode], progress: Progress) -> None:
+    """Find out about a missing or changed scene now, not after an hour."""
+    names = sorted({episode.scene_id for episode in episodes})
+    for done, name in enumerate(names):
+        progress("checking scenes", done, len(names))
+        load_suite_scene(suite.scene_folder(name), name, suite.scene_hash(name))
+
+
+def check_room(out: Path, episodes: int) -> None:
+    """Make the folder and prove that it can be written and has room, before any long work.
+
+    Raises:
+        StorageError: unwritable, or too little space for this many episodes.
+    """
+    probe = out / ".gn0-probe"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        try:
+            with open(probe, "wb") as stream:
+                stream.write(bytes(PROBE_BYTES))
+                stream.flush()
+                os.fsync(stream.fileno())
+        finally:
+            with contextlib.suppress(OSError):
+                probe.unlink()
+        free = shutil.disk_usage(out).free
+    except OSError as error:
+        raise storage_error(error, out, "write results") from error
+    needed = episodes * BYTES_PER_EPISODE
+    if free < needed:
+        raise storage_error(
+            OSError(28, f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed"),
+            out,
+            "write results",
+        )
+
+
+@contextlib.contextmanager
+def _lock(out: Path) -> Iterator[None]:
+    """One run at a time in a folder; the lock goes with the process, however it ends."""
+    try:
+        import fcntl
+    except ImportError:  # no such lock on this system
+        yield
+        return
+    path = out / ".lock"
+    try:
+        stream: IO[bytes] = open(path, "ab")  # noqa: SIM115
+    except OSError as error:
+        raise storage_error(error, path, "lock the run folder") from error
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise BenchError(
+                "another run is writing to this folder",
+                where=out,
+                remedy="wait for it, or choose another --out",
+            ) from None
+        yield
+
+
+def _forget(out: Path) -> None:
+    for name in (SUMMARY, RESULTS, TRAJECTORIES, RUN, JOURNAL):
+        with contextlib.suppress(FileNotFoundError):
+            (out / name).unlink()
+
+
+class _Run:
+    """The state of a run: what the journal knows, and what is still to do."""
+
+    def __init__(
+        self,
+        out: Path,
+        suite: Suite,
+        episodes: Sequence[Episode],
+        *,
+        identity: dict[str, str],
+        time_limit: float,
+        progress: Progress,
+    ) -> None:
+        self.out = out
+        self.suite = suite
+        self.episodes = {episode.id: episode for episode in episodes}
+        self.identity = identity
+        self.time_limit = time_limit
+        self.progress = progress
+        self.journal = Journal(out / JOURNAL)
+        self.results: dict[str, EpisodeResult] = {}
+        self.traces: dict[str, EpisodeTrace] = {}
+        self.times: dict[str, dict[str, Any]] = {}
+        self.sessions: list[dict[str, Any]] = []
+        self.card: PolicyCard | None = None
+        self.attempts: dict[str, int] = {}
+        self._read_journal()
+
+    def _read_journal(self) -> None:
+        records = self.journal.read()
+        if not records:
+            self.journal.append({"type": "run", **self.identity})
+            return
+        head = records[0]
+        for name, value in self.identity.items():
+            if head.get(name) != value:
+                raise BenchError(
+                    f"holds a run of another {name} ({head.get(name)}, now {value})",
+                    where=self.out,
+                    remedy="choose another --out, or give --fresh to forget the earlier run",
+                )
+        for record in records[1:]:
+            kind = record["type"]
+            if kind == "result":
+                self._take(
+                    msgspec.convert(record["result"], EpisodeResult),
+                    msgspec.convert(record["trace"], EpisodeTrace),
+                    record["about"],
+                )
+            elif kind == "policy":
+                self.card = msgspec.convert(record["card"], PolicyCard)
+            elif kind == "session":
+                self.sessions.append(record["about"])
+
+    @property
+    def left(self) -> list[Episode]:
+        """Episodes without a line in the journal."""
+        return [e for e in self.episodes.values() if e.id not in self.results]
+
+    def begin_session(self, workers: int) -> None:
+        """Note who runs this, when and where."""
+        about = {
+            "begun": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            "host": platform.node(),
+            "workers": workers,
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+        }
+        self.sessions.append(about)
+        self.journal.append({"type": "session", "about": about})
+
+    def _take(self, result: EpisodeResult, trace: EpisodeTrace, about: dict[str, Any]) -> None:
+        self.results[result.episode] = result
+        self.traces[result.episode] = trace
+        self.times[result.episode] = about
+
+    def _record(self, result: EpisodeResult, trace: EpisodeTrace, about: dict[str, Any]) -> None:
+        if result.episode in self.results:  # never twice, whatever a worker says
+            return
+        self.journal.append(
+            {
+                "type": "result",
+                "result": msgspec.to_builtins(result),
+                "trace": msgspec.to_builtins(trace),
+                "about": about,
+            }
+        )
+        self._take(result, trace, about)
+        self.progress("episodes", len(self.results), len(self.episodes))
+
+    def drive(self, pool: WorkerPool, schedule: Schedule) -> None:
+        """Lease episodes to workers until each has a result."""
+        self.progress("episodes", len(self.results), len(self.episodes))
+        for _ in range(min(pool.size, len(schedule))):
+            pool.start().deadline = time.monotonic() + LOAD_TIME_LIMIT
+        while len(self.results) < len(self.episodes):
+            now = time.monotonic()
+            nearest = min((w.deadline for w in pool.workers.values()), default=now)
+            heard = pool.hear(min(nearest - now, 60.0))
+            if heard is not None and heard.worker in pool.workers:
+                self._listen(pool, schedule, pool.workers[heard.worker], heard.message)
+            self._find_hung(pool, schedule)
+            self._staff(pool, schedule)
+
+    def _staff(self, pool: WorkerPool, schedule: Schedule) -> None:
+        """Give idle workers an episode; replace workers that are gone while there is work."""
+        for worker in list(pool.workers.values()):
+            if worker.ready and not worker.episode:
+                busy = [w.scene for w in pool.workers.values() if w is not worker]
+                episode = schedule.next(worker.scene, busy)
+                if episode is not None:
+                    self._lease(pool, worker, episode)
+        waiting = sum(not w.ready for w in pool.workers.values())
+        if len(schedule) > waiting and len(pool.workers) < pool.size:
+            pool.start().deadline = time.monotonic() + LOAD_TIME_LIMIT
+
+    def _lease(self, pool: WorkerPool, worker: Worker, episode: Episode) -> None:
+        attempt = self.attempts[episode.id] = self.attempts.get(episode.id, 0) + 1
+        lease = {"episode": episode.id, "worker": worker.number, "attempt": attempt}
+        self.journal.append({"type": "lease", **lease})
+        worker.scene, worker.episode = episode.scene_id, episode.id
+        worker.deadline = time.monotonic() + LOAD_TIME_LIMIT
+        folder = self.suite.scene_folder(episode.scene_id).resolve()
+        pool.send(
+            worker,
+            Lease(
+                episode=episode, folder=str(folder), hash=self.suite.scene_hash(episode.scene_id)
+            ),
+        )
+
+    def _listen(
+        self, pool: WorkerPool, schedule: Schedule, worker: Worker, message: FromWorker | None
+    ) -> None:
+        if message is None:
+            words = pool.end(worker)
+            self._lost(schedule, worker, describe_end(worker.process.returncode), words)
+        elif isinstance(message, Ready):
+            worker.ready, worker.deadline = True, float("inf")
+            if self.card is None:
+                self.card = message.card
+                self.journal.append({"type": "policy", "card": msgspec.to_builtins(message.card)})
+        elif isinstance(message, Refused):
+            raise PolicyError(
+                f"policy {self.identity['policy']!r} cannot be built: {message.what}\n"
+                f"{message.traceback}",
+                remedy="see the traceback above",
+            )
+        elif isinstance(message, Begun):
+            worker.deadline = time.monotonic() + self.time_limit
+        elif isinstance(message, Done) and message.result.episode == worker.episode:
+            about = {
+                "seconds": round(message.seconds, 6),
+                "attempts": self.attempts[worker.episode],
+                "worker": worker.number,
+            }
+            self._record(message.result, message.trace, about)
+            worker.episode, worker.deadline = "", float("inf")
+        elif isinstance(message, Broke):
+            if message.fatal:
+                raise BenchError(
+                    f"episode {message.episode!r} cannot be opened: {message.what}",
+                    where=self.out,
+                    remedy="mend the named file; the same command then goes on",
+                )
+            pool.end(worker)  # a policy that broke is not trusted with another episode
+            self._lost(schedule, worker, message.what, message.traceback)
+
+    def _find_hung(self, pool: WorkerPool, schedule: Schedule) -> None:
+        now = time.monotonic()
+        for worker in [w for w in pool.workers.values() if w.deadline <= now]:
+            where = pool.ask_where(worker)
+            pool.end(worker)
+            if not worker.episode and not worker.ready:
+                raise PolicyError(
+                    f"policy {self.identity['policy']!r} was not built within "
+                    f"{LOAD_TIME_LIMIT:g} s\n{where}",
+                    remedy="see where it hangs above",
+                )
+            self._lost(schedule, worker, f"took longer than {self.time_limit:g} s", where)
+
+    def _lost(self, schedule: Schedule, worker: Worker, why: str, words: str) -> None:
+        """A worker is gone: its episode is tried once more, then failed by name."""
+        if not worker.episode:
+            if not worker.ready:
+                raise PolicyError(
+                    f"the worker {why} while it built policy {self.identity['policy']!r}\n{words}",
+                    remedy="see its last words above",
+                )
+            return
+        episode = self.episodes[worker.episode]
+        worker.episode = ""
+        if self.attempts[episode.id] < ATTEMPTS:
+            schedule.put_back(episode)
+            return
+        result = EpisodeResult(
+            episode=episode.id, scene=episode.scene_id, status="failed", reason=why
+        )
+        about = {
+            "attempts": self.attempts[episode.id],
+            "worker": worker.number,
+            "traceback": words[-20_000:],
+        }
+        self._record(result, EpisodeTrace(episode=episode.id), about)
+
+    def finish(self) -> RunSummary:
+        """Write the files of the finished run."""
+        card = self.card or PolicyCard(name=self.identity["policy"], sensors=(), privileged=False)
+        results = sorted(self.results.values(), key=lambda r: r.episode)
+        summary = RunSummary(
+            policy=self.identity["policy"],
+            suite=self.suite.name,
+            suite_hash=self.identity["suite"],
+            config_hash=self.identity["config"],
+            code=self.identity["code"],
+            expected=len(self.episodes),
+            valid=sum(r.status == "valid" for r in results),
+            failed=tuple(r for r in results if r.status != "valid"),
+            metrics=aggregate(results),
+            protocol=protocol_card(self.suite, card, self.identity["code"]),
+        )
+        seconds = [about["seconds"] for about in self.times.values() if "seconds" in about]
+        run = {
+            "sessions": self.sessions,
+            "seconds": round(sum(seconds), 3),
+            "suite_folder": str(self.suite.folder.resolve()),
+            "versions": _versions(),
+            "command": sys.argv,
+            "episodes": dict(sorted(self.times.items())),
+        }
+        save_run(self.out, results, list(self.traces.values()), summary, run)
+        return summary
+
+
+def _versions() -> dict[str, str]:
+    from importlib import metadata
+
+    names = ("gn0", "numpy", "scipy", "numba", "pyarrow", "msgspec")
+    return {name: metadata.version(name) for name in names}

@@ -1,0 +1,396 @@
+"""Suites: scenes, episodes, and everything that must be equal for two numbers to be compared.
+
+A suite is a folder that stands on its own:
+
+    suite.json          name, version, scenes and their hashes, camera, agent, profile, map mode
+    episodes.parquet    one row an episode
+    scenes/<id>/        the scene folders (hard links where the file system allows: no extra bytes)
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from gn0.bench.metrics import SUCCESS_RADIUS
+from gn0.config import Config, load_json
+from gn0.errors import BenchError, EpisodeError, SceneError, StorageError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec, Episode
+from gn0.missions.files import check_unique, episodes_digest_bytes, load_episodes, save_episodes
+from gn0.missions.goal import MINIMUM_LENGTH, check_episode_fits, sample_goal_episodes
+from gn0.progress import Progress, no_progress
+from gn0.scenes.folder import load_scene
+from gn0.scenes.scene import Scene
+from gn0.sim.presets import find_preset
+from gn0.storage import content_hash, folder_atomic, safe_join, write_json
+
+SUITE_FILE, EPISODE_FILE, SCENE_FOLDER = "suite.json", "episodes.parquet", "scenes"
+SUITE_VERSION = 1  # layout of suite.json
+MAX_STEPS = 500
+
+Profile = Literal["default", "paper"]
+MapMode = Literal["unknown_is_occupied"]
+
+
+class SuiteScene(Config):
+    """A scene of a suite: its id, its folder inside the suite, its content hash."""
+
+    id: str
+    folder: str
+    hash: str
+
+
+class SuiteFile(Config):
+    """The content of `suite.json`.
+
+    Attributes:
+        layout: version of this file's layout.
+        name: what people call it.
+        version: version of the suite's content.
+        scenes: where the episodes take place.
+        camera: camera preset by name.
+        agent: the body that moves.
+        episodes: how many rows `episodes.parquet` has.
+        profile: "default", or "paper", where NE means the straight distance.
+        map_mode: what counts as walkable.
+        max_steps: actions until an episode is truncated.
+        success_radius: walking distance [m] below which STOP is a success.
+    """
+
+    layout: int
+    name: str
+    version: str
+    scenes: tuple[SuiteScene, ...]
+    camera: str
+    agent: AgentSpec
+    episodes: Annotated[int, msgspec.Meta(ge=1)]
+    profile: Profile = "default"
+    map_mode: MapMode = "unknown_is_occupied"
+    max_steps: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = MAX_STEPS
+    success_radius: Annotated[float, msgspec.Meta(gt=0, le=100)] = SUCCESS_RADIUS
+
+
+@dataclass(frozen=True, eq=False)
+class Suite:
+    """A suite in memory.
+
+    Attributes:
+        folder: where it lives.
+        about: its `suite.json`.
+        episodes: in order of their ids.
+    """
+
+    folder: Path
+    about: SuiteFile
+    episodes: tuple[Episode, ...]
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.about.name
+
+    @cached_property
+    def hash(self) -> str:
+        """Digest of settings, scene hashes and episodes: equal hash, comparable numbers."""
+        return content_hash(
+            msgspec.json.encode(self.about, order="deterministic"),
+            episodes_digest_bytes(self.episodes),
+        )
+
+    def scene_folder(self, scene_id: str) -> Path:
+        """Folder of a scene.
+
+        Raises:
+            BenchError: the suite has no such scene.
+            StorageError: the path climbs out of the suite.
+        """
+        for scene in self.about.scenes:
+            if scene.id == scene_id:
+                return safe_join(self.folder, scene.folder)
+        raise BenchError(
+            f"no scene {scene_id!r} in the suite", where=self.folder, remedy="rebuild the suite"
+        )
+
+    def scene_hash(self, scene_id: str) -> str:
+        """Recorded content hash of a scene."""
+        return next(s.hash for s in self.about.scenes if s.id == scene_id)
+
+
+def load_suite_scene(folder: Path, scene_id: str, expected_hash: str) -> Scene:
+    """A scene of a suite, checked to be the very one that the episodes were made for.
+
+    Raises:
+        BenchError: it is another scene, or it changed.
+        StorageError, FormatError, SceneError: it cannot be read.
+    """
+    scene = load_scene(folder)
+    if scene.id != scene_id or scene.content_hash != expected_hash:
+        raise BenchError(
+            f"scene {scene.id!r} is not the {scene_id!r} that this suite was built for",
+            where=folder,
+            remedy="restore the scene, or build the suite again",
+        )
+    return scene
+
+
+def load_suite(path: Path | str) -> Suite:
+    """Read a suite folder and check that its parts belong together.
+
+    Raises:
+        StorageError: a file is missing, or a path climbs out of the suite.
+        FormatError: a file is damaged; names the field, or the row and column.
+        BenchError: episodes of a scene or agent that the suite does not have.
+        EpisodeError: an episode that makes no sense, or a repeated id.
+        ConfigError: an unknown camera.
+    """
+    folder = Path(path)
+    about_path = folder / SUITE_FILE
+    about = load_json(about_path, SuiteFile)
+    if about.layout != SUITE_VERSION:
+        raise BenchError(
+            f"layout {about.layout}, this version reads {SUITE_VERSION}",
+            where=about_path,
+            remedy="build the suite again",
+        )
+    find_preset(about.camera)
+    ids = [scene.id for scene in about.scenes]
+    if len(set(ids)) != len(ids) or not ids:
+        raise BenchError("scenes are missing or named twice", where=about_path, remedy="rebuild it")
+    for scene in about.scenes:
+        if not (safe_join(folder, scene.folder) / "scene.json").is_file():
+            raise StorageError(
+                f"scene {scene.id!r} is missing",
+                where=folder / scene.folder,
+                remedy="copy the scene folder there, or build the suite again",
+            )
+    episodes = load_episodes(folder / EPISODE_FILE)
+    if len(episodes) != about.episodes:
+        raise BenchError(
+            f"{len(episodes)} rows, suite.json says {about.episodes}",
+            where=folder / EPISODE_FILE,
+            remedy="build the suite again",
+        )
+    for row, episode in enumerate(episodes, 1):
+        where = f"{folder / EPISODE_FILE}, row {row}, episode {episode.id!r}"
+        if episode.scene_id not in ids:
+            raise BenchError(
+                f"belongs to scene {episode.scene_id!r}, which the suite does not have",
+                where=where,
+                remedy="remove the row, or add the scene",
+            )
+        if episode.agent != about.agent:
+            raise BenchError(
+                "was planned for another agent than the suite's", where=where, remedy="rebuild it"
+            )
+    return Suite(folder, about, tuple(sorted(episodes, key=lambda e: e.id)))
+
+
+def save_suite(
+    out: Path | str,
+    scenes: Sequence[Scene],
+    episodes: Sequence[Episode],
+    *,
+    name: str,
+    version: str = "1",
+    camera: str = "gn_bench",
+    agent: AgentSpec | None = None,
+    profile: Profile = "default",
+    max_steps: int = MAX_STEPS,
+    overwrite: bool = False,
+) -> Suite:
+    """Write a suite folder of given scenes and episodes, whole or not at all.
+
+    Every episode is checked against its scene: walkable start and goal, and a way between them.
+
+    Raises:
+        EpisodeError: an episode that cannot be done, or a repeated id.
+        BenchError: two scenes of one id, or an episode of another agent.
+        StorageError: `out` exists, or cannot be written.
+    """
+    body = agent or find_preset(camera).agent
+    by_id = {scene.id: scene for scene in scenes}
+    if len(by_id) != len(scenes):
+        raise BenchError("two scenes share an id", where=out, remedy="import one under another id")
+    check_unique(episodes)
+    maps = {scene.id: NavigationMap(scene.grid, body.radius) for scene in scenes}
+    for episode in episodes:
+        if episode.scene_id not in by_id:
+            raise EpisodeError(
+                f"belongs to scene {episode.scene_id!r}, which is not given",
+                where=f"episode {episode.id!r}",
+                remedy="give the folder of that scene too",
+            )
+        if episode.agent != body:
+            raise BenchError(
+                "was planned for another agent",
+                where=f"episode {episode.id!r}",
+                remedy="sample the episodes for the suite's agent",
+            )
+        check_episode_fits(episode, episode.scene_id, maps[episode.scene_id])
+    about = SuiteFile(
+        layout=SUITE_VERSION,
+        name=name,
+        version=version,
+        scenes=tuple(
+            SuiteScene(id=s.id, folder=f"{SCENE_FOLDER}/{s.id}", hash=s.content_hash)
+            for s in sorted(scenes, key=lambda s: s.id)
+        ),
+        camera=camera,
+        agent=body,
+        profile=profile,
+        max_steps=max_steps,
+        episodes=len(episodes),
+    )
+    with folder_atomic(out, overwrite=overwrite) as folder:
+        for scene in scenes:
+            if scene.path is None:
+                raise SceneError(
+                    "the scene does not live on disk",
+                    where=f"scene {scene.id!r}",
+                    remedy="save it with save_scene first",
+                )
+            copy_folder(scene.path, safe_join(folder, f"{SCENE_FOLDER}/{scene.id}"))
+        save_episodes(folder / EPISODE_FILE, episodes, {s.id: s.grid for s in scenes})
+        write_json(folder / SUITE_FILE, msgspec.to_builtins(about))
+    return load_suite(out)
+
+
+def build_suite(
+    scene_paths: Sequence[Path | str],
+    out: Path | str,
+    count: int = 50,
+    seed: int = 0,
+    *,
+    minimum_length: float = MINIMUM_LENGTH,
+    camera: str = "gn_bench",
+    agent: AgentSpec | None = None,
+    name: str = "",
+    profile: Profile = "default",
+    max_steps: int = MAX_STEPS,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> Suite:
+    """Sample `count` goal episodes in each scene and write the suite.
+
+    Args:
+        scene_paths: scene folders.
+        out: the suite folder to write.
+        count: episodes a scene.
+        seed: root seed of the sampler.
+        minimum_length: least geodesic length from start to goal [m].
+        camera: camera preset by name.
+        agent: the body; the preset's when None.
+        name: what people call it; the folder's name by default.
+        profile: see `SuiteFile`.
+        max_steps: actions until an episode is truncated.
+        overwrite: replace an existing folder.
+        progress: progress sink.
+
+    Raises:
+        EpisodeError: a scene has too few tasks of that length.
+        StorageError: a scene is missing, or `out` exists or cannot be written.
+    """
+    body = agent or find_preset(camera).agent
+    if Path(out).exists() and any(Path(out).iterdir()) and not overwrite:
+        raise StorageError(
+            "the output folder exists and is not empty",
+            where=out,
+            remedy="choose another --out, or pass --overwrite",
+        )
+    scenes: list[Scene] = []
+    episodes: list[Episode] = []
+    for number, path in enumerate(scene_paths):
+        scene = load_scene(path)
+        scenes.append(scene)
+        episodes += sample_goal_episodes(
+            scene,
+            NavigationMap(scene.grid, body.radius),
+            count,
+            seed,
+            minimum_length=minimum_length,
+            agent=body,
+            progress=lambda _, done, total, n=number: progress(  # type: ignore[misc]
+                "episodes", n * total + done, total * len(scene_paths)
+            ),
+        )
+    return save_suite(
+        out,
+        scenes,
+        episodes,
+        name=name or Path(out).name,
+        camera=camera,
+        agent=body,
+        profile=profile,
+        max_steps=max_steps,
+        overwrite=overwrite,
+    )
+
+
+def open_suite(path: Path | str, beside: Path | str | None = None) -> Suite:
+    """A suite folder, or a scene folder as the suite of its own fifty goal episodes (seed 0).
+
+    Args:
+        path: a suite or a scene folder.
+        beside: the results folder; the sampled suite is written to `beside/suite`.
+
+    Raises:
+        StorageError: neither a suite nor a scene.
+        BenchError: a scene without `beside`, or `beside/suite` is of another scene.
+    """
+    folder = Path(path)
+    if (folder / SUITE_FILE).is_file():
+        return load_suite(folder)
+    if not (folder / "scene.json").is_file():
+        raise StorageError(
+            "neither a suite (suite.json) nor a scene (scene.json)",
+            where=folder,
+            remedy="make one with `gn0 scene import`, `gn0 scene generate` or `gn0 bench suite`",
+        )
+    if beside is None:
+        raise BenchError(
+            "a scene folder needs a place for its sampled episodes", where=folder, remedy="--out"
+        )
+    scene = load_scene(folder)
+    target = Path(beside) / "suite"
+    if not (target / SUITE_FILE).is_file():
+        return build_suite([folder], target, name=scene.id)
+    suite = load_suite(target)
+    if [s.hash for s in suite.about.scenes] != [scene.content_hash]:
+        raise BenchError(
+            f"holds the episodes of another scene than {folder}",
+            where=target,
+            remedy="choose another --out, or delete that folder",
+        )
+    return suite
+
+
+def copy_folder(source: Path, target: Path) -> None:
+    """Copy the plain files of a folder, as hard links where the file system allows.
+
+    Files of a scene are replaced, never written in place, so a link is as good as a copy.
+
+    Raises:
+        StorageError: a link or special file is in the way.
+        OSError: the system refuses.
+    """
+    target.mkdir(parents=True)
+    for entry in sorted(source.iterdir()):
+        if entry.is_symlink() or not (entry.is_file() or entry.is_dir()):
+            raise StorageError(
+                "a link or special file in a scene folder", where=entry, remedy="remove it"
+            )
+        if entry.is_dir():
+            copy_folder(entry, target / entry.name)
+            continue
+        try:
+            os.link(entry, target / entry.name)
+        except OSError:
+            shutil.copyfile(entry, target / entry.name)

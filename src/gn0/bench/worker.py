@@ -1,0 +1,198 @@
+"""A worker process: builds one policy, loads one scene at a time, runs the episodes it is leased.
+
+Started by the runner as `python -m gn0.bench.worker`. Messages come on stdin and leave on the
+original stdout; whatever a policy prints goes to stderr. When stdin ends the parent is gone and the
+worker ends too, in the middle of an episode if need be.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+import traceback
+from importlib import import_module
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import msgspec
+
+from gn0.bench.messages import Begun, Broke, Done, Lease, Open, Ready, Refused, ToWorker
+from gn0.bench.metrics import compute_metrics
+from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard
+from gn0.bench.suite import load_suite_scene
+from gn0.errors import EpisodeError, Gn0Error
+from gn0.plugins import get_plugin
+from gn0.sim.open import open_simulator
+from gn0.sim.policy import Policy, PolicyPrivileged
+from gn0.sim.simulator import Simulator, run_episode
+
+if TYPE_CHECKING:
+    from gn0.missions.episode import Episode
+    from gn0.sim.state import Trajectory
+
+
+class EpisodeWorker:
+    """Runs episodes of one policy; a scene is loaded once and kept until another is needed."""
+
+    def __init__(self, settings: Open) -> None:
+        self.settings = settings
+        for module in settings.plugin_modules:
+            import_module(module)
+        self.policy: Policy = get_plugin("policy", settings.policy)(**settings.options)
+        self._simulator: Simulator | None = None
+        self._hash = ""
+
+    @property
+    def card(self) -> PolicyCard:
+        """What the policy says about itself."""
+        return PolicyCard(
+            name=str(self.policy.name),
+            sensors=tuple(sorted(self.policy.sensors)),
+            privileged=isinstance(self.policy, PolicyPrivileged),
+        )
+
+    def open_scene(self, folder: Path, scene_id: str, expected_hash: str) -> Simulator:
+        """The simulator of a scene, loaded on the first call for it.
+
+        Raises:
+            BenchError: it is not the scene of that hash.
+            Gn0Error: it cannot be read or rendered.
+        """
+        if self._simulator is None or self._hash != expected_hash:
+            self._simulator = None  # let go of the old scene before loading the next
+            scene = load_suite_scene(folder, scene_id, expected_hash)
+            s = self.settings
+            self._simulator = open_simulator(
+                scene,
+                s.camera,
+                backend=s.backend,
+                sensors=frozenset(self.policy.sensors),
+                agent=s.agent,
+                max_steps=s.max_steps,
+            )
+            self._hash = expected_hash
+        return self._simulator
+
+    def run(self, simulator: Simulator, episode: Episode) -> tuple[EpisodeResult, EpisodeTrace]:
+        """Run and score one episode.
+
+        An episode that has no finite score is invalid and says why; other errors go up.
+        """
+        try:
+            trajectory = run_episode(simulator, self.policy, episode)
+        except EpisodeError as error:
+            return _invalid(episode, error), EpisodeTrace(episode=episode.id)
+        return score(trajectory, episode, simulator, self.settings.success_radius)
+
+
+def score(
+    trajectory: Trajectory, episode: Episode, simulator: Simulator, success_radius: float
+) -> tuple[EpisodeResult, EpisodeTrace]:
+    """Result and trace of a finished trajectory."""
+    field = simulator.navigation.geodesic(episode.goal)
+    try:
+        metrics = compute_metrics(
+            trajectory, episode, field.distance, success_radius=success_radius
+        )
+    except EpisodeError as error:
+        return _invalid(episode, error), EpisodeTrace(episode=episode.id)
+    result = EpisodeResult(
+        episode=episode.id,
+        scene=episode.scene_id,
+        status="valid",
+        stopped=trajectory.stopped,
+        metrics=metrics,
+    )
+    return result, EpisodeTrace.of(episode.id, trajectory)
+
+
+def _invalid(episode: Episode, error: EpisodeError) -> EpisodeResult:
+    return EpisodeResult(
+        episode=episode.id, scene=episode.scene_id, status="invalid", reason=error.what
+    )
+
+
+def describe_error(error: BaseException) -> str:
+    """Type and text of an exception on one line."""
+    lines = str(error).splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
+def _die_with_parent() -> None:
+    """Linux: be killed when the parent dies, even inside code that never lets go of the GIL."""
+    if sys.platform.startswith("linux"):
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL)  # 1 = PR_SET_PDEATHSIG
+
+
+def _listen(stream: IO[bytes], inbox: queue.SimpleQueue[bytes]) -> None:
+    for line in stream:
+        inbox.put(line)
+    os._exit(0)  # the parent is gone: nothing we could still say would be heard
+
+
+def main() -> int:
+    """Serve leases until the parent closes stdin."""
+    _die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when we end
+    if hasattr(signal, "SIGUSR1"):
+        faulthandler.register(signal.SIGUSR1, all_threads=True)
+    faulthandler.enable()
+    channel = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a policy prints must not look like a message
+    sys.stdout = sys.stderr
+    inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    source = os.fdopen(os.dup(0), "rb")
+    threading.Thread(target=_listen, args=(source, inbox), daemon=True).start()
+
+    def send(message: Any) -> None:
+        channel.write(msgspec.json.encode(message) + b"\n")
+        channel.flush()
+
+    decoder = msgspec.json.Decoder(ToWorker)
+    worker: EpisodeWorker | None = None
+    while True:
+        message = decoder.decode(inbox.get())
+        if isinstance(message, Open):
+            try:
+                worker = EpisodeWorker(message)
+                send(Ready(card=worker.card))
+            except Exception as error:
+                send(Refused(what=describe_error(error), traceback=traceback.format_exc()))
+                return 1
+        elif isinstance(message, Lease):
+            assert worker is not None
+            _serve(worker, message, send)
+
+
+def _serve(worker: EpisodeWorker, lease: Lease, send: Any) -> None:
+    episode = lease.episode
+    try:
+        simulator = worker.open_scene(Path(lease.folder), episode.scene_id, lease.hash)
+    except Exception as error:
+        fatal = isinstance(error, Gn0Error)
+        text = str(error) if fatal else describe_error(error)
+        trace = traceback.format_exc()
+        send(Broke(episode=episode.id, what=text, traceback=trace, fatal=fatal))
+        return
+    send(Begun(episode=episode.id))
+    begin = time.perf_counter()
+    try:
+        result, trace_ = worker.run(simulator, episode)
+    except Exception as error:
+        trace = traceback.format_exc()
+        send(Broke(episode=episode.id, what=describe_error(error), traceback=trace))
+        return
+    steps = result.metrics.steps if result.metrics else 0
+    send(Done(result=result, trace=trace_, seconds=time.perf_counter() - begin, steps=steps))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -26,6 +26,9 @@ _EXPORTS = {
     "Episode": "gn0.missions.episode",
     "Observation": "gn0.sim.state",
     "Simulator": "gn0.sim.simulator",
+    "open_simulator": "gn0.sim.open",
+    "run_episode": "gn0.sim.simulator",
+    "register_envs": "gn0.sim.env",
 }
 
 __all__ = ["__version__", *_EXPORTS]

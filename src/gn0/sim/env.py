@@ -1,0 +1,283 @@
+"""Gymnasium environments: `gymnasium.make("gn0.sim.env:gn0/GoalNav-v1")`.
+
+Importing this module, or `gn0.register_envs()`, registers the ids:
+
+* `gn0/GoalNav-v1`: instruction, colour and depth, as VLN agents have them;
+* `gn0/MapNav-v1`: colour, history mosaic, BEV and occupancy picture, as map-based agents have them;
+* `gn0/PointNav-v1`: goal vector and range ring, no pictures: tens of thousands of steps a second.
+
+An id's version is raised whenever its numbers change.
+
+Reward of a step, all distances geodesic [m]:
+    (distance before − distance after) − 0.01 + 2.5 · [STOP and distance after < success_distance]
+so a run without detour collects about its length and the bonus. The environment ends on STOP
+(terminated) or after `max_steps` (truncated); it never acts for the agent.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from gn0.errors import ConfigError, EpisodeError
+from gn0.geometry import U8, Pose2D
+from gn0.missions.episode import AgentSpec, Episode
+from gn0.scenes.scene import Scene
+from gn0.sim.history import COLUMNS, ROWS, TILE_HEIGHT, TILE_WIDTH
+from gn0.sim.open import open_simulator
+from gn0.sim.presets import CameraPreset, find_preset
+from gn0.sim.sensors import SensorConfig, check_sensors
+from gn0.sim.simulator import Simulator
+from gn0.sim.state import Observation
+from gn0.sim.tasks import TaskSet, load_tasks
+
+STEP_COST = 0.01
+SUCCESS_REWARD = 2.5
+VECTOR_LIMIT = 1000.0  # m, bound of the goal vector
+TEXT_LIMIT = 1024  # characters, unless an instruction is longer
+SIMULATORS_KEPT = 4  # scenes held ready at a time
+_PRINTABLE = frozenset(chr(c) for c in range(32, 127))
+
+
+class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
+    """Goal navigation in splat scenes.
+
+    Observations are a dict of the chosen sensors plus `instruction` and `collided`. `info` holds
+    what a robot cannot know (pose, distance to goal, success): for logs, never for the agent.
+
+    Args:
+        scene: a Scene or a scene folder; the built-in two-room flat when absent.
+        suite: a suite folder, instead of a scene.
+        episodes: episodes or a Parquet file of them; sampled when absent.
+        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector.
+        preset: camera preset by name.
+        backend: renderer backend.
+        agent: the body, instead of the preset's.
+        max_steps: actions until truncation.
+        success_distance: geodesic distance [m] below which STOP succeeds.
+        render_mode: "rgb_array" gives the colour picture from `render()`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 2}
+
+    def __init__(
+        self,
+        scene: Scene | Path | str | None = None,
+        suite: Path | str | None = None,
+        episodes: Sequence[Episode] | Path | str | None = None,
+        *,
+        sensors: Iterable[str] = ("rgb", "depth"),
+        preset: str | None = None,
+        backend: str = "auto",
+        agent: AgentSpec | None = None,
+        max_steps: int | None = None,
+        success_distance: float = 3.0,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
+        self.render_mode = render_mode
+        self.sensors = check_sensors(sensors)
+        self.success_distance = success_distance
+        self._backend = backend
+        self.tasks = load_tasks(
+            scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
+        )
+        self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
+        self._simulators: OrderedDict[str, Simulator] = OrderedDict()
+        self._simulator: Simulator | None = None
+        self._picture: U8 | None = None
+        self._distance = 0.0
+        self.action_space = spaces.Discrete(4)
+        self._map_shape = _largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
+        self.observation_space = spaces.Dict(
+            build_spaces(self.sensors, find_preset(self.tasks.preset), self._map_shape)
+            | {"instruction": text_space(self.tasks.episodes), "collided": spaces.Discrete(2)}
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode drawn by the environment's own generator.
+
+        `options={"episode": id or index or Episode}` chooses one.
+
+        Raises:
+            EpisodeError: no such episode, or it does not fit its scene.
+        """
+        super().reset(seed=seed)
+        episode = self._choose((options or {}).get("episode"))
+        self._simulator = self._open(episode.scene_id)
+        observation = self._simulator.reset(episode)
+        self._distance = self._measure(self._simulator.pose)
+        return self._pack(observation), self._info(False)
+
+    def step(self, action: int) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Take one of STOP 0, FORWARD 1, LEFT 2, RIGHT 3.
+
+        Raises:
+            SimError: before reset, after the end, or no such action.
+        """
+        simulator = self._simulator
+        if simulator is None:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        before = self._distance
+        result = simulator.step(int(action))
+        self._distance = self._measure(simulator.pose)
+        success = result.terminated and self._distance < self.success_distance
+        reward = before - self._distance - STEP_COST + (SUCCESS_REWARD if success else 0.0)
+        return (
+            self._pack(result.observation),
+            float(reward),
+            result.terminated,
+            result.truncated,
+            self._info(success),
+        )
+
+    def render(self) -> U8 | None:  # type: ignore[override]
+        """The latest colour picture [H, W, 3] with render_mode "rgb_array"; else None."""
+        if self.render_mode is None or self._picture is None:
+            return None
+        return self._picture.copy()
+
+    def close(self) -> None:
+        """Let go of scenes and renderers."""
+        self._simulators.clear()
+        self._simulator = None
+        self._picture = None
+
+    @property
+    def simulator(self) -> Simulator:
+        """The simulator of the episode in progress: a privileged door for experts.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        if self._simulator is None:
+            raise EpisodeError("no episode yet", remedy="call reset() first")
+        return self._simulator
+
+    def _choose(self, wanted: Any) -> Episode:
+        episodes = self.tasks.episodes
+        if wanted is None:
+            return episodes[int(self.np_random.integers(len(episodes)))]
+        if isinstance(wanted, Episode):
+            return wanted
+        if isinstance(wanted, int) and 0 <= wanted < len(episodes):
+            return episodes[wanted]
+        for episode in episodes:
+            if episode.id == wanted:
+                return episode
+        raise EpisodeError(
+            f"no episode {wanted!r}", remedy=f"give an id, an Episode or 0..{len(episodes) - 1}"
+        )
+
+    def _open(self, scene_id: str) -> Simulator:
+        if scene_id not in self._simulators:
+            if scene_id not in self.tasks.scenes:
+                raise EpisodeError(f"scene {scene_id!r} is not here", remedy="open it with scene=")
+            self._simulators[scene_id] = open_simulator(
+                self.tasks.scenes[scene_id](),
+                self.tasks.preset,
+                self._backend,
+                self._drawn,
+                self.tasks.agent,
+                self.tasks.max_steps,
+            )
+        self._simulators.move_to_end(scene_id)
+        while len(self._simulators) > SIMULATORS_KEPT:
+            self._simulators.popitem(last=False)
+        return self._simulators[scene_id]
+
+    def _measure(self, pose: Pose2D) -> float:
+        assert self._simulator is not None
+        field = self._simulator.navigation.geodesic(self._simulator.episode.goal)
+        return field.distance_at(pose.x, pose.y)
+
+    def _info(self, success: bool) -> dict[str, Any]:
+        simulator = self.simulator
+        return {
+            "episode_id": simulator.episode.id,
+            "scene_id": simulator.scene.id,
+            "pose": np.array(simulator.pose, np.float64),
+            "distance_to_goal": self._distance,
+            "success": success,
+        }
+
+    def _pack(self, observation: Observation) -> dict[str, Any]:
+        """The observation as a dict of fresh, writable arrays."""
+        self._picture = observation.rgb
+        packed: dict[str, Any] = {
+            "instruction": observation.instruction,
+            "collided": int(observation.collided),
+        }
+        for name in self.sensors:
+            value = getattr(observation, name)
+            if name == "goal_vector":
+                value = np.clip(np.array(value, np.float32), -VECTOR_LIMIT, VECTOR_LIMIT)
+            elif name in ("bev", "occupancy") and self._map_shape is not None:
+                height, width = self._map_shape
+                value = np.pad(
+                    value, ((0, height - value.shape[0]), (0, width - value.shape[1]), (0, 0))
+                )
+            else:
+                value = np.array(value)
+            packed[name] = value
+        return {key: packed[key] for key in self.observation_space}  # type: ignore[attr-defined]
+
+
+def build_spaces(
+    sensors: Iterable[str], preset: CameraPreset, map_shape: tuple[int, int] | None
+) -> dict[str, spaces.Space[Any]]:
+    """The observation space of each sensor; maps of several scenes share the largest size."""
+    config = SensorConfig(active=frozenset(sensors), preset=preset)
+    width, height = preset.picture_size
+    low, high = preset.depth_range
+    rows, cols = map_shape or (1, 1)
+    known: dict[str, spaces.Space[Any]] = {
+        "rgb": spaces.Box(0, 255, (height, width, 3), np.uint8),
+        "depth": spaces.Box(low, high, (preset.depth.height, preset.depth.width), np.float32),
+        "history": spaces.Box(0, 255, (ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3), np.uint8),
+        "bev": spaces.Box(0, 255, (rows, cols, 3), np.uint8),
+        "occupancy": spaces.Box(0, 255, (rows, cols, 3), np.uint8),
+        "ranges": spaces.Box(0.0, config.range_limit, (config.range_rays,), np.float32),
+        "goal_vector": spaces.Box(-VECTOR_LIMIT, VECTOR_LIMIT, (2,), np.float32),
+    }
+    return {name: known[name] for name in sorted(sensors)}
+
+
+def text_space(episodes: Sequence[Episode]) -> spaces.Text:
+    """A space that holds every instruction: printable ASCII and whatever else they use."""
+    texts = [episode.instruction for episode in episodes]
+    return spaces.Text(
+        max_length=max(TEXT_LIMIT, *map(len, texts)),
+        charset=_PRINTABLE.union(*map(set, texts)),
+    )
+
+
+def _largest_map(tasks: TaskSet) -> tuple[int, int]:
+    shapes = [make().grid.shape for make in tasks.scenes.values()]
+    return max(h for h, _ in shapes), max(w for _, w in shapes)
+
+
+ENVIRONMENTS: dict[str, dict[str, Any]] = {
+    "gn0/GoalNav-v1": {"sensors": ("rgb", "depth")},
+    "gn0/MapNav-v1": {"sensors": ("rgb", "history", "bev", "occupancy")},
+    "gn0/PointNav-v1": {"sensors": ("goal_vector", "ranges")},
+}
+
+
+def register_envs() -> None:
+    """Register GN0's environments with Gymnasium; may be called again."""
+    for name, settings in ENVIRONMENTS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(id=name, entry_point="gn0.sim.env:GoalNavEnv", kwargs=settings)
+
+
+register_envs()

@@ -1,0 +1,132 @@
+"""What an environment plays: scenes and episodes, from values, a scene folder or a suite folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from gn0.config import decode_json
+from gn0.errors import ConfigError, EpisodeError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec, Episode
+from gn0.missions.files import load_episodes
+from gn0.missions.goal import sample_goal_episodes
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import load_scene
+from gn0.scenes.scene import Scene
+from gn0.sim.presets import find_preset
+from gn0.storage import read_bytes, safe_join
+
+SUITE_LIMIT = 2**26  # bytes of suite.json
+EXAMPLE_EPISODES = 12
+
+
+class _SuiteScene(msgspec.Struct, frozen=True):
+    id: str
+    folder: str
+
+
+class _SuiteView(msgspec.Struct, frozen=True):
+    """The part of `suite.json` that an environment needs; `gn0.bench.suite` owns the file."""
+
+    scenes: tuple[_SuiteScene, ...]
+    camera: str
+    agent: AgentSpec
+    max_steps: int = 500
+
+
+@dataclass(frozen=True, eq=False)
+class TaskSet:
+    """Episodes, and the scenes they belong to.
+
+    Attributes:
+        scenes: scene id → how to get the scene.
+        episodes: in a fixed order; never empty.
+        preset: camera preset by name.
+        agent: the body.
+        max_steps: actions until truncation.
+    """
+
+    scenes: dict[str, Callable[[], Scene]]
+    episodes: tuple[Episode, ...]
+    preset: str
+    agent: AgentSpec
+    max_steps: int
+
+    def __post_init__(self) -> None:
+        if not self.episodes:
+            raise EpisodeError("no episodes to play", remedy="give at least one")
+        for episode in self.episodes:
+            if episode.scene_id not in self.scenes:
+                raise EpisodeError(
+                    f"scene {episode.scene_id!r} is not among {sorted(self.scenes)}",
+                    where=f"episode {episode.id!r}",
+                    remedy="give the episodes of these scenes",
+                )
+
+
+def load_tasks(
+    scene: Scene | Path | str | None = None,
+    suite: Path | str | None = None,
+    episodes: Sequence[Episode] | Path | str | None = None,
+    *,
+    preset: str | None = None,
+    agent: AgentSpec | None = None,
+    max_steps: int | None = None,
+    count: int | None = None,
+    seed: int = 0,
+) -> TaskSet:
+    """Scenes and episodes to play.
+
+    Args:
+        scene: a Scene or the path of a scene folder; the built-in flat when neither this nor
+            `suite` is given.
+        suite: a suite folder, instead of a scene.
+        episodes: episodes, or a Parquet file of them; sampled from the scene when absent.
+        preset: camera preset; the suite's, else gn_bench.
+        agent: the body; the suite's, else the preset's.
+        max_steps: actions until truncation; the suite's, else 500.
+        count: how many episodes to sample (50, or 12 in the built-in flat).
+        seed: seed of the sampling.
+
+    Raises:
+        ConfigError: scene and suite both given, or an unknown preset.
+        StorageError, FormatError: a file is missing or broken.
+        EpisodeError: no episode, or one of a scene that is not here.
+    """
+    given = load_episodes(episodes) if isinstance(episodes, str | Path) else episodes
+    if suite is not None:
+        if scene is not None:
+            raise ConfigError("both scene and suite are given", remedy="give one of them")
+        folder = Path(suite)
+        file = folder / "suite.json"
+        view = decode_json(read_bytes(file, SUITE_LIMIT), _SuiteView, file=file)
+        paths = {entry.id: safe_join(folder, entry.folder) for entry in view.scenes}
+        chosen = preset or view.camera
+        return TaskSet(
+            scenes={name: partial(load_scene, path) for name, path in paths.items()},
+            episodes=tuple(given or load_episodes(folder / "episodes.parquet")),
+            preset=chosen,
+            agent=agent or (find_preset(chosen).agent if preset else view.agent),
+            max_steps=max_steps or view.max_steps,
+        )
+    if scene is None:
+        place, default_count = build_example_scene(), EXAMPLE_EPISODES
+    else:
+        place, default_count = scene if isinstance(scene, Scene) else load_scene(Path(scene)), 50
+    chosen = preset or "gn_bench"
+    body = agent or find_preset(chosen).agent
+    if given is None:
+        navigation = NavigationMap(place.grid, body.radius)
+        given = sample_goal_episodes(place, navigation, count or default_count, seed, agent=body)
+    return TaskSet(
+        scenes={place.id: lambda: place},
+        episodes=tuple(given),
+        preset=chosen,
+        agent=body,
+        max_steps=max_steps or 500,
+    )

@@ -30,8 +30,9 @@ from gn0.config import Config, load_json
 from gn0.errors import FormatError, SceneError, StorageError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.files import load_cloud
+from gn0.gaussians.morton import morton_order
 from gn0.gaussians.ply import save_ply
-from gn0.gaussians.ply_packed import morton_order, save_ply_packed
+from gn0.gaussians.ply_packed import save_ply_packed
 from gn0.geometry import F64
 from gn0.maps.interiorgs import load_occupancy, save_occupancy
 from gn0.progress import Progress, no_progress
@@ -98,22 +99,22 @@ def save_scene(
     check_scene_id(scene.id)
     _check_references(scene.objects, scene.rooms, "scene")
     cloud = scene.gaussians
-    progress("ordering splats", 0, 4)
-    cloud = cloud.select(morton_order(cloud.means))
     with folder_atomic(out, overwrite=overwrite) as folder:
         progress("writing splats", 1, 4)
         name = CLOUD_FILES[cloud_form]
-        (save_ply if cloud_form == "exact" else save_ply_packed)(cloud, folder / name)
+        if cloud_form == "exact":
+            cloud = cloud.select(morton_order(cloud.means))
+            save_ply(cloud, folder / name)
+        else:
+            cloud = cloud.select(save_ply_packed(cloud, folder / name))
         written = load_cloud(folder / name).cloud
-        if len(written) != len(cloud):
-            raise SceneError(
-                f"{len(cloud) - len(written)} splats are not finite and cannot be written",
-                remedy="drop them first",
-            )
         progress("writing maps and labels", 2, 4)
         if any(getattr(cloud, key) is not None for key in _AUX):
             write_bytes(folder / AUX_FILE, _encode_aux(cloud))
-        save_occupancy(scene.grid, folder, {"generator": scene.source.kind})
+        band = tuple(
+            float(scene.source.settings.get(f"height_band_{end}") or 0.0) for end in ("low", "high")
+        )
+        save_occupancy(scene.grid, folder, {"generator": scene.source.kind}, z=(band[0], band[1]))
         write_json(folder / LABEL_FILE, encode_labels(scene.objects))
         write_json(
             folder / STRUCTURE_FILE,

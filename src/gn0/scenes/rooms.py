@@ -113,6 +113,19 @@ def assign_rooms(
     return tuple(out)
 
 
+def room_at(rooms: tuple[SceneRoom, ...], x: float, y: float) -> str | None:
+    """The id of the first room whose polygon holds a point [m] (even–odd rule), or None."""
+    for room in rooms:
+        p = np.asarray(room.polygon, np.float64)
+        q = np.roll(p, -1, axis=0)
+        spans = (p[:, 1] > y) != (q[:, 1] > y)
+        rise = np.where(spans, q[:, 1] - p[:, 1], 1.0)
+        crossing = p[:, 0] + (y - p[:, 1]) / rise * (q[:, 0] - p[:, 0])
+        if np.count_nonzero(spans & (x < crossing)) % 2:
+            return room.id
+    return None
+
+
 def guess_room_type(categories: list[str]) -> str:
     """The room type that its furniture speaks for; "room" when nothing does."""
     scores = {

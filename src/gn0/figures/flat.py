@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
+from gn0.gaussians.morton import morton_order
 from gn0.geometry import F64, quaternion_from_rotation, view_from_above, view_from_pose
 from gn0.render.camera import Camera
-from gn0.render.cpu_pack import morton_codes
 from gn0.seeds import random_stream
 
 SIZE_X, SIZE_Y, HEIGHT = 13.0, 11.5, 2.8  # m
@@ -135,7 +135,7 @@ def build_flat(count: int, *, sh_degree: int = 0, seed: int = 0) -> GaussianClou
         opacities=opacity.astype(np.float32),
         sh=sh,
     )
-    return cloud.select(np.argsort(morton_codes(cloud.means), kind="stable"))
+    return cloud.select(morton_order(cloud.means))
 
 
 def flat_views(count: int, seed: int = 7) -> F64:

@@ -7,6 +7,7 @@ static ones at equal depth. Nothing is reduced across threads, so the thread cou
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -33,10 +34,10 @@ from gn0.render.cpu_order import (
 )
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud
 from gn0.render.cpu_raster import TILE, raster_tiles
-from gn0.render.renderer import Output, RenderOptions, RenderResult
+from gn0.render.renderer import Output, RenderOptions, RenderResult, check_views
 
 OUTPUTS = ("rgb", "depth", "alpha")
-_RIGID = 1e-4  # how far a view's rotation may be from orthonormal
+STAGES = ("project", "sort", "bin", "raster")
 
 
 class RendererCpu:
@@ -55,6 +56,7 @@ class RendererCpu:
         with _threads(self.options.threads):
             self._cloud = pack_cloud(cloud)
         self._buffers = _Buffers()
+        self.stage_seconds = dict.fromkeys(STAGES, 0.0)  # spent so far, for figures
 
     def render(
         self,
@@ -100,6 +102,7 @@ class RendererCpu:
                 parts.append((pack_cloud(extra, sort=False), self._size))
             for v, matrix in enumerate(matrices):
                 lists = self._arrange(camera, matrix, parts)
+                start = time.perf_counter()
                 raster_tiles(
                     *lists,
                     -(-camera.width // TILE),
@@ -112,6 +115,7 @@ class RendererCpu:
                     no_map if depth is None else depth[v],
                     no_map if alpha is None else alpha[v],
                 )
+                self.stage_seconds["raster"] += time.perf_counter() - start
         return RenderResult(rgb, depth, alpha)
 
     def _arrange(
@@ -122,6 +126,7 @@ class RendererCpu:
         ortho = camera.model == "ortho"
         buffers = self._buffers
         chosen = []
+        marks = [time.perf_counter()]
         for cloud, _ in parts:
             seen = np.empty(cloud.chunks, np.uint8)
             project.cull_chunks(cloud.boxes, view, ortho, seen)
@@ -137,15 +142,20 @@ class RendererCpu:
                 counts[done : done + len(chunks)],
             )
             done += len(chunks)
+        marks.append(time.perf_counter())
         n = int(counts.sum())
         starts = np.zeros(len(counts), np.int32)
         np.cumsum(counts[:-1], out=starts[1:])
         rows = self._sort(starts, counts, n, ordered=all(cloud.ordered for cloud, _ in parts))
+        marks.append(time.perf_counter())
         tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
         histogram, tile_starts = buffers.need_tiles(tiles_x * tiles_y)
         entries = count_tiles(rows, n, buffers.rects, tiles_x, histogram)
         items = buffers.need_items(int(entries))
         fill_tiles(rows, n, buffers.rects, tiles_x, histogram, tile_starts, items)
+        marks.append(time.perf_counter())
+        for stage, start, end in zip(STAGES, marks, marks[1:], strict=False):
+            self.stage_seconds[stage] += end - start
         return buffers.records, tile_starts, items
 
     def _sort(
@@ -238,35 +248,6 @@ def _threads(count: int) -> Iterator[None]:
         yield
     finally:
         numba.set_num_threads(before)
-
-
-def check_views(views: NDArray[np.floating]) -> F64:
-    """Views as float64 [V, 4, 4].
-
-    Raises:
-        RenderError: wrong shape, not finite, or not a rigid transform.
-    """
-    matrices = np.asarray(views, np.float64)
-    if matrices.ndim == 2:
-        matrices = matrices[None]
-    if matrices.ndim != 3 or matrices.shape[1:] != (4, 4):
-        raise RenderError(
-            f"views have shape {matrices.shape}, expected [V, 4, 4]", remedy="world-to-camera"
-        )
-    finite = np.isfinite(matrices).all(axis=(1, 2))
-    if not finite.all():
-        raise RenderError("a view is not finite", where=f"view {int(np.argmin(finite))}")
-    rotation = matrices[:, :3, :3]
-    off = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    bottom = np.abs(matrices[:, 3] - (0, 0, 0, 1)).max(axis=1)
-    rigid = (off < _RIGID) & (bottom < _RIGID) & (np.linalg.det(rotation) > 0)
-    if not rigid.all():
-        raise RenderError(
-            "a view is not a rigid transform",
-            where=f"view {int(np.argmin(rigid))}",
-            remedy="give a rotation and a translation, world to camera",
-        )
-    return matrices
 
 
 def view_parameters(camera: Camera, matrix: F64) -> F32:

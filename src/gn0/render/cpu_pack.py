@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import RenderError
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32
 from gn0.jit import njit, prange
 from gn0.render.renderer import ALPHA_MIN
@@ -51,26 +52,6 @@ class PackedCloud:
         return len(self.boxes)
 
 
-def morton_codes(means: F32) -> NDArray[np.uint64]:
-    """63-bit Morton codes [N] of points [N, 3], over their own bounds."""
-    low = means.min(axis=0).astype(np.float64)
-    size = max(float((means.max(axis=0) - low).max()), 1e-9)
-    cells = ((means - low) * ((2**21 - 1) / size)).astype(np.uint64)
-    code = np.zeros(len(means), np.uint64)
-    for axis in range(3):
-        x = cells[:, axis]
-        for shift, mask in (
-            (32, 0x1F00000000FFFF),
-            (16, 0x1F0000FF0000FF),
-            (8, 0x100F00F00F00F00F),
-            (4, 0x10C30C30C30C30C3),
-            (2, 0x1249249249249249),
-        ):
-            x = (x | (x << np.uint64(shift))) & np.uint64(mask)
-        code |= x << np.uint64(axis)
-    return code
-
-
 def pack_cloud(cloud: GaussianCloud, *, sort: bool = True) -> PackedCloud:
     """Pack a cloud for the CPU renderer.
 
@@ -84,7 +65,7 @@ def pack_cloud(cloud: GaussianCloud, *, sort: bool = True) -> PackedCloud:
     index = np.flatnonzero(cloud.opacities >= np.float32(ALPHA_MIN)).astype(np.int32)
     ordered = True
     if sort and len(index):
-        by_code = np.argsort(morton_codes(cloud.means[index]), kind="stable")
+        by_code = morton_order(cloud.means[index])
         ordered = bool((np.diff(by_code) > 0).all())
         index = np.ascontiguousarray(index[by_code])
     count = -(-len(index) // CHUNK)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.config import Config
+from gn0.errors import RenderError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.geometry import F32
+from gn0.geometry import F32, F64
 from gn0.plugins import get_plugin
 from gn0.render.camera import Camera
 
@@ -19,6 +20,8 @@ ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_STOP = 1e-4
 DILATION = 0.3  # px², added to both diagonal terms of the 2D covariance ("eps2d")
 EXTENT_MAX = 3.33  # standard deviations
+
+VIEW_TOLERANCE = 1e-4  # how far a view's rotation may be from orthonormal
 
 Output = Literal["rgb", "depth", "alpha"]
 
@@ -77,6 +80,35 @@ class Renderer(Protocol):
             RenderError: a view is not finite or not a rigid transform.
         """
         ...
+
+
+def check_views(views: NDArray[np.floating]) -> F64:
+    """Views as float64 [V, 4, 4].
+
+    Raises:
+        RenderError: wrong shape, not finite, or not a rigid transform.
+    """
+    matrices = np.asarray(views, np.float64)
+    if matrices.ndim == 2:
+        matrices = matrices[None]
+    if matrices.ndim != 3 or matrices.shape[1:] != (4, 4):
+        raise RenderError(
+            f"views have shape {matrices.shape}, expected [V, 4, 4]", remedy="world-to-camera"
+        )
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    if not finite.all():
+        raise RenderError("a view is not finite", where=f"view {int(np.argmin(finite))}")
+    rotation = matrices[:, :3, :3]
+    off = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    bottom = np.abs(matrices[:, 3] - (0, 0, 0, 1)).max(axis=1)
+    rigid = (off < VIEW_TOLERANCE) & (bottom < VIEW_TOLERANCE) & (np.linalg.det(rotation) > 0)
+    if not rigid.all():
+        raise RenderError(
+            "a view is not a rigid transform",
+            where=f"view {int(np.argmin(rigid))}",
+            remedy="give a rotation and a translation, world to camera",
+        )
+    return matrices
 
 
 def choose_backend(backend: str = "auto") -> tuple[str, str]:

@@ -26,6 +26,7 @@ from gn0.render.renderer import (
     Output,
     RenderOptions,
     RenderResult,
+    check_views,
 )
 
 
@@ -51,7 +52,7 @@ class RendererReference:
         cloud = self.cloud if extra is None else join_clouds([self.cloud, extra])
         behind = np.array(self.options.background if background is None else background, float)
         pictures = []
-        for view in np.asarray(views, np.float64).reshape(-1, 4, 4):
+        for view in check_views(views):
             splats = project_splats(cloud, camera, view, antialiased=self.options.antialiased)
             pictures.append(_blend(*splats, camera.width, camera.height, behind))
         stacked = np.stack(pictures)

@@ -51,3 +51,13 @@ def decode_srgb(display: NDArray[np.floating]) -> F32:
     x = np.clip(np.asarray(display, np.float32), 0.0, 1.0)
     high = np.power((x + np.float32(0.055)) / np.float32(1.055), np.float32(2.4))
     return np.where(x <= 0.04045, x / np.float32(12.92), high).astype(np.float32)
+
+
+class Surface(Protocol):
+    """What a mesh's surface does with light, before any light: reflect and glow."""
+
+    def reflect(
+        self, face: NDArray[np.integer], bary: NDArray[np.floating]
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Linear albedo [M, 3] and emitted radiance [M, 3] at face [M], bary [M, 3]."""
+        ...

@@ -1,0 +1,227 @@
+"""Charts cut into tiles, tiles into cells, and the part of each cell that the surface fills."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F32, F64
+from gn0.jit import njit, prange
+from gn0.scenes.charts import Charts
+from gn0.scenes.mesh import SceneMesh
+
+PICKS = 4  # points of each cell that are shaded
+_FINE = 4  # subsamples across a cell
+_TILE = 0.75  # largest tile of a chart [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Tiles:
+    """Rectangles of charts with a brick grid of cells each."""
+
+    chart: NDArray[np.int64]  # [T]
+    lower: F64  # [T, 2] m
+    size: F64  # [T, 2] m
+    cells: NDArray[np.int64]  # [T, 2] cells along u and v
+    brick: bool = True  # odd rows are shifted by half a cell
+
+
+def _cut(charts: Charts) -> tuple[NDArray[np.int64], F64, F64, F64]:
+    """Tiles of all charts: chart [T], lower corner and size [T, 2] m, and covered share [T]."""
+    extent = np.maximum(charts.upper - charts.lower, 1e-4)
+    splits = np.maximum(1, np.ceil(extent / _TILE)).astype(np.int64)
+    per_chart = splits[:, 0] * splits[:, 1]
+    chart = np.repeat(np.arange(len(charts)), per_chart)
+    local = np.arange(len(chart)) - np.repeat(np.cumsum(per_chart) - per_chart, per_chart)
+    column, row = local % splits[chart, 0], local // splits[chart, 0]
+    size = extent[chart] / splits[chart]
+    lower = charts.lower[chart] + np.stack([column, row], 1) * size
+    cover = np.minimum(1.0, charts.area / (extent[:, 0] * extent[:, 1]))[chart]
+    return chart, lower, size, cover
+
+
+def plan_tiles_at(charts: Charts, spacing: float, *, brick: bool = True) -> Tiles:
+    """Tiles with cells of one spacing [m] everywhere."""
+    chart, lower, size, _ = _cut(charts)
+    cells = np.maximum(1, np.round(size / spacing)).astype(np.int64)
+    return Tiles(chart=chart, lower=lower, size=size, cells=cells, brick=brick)
+
+
+def plan_tiles(charts: Charts, fineness: F64, count: int) -> Tiles:
+    """Tiles whose cells number about `count`, at a spacing of base / fineness [C]."""
+    chart, lower, size, cover = _cut(charts)
+
+    def cells_at(base: float) -> NDArray[np.int64]:
+        spacing = base / fineness[chart]
+        return np.maximum(1, np.round(size / spacing[:, None])).astype(np.int64)
+
+    low, high = 1e-4, 10.0
+    for _ in range(50):
+        base = float(np.sqrt(low * high))
+        grid = cells_at(base)
+        # a brick grid has half a cell more a row on average; clipped cells add along outlines
+        total = ((grid[:, 0] + 0.5 * (grid[:, 0] > 3)) * grid[:, 1] * cover).sum()
+        low, high = (base, high) if total > count else (low, base)
+    return Tiles(chart=chart, lower=lower, size=size, cells=cells_at(high))
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Cells that hold some surface."""
+
+    chart: NDArray[np.int32]
+    face: NDArray[np.int32]
+    point: F64  # [N, 3] m
+    spread: F64  # [N, 3] covariance (uu, uv, vv) of the filled part, chart coordinates [m²]
+    pick_face: NDArray[np.int32]  # [N, PICKS]
+    pick_bary: F32  # [N, PICKS, 2] weights of the second and third corner
+
+
+def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cells:
+    """Every cell that holds some surface; each chart gets at least one."""
+    nu, nv = tiles.cells.T
+    brick = (nu > 3) & (nv > 1) & tiles.brick
+    per_tile = nu * nv + np.where(brick, nv // 2, 0)
+    offset = np.concatenate([[0], np.cumsum(per_tile)])
+    total = int(offset[-1])
+    face = np.full(total, -1, np.int32)
+    mean = np.empty((total, 2))
+    spread = np.empty((total, 3))
+    pick_face = np.empty((total, PICKS), np.int32)
+    pick_bary = np.empty((total, PICKS, 2), np.float32)
+    _fill_kernel(
+        tiles.chart, tiles.lower, tiles.size, tiles.cells, brick, offset,
+        charts.start, charts.faces, charts.corners, np.uint32(seed & 0xFFFFFFFF),
+        face, mean, spread, pick_face, pick_bary,
+    )  # fmt: skip
+    chart = np.repeat(tiles.chart, per_tile)
+    missed = np.setdiff1d(np.arange(len(charts)), np.unique(chart[face >= 0]))
+    keep = np.flatnonzero(face >= 0)
+    parts = [chart[keep], face[keep], mean[keep], spread[keep], pick_face[keep], pick_bary[keep]]
+    if len(missed):  # slivers that no subsample met: one disc each, from their bounds
+        middle = (charts.lower[missed] + charts.upper[missed]) / 2
+        extent = charts.upper[missed] - charts.lower[missed]
+        one = charts.faces[charts.start[missed]]
+        extra = [
+            missed,
+            one,
+            middle,
+            np.stack([extent[:, 0] ** 2 / 12, 0 * extent[:, 0], extent[:, 1] ** 2 / 12], 1),
+            np.repeat(one[:, None], PICKS, 1),
+            np.full((len(missed), PICKS, 2), 1 / 3, np.float32),
+        ]
+        parts = [np.concatenate([a, b]) for a, b in zip(parts, extra, strict=True)]
+    c, f, m, s, pf, pb = parts
+    u, v, n = (charts.axes[c, k] for k in range(3))
+    flat = charts.origin[c] + m[:, :1] * u + m[:, 1:] * v
+    corner = mesh.vertices[mesh.faces[f, 0]]
+    face_normal = mesh.normals()[f]
+    tilt = np.maximum((face_normal * n).sum(1), 0.2)
+    lift = ((corner - flat) * face_normal).sum(1) / tilt  # along the chart's normal to the face
+    point = flat + lift[:, None] * n
+    return Cells(
+        chart=c.astype(np.int32),
+        face=f.astype(np.int32),
+        point=point,
+        spread=s,
+        pick_face=pf.astype(np.int32),
+        pick_bary=pb,
+    )
+
+
+@njit
+def _mix(h):
+    """Integer hash (lowbias32, C. Wellons)."""
+    h = np.uint32(h)
+    h ^= h >> np.uint32(16)
+    h = np.uint32(h * np.uint32(0x7FEB352D))
+    h ^= h >> np.uint32(15)
+    h = np.uint32(h * np.uint32(0x846CA68B))
+    h ^= h >> np.uint32(16)
+    return h
+
+
+@njit(parallel=True, error_model="numpy")
+def _fill_kernel(
+    tile_chart, tile_lower, tile_size, tile_cells, brick, offset,
+    start, faces, corners, seed,
+    face, mean, spread, pick_face, pick_bary,
+):  # fmt: skip
+    """Moments of the filled part of every cell; face −1 where a cell is (nearly) empty."""
+    for t in prange(len(tile_chart)):
+        c = tile_chart[t]
+        nu, nv = tile_cells[t, 0], tile_cells[t, 1]
+        wide, tall = nu * _FINE, nv * _FINE
+        du, dv = tile_size[t, 0] / wide, tile_size[t, 1] / tall
+        u0, v0 = tile_lower[t, 0], tile_lower[t, 1]
+        buffer = np.full((tall, wide), -1, np.int32)
+        for g in range(start[c], start[c + 1]):
+            ax, ay = (corners[g, 0, 0] - u0) / du - 0.5, (corners[g, 0, 1] - v0) / dv - 0.5
+            bx, by = (corners[g, 1, 0] - u0) / du - 0.5, (corners[g, 1, 1] - v0) / dv - 0.5
+            cx, cy = (corners[g, 2, 0] - u0) / du - 0.5, (corners[g, 2, 1] - v0) / dv - 0.5
+            x_lo = max(0, int(np.ceil(min(ax, bx, cx) - 1e-9)))
+            x_hi = min(wide - 1, int(np.floor(max(ax, bx, cx) + 1e-9)))
+            y_lo = max(0, int(np.ceil(min(ay, by, cy) - 1e-9)))
+            y_hi = min(tall - 1, int(np.floor(max(ay, by, cy) + 1e-9)))
+            det = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+            if x_lo > x_hi or y_lo > y_hi or abs(det) < 1e-14:
+                continue
+            for y in range(y_lo, y_hi + 1):
+                for x in range(x_lo, x_hi + 1):
+                    v = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / det
+                    w = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / det
+                    if v >= -1e-6 and w >= -1e-6 and v + w <= 1.000001:
+                        buffer[y, x] = g
+        spots = np.empty((_FINE * _FINE, 2), np.int64)
+        cell = offset[t]
+        for j in range(nv):
+            shift = _FINE // 2 if (brick[t] and j % 2 == 1) else 0
+            for i in range(nu + (1 if shift else 0)):
+                filled = 0
+                su = sv = suu = suv = svv = 0.0
+                for y in range(j * _FINE, (j + 1) * _FINE):
+                    for x in range(i * _FINE - shift, (i + 1) * _FINE - shift):
+                        if x < 0 or x >= wide or buffer[y, x] < 0:
+                            continue
+                        spots[filled, 0] = x
+                        spots[filled, 1] = y
+                        filled += 1
+                        su += x
+                        sv += y
+                        suu += x * x
+                        suv += x * y
+                        svv += y * y
+                if filled >= 2 or (filled == 1 and nu * nv <= 4):
+                    mu, mv = su / filled, sv / filled
+                    mean[cell, 0] = u0 + (mu + 0.5) * du
+                    mean[cell, 1] = v0 + (mv + 0.5) * dv
+                    spread[cell, 0] = (suu / filled - mu * mu + 1.0 / 12.0) * du * du
+                    spread[cell, 1] = (suv / filled - mu * mv) * du * dv
+                    spread[cell, 2] = (svv / filled - mv * mv + 1.0 / 12.0) * dv * dv
+                    near, best = 0, 1e30
+                    for k in range(filled):
+                        d = (spots[k, 0] - mu) ** 2 + (spots[k, 1] - mv) ** 2
+                        if d < best:
+                            near, best = k, d
+                    face[cell] = faces[buffer[spots[near, 1], spots[near, 0]]]
+                    turn = _mix(np.uint32(cell) ^ seed)
+                    for p in range(PICKS):
+                        slot = (
+                            p * filled
+                            + int((turn >> np.uint32(8 * p)) & np.uint32(255)) * filled // 256
+                        ) // PICKS
+                        x, y = spots[slot, 0], spots[slot, 1]
+                        g = buffer[y, x]
+                        px, py = u0 + (x + 0.5) * du, v0 + (y + 0.5) * dv
+                        ax, ay = corners[g, 0, 0], corners[g, 0, 1]
+                        ex, ey = corners[g, 1, 0] - ax, corners[g, 1, 1] - ay
+                        fx, fy = corners[g, 2, 0] - ax, corners[g, 2, 1] - ay
+                        det = ex * fy - ey * fx
+                        bv = ((px - ax) * fy - (py - ay) * fx) / det
+                        bw = (ex * (py - ay) - ey * (px - ax)) / det
+                        pick_face[cell, p] = faces[g]
+                        pick_bary[cell, p, 0] = min(max(bv, 0.0), 1.0)
+                        pick_bary[cell, p, 1] = min(max(bw, 0.0), 1.0 - min(max(bv, 0.0), 1.0))
+                cell += 1

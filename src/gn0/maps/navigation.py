@@ -55,7 +55,7 @@ class NavigationMap:
     def region_areas(self) -> F64:
         """Area [R] m² of each region, largest first."""
         counts = np.bincount(self.regions[self.regions >= 0])
-        return counts * self.grid.resolution**2
+        return (counts * self.grid.resolution**2).astype(np.float64)
 
     @cached_property
     def _geodesic_map(self) -> GeodesicMap:

@@ -48,7 +48,8 @@ class OccupancyGrid:
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W) in cells."""
-        return self.cells.shape  # type: ignore[return-value]
+        height, width = self.cells.shape
+        return height, width
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:

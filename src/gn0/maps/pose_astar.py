@@ -29,16 +29,48 @@ NODES = 3_000_000  # poses looked at before the weight is raised
 WEIGHTS = (1.01, 1.05, 1.2, 2.0, 10.0)
 
 
-@njit(inline="always")
-def _remaining(label, roots, u, v):  # type: ignore[no-untyped-def]
-    """Geodesic distance [cells] from (u, v) in cells to the goal; inf where unreachable."""
+@njit
+def _gap(a, b):  # type: ignore[no-untyped-def]
+    """Angle [rad] between two directions, 0..π."""
+    return abs((a - b + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+@njit
+def _bends(roots, parents):  # type: ignore[no-untyped-def]
+    """Direction [R] rad of the leg that leaves each root, and the bending [R] rad after it."""
+    onward = np.zeros(len(roots))
+    bending = np.zeros(len(roots))
+    for root in np.argsort(roots[:, 2]):  # parents before children
+        parent = parents[root]
+        if root == 0 or parent < 0:
+            continue
+        onward[root] = math.atan2(
+            roots[parent, 1] - roots[root, 1], roots[parent, 0] - roots[root, 0]
+        )
+        if parent != 0:
+            bending[root] = bending[parent] + _gap(onward[root], onward[parent])
+    return onward, bending
+
+
+@njit
+def _remaining(label, roots, onward, bending, u, v, yaw, near):  # type: ignore[no-untyped-def]
+    """Geodesic distance [cells] from (u, v) in cells to the goal, and the turning left [rad]."""
     root = label[math.floor(v), math.floor(u)]
     if root < 0:
-        return math.inf
-    return roots[root, 2] + math.hypot(u - roots[root, 0], v - roots[root, 1])
+        return math.inf, 0.0
+    dx, dy = roots[root, 0] - u, roots[root, 1] - v
+    distance = math.hypot(dx, dy)
+    if root == 0:
+        turning = 0.0 if distance <= near else _gap(math.atan2(dy, dx), yaw)
+    elif distance <= near:  # a bend this close may be cut: only the next leg counts
+        turning = _gap(onward[root], yaw) + bending[root]
+    else:
+        bearing = math.atan2(dy, dx)
+        turning = _gap(bearing, yaw) + _gap(onward[root], bearing) + bending[root]
+    return roots[root, 2] + distance, turning
 
 
-@njit(inline="always")
+@njit
 def _slot_of(keys, key):  # type: ignore[no-untyped-def]
     """Slot of a key in an open-addressed table: its own, or the empty one (−1) it would take."""
     mask = len(keys) - 1
@@ -62,7 +94,7 @@ def _grown(keys, costs):  # type: ignore[no-untyped-def]
 
 @njit
 def _search(  # type: ignore[no-untyped-def]
-    blocked, origin_x, origin_y, resolution, label, roots, cosines, sines,
+    blocked, origin_x, origin_y, resolution, label, roots, bend_parents, yaws, cosines, sines,
     x0, y0, goal_x, goal_y, tolerance, step, turn_cost, weight, subcells, limit,
 ):  # fmt: skip
     """Actions [T] int8 of the plan, and whether one was found within `limit` poses."""
@@ -70,16 +102,19 @@ def _search(  # type: ignore[no-untyped-def]
     width = blocked.shape[1]
     capacity = 1 << 14
     xs, ys, costs = np.empty(capacity), np.empty(capacity), np.empty(capacity)
-    parents = np.empty(capacity, np.int32)
+    came_from = np.empty(capacity, np.int32)
     facing = np.empty(capacity, np.int32)
     actions = np.zeros(capacity, np.int8)
     keys, best = np.full(1 << 16, -1, np.int64), np.empty(1 << 16)
     used = 1
-    xs[0], ys[0], costs[0], parents[0], facing[0] = x0, y0, 0.0, -1, 0
+    xs[0], ys[0], costs[0], came_from[0], facing[0] = x0, y0, 0.0, -1, 0
     count = 1
     u, v = (x0 - origin_x) / resolution, (y0 - origin_y) / resolution
-    start = _remaining(label, roots, u, v) * resolution
-    heap = [(weight * max(start - tolerance, 0.0), 0)]
+    onward, bending = _bends(roots, bend_parents)
+    near = max(tolerance, 1.5 * step) / resolution
+    a_turn = 2.0 * math.pi / headings
+    left, turning = _remaining(label, roots, onward, bending, u, v, yaws[0], near)
+    heap = [(weight * max(left * resolution - tolerance, 0.0), 0)]
     bins = width * subcells
     while len(heap) > 0:
         _, node = heapq.heappop(heap)
@@ -89,15 +124,15 @@ def _search(  # type: ignore[no-untyped-def]
             if not hit:
                 length = 0
                 i = node
-                while parents[i] >= 0:
+                while came_from[i] >= 0:
                     length += 1
-                    i = parents[i]
+                    i = came_from[i]
                 plan = np.empty(length, np.int8)
                 i = node
-                while parents[i] >= 0:
+                while came_from[i] >= 0:
                     length -= 1
                     plan[length] = actions[i]
-                    i = parents[i]
+                    i = came_from[i]
                 return plan, True
         u, v = (x - origin_x) / resolution, (y - origin_y) / resolution
         key = (int(v * subcells) * bins + int(u * subcells)) * headings + k
@@ -120,7 +155,7 @@ def _search(  # type: ignore[no-untyped-def]
                 nk = nk - headings if nk >= headings else (nk + headings if nk < 0 else nk)
                 ng = g + turn_cost
             u, v = (nx - origin_x) / resolution, (ny - origin_y) / resolution
-            left = _remaining(label, roots, u, v) * resolution
+            left, turning = _remaining(label, roots, onward, bending, u, v, yaws[nk], near)
             if not left < math.inf:
                 continue
             key = (int(v * subcells) * bins + int(u * subcells)) * headings + nk
@@ -139,12 +174,14 @@ def _search(  # type: ignore[no-untyped-def]
                     return np.empty(0, np.int8), False
                 xs, ys = np.concatenate((xs, xs)), np.concatenate((ys, ys))
                 costs = np.concatenate((costs, costs))
-                parents = np.concatenate((parents, parents))
+                came_from = np.concatenate((came_from, came_from))
                 facing = np.concatenate((facing, facing))
                 actions = np.concatenate((actions, actions))
             xs[count], ys[count], costs[count] = nx, ny, ng
-            parents[count], facing[count], actions[count] = node, nk, action
-            heapq.heappush(heap, (ng + weight * max(left - tolerance, 0.0), count))
+            came_from[count], facing[count], actions[count] = node, nk, action
+            ahead = max(left * resolution - tolerance, 0.0)
+            ahead += turn_cost * max(turning / a_turn - 1.0, 0.0)
+            heapq.heappush(heap, (ng + weight * ahead, count))
             count += 1
     return np.empty(0, np.int8), False
 
@@ -176,15 +213,16 @@ def plan_actions(
         PlanError: no plan exists.
     """
     grid = field.grid
+    angles = np.array(yaws, np.float64)
     cosines = np.array([math.cos(yaw) for yaw in yaws])  # libm, as the simulator's own
     sines = np.array([math.sin(yaw) for yaw in yaws])
     if math.isfinite(field.distance_at(*start)):
         for weight in WEIGHTS:
             plan, found = _search(
                 grid.blocked, float(grid.origin[0]), float(grid.origin[1]), float(grid.resolution),
-                field.label, field.roots, cosines, sines, float(start[0]), float(start[1]),
-                *field.goal, float(tolerance), float(step), float(turn_cost), weight, SUBCELLS,
-                NODES,
+                field.label, field.roots, field.parents, angles, cosines, sines,
+                float(start[0]), float(start[1]), *field.goal, float(tolerance), float(step),
+                float(turn_cost), weight, SUBCELLS, NODES,
             )  # fmt: skip
             if found:
                 return plan

@@ -22,6 +22,7 @@ from gn0.scenes.shading import decode_srgb
 _PIXELS_MAX = 64_000_000
 _SIDE = 1024  # textures are reduced to at most this many pixels a side
 _LEVELS = 8
+_LINEAR = decode_srgb(np.arange(256, dtype=np.float32) / 255)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ def load_texture(path: Path) -> F32 | None:
     factor = -(-max(rgb.size) // _SIDE)
     if factor > 1:
         rgb = rgb.reduce(factor)
-    return decode_srgb(np.asarray(rgb, np.float32) / 255)
+    return _LINEAR[np.asarray(rgb, np.uint8)]
 
 
 class TextureAlbedo:

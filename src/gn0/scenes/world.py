@@ -21,7 +21,7 @@ from gn0.scenes.sdf import SdfWorld, find_world_file, load_sdf
 from gn0.scenes.sources import ImportSettings
 from gn0.scenes.surfels import build_surfels
 from gn0.scenes.textures import TextureAlbedo
-from gn0.scenes.world_light import light_world
+from gn0.scenes.world_light import close_ceiling, drop_outside, light_world
 from gn0.scenes.world_mesh import WorldMeshes, load_world_meshes
 
 _CLOSING = {"door", "window", "folding door", "gate"}  # they complete the shell of a room
@@ -59,10 +59,21 @@ class SceneSourceWorld:
         rooms = world_rooms(meshes, grid)
         objects = assign_rooms(world_objects(meshes), rooms, grid)
         ground = max(float((rooms.label >= 0).sum()) * grid.resolution**2, grid.free_area, 1.0)
+        if settings.light == "home":
+            progress("closing the roof", 0, 1)
+            meshes = drop_outside(close_ceiling(meshes, rooms, grid), settings.seed)
         spacing = 1.0 / math.sqrt(settings.density)
         albedo = TextureAlbedo(meshes.visual, meshes.paints, footprint=spacing)
         shader = light_world(
-            meshes, albedo, world.lights, rooms, floor_z, settings.light, settings.seed, progress
+            meshes,
+            albedo,
+            world.lights,
+            rooms,
+            grid,
+            objects,
+            style=settings.light,
+            seed=settings.seed,
+            progress=progress,
         )
         cloud = build_surfels(
             meshes.visual,
@@ -73,14 +84,13 @@ class SceneSourceWorld:
             progress=progress,
         )
         vertices = meshes.visual.vertices[meshes.visual.faces.ravel()]
-        counted = Counter(note.rsplit(" is ", 1)[-1] for note in meshes.notes)
-        notes = ", ".join(f"{n} {what}" for what, n in sorted(counted.items()))
+        notes = _told(meshes.notes)
         return Scene(
             id=settings.scene_id or file.stem,
             source=SceneSourceInfo(
                 kind=self.name,
                 detail=f"{file.name}; {len(world.instances)} instances"
-                + (f"; textures: {notes}" if notes else ""),
+                + (f"; {notes}" if notes else ""),
                 seed=settings.seed,
                 settings={
                     "height_band_low": settings.height_band[0],
@@ -202,6 +212,14 @@ def _detail(meshes: WorldMeshes) -> NDArray[np.float64]:
     """Textured faces are sampled finely, plain ones coarsely."""
     busy = [1.0 if paint.busy else 0.35 for paint in meshes.paints]
     return np.array(busy)[meshes.visual.material]
+
+
+def _told(notes: list[str]) -> str:
+    """The notes in few words: missing textures are counted, the rest is said."""
+    texture = [note for note in notes if note.startswith("texture ")]
+    states = Counter(note.rsplit(" is ", 1)[-1] for note in texture)
+    counted = [f"{n} textures {state}" for state, n in sorted(states.items())]
+    return "; ".join([*counted, *(note for note in notes if note not in texture)])[:400]
 
 
 def _licence(world: SdfWorld) -> str:

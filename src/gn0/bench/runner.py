@@ -438,6 +438,7 @@ class _Run:
             "sessions": self.sessions,
             "seconds": round(sum(seconds), 3),
             "suite_folder": str(self.suite.folder.resolve()),
+            "suite_relative": os.path.relpath(self.suite.folder.resolve(), self.out.resolve()),
             "versions": _versions(),
             "command": sys.argv,
             "episodes": dict(sorted(self.times.items())),

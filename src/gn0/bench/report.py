@@ -1,0 +1,375 @@
+"""The report: one HTML file that opens from disk, with no network, under a strict content policy.
+
+Everything is inside the file: style, script, maps, paths and clips. The content policy allows the
+one style and the one script by their hashes and data: pictures and clips; nothing else runs or
+loads, whatever names or instructions a suite brings along.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from gn0.bench.drawing import (
+    MapWindow,
+    bev_symbol,
+    data_uri,
+    find_window,
+    path_marks,
+    plan_symbol,
+)
+from gn0.bench.intervals import Interval
+from gn0.bench.metrics import METRICS
+from gn0.bench.results import (
+    EpisodeResult,
+    EpisodeTrace,
+    RunSummary,
+    load_results,
+    load_summary,
+    load_traces,
+)
+from gn0.bench.suite import Suite, load_suite, load_suite_scene
+from gn0.bench.video import MIME, ClipScene, render_clip
+from gn0.config import load_json
+from gn0.errors import BenchError
+from gn0.missions.episode import Episode
+from gn0.progress import Progress, no_progress
+from gn0.render.bev import BevPicture, render_bev
+from gn0.render.renderer import build_renderer
+from gn0.scenes.scene import Scene
+from gn0.sim.presets import find_preset
+from gn0.storage import write_text
+
+TEMPLATES = Path(__file__).parent / "templates"
+BEV_PIXELS = 760  # px along the longer side, fewer when there are many scenes
+BEV_PIXELS_MANY, MANY_SCENES = 380, 12
+CEILING_CUT = 2.0  # m
+CLIP_BUDGET = 24_000_000  # bytes of all clips together
+
+
+@dataclass(frozen=True)
+class RunData:
+    """A run read back from disk."""
+
+    folder: Path
+    summary: RunSummary
+    results: list[EpisodeResult]
+    traces: dict[str, EpisodeTrace]
+    about: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class SceneArt:
+    """A scene drawn once: its window, SVG symbols, and what its clips need."""
+
+    window: MapWindow
+    symbols: Markup
+    bev: str
+    plan: str
+    clips: ClipScene
+
+
+def load_run(folder: Path | str) -> RunData:
+    """A finished run.
+
+    Raises:
+        StorageError: no finished run there.
+        FormatError: one of its files is damaged.
+    """
+    path = Path(folder)
+    return RunData(
+        folder=path,
+        summary=load_summary(path),
+        results=load_results(path),
+        traces=load_traces(path),
+        about=load_json(path / "run.json", dict[str, Any]),
+    )
+
+
+def find_suite(run: RunData) -> Suite:
+    """The suite of a run, checked by its hash.
+
+    Raises:
+        BenchError: it is gone, or it changed.
+    """
+    places = [
+        run.folder / str(run.about.get("suite_relative", "")),
+        Path(str(run.about.get("suite_folder", ""))),
+    ]
+    for place in places:
+        if (place / "suite.json").is_file():
+            suite = load_suite(place)
+            if suite.hash == run.summary.suite_hash:
+                return suite
+    raise BenchError(
+        f"its suite {run.summary.suite!r} is not at {places[1]} any more, or it changed",
+        where=run.folder,
+        remedy="put the suite back, or run again",
+    )
+
+
+def write_report(
+    runs: Sequence[Path | str] | Path | str,
+    out: Path | str | None = None,
+    *,
+    videos: int = 4,
+    backend: str = "auto",
+    progress: Progress = no_progress,
+) -> Path:
+    """Write the report of one run, or of several policies side by side.
+
+    Args:
+        runs: run folders of one suite.
+        out: the HTML file; `report.html` in the first run's folder by default.
+        videos: clips a run, half of them failures where there are any.
+        backend: renderer backend for BEV and clips.
+        progress: progress sink.
+
+    Returns:
+        Path of the report.
+
+    Raises:
+        BenchError: runs of different suites, or a suite that is gone.
+        StorageError, FormatError: a run is missing or damaged, or `out` cannot be written.
+    """
+    folders = [runs] if isinstance(runs, str | Path) else list(runs)
+    if not folders:
+        raise BenchError("no run given", remedy="name at least one run folder")
+    loaded = [load_run(folder) for folder in folders]
+    suite = find_suite(loaded[0])
+    for run in loaded[1:]:
+        if run.summary.suite_hash != suite.hash:
+            raise BenchError(
+                "ran another suite than the first run; their numbers cannot stand side by side",
+                where=run.folder,
+                remedy="report them apart",
+            )
+    path = Path(out) if out is not None else Path(folders[0]) / "report.html"
+    write_text(path, _render(suite, loaded, videos, backend, progress))
+    return path
+
+
+def _render(
+    suite: Suite, runs: list[RunData], videos: int, backend: str, progress: Progress
+) -> str:
+    episodes = {episode.id: episode for episode in suite.episodes}
+    names = _run_names(runs)
+    ran = sorted({episodes[r.episode].scene_id for run in runs for r in run.results})
+    wanted = {
+        (number, episode_id)
+        for number, run in enumerate(runs)
+        for episode_id in choose_videos(run.results, videos)
+    }
+    rows: list[dict[str, Any]] = []
+    symbols: list[Markup] = []
+    spent, made = 0, 0
+    for index, scene_id in enumerate(ran):
+        progress("drawing scenes", index, len(ran))
+        art = draw_scene(suite, scene_id, index, len(ran), backend)
+        symbols.append(art.symbols)
+        for number, run in enumerate(runs):
+            for result in run.results:
+                episode = episodes[result.episode]
+                if episode.scene_id != scene_id:
+                    continue
+                trace = run.traces[result.episode]
+                row = _row(suite, art, names[number], number, episode, result, trace)
+                if (number, result.episode) in wanted and spent < CLIP_BUDGET:
+                    progress("rendering clips", made, len(wanted))
+                    made += 1
+                    clip = render_clip(art.clips, episode, result, trace, title=names[number])
+                    spent += len(clip)
+                    row["video"] = data_uri(clip, "video/mp4")
+                rows.append(row)
+    rows.sort(key=lambda row: (row["rank"], row["episode"], row["run"]))
+    return _fill(
+        suite=suite,
+        runs=[
+            {
+                "number": number,
+                "name": names[number],
+                "summary": run.summary,
+                "cells": [_cell(info.key, info.unit, run.summary.metrics) for info in METRICS],
+                "seconds": run.about.get("seconds"),
+                "failures": Counter(r.status for r in run.summary.failed),
+            }
+            for number, run in enumerate(runs)
+        ],
+        metrics=METRICS,
+        best=_best(runs),
+        rows=rows,
+        symbols=symbols,
+        videos=[row for row in rows if row["video"]],
+        protocol=_protocol_rows(runs, names),
+        mime=MIME,
+    )
+
+
+def _fill(**values: Any) -> str:
+    style = (TEMPLATES / "report.css").read_text("utf-8")
+    script = (TEMPLATES / "report.js").read_text("utf-8")
+    policy = (
+        "default-src 'none'; img-src data:; media-src data:; "
+        f"style-src '{_csp_hash(style)}'; script-src '{_csp_hash(script)}'; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html").render(
+        style=Markup(style),  # noqa: S704 (our own file, byte for byte what the hash covers)
+        script=Markup(script),  # noqa: S704
+        content_policy=policy,
+        **values,
+    )
+
+
+def _csp_hash(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _run_names(runs: Sequence[RunData]) -> list[str]:
+    """A name a run: the policy's, with the folder's where two runs share a policy."""
+    policies = [run.summary.policy for run in runs]
+    return [
+        f"{policy} ({run.folder.name})" if policies.count(policy) > 1 else policy
+        for policy, run in zip(policies, runs, strict=True)
+    ]
+
+
+def choose_videos(results: Sequence[EpisodeResult], count: int) -> list[str]:
+    """Episodes worth watching: half failures, half successes, longest tasks first."""
+    shown = [r for r in results if r.metrics is not None]
+    longest = sorted(shown, key=lambda r: (-r.metrics.shortest_length, r.episode))  # type: ignore[union-attr]
+    good = [r.episode for r in longest if r.metrics and r.metrics.success]
+    bad = [r.episode for r in longest if r.metrics and not r.metrics.success]
+    from_bad = min(len(bad), max(count // 2, count - len(good)))
+    return bad[:from_bad] + good[: count - from_bad]
+
+
+def draw_scene(suite: Suite, scene_id: str, index: int, scenes: int, backend: str) -> SceneArt:
+    """Maps of a scene, and what its clips need."""
+    scene = load_suite_scene(suite.scene_folder(scene_id), scene_id, suite.scene_hash(scene_id))
+    window = find_window(scene.grid)
+    renderer = build_renderer(scene.gaussians, backend)
+    bev = draw_bev(scene, renderer, window, BEV_PIXELS_MANY if scenes > MANY_SCENES else BEV_PIXELS)
+    names = f"bev-{index}", f"plan-{index}"
+    symbols = bev_symbol(names[0], window, bev.rgb) + plan_symbol(names[1], window, scene)
+    clips = ClipScene(
+        renderer=renderer,
+        bev=bev,
+        preset=find_preset(suite.about.camera),
+        camera_height=suite.about.agent.camera_height,
+    )
+    return SceneArt(window, symbols, names[0], names[1], clips)
+
+
+def draw_bev(scene: Scene, renderer: Any, window: MapWindow, pixels: int) -> BevPicture:
+    """The BEV of a window, at most `pixels` along its longer side."""
+    longer = max(window.x_max - window.x_min, window.y_max - window.y_min)
+    return render_bev(
+        scene.cloud_hash or scene.gaussians.content_hash,
+        renderer,
+        np.array([[window.x_min, window.y_min], [window.x_max, window.y_max]]),
+        max(longer / pixels, 0.005),
+        CEILING_CUT,
+        background=(0.07, 0.08, 0.1),
+    )
+
+
+def _row(
+    suite: Suite,
+    art: SceneArt,
+    policy: str,
+    number: int,
+    episode: Episode,
+    result: EpisodeResult,
+    trace: EpisodeTrace,
+) -> dict[str, Any]:
+    """What the template shows of one episode of one run; rank 0 comes first."""
+    m = result.metrics
+    outcome = result.status if m is None else ("success" if m.success else "failure")
+    return {
+        "episode": episode.id,
+        "scene": episode.scene_id,
+        "instruction": episode.instruction,
+        "policy": policy,
+        "run": number,
+        "outcome": outcome,
+        "rank": {"failed": 0, "invalid": 1, "failure": 2, "success": 3}[outcome],
+        "reason": result.reason or _explain(result),
+        "metrics": m,
+        "view_box": art.window.view_box,
+        "bev": art.bev,
+        "plan": art.plan,
+        "marks": path_marks(
+            art.window,
+            reference=np.array(episode.path, np.float64).reshape(-1, 2),
+            path=np.array(trace.poses, np.float64).reshape(-1, 3)[:, :2],
+            goal=episode.goal,
+            collided=trace.collided,
+            success_radius=suite.about.success_radius,
+        ),
+        "video": "",
+    }
+
+
+def _explain(result: EpisodeResult) -> str:
+    m = result.metrics
+    if m is None or m.success:
+        return ""
+    left = f"{m.navigation_error_geodesic:.2f} m from the goal"
+    if result.stopped:
+        return f"stopped {left}" + (", after being within reach" if m.oracle_success else "")
+    return f"ran out of steps {left}"
+
+
+def _cell(key: str, unit: str, metrics: dict[str, Interval]) -> dict[str, Any] | None:
+    interval = metrics.get(key)
+    if interval is None:
+        return None
+    scale = 100.0 if unit == "%" else 1.0
+    digits = 1 if unit in ("%", "") else 2
+    values = [v * scale for v in (interval.mean, interval.low, interval.high)]
+    return {
+        "mean": f"{values[0]:.{digits}f}",
+        "low": f"{values[1]:.{digits}f}",
+        "high": f"{values[2]:.{digits}f}",
+        "bar": [round(v, 2) for v in values] if unit == "%" else None,
+    }
+
+
+def _best(runs: Sequence[RunData]) -> dict[str, float]:
+    """The best mean of each metric that has a better way, when there is something to compare."""
+    best: dict[str, float] = {}
+    for info in METRICS:
+        means = [m[info.key].mean for m in (r.summary.metrics for r in runs) if info.key in m]
+        if len(means) > 1 and info.better and max(means) > min(means):
+            best[info.key] = max(means) if info.better == "up" else min(means)
+    return best
+
+
+def _protocol_rows(runs: Sequence[RunData], names: Sequence[str]) -> list[dict[str, Any]]:
+    """Protocol rows; what differs between runs is told a run."""
+    rows = []
+    cards = [dict(run.summary.protocol) for run in runs]
+    for what in dict.fromkeys(key for card in cards for key in card):
+        told = [card.get(what, "") for card in cards]
+        if len(set(told)) == 1:
+            rows.append({"what": what, "how": [("", told[0])]})
+        else:
+            rows.append({"what": what, "how": list(zip(names, told, strict=True))})
+    return rows

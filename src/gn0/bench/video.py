@@ -1,0 +1,273 @@
+"""Clips of episodes: what the agent saw, and where it was, with captions burned in.
+
+Encoded as VP9 in MP4, which a stock Chromium or Firefox plays without proprietary codecs. Views are
+rendered again from the recorded poses, when a report is written and never during a run.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from gn0.bench.results import EpisodeResult, EpisodeTrace
+from gn0.errors import RenderError
+from gn0.geometry import F64, U8, view_from_pose
+from gn0.missions.episode import Episode
+from gn0.render.bev import BevPicture
+from gn0.render.camera import Camera
+from gn0.render.renderer import Renderer
+from gn0.sim.presets import CameraPreset
+
+CODEC = "libvpx-vp9"
+MIME = 'video/mp4; codecs="vp09.00.20.08"'
+VIEW_HEIGHT = 252  # px of the view and of the map beside it
+CAPTION = 46  # px
+FRAMES_PER_SECOND = 8
+MOST_FRAMES = 96
+CLIP_LIMIT = 1_500_000  # bytes
+QUALITIES = (34, 42, 50, 58, 63)  # crf, tried in turn until a clip fits
+BATCH = 8  # views rendered in one call
+
+INK, PAPER, MUTED = (238, 240, 243), (18, 21, 26), (150, 158, 170)
+GOOD, BAD, TRAIL, PLAN = (80, 200, 130), (240, 110, 90), (255, 176, 59), (140, 190, 255)
+_WORDS = {-1: "teleport", 0: "stop", 1: "forward", 2: "turn left", 3: "turn right"}
+
+
+@dataclass(frozen=True)
+class ClipScene:
+    """What clips of one scene share.
+
+    Attributes:
+        renderer: of the scene's splats.
+        bev: the map picture.
+        preset: the agent's eyes.
+        camera_height: eye above the floor [m].
+    """
+
+    renderer: Renderer
+    bev: BevPicture
+    preset: CameraPreset
+    camera_height: float
+
+
+def clip_camera(camera: Camera, height: int = VIEW_HEIGHT) -> Camera:
+    """The agent's camera at the height of a clip [px], same field of view."""
+    scale = height / camera.height
+    width = max(2, round(camera.width * scale / 2) * 2)
+    return Camera(
+        width=width,
+        height=height,
+        fx=camera.fx * width / camera.width,
+        fy=camera.fy * scale,
+        cx=camera.cx * width / camera.width,
+        cy=camera.cy * scale,
+        near=camera.near,
+        far=camera.far,
+    )
+
+
+def choose_frames(count: int, most: int = MOST_FRAMES) -> list[int]:
+    """Indices of poses to show: all, or `most` spread evenly, first and last included."""
+    if count <= most:
+        return list(range(count))
+    return sorted({round(i * (count - 1) / (most - 1)) for i in range(most)})
+
+
+def render_clip(
+    scene: ClipScene,
+    episode: Episode,
+    result: EpisodeResult,
+    trace: EpisodeTrace,
+    *,
+    title: str,
+    size_limit: int = CLIP_LIMIT,
+    most_frames: int = MOST_FRAMES,
+) -> bytes:
+    """An MP4 clip of an episode.
+
+    Args:
+        scene: renderer, map and eyes.
+        episode: instruction, goal and reference path.
+        result: the outcome, for the last caption.
+        trace: recorded poses.
+        title: name of the policy.
+        size_limit: a larger clip is encoded again at lower quality [bytes].
+        most_frames: longer episodes are shown in fewer, evenly spaced frames.
+
+    Raises:
+        RenderError: no pose was recorded, or the clip does not fit the limit.
+    """
+    if not trace.poses:
+        raise RenderError(f"episode {episode.id!r} has no poses to show")
+    indices = choose_frames(len(trace.poses), most_frames)
+    views = _render_views(scene, [trace.poses[i] for i in indices])
+    backdrop = _MapPainter(scene.bev, episode, np.array(trace.poses)[:, :2])
+    hits = set(trace.collided)
+    frames = []
+    for index, view in zip(indices, views, strict=True):
+        over = index == len(trace.poses) - 1
+        frames.append(
+            _compose(
+                view,
+                backdrop.paint(index, trace.poses[index][2]),
+                title,
+                episode.instruction,
+                _caption(index, trace, hits, result if over else None),
+                _colour(result) if over else MUTED,
+            )
+        )
+    frames += [frames[-1]] * FRAMES_PER_SECOND  # hold the end for a second
+    for quality in QUALITIES:
+        data = encode_clip(frames, quality)
+        if len(data) <= size_limit:
+            return data
+    raise RenderError(
+        f"the clip of episode {episode.id!r} has {len(data)} bytes at the lowest quality",
+        remedy=f"allow more than {size_limit} bytes",
+    )
+
+
+def _render_views(scene: ClipScene, poses: Sequence[tuple[float, float, float]]) -> list[U8]:
+    camera = clip_camera(scene.preset.rgb)
+    pitch = float(np.radians(scene.preset.pitch_degrees))
+    views = np.stack([view_from_pose(x, y, scene.camera_height, yaw, pitch) for x, y, yaw in poses])
+    pictures: list[U8] = []
+    for begin in range(0, len(views), BATCH):
+        result = scene.renderer.render(
+            camera,
+            views[begin : begin + BATCH],
+            outputs=("rgb",),
+            background=scene.preset.background,
+        )
+        assert result.rgb is not None
+        pictures += [np.asarray(picture, np.uint8) for picture in result.rgb]
+    return pictures
+
+
+def _caption(index: int, trace: EpisodeTrace, hits: set[int], result: EpisodeResult | None) -> str:
+    text = f"step {index} of {len(trace.actions)}"
+    if index > 0:
+        text += f" · {_WORDS.get(trace.actions[index - 1], '?')}"
+        if index - 1 in hits:
+            text += " (cut short by an obstacle)"
+    if result is not None and result.metrics is not None:
+        m = result.metrics
+        verdict = "success" if m.success else ("stopped too far" if result.stopped else "no stop")
+        text += f" · {verdict}, {m.navigation_error_geodesic:.2f} m from the goal"
+    return text
+
+
+def _colour(result: EpisodeResult) -> tuple[int, int, int]:
+    return GOOD if result.metrics is not None and result.metrics.success else BAD
+
+
+class _MapPainter:
+    """The BEV with reference and goal, painted once; the trail grows frame by frame."""
+
+    def __init__(self, bev: BevPicture, episode: Episode, positions: F64) -> None:
+        picture = Image.fromarray(np.array(bev.rgb))
+        scale = VIEW_HEIGHT / picture.height
+        width = max(2, round(picture.width * scale / 2) * 2)
+        if width > 420:  # a long flat: fit the width instead and centre it
+            scale = 420 / picture.width
+            width = 420
+        small = picture.resize((width, max(1, round(picture.height * scale))), Image.Resampling.BOX)
+        self._canvas = Image.new("RGB", (width, VIEW_HEIGHT), PAPER)
+        self._top = (VIEW_HEIGHT - small.height) // 2
+        self._canvas.paste(small, (0, self._top))
+        self._scale = np.array([width / picture.width, small.height / picture.height])
+        self._spots = self._place(bev, positions)
+        draw = ImageDraw.Draw(self._canvas)
+        reference = self._place(bev, np.array(episode.path, np.float64).reshape(-1, 2))
+        draw.line([tuple(p) for p in reference], fill=PLAN, width=1)
+        x, y = self._place(bev, np.array([episode.goal]))[0]
+        draw.ellipse((x - 5, y - 5, x + 5, y + 5), outline=PAPER, fill=GOOD)
+
+    def _place(self, bev: BevPicture, points: F64) -> F64:
+        return bev.pixel_from_world(points) * self._scale + (0, self._top)
+
+    def paint(self, index: int, yaw: float) -> U8:
+        """The map with the trail up to a pose and an arrow at it."""
+        picture = self._canvas.copy()
+        draw = ImageDraw.Draw(picture)
+        if index > 0:
+            draw.line([tuple(p) for p in self._spots[: index + 1]], fill=TRAIL, width=2)
+        x, y = self._spots[index]
+        turn = yaw + np.array([0.0, 2.5, -2.5])
+        corners = [
+            (x + r * np.cos(a), y - r * np.sin(a)) for a, r in zip(turn, (9, 7, 7), strict=True)
+        ]
+        draw.polygon(corners, fill=TRAIL, outline=PAPER)
+        return np.asarray(picture)
+
+
+def _compose(
+    view: U8, plan: U8, title: str, instruction: str, caption: str, colour: tuple[int, int, int]
+) -> U8:
+    width = view.shape[1] + plan.shape[1]
+    picture = Image.new("RGB", (width, VIEW_HEIGHT + CAPTION), PAPER)
+    picture.paste(Image.fromarray(np.ascontiguousarray(view)), (0, 0))
+    picture.paste(Image.fromarray(plan), (view.shape[1], 0))
+    draw = ImageDraw.Draw(picture)
+    large, small = ImageFont.load_default(14), ImageFont.load_default(12)
+    draw.text((8, VIEW_HEIGHT + 5), _fit(draw, instruction, large, width - 16), INK, large)
+    left = _fit(draw, f"{title} · {caption}", small, width - 16)
+    draw.text((8, VIEW_HEIGHT + 25), left, colour, small)
+    return np.asarray(picture)
+
+
+def _fit(
+    draw: ImageDraw.ImageDraw,
+    text: str,
+    font: ImageFont.FreeTypeFont | ImageFont.ImageFont,
+    width: int,
+) -> str:
+    """Text on one line, cut with an ellipsis where it is too long [px]."""
+    line = " ".join(text.split())[:400]
+    if draw.textlength(line, font) <= width:
+        return line
+    while line and draw.textlength(line + "…", font) > width:
+        line = line[:-1]
+    return line + "…"
+
+
+def encode_clip(frames: Sequence[U8], quality: int = QUALITIES[0]) -> bytes:
+    """Frames [H, W, 3] of one even size as VP9 in MP4.
+
+    Raises:
+        RenderError: this PyAV was built without VP9.
+    """
+    import av
+
+    stream = io.BytesIO()
+    height, width = frames[0].shape[:2]
+    try:
+        with av.open(stream, "w", format="mp4") as container:
+            video = container.add_stream(
+                CODEC,
+                rate=FRAMES_PER_SECOND,
+                options={
+                    "crf": str(quality),
+                    "b": "0",
+                    "deadline": "realtime",
+                    "cpu-used": "7",
+                    "row-mt": "0",
+                },
+            )
+            video.width, video.height, video.pix_fmt = width, height, "yuv420p"
+            video.thread_count = 1
+            for number, picture in enumerate(frames):
+                frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+                frame.pts, frame.time_base = number, Fraction(1, FRAMES_PER_SECOND)
+                container.mux(video.encode(frame))
+            container.mux(video.encode())
+    except (av.codec.codec.UnknownCodecError, ValueError) as error:
+        raise RenderError(
+            f"cannot encode VP9: {error}", remedy="install PyAV from PyPI, which brings libvpx"
+        ) from None
+    return stream.getvalue()

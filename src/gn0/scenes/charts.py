@@ -32,6 +32,7 @@ class Charts:
         lower, upper: bounds in chart coordinates [C, 2] m.
         area: true surface area [C] m².
         border: total length of the chart's outline [C] m.
+        bend: rough curvature [C] 1/m; 0 for flat charts.
     """
 
     faces: NDArray[np.int32]
@@ -43,6 +44,7 @@ class Charts:
     upper: F64
     area: F64
     border: F64
+    bend: F64
 
     def __len__(self) -> int:
         return len(self.origin)
@@ -160,7 +162,11 @@ def _frames(
 
     origin = mean(middle)
     normal = mean(normals[faces])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    length = np.linalg.norm(normal, axis=1)
+    normal /= length[:, None]
+    # a cap that subtends ±a has a mean normal of length about 1 − a² / 4
+    bend = 4.0 * np.sqrt(np.maximum(1.0 - length, 0.0)) / np.sqrt(area)
+    bend = np.where(length > 1.0 - 1e-6, 0.0, bend)
     side = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(side, normal)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
@@ -211,4 +217,5 @@ def _frames(
         upper=upper,
         area=area,
         border=border,
+        bend=bend,
     )

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from gn0.errors import SceneError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
-from gn0.geometry import F32, quaternion_from_rotation
+from gn0.geometry import F32, F64
 from gn0.progress import Progress, no_progress
 from gn0.scenes.charts import Charts, build_charts
+from gn0.scenes.discs import Discs, shape_discs
 from gn0.scenes.mesh import SceneMesh
+from gn0.scenes.rays import RayCaster
 from gn0.scenes.shading import Shader
 from gn0.scenes.tiles import PICKS, Cells, fill_tiles, plan_tiles
 
-SIGMA = 0.65  # standard deviation of a full cell's disc, in spacings
-THICKNESS = 0.001  # of a disc, one standard deviation [m]
 OPACITY = 0.995
-_DETAIL_LEAST = 0.28  # plain paint is sampled 3.6 times coarser than a full texture
+_OUTLINE = 0.02  # error of a length of outline, against the variance of colour
 
 
 def build_surfels(
@@ -34,6 +34,7 @@ def build_surfels(
     count: int,
     detail: NDArray[np.floating] | None = None,
     seed: int = 0,
+    oriented: bool = False,
     label_of_instance: NDArray[np.integer] | None = None,
     progress: Progress = no_progress,
 ) -> GaussianCloud:
@@ -44,8 +45,11 @@ def build_surfels(
         shader: appearance of the surfaces.
         count: the number of Gaussians to spend; the result has at most this many, unless the mesh
             has more separate pieces than that.
-        detail: how finely each face is sampled [F]: 1 full texture, 0 plain paint.
+        detail: how closely each face will be looked at [F], 1 for all by default: multiplies the
+            fineness that its colours and edges ask for.
         seed: varies nothing but the choice of the points that are shaded.
+        oriented: face normals are known to point out of solids, so that the insides of touching
+            solids need no discs.
         label_of_instance: label of each mesh instance [I]; the instance number itself by default.
         progress: progress sink.
 
@@ -56,30 +60,33 @@ def build_surfels(
     charts = build_charts(mesh)
     if not len(charts):
         raise SceneError("the mesh has no surface to cover", remedy="check its scale and faces")
-    weight = np.ones(len(mesh)) if detail is None else np.asarray(detail, np.float64)
-    areas = mesh.areas()[charts.faces]
-    owner = np.repeat(np.arange(len(charts)), np.diff(charts.start))
-    fineness = np.bincount(owner, weight[charts.faces] * areas, len(charts)) / charts.area
-    fineness = np.maximum(np.clip(fineness, 0.0, 1.0), _DETAIL_LEAST)
+    caster = RayCaster(mesh)
+
+    def place(target: int, fineness: F64 | None) -> tuple[Cells, Discs]:
+        cells = fill_tiles(charts, mesh, plan_tiles(charts, target, fineness), seed)
+        return cells, shape_discs(cells, charts, mesh, caster, oriented=oriented)
+
+    # a coarse pass tells what is hidden (it costs nothing) and what needs many discs
+    pilot = place(max(count // 6, 1), None)
+    fineness = _spread_budget(shader, charts, *pilot, weight=detail, mesh=mesh)
     target = count
     while True:
-        tiles = plan_tiles(charts, fineness, target)
-        cells = fill_tiles(charts, mesh, tiles, seed)
-        if len(cells.face) <= count or target < count // 8:
+        cells, discs = place(target, fineness)
+        kept = int(discs.keep.sum())
+        if kept <= count or target < count // 8:
             break
-        target = int(target * 0.98 * count / len(cells.face))
+        target = int(target * 0.985 * count / kept)
     progress("surfels", 1, 3)
+    cells = cells.select(discs.keep)
     albedo, irradiance, colour, normal = _shade_cells(shader, cells)
     progress("surfels", 2, 3)
-    scales, quats = _shape_discs(cells, charts)
-    instance = mesh.instance[cells.face]
-    label = instance
+    label = mesh.instance[cells.face]
     if label_of_instance is not None:
-        label = np.where(instance >= 0, np.asarray(label_of_instance)[instance], -1)
-    return GaussianCloud(
-        means=cells.point.astype(np.float32),
-        quats=quats,
-        scales=scales,
+        label = np.where(label >= 0, np.asarray(label_of_instance)[label], -1)
+    cloud = GaussianCloud(
+        means=discs.point[discs.keep],
+        quats=discs.quats[discs.keep],
+        scales=discs.scales[discs.keep],
         opacities=np.full(len(cells.face), OPACITY, np.float32),
         sh=((colour - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
         label=label.astype(np.int32),
@@ -87,6 +94,63 @@ def build_surfels(
         irradiance=irradiance,
         normal=normal,
     )
+    progress("surfels", 3, 3)
+    return cloud
+
+
+def _spread_budget(
+    shader: Shader,
+    charts: Charts,
+    cells: Cells,
+    discs: Discs,
+    *,
+    mesh: SceneMesh,
+    weight: NDArray[np.floating] | None,
+) -> F64:
+    """How finely to sample each tile, up to a factor.
+
+    At spacing s a unit of surface is wrong by about (V + E) s: V from texture and shadow edges
+    (the variance of colour inside a pilot cell, per length), E from outlines (open sides and
+    curvature, per area). With 1 / s² discs a unit, the least total error for a given number of
+    discs has s ∝ (V + E)^(−1/3).
+    """
+    tiles = int(cells.tile.max()) + 1
+
+    def total(values: NDArray[np.floating]) -> F64:
+        return np.bincount(cells.tile, values, tiles)
+
+    shown = np.where(discs.keep, discs.area, 0.0)
+    area = np.maximum(total(discs.area), 1e-12)
+    variance = _colour_variance(shader, cells)
+    # variance grows with the cell: per length, by the cell's own size
+    texture = total(variance / np.sqrt(np.maximum(discs.area, 1e-9)) * shown) / area
+    outline = total(discs.open_length * discs.keep) / area
+    bend = np.zeros(tiles)
+    bend[cells.tile] = charts.bend[cells.chart]
+    need = texture + _OUTLINE * (outline + bend) + 1e-4
+    if weight is not None:
+        mean = total(np.asarray(weight, np.float64)[cells.face] * discs.area) / area
+        need *= np.maximum(mean, 1e-3) ** 3
+    fineness = np.cbrt(need)
+    middle = np.average(fineness, weights=area)
+    return np.clip(fineness / middle, 0.35, 2.5)
+
+
+def _colour_variance(shader: Shader, cells: Cells) -> F64:
+    """Variance of the display colour between the shaded points of each cell [N]."""
+    n = len(cells.face)
+    out = np.empty(n)
+    for lo in range(0, n, 65536):
+        part = cells.select(slice(lo, min(n, lo + 65536)))
+        colour = shader.shade(*_picked(part)).colour.reshape(-1, PICKS, 3)
+        out[lo : lo + len(colour)] = colour.var(axis=1).mean(axis=1)
+    return out
+
+
+def _picked(cells: Cells) -> tuple[NDArray[np.int32], F32]:
+    """The shaded points of cells: face [N · PICKS] and barycentric coordinates."""
+    vw = cells.pick_bary.reshape(-1, 2)
+    return cells.pick_face.reshape(-1), np.concatenate([1 - vw.sum(1, keepdims=True), vw], 1)
 
 
 def _shade_cells(shader: Shader, cells: Cells) -> tuple[F32, F32, F32, F32]:
@@ -95,33 +159,10 @@ def _shade_cells(shader: Shader, cells: Cells) -> tuple[F32, F32, F32, F32]:
     out = [np.empty((n, 3), np.float32) for _ in range(4)]
     for lo in range(0, n, 65536):
         hi = min(n, lo + 65536)
-        vw = cells.pick_bary[lo:hi].reshape(-1, 2)
-        bary = np.concatenate([1 - vw.sum(1, keepdims=True), vw], 1)
-        sample = shader.shade(cells.pick_face[lo:hi].reshape(-1), bary)
+        sample = shader.shade(*_picked(cells.select(slice(lo, hi))))
         parts = (sample.albedo, sample.irradiance, sample.colour, sample.normal)
         for target, part in zip(out, parts, strict=True):
             target[lo:hi] = part.reshape(-1, PICKS, 3).mean(axis=1)
     normal = out[3]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     return out[0], out[1], out[2], normal
-
-
-def _shape_discs(cells: Cells, charts: Charts) -> tuple[F32, F32]:
-    """Scales [N, 3] and quaternions [N, 4] of discs whose third axis is the chart's normal."""
-    a, b, d = cells.spread.T
-    half, root = (a + d) / 2, np.sqrt(((a - d) / 2) ** 2 + b * b)
-    large, small = half + root, np.maximum(half - root, 1e-10)
-    angle = 0.5 * np.arctan2(2 * b, a - d)
-    widen = SIGMA * np.sqrt(12.0)  # a full cell of spacing s has standard deviation s / √12
-    scales = np.stack(
-        [
-            np.maximum(np.sqrt(large) * widen, THICKNESS),
-            np.maximum(np.sqrt(small) * widen, THICKNESS),
-            np.full(len(a), THICKNESS),
-        ],
-        1,
-    )
-    u, v, n = (charts.axes[cells.chart, k] for k in range(3))
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    rotation = np.stack([c * u + s * v, c * v - s * u, n], 2)
-    return scales.astype(np.float32), quaternion_from_rotation(rotation).astype(np.float32)

@@ -49,13 +49,13 @@ def plan_tiles_at(charts: Charts, spacing: float, *, brick: bool = True) -> Tile
     return Tiles(chart=chart, lower=lower, size=size, cells=cells, brick=brick)
 
 
-def plan_tiles(charts: Charts, fineness: F64, count: int) -> Tiles:
-    """Tiles whose cells number about `count`, at a spacing of base / fineness [C]."""
+def plan_tiles(charts: Charts, count: int, fineness: F64 | None = None) -> Tiles:
+    """Tiles whose cells number about `count`, at a spacing of base / fineness [T]."""
     chart, lower, size, cover = _cut(charts)
+    fine = np.ones(len(chart)) if fineness is None else fineness
 
     def cells_at(base: float) -> NDArray[np.int64]:
-        spacing = base / fineness[chart]
-        return np.maximum(1, np.round(size / spacing[:, None])).astype(np.int64)
+        return np.maximum(1, np.round(size * (fine / base)[:, None])).astype(np.int64)
 
     low, high = 1e-4, 10.0
     for _ in range(50):
@@ -71,12 +71,17 @@ def plan_tiles(charts: Charts, fineness: F64, count: int) -> Tiles:
 class Cells:
     """Cells that hold some surface."""
 
+    tile: NDArray[np.int32]
     chart: NDArray[np.int32]
     face: NDArray[np.int32]
     point: F64  # [N, 3] m
     spread: F64  # [N, 3] covariance (uu, uv, vv) of the filled part, chart coordinates [m²]
     pick_face: NDArray[np.int32]  # [N, PICKS]
     pick_bary: F32  # [N, PICKS, 2] weights of the second and third corner
+
+    def select(self, mask: NDArray[np.bool_] | slice) -> Cells:
+        """The cells at `mask`."""
+        return Cells(**{name: value[mask] for name, value in vars(self).items()})
 
 
 def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cells:
@@ -96,15 +101,25 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
         charts.start, charts.faces, charts.corners, np.uint32(seed & 0xFFFFFFFF),
         face, mean, spread, pick_face, pick_bary,
     )  # fmt: skip
-    chart = np.repeat(tiles.chart, per_tile)
+    tile = np.repeat(np.arange(len(tiles.chart)), per_tile)
+    chart = tiles.chart[tile]
     missed = np.setdiff1d(np.arange(len(charts)), np.unique(chart[face >= 0]))
     keep = np.flatnonzero(face >= 0)
-    parts = [chart[keep], face[keep], mean[keep], spread[keep], pick_face[keep], pick_bary[keep]]
+    parts = [
+        tile[keep],
+        chart[keep],
+        face[keep],
+        mean[keep],
+        spread[keep],
+        pick_face[keep],
+        pick_bary[keep],
+    ]
     if len(missed):  # slivers that no subsample met: one disc each, from their bounds
         middle = (charts.lower[missed] + charts.upper[missed]) / 2
         extent = charts.upper[missed] - charts.lower[missed]
         one = charts.faces[charts.start[missed]]
         extra = [
+            np.searchsorted(tiles.chart, missed),
             missed,
             one,
             middle,
@@ -113,7 +128,7 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
             np.full((len(missed), PICKS, 2), 1 / 3, np.float32),
         ]
         parts = [np.concatenate([a, b]) for a, b in zip(parts, extra, strict=True)]
-    c, f, m, s, pf, pb = parts
+    tile, c, f, m, s, pf, pb = parts
     u, v, n = (charts.axes[c, k] for k in range(3))
     flat = charts.origin[c] + m[:, :1] * u + m[:, 1:] * v
     corner = mesh.vertices[mesh.faces[f, 0]]
@@ -122,6 +137,7 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
     lift = ((corner - flat) * face_normal).sum(1) / tilt  # along the chart's normal to the face
     point = flat + lift[:, None] * n
     return Cells(
+        tile=tile.astype(np.int32),
         chart=c.astype(np.int32),
         face=f.astype(np.int32),
         point=point,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gn0.scenes.bake import LightField
 
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
-GREY = 0.30  # where the median luminance is put before the curve
+GREY = 0.21  # where the median luminance is put before the curve
 ADAPTATION = 0.65  # how far the eye takes the light's mean colour for white
 
 

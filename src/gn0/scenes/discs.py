@@ -1,0 +1,155 @@
+"""Where a disc Gaussian must end: edges against the open are kept sharp, hidden discs dropped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F32, F64, quaternion_from_rotation
+from gn0.jit import njit, prange
+from gn0.scenes.charts import Charts
+from gn0.scenes.mesh import SceneMesh
+from gn0.scenes.rays import STACK, RayCaster, closest_hit
+from gn0.scenes.tiles import Cells
+
+SIGMA = 0.65  # standard deviation of a full cell's disc, in spacings
+SIGMA_ONE = 0.50  # across a cell with one open side
+SIGMA_BOTH = 0.43  # across a cell with two: the 50 % contour of the blended disc lies on the edge
+SHIFT_ONE = 0.08  # how far a disc steps back from an open side, in cell widths
+THICKNESS = 0.001  # of a disc, one standard deviation [m]
+_COVERED = 0.02  # what lies closer than this over a surface hides it [m]
+_LIFT = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Discs:
+    """Placed discs.
+
+    Attributes:
+        point: centres [N, 3] m.
+        scales: standard deviations [N, 3] m.
+        quats: orientations [N, 4], third axis along the surface normal.
+        keep: discs that can be seen from somewhere [N].
+        open_length: length of each disc's sides that end in the open [N] m.
+        area: of each disc's cell [N] m².
+    """
+
+    point: F32
+    scales: F32
+    quats: F32
+    keep: NDArray[np.bool_]
+    open_length: F64
+    area: F64
+
+
+def shape_discs(
+    cells: Cells, charts: Charts, mesh: SceneMesh, caster: RayCaster, *, oriented: bool
+) -> Discs:
+    """Discs in the tangent planes of their cells.
+
+    Args:
+        cells: filled cells.
+        charts: the charts that they lie on.
+        mesh: the surfaces.
+        caster: a ray caster of the same mesh.
+        oriented: face normals point out of solids, so that discs inside them can be dropped.
+    """
+    normal = mesh.normals()[cells.face]
+    axis_u, axis_v, up = (charts.axes[cells.chart, k] for k in range(3))
+    # moving by one along a chart axis moves along the face by that and a bit along the normal
+    tilt = (normal * up).sum(1)
+    tilt = np.where(np.abs(tilt) < 0.2, np.where(tilt < 0, -0.2, 0.2), tilt)[:, None]
+    a = axis_u - up * ((normal * axis_u).sum(1)[:, None] / tilt)
+    b = axis_v - up * ((normal * axis_v).sum(1)[:, None] / tilt)
+    t1 = a / np.linalg.norm(a, axis=1, keepdims=True)
+    t2 = np.cross(normal, t1)
+    m11, m12 = (t1 * a).sum(1), (t1 * b).sum(1)
+    m21, m22 = (t2 * a).sum(1), (t2 * b).sum(1)
+    uu, uv, vv = cells.spread.T
+    c11 = m11 * m11 * uu + 2 * m11 * m12 * uv + m12 * m12 * vv
+    c12 = m11 * m21 * uu + (m11 * m22 + m12 * m21) * uv + m12 * m22 * vv
+    c22 = m21 * m21 * uu + 2 * m21 * m22 * uv + m22 * m22 * vv
+    half, root = (c11 + c22) / 2, np.sqrt(((c11 - c22) / 2) ** 2 + c12 * c12)
+    angle = 0.5 * np.arctan2(2 * c12, c11 - c22)
+    # cells that are nearly square keep the chart's axes: their sides lie along its edges
+    square = root < 0.08 * half
+    angle = np.where(square, 0.0, angle)
+    large = np.where(square, c11, half + root)
+    small = np.where(square, c22, half - root)
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    e1, e2 = c * t1 + s * t2, c * t2 - s * t1
+    width = np.sqrt(12.0 * np.maximum(np.stack([large, small], 1), 1e-9))  # [N, 2] m
+    open_sides, hidden = _probe_sides(
+        cells.point, normal, e1, e2, width, caster.boxes, caster.links, caster.order,
+        caster.corners, mesh.normals(), oriented,
+    )  # fmt: skip
+    count = open_sides.reshape(-1, 2, 2).sum(2)  # [N, axis]
+    factor = np.array([SIGMA, SIGMA_ONE, SIGMA_BOTH])[count]
+    step = (open_sides[:, 0::2].astype(float) - open_sides[:, 1::2]) * SHIFT_ONE * width
+    point = cells.point + step[:, :1] * e1 + step[:, 1:] * e2
+    scales = np.maximum(factor * width, THICKNESS)
+    return Discs(
+        point=point.astype(np.float32),
+        scales=np.concatenate([scales, np.full((len(scales), 1), THICKNESS)], 1).astype(np.float32),
+        quats=quaternion_from_rotation(np.stack([e1, e2, normal], 2)).astype(np.float32),
+        keep=~hidden,
+        open_length=(count * width[:, ::-1]).sum(1),
+        area=width[:, 0] * width[:, 1],
+    )
+
+
+@njit(parallel=True, error_model="numpy")
+def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, normals, oriented):
+    """Per disc: open sides (−e1, +e1, −e2, +e2) [N, 4], and whether nobody can see it [N]."""
+    n = len(point)
+    open_sides = np.zeros((n, 4), np.bool_)
+    hidden = np.zeros(n, np.bool_)
+    for i in prange(n):
+        stack = np.empty(STACK, np.int32)
+        px, py, pz = point[i, 0], point[i, 1], point[i, 2]
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        covered = 0
+        for k in range(5):
+            reach = 0.0
+            if k < 2:
+                dx, dy, dz, reach = e1[i, 0], e1[i, 1], e1[i, 2], width[i, 0]
+            else:
+                dx, dy, dz, reach = e2[i, 0], e2[i, 1], e2[i, 2], width[i, 1]
+            if k % 2 == 0:
+                dx, dy, dz = -dx, -dy, -dz
+            if k < 4:
+                far = 0.5 * reach + min(0.35 * reach, 0.006) + 5e-4
+                # something stands on the surface there: the disc's tail is hidden behind it
+                hit, _, _, _ = closest_hit(
+                    boxes, links, corners, px + nx * _LIFT, py + ny * _LIFT, pz + nz * _LIFT,
+                    dx, dy, dz, far + 0.5 * reach, True, stack,
+                )  # fmt: skip
+                if hit < 0:
+                    lift = _LIFT + 0.3 * min(reach, 0.03)
+                    hit, _, _, _ = closest_hit(
+                        boxes, links, corners,
+                        px + dx * far + nx * lift, py + dy * far + ny * lift,
+                        pz + dz * far + nz * lift, -nx, -ny, -nz, 2.0 * lift, True, stack,
+                    )  # fmt: skip
+                    open_sides[i, k] = hit < 0
+                ox, oy, oz = px + 0.4 * reach * dx, py + 0.4 * reach * dy, pz + 0.4 * reach * dz
+            else:
+                ox, oy, oz = px, py, pz
+            hit, _, _, _ = closest_hit(
+                boxes, links, corners, ox + nx * 3e-4, oy + ny * 3e-4, oz + nz * 3e-4,
+                nx, ny, nz, _COVERED, True, stack,
+            )  # fmt: skip
+            covered += hit >= 0
+        if covered == 5:
+            hit, t, _, _ = closest_hit(
+                boxes, links, corners, px - nx * 3e-4, py - ny * 3e-4, pz - nz * 3e-4,
+                -nx, -ny, -nz, np.inf, False, stack,
+            )  # fmt: skip
+            if hit < 0 or t < _COVERED:
+                hidden[i] = True
+            elif oriented:
+                f = order[hit]
+                hidden[i] = normals[f, 0] * nx + normals[f, 1] * ny + normals[f, 2] * nz < 0.0
+    return open_sides, hidden

@@ -11,7 +11,7 @@ from gn0.config import Config
 EXAMPLES = "  gn0 bench compare out/walls out/random"
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """Two runs of the same suite.
 
     Attributes:

@@ -14,7 +14,7 @@ EXAMPLES = """  gn0 bench report out/walls
   gn0 bench report out/walls out/house-oracle --out out/both.html"""
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """Runs and output.
 
     Attributes:

@@ -20,7 +20,7 @@ EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try"""
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """What to run and where to write.
 
     Attributes:

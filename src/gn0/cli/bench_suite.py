@@ -12,7 +12,7 @@ from gn0.config import Config
 EXAMPLES = "  gn0 bench suite out/flat out/house --episodes 50 --minimum-length 5 --out out/suite"
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """Scenes and sampling.
 
     Attributes:

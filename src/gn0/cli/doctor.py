@@ -15,7 +15,7 @@ from gn0.config import Config
 EXAMPLES = "  gn0 doctor"
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """No settings."""
 
 

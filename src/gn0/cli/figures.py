@@ -21,7 +21,7 @@ EXAMPLES = """  gn0 figures --list
   gn0 figures --all --out docs"""
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """Which figures, and where the board is.
 
     Attributes:

@@ -14,7 +14,7 @@ from gn0.config import Config
 EXAMPLES = "  gn0 scene check out/house"
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """The scene.
 
     Attributes:

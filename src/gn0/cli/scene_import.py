@@ -17,7 +17,7 @@ EXAMPLES = """  gn0 scene import path/to/small_house --out out/house
   gn0 scene import path/to/InteriorGS/0001_839920 --out out/flat"""
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """Source and settings.
 
     Attributes:

@@ -12,7 +12,7 @@ EXAMPLES = """  gn0 scene inspect point_cloud.ply
   gn0 scene inspect 3dgs_compressed.ply"""
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """The file.
 
     Attributes:

@@ -13,7 +13,7 @@ EXAMPLES = """  gn0 scene show out/flat
   gn0 scene show out/flat --out flat.png"""
 
 
-class Args(Config):
+class Args(Config, frozen=True):
     """The scene and the picture.
 
     Attributes:

@@ -9,7 +9,7 @@ from gn0.config import Config
 from gn0.errors import RenderError
 
 
-class Camera(Config):
+class Camera(Config, frozen=True):
     """A pinhole or orthographic camera, OpenCV axes, pixel centres at +0.5.
 
     Attributes:

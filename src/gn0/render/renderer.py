@@ -26,7 +26,7 @@ VIEW_TOLERANCE = 1e-4  # how far a view's rotation may be from orthonormal
 Output = Literal["rgb", "depth", "alpha"]
 
 
-class RenderOptions(Config):
+class RenderOptions(Config, frozen=True):
     """Image-formation settings.
 
     Attributes:

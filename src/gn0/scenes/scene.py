@@ -16,7 +16,7 @@ from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 
 
-class ObjectBox(Config):
+class ObjectBox(Config, frozen=True):
     """An upright box: centre (x, y, z) [m], size along its own axes [m], yaw [rad]."""
 
     centre: tuple[float, float, float]
@@ -37,7 +37,7 @@ class ObjectBox(Config):
         return np.vstack([low, high])
 
 
-class SceneObject(Config):
+class SceneObject(Config, frozen=True):
     """An object instance: id, category (lower case, e.g. "coffee table"), box, room id or None."""
 
     id: str
@@ -46,7 +46,7 @@ class SceneObject(Config):
     room: str | None = None
 
 
-class SceneRoom(Config):
+class SceneRoom(Config, frozen=True):
     """A room: id, type ("kitchen", "bedroom", …; "room" when unknown), floor polygon [(x, y) m]."""
 
     id: str
@@ -54,7 +54,7 @@ class SceneRoom(Config):
     polygon: tuple[tuple[float, float], ...]
 
 
-class SceneWall(Config):
+class SceneWall(Config, frozen=True):
     """A wall segment from a to b (x, y) [m], thickness and height [m]."""
 
     a: tuple[float, float]
@@ -63,7 +63,7 @@ class SceneWall(Config):
     height: float
 
 
-class SceneOpening(Config):
+class SceneOpening(Config, frozen=True):
     """A door or window: polygon [(x, y, z) m], kind DOOR or WINDOW, wall thickness [m]."""
 
     kind: str
@@ -71,7 +71,7 @@ class SceneOpening(Config):
     thickness: float
 
 
-class SceneSourceInfo(Config):
+class SceneSourceInfo(Config, frozen=True):
     """Where a scene comes from: written to `scene.json`."""
 
     kind: str  # interiorgs | world | procedural | …

@@ -34,7 +34,7 @@ _DAY = np.array((0.92, 1.0, 1.12))
 _LAMP_POWER = 3.2  # radiance × area [m²] of a lamp whose SDF colour is white, per m of height²
 _DAYLIGHT = 5.0  # radiance of a window
 _WINDOW_GLOW = 2.2  # radiance of the pane as seen, times its texture
-_EXPOSURE = 0.8  # imported rooms are mostly white: a grey-world exposure would bleach them
+_EXPOSURE = 0.95  # imported rooms are mostly white: a grey-world exposure would bleach them
 _PASSING = {"window", "lamp", "chandelier", "curtain", "light"}  # do not stop light
 
 
@@ -261,7 +261,7 @@ def _daylight(objects: tuple[SceneObject, ...], rooms: RoomMap, grid: OccupancyG
 def _lamps_for_dark_rooms(
     lamps: list[Lamp], rooms: RoomMap, grid: OccupancyGrid, top: float
 ) -> list[Lamp]:
-    """Ceiling lamps for every 5 m of a room farther than 4 m from any other lamp."""
+    """Ceiling lamps for every 5 m of a room farther than about 3 m from any other lamp."""
     have = [lamp.centre[:2] for lamp in lamps if lamp.shape != "window"]
     added: list[Lamp] = []
     points = grid.centres_of(np.argwhere(rooms.label >= 0))[::29]
@@ -273,7 +273,7 @@ def _lamps_for_dark_rooms(
             middle = points.mean(axis=0)
             distance = 10.0 - np.sqrt(((points - middle) ** 2).sum(axis=1)) * 0.01
         worst = int(np.argmax(distance))
-        if distance[worst] < max(4.0, 1.2 * top):
+        if distance[worst] < max(3.2, 1.2 * top):
             break
         x, y = (float(v) for v in points[worst])
         # not in the corner that is farthest, but in the middle of what is dark round it

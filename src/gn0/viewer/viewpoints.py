@@ -1,0 +1,139 @@
+"""Where to stand to show a scene: roomy places that look at furnished ones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F64, Pose2D
+from gn0.maps.grid import FREE, OCCUPIED
+from gn0.maps.navigation import NavigationMap
+from gn0.scenes.rooms import room_at
+from gn0.scenes.scene import Scene
+
+_HEADINGS = 24
+_HALF_VIEW = math.radians(36)  # a little inside a picture of hfov 79°
+_POINTS = 260
+_SAMPLES = 24
+
+
+def choose_viewpoints(scene: Scene, count: int = 4, radius: float = 0.25) -> list[Pose2D]:
+    """Up to `count` poses with free space in front and many different things in sight.
+
+    Deterministic; prefers a new room for each view. Empty when nothing is walkable.
+    """
+    navigation = NavigationMap(scene.grid, radius)
+    regions = np.asarray(navigation.regions)
+    if not (regions == 0).any():
+        return []
+    clearance = np.where(regions == 0, np.asarray(navigation.clearance), 0.0)
+    points = _roomy_points(scene, clearance)
+    walls = _walls(scene)
+    headings = np.arange(_HEADINGS) * 2 * math.pi / _HEADINGS
+    score = _interest(scene, points, headings, walls) * _openness(scene, points, headings, walls)
+    rooms = [room_at(scene.rooms, float(x), float(y)) for x, y in points]
+    chosen: list[Pose2D] = []
+    taken: dict[str | None, int] = {}
+    while len(chosen) < count and score.max() > 0:
+        weight = np.array([0.45 ** taken.get(room, 0) for room in rooms])
+        best = int(np.argmax(score * weight[:, None]))
+        i, k = divmod(best, _HEADINGS)
+        x, y, yaw = float(points[i, 0]), float(points[i, 1]), float(headings[k])
+        chosen.append(Pose2D(x, y, math.remainder(yaw, 2 * math.pi)))
+        taken[rooms[i]] = taken.get(rooms[i], 0) + 1
+        away = np.hypot(points[:, 0] - x, points[:, 1] - y)
+        turned = np.abs(np.mod(headings - yaw + math.pi, 2 * math.pi) - math.pi)
+        same = (away[:, None] < 1.2) | ((away[:, None] < 3.5) & (turned[None] < 0.8))
+        score[same] = 0.0
+    return chosen
+
+
+def _roomy_points(scene: Scene, clearance: NDArray[np.floating]) -> F64:
+    """Walkable places, an even share of the floor, the more open half of them."""
+    cells = np.argwhere(clearance > 0)
+    step = max(1, math.isqrt(max(1, len(cells) // (2 * _POINTS))))
+    even = cells[(cells % step == 0).all(axis=1)]
+    even = even if len(even) else cells
+    space = clearance[even[:, 0], even[:, 1]]
+    keep = even[space >= min(0.45, float(np.median(space)))]
+    return scene.grid.centres_of(keep[:: max(1, len(keep) // _POINTS)])
+
+
+def _walls(scene: Scene) -> NDArray[np.bool_]:
+    """Occupied cells that no furniture explains: what one cannot see over."""
+    grid = scene.grid
+    walls = grid.cells == OCCUPIED
+    rc = np.argwhere(walls)
+    xy = grid.centres_of(rc)
+    low = np.zeros(len(rc), bool)
+    for thing in scene.objects:
+        if thing.box.centre[2] + thing.box.size[2] / 2 > 1.6:
+            continue
+        c, s = math.cos(thing.box.yaw), math.sin(thing.box.yaw)
+        local = (xy - thing.box.centre[:2]) @ np.array([[c, -s], [s, c]])
+        half = np.asarray(thing.box.size[:2]) / 2 + grid.resolution
+        low |= (np.abs(local) <= half).all(axis=1)
+    walls[rc[low, 0], rc[low, 1]] = False
+    return walls | (grid.cells != FREE) & ~_near_free(grid.cells == FREE)
+
+
+def _near_free(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    from scipy import ndimage
+
+    return np.asarray(ndimage.binary_dilation(free, iterations=12))
+
+
+def _blocked(
+    scene: Scene, walls: NDArray[np.bool_], start: F64, end: F64, share: float
+) -> NDArray[np.bool_]:
+    """Whether a wall lies on the first `share` of each segment [..., 2] m."""
+    t = np.linspace(0.05, share, _SAMPLES)
+    p = start[..., None, :] + (end - start)[..., None, :] * t[:, None]
+    cell = np.floor((p - np.asarray(scene.grid.origin)) / scene.grid.resolution).astype(int)
+    h, w = walls.shape
+    row, col = np.clip(cell[..., 1], 0, h - 1), np.clip(cell[..., 0], 0, w - 1)
+    return np.asarray(walls[row, col].any(axis=-1))
+
+
+def _interest(
+    scene: Scene, points: F64, headings: F64, walls: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """How much there is to see [P, K]: different things, at a good distance, in plain sight."""
+    score = np.full((len(points), len(headings)), 0.05)
+    by_category: dict[str, NDArray[np.float64]] = {}
+    for thing in scene.objects:
+        size = np.asarray(thing.box.size)
+        bulk = float(np.cbrt(max(np.prod(size), 1e-6)))
+        if bulk < 0.12 or size[2] < 0.05:
+            continue
+        offset = np.asarray(thing.box.centre[:2]) - points
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        ends = np.broadcast_to(np.asarray(thing.box.centre[:2]), points.shape)
+        seen = ~_blocked(scene, walls, points, ends, 0.8)
+        worth = min(bulk, 1.0) * np.exp(-(((distance - 2.8) / 1.8) ** 2)) * seen
+        bearing = np.arctan2(offset[:, 1], offset[:, 0])
+        turn = np.abs(np.mod(bearing[:, None] - headings + math.pi, 2 * math.pi) - math.pi)
+        gain = worth[:, None] * np.clip(1.3 - turn / _HALF_VIEW, 0.0, 1.0)
+        total = by_category.setdefault(thing.category, np.zeros_like(score))
+        np.maximum(total + 0.25 * gain, gain, out=total)
+        # a thing right before the lens spoils the picture
+        score -= 2.0 * ((distance < 0.5 + bulk / 2)[:, None] & (turn < _HALF_VIEW))
+    for total in by_category.values():
+        score += total
+    return np.maximum(score, 0.0)
+
+
+def _openness(
+    scene: Scene, points: F64, headings: F64, walls: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """1 where the view ahead and to both sides is a few metres deep, towards 0 before a wall."""
+    out = np.ones((len(points), len(headings)))
+    for side, need in ((0.0, 3.0), (0.5, 2.0), (-0.5, 2.0)):
+        for reach in (0.5 * need, need):
+            yaw = headings + side
+            ends = points[:, None] + reach * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+            starts = np.broadcast_to(points[:, None], ends.shape)
+            out *= np.where(_blocked(scene, walls, starts, ends, 1.0), 0.6, 1.0)
+    return out

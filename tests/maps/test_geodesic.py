@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -186,7 +187,7 @@ def test_paths_can_be_driven_and_are_hardly_longer_than_the_distance(house):
             path = field.path(*start)
             assert tuple(path[0]) == tuple(start)
             assert tuple(path[-1]) == field.goal
-            for a, b in zip(path[:-1], path[1:], strict=True):
+            for a, b in pairwise(path):
                 assert is_line_free(house, tuple(a), tuple(b))
             bends = field.bends(*start)
             assert polyline_length(bends) == pytest.approx(field.distance_at(*start), abs=1e-9)

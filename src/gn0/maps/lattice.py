@@ -9,7 +9,8 @@ is anchored anew at the pose the agent really reached, which may be off it after
 
 Three rules keep an agent from dithering: LEFT never follows RIGHT directly or the other way round,
 also across plans; the cost measures progress along the path, not a clock; and a watchdog that sees
-no progress falls back to plain pursuit, then gives up with STOP.
+no progress falls back to plain pursuit, then gives up with STOP. A FORWARD that was cut short where
+the map showed nothing is remembered and avoided.
 """
 
 from __future__ import annotations
@@ -32,6 +33,10 @@ from gn0.maps.ray import trace_points
 STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3  # the codes of VLN-CE
 HEADINGS = 24
 LONGEST_HORIZON = 16  # coefficients must stay within six bits
+
+BUMP_RADIUS = 0.05  # m round a place where a FORWARD was cut short against expectation
+BUMP_AHEAD = 0.06  # m from where the agent stopped to that place: just more than the radius
+BUMPS_KEPT = 64
 
 MoveCheck = Callable[[float, float, float, float], bool]
 
@@ -184,6 +189,24 @@ def _check_moves(blocked, ox, oy, resolution, before, after, parent, action):  #
 
 
 @njit
+def _shun_bumps(free, before, after, parent, action, bumps):  # type: ignore[no-untyped-def]
+    """Bar each FORWARD that passes within `BUMP_RADIUS` of a place where the agent was stopped."""
+    for i in range(len(action)):
+        if action[i] != 1 or not free[i]:
+            continue
+        ax, ay = before[parent[i], 0], before[parent[i], 1]
+        dx, dy = after[i, 0] - ax, after[i, 1] - ay
+        length = dx * dx + dy * dy
+        for k in range(len(bumps)):
+            t = ((bumps[k, 0] - ax) * dx + (bumps[k, 1] - ay) * dy) / length
+            t = min(max(t, 0.0), 1.0)
+            ex, ey = bumps[k, 0] - ax - t * dx, bumps[k, 1] - ay - t * dy
+            if ex * ex + ey * ey < BUMP_RADIUS * BUMP_RADIUS:
+                free[i] = False
+                break
+
+
+@njit
 def _merge(  # type: ignore[no-untyped-def]
     child, parent, action, places, free, cost, arc, away, points, arcs, window, end_radius, weights
 ):
@@ -309,7 +332,8 @@ class LatticeProblem:
         self._check: MoveCheck | None = None
         self._frame: tuple[NDArray[np.bool_], float, float, float] | None = None
         if isinstance(grid, OccupancyGrid):
-            self._frame = (grid.blocked, *map(float, grid.origin), float(grid.resolution))
+            x, y = grid.origin
+            self._frame = (grid.blocked, float(x), float(y), float(grid.resolution))
         else:
             self._check = grid
 
@@ -345,7 +369,13 @@ class LatticeProblem:
         return project(self.points, self.arcs, legs[0], legs[1], float(x), float(y))
 
     def plan(
-        self, pose: Pose2D, arc: float, *, last_action: int = FORWARD, horizon: int = 8
+        self,
+        pose: Pose2D,
+        arc: float,
+        *,
+        last_action: int = FORWARD,
+        horizon: int = 8,
+        bumps: F64 | None = None,
     ) -> tuple[list[int], float]:
         """The cheapest sequence of at most `horizon` actions, by exact dynamic programming.
 
@@ -354,6 +384,7 @@ class LatticeProblem:
             arc: progress along the path so far [m]; the path is sought near it.
             last_action: the action before, for the ban on immediate reversals.
             horizon: number of actions, at most `LONGEST_HORIZON`.
+            bumps: places [B, 2] m to keep clear of, which the map does not show.
 
         Returns:
             (actions, cost); the actions are shorter than the horizon when they reach the end, and
@@ -379,6 +410,8 @@ class LatticeProblem:
             child, parent, action = _expand(keys, done, self.stride)
             after = _positions(child, *anchor)
             free = self._free(places, after, parent, action)
+            if bumps is not None:
+                _shun_bumps(free, places, after, parent, action, bumps)
             kept, cost, arcs, away, done = _merge(
                 *(child, parent, action, after, free, cost, arcs, away),
                 *(self.points, self.arcs, window, self.stop_distance, self._weights),
@@ -468,6 +501,7 @@ class ActionPlanner:
         self._last = FORWARD
         self._queue: list[int] = []
         self._expected: Pose2D | None = None
+        self._bumps: list[tuple[float, float]] = []
         self.stopped = False
 
     def next_action(self, pose: Pose2D) -> int:
@@ -479,6 +513,7 @@ class ActionPlanner:
         if not pose.is_finite():
             raise PlanError(f"pose {tuple(pose)} is not finite")
         problem = self.problem
+        self._remember_bump(pose)
         if self.arc is None:
             self.arc, _ = problem.project(pose.x, pose.y, 0.0, problem.length)
         else:
@@ -509,7 +544,11 @@ class ActionPlanner:
         assert self.arc is not None
         if self.method == "dp" and self._idle <= self.patience:
             actions, _ = self.problem.plan(
-                pose, self.arc, last_action=self._last, horizon=self.horizon
+                pose,
+                self.arc,
+                last_action=self._last,
+                horizon=self.horizon,
+                bumps=self._bump_array() if self._bumps else None,
             )
             if FORWARD in actions:  # turns are only worth what the next FORWARD makes of them
                 return actions[: actions.index(FORWARD) + 1]
@@ -518,17 +557,43 @@ class ActionPlanner:
         return self._pursue(pose)
 
     def _pursue(self, pose: Pose2D) -> list[int]:
-        """Turn to the path ahead and go, bumping along whatever is in the way."""
+        """Turn to the path ahead, or as near to it as a FORWARD is free, and go."""
         assert self.arc is not None
         problem = self.problem
         x, y = point_at(problem.points, problem.arcs, self.arc + problem.look_ahead)
         error = wrap_angle(math.atan2(y - pose.y, x - pose.x) - pose.yaw)
-        if abs(error) <= problem.turn / 2 + 1e-9:
+        half = round(math.pi / problem.turn)
+        turns = sorted(range(-half, half + 1), key=lambda k: (abs(k * problem.turn - error), k))
+        best = next((k for k in turns if self._is_open(pose, k)), turns[0])
+        if best == 0:
             return [FORWARD]
-        turn = LEFT if error > 0 else RIGHT
-        if turn + self._last == LEFT + RIGHT:
-            return [FORWARD]  # no reversal on the spot
-        return [turn]
+        turn = LEFT if best > 0 else RIGHT
+        return [self._last if turn + self._last == LEFT + RIGHT else turn]
+
+    def _is_open(self, pose: Pose2D, turns: int) -> bool:
+        """Whether FORWARD is free after some turns, as far as map and bumps tell."""
+        step = self.problem.step
+        yaw = pose.yaw + turns * self.problem.turn
+        before = np.array([[pose.x, pose.y]])
+        after = before + step * np.array([[math.cos(yaw), math.sin(yaw)]])
+        if self.problem.move(*before[0].tolist(), *after[0].tolist())[2]:
+            return False
+        free = np.ones(1, np.bool_)
+        one = np.zeros(1, np.int32), np.full(1, FORWARD, np.int8)
+        _shun_bumps(free, before, after, *one, self._bump_array())
+        return bool(free[0])
+
+    def _bump_array(self) -> F64:
+        return np.array(self._bumps, np.float64).reshape(-1, 2)
+
+    def _remember_bump(self, pose: Pose2D) -> None:
+        """A FORWARD that was cut short although the map called it free is remembered."""
+        if self._last == FORWARD and self._expected is not None and not self._as_expected(pose):
+            if abs(wrap_angle(pose.yaw - self._expected.yaw)) > 1e-6:
+                return  # somebody else moved the agent
+            c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+            self._bumps.append((pose.x + BUMP_AHEAD * c, pose.y + BUMP_AHEAD * s))
+            del self._bumps[:-BUMPS_KEPT]
 
     def _arrived(self, pose: Pose2D) -> bool:
         x, y = self.problem.end

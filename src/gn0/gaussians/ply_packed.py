@@ -1,8 +1,9 @@
 """PlayCanvas compressed PLY: 16 bytes a splat in chunks of 256, SH in one byte a value.
 
-Decoded as PlayCanvas's own splat-transform does (bit layout in docs/conventions.md): positions and
-log scales are 11-10-11 bits between the bounds of their chunk, rotations are the smallest three of
-(w, x, y, z), colours are bytes between bounds where the chunk has them, else 0..1.
+Decoded as PlayCanvas's own splat-transform does. Each word has its first value in the high bits:
+position and log scale are 11-10-11 bits between the bounds of their chunk; rotation is the index of
+the largest of (w, x, y, z) in 2 bits, then the other three in 10 bits each over ±√½; colour is a
+byte each of r, g, b (between bounds where the chunk has them, else 0..1) and opacity.
 """
 
 from __future__ import annotations

@@ -73,9 +73,8 @@ class FuzzReport:
     Attributes:
         inputs: how many inputs were tried.
         accepted: how many were read.
-        refused: how many were refused with a `Gn0Error`.
-        foreign: number of other exceptions, warnings, refusals that name no file, and unsound
-            results.
+        refused: how many were refused with a `Gn0Error` that names its file and a remedy.
+        foreign: all others: other exceptions, warnings, bare refusals, unsound results.
         hangs: inputs that took more than `HANG_SECONDS` of processor time a megabyte.
         slowest_s: processor time of the slowest input [s].
         peak_growth_bytes: growth of the process's peak memory; 0 where it cannot be told.
@@ -152,9 +151,10 @@ def fuzz_reader(
                 target.check(result)
                 accepted += 1
             except Gn0Error as error:
-                refused += 1
                 if isinstance(error, FormatError) and not (error.file and error.remedy):
                     what = f"refusal without file or remedy: {error}"
+                else:
+                    refused += 1
             except Exception as error:
                 what = f"{type(error).__name__}: {error}"
             took = time.process_time() - started

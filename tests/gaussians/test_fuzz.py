@@ -1,0 +1,63 @@
+"""No mutant of a sound file makes a splat reader hang, leak an exception or lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gn0.errors import FormatError
+from gn0.seeds import random_stream
+from gn0.testing.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
+
+
+@pytest.mark.parametrize("name", ["ply", "ply-packed"])
+def test_ten_thousand_mutants(name, tmp_path):
+    report = fuzz_reader(find_target(name), count=10_000, seed=2026)
+    assert [f"{f.index}: {f.what}" for f in report.faults] == []
+    assert report.foreign == 0 and report.hangs == 0
+    assert report.accepted + report.refused == 10_000
+    assert report.accepted > 300, "mutants too wild to reach the decoders"
+    assert report.peak_growth_bytes < 64e6
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", ["ply", "ply-packed"])
+def test_a_million_mutants(name):
+    report = fuzz_reader(find_target(name), count=1_000_000, seed=1)
+    assert report.foreign == 0 and report.hangs == 0
+
+
+def test_inputs_depend_on_seed_and_index_alone():
+    corpus = list(find_target("ply").corpus.values())[:3]
+    a = [mutate(corpus[0], random_stream(0, "m", i), corpus) for i in range(50)]
+    b = [mutate(corpus[0], random_stream(0, "m", i), corpus) for i in reversed(range(50))]
+    assert a == b[::-1] and len(set(a)) > 40
+
+
+def test_the_fuzzer_sees_faults(tmp_path):
+    """A reader that leaks, one that accepts nonsense and one that refuses without naming a file."""
+
+    def read(path: Path) -> bytes:
+        data = path.read_bytes()
+        if data == b"sound":
+            return data
+        if len(data) % 3 == 0:
+            raise IndexError("leak")
+        if len(data) % 3 == 1:
+            raise FormatError("no file named")
+        return data
+
+    def check(value: bytes) -> None:
+        assert value == b"sound", "unsound"
+
+    report = fuzz_reader(FuzzTarget("bad", read, {"a": b"sound"}, check), count=300, work=tmp_path)
+    seen = {fault.what.split(":")[0] for fault in report.faults}
+    assert seen == {"IndexError", "AssertionError", "refusal without file or remedy"}
+    assert report.accepted + report.refused + report.foreign == 300
+
+
+def test_command(capsys):
+    assert main(["ply", "--count", "50"]) == 0
+    assert "50 inputs" in capsys.readouterr().out
+    assert set(TARGETS) >= {"ply", "ply-packed"}

@@ -40,7 +40,7 @@ Profile = Literal["default", "paper"]
 MapMode = Literal["unknown_is_occupied"]
 
 
-class SuiteScene(Config):
+class SuiteScene(Config, frozen=True):
     """A scene of a suite: its id, its folder inside the suite, its content hash."""
 
     id: str
@@ -48,7 +48,7 @@ class SuiteScene(Config):
     hash: str
 
 
-class SuiteFile(Config):
+class SuiteFile(Config, frozen=True):
     """The content of `suite.json`.
 
     Attributes:

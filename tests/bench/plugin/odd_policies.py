@@ -1,0 +1,58 @@
+"""Policies that misbehave, registered as a stranger's package would register its own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gn0.plugins import register
+from gn0.sim.state import Action, Observation, Teleport
+
+
+class PolicyOdd:
+    """Walks at random, and does something odd when the instruction contains `when`."""
+
+    sensors: frozenset[str] = frozenset()
+
+    def __init__(self, odd: str = "", when: str = "", marks: str = "", pause: float = 0.0) -> None:
+        if odd == "unbuildable":
+            raise RuntimeError("weights are missing")
+        self.name = "odd"
+        self.odd, self.when, self.pause = odd, when, pause
+        self.marks = Path(marks) if marks else None
+
+    def reset(self, instruction: str, rng: np.random.Generator) -> None:
+        self.rng = rng
+        self.now = bool(self.odd) and self.when in instruction
+
+    def act(self, observation: Observation) -> Action | Teleport:
+        time.sleep(self.pause)
+        if self.now and observation.step == 3:
+            self.misbehave()
+        if self.now and self.odd == "nan":
+            return Teleport(float("nan"), 0.0, 0.0)
+        return Action(int(self.rng.choice(4, p=(0.02, 0.58, 0.2, 0.2))))
+
+    def misbehave(self) -> None:
+        if self.marks is not None:  # only the first time
+            if self.marks.exists():
+                return
+            self.marks.write_text("here")
+        if self.odd == "raise":
+            raise ValueError("the policy lost its mind")
+        if self.odd == "die":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if self.odd == "exit":
+            os._exit(7)
+        if self.odd == "hang":
+            time.sleep(3600)
+        if self.odd == "print":
+            os.write(1, b"this is no message\n")
+            print("neither is this")
+
+
+register("policy", "odd", PolicyOdd)

@@ -2,7 +2,8 @@
 
 Cells are half-open squares, so every point belongs to exactly one of them. A cell is marked when
 it holds any point of the cut triangle's shadow on the floor: nothing is missed between samples and
-nothing beyond is added.
+nothing beyond is added. A shadow that reaches less than a ten-thousandth of a cell into its last
+row or column does not count there, so that solids which end on a cell border do not grow.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 
 from gn0.geometry import F64, U8
 from gn0.jit import njit
+
+_SLIVER = 1e-4  # cells
 
 
 @njit
@@ -55,8 +58,8 @@ def _mark_faces(
         for i in range(n):
             y_min = min(y_min, first[i, 1])
             y_max = max(y_max, first[i, 1])
-        r0 = math.floor((y_min - y0) / size)
-        r1 = math.floor((y_max - y0) / size)
+        r0 = math.floor((y_min - y0) / size + _SLIVER)
+        r1 = max(r0, math.floor((y_max - y0) / size - _SLIVER))
         for r in range(max(r0, 0), min(r1, h - 1) + 1):
             # the outermost rows are not cut again: a last-bit difference there would lose the face
             m = n
@@ -73,9 +76,9 @@ def _mark_faces(
             for i in range(m):
                 x_min = min(x_min, row[i, 0])
                 x_max = max(x_max, row[i, 0])
-            c0 = max(math.floor((x_min - x0) / size), 0)
-            c1 = min(math.floor((x_max - x0) / size), w - 1)
-            for c in range(c0, c1 + 1):
+            c0 = math.floor((x_min - x0) / size + _SLIVER)
+            c1 = max(c0, math.floor((x_max - x0) / size - _SLIVER))
+            for c in range(max(c0, 0), min(c1, w - 1) + 1):
                 cells[r, c] = 1
 
 

@@ -1,7 +1,7 @@
 """The history mosaic: the last sixteen views in one picture, newest at the top left.
 
 Layout of the official GN0 release: 4 x 4 tiles of 160 x 120 in 640 x 480, row by row, the current
-view excluded, black where there is no view yet. Tiles are reduced by exact area averaging.
+view excluded, black where there is no view yet. Tiles are reduced by area averaging.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ LENGTH = ROWS * COLUMNS
 def reduce_picture(rgb: U8, width: int, height: int) -> U8:
     """A picture [H, W, 3] at another size [height, width, 3], by area averaging.
 
-    Each output pixel is the mean of the input area under it (what OpenCV calls INTER_AREA).
+    Each output pixel is the mean of the input area under it, within one grey level (what OpenCV
+    calls INTER_AREA).
     """
     if rgb.shape[:2] == (height, width):
         return rgb

@@ -18,7 +18,7 @@ from gn0.render.camera import Camera
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
 
-class CameraPreset(Config):
+class CameraPreset(Config, frozen=True):
     """The eyes and the body of an agent.
 
     Attributes:

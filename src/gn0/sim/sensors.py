@@ -29,7 +29,7 @@ GREEN, RED = (0, 255, 0), (255, 0, 0)
 GREY_OF_CELL = np.array([255, 0, 127], np.uint8)  # free, occupied, unknown: as InteriorGS
 
 
-class SensorConfig(Config):
+class SensorConfig(Config, frozen=True):
     """Which sensors an agent carries, and how they are set.
 
     Attributes:

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 
 import numba
 import numpy as np
@@ -20,24 +21,13 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.render import cpu_project as project
 from gn0.render.camera import Camera
-from gn0.render.cpu_order import (
-    BLOCKS,
-    RADIX,
-    RADIX_BITS,
-    count_tiles,
-    fill_tiles,
-    gather_rows,
-    has_ties,
-    key_range,
-    radix_pass,
-    take,
-)
+from gn0.render.cpu_bin import BLOCKS, fill_tiles, scan_tiles
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud
 from gn0.render.cpu_raster import TILE, raster_tiles
 from gn0.render.renderer import Output, RenderOptions, RenderResult, check_views
 
 OUTPUTS = ("rgb", "depth", "alpha")
-STAGES = ("project", "sort", "bin", "raster")
+STAGES = ("project", "bin", "raster")
 
 
 class RendererCpu:
@@ -120,72 +110,47 @@ class RendererCpu:
 
     def _arrange(
         self, camera: Camera, matrix: F64, parts: list[tuple[PackedCloud, int]]
-    ) -> tuple[F32, NDArray[np.int32], NDArray[np.int32]]:
-        """Project all parts and list each tile's splats front to back."""
+    ) -> tuple[NDArray[np.generic] | bool, ...]:
+        """Project all parts and list each tile's splats; what `raster_tiles` takes first."""
         view = view_parameters(camera, matrix)
         ortho = camera.model == "ortho"
+        tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
         buffers = self._buffers
-        chosen = []
         marks = [time.perf_counter()]
+        chosen = []
         for cloud, _ in parts:
-            seen = np.empty(cloud.chunks, np.uint8)
-            project.cull_chunks(cloud.boxes, view, ortho, seen)
-            chosen.append(np.flatnonzero(seen).astype(np.int32))
-        buffers.need_rows(sum(map(len, chosen)) * CHUNK)
-        counts = np.zeros(sum(map(len, chosen)), np.int32)
+            seen = np.empty(cloud.chunks, np.int32)
+            chosen.append(seen[: project.cull_chunks(cloud.boxes, view, ortho, seen)])
+        total = sum(map(len, chosen))
+        buffers.need_rows(total * CHUNK)
+        histogram, starts = buffers.need_tiles(tiles_x * tiles_y, len(parts) * BLOCKS)
+        counts = np.zeros(total, np.int32)
+        ranges = np.empty((len(histogram), 2), np.int64)
         done = 0
-        for (cloud, first), chunks in zip(parts, chosen, strict=True):
+        for index, ((cloud, first), chunks) in enumerate(zip(parts, chosen, strict=True)):
+            blocks = slice(index * BLOCKS, (index + 1) * BLOCKS)
             project.project_chunks(
                 *(cloud.pack, cloud.order, np.int32(first), cloud.sh, cloud.degree, chunks),
-                *(view, ortho, self.options.antialiased, done * CHUNK),
+                *(view, ortho, self.options.antialiased, done * CHUNK, tiles_x),
                 *(buffers.records, buffers.rects, buffers.keys, buffers.indices),
-                counts[done : done + len(chunks)],
+                *(counts[done : done + len(chunks)], histogram[blocks]),
             )
+            edges = done + np.arange(BLOCKS + 1) * len(chunks) // BLOCKS
+            ranges[blocks, 0], ranges[blocks, 1] = edges[:-1], edges[1:]
             done += len(chunks)
         marks.append(time.perf_counter())
-        n = int(counts.sum())
-        starts = np.zeros(len(counts), np.int32)
-        np.cumsum(counts[:-1], out=starts[1:])
-        rows = self._sort(starts, counts, n, ordered=all(cloud.ordered for cloud, _ in parts))
-        marks.append(time.perf_counter())
-        tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
-        histogram, tile_starts = buffers.need_tiles(tiles_x * tiles_y)
-        entries = count_tiles(rows, n, buffers.rects, tiles_x, histogram)
-        items = buffers.need_items(int(entries))
-        fill_tiles(rows, n, buffers.rects, tiles_x, histogram, tile_starts, items)
+        buffers.need_entries(int(scan_tiles(histogram, starts)))
+        fill_tiles(
+            *(ranges, counts, buffers.rects, buffers.keys, tiles_x, histogram),
+            *(buffers.tile_rows[0], buffers.tile_keys[0]),
+        )
         marks.append(time.perf_counter())
         for stage, start, end in zip(STAGES, marks, marks[1:], strict=False):
             self.stage_seconds[stage] += end - start
-        return buffers.records, tile_starts, items
-
-    def _sort(
-        self, starts: NDArray[np.int32], counts: NDArray[np.int32], n: int, *, ordered: bool
-    ) -> NDArray[np.int32]:
-        buffers = self._buffers
-        row_starts = np.arange(len(counts), dtype=np.int32) * CHUNK
-        buffers.need_sort(n)
-        (keys, spare_keys), (rows, spare_rows) = buffers.sort_keys, buffers.sort_rows
-
-        def sort() -> None:
-            nonlocal keys, spare_keys, rows, spare_rows
-            low, high = key_range(keys, n)
-            for shift in range(0, int(high - low).bit_length(), RADIX_BITS):
-                radix_pass(
-                    *(keys, rows, n, low, np.uint32(shift)),
-                    *(spare_keys, spare_rows, buffers.radix_counts),
-                )
-                keys, spare_keys, rows, spare_rows = spare_keys, keys, spare_rows, rows
-
-        gather_rows(row_starts, counts, starts, buffers.keys, keys, rows)
-        if n > 1:
-            sort()
-            if not ordered and has_ties(keys, n):
-                # rare but exact: order all by splat index first, then by depth again
-                take(buffers.indices, rows, n, keys)
-                sort()
-                take(buffers.keys, rows, n, keys)
-                sort()
-        return rows
+        ordered = all(cloud.ordered for cloud, _ in parts)
+        (rows, spare_rows), (keys, spare_keys) = buffers.tile_rows, buffers.tile_keys
+        lists = (starts, rows, keys, spare_rows, spare_keys)
+        return (buffers.records, buffers.indices, ordered, *lists, spread_rows(tiles_y))
 
 
 class _Buffers:
@@ -196,12 +161,10 @@ class _Buffers:
         self.rects = np.empty((0, 4), np.int16)
         self.keys = np.empty(0, np.uint32)
         self.indices = np.empty(0, np.uint32)
-        self.sort_keys = (np.empty(0, np.uint32), np.empty(0, np.uint32))
-        self.sort_rows = (np.empty(0, np.int32), np.empty(0, np.int32))
-        self.radix_counts = np.empty((BLOCKS, RADIX), np.int32)
-        self.histogram = np.empty((BLOCKS, 0), np.int32)
+        self.histogram = np.empty((0, 0), np.int32)
         self.tile_starts = np.empty(1, np.int32)
-        self.items = np.empty(0, np.int32)
+        self.tile_rows = (np.empty(0, np.int32), np.empty(0, np.int32))
+        self.tile_keys = (np.empty(0, np.uint32), np.empty(0, np.uint32))
 
     def need_rows(self, rows: int) -> None:
         if rows > len(self.keys):
@@ -211,27 +174,30 @@ class _Buffers:
             self.keys = np.empty(rows, np.uint32)
             self.indices = np.empty(rows, np.uint32)
 
-    def need_sort(self, n: int) -> None:
-        if n > len(self.sort_keys[0]):
-            n = _grown(n)
-            self.sort_keys = (np.empty(n, np.uint32), np.empty(n, np.uint32))
-            self.sort_rows = (np.empty(n, np.int32), np.empty(n, np.int32))
-
-    def need_tiles(self, tiles: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        if self.histogram.shape[1] != tiles:
-            self.histogram = np.empty((BLOCKS, tiles), np.int32)
+    def need_tiles(self, tiles: int, blocks: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        if self.histogram.shape != (blocks, tiles):
+            self.histogram = np.empty((blocks, tiles), np.int32)
             self.tile_starts = np.empty(tiles + 1, np.int32)
         return self.histogram, self.tile_starts
 
-    def need_items(self, entries: int) -> NDArray[np.int32]:
+    def need_entries(self, entries: int) -> None:
         if entries > 2**31 - 1:
             raise RenderError(
                 f"the picture needs {entries} tile entries, more than 2^31",
                 remedy="render it in smaller pictures",
             )
-        if entries > len(self.items):
-            self.items = np.empty(_grown(entries), np.int32)
-        return self.items
+        if entries > len(self.tile_rows[0]):
+            n = _grown(entries)
+            self.tile_rows = (np.empty(n, np.int32), np.empty(n, np.int32))
+            self.tile_keys = (np.empty(n, np.uint32), np.empty(n, np.uint32))
+
+
+@cache
+def spread_rows(count: int) -> NDArray[np.int32]:
+    """Tile rows in bit-reversed order: any contiguous share holds rows of the whole picture."""
+    bits = max(count - 1, 1).bit_length()
+    order = [int(f"{row:0{bits}b}"[::-1], 2) for row in range(1 << bits)]
+    return np.array([row for row in order if row < count], np.int32)
 
 
 def _grown(count: int) -> int:

@@ -1,6 +1,6 @@
 """The CPU renderer's own copy of a cloud: Morton-ordered chunks of 256 splats, ready to project.
 
-A chunk is one contiguous block `pack[c, field, lane]`, so a whole chunk is projected with vector
+A chunk is one contiguous block, field by field, so a whole chunk is projected with vector
 instructions and a chunk out of sight costs one box test. Splats are stored in Morton order; the
 index a splat had in its cloud goes with it, because equal depths are drawn in that order.
 """
@@ -31,7 +31,7 @@ class PackedCloud:
     """A cloud ready to project.
 
     Attributes:
-        pack: [C, FIELDS, CHUNK] float32.
+        pack: [C, FIELDS * CHUNK] float32: field f of lane k is at f * CHUNK + k.
         boxes: [C, 7] float32: lowest and highest centre of a chunk, and its largest reach [m].
         order: [C * CHUNK] int32, a packed splat's index in its cloud.
         sh: [N, K, 3] the cloud's own coefficients, read by cloud index; empty for degree 0.
@@ -71,7 +71,7 @@ def pack_cloud(cloud: GaussianCloud, *, sort: bool = True) -> PackedCloud:
     count = -(-len(index) // CHUNK)
     order = np.zeros(count * CHUNK, np.int32)
     order[: len(index)] = index
-    pack = np.zeros((count, FIELDS, CHUNK), np.float32)
+    pack = np.zeros((count, FIELDS * CHUNK), np.float32)
     boxes = np.zeros((count, 7), np.float32)
     opacity = np.minimum(cloud.opacities.astype(np.float64), 1.0)
     log_opacity = np.log(np.maximum(opacity, ALPHA_MIN / 2)).astype(np.float32)
@@ -108,7 +108,7 @@ def _fill(means, quats, scales, log_opacity, sh, order, count, pack, boxes):  # 
         last = min((c + 1) * CHUNK, count) - c * CHUNK
         for k in range(CHUNK):
             if k >= last:
-                pack[c, REACH, k] = DEAD
+                pack[c, REACH * CHUNK + k] = DEAD
                 continue
             i = order[c * CHUNK + k]
             w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
@@ -118,28 +118,28 @@ def _fill(means, quats, scales, log_opacity, sh, order, count, pack, boxes):  # 
             else:
                 w = one  # no rotation stored: the axes of the world
             a, b, s = scales[i, 0], scales[i, 1], scales[i, 2]
-            pack[c, 3, k] = (one - two * (y * y + z * z)) * a
-            pack[c, 4, k] = two * (x * y - w * z) * b
-            pack[c, 5, k] = two * (x * z + w * y) * s
-            pack[c, 6, k] = two * (x * y + w * z) * a
-            pack[c, 7, k] = (one - two * (x * x + z * z)) * b
-            pack[c, 8, k] = two * (y * z - w * x) * s
-            pack[c, 9, k] = two * (x * z - w * y) * a
-            pack[c, 10, k] = two * (y * z + w * x) * b
-            pack[c, 11, k] = (one - two * (x * x + y * y)) * s
+            pack[c, 3 * CHUNK + k] = (one - two * (y * y + z * z)) * a
+            pack[c, 4 * CHUNK + k] = two * (x * y - w * z) * b
+            pack[c, 5 * CHUNK + k] = two * (x * z + w * y) * s
+            pack[c, 6 * CHUNK + k] = two * (x * y + w * z) * a
+            pack[c, 7 * CHUNK + k] = (one - two * (x * x + z * z)) * b
+            pack[c, 8 * CHUNK + k] = two * (y * z - w * x) * s
+            pack[c, 9 * CHUNK + k] = two * (x * z - w * y) * a
+            pack[c, 10 * CHUNK + k] = two * (y * z + w * x) * b
+            pack[c, 11 * CHUNK + k] = (one - two * (x * x + y * y)) * s
             # where the splat falls to 1/255: extent in standard deviations (at most 3.33)
             squared = two * (log_opacity[i] - np.float32(_LOG_ALPHA_MIN))
             extent = np.sqrt(max(squared, np.float32(0.0)))
             reach = extent * max(a, max(b, s))
-            pack[c, REACH, k] = reach
-            pack[c, EXTENT, k] = extent
-            pack[c, LOG_OPACITY, k] = log_opacity[i]
+            pack[c, REACH * CHUNK + k] = reach
+            pack[c, EXTENT * CHUNK + k] = extent
+            pack[c, LOG_OPACITY * CHUNK + k] = log_opacity[i]
             reach_max = max(reach_max, reach)
             for axis in range(3):
                 value = means[i, axis]
-                pack[c, axis, k] = value
+                pack[c, axis * CHUNK + k] = value
                 colour = np.float32(_SH_C0) * sh[i, 0, axis] + np.float32(0.5)
-                pack[c, RED + axis, k] = max(colour, np.float32(0.0))
+                pack[c, (RED + axis) * CHUNK + k] = max(colour, np.float32(0.0))
                 if k == 0:
                     boxes[c, axis] = value
                     boxes[c, 3 + axis] = value

@@ -35,6 +35,8 @@ ROTATION, CENTRE, FX, FY, CX, CY, NEAR, FAR = 0, 9, 12, 13, 14, 15, 16, 17
 LIM_XP, LIM_XN, LIM_YP, LIM_YN, GAIN_X, GAIN_Y, WIDTH, HEIGHT = 18, 19, 20, 21, 22, 23, 24, 25
 VIEW_FIELDS = 26
 
+_Z, _U, _V, _QX, _QY, _QK, _RX, _RY, _THIN, _LANES = range(10)  # fields of a chunk in flight
+
 _PAD = F(EXTENT_MAX * math.sqrt(DILATION) + 0.5)  # px: what the dilation can add, and rounding
 _EPS = F(DILATION)
 _LOG_MIN = F(math.log(ALPHA_MIN))
@@ -44,13 +46,14 @@ _SLACK = F(0.01)  # px: rounding of a footprint's edge
 _FAR_PX = F(30000.0)
 
 
-@njit(parallel=True)
+@njit
 def cull_chunks(boxes, view, ortho, seen):  # type: ignore[no-untyped-def]
-    """Mark chunks that may touch the picture: `seen[c]` 1 or 0.
+    """List chunks that may touch the picture in `seen`; returns how many there are.
 
     A chunk is dropped only if the test of `project_chunks` would drop each of its splats.
     """
-    for c in prange(boxes.shape[0]):
+    n = 0
+    for c in range(boxes.shape[0]):
         cx = (boxes[c, 0] + boxes[c, 3]) * _HALF - view[CENTRE]
         cy = (boxes[c, 1] + boxes[c, 4]) * _HALF - view[CENTRE + 1]
         cz = (boxes[c, 2] + boxes[c, 5]) * _HALF - view[CENTRE + 2]
@@ -86,19 +89,22 @@ def cull_chunks(boxes, view, ortho, seen):  # type: ignore[no-untyped-def]
             lowest = a * cx + b * cy + e * cz - abs(a) * hx - abs(b) * hy - abs(e) * hz + d
             if lowest > allow * F(1.0001) + slack * (abs(a) + abs(b) + abs(e)):
                 keep = False
-        seen[c] = keep
+        if keep:
+            seen[n] = c
+            n += 1
+    return n
 
 
 @njit(parallel=True)
 def project_chunks(  # type: ignore[no-untyped-def]
-    pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0, records, rects,
-    keys, indices, counts,
+    pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0, tiles_x, records,
+    rects, keys, indices, counts, histogram,
 ):  # fmt: skip
     """Project the splats of `chunks`; chunk v fills rows from `row0 + v * CHUNK`.
 
     Fills `records` [rows, RECORD], `rects` [rows, 4] (first and past-the-last tile in x, in y),
-    `keys` [rows] (depth bits), `indices` [rows] (index in the cloud, plus `first_index`) and
-    `counts[v]`, the rows filled.
+    `keys` [rows] (depth bits), `indices` [rows] (index in the cloud, plus `first_index`),
+    `counts[v]`, the rows filled, and `histogram` [blocks, tiles], entries of block b's chunks.
     """
     r00, r01, r02 = view[0], view[1], view[2]
     r10, r11, r12 = view[3], view[4], view[5]
@@ -108,91 +114,110 @@ def project_chunks(  # type: ignore[no-untyped-def]
     near, far, width, height = view[NEAR], view[FAR], view[WIDTH], view[HEIGHT]
     lxp, lxn, lyp, lyn = view[LIM_XP], view[LIM_XN], view[LIM_YP], view[LIM_YN]
     pinhole = _ZERO if ortho else _ONE
-    for v in prange(chunks.shape[0]):
-        lanes = np.empty((12, CHUNK), np.float32)
-        z_, u_, v_, qx_, qy_ = lanes[0], lanes[1], lanes[2], lanes[3], lanes[4]
-        qk_, rx_, ry_, lo_ = lanes[5], lanes[6], lanes[7], lanes[8]
+    blocks = histogram.shape[0]
+    for block in prange(blocks):
+        tiles = histogram[block]
+        tiles[:] = 0
+        lanes = np.empty(_LANES * CHUNK, np.float32)
         ok = np.empty(CHUNK, np.int32)
-        p = pack[chunks[v]]
-        for k in range(CHUNK):
-            x, y, z = p[0, k] - ex, p[1, k] - ey, p[2, k] - ez
-            X = r00 * x + r01 * y + r02 * z
-            Y = r10 * x + r11 * y + r12 * z
-            Z = r20 * x + r21 * y + r22 * z + _ZERO  # + 0: no negative zero among the keys
-            inside = (near <= Z) & (far >= Z) & (p[REACH, k] >= _ZERO)
-            iz = _ONE / (Z if (inside & (pinhole > _ZERO)) else _ONE)
-            tx, ty = X * iz, Y * iz
-            u, w = fx * tx + cx, fy * ty + cy
-            # J clamps x/z and y/z to the picture widened by 0.3 of its half angle
-            tx = min(lxp, max(-lxn, tx)) * pinhole
-            ty = min(lyp, max(-lyn, ty)) * pinhole
-            jx, jy = fx * iz, fy * iz
-            m0, m1, m2 = jx * (r00 - tx * r20), jx * (r01 - tx * r21), jx * (r02 - tx * r22)
-            n0, n1, n2 = jy * (r10 - ty * r20), jy * (r11 - ty * r21), jy * (r12 - ty * r22)
-            f0 = m0 * p[3, k] + m1 * p[6, k] + m2 * p[9, k]
-            f1 = m0 * p[4, k] + m1 * p[7, k] + m2 * p[10, k]
-            f2 = m0 * p[5, k] + m1 * p[8, k] + m2 * p[11, k]
-            g0 = n0 * p[3, k] + n1 * p[6, k] + n2 * p[9, k]
-            g1 = n0 * p[4, k] + n1 * p[7, k] + n2 * p[10, k]
-            g2 = n0 * p[5, k] + n1 * p[8, k] + n2 * p[11, k]
-            a0 = f0 * f0 + f1 * f1 + f2 * f2
-            d0 = g0 * g0 + g1 * g1 + g2 * g2
-            b = f0 * g0 + f1 * g1 + f2 * g2
-            e0, e1, e2 = f0 * g1 - f1 * g0, f0 * g2 - f2 * g0, f1 * g2 - f2 * g1
-            thin = e0 * e0 + e1 * e1 + e2 * e2
-            a, d = a0 + _EPS, d0 + _EPS
-            det = thin + _EPS * (a0 + d)
-            # exponent = ((d dx - b dy)² / det + dy²) / 2d
-            ratio = np.sqrt(_HALF / (d * det))
-            extent = p[EXTENT, k]
-            qx_[k] = d * ratio
-            qy_[k] = -b * ratio
-            qk_[k] = _HALF / d
-            rx_[k] = extent * np.sqrt(a)
-            ry_[k] = extent * np.sqrt(d)
-            lo_[k] = thin / det
-            u_[k], v_[k], z_[k] = u, w, Z
-            rx, ry = rx_[k], ry_[k]
-            inside = inside & (u + rx > _ZERO) & (u - rx < width)
-            inside = inside & (w + ry > _ZERO) & (w - ry < height)
-            ok[k] = 1 if inside else 0
-        n = 0
-        row = row0 + v * CHUNK
-        for k in range(CHUNK):
-            if ok[k] == 0:
-                continue
-            rx, ry, log_opacity = rx_[k], ry_[k], p[LOG_OPACITY, k]
-            if antialiased:
-                if lo_[k] <= _ZERO:
+        for v in range(block * len(chunks) // blocks, (block + 1) * len(chunks) // blocks):
+            p = pack[chunks[v]]
+            for k in range(CHUNK):
+                x, y, z = p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
+                X = r00 * x + r01 * y + r02 * z
+                Y = r10 * x + r11 * y + r12 * z
+                Z = r20 * x + r21 * y + r22 * z + _ZERO  # + 0: no negative zero among the keys
+                inside = (near <= Z) & (far >= Z) & (p[REACH * CHUNK + k] >= _ZERO)
+                iz = _ONE / (Z if (inside & (pinhole > _ZERO)) else _ONE)
+                tx, ty = X * iz, Y * iz
+                u, w = fx * tx + cx, fy * ty + cy
+                # J clamps x/z and y/z to the picture widened by 0.3 of its half angle
+                tx = min(lxp, max(-lxn, tx)) * pinhole
+                ty = min(lyp, max(-lyn, ty)) * pinhole
+                jx, jy = fx * iz, fy * iz
+                m0, m1, m2 = jx * (r00 - tx * r20), jx * (r01 - tx * r21), jx * (r02 - tx * r22)
+                n0, n1, n2 = jy * (r10 - ty * r20), jy * (r11 - ty * r21), jy * (r12 - ty * r22)
+                f0 = m0 * p[3 * CHUNK + k] + m1 * p[6 * CHUNK + k] + m2 * p[9 * CHUNK + k]
+                f1 = m0 * p[4 * CHUNK + k] + m1 * p[7 * CHUNK + k] + m2 * p[10 * CHUNK + k]
+                f2 = m0 * p[5 * CHUNK + k] + m1 * p[8 * CHUNK + k] + m2 * p[11 * CHUNK + k]
+                g0 = n0 * p[3 * CHUNK + k] + n1 * p[6 * CHUNK + k] + n2 * p[9 * CHUNK + k]
+                g1 = n0 * p[4 * CHUNK + k] + n1 * p[7 * CHUNK + k] + n2 * p[10 * CHUNK + k]
+                g2 = n0 * p[5 * CHUNK + k] + n1 * p[8 * CHUNK + k] + n2 * p[11 * CHUNK + k]
+                a0 = f0 * f0 + f1 * f1 + f2 * f2
+                d0 = g0 * g0 + g1 * g1 + g2 * g2
+                b = f0 * g0 + f1 * g1 + f2 * g2
+                e0, e1, e2 = f0 * g1 - f1 * g0, f0 * g2 - f2 * g0, f1 * g2 - f2 * g1
+                thin = e0 * e0 + e1 * e1 + e2 * e2
+                a, d = a0 + _EPS, d0 + _EPS
+                det = thin + _EPS * (a0 + d)
+                # exponent = ((d dx - b dy)² / det + dy²) / 2d
+                ratio = np.sqrt(_HALF / (d * det))
+                extent = p[EXTENT * CHUNK + k]
+                lanes[_QX * CHUNK + k] = d * ratio
+                lanes[_QY * CHUNK + k] = -b * ratio
+                lanes[_QK * CHUNK + k] = _HALF / d
+                lanes[_RX * CHUNK + k] = extent * np.sqrt(a)
+                lanes[_RY * CHUNK + k] = extent * np.sqrt(d)
+                lanes[_THIN * CHUNK + k] = thin / det
+                lanes[_U * CHUNK + k], lanes[_V * CHUNK + k], lanes[_Z * CHUNK + k] = u, w, Z
+                rx, ry = lanes[_RX * CHUNK + k], lanes[_RY * CHUNK + k]
+                inside = inside & (u + rx > _ZERO) & (u - rx < width)
+                inside = inside & (w + ry > _ZERO) & (w - ry < height)
+                ok[k] = 1 if inside else 0
+            n = 0
+            row = row0 + v * CHUNK
+            for k in range(CHUNK):
+                if ok[k] == 0:
                     continue
-                log_opacity += _HALF * np.float32(math.log(lo_[k]))
-                squared = _TWO * (log_opacity - _LOG_MIN)
-                if squared <= _ZERO:
-                    continue
-                shrink = np.sqrt(squared) / p[EXTENT, k]
-                rx, ry = rx * shrink, ry * shrink
-            # pixel centres within the footprint's box: columns x0 <= x < x1
-            x0 = max(np.ceil(u_[k] - rx - _HALF - _SLACK), _ZERO)
-            x1 = min(np.floor(u_[k] + rx - _HALF + _SLACK) + _ONE, width)
-            y0 = max(np.ceil(v_[k] - ry - _HALF - _SLACK), _ZERO)
-            y1 = min(np.floor(v_[k] + ry - _HALF + _SLACK) + _ONE, height)
-            if not (x0 < x1 and y0 < y1):
-                continue
-            index = order[chunks[v] * CHUNK + k]
-            o = records[row + n]
-            o[U], o[V], o[QX], o[QY], o[QK] = u_[k], v_[k], qx_[k], qy_[k], qk_[k]
-            o[LOGO], o[DEPTH] = log_opacity, z_[k]
-            o[X0], o[X1], o[Y0], o[Y1] = x0, x1, y0, y1
-            if degree == 0:
-                o[CR], o[CG], o[CB] = p[RED, k], p[GREEN, k], p[BLUE, k]
-            else:
-                o[CR], o[CG], o[CB] = sh_colour(
-                    sh[index], degree, p[0, k] - ex, p[1, k] - ey, p[2, k] - ez
+                rx, ry, log_opacity = (
+                    lanes[_RX * CHUNK + k],
+                    lanes[_RY * CHUNK + k],
+                    p[LOG_OPACITY * CHUNK + k],
                 )
-            t = rects[row + n]
-            t[0], t[1] = np.int16(np.int32(x0) >> 4), np.int16((np.int32(x1) + 15) >> 4)
-            t[2], t[3] = np.int16(np.int32(y0) >> 4), np.int16((np.int32(y1) + 15) >> 4)
-            keys[row + n] = np.float32(z_[k]).view(np.uint32)
-            indices[row + n] = first_index + index
-            n += 1
-        counts[v] = n
+                if antialiased:
+                    if lanes[_THIN * CHUNK + k] <= _ZERO:
+                        continue
+                    log_opacity += _HALF * np.float32(math.log(lanes[_THIN * CHUNK + k]))
+                    squared = _TWO * (log_opacity - _LOG_MIN)
+                    if squared <= _ZERO:
+                        continue
+                    shrink = np.sqrt(squared) / p[EXTENT * CHUNK + k]
+                    rx, ry = rx * shrink, ry * shrink
+                # pixel centres within the footprint's box: columns x0 <= x < x1
+                x0 = max(np.ceil(lanes[_U * CHUNK + k] - rx - _HALF - _SLACK), _ZERO)
+                x1 = min(np.floor(lanes[_U * CHUNK + k] + rx - _HALF + _SLACK) + _ONE, width)
+                y0 = max(np.ceil(lanes[_V * CHUNK + k] - ry - _HALF - _SLACK), _ZERO)
+                y1 = min(np.floor(lanes[_V * CHUNK + k] + ry - _HALF + _SLACK) + _ONE, height)
+                if not (x0 < x1 and y0 < y1):
+                    continue
+                index = order[chunks[v] * CHUNK + k]
+                o = records[row + n]
+                o[U], o[V], o[QX], o[QY], o[QK] = (
+                    lanes[_U * CHUNK + k],
+                    lanes[_V * CHUNK + k],
+                    lanes[_QX * CHUNK + k],
+                    lanes[_QY * CHUNK + k],
+                    lanes[_QK * CHUNK + k],
+                )
+                o[LOGO], o[DEPTH] = log_opacity, lanes[_Z * CHUNK + k]
+                o[X0], o[X1], o[Y0], o[Y1] = x0, x1, y0, y1
+                if degree == 0:
+                    o[CR], o[CG], o[CB] = (
+                        p[RED * CHUNK + k],
+                        p[GREEN * CHUNK + k],
+                        p[BLUE * CHUNK + k],
+                    )
+                else:
+                    o[CR], o[CG], o[CB] = sh_colour(
+                        sh[index], degree, p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
+                    )
+                t = rects[row + n]
+                t[0], t[1] = np.int16(np.int32(x0) >> 4), np.int16((np.int32(x1) + 15) >> 4)
+                t[2], t[3] = np.int16(np.int32(y0) >> 4), np.int16((np.int32(y1) + 15) >> 4)
+                keys[row + n] = np.float32(lanes[_Z * CHUNK + k]).view(np.uint32)
+                indices[row + n] = first_index + index
+                n += 1
+                for ty in range(t[2], t[3]):
+                    for tile in range(ty * tiles_x + t[0], ty * tiles_x + t[1]):
+                        tiles[tile] += 1
+            counts[v] = n

@@ -1,0 +1,132 @@
+"""Tile lists: which splats touch which 16x16 tile, and in which order.
+
+Chunks are cut into a fixed number of blocks. Each block counts its entries a tile as it projects;
+a scan over (tile, block) then gives every block its own places, so the lists do not depend on the
+number of threads. A tile sorts its own list by (float32 depth bits, index in the cloud).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gn0.jit import njit, prange
+from gn0.render.cpu_pack import CHUNK
+from gn0.render.cpu_project import DEPTH
+
+BLOCKS = 16  # blocks a cloud: enough for any core count in use, few enough to scan
+_DIGIT = 9  # bits a radix pass
+_BINS = 1 << _DIGIT
+_SMALL = 24  # lists this short are sorted by insertion
+
+
+@njit
+def scan_tiles(histogram, starts):  # type: ignore[no-untyped-def]
+    """Turn counts [blocks, tiles] into places, fill `starts` [tiles + 1], return the total.
+
+    Nothing may be filled when the total exceeds what `starts` can hold (2^31 - 1).
+    """
+    total = np.int64(0)
+    for t in range(histogram.shape[1]):
+        starts[t] = total
+        for b in range(histogram.shape[0]):
+            count = histogram[b, t]
+            histogram[b, t] = total
+            total += count
+    starts[histogram.shape[1]] = total
+    return total
+
+
+@njit(parallel=True)
+def fill_tiles(ranges, counts, rects, keys, tiles_x, histogram, tile_rows, tile_keys):  # type: ignore[no-untyped-def]
+    """List each tile's rows and their depth keys, block by block.
+
+    `ranges` [blocks, 2] are the chunks of a block; `histogram` holds its places and is used up.
+    """
+    for b in prange(ranges.shape[0]):
+        cursor = histogram[b]
+        for v in range(ranges[b, 0], ranges[b, 1]):
+            for row in range(v * CHUNK, v * CHUNK + counts[v]):
+                key = keys[row]
+                r = rects[row]
+                for ty in range(r[2], r[3]):
+                    for t in range(ty * tiles_x + r[0], ty * tiles_x + r[1]):
+                        place = cursor[t]
+                        cursor[t] = place + 1
+                        tile_rows[place] = row
+                        tile_keys[place] = key
+
+
+@njit
+def sort_tile(keys, rows, spare_keys, spare_rows, bins, indices, records, ordered):  # type: ignore[no-untyped-def]
+    """Sort one tile's list in place by (key, index of the row in its cloud).
+
+    Lists arrive in packed order, which is index order when `ordered`.
+    """
+    n = keys.shape[0]
+    if n <= _SMALL:
+        for i in range(1, n):
+            key, row = keys[i], rows[i]
+            j = i - 1
+            while j >= 0 and (
+                keys[j] > key or (keys[j] == key and indices[rows[j]] > indices[row])
+            ):
+                keys[j + 1], rows[j + 1] = keys[j], rows[j]
+                j -= 1
+            keys[j + 1], rows[j + 1] = key, row
+        return
+    _sort_radix(keys, rows, spare_keys, spare_rows, bins)
+    if ordered:
+        return
+    tied = False
+    for i in range(1, n):
+        tied |= keys[i] == keys[i - 1]
+    if tied:  # order all by index, then again, stably, by depth
+        for i in range(n):
+            keys[i] = indices[rows[i]]
+        _sort_radix(keys, rows, spare_keys, spare_rows, bins)
+        for i in range(n):
+            keys[i] = np.float32(records[rows[i], DEPTH]).view(np.uint32)
+        _sort_radix(keys, rows, spare_keys, spare_rows, bins)
+
+
+@njit
+def _sort_radix(keys, rows, spare_keys, spare_rows, bins):  # type: ignore[no-untyped-def]
+    n = keys.shape[0]
+    low, high = keys[0], keys[0]
+    for i in range(n):
+        low, high = min(low, keys[i]), max(high, keys[i])
+    span = np.uint32(high - low)
+    from_keys, from_rows, to_keys, to_rows = keys, rows, spare_keys, spare_rows
+    shift = np.uint32(0)
+    passes = 0
+    while shift < 32 and (span >> shift) > 0:
+        bins[:] = 0
+        for i in range(n):
+            bins[((from_keys[i] - low) >> shift) & np.uint32(_BINS - 1)] += 1
+        total = 0
+        for d in range(_BINS):
+            count = bins[d]
+            bins[d] = total
+            total += count
+        for i in range(n):
+            key = from_keys[i]
+            d = ((key - low) >> shift) & np.uint32(_BINS - 1)
+            place = bins[d]
+            bins[d] = place + 1
+            to_keys[place] = key
+            to_rows[place] = from_rows[i]
+        from_keys, to_keys = to_keys, from_keys
+        from_rows, to_rows = to_rows, from_rows
+        shift = np.uint32(shift + _DIGIT)
+        passes += 1
+    if passes % 2 == 1:
+        keys[:] = spare_keys
+        rows[:] = spare_rows
+
+
+def new_bins():  # type: ignore[no-untyped-def]
+    """Scratch for `sort_tile`; each tile makes its own."""
+    return np.empty(_BINS, np.int32)
+
+
+new_bins = njit(new_bins)

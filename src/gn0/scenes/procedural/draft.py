@@ -11,7 +11,7 @@ from gn0.scenes.scene import SceneObject, SceneOpening, SceneRoom, SceneWall
 Colour = tuple[float, float, float]  # linear RGB, 0..1
 
 
-class Material(Config):
+class Material(Config, frozen=True):
     """A surface material: a procedural pattern with colours, evaluated at uv [m].
 
     Patterns that show one whole image (picture_landscape, picture_abstract, picture_portrait,
@@ -41,7 +41,7 @@ class Material(Config):
     detail: float = 1.0
 
 
-class Lamp(Config):
+class Lamp(Config, frozen=True):
     """A light source: a small rectangle or sphere that shines on surfaces.
 
     Attributes:
@@ -60,7 +60,7 @@ class Lamp(Config):
     direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
 
-class Sun(Config):
+class Sun(Config, frozen=True):
     """Parallel light through the windows: unit direction of travel, linear irradiance."""
 
     direction: tuple[float, float, float]

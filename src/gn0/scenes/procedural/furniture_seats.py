@@ -1,0 +1,301 @@
+"""Seats: sofas, armchairs, chairs, benches, stools, office chairs, and their cushions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gn0.scenes.procedural.draft import Material
+from gn0.scenes.procedural.palette import BLACK, CHROME, Palette, plain, shade
+from gn0.scenes.procedural.parts import Item, Placed, Support
+from gn0.scenes.procedural.shapes import (
+    Shape,
+    arc_path,
+    build_box,
+    build_cylinder,
+    build_extrusion,
+    build_lathe,
+    build_rod,
+    build_surface,
+    build_tube,
+    rounded_outline,
+)
+from gn0.scenes.procedural.shapes_soft import build_cushion, build_drape, thicken
+
+
+def build_legs(
+    width: float,
+    depth: float,
+    height: float,
+    material: Material,
+    *,
+    radius: float = 0.022,
+    splay: float = 0.0,
+    square: bool = False,
+    taper: float = 0.65,
+) -> list[Shape]:
+    """Four legs under a rectangle, splayed outwards by `splay` [m], tapering to the floor."""
+    legs = []
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            top = (sx * width / 2, sy * depth / 2, height)
+            if square:
+                legs.append(build_box((2 * radius, 2 * radius, height), material, bevel=0.004,
+                                      at=(top[0], top[1], 0)))  # fmt: skip
+            else:
+                foot = (top[0] + sx * splay, top[1] + sy * splay, 0.0)
+                legs.append(build_rod(foot, top, radius * taper, material, end_radius=radius))
+    return legs
+
+
+def cushion_item(rng: np.random.Generator, palette: Palette, side: float = 0.45) -> Item:
+    """A scatter cushion lying flat, category "cushion"."""
+    pattern = str(rng.choice(["fabric", "knit", "linen", "rug_stripes"], p=[0.4, 0.25, 0.2, 0.15]))
+    material = palette.bright(rng, pattern)
+    if pattern == "rug_stripes":
+        material = replace_scale(material, 0.06)
+    w, d = side * rng.uniform(0.9, 1.1), side * rng.uniform(0.85, 1.05)
+    return Item("cushion", (build_cushion(w, d, 0.15, material, pinch=0.1),))
+
+
+def replace_scale(material: Material, scale: float) -> Material:
+    """The material with another pattern size [m]."""
+    values = {f: getattr(material, f) for f in material.__struct_fields__}
+    return Material(**{**values, "scale": scale})
+
+
+def leaning(item: Item, tilt: float) -> Item:
+    """The item raised on its front edge by `tilt` [rad] about x, standing on z = 0."""
+    turned = [s.tilted("x", tilt) for s in item.shapes]
+    low = min(float(s.vertices[:, 2].min()) for s in turned)
+    return replace(item, shapes=tuple(s.moved(z=-low) for s in turned))
+
+
+def build_sofa(
+    rng: np.random.Generator, palette: Palette, *, seats: int | None = None, cushions: bool = True
+) -> Item:
+    """A sofa of one to three seats; one seat makes an armchair."""
+    seats = int(rng.choice([2, 3], p=[0.35, 0.65])) if seats is None else seats
+    leather = rng.random() < 0.22
+    cloth = palette.cloth(rng, "leather" if leather else str(rng.choice(["fabric", "knit"], p=[0.85, 0.15])))
+    arm = float(rng.uniform(0.11, 0.22))
+    each = float(rng.uniform(0.62, 0.72)) if seats > 1 else float(rng.uniform(0.58, 0.66))
+    deep = float(rng.uniform(0.86, 0.98))
+    leg = float(rng.choice([0.07, 0.13, 0.16]))
+    inner = seats * each
+    width = inner + 2 * arm
+    seat_z, back_h = 0.42, float(rng.uniform(0.78, 0.9))
+    rolled = rng.random() < 0.3
+    shapes: list[Shape] = [
+        build_box((inner + 0.02, deep - 0.08, seat_z - 0.16 - leg + 0.04), cloth, bevel=0.03, round_steps=2,
+                  at=(0, 0.02, leg)),
+        build_box((inner + 0.04, 0.2, back_h - leg), cloth, bevel=0.07, round_steps=2, inner=1,
+                  at=(0, deep / 2 - 0.1, leg)),
+    ]  # fmt: skip
+    arm_h = float(rng.uniform(0.56, 0.64))
+    for sx in (-1, 1):
+        x = sx * (inner / 2 + arm / 2)
+        shapes.append(
+            build_box((arm, deep, arm_h - leg), cloth, bevel=min(0.06, arm * 0.42), round_steps=2,
+                      inner=1, puff=0.006, at=(x, 0, leg))  # fmt: skip
+        )
+        if rolled:
+            roll = build_cylinder(arm * 0.62, deep - 0.02, cloth, bevel=0.03, segments=20)
+            shapes.append(roll.tilted("x", -math.pi / 2).moved(x, -deep / 2 + 0.01, arm_h - 0.02))
+    gap = 0.008
+    for k in range(seats):
+        x = -inner / 2 + (k + 0.5) * each
+        shapes.append(
+            build_box((each - gap, deep - 0.24, 0.17), cloth, bevel=0.045, round_steps=2, inner=2,
+                      puff=0.018, at=(x, -0.09, seat_z - 0.15))  # fmt: skip
+        )
+        back = build_box((each - gap, 0.17, back_h - seat_z + 0.02), cloth, bevel=0.06,
+                         round_steps=2, inner=2, puff=0.025)  # fmt: skip
+        shapes.append(back.tilted("x", -0.14).moved(x, deep / 2 - 0.27, seat_z + 0.015))
+    foot = palette.wood(rng, 0) if rng.random() < 0.6 else palette.metal()
+    shapes += build_legs(width - 0.16, deep - 0.16, leg + 0.01, foot, splay=0.015 if leg > 0.1 else 0)
+    parts: list[Placed] = []
+    if cushions:
+        count = int(rng.integers(1, 2 + seats)) if seats > 1 else int(rng.random() < 0.6)
+        ends = [-inner / 2 + 0.24, inner / 2 - 0.24, -inner / 2 + 0.55, inner / 2 - 0.5]
+        for k in range(min(count, 4)):
+            x = ends[k] if seats > 1 else 0.0
+            item = leaning(cushion_item(rng, palette, 0.44 if k < 2 else 0.38), math.pi / 2 - 0.35)
+            turn = float(rng.uniform(-0.2, 0.2)) - math.copysign(0.18, x)
+            y = deep / 2 - 0.44 - (0.13 if k > 1 else 0)
+            parts.append(Placed(item, x, y, seat_z + 0.03, turn))
+        if seats > 1 and rng.random() < 0.5:
+            throw = build_drape(0.42, 0.5, (0, 0, 0.3, 0), palette.bright(rng, "knit"), rng,
+                                lift=0.02)  # fmt: skip
+            x = float(rng.choice([-1, 1])) * (inner / 2 - 0.35)
+            parts.append(Placed(Item("blanket", (throw,)), x, -deep / 2 + 0.32, seat_z + 0.05))
+    top = Support(-inner / 2 + 0.1, inner / 2 - 0.1, -deep / 2 + 0.1, 0.0, seat_z + 0.03)
+    return Item("armchair" if seats == 1 else "sofa", tuple(shapes), (top,), tuple(parts))
+
+
+def build_corner_sofa(rng: np.random.Generator, palette: Palette) -> Item:
+    """A sofa with a chaise at one end."""
+    sofa = build_sofa(rng, palette, seats=3)
+    low, high = sofa.extent()
+    cloth = sofa.shapes[0].material
+    side = float(rng.choice([-1.0, 1.0]))
+    inner = high[0] - low[0] - 0.32
+    long = float(rng.uniform(0.55, 0.7))
+    x = side * (inner / 2 - 0.3)
+    extra = [
+        build_box((0.66, long + 0.04, 0.22), cloth, bevel=0.03, round_steps=2,
+                  at=(x, low[1] - long / 2 + 0.04, 0.1)),
+        build_box((0.68, long + 0.1, 0.17), cloth, bevel=0.045, round_steps=2, inner=2, puff=0.018,
+                  at=(x, low[1] - long / 2 + 0.08, 0.27)),
+        *(build_rod((x + sx * 0.27, low[1] - long + 0.08, 0.0), (x + sx * 0.27, low[1] - long + 0.08, 0.12),
+                    0.018, palette.metal()) for sx in (-1, 1)),
+    ]  # fmt: skip
+    shapes = tuple(s.moved(y=long / 2) for s in (*sofa.shapes, *extra))
+    parts = tuple(replace(p, y=p.y + long / 2) for p in sofa.parts)
+    return Item("sofa", shapes, (), parts)
+
+
+def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = None) -> Item:
+    """A dining chair: 0 slatted wood, 1 moulded shell, 2 upholstered, 3 bentwood."""
+    kind = int(rng.integers(4)) if kind is None else kind % 4
+    wood = palette.wood(rng, 0)
+    h = 0.45
+    if kind == 1:
+        colour = plain("shell", "plastic", str(rng.choice([*palette.style.bright, "#e9e7e2"])), contrast=0.05)
+        s = np.linspace(0, 1, 12)
+        y = np.where(s < 0.5, -0.21 + 0.42 * s / 0.5, 0.21 + 0.10 * (s - 0.5) / 0.5)
+        z = np.where(s < 0.5, h - 0.015 * np.sin(np.pi * s / 0.5), h + 0.38 * np.clip((s - 0.5) / 0.5, 0, 1) ** 0.85)
+        half = 0.23 - 0.02 * s - 0.04 * np.clip((s - 0.75) / 0.25, 0, 1) ** 2
+        u = np.linspace(-1, 1, 9)
+        lip = 0.07 * np.abs(u) ** 3
+        grid = np.stack(
+            [
+                u[:, None] * half[None, :],
+                y[None, :] - lip[:, None] * np.clip((s - 0.5) * 2.5, 0, 1)[None, :],
+                z[None, :] + lip[:, None] * np.clip(1 - s * 1.4, 0.25, 1)[None, :],
+            ],
+            -1,
+        )
+        shell = thicken(grid, 0.012, colour)
+        legs = build_legs(0.2, 0.2, h, wood, radius=0.014, splay=0.12)
+        struts = [
+            build_rod((-0.16, -0.16, 0.3), (0.16, 0.16, 0.3), 0.005, BLACK, sides=6),
+            build_rod((-0.16, 0.16, 0.3), (0.16, -0.16, 0.3), 0.005, BLACK, sides=6),
+        ]
+        return Item("chair", (shell, *legs, *struts))
+    if kind == 2:
+        cloth = palette.cloth(rng) if rng.random() < 0.6 else palette.bright(rng)
+        seat = build_box((0.46, 0.46, 0.09), cloth, bevel=0.035, round_steps=2, inner=1, puff=0.012,
+                         at=(0, 0, h - 0.05))  # fmt: skip
+        back = build_box((0.44, 0.07, 0.46), cloth, bevel=0.03, round_steps=2, inner=1, puff=0.012)
+        legs = build_legs(0.36, 0.36, h - 0.02, wood, radius=0.019, splay=0.03)
+        return Item("chair", (seat, back.tilted("x", -0.14).moved(0, 0.21, h), *legs))
+    shapes = [build_box((0.44, 0.43, 0.028), wood, bevel=0.012, round_steps=2, at=(0, 0, h - 0.028))]
+    shapes += build_legs(0.37, 0.36, h - 0.02, wood, radius=0.017, splay=0.025)
+    if kind == 3:
+        shapes[0] = build_cylinder(0.22, 0.035, wood, bevel=0.012, segments=24, at=(0, 0, h - 0.035))
+        hoop = [(-0.19, 0.15, h - 0.01), *[tuple(p + (0, 0.02, 0)) for p in arc_path(
+            (0, 0.19, h + 0.25), 0.19, math.pi, 0, "xz", 12)], (0.19, 0.15, h - 0.01)]  # fmt: skip
+        shapes.append(build_tube(hoop, 0.011, wood))
+        inner = [(-0.11, 0.16, h - 0.01), *[tuple(p) for p in arc_path(
+            (0, 0.2, h + 0.22), 0.11, math.pi, 0, "xz", 10)], (0.11, 0.16, h - 0.01)]  # fmt: skip
+        shapes.append(build_tube(inner, 0.009, wood))
+    else:
+        for sx in (-1, 1):
+            shapes.append(build_rod((sx * 0.185, 0.18, h - 0.02), (sx * 0.19, 0.25, h + 0.45), 0.016, wood))
+        if rng.random() < 0.5:
+            for z in (0.16, 0.27, 0.38):
+                rail = build_box((0.38, 0.018, 0.055), wood, bevel=0.006)
+                shapes.append(rail.moved(0, 0.195 + z * 0.13, h + z))
+        else:
+            shapes.append(build_box((0.4, 0.022, 0.07), wood, bevel=0.008, at=(0, 0.25, h + 0.38)))
+            for k in range(5):
+                x = -0.14 + 0.07 * k
+                shapes.append(build_rod((x, 0.18, h - 0.01), (x, 0.248, h + 0.4), 0.007, wood, sides=6))
+        for sy in (-0.19, 0.19):
+            shapes.append(build_rod((-0.19, sy, 0.2), (0.19, sy, 0.2), 0.009, wood, sides=6))
+    parts = ()
+    if rng.random() < 0.3:
+        pad = build_box((0.4, 0.38, 0.035), palette.bright(rng), bevel=0.016, round_steps=2, inner=2, puff=0.006)
+        shapes.append(pad.moved(0, -0.01, h))
+    return Item("chair", tuple(shapes), (), parts)
+
+
+def build_bench(rng: np.random.Generator, palette: Palette, width: float = 1.2) -> Item:
+    """A bench, bare or upholstered."""
+    wood = palette.wood(rng, 0)
+    shapes = [build_box((width, 0.36, 0.04), wood, bevel=0.01, at=(0, 0, 0.40))]
+    shapes += build_legs(width - 0.2, 0.26, 0.41, wood, radius=0.022, splay=0.03)
+    if rng.random() < 0.6:
+        shapes.append(
+            build_box((width - 0.04, 0.34, 0.06), palette.cloth(rng), bevel=0.025, round_steps=2,
+                      inner=3, puff=0.01, at=(0, 0, 0.435))  # fmt: skip
+        )
+    return Item("bench", tuple(shapes), (Support(-width / 2 + 0.1, width / 2 - 0.1, -0.12, 0.12, 0.5),))
+
+
+def build_stool(rng: np.random.Generator, palette: Palette) -> Item:
+    """A round stool or, softly, a pouf."""
+    if rng.random() < 0.5:
+        r, h = 0.25, 0.38
+        rz = [(0, 0), (r * 0.8, 0), (r, 0.07), (r * 1.06, h / 2), (r, h - 0.06), (r * 0.7, h), (0, h + 0.01)]
+        body = build_lathe(rz, palette.bright(rng, "knit"), segments=24)
+        return Item("pouf", (body,), (Support(-0.12, 0.12, -0.12, 0.12, h),))
+    wood = palette.wood(rng, 0)
+    seat = build_cylinder(0.17, 0.035, wood, bevel=0.01, at=(0, 0, 0.43), segments=24)
+    return Item(
+        "stool", (seat, *build_legs(0.18, 0.18, 0.44, wood, radius=0.015, splay=0.05)),
+        (Support(-0.1, 0.1, -0.1, 0.1, 0.465),),
+    )  # fmt: skip
+
+
+def build_office_chair(rng: np.random.Generator, palette: Palette) -> Item:
+    """A swivel chair on five castors."""
+    cloth = palette.cloth(rng)
+    dark = rng.random() < 0.6
+    frame = BLACK if dark else plain("light plastic", "plastic", "#d9dadb")
+    shapes: list[Shape] = []
+    for k in range(5):
+        a = 2 * math.pi * k / 5 + 0.3
+        end = (0.3 * math.cos(a), 0.3 * math.sin(a), 0.075)
+        shapes.append(build_rod((0, 0, 0.12), end, 0.024, frame, end_radius=0.015))
+        wheel = build_cylinder(0.03, 0.04, BLACK, segments=12, bevel=0.006).tilted("x", math.pi / 2)
+        shapes.append(wheel.moved(0, 0.02, 0.03).moved(end[0], end[1], 0, a))
+    shapes.append(build_rod((0, 0, 0.1), (0, 0, 0.43), 0.026, CHROME))
+    shapes.append(
+        build_box((0.49, 0.48, 0.09), cloth, bevel=0.04, round_steps=2, inner=1, puff=0.012, at=(0, 0, 0.42))
+    )
+    tall = float(rng.uniform(0.5, 0.66))
+    u, t = np.linspace(-1, 1, 9), np.linspace(0, 1, 8)
+    half = 0.23 * (1 - 0.18 * t**3)
+    grid = np.stack(
+        [
+            u[:, None] * half[None, :],
+            0.2 + 0.08 * t[None, :] + 0.05 * np.sin(2.6 * t)[None, :] - 0.06 * (u**2)[:, None] + 0 * t[None, :],
+            0.56 + tall * t[None, :] + 0 * u[:, None],
+        ],
+        -1,
+    )
+    shapes.append(thicken(grid, 0.05, cloth))
+    shapes.append(build_tube([(0, 0.1, 0.43), (0, 0.27, 0.45), (0, 0.28, 0.7)], 0.02, frame))
+    if rng.random() < 0.7:
+        for sx in (-1, 1):
+            shapes.append(build_tube([(sx * 0.2, 0, 0.44), (sx * 0.28, 0, 0.46), (sx * 0.28, 0.02, 0.64)], 0.014, frame))
+            shapes.append(build_box((0.06, 0.24, 0.03), frame, bevel=0.013, round_steps=2, at=(sx * 0.28, 0, 0.64)))
+    return Item("office chair", tuple(shapes))
+
+
+def build_folded(width: float, depth: float, layers: int, material: Material) -> list[Shape]:
+    """A stack of folded cloth."""
+    return [
+        build_box((width, depth, 0.035), material, bevel=0.016, round_steps=2, at=(0, 0, k * 0.034))
+        for k in range(layers)
+    ]
+
+
+def flat_sheet(width: float, depth: float, material: Material) -> Shape:
+    """A thin sheet on z = 0 with uv in metres."""
+    x, y = np.meshgrid([-width / 2, width / 2], [-depth / 2, depth / 2], indexing="ij")
+    return build_surface(np.stack([x, y, np.full_like(x, 0.002)], -1), material)

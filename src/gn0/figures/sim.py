@@ -76,8 +76,8 @@ def count_penetrations(scene: Scene, steps: int, seed: int) -> tuple[int, int]:
         points[i] = simulator.pose[:2]
     grid = simulator.navigation.inflated
     cells = grid.cells_of(points)
-    inside = (cells >= 0).all(axis=1) & (cells < grid.shape).all(axis=1)
-    row, col = np.where(inside[:, None], cells, 0).T
+    inside = ((cells >= 0) & (cells < np.array(grid.shape))).all(axis=-1)
+    row, col = np.where(np.expand_dims(inside, -1), cells, 0).T
     return int((~inside | (grid.cells[row, col] != 0)).sum()), len(np.unique(cells, axis=0))
 
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -64,7 +64,10 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         render_mode: "rgb_array" gives the colour picture from `render()`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 2}
+    metadata = {  # noqa: RUF012 (Gymnasium's own declaration)
+        "render_modes": ["rgb_array"],
+        "render_fps": 2,
+    }
 
     def __init__(
         self,
@@ -94,7 +97,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         self._simulator: Simulator | None = None
         self._picture: U8 | None = None
         self._distance = 0.0
-        self.action_space = spaces.Discrete(4)
+        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(4)  # type: ignore[assignment]
         self._map_shape = _largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
         self.observation_space = spaces.Dict(
             build_spaces(self.sensors, find_preset(self.tasks.preset), self._map_shape)
@@ -140,7 +143,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
             self._info(success),
         )
 
-    def render(self) -> U8 | None:  # type: ignore[override]
+    def render(self) -> U8 | None:
         """The latest colour picture [H, W, 3] with render_mode "rgb_array"; else None."""
         if self.render_mode is None or self._picture is None:
             return None

@@ -221,7 +221,8 @@ class SensorSuite:
         if want_depth and depth is None:
             depth = self._renderer.render(preset.depth, view, outputs=("depth",)).depth[0]  # type: ignore[index]
         if depth is not None:
-            depth = np.clip(depth, *map(np.float32, preset.depth_range))
+            low, high = preset.depth_range
+            depth = np.clip(depth, np.float32(low), np.float32(high))
             depth.setflags(write=False)
         if rgb is not None:
             rgb.setflags(write=False)

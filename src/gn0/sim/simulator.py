@@ -105,6 +105,8 @@ class Simulator:
         self._episode: Episode | None = None
         self._history = History()
         self._over = True
+        self._x = self._y = self._yaw = math.nan  # nowhere yet
+        self._cos = self._sin = math.nan
 
     @property
     def sensors(self) -> frozenset[Sensor]:

@@ -78,10 +78,9 @@ def _play(simulator: Simulator, policy: Policy, episode: Episode) -> Trajectory:
     trajectory = run_episode(simulator, policy, episode, watch=watch)
     assert random.getstate() == python_state, "it draws from `random`: use the rng of reset()"
     after = np.random.get_state()
-    assert all(
-        np.array_equal(a, b)
-        for a, b in zip(numpy_state, after, strict=True)  # type: ignore[arg-type]
-    ), "it draws from `numpy.random`: use the rng of reset()"
+    assert all(np.array_equal(a, b) for a, b in zip(numpy_state, after, strict=True)), (
+        "it draws from `numpy.random`: use the rng of reset()"
+    )
     return trajectory
 
 

@@ -34,7 +34,8 @@ from gn0.missions.episode import (
 from gn0.missions.paths import rasterise_path
 from gn0.storage import read_bytes, write_bytes
 
-SIZE_LIMIT = 2 * 2**30  # bytes of Parquet read at most
+SIZE_LIMIT = 2 * 2**30  # bytes of Parquet read at most, packed or unpacked
+ROW_LIMIT = 20_000_000
 
 _TEXT, _REAL, _INT = pa.string(), pa.float64(), pa.int64()
 _REALS, _INTS = pa.list_(_REAL), pa.list_(_INT)
@@ -241,7 +242,7 @@ def load_episodes(
             raise EpisodeError(
                 error.what,
                 where=f"{path}, row {row + 1}, {error.where}".rstrip(", "),
-                remedy=error.remedy,
+                remedy=error.remedy or "correct the row, or build the suite again",
             ) from None
     check_unique(episodes, path)
     return episodes
@@ -250,10 +251,21 @@ def load_episodes(
 def _read_table(path: Path) -> pa.Table:
     data = read_bytes(path, SIZE_LIMIT)
     try:
-        return pq.read_table(io.BytesIO(data))
-    except (pa.ArrowException, OSError, ValueError) as error:
+        about = pq.ParquetFile(io.BytesIO(data)).metadata
+        sizes = [about.row_group(i).total_byte_size for i in range(about.num_row_groups)]
+        if about.num_rows > ROW_LIMIT or sum(sizes) > SIZE_LIMIT:
+            raise FormatError(
+                f"claims {about.num_rows} rows and {sum(sizes)} bytes, more than allowed here",
+                file=path,
+                remedy="split the suite",
+            )
+        table = pq.read_table(io.BytesIO(data))
+        table.validate(full=True)  # a damaged column must not surface later
+        _ = table.column_names
+        return table
+    except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
         raise FormatError(
-            f"not a readable Parquet file: {str(error).splitlines()[0]}",
+            f"not a readable Parquet file: {(str(error).splitlines() or ['damaged'])[0]}",
             file=path,
             remedy="write it again: it may be cut short",
         ) from None

@@ -15,7 +15,7 @@ from gn0.missions.paths import resample_path
 from gn0.storage import content_hash
 
 
-class SimilaritySettings(Config):
+class SimilaritySettings(Config, frozen=True):
     """When two paths count as the same task (paper, Alg. 'Post-Generation … Filtering').
 
     Attributes:

@@ -15,9 +15,9 @@ from gn0.scenes.rays import STACK, RayCaster, closest_hit
 from gn0.scenes.tiles import Cells
 
 SIGMA = 0.65  # standard deviation of a full cell's disc, in spacings
-SIGMA_ONE = 0.50  # across a cell with one open side
-SIGMA_BOTH = 0.43  # across a cell with two: the 50 % contour of the blended disc lies on the edge
-SHIFT_ONE = 0.08  # how far a disc steps back from an open side, in cell widths
+SIGMA_ONE = 0.45  # across a cell with one open side
+SIGMA_BOTH = 0.40  # across a cell with two: the 50 % contour of the blended disc lies on the edge
+SHIFT_ONE = 0.10  # how far a disc steps back from an open side, in cell widths
 THICKNESS = 0.001  # of a disc, one standard deviation [m]
 _COVERED = 0.02  # what lies closer than this over a surface hides it [m]
 _LIFT = 2e-3
@@ -42,6 +42,10 @@ class Discs:
     keep: NDArray[np.bool_]
     open_length: F64
     area: F64
+
+    def select(self, mask: NDArray[np.bool_]) -> Discs:
+        """The discs at `mask`."""
+        return Discs(**{name: value[mask] for name, value in vars(self).items()})
 
 
 def shape_discs(

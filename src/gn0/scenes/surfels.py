@@ -78,15 +78,16 @@ def build_surfels(
         target = int(target * 0.985 * count / kept)
     progress("surfels", 1, 3)
     cells = cells.select(discs.keep)
+    kept_discs = discs.select(discs.keep)
     albedo, irradiance, colour, normal = _shade_cells(shader, cells)
     progress("surfels", 2, 3)
     label = mesh.instance[cells.face]
     if label_of_instance is not None:
         label = np.where(label >= 0, np.asarray(label_of_instance)[label], -1)
     cloud = GaussianCloud(
-        means=discs.point[discs.keep],
-        quats=discs.quats[discs.keep],
-        scales=discs.scales[discs.keep],
+        means=kept_discs.point,
+        quats=kept_discs.quats,
+        scales=kept_discs.scales,
         opacities=np.full(len(cells.face), OPACITY, np.float32),
         sh=((colour - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
         label=label.astype(np.int32),
@@ -154,15 +155,15 @@ def _picked(cells: Cells) -> tuple[NDArray[np.int32], F32]:
 
 
 def _shade_cells(shader: Shader, cells: Cells) -> tuple[F32, F32, F32, F32]:
-    """Mean appearance of each cell's shaded points, in bounded chunks."""
+    """Mean albedo, irradiance, display colour and normal of each cell [N, 3]."""
     n = len(cells.face)
     out = [np.empty((n, 3), np.float32) for _ in range(4)]
     for lo in range(0, n, 65536):
-        hi = min(n, lo + 65536)
-        sample = shader.shade(*_picked(cells.select(slice(lo, hi))))
+        part = slice(lo, min(n, lo + 65536))
+        sample = shader.shade(*_picked(cells.select(part)))
         parts = (sample.albedo, sample.irradiance, sample.colour, sample.normal)
-        for target, part in zip(out, parts, strict=True):
-            target[lo:hi] = part.reshape(-1, PICKS, 3).mean(axis=1)
+        for target, values in zip(out, parts, strict=True):
+            target[part] = values.reshape(-1, PICKS, 3).mean(axis=1)
     normal = out[3]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     return out[0], out[1], out[2], normal

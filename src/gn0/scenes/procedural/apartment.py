@@ -50,7 +50,12 @@ def check_reach(draft: SceneDraft, plan: FloorPlan, grid: OccupancyGrid | None =
     main = int(np.bincount(regions[regions >= 0]).argmax())
     cut_off = []
     for room in plan.rooms:
-        inside = (xy[:, 0] > room.x0) & (xy[:, 0] < room.x1) & (xy[:, 1] > room.y0) & (xy[:, 1] < room.y1)
+        inside = (
+            (xy[:, 0] > room.x0)
+            & (xy[:, 0] < room.x1)
+            & (xy[:, 1] > room.y0)
+            & (xy[:, 1] < room.y1)
+        )
         mine = (regions[inside] == main).sum() * grid.resolution**2
         if mine < 0.3 or mine < 0.8 * inside.sum() * grid.resolution**2:
             cut_off.append(room.id)
@@ -91,9 +96,7 @@ def draft_apartment(seed: int, *, size: str = "medium", style: str | None = None
     )
 
 
-def _assemble(
-    seed: int, plan: FloorPlan, palette: Palette, tries: dict[str, int]
-) -> SceneDraft:
+def _assemble(seed: int, plan: FloorPlan, palette: Palette, tries: dict[str, int]) -> SceneDraft:
     """The flat with each room furnished by its own stream."""
     assembly = Assembly()
     add_shell(assembly, plan, palette, random_stream(seed, "apartment", "shell"))
@@ -138,7 +141,9 @@ def _list_walls(plan: FloorPlan) -> tuple[SceneWall, ...]:
         a, b = ((w.low, w.at), (w.high, w.at)) if w.axis == "x" else ((w.at, w.low), (w.at, w.high))
         walls.append(
             SceneWall(
-                a=(float(a[0]), float(a[1])), b=(float(b[0]), float(b[1])), thickness=w.thickness,
+                a=(float(a[0]), float(a[1])),
+                b=(float(b[0]), float(b[1])),
+                thickness=w.thickness,
                 height=plan.ceiling,
             )  # fmt: skip
         )
@@ -151,7 +156,12 @@ def _list_openings(plan: FloorPlan) -> tuple[SceneOpening, ...]:
         ends = [(t, o.at) if o.axis == "x" else (o.at, t) for t in (o.low, o.high)]
         polygon = tuple(
             (round(float(x), 4), round(float(y), 4), float(z))
-            for (x, y), z in ((ends[0], o.bottom), (ends[1], o.bottom), (ends[1], o.top), (ends[0], o.top))
+            for (x, y), z in (
+                (ends[0], o.bottom),
+                (ends[1], o.bottom),
+                (ends[1], o.top),
+                (ends[0], o.top),
+            )
         )
         kind = "WINDOW" if o.kind == "window" else "DOOR"
         openings.append(SceneOpening(kind=kind, polygon=polygon, thickness=o.thickness))
@@ -169,5 +179,9 @@ def _draw_sun(rng: np.random.Generator, plan: FloorPlan) -> Sun:
         heading = base + float(rng.uniform(-0.9, 0.9))
     height = math.radians(float(rng.uniform(22, 45)))
     c = math.cos(height)
-    direction = (round(c * math.cos(heading), 6), round(c * math.sin(heading), 6), round(-math.sin(height), 6))
+    direction = (
+        round(c * math.cos(heading), 6),
+        round(c * math.sin(heading), 6),
+        round(-math.sin(height), 6),
+    )
     return Sun(direction=direction, colour=(13.0, 11.6, 9.4))

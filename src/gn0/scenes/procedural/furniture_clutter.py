@@ -16,7 +16,17 @@ from gn0.scenes.procedural.furniture_storage import (
     build_storage_box,
     build_towel_stack,
 )
-from gn0.scenes.procedural.palette import BLACK, CERAMIC, GLASS, GREY, PAPER, STEEL, WHITE, Palette, plain
+from gn0.scenes.procedural.palette import (
+    BLACK,
+    CERAMIC,
+    GLASS,
+    GREY,
+    PAPER,
+    STEEL,
+    WHITE,
+    Palette,
+    plain,
+)
 from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.shapes import (
     Shape,
@@ -58,38 +68,94 @@ def build_glass(rng: np.random.Generator, palette: Palette) -> Item:
         r, h = 0.034, 0.1
         rz = [(0, 0), (r * 0.85, 0), (r, h), (r - 0.003, h), (r * 0.8, 0.012), (0, 0.01)]
     else:
-        rz = [(0, 0), (0.035, 0), (0.006, 0.012), (0.005, 0.09), (0.034, 0.125), (0.038, 0.16), (0.03, 0.21), (0.027, 0.21), (0.034, 0.16), (0, 0.1)]
+        rz = [
+            (0, 0),
+            (0.035, 0),
+            (0.006, 0.012),
+            (0.005, 0.09),
+            (0.034, 0.125),
+            (0.038, 0.16),
+            (0.03, 0.21),
+            (0.027, 0.21),
+            (0.034, 0.16),
+            (0, 0.1),
+        ]
     return Item("glass", (build_lathe(rz, GLASS, segments=18),))
 
 
 def build_bottle(rng: np.random.Generator, palette: Palette) -> Item:
     """A bottle with a label and a cork."""
     r, h = float(rng.uniform(0.033, 0.042)), float(rng.uniform(0.24, 0.31))
-    colour = plain("bottle glass", "glass", str(rng.choice(["#2f4a2c", "#5a3a22", "#c9d4c9", "#3a4a5a", "#d9c9a0"])), contrast=0.2)
+    colour = plain(
+        "bottle glass",
+        "glass",
+        str(rng.choice(["#2f4a2c", "#5a3a22", "#c9d4c9", "#3a4a5a", "#d9c9a0"])),
+        contrast=0.2,
+    )
     rz = [(0, 0), (r, 0), (r, h * 0.6), (r * 0.85, h * 0.68), (0.014, h * 0.8), (0.013, h), (0, h)]
-    label = plain("label", "paper", str(rng.choice(["#efe8d8", "#d9c27a", "#f4f2ec"])), contrast=0.3)
+    label = plain(
+        "label", "paper", str(rng.choice(["#efe8d8", "#d9c27a", "#f4f2ec"])), contrast=0.3
+    )
     band = build_lathe([(r + 0.0008, h * 0.18), (r + 0.0008, h * 0.46)], label, segments=20)
-    cork = build_cylinder(0.012, 0.02, plain("cork", "cork", "#b08a5a", contrast=0.4), at=(0, 0, h - 0.005), segments=10)
+    cork = build_cylinder(
+        0.012,
+        0.02,
+        plain("cork", "cork", "#b08a5a", contrast=0.4),
+        at=(0, 0, h - 0.005),
+        segments=10,
+    )
     return Item("bottle", (build_lathe(rz, colour, segments=20), band, cork))
 
 
 def build_jar(rng: np.random.Generator, palette: Palette) -> Item:
     """A jar or canister with a lid."""
     r, h = float(rng.uniform(0.04, 0.06)), float(rng.uniform(0.09, 0.18))
-    body = _glaze(rng, palette) if rng.random() < 0.5 else plain("contents", "food", str(rng.choice(["#caa46a", "#8a5a34", "#e0d2b0", "#9a3f2f"])), contrast=0.5, scale=0.012)
+    body = (
+        _glaze(rng, palette)
+        if rng.random() < 0.5
+        else plain(
+            "contents",
+            "food",
+            str(rng.choice(["#caa46a", "#8a5a34", "#e0d2b0", "#9a3f2f"])),
+            contrast=0.5,
+            scale=0.012,
+        )
+    )
     lid = palette.wood(rng, 0) if rng.random() < 0.6 else STEEL
-    return Item("jar", (build_cylinder(r, h, body, bevel=0.008, segments=20), build_cylinder(r * 0.98, 0.022, lid, bevel=0.004, at=(0, 0, h), segments=20)))
+    return Item(
+        "jar",
+        (
+            build_cylinder(r, h, body, bevel=0.008, segments=20),
+            build_cylinder(r * 0.98, 0.022, lid, bevel=0.004, at=(0, 0, h), segments=20),
+        ),
+    )
 
 
 def build_fruit_bowl(rng: np.random.Generator, palette: Palette) -> Item:
     """A bowl of fruit."""
     r, h = float(rng.uniform(0.12, 0.16)), 0.075
     m = palette.wood(rng, 0) if rng.random() < 0.4 else _glaze(rng, palette)
-    rz = [(0, 0), (r * 0.45, 0), (r * 0.5, 0.008), (r * 0.85, h * 0.55), (r, h), (r - 0.006, h), (r * 0.8, h * 0.55), (r * 0.4, 0.016), (0, 0.014)]
+    rz = [
+        (0, 0),
+        (r * 0.45, 0),
+        (r * 0.5, 0.008),
+        (r * 0.85, h * 0.55),
+        (r, h),
+        (r - 0.006, h),
+        (r * 0.8, h * 0.55),
+        (r * 0.4, 0.016),
+        (0, 0.014),
+    ]
     parts = []
     code = str(rng.choice(["#c23a2b", "#e08a2a", "#8aa83a", "#e2c23a"]))
     for k in range(7):
-        skin = plain("fruit", "food", code if rng.random() < 0.7 else str(rng.choice(["#c23a2b", "#e08a2a", "#8aa83a"])), contrast=0.35, scale=0.03)
+        skin = plain(
+            "fruit",
+            "food",
+            code if rng.random() < 0.7 else str(rng.choice(["#c23a2b", "#e08a2a", "#8aa83a"])),
+            contrast=0.35,
+            scale=0.03,
+        )
         ball = build_ball(float(rng.uniform(0.034, 0.04)), skin, segments=12, squash=0.93)
         ring = 0.062 if k < 5 else 0.02
         a = 1.2566 * k
@@ -101,7 +167,15 @@ def build_fruit_bowl(rng: np.random.Generator, palette: Palette) -> Item:
 def build_bowl(rng: np.random.Generator, palette: Palette) -> Item:
     """An empty bowl."""
     r, h = float(rng.uniform(0.07, 0.12)), float(rng.uniform(0.05, 0.075))
-    rz = [(0, 0), (r * 0.5, 0), (r * 0.85, h * 0.5), (r, h), (r - 0.005, h), (r * 0.8, h * 0.5), (0, 0.012)]
+    rz = [
+        (0, 0),
+        (r * 0.5, 0),
+        (r * 0.85, h * 0.5),
+        (r, h),
+        (r - 0.005, h),
+        (r * 0.8, h * 0.5),
+        (0, 0.012),
+    ]
     return Item("bowl", (build_lathe(rz, _glaze(rng, palette), segments=24),))
 
 
@@ -110,7 +184,10 @@ def build_laptop(rng: np.random.Generator, palette: Palette) -> Item:
     body = plain("aluminium", "brushed_metal", "#b9bbbe", contrast=0.1, scale=0.01)
     screen = Material(name="screen", pattern="screen", colour=(0.2, 0.3, 0.5), colour2=(0.8, 0.8, 0.85), scale=1.6, contrast=0.8,
                       emission=(0.3, 0.34, 0.4), seed=int(rng.integers(99)))  # fmt: skip
-    lid = [build_box((0.32, 0.006, 0.21), body, bevel=0.002), build_panel((-0.15, -0.0035, 0.01), (0.3, 0, 0), (0, 0, 0.19), screen, fit=True)]
+    lid = [
+        build_box((0.32, 0.006, 0.21), body, bevel=0.002),
+        build_panel((-0.15, -0.0035, 0.01), (0.3, 0, 0), (0, 0, 0.19), screen, fit=True),
+    ]
     shapes = [
         build_box((0.32, 0.22, 0.014), body, bevel=0.004),
         build_box((0.27, 0.09, 0.002), BLACK, at=(0, 0.03, 0.0135)),
@@ -129,7 +206,9 @@ def build_monitor(rng: np.random.Generator) -> Item:
     body = BLACK if rng.random() < 0.6 else GREY
     shapes = (
         build_box((w, 0.03, h), body, bevel=0.008, at=(0, 0, 0.12)),
-        build_panel((-w / 2 + 0.012, -0.016, 0.134), (w - 0.024, 0, 0), (0, 0, h - 0.026), screen, fit=True),
+        build_panel(
+            (-w / 2 + 0.012, -0.016, 0.134), (w - 0.024, 0, 0), (0, 0, h - 0.026), screen, fit=True
+        ),
         build_box((0.06, 0.02, 0.2), body, bevel=0.004, at=(0, 0.03, 0.0)),
         build_box((0.24, 0.17, 0.012), body, bevel=0.004, at=(0, 0.01, 0)),
     )
@@ -138,21 +217,38 @@ def build_monitor(rng: np.random.Generator) -> Item:
 
 def build_keyboard(rng: np.random.Generator) -> Item:
     """A keyboard with rows of keys."""
-    body, keys = (BLACK, GREY) if rng.random() < 0.5 else (WHITE, plain("keys", "plastic", "#d9dadb"))
+    body, keys = (
+        (BLACK, GREY) if rng.random() < 0.5 else (WHITE, plain("keys", "plastic", "#d9dadb"))
+    )
     shapes: list[Shape] = [build_box((0.43, 0.13, 0.016), body, bevel=0.005)]
     for row in range(4):
-        shapes.append(build_box((0.4, 0.02, 0.006), keys, bevel=0.002, at=(0, -0.042 + row * 0.028, 0.015)))
+        shapes.append(
+            build_box((0.4, 0.02, 0.006), keys, bevel=0.002, at=(0, -0.042 + row * 0.028, 0.015))
+        )
     return Item("keyboard", tuple(shapes))
 
 
 def build_mouse(rng: np.random.Generator) -> Item:
     """A computer mouse."""
-    return Item("mouse", (build_ball(0.03, BLACK if rng.random() < 0.5 else WHITE, squash=0.6, segments=12).stretched(y=1.7).moved(z=0.016),))
+    return Item(
+        "mouse",
+        (
+            build_ball(0.03, BLACK if rng.random() < 0.5 else WHITE, squash=0.6, segments=12)
+            .stretched(y=1.7)
+            .moved(z=0.016),
+        ),
+    )
 
 
 def build_remote(rng: np.random.Generator) -> Item:
     """A remote control."""
-    return Item("remote", (build_box((0.045, 0.17, 0.018), BLACK, bevel=0.006), build_box((0.025, 0.08, 0.003), GREY, at=(0, 0.02, 0.017))))
+    return Item(
+        "remote",
+        (
+            build_box((0.045, 0.17, 0.018), BLACK, bevel=0.006),
+            build_box((0.025, 0.08, 0.003), GREY, at=(0, 0.02, 0.017)),
+        ),
+    )
 
 
 def build_magazines(rng: np.random.Generator, palette: Palette) -> Item:
@@ -163,7 +259,11 @@ def build_magazines(rng: np.random.Generator, palette: Palette) -> Item:
                          scale=0.75, contrast=0.8, seed=int(rng.integers(500)))  # fmt: skip
         turn = float(rng.uniform(-0.4, 0.4))
         shapes.append(build_box((0.21, 0.28, 0.005), PAPER).moved(z=0.006 * k, yaw=turn))
-        shapes.append(build_panel((-0.105, -0.14, 0.0055), (0.21, 0, 0), (0, 0.28, 0), cover, fit=True).moved(z=0.006 * k, yaw=turn))
+        shapes.append(
+            build_panel((-0.105, -0.14, 0.0055), (0.21, 0, 0), (0, 0.28, 0), cover, fit=True).moved(
+                z=0.006 * k, yaw=turn
+            )
+        )
     return Item("magazine", tuple(shapes))
 
 
@@ -172,7 +272,13 @@ def build_speaker(rng: np.random.Generator, palette: Palette) -> Item:
     body = palette.wood(rng, 0) if rng.random() < 0.5 else BLACK
     shapes = [build_box((0.17, 0.2, 0.28), body, bevel=0.006)]
     for z, r in ((0.1, 0.06), (0.21, 0.03)):
-        cone = build_lathe([(0, -0.012), (r * 0.4, -0.008), (r, 0.003), (r + 0.008, 0.002), (r + 0.008, -0.002)][::-1], BLACK, segments=20)
+        cone = build_lathe(
+            [(0, -0.012), (r * 0.4, -0.008), (r, 0.003), (r + 0.008, 0.002), (r + 0.008, -0.002)][
+                ::-1
+            ],
+            BLACK,
+            segments=20,
+        )
         shapes.append(cone.tilted("x", math.pi / 2).moved(0, -0.102, z))
     return Item("speaker", tuple(shapes))
 
@@ -182,12 +288,20 @@ def build_ball_toy(rng: np.random.Generator, palette: Palette) -> Item:
     r = float(rng.uniform(0.08, 0.11))
     cover = palette.bright(rng, "rug_stripes")
     values = {f: getattr(cover, f) for f in cover.__struct_fields__}
-    return Item("ball", (build_ball(r, Material(**{**values, "scale": 0.08}), at=(0, 0, r), segments=20),))
+    return Item(
+        "ball", (build_ball(r, Material(**{**values, "scale": 0.08}), at=(0, 0, r), segments=20),)
+    )
 
 
 def build_teddy(rng: np.random.Generator, palette: Palette) -> Item:
     """A sitting teddy bear, category "toy"."""
-    fur = plain("plush", "carpet", str(rng.choice(["#a9784a", "#d9c3a0", "#7a5a44", "#c9c4bc"])), scale=0.008, contrast=0.35)
+    fur = plain(
+        "plush",
+        "carpet",
+        str(rng.choice(["#a9784a", "#d9c3a0", "#7a5a44", "#c9c4bc"])),
+        scale=0.008,
+        contrast=0.35,
+    )
     dark = plain("snout", "carpet", "#e8d9c0", scale=0.008)
     shapes = [
         build_ball(0.085, fur, at=(0, 0, 0.09), squash=1.1),
@@ -195,8 +309,14 @@ def build_teddy(rng: np.random.Generator, palette: Palette) -> Item:
         build_ball(0.028, dark, at=(0, -0.066, 0.213), segments=10),
         *(build_ball(0.024, fur, at=(sx * 0.05, 0, 0.285), segments=10) for sx in (-1, 1)),
         *(build_ball(0.007, BLACK, at=(sx * 0.024, -0.068, 0.242), segments=8) for sx in (-1, 1)),
-        *(build_rod((sx * 0.06, -0.02, 0.15), (sx * 0.12, -0.06, 0.07), 0.026, fur, sides=10) for sx in (-1, 1)),
-        *(build_rod((sx * 0.045, -0.04, 0.04), (sx * 0.07, -0.17, 0.035), 0.034, fur, sides=10) for sx in (-1, 1)),
+        *(
+            build_rod((sx * 0.06, -0.02, 0.15), (sx * 0.12, -0.06, 0.07), 0.026, fur, sides=10)
+            for sx in (-1, 1)
+        ),
+        *(
+            build_rod((sx * 0.045, -0.04, 0.04), (sx * 0.07, -0.17, 0.035), 0.034, fur, sides=10)
+            for sx in (-1, 1)
+        ),
     ]
     return Item("toy", tuple(shapes))
 
@@ -205,17 +325,35 @@ def build_blocks(rng: np.random.Generator, palette: Palette) -> Item:
     """Toy blocks in a small tower and around it, category "toy"."""
     shapes = []
     for k in range(9):
-        paint = plain("block", "wood", str(rng.choice(["#c9412f", "#e0a52c", "#3f7f9a", "#5f9a4f", "#e8e0cc"])), contrast=0.2)
+        paint = plain(
+            "block",
+            "wood",
+            str(rng.choice(["#c9412f", "#e0a52c", "#3f7f9a", "#5f9a4f", "#e8e0cc"])),
+            contrast=0.2,
+        )
         z = 0.05 * (k if k < 3 else 0)
         x, y = (0.0, 0.0) if k < 3 else (0.12 * math.cos(1.1 * k), 0.1 * math.sin(1.1 * k))
-        shapes.append(build_box((0.05, 0.05, 0.05), paint, bevel=0.004).moved(x, y, z, float(rng.uniform(0, 1.5))))
+        shapes.append(
+            build_box((0.05, 0.05, 0.05), paint, bevel=0.004).moved(
+                x, y, z, float(rng.uniform(0, 1.5))
+            )
+        )
     return Item("toy", tuple(shapes))
 
 
 def build_bin(rng: np.random.Generator, palette: Palette) -> Item:
     """A waste bin: open, or with a pedal lid."""
     r, h = float(rng.uniform(0.12, 0.15)), float(rng.uniform(0.28, 0.4))
-    m = STEEL if rng.random() < 0.5 else plain("bin", "plastic", str(rng.choice([*palette.style.bright, "#f0f0ee", "#333538"])), contrast=0.1)
+    m = (
+        STEEL
+        if rng.random() < 0.5
+        else plain(
+            "bin",
+            "plastic",
+            str(rng.choice([*palette.style.bright, "#f0f0ee", "#333538"])),
+            contrast=0.1,
+        )
+    )
     if rng.random() < 0.5:
         rz = [(0, 0), (r * 0.82, 0), (r, h), (r - 0.005, h), (r * 0.78, 0.02), (0, 0.02)]
         return Item("bin", (build_lathe(rz, m, segments=24),))
@@ -226,18 +364,43 @@ def build_bin(rng: np.random.Generator, palette: Palette) -> Item:
 
 def build_suitcase(rng: np.random.Generator, palette: Palette) -> Item:
     """A standing suitcase."""
-    shell = plain("case", "plastic", str(rng.choice([*palette.style.bright, "#34383e"])), contrast=0.15)
+    shell = plain(
+        "case", "plastic", str(rng.choice([*palette.style.bright, "#34383e"])), contrast=0.15
+    )
     shapes = [build_box((0.4, 0.24, 0.58), shell, bevel=0.045, round_steps=3, at=(0, 0, 0.05))]
-    shapes += [build_box((0.03, 0.01, 0.5), shell, bevel=0.004, at=(x, sy * 0.121, 0.09)) for x in (-0.14, -0.07, 0, 0.07, 0.14) for sy in (-1, 1)]
-    shapes += [build_cylinder(0.025, 0.03, BLACK, segments=10).tilted("x", math.pi / 2).moved(sx * 0.16, sy * 0.08 + 0.015, 0.025) for sx in (-1, 1) for sy in (-1, 1)]
-    shapes.append(build_tube([(-0.09, 0.09, 0.62), (-0.09, 0.09, 0.86), (0.09, 0.09, 0.86), (0.09, 0.09, 0.62)], 0.008, GREY, sides=6))
+    shapes += [
+        build_box((0.03, 0.01, 0.5), shell, bevel=0.004, at=(x, sy * 0.121, 0.09))
+        for x in (-0.14, -0.07, 0, 0.07, 0.14)
+        for sy in (-1, 1)
+    ]
+    shapes += [
+        build_cylinder(0.025, 0.03, BLACK, segments=10)
+        .tilted("x", math.pi / 2)
+        .moved(sx * 0.16, sy * 0.08 + 0.015, 0.025)
+        for sx in (-1, 1)
+        for sy in (-1, 1)
+    ]
+    shapes.append(
+        build_tube(
+            [(-0.09, 0.09, 0.62), (-0.09, 0.09, 0.86), (0.09, 0.09, 0.86), (0.09, 0.09, 0.62)],
+            0.008,
+            GREY,
+            sides=6,
+        )
+    )
     return Item("suitcase", tuple(shapes))
 
 
 def build_clock_radio(rng: np.random.Generator) -> Item:
     """A bedside clock."""
     face = plain("display", "screen", "#1b2420", emission=(0.15, 0.3, 0.2))
-    return Item("alarm clock", (build_box((0.13, 0.06, 0.07), BLACK, bevel=0.012, round_steps=2), build_panel((-0.05, -0.031, 0.018), (0.1, 0, 0), (0, 0, 0.035), face, fit=True)))
+    return Item(
+        "alarm clock",
+        (
+            build_box((0.13, 0.06, 0.07), BLACK, bevel=0.012, round_steps=2),
+            build_panel((-0.05, -0.031, 0.018), (0.1, 0, 0), (0, 0, 0.035), face, fit=True),
+        ),
+    )
 
 
 def build_pump(rng: np.random.Generator, palette: Palette) -> Item:
@@ -256,7 +419,9 @@ def build_board(rng: np.random.Generator, palette: Palette) -> Item:
     wood = palette.wood(rng, 0)
     loaf = plain("crust", "food", "#a9703a", contrast=0.5, scale=0.02)
     bread = build_box((0.2, 0.09, 0.085), loaf, bevel=0.038, round_steps=3, at=(0, 0, 0.017))
-    return Item("cutting board", (build_box((0.36, 0.22, 0.018), wood, bevel=0.006), bread.moved(yaw=0.3)))
+    return Item(
+        "cutting board", (build_box((0.36, 0.22, 0.018), wood, bevel=0.006), bread.moved(yaw=0.3))
+    )
 
 
 def build_plates(rng: np.random.Generator, palette: Palette) -> Item:

@@ -79,7 +79,9 @@ def build_sofa(
     """A sofa of one to three seats; one seat makes an armchair."""
     seats = int(rng.choice([2, 3], p=[0.35, 0.65])) if seats is None else seats
     leather = rng.random() < 0.22
-    cloth = palette.cloth(rng, "leather" if leather else str(rng.choice(["fabric", "knit"], p=[0.85, 0.15])))
+    cloth = palette.cloth(
+        rng, "leather" if leather else str(rng.choice(["fabric", "knit"], p=[0.85, 0.15]))
+    )
     arm = float(rng.uniform(0.11, 0.22))
     each = float(rng.uniform(0.62, 0.72)) if seats > 1 else float(rng.uniform(0.58, 0.66))
     deep = float(rng.uniform(0.86, 0.98))
@@ -98,8 +100,15 @@ def build_sofa(
     for sx in (-1, 1):
         x = sx * (inner / 2 + arm / 2)
         shapes.append(
-            build_box((arm, deep, arm_h - leg), cloth, bevel=min(0.06, arm * 0.42), round_steps=2,
-                      inner=1, puff=0.006, at=(x, 0, leg))  # fmt: skip
+            build_box(
+                (arm, deep, arm_h - leg),
+                cloth,
+                bevel=min(0.06, arm * 0.42),
+                round_steps=2,
+                inner=1,
+                puff=0.006,
+                at=(x, 0, leg),
+            )  # fmt: skip
         )
         if rolled:
             roll = build_cylinder(arm * 0.62, deep - 0.02, cloth, bevel=0.03, segments=20)
@@ -108,14 +117,23 @@ def build_sofa(
     for k in range(seats):
         x = -inner / 2 + (k + 0.5) * each
         shapes.append(
-            build_box((each - gap, deep - 0.24, 0.17), cloth, bevel=0.045, round_steps=2, inner=2,
-                      puff=0.018, at=(x, -0.09, seat_z - 0.15))  # fmt: skip
+            build_box(
+                (each - gap, deep - 0.24, 0.17),
+                cloth,
+                bevel=0.045,
+                round_steps=2,
+                inner=2,
+                puff=0.018,
+                at=(x, -0.09, seat_z - 0.15),
+            )  # fmt: skip
         )
         back = build_box((each - gap, 0.17, back_h - seat_z + 0.02), cloth, bevel=0.06,
                          round_steps=2, inner=2, puff=0.025)  # fmt: skip
         shapes.append(back.tilted("x", -0.14).moved(x, deep / 2 - 0.27, seat_z + 0.015))
     foot = palette.wood(rng, 0) if rng.random() < 0.6 else palette.metal()
-    shapes += build_legs(width - 0.16, deep - 0.16, leg + 0.01, foot, splay=0.015 if leg > 0.1 else 0)
+    shapes += build_legs(
+        width - 0.16, deep - 0.16, leg + 0.01, foot, splay=0.015 if leg > 0.1 else 0
+    )
     parts: list[Placed] = []
     if cushions:
         count = int(rng.integers(1, 2 + seats)) if seats > 1 else int(rng.random() < 0.6)
@@ -163,10 +181,16 @@ def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = N
     wood = palette.wood(rng, 0)
     h = 0.45
     if kind == 1:
-        colour = plain("shell", "plastic", str(rng.choice([*palette.style.bright, "#e9e7e2"])), contrast=0.05)
+        colour = plain(
+            "shell", "plastic", str(rng.choice([*palette.style.bright, "#e9e7e2"])), contrast=0.05
+        )
         s = np.linspace(0, 1, 12)
         y = np.where(s < 0.5, -0.21 + 0.42 * s / 0.5, 0.21 + 0.10 * (s - 0.5) / 0.5)
-        z = np.where(s < 0.5, h - 0.015 * np.sin(np.pi * s / 0.5), h + 0.38 * np.clip((s - 0.5) / 0.5, 0, 1) ** 0.85)
+        z = np.where(
+            s < 0.5,
+            h - 0.015 * np.sin(np.pi * s / 0.5),
+            h + 0.38 * np.clip((s - 0.5) / 0.5, 0, 1) ** 0.85,
+        )
         half = 0.23 - 0.02 * s - 0.04 * np.clip((s - 0.75) / 0.25, 0, 1) ** 2
         u = np.linspace(-1, 1, 9)
         lip = 0.07 * np.abs(u) ** 3
@@ -192,10 +216,14 @@ def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = N
         back = build_box((0.44, 0.07, 0.46), cloth, bevel=0.03, round_steps=2, inner=1, puff=0.012)
         legs = build_legs(0.36, 0.36, h - 0.02, wood, radius=0.019, splay=0.03)
         return Item("chair", (seat, back.tilted("x", -0.14).moved(0, 0.21, h), *legs))
-    shapes = [build_box((0.44, 0.43, 0.028), wood, bevel=0.012, round_steps=2, at=(0, 0, h - 0.028))]
+    shapes = [
+        build_box((0.44, 0.43, 0.028), wood, bevel=0.012, round_steps=2, at=(0, 0, h - 0.028))
+    ]
     shapes += build_legs(0.37, 0.36, h - 0.02, wood, radius=0.017, splay=0.025)
     if kind == 3:
-        shapes[0] = build_cylinder(0.22, 0.035, wood, bevel=0.012, segments=24, at=(0, 0, h - 0.035))
+        shapes[0] = build_cylinder(
+            0.22, 0.035, wood, bevel=0.012, segments=24, at=(0, 0, h - 0.035)
+        )
         hoop = [(-0.19, 0.15, h - 0.01), *[tuple(p + (0, 0.02, 0)) for p in arc_path(
             (0, 0.19, h + 0.25), 0.19, math.pi, 0, "xz", 12)], (0.19, 0.15, h - 0.01)]  # fmt: skip
         shapes.append(build_tube(hoop, 0.011, wood))
@@ -204,7 +232,9 @@ def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = N
         shapes.append(build_tube(inner, 0.009, wood))
     else:
         for sx in (-1, 1):
-            shapes.append(build_rod((sx * 0.185, 0.18, h - 0.02), (sx * 0.19, 0.25, h + 0.45), 0.016, wood))
+            shapes.append(
+                build_rod((sx * 0.185, 0.18, h - 0.02), (sx * 0.19, 0.25, h + 0.45), 0.016, wood)
+            )
         if rng.random() < 0.5:
             for z in (0.16, 0.27, 0.38):
                 rail = build_box((0.38, 0.018, 0.055), wood, bevel=0.006)
@@ -213,12 +243,16 @@ def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = N
             shapes.append(build_box((0.4, 0.022, 0.07), wood, bevel=0.008, at=(0, 0.25, h + 0.38)))
             for k in range(5):
                 x = -0.14 + 0.07 * k
-                shapes.append(build_rod((x, 0.18, h - 0.01), (x, 0.248, h + 0.4), 0.007, wood, sides=6))
+                shapes.append(
+                    build_rod((x, 0.18, h - 0.01), (x, 0.248, h + 0.4), 0.007, wood, sides=6)
+                )
         for sy in (-0.19, 0.19):
             shapes.append(build_rod((-0.19, sy, 0.2), (0.19, sy, 0.2), 0.009, wood, sides=6))
     parts = ()
     if rng.random() < 0.3:
-        pad = build_box((0.4, 0.38, 0.035), palette.bright(rng), bevel=0.016, round_steps=2, inner=2, puff=0.006)
+        pad = build_box(
+            (0.4, 0.38, 0.035), palette.bright(rng), bevel=0.016, round_steps=2, inner=2, puff=0.006
+        )
         shapes.append(pad.moved(0, -0.01, h))
     return Item("chair", tuple(shapes), (), parts)
 
@@ -230,17 +264,34 @@ def build_bench(rng: np.random.Generator, palette: Palette, width: float = 1.2) 
     shapes += build_legs(width - 0.2, 0.26, 0.41, wood, radius=0.022, splay=0.03)
     if rng.random() < 0.6:
         shapes.append(
-            build_box((width - 0.04, 0.34, 0.06), palette.cloth(rng), bevel=0.025, round_steps=2,
-                      inner=3, puff=0.01, at=(0, 0, 0.435))  # fmt: skip
+            build_box(
+                (width - 0.04, 0.34, 0.06),
+                palette.cloth(rng),
+                bevel=0.025,
+                round_steps=2,
+                inner=3,
+                puff=0.01,
+                at=(0, 0, 0.435),
+            )  # fmt: skip
         )
-    return Item("bench", tuple(shapes), (Support(-width / 2 + 0.1, width / 2 - 0.1, -0.12, 0.12, 0.5),))
+    return Item(
+        "bench", tuple(shapes), (Support(-width / 2 + 0.1, width / 2 - 0.1, -0.12, 0.12, 0.5),)
+    )
 
 
 def build_stool(rng: np.random.Generator, palette: Palette) -> Item:
     """A round stool or, softly, a pouf."""
     if rng.random() < 0.5:
         r, h = 0.25, 0.38
-        rz = [(0, 0), (r * 0.8, 0), (r, 0.07), (r * 1.06, h / 2), (r, h - 0.06), (r * 0.7, h), (0, h + 0.01)]
+        rz = [
+            (0, 0),
+            (r * 0.8, 0),
+            (r, 0.07),
+            (r * 1.06, h / 2),
+            (r, h - 0.06),
+            (r * 0.7, h),
+            (0, h + 0.01),
+        ]
         body = build_lathe(rz, palette.bright(rng, "knit"), segments=24)
         return Item("pouf", (body,), (Support(-0.12, 0.12, -0.12, 0.12, h),))
     wood = palette.wood(rng, 0)
@@ -265,7 +316,15 @@ def build_office_chair(rng: np.random.Generator, palette: Palette) -> Item:
         shapes.append(wheel.moved(0, 0.02, 0.03).moved(end[0], end[1], 0, a))
     shapes.append(build_rod((0, 0, 0.1), (0, 0, 0.43), 0.026, CHROME))
     shapes.append(
-        build_box((0.49, 0.48, 0.09), cloth, bevel=0.04, round_steps=2, inner=1, puff=0.012, at=(0, 0, 0.42))
+        build_box(
+            (0.49, 0.48, 0.09),
+            cloth,
+            bevel=0.04,
+            round_steps=2,
+            inner=1,
+            puff=0.012,
+            at=(0, 0, 0.42),
+        )
     )
     tall = float(rng.uniform(0.5, 0.66))
     u, t = np.linspace(-1, 1, 9), np.linspace(0, 1, 8)
@@ -273,7 +332,11 @@ def build_office_chair(rng: np.random.Generator, palette: Palette) -> Item:
     grid = np.stack(
         [
             u[:, None] * half[None, :],
-            0.2 + 0.08 * t[None, :] + 0.05 * np.sin(2.6 * t)[None, :] - 0.06 * (u**2)[:, None] + 0 * t[None, :],
+            0.2
+            + 0.08 * t[None, :]
+            + 0.05 * np.sin(2.6 * t)[None, :]
+            - 0.06 * (u**2)[:, None]
+            + 0 * t[None, :],
             0.56 + tall * t[None, :] + 0 * u[:, None],
         ],
         -1,
@@ -282,8 +345,18 @@ def build_office_chair(rng: np.random.Generator, palette: Palette) -> Item:
     shapes.append(build_tube([(0, 0.1, 0.43), (0, 0.27, 0.45), (0, 0.28, 0.7)], 0.02, frame))
     if rng.random() < 0.7:
         for sx in (-1, 1):
-            shapes.append(build_tube([(sx * 0.2, 0, 0.44), (sx * 0.28, 0, 0.46), (sx * 0.28, 0.02, 0.64)], 0.014, frame))
-            shapes.append(build_box((0.06, 0.24, 0.03), frame, bevel=0.013, round_steps=2, at=(sx * 0.28, 0, 0.64)))
+            shapes.append(
+                build_tube(
+                    [(sx * 0.2, 0, 0.44), (sx * 0.28, 0, 0.46), (sx * 0.28, 0.02, 0.64)],
+                    0.014,
+                    frame,
+                )
+            )
+            shapes.append(
+                build_box(
+                    (0.06, 0.24, 0.03), frame, bevel=0.013, round_steps=2, at=(sx * 0.28, 0, 0.64)
+                )
+            )
     return Item("office chair", tuple(shapes))
 
 

@@ -44,8 +44,12 @@ def build_fronts(
         for j in range(rows):
             x, z0 = -width / 2 + (i + 0.5) * w, z + j * h
             shapes.append(
-                build_box((w - 0.006, thick, h - 0.006), material, bevel=0.003,
-                          at=(x, y - thick / 2, z0 + 0.003))  # fmt: skip
+                build_box(
+                    (w - 0.006, thick, h - 0.006),
+                    material,
+                    bevel=0.003,
+                    at=(x, y - thick / 2, z0 + 0.003),
+                )  # fmt: skip
             )
             front = y - thick
             if vertical:
@@ -72,7 +76,13 @@ def build_fronts(
 
 
 def build_carcass(
-    width: float, depth: float, height: float, material: Material, *, z: float = 0.0, back: bool = True
+    width: float,
+    depth: float,
+    height: float,
+    material: Material,
+    *,
+    z: float = 0.0,
+    back: bool = True,
 ) -> list[Shape]:
     """An open-fronted box of boards: sides, top, bottom, back."""
     t = 0.02
@@ -86,7 +96,9 @@ def build_carcass(
     ]
     if back:
         shapes.append(
-            build_box((width - 2 * t, 0.008, height - 2 * t), material, at=(0, depth / 2 - 0.006, z + t))
+            build_box(
+                (width - 2 * t, 0.008, height - 2 * t), material, at=(0, depth / 2 - 0.006, z + t)
+            )
         )
     return shapes
 
@@ -95,14 +107,22 @@ def build_coffee_table(rng: np.random.Generator, palette: Palette) -> Item:
     """A low table: rectangular, round, oval, or with a glass or marble top."""
     kind = int(rng.integers(4))
     wood, h = palette.wood(rng, 0), float(rng.uniform(0.38, 0.45))
-    marble = plain("marble", "marble", "#e9e6e1", second="#8f8c88", scale=0.4, contrast=0.5, detail=0.8)
+    marble = plain(
+        "marble", "marble", "#e9e6e1", second="#8f8c88", scale=0.4, contrast=0.5, detail=0.8
+    )
     if kind == 0:
         w, d = float(rng.uniform(0.95, 1.2)), float(rng.uniform(0.5, 0.62))
         shapes = [build_box((w, d, 0.035), wood, bevel=0.008, at=(0, 0, h - 0.035))]
         shapes += build_legs(w - 0.1, d - 0.1, h - 0.03, wood, radius=0.025, square=True)
         if rng.random() < 0.6:
-            shapes.append(build_box((w - 0.12, d - 0.12, 0.018), wood, bevel=0.004, at=(0, 0, 0.14)))
-        return Item("coffee table", tuple(shapes), (Support(-w / 2 + 0.06, w / 2 - 0.06, -d / 2 + 0.06, d / 2 - 0.06, h),))
+            shapes.append(
+                build_box((w - 0.12, d - 0.12, 0.018), wood, bevel=0.004, at=(0, 0, 0.14))
+            )
+        return Item(
+            "coffee table",
+            tuple(shapes),
+            (Support(-w / 2 + 0.06, w / 2 - 0.06, -d / 2 + 0.06, d / 2 - 0.06, h),),
+        )
     if kind == 1:
         r = float(rng.uniform(0.36, 0.45))
         top = marble if rng.random() < 0.4 else wood
@@ -112,7 +132,9 @@ def build_coffee_table(rng: np.random.Generator, palette: Palette) -> Item:
         return Item("coffee table", tuple(shapes), (Support(-q, q, -q, q, h),))
     if kind == 2:
         w, d = float(rng.uniform(1.0, 1.2)), float(rng.uniform(0.58, 0.66))
-        shapes = [build_extrusion(rounded_outline(w, d, d / 2 * 0.96, 7), 0.03, wood, at=(0, 0, h - 0.03))]
+        shapes = [
+            build_extrusion(rounded_outline(w, d, d / 2 * 0.96, 7), 0.03, wood, at=(0, 0, h - 0.03))
+        ]
         shapes += build_legs(w * 0.55, d * 0.5, h - 0.03, wood, radius=0.022, splay=0.06)
         return Item("coffee table", tuple(shapes), (Support(-w / 3, w / 3, -d / 3, d / 3, h),))
     metal = palette.metal()
@@ -121,9 +143,18 @@ def build_coffee_table(rng: np.random.Generator, palette: Palette) -> Item:
     shapes = [build_box((w, d, 0.024), top, bevel=0.005, at=(0, 0, h - 0.024))]
     for sx in (-1, 1):
         x = sx * (w / 2 - 0.05)
-        loop = [(x, -d / 2 + 0.04, h - 0.03), (x, -d / 2 + 0.04, 0.012), (x, d / 2 - 0.04, 0.012), (x, d / 2 - 0.04, h - 0.03)]
+        loop = [
+            (x, -d / 2 + 0.04, h - 0.03),
+            (x, -d / 2 + 0.04, 0.012),
+            (x, d / 2 - 0.04, 0.012),
+            (x, d / 2 - 0.04, h - 0.03),
+        ]
         shapes.append(build_tube(loop, 0.012, metal, sides=6))
-    return Item("coffee table", tuple(shapes), (Support(-w / 2 + 0.06, w / 2 - 0.06, -d / 2 + 0.06, d / 2 - 0.06, h),))
+    return Item(
+        "coffee table",
+        tuple(shapes),
+        (Support(-w / 2 + 0.06, w / 2 - 0.06, -d / 2 + 0.06, d / 2 - 0.06, h),),
+    )
 
 
 def build_side_table(rng: np.random.Generator, palette: Palette) -> Item:
@@ -151,7 +182,15 @@ def build_dining_table(rng: np.random.Generator, palette: Palette, seats: int) -
         r = 0.44 if seats <= 2 else 0.54
         shapes = [build_cylinder(r, 0.03, wood, bevel=0.008, segments=40, at=(0, 0, h - 0.03))]
         if rng.random() < 0.5:
-            rz = [(0, 0), (r * 0.52, 0), (r * 0.5, 0.02), (0.09, 0.07), (0.045, 0.2), (0.04, 0.55), (0.14, h - 0.03)]
+            rz = [
+                (0, 0),
+                (r * 0.52, 0),
+                (r * 0.5, 0.02),
+                (0.09, 0.07),
+                (0.045, 0.2),
+                (0.04, 0.55),
+                (0.14, h - 0.03),
+            ]
             shapes.append(build_lathe(rz, wood, segments=24))
         else:
             shapes += build_legs(r * 1.05, r * 1.05, h - 0.02, wood, radius=0.024, splay=0.04)
@@ -163,8 +202,18 @@ def build_dining_table(rng: np.random.Generator, palette: Palette, seats: int) -
     kind = int(rng.integers(3))
     if kind == 0:
         shapes += build_legs(w - 0.12, d - 0.12, h - 0.03, wood, radius=0.032, square=True)
-        shapes += [build_box((w - 0.16, 0.02, 0.08), wood, bevel=0.003, at=(0, s * (d / 2 - 0.07), h - 0.11)) for s in (-1, 1)]
-        shapes += [build_box((0.02, d - 0.16, 0.08), wood, bevel=0.003, at=(s * (w / 2 - 0.07), 0, h - 0.11)) for s in (-1, 1)]
+        shapes += [
+            build_box(
+                (w - 0.16, 0.02, 0.08), wood, bevel=0.003, at=(0, s * (d / 2 - 0.07), h - 0.11)
+            )
+            for s in (-1, 1)
+        ]
+        shapes += [
+            build_box(
+                (0.02, d - 0.16, 0.08), wood, bevel=0.003, at=(s * (w / 2 - 0.07), 0, h - 0.11)
+            )
+            for s in (-1, 1)
+        ]
     elif kind == 1:
         shapes += build_legs(w - 0.34, d - 0.24, h - 0.02, wood, radius=0.03, splay=0.08)
     else:
@@ -172,8 +221,16 @@ def build_dining_table(rng: np.random.Generator, palette: Palette, seats: int) -
         for sx in (-1, 1):
             x = sx * (w / 2 - 0.16)
             for a, b in ((-1, 1), (1, -1)):
-                shapes.append(build_rod((x, a * (d / 2 - 0.1), 0.0), (x, b * (d / 2 - 0.22), h - 0.03), 0.02, metal))
-    return Item("dining table", tuple(shapes), (Support(-w / 2 + 0.1, w / 2 - 0.1, -d / 2 + 0.1, d / 2 - 0.1, h),))
+                shapes.append(
+                    build_rod(
+                        (x, a * (d / 2 - 0.1), 0.0), (x, b * (d / 2 - 0.22), h - 0.03), 0.02, metal
+                    )
+                )
+    return Item(
+        "dining table",
+        tuple(shapes),
+        (Support(-w / 2 + 0.1, w / 2 - 0.1, -d / 2 + 0.1, d / 2 - 0.1, h),),
+    )
 
 
 def build_desk(rng: np.random.Generator, palette: Palette) -> Item:
@@ -185,27 +242,66 @@ def build_desk(rng: np.random.Generator, palette: Palette) -> Item:
         body = palette.painted(rng) if rng.random() < 0.5 else wood
         x = float(rng.choice([-1, 1])) * (w / 2 - 0.22)
         box = build_box((0.4, d - 0.06, h - 0.07), body, bevel=0.004, at=(x, 0.01, 0.04))
-        shapes += [box, *(s.moved(x) for s in build_fronts(0.4, h - 0.08, 3, 1, -d / 2 + 0.04, 0.045, body, palette.metal()))]
+        shapes += [
+            box,
+            *(
+                s.moved(x)
+                for s in build_fronts(
+                    0.4, h - 0.08, 3, 1, -d / 2 + 0.04, 0.045, body, palette.metal()
+                )
+            ),
+        ]
         other = -math.copysign(w / 2 - 0.06, x)
         for sy in (-1, 1):
-            shapes.append(build_rod((other, sy * (d / 2 - 0.06), 0), (other, sy * (d / 2 - 0.06), h - 0.02), 0.018, palette.metal()))
+            shapes.append(
+                build_rod(
+                    (other, sy * (d / 2 - 0.06), 0),
+                    (other, sy * (d / 2 - 0.06), h - 0.02),
+                    0.018,
+                    palette.metal(),
+                )
+            )
     else:
         shapes += build_legs(w - 0.2, d - 0.16, h - 0.02, palette.metal(), radius=0.018, splay=0.03)
-        shapes.append(build_box((w - 0.2, 0.02, 0.08), wood, bevel=0.003, at=(0, d / 2 - 0.1, h - 0.11)))
-    return Item("desk", tuple(shapes), (Support(-w / 2 + 0.05, w / 2 - 0.05, -d / 2 + 0.08, d / 2 - 0.06, h),))
+        shapes.append(
+            build_box((w - 0.2, 0.02, 0.08), wood, bevel=0.003, at=(0, d / 2 - 0.1, h - 0.11))
+        )
+    return Item(
+        "desk",
+        tuple(shapes),
+        (Support(-w / 2 + 0.05, w / 2 - 0.05, -d / 2 + 0.08, d / 2 - 0.06, h),),
+    )
 
 
 def build_nightstand(rng: np.random.Generator, palette: Palette) -> Item:
     """A bedside cabinet with one or two drawers."""
-    w, d, h = float(rng.uniform(0.4, 0.5)), float(rng.uniform(0.36, 0.42)), float(rng.uniform(0.48, 0.56))
+    w, d, h = (
+        float(rng.uniform(0.4, 0.5)),
+        float(rng.uniform(0.36, 0.42)),
+        float(rng.uniform(0.48, 0.56)),
+    )
     wood = palette.wood(rng, 0)
     leg = float(rng.choice([0.05, 0.18, 0.25]))
     front = palette.painted(rng) if rng.random() < 0.3 else wood
     shapes = build_carcass(w, d, h - leg, wood, z=leg)
     rows = 1 if h - leg < 0.33 else 2
-    shapes += build_fronts(w - 0.04, h - leg - 0.04, rows, 1, -d / 2 + 0.018, leg + 0.02, front, palette.metal(), knob=rng.random() < 0.6)
+    shapes += build_fronts(
+        w - 0.04,
+        h - leg - 0.04,
+        rows,
+        1,
+        -d / 2 + 0.018,
+        leg + 0.02,
+        front,
+        palette.metal(),
+        knob=rng.random() < 0.6,
+    )
     shapes += build_legs(w - 0.07, d - 0.07, leg + 0.005, wood, radius=0.018, splay=0.01)
-    return Item("nightstand", tuple(shapes), (Support(-w / 2 + 0.05, w / 2 - 0.05, -d / 2 + 0.05, d / 2 - 0.05, h),))
+    return Item(
+        "nightstand",
+        tuple(shapes),
+        (Support(-w / 2 + 0.05, w / 2 - 0.05, -d / 2 + 0.05, d / 2 - 0.05, h),),
+    )
 
 
 def build_tv_stand(rng: np.random.Generator, palette: Palette) -> Item:
@@ -220,13 +316,24 @@ def build_tv_stand(rng: np.random.Generator, palette: Palette) -> Item:
     for sx in (-1, 1):
         shapes += [s.moved(sx * third) for s in build_fronts(third - 0.01, body - 0.04, 1 if rng.random() < 0.6 else 2, 1,
                    -d / 2 + 0.018, leg + 0.02, front, palette.metal(), knob=True)]  # fmt: skip
-        shapes.append(build_box((0.018, d - 0.02, body - 0.04), wood, at=(sx * third / 2, 0, leg + 0.02)))
-    shapes.append(build_box((third - 0.02, d - 0.03, 0.016), wood, bevel=0.002, at=(0, 0, leg + body / 2)))
+        shapes.append(
+            build_box((0.018, d - 0.02, body - 0.04), wood, at=(sx * third / 2, 0, leg + 0.02))
+        )
+    shapes.append(
+        build_box((third - 0.02, d - 0.03, 0.016), wood, bevel=0.002, at=(0, 0, leg + body / 2))
+    )
     shapes += build_legs(w - 0.14, d - 0.1, leg + 0.005, wood, radius=0.02, splay=0.02)
     tops = (
         Support(-w / 2 + 0.06, -0.62, -d / 2 + 0.08, d / 2 - 0.08, h),
         Support(0.62, w / 2 - 0.06, -d / 2 + 0.08, d / 2 - 0.08, h),
-        Support(-third / 2 + 0.05, third / 2 - 0.05, -d / 2 + 0.06, d / 2 - 0.1, leg + body / 2 + 0.016, body / 2 - 0.05),
+        Support(
+            -third / 2 + 0.05,
+            third / 2 - 0.05,
+            -d / 2 + 0.06,
+            d / 2 - 0.1,
+            leg + body / 2 + 0.016,
+            body / 2 - 0.05,
+        ),
     )
     return Item("tv stand", tuple(shapes), tuple(s for s in tops if s.x1 - s.x0 > 0.1))
 
@@ -244,7 +351,13 @@ def build_tv(rng: np.random.Generator) -> Item:
     )  # fmt: skip
     shapes = (
         build_box((w, 0.035, h), BLACK, bevel=0.006, at=(0, 0, z)),
-        build_panel((-w / 2 + 0.012, -0.0185, z + 0.016), (w - 0.024, 0, 0), (0, 0, h - 0.028), screen, fit=True),
+        build_panel(
+            (-w / 2 + 0.012, -0.0185, z + 0.016),
+            (w - 0.024, 0, 0),
+            (0, 0, h - 0.028),
+            screen,
+            fit=True,
+        ),
         build_box((0.3, 0.16, 0.012), BLACK, bevel=0.004),
         build_box((0.06, 0.03, 0.09), BLACK, bevel=0.004, at=(0, 0.012, 0)),
     )
@@ -254,7 +367,12 @@ def build_tv(rng: np.random.Generator) -> Item:
 def build_rug(rng: np.random.Generator, palette: Palette, width: float, depth: float) -> Item:
     """A rug lying on the floor: persian, bordered, striped, plain knit, or round."""
     first, second = rng.choice([*palette.style.bright, *palette.style.cloths], 2, replace=False)
-    pattern = str(rng.choice(["rug_persian", "rug_border", "rug_stripes", "carpet", "knit"], p=[0.3, 0.22, 0.22, 0.14, 0.12]))
+    pattern = str(
+        rng.choice(
+            ["rug_persian", "rug_border", "rug_stripes", "carpet", "knit"],
+            p=[0.3, 0.22, 0.22, 0.14, 0.12],
+        )
+    )
     material = Material(
         name="rug", pattern=pattern, colour=linear_colour(str(first)), colour2=linear_colour(str(second)),
         scale=round(width / depth, 3) if pattern in ("rug_persian", "rug_border") else {"rug_stripes": 0.12, "carpet": 0.012, "knit": 0.05}[pattern],
@@ -266,7 +384,13 @@ def build_rug(rng: np.random.Generator, palette: Palette, width: float, depth: f
         return Item("rug", (build_cylinder(r, t, material, bevel=0.004, segments=48),))
     edge = plain("rug edge", "fabric", str(second), scale=0.01)
     shapes: list[Shape] = [
-        build_panel((-width / 2, -depth / 2, t), (width, 0, 0), (0, depth, 0), material, fit=pattern in ("rug_persian", "rug_border")),
+        build_panel(
+            (-width / 2, -depth / 2, t),
+            (width, 0, 0),
+            (0, depth, 0),
+            material,
+            fit=pattern in ("rug_persian", "rug_border"),
+        ),
         build_box((width, depth, t - 0.001), edge),
     ]
     if rng.random() < 0.4:
@@ -275,7 +399,13 @@ def build_rug(rng: np.random.Generator, palette: Palette, width: float, depth: f
         for sx in (-1, 1):
             for k in range(n):
                 y = -depth / 2 + (k + 0.5) * depth / n
-                shapes.append(build_box((0.045, 0.014, 0.004), fringe, at=(sx * (width / 2 + 0.022), y + float(rng.uniform(-0.004, 0.004)), 0)))
+                shapes.append(
+                    build_box(
+                        (0.045, 0.014, 0.004),
+                        fringe,
+                        at=(sx * (width / 2 + 0.022), y + float(rng.uniform(-0.004, 0.004)), 0),
+                    )
+                )
     return Item("rug", tuple(shapes))
 
 
@@ -284,14 +414,26 @@ def build_console(rng: np.random.Generator, palette: Palette) -> Item:
     w, d, h = float(rng.uniform(0.8, 1.0)), 0.3, float(rng.uniform(0.76, 0.84))
     wood = palette.wood(rng, 0)
     shapes = [build_box((w, d, 0.028), wood, bevel=0.006, at=(0, 0, h - 0.028))]
-    shapes += build_legs(w - 0.07, d - 0.07, h - 0.02, wood, radius=0.016, square=rng.random() < 0.5)
+    shapes += build_legs(
+        w - 0.07, d - 0.07, h - 0.02, wood, radius=0.016, square=rng.random() < 0.5
+    )
     shapes += [build_box((w - 0.06, d - 0.05, 0.11), wood, bevel=0.003, at=(0, 0.005, h - 0.138))]
-    shapes += build_fronts(w - 0.08, 0.1, 1, 2, -d / 2 + 0.03, h - 0.134, wood, palette.metal(), knob=True)
+    shapes += build_fronts(
+        w - 0.08, 0.1, 1, 2, -d / 2 + 0.03, h - 0.134, wood, palette.metal(), knob=True
+    )
     low = Support(-w / 2 + 0.08, w / 2 - 0.08, -d / 2 + 0.06, d / 2 - 0.06, 0.2, 0.4)
     if rng.random() < 0.6:
         shapes.append(build_box((w - 0.08, d - 0.07, 0.016), wood, bevel=0.003, at=(0, 0, 0.184)))
-        return Item("console table", tuple(shapes), (Support(-w / 2 + 0.06, w / 2 - 0.06, -d / 2 + 0.05, d / 2 - 0.05, h), low))
-    return Item("console table", tuple(shapes), (Support(-w / 2 + 0.06, w / 2 - 0.06, -d / 2 + 0.05, d / 2 - 0.05, h),))
+        return Item(
+            "console table",
+            tuple(shapes),
+            (Support(-w / 2 + 0.06, w / 2 - 0.06, -d / 2 + 0.05, d / 2 - 0.05, h), low),
+        )
+    return Item(
+        "console table",
+        tuple(shapes),
+        (Support(-w / 2 + 0.06, w / 2 - 0.06, -d / 2 + 0.05, d / 2 - 0.05, h),),
+    )
 
 
 def build_serving_cart(rng: np.random.Generator, palette: Palette) -> Item:
@@ -299,10 +441,22 @@ def build_serving_cart(rng: np.random.Generator, palette: Palette) -> Item:
     w, d, h = 0.62, 0.38, 0.78
     metal = BRASS if rng.random() < 0.5 else palette.metal()
     board = GLASS if rng.random() < 0.3 else palette.wood(rng, 0)
-    shapes = [build_rod((sx * w / 2, sy * d / 2, 0.05), (sx * w / 2, sy * d / 2, h), 0.009, metal, sides=8) for sx in (-1, 1) for sy in (-1, 1)]
+    shapes = [
+        build_rod(
+            (sx * w / 2, sy * d / 2, 0.05), (sx * w / 2, sy * d / 2, h), 0.009, metal, sides=8
+        )
+        for sx in (-1, 1)
+        for sy in (-1, 1)
+    ]
     for z in (0.16, h - 0.04):
         shapes.append(build_box((w, d, 0.014), board, bevel=0.003, at=(0, 0, z)))
-        ring = [(-w / 2, -d / 2, z + 0.06), (w / 2, -d / 2, z + 0.06), (w / 2, d / 2, z + 0.06), (-w / 2, d / 2, z + 0.06), (-w / 2, -d / 2, z + 0.06)]
+        ring = [
+            (-w / 2, -d / 2, z + 0.06),
+            (w / 2, -d / 2, z + 0.06),
+            (w / 2, d / 2, z + 0.06),
+            (-w / 2, d / 2, z + 0.06),
+            (-w / 2, -d / 2, z + 0.06),
+        ]
         shapes.append(build_tube(ring, 0.006, metal, sides=6))
     for sx in (-1, 1):
         for sy in (-1, 1):

@@ -21,6 +21,7 @@ from gn0.scenes.procedural.shell import SIDES, Side, room_sides
 CELL = 0.05  # m, raster of the passage check
 PASSAGE_RADIUS = 0.33  # half the clear way between the doors of a room [m]
 REACH_RADIUS = 0.24  # half the way to the front of a piece of furniture [m]
+POCKET = 0.25  # m² of floor that furniture may cut off
 DOOR_DEPTH = 0.7  # clear depth before a door [m]
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1 [m]
@@ -132,6 +133,9 @@ class RoomLayout:
                 seen.add(int(np.bincount(values).argmax()))
             if len(seen) > 1:
                 return False
+            sizes = np.bincount(label.ravel())[1:] * CELL**2
+            if radius == REACH_RADIUS and (np.sort(sizes)[:-1] > POCKET).any():
+                return False
         return True
 
     def add(self, placed: Placed, *, solid: bool = True, height: float | None = None) -> Placed:
@@ -167,9 +171,7 @@ class RoomLayout:
             start = max(start, b)
         return out
 
-    def against_wall(
-        self, side: Side, item: Item, t: float, gap: float = 0.02
-    ) -> Placed:
+    def against_wall(self, side: Side, item: Item, t: float, gap: float = 0.02) -> Placed:
         """The item with its back to a wall, its middle at `t` [m] along it."""
         low, high = item.full_extent()
         x, y = side.point(t + float(low[0] + high[0]) / 2, gap + float(high[1]))
@@ -234,9 +236,7 @@ class RoomLayout:
         rect = self._strip(side, t - width / 2, t + width / 2, depth + front, depth)
         return self.is_clear(rect, ignore_keep=True)
 
-    def place_free(
-        self, rects_of: Sequence[tuple[Placed, bool]], clear: Rect
-    ) -> bool:
+    def place_free(self, rects_of: Sequence[tuple[Placed, bool]], clear: Rect) -> bool:
         """Place a ready group if its own rectangles and the wider `clear` are free and passable."""
         if not self.is_clear(clear):
             return False
@@ -247,9 +247,7 @@ class RoomLayout:
             self.add(placed, solid=is_solid)
         return True
 
-    def hang(
-        self, side: Side, item: Item, t: float, z: float, gap: float = 0.004
-    ) -> Placed | None:
+    def hang(self, side: Side, item: Item, t: float, z: float, gap: float = 0.004) -> Placed | None:
         """Hang an item (its back at its largest y) on a wall with its origin at height z."""
         low, high = item.full_extent()
         half = float(high[0] - low[0]) / 2
@@ -267,7 +265,9 @@ class RoomLayout:
             return None
         x, y = side.point(t + float(low[0] + high[0]) / 2, gap + float(high[1]))
         placed = Placed(item, x, y, z, side.yaw)
-        self.hung[side.name].append((rect[0] - 0.06, rect[1] - 0.06, rect[2] + 0.06, rect[3] + 0.06))
+        self.hung[side.name].append(
+            (rect[0] - 0.06, rect[1] - 0.06, rect[2] + 0.06, rect[3] + 0.06)
+        )
         self.placed.append(placed)
         return placed
 

@@ -42,13 +42,16 @@ def lamp_colour(kelvin: float) -> Colour:
     )
     x, y = 3 * u / (2 * u - 8 * v + 4), 2 * v / (2 * u - 8 * v + 4)
     xyz = np.array([x / y, 1.0, (1 - x - y) / y])
-    rgb = np.array(
-        [
-            [3.2406, -1.5372, -0.4986],
-            [-0.9689, 1.8758, 0.0415],
-            [0.0557, -0.2040, 1.0570],
-        ]
-    ) @ xyz
+    rgb = (
+        np.array(
+            [
+                [3.2406, -1.5372, -0.4986],
+                [-0.9689, 1.8758, 0.0415],
+                [0.0557, -0.2040, 1.0570],
+            ]
+        )
+        @ xyz
+    )
     r, g, b = (round(float(c), 4) for c in np.clip(rgb / rgb.max(), 0.02, 1))
     return (r, g, b)
 

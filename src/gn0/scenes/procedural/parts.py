@@ -69,9 +69,7 @@ class Item:
             for x in (low[0], high[0]):
                 for y in (low[1], high[1]):
                     p = (c * x - s * y + part.x, s * x + c * y + part.y)
-                    boxes.append(
-                        np.array([[*p, low[2] + part.z], [*p, high[2] + part.z]])
-                    )
+                    boxes.append(np.array([[*p, low[2] + part.z], [*p, high[2] + part.z]]))
         every = np.concatenate(boxes)
         return np.stack([every.min(axis=0), every.max(axis=0)])
 

@@ -123,7 +123,7 @@ def _split(
 ) -> list[float]:
     """Share `total` metres among rooms in proportion to their usual widths, varied."""
     raw = np.array([widths[t] * rng.uniform(0.9, 1.1) for t in types])
-    return list(np.round(np.cumsum(raw / raw.sum() * total), 2))
+    return [round(float(v), 2) for v in np.cumsum(raw / raw.sum() * total)]
 
 
 def plan_apartment(seed: int, size: str = "medium") -> FloorPlan:
@@ -249,9 +249,7 @@ def _close_plan(
                 and min(w.high, high) - max(w.low, low) > 1e-6
             )  # fmt: skip
         rooms.append(
-            Room(
-                id, name, x0 + inset["x0"], y0 + inset["y0"], x1 - inset["x1"], y1 - inset["y1"]
-            )
+            Room(id, name, x0 + inset["x0"], y0 + inset["y0"], x1 - inset["x1"], y1 - inset["y1"])
         )
     if min(min(r.width, r.depth) for r in rooms) < 1.25:
         return None
@@ -260,12 +258,23 @@ def _close_plan(
     if doors is None:
         return None
     windows = _cut_windows(rng, plan)
-    return replace(plan, openings=(*doors, *windows))
+    return replace(plan, openings=tuple(_fit_opening(plan, o) for o in (*doors, *windows)))
 
 
-def _build_walls(
-    cells: list[tuple[str, float, float, float, float]], ids: list[str]
-) -> list[Wall]:
+def _fit_opening(plan: FloorPlan, opening: Opening) -> Opening:
+    """The opening reaching exactly from one wall face to the other (walls differ in thickness)."""
+    outer = opening.thickness / 2
+    low, high = opening.at - outer, opening.at + outer
+    if opening.rooms[0] is not None:
+        room = plan.room(opening.rooms[0])
+        low = room.y1 if opening.axis == "x" else room.x1
+    if opening.rooms[1] is not None:
+        room = plan.room(opening.rooms[1])
+        high = room.y0 if opening.axis == "x" else room.x0
+    return replace(opening, at=(low + high) / 2, thickness=high - low)
+
+
+def _build_walls(cells: list[tuple[str, float, float, float, float]], ids: list[str]) -> list[Wall]:
     """Maximal wall pieces between one pair of neighbours (or a room and the outside)."""
     walls = []
     for axis in ("x", "y"):
@@ -420,8 +429,15 @@ def _cut_windows(rng: np.random.Generator, plan: FloorPlan) -> list[Opening]:
             middle = low + span * (k + 0.5) / count + float(rng.uniform(-0.1, 0.1))
             windows.append(
                 Opening(
-                    "window", wall.axis, wall.at, round(middle - width / 2, 3),
-                    round(middle + width / 2, 3), bottom, top, wall.thickness, wall.rooms,
+                    "window",
+                    wall.axis,
+                    wall.at,
+                    round(middle - width / 2, 3),
+                    round(middle + width / 2, 3),
+                    bottom,
+                    top,
+                    wall.thickness,
+                    wall.rooms,
                 )  # fmt: skip
             )
     return windows

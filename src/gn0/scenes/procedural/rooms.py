@@ -59,7 +59,9 @@ def dress_windows(layout: RoomLayout, *, curtains: bool = True) -> None:
                     layout.blocks.append(Block(rect, top + 0.2))
             elif rng.random() < 0.7 and layout.room.type != "kitchen":
                 blind = decor.build_blind(rng, layout.palette, width + 0.06, top - bottom)
-                layout.placed.append(Placed(blind, *side.point(middle, 0.005), top + 0.06, side.yaw))
+                layout.placed.append(
+                    Placed(blind, *side.point(middle, 0.005), top + 0.06, side.yaw)
+                )
                 layout.hung[side.name].append((a - 0.1, bottom, b + 0.1, top + 0.1))
             if bottom > 0.75 and layout.room.type in ("living room", "bedroom", "study"):
                 wide = min(width - 0.55, 1.2)
@@ -79,7 +81,9 @@ def hang_pictures(layout: RoomLayout, count: int, *, clock: bool = False) -> Non
         if clock and k == len(gaps[:count]) - 1:
             layout.hang(side, decor.build_clock(rng, layout.palette), middle, 1.75)
         elif span > 1.1 and rng.random() < 0.25:
-            item = storage.build_wall_shelf(rng, layout.palette, float(rng.uniform(0.7, min(1.2, span - 0.2))))
+            item = storage.build_wall_shelf(
+                rng, layout.palette, float(rng.uniform(0.7, min(1.2, span - 0.2)))
+            )
             item = dress(item, "shelf", rng, layout.palette, count=5)
             layout.hang(side, item, middle, float(rng.uniform(1.3, 1.5)))
         elif span > 0.45:
@@ -105,7 +109,9 @@ def light_ceiling(layout: RoomLayout, kelvin: float, *, flux: float | None = Non
         layout.placed.append(Placed(item, x, y, layout.plan.ceiling - 0.001))
 
 
-def place_corner_things(layout: RoomLayout, *, plants: int, lamp: float | None = None, basket: bool = True) -> None:
+def place_corner_things(
+    layout: RoomLayout, *, plants: int, lamp: float | None = None, basket: bool = True
+) -> None:
     """Plants, a floor lamp and a basket in the corners that are left."""
     rng, palette = layout.rng, layout.palette
     if lamp is not None:
@@ -118,7 +124,9 @@ def place_corner_things(layout: RoomLayout, *, plants: int, lamp: float | None =
             continue
         layout.place_on_wall(item, prefer="corner", gap=0.03, reach=False)
     if basket:
-        layout.place_on_wall(storage.build_basket(rng, palette), prefer="corner", gap=0.03, reach=False)
+        layout.place_on_wall(
+            storage.build_basket(rng, palette), prefer="corner", gap=0.03, reach=False
+        )
 
 
 def place_dining(layout: RoomLayout, count: int, *, kelvin: float) -> bool:
@@ -153,12 +161,21 @@ def place_dining(layout: RoomLayout, count: int, *, kelvin: float) -> bool:
         group: list[tuple[Placed, bool]] = [(Placed(table, x, y, 0.0, yaw), True)]
         chair_rng = np.random.Generator(np.random.Philox(key=chair_seed))
         for dx, dy, turn in spots:
-            chair = seats.build_chair(np.random.Generator(np.random.Philox(key=chair_seed)), palette, kind)
+            chair = seats.build_chair(
+                np.random.Generator(np.random.Philox(key=chair_seed)), palette, kind
+            )
             jitter = float(chair_rng.uniform(-0.12, 0.12))
             off = float(chair_rng.uniform(-0.02, 0.06))
             length = math.hypot(dx, dy)
             px, py = dx * (1 + off / length), dy * (1 + off / length)
-            group.append((Placed(chair, x + c * px - s * py, y + s * px + c * py, 0.0, yaw + turn + jitter), True))
+            group.append(
+                (
+                    Placed(
+                        chair, x + c * px - s * py, y + s * px + c * py, 0.0, yaw + turn + jitter
+                    ),
+                    True,
+                )
+            )
         rects = [footprint(p) for p, _ in group]
         clear = (
             min(q[0] for q in rects) - 0.12, min(q[1] for q in rects) - 0.12,
@@ -171,7 +188,9 @@ def place_dining(layout: RoomLayout, count: int, *, kelvin: float) -> bool:
                 d_rug = clear[3] - clear[1] - 0.1
                 rug = tables.build_rug(rng, palette, max(w_rug, d_rug), min(w_rug, d_rug))
                 spin = 0.0 if w_rug >= d_rug else math.pi / 2
-                placed = Placed(rug, (clear[0] + clear[2]) / 2, (clear[1] + clear[3]) / 2, 0.0, spin)
+                placed = Placed(
+                    rug, (clear[0] + clear[2]) / 2, (clear[1] + clear[3]) / 2, 0.0, spin
+                )
                 q = footprint(placed)
                 if r.x0 < q[0] and r.y0 < q[1] and q[2] < r.x1 and q[3] < r.y1:
                     layout.placed.append(placed)
@@ -214,7 +233,9 @@ def place_sofa_group(layout: RoomLayout) -> Side | None:
         # distance of the sofa's back from the television wall
         back = across - 0.03
         if across > 4.3 or attempt > 45:
-            back = float(rng.uniform(max(3.1, stand_d + 1.5 + sofa_d), max(3.5, stand_d + 1.9 + sofa_d)))
+            back = float(
+                rng.uniform(max(3.1, stand_d + 1.5 + sofa_d), max(3.5, stand_d + 1.9 + sofa_d))
+            )
         if back > across - 0.6:
             back = across - 0.03
         front_gap = back - sofa_d - stand_d
@@ -231,7 +252,11 @@ def place_sofa_group(layout: RoomLayout) -> Side | None:
             off = math.copysign(0.36, low_x)
         table_y = back - (sofa_d - max(chaise, 0)) - 0.34 - coffee_d / 2
         table_placed = _at(side, t - off, table_y, coffee)
-        group: list[tuple[Placed, bool]] = [(tv_placed, True), (sofa_placed, True), (table_placed, True)]
+        group: list[tuple[Placed, bool]] = [
+            (tv_placed, True),
+            (sofa_placed, True),
+            (table_placed, True),
+        ]
         rects = [footprint(p) for p, _ in group]
         if not all(layout.is_clear(q) for q in rects):
             continue
@@ -259,7 +284,13 @@ def place_sofa_group(layout: RoomLayout) -> Side | None:
 
 
 def _place_beside_sofa(
-    layout: RoomLayout, side: Side, t: float, back: float, sofa_w: float, sofa_d: float, table_y: float
+    layout: RoomLayout,
+    side: Side,
+    t: float,
+    back: float,
+    sofa_w: float,
+    sofa_d: float,
+    table_y: float,
 ) -> None:
     """Armchair at one flank, floor lamp and side table at the ends of the sofa."""
     rng, palette = layout.rng, layout.palette
@@ -269,7 +300,14 @@ def _place_beside_sofa(
             item = light.build_floor_lamp(rng, palette, kelvin=2700.0)
         else:
             lamp = light.build_table_lamp(rng, palette, kelvin=2900.0)
-            item = dress(tables.build_side_table(rng, palette), "nightstand", rng, palette, count=1, first=[lamp])
+            item = dress(
+                tables.build_side_table(rng, palette),
+                "nightstand",
+                rng,
+                palette,
+                count=1,
+                first=[lamp],
+            )
         low, high = item.full_extent()
         reach = float(high[0] - low[0]) / 2
         placed = _at(side, t + sign * (sofa_w / 2 + reach + 0.06), back - 0.32, item, math.pi)
@@ -279,7 +317,9 @@ def _place_beside_sofa(
         chair = seats.build_sofa(rng, palette, seats=1)
         low, high = chair.full_extent()
         off = sofa_w / 2 + float(high[1] - low[1]) / 2 - 0.1
-        placed = _at(side, t + sign * off, table_y - 0.1, chair, -sign * (math.pi / 2 - 0.35) + math.pi)
+        placed = _at(
+            side, t + sign * off, table_y - 0.1, chair, -sign * (math.pi / 2 - 0.35) + math.pi
+        )
         rect = footprint(placed)
         if layout.is_clear(rect, margin=0.03) and layout.is_passable([rect]):
             layout.add(placed)
@@ -300,7 +340,9 @@ def furnish_living(layout: RoomLayout) -> None:
         layout.place_on_wall(shelf, prefer="corner")
     if rng.random() < 0.7:
         lamp = light.build_table_lamp(rng, palette, kelvin=kelvin)
-        board = dress(storage.build_sideboard(rng, palette), "sideboard", rng, palette, count=5, first=[lamp])
+        board = dress(
+            storage.build_sideboard(rng, palette), "sideboard", rng, palette, count=5, first=[lamp]
+        )
         layout.place_on_wall(board, prefer="any", front=0.4)
     if rng.random() < 0.4:
         cart = dress(tables.build_serving_cart(rng, palette), "dining table", rng, palette, count=5)
@@ -325,7 +367,9 @@ def furnish_kitchen(layout: RoomLayout) -> None:
     top = [
         palette.wood(rng, 0),
         plain("stone", "marble", "#d9d6d0", second="#9a9690", scale=0.35, contrast=0.4, detail=0.8),
-        plain("dark stone", "marble", "#3a3b3d", second="#5f6063", scale=0.3, contrast=0.4, detail=0.8),
+        plain(
+            "dark stone", "marble", "#3a3b3d", second="#5f6063", scale=0.3, contrast=0.4, detail=0.8
+        ),
     ][int(rng.integers(3))]
     fridge = kitchen.build_fridge(rng, palette)
     lengths = []
@@ -343,7 +387,11 @@ def furnish_kitchen(layout: RoomLayout) -> None:
             continue
         counter = kitchen.build_counter(rng, palette, width, front, top)
         extras = [kitchen.build_kettle(rng, palette)]
-        for maker in (kitchen.build_toaster, lambda r, p: kitchen.build_microwave(r), lambda r, p: kitchen.build_coffee_machine(r)):
+        for maker in (
+            kitchen.build_toaster,
+            lambda r, p: kitchen.build_microwave(r),
+            lambda r, p: kitchen.build_coffee_machine(r),
+        ):
             if rng.random() < 0.6:
                 extras.append(maker(rng, palette))
         counter = dress(counter, "counter", rng, palette, count=6, first=extras, turn=0.15)
@@ -415,16 +463,35 @@ def furnish_bedroom(layout: RoomLayout) -> None:
     if child or (room.area > 13 and rng.random() < 0.4):
         place_desk(layout, kelvin=3500.0)
     if child:
-        shelf = dress(storage.build_bookshelf(rng, palette, 0.8), "shelf", rng, palette, count=6, first=[clutter.build_teddy(rng, palette)])
+        shelf = dress(
+            storage.build_bookshelf(rng, palette, 0.8),
+            "shelf",
+            rng,
+            palette,
+            count=6,
+            first=[clutter.build_teddy(rng, palette)],
+        )
         layout.place_on_wall(shelf, prefer="corner")
         for maker in (clutter.build_blocks, clutter.build_teddy, clutter.build_ball_toy):
             layout.place_on_wall(maker(rng, palette), gap=0.15, reach=False)
     elif rng.random() < 0.75:
         lamp = light.build_table_lamp(rng, palette, kelvin=kelvin)
-        dresser = dress(storage.build_dresser(rng, palette), "sideboard", rng, palette, count=4, first=[lamp] if rng.random() < 0.4 else [])
+        dresser = dress(
+            storage.build_dresser(rng, palette),
+            "sideboard",
+            rng,
+            palette,
+            count=4,
+            first=[lamp] if rng.random() < 0.4 else [],
+        )
         spot = layout.place_on_wall(dresser, prefer="any", front=0.45)
         if spot is not None:
-            _hang_over(layout, spot, decor.build_mirror(rng, palette, 0.7, float(rng.choice([0.7, 0.95]))), 1.5)
+            _hang_over(
+                layout,
+                spot,
+                decor.build_mirror(rng, palette, 0.7, float(rng.choice([0.7, 0.95]))),
+                1.5,
+            )
     if rng.random() < 0.4:
         layout.place_on_wall(seats.build_sofa(rng, palette, seats=1), prefer="corner", gap=0.08)
     place_corner_things(layout, plants=2, basket=rng.random() < 0.6)
@@ -446,7 +513,10 @@ def _place_bed(layout: RoomLayout, double: bool, kelvin: float) -> Placed | None
         for a, b in layout.intervals(side, 0.5, 1.0):
             wide = b - a
             if double and wide > width + 1.0:
-                options += [(0, side, t, 2) for t in (rng.uniform(a + width / 2 + 0.5, b - width / 2 - 0.5), (a + b) / 2)]
+                options += [
+                    (0, side, t, 2)
+                    for t in (rng.uniform(a + width / 2 + 0.5, b - width / 2 - 0.5), (a + b) / 2)
+                ]
             if wide > width + 0.55:
                 options += [(1, side, a + width / 2 + 0.03, 1), (1, side, b - width / 2 - 0.03, 1)]
             if wide > width + 0.04:
@@ -467,7 +537,9 @@ def _place_bed(layout: RoomLayout, double: bool, kelvin: float) -> Placed | None
             lamp = light.build_table_lamp(stand_rng, palette, kelvin=kelvin)
             stand = dress(stand, "nightstand", rng, palette, count=2, first=[lamp])
             s_low, s_high = stand.full_extent()
-            at = layout.against_wall(side, stand, t + sign * (width / 2 + 0.05 + float(s_high[0] - s_low[0]) / 2), 0.03)
+            at = layout.against_wall(
+                side, stand, t + sign * (width / 2 + 0.05 + float(s_high[0] - s_low[0]) / 2), 0.03
+            )
             q = footprint(at)
             if layout.is_clear(q) and layout.is_passable([q]):
                 layout.add(at)
@@ -512,16 +584,32 @@ def place_desk(layout: RoomLayout, *, kelvin: float, large: bool = False) -> boo
         parts.append(Placed(clutter.build_mouse(rng), shift + 0.3, -0.1, top.z))
         taken = 0.36
     else:
-        parts.append(Placed(clutter.build_laptop(rng, palette), 0.0, -0.05, top.z, float(rng.uniform(-0.15, 0.15))))
+        parts.append(
+            Placed(
+                clutter.build_laptop(rng, palette),
+                0.0,
+                -0.05,
+                top.z,
+                float(rng.uniform(-0.15, 0.15)),
+            )
+        )
         taken = 0.26
     side_x = float(rng.choice([-1, 1])) * (top.x1 - 0.1)
     if abs(side_x) - 0.12 > taken:
         lamp = light.build_desk_lamp(rng, palette, kelvin=kelvin)
         parts.append(Placed(lamp, side_x, top.y1 - 0.14, top.z, -math.copysign(0.5, side_x)))
-        other = clutter.build_cup(rng, palette) if rng.random() < 0.5 else storage.build_book_stack(rng, 3)
+        other = (
+            clutter.build_cup(rng, palette)
+            if rng.random() < 0.5
+            else storage.build_book_stack(rng, 3)
+        )
         parts.append(Placed(other, -side_x, top.y1 - 0.15, top.z, float(rng.uniform(-0.4, 0.4))))
     desk = desk.with_parts(parts)
-    chair = seats.build_office_chair(rng, palette) if rng.random() < 0.7 or large else seats.build_chair(rng, palette)
+    chair = (
+        seats.build_office_chair(rng, palette)
+        if rng.random() < 0.7 or large
+        else seats.build_chair(rng, palette)
+    )
     spot = layout.place_on_wall(desk, prefer="any", front=0.55, gap=0.03)
     if spot is None:
         return False
@@ -537,7 +625,11 @@ def place_desk(layout: RoomLayout, *, kelvin: float, large: bool = False) -> boo
         if mine is not None:
             layout.blocks.append(mine)
         spots = layout.reach
-        layout.reach = [p for p in spots if not (q[0] - 0.3 < p[0] < q[2] + 0.3 and q[1] - 0.3 < p[1] < q[3] + 0.3)]
+        layout.reach = [
+            p
+            for p in spots
+            if not (q[0] - 0.3 < p[0] < q[2] + 0.3 and q[1] - 0.3 < p[1] < q[3] + 0.3)
+        ]
         if clear and layout.is_passable([q]):
             layout.add(at)
             break
@@ -559,7 +651,9 @@ def furnish_study(layout: RoomLayout) -> None:
     if layout.room.area > 8:
         layout.place_on_wall(seats.build_sofa(rng, palette, seats=1), prefer="corner", gap=0.1)
     rug = tables.build_rug(rng, palette, 1.7, 1.2)
-    middle = Placed(rug, (layout.room.x0 + layout.room.x1) / 2, (layout.room.y0 + layout.room.y1) / 2)
+    middle = Placed(
+        rug, (layout.room.x0 + layout.room.x1) / 2, (layout.room.y0 + layout.room.y1) / 2
+    )
     layout.placed.append(middle)
     layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
     place_corner_things(layout, plants=2, lamp=2900.0, basket=False)
@@ -572,8 +666,15 @@ def furnish_bathroom(layout: RoomLayout) -> None:
     rng, palette, room = layout.rng, layout.palette, layout.room
     tub_done = False
     if room.area > 4.6 and rng.random() < 0.75:
-        long = float(np.clip(min(room.width, room.depth) - 0.06, 1.5, 1.75)) if min(room.width, room.depth) > 1.55 else 1.6
-        tub_done = layout.place_on_wall(bath.build_bathtub(rng, palette, long), prefer="corner", gap=0.01) is not None
+        long = (
+            float(np.clip(min(room.width, room.depth) - 0.06, 1.5, 1.75))
+            if min(room.width, room.depth) > 1.55
+            else 1.6
+        )
+        tub_done = (
+            layout.place_on_wall(bath.build_bathtub(rng, palette, long), prefer="corner", gap=0.01)
+            is not None
+        )
     if not tub_done or room.area > 8:
         _place_shower(layout)
     basin = dress(bath.build_washbasin(rng, palette), "bath", rng, palette, count=2)
@@ -581,8 +682,12 @@ def furnish_bathroom(layout: RoomLayout) -> None:
     if spot is not None:
         w = float(basin.size[0])
         tall = w if rng.random() < 0.4 else 0.8
-        _hang_over(layout, spot, decor.build_mirror(rng, palette, min(w, 0.7), min(tall, 0.8)), 1.55)
-    toilet = layout.place_on_wall(bath.build_toilet(rng), prefer="any", gap=0.005, front=0.45, margin=0.12)
+        _hang_over(
+            layout, spot, decor.build_mirror(rng, palette, min(w, 0.7), min(tall, 0.8)), 1.55
+        )
+    toilet = layout.place_on_wall(
+        bath.build_toilet(rng), prefer="any", gap=0.005, front=0.45, margin=0.12
+    )
     if toilet is not None:
         layout.place_on_wall(bath.build_toilet_brush(), prefer="any", gap=0.03, reach=False)
     if room.area > 4.4:
@@ -595,16 +700,37 @@ def furnish_bathroom(layout: RoomLayout) -> None:
     mat = bath.build_bath_mat(rng, palette)
     r = layout.room
     for _ in range(20):
-        at = Placed(mat, float(rng.uniform(r.x0 + 0.5, r.x1 - 0.5)), float(rng.uniform(r.y0 + 0.5, r.y1 - 0.5)), 0.0, float(rng.choice([0, math.pi / 2])))
+        at = Placed(
+            mat,
+            float(rng.uniform(r.x0 + 0.5, r.x1 - 0.5)),
+            float(rng.uniform(r.y0 + 0.5, r.y1 - 0.5)),
+            0.0,
+            float(rng.choice([0, math.pi / 2])),
+        )
         if layout.is_clear(footprint(at), ignore_keep=True):
             layout.placed.append(at)
             break
-    for item, z in ((bath.build_towel_rail(rng, palette), 1.35), (bath.build_towel_rail(rng, palette), 1.35), (bath.build_paper_roll(rng), 0.75)):
+    for item, z in (
+        (bath.build_towel_rail(rng, palette), 1.35),
+        (bath.build_towel_rail(rng, palette), 1.35),
+        (bath.build_paper_roll(rng), 0.75),
+    ):
         for name in rng.permutation(list(SIDES)):
             side = layout.sides[str(name)]
             low, high = item.full_extent()
             gaps = layout.wall_gaps(side, z + float(low[2]), z + float(high[2]))
-            if gaps and layout.hang(side, item, float(rng.uniform(gaps[0][0] + 0.35, max(gaps[0][0] + 0.36, gaps[0][1] - 0.35))), z) is not None:
+            if (
+                gaps
+                and layout.hang(
+                    side,
+                    item,
+                    float(
+                        rng.uniform(gaps[0][0] + 0.35, max(gaps[0][0] + 0.36, gaps[0][1] - 0.35))
+                    ),
+                    z,
+                )
+                is not None
+            ):
                 break
     dress_windows(layout, curtains=False)
     light_ceiling(layout, 4000.0 if rng.random() < 0.5 else 3500.0, flux=6.0)
@@ -635,7 +761,9 @@ def furnish_hallway(layout: RoomLayout) -> None:
                     first=[light.build_table_lamp(rng, palette, kelvin=2700.0)])  # fmt: skip
     spot = layout.place_on_wall(console, prefer="any", gap=0.01)
     if spot is not None:
-        _hang_over(layout, spot, decor.build_mirror(rng, palette, 0.6, float(rng.choice([0.6, 0.9]))), 1.55)
+        _hang_over(
+            layout, spot, decor.build_mirror(rng, palette, 0.6, float(rng.choice([0.6, 0.9]))), 1.55
+        )
     coats = storage.build_coat_rack(rng, palette)
     for name in rng.permutation(list(SIDES)):
         side = layout.sides[str(name)]
@@ -644,7 +772,11 @@ def furnish_hallway(layout: RoomLayout) -> None:
         if gaps and gaps[0][1] - gaps[0][0] > wide + 0.1:
             t = float(rng.uniform(gaps[0][0] + wide / 2 + 0.05, gaps[0][1] - wide / 2 - 0.05))
             strip = layout._strip(side, t - wide / 2, t + wide / 2, 0.2)
-            if layout.is_clear(strip) and layout.is_passable([strip]) and layout.hang(side, coats, t, 0.0) is not None:
+            if (
+                layout.is_clear(strip)
+                and layout.is_passable([strip])
+                and layout.hang(side, coats, t, 0.0) is not None
+            ):
                 layout.blocks.append(Block(strip, 1.8))
                 break
     layout.place_on_wall(storage.build_umbrella_stand(rng, palette), prefer="corner", reach=False)

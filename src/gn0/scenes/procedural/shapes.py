@@ -139,7 +139,9 @@ def build_box(
     vertices, faces, uvs, start = [], [], [], 0
     for axis in range(3):
         for sign in (1.0, -1.0):
-            a, b = ((axis + 1) % 3, (axis + 2) % 3) if sign > 0 else ((axis + 2) % 3, (axis + 1) % 3)
+            a, b = (
+                ((axis + 1) % 3, (axis + 2) % 3) if sign > 0 else ((axis + 2) % 3, (axis + 1) % 3)
+            )
             ga, gb = np.meshgrid(lines[a], lines[b], indexing="ij")
             p = np.empty((*ga.shape, 3))
             p[..., a], p[..., b], p[..., axis] = ga, gb, sign * half[axis]
@@ -182,7 +184,10 @@ def build_lathe(
     if turn == 2 * math.pi:
         ring[-1] = ring[0]
     p = np.concatenate(
-        [ring[:, None, :] * rz[None, :, :1], np.broadcast_to(rz[None, :, 1:], (len(a), len(rz), 1))],
+        [
+            ring[:, None, :] * rz[None, :, :1],
+            np.broadcast_to(rz[None, :, 1:], (len(a), len(rz), 1)),
+        ],
         axis=2,
     )
     return build_surface(p + np.asarray(at, np.float64), material)
@@ -239,7 +244,10 @@ def build_tube(
     a[-1] = 0.0
     centre = np.concatenate([p[:1], p, p[-1:]])
     rr = np.concatenate([[0.0], r, [0.0]])
-    nn, ss = np.concatenate([normal[:1], normal, normal[-1:]]), np.concatenate([side[:1], side, side[-1:]])
+    nn, ss = (
+        np.concatenate([normal[:1], normal, normal[-1:]]),
+        np.concatenate([side[:1], side, side[-1:]]),
+    )
     ring = np.cos(a)[:, None, None] * nn + np.sin(a)[:, None, None] * ss
     return build_surface(centre + ring * rr[:, None], material)
 
@@ -280,7 +288,9 @@ def build_extrusion(
     )
     v = np.concatenate([low, high, caps])
     edge = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.roll(xy, -1, 0) - xy, axis=1))])
-    side_a = np.stack([(edge[k], 0 * edge[k]), (edge[k + 1], 0 * k), (edge[k + 1], 0 * k + height)], 0)
+    side_a = np.stack(
+        [(edge[k], 0 * edge[k]), (edge[k + 1], 0 * k), (edge[k + 1], 0 * k + height)], 0
+    )
     side_b = np.stack(
         [(edge[k], 0 * edge[k]), (edge[k + 1], 0 * k + height), (edge[k], 0 * k + height)], 0
     )

@@ -39,7 +39,9 @@ def join_shapes(shapes: Sequence[Shape]) -> Shape:
     offset = np.cumsum([0, *(len(s.vertices) for s in shapes)])
     return Shape(
         np.concatenate([s.vertices for s in shapes]),
-        np.concatenate([s.faces + o for s, o in zip(shapes, offset, strict=False)]).astype(np.int32),
+        np.concatenate([s.faces + o for s, o in zip(shapes, offset, strict=False)]).astype(
+            np.int32
+        ),
         np.concatenate([s.uv for s in shapes]),
         shapes[0].material,
     )
@@ -113,8 +115,12 @@ def build_drape(
         step: lattice step [m].
     """
     left, right, front, back = hang
-    xs = np.linspace(-width / 2 - left, width / 2 + right, max(4, int((width + left + right) / step)))
-    ys = np.linspace(-depth / 2 - front, depth / 2 + back, max(4, int((depth + front + back) / step)))
+    xs = np.linspace(
+        -width / 2 - left, width / 2 + right, max(4, int((width + left + right) / step))
+    )
+    ys = np.linspace(
+        -depth / 2 - front, depth / 2 + back, max(4, int((depth + front + back) / step))
+    )
     u, v = np.meshgrid(xs, ys, indexing="ij")
     ex = np.sign(u) * np.maximum(np.abs(u) - width / 2, 0)
     ey = np.sign(v) * np.maximum(np.abs(v) - depth / 2, 0)

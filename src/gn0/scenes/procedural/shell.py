@@ -194,7 +194,9 @@ def _casing(width: float, height: float, side: float, material: Material) -> lis
     ] + [build_box((width, 0.016, board), material, bevel=0.004, at=(0, y, height))]
 
 
-def _leaf(width: float, height: float, material: Material, metal: Material, rng_style: int) -> list[Shape]:
+def _leaf(
+    width: float, height: float, material: Material, metal: Material, rng_style: int
+) -> list[Shape]:
     """A door leaf: hinge edge at x = 0, running along +x, thickness along y, with handles."""
     thick = 0.04
     shapes = [build_box((width, thick, height), material, bevel=0.003, at=(width / 2, 0, 0.008))]
@@ -220,7 +222,9 @@ def _leaf(width: float, height: float, material: Material, metal: Material, rng_
         path += [tuple(p) for p in turn[1:]] + [(width - 0.17, y + sign * 0.015, 1.03)]
         shapes.append(build_tube(path, 0.009, metal, sides=8))
         shapes.append(
-            build_box((0.04, 0.008, 0.16), metal, bevel=0.003, at=(width - 0.06, sign * 0.022, 0.93))
+            build_box(
+                (0.04, 0.008, 0.16), metal, bevel=0.003, at=(width - 0.06, sign * 0.022, 0.93)
+            )
         )
     return shapes
 
@@ -272,9 +276,15 @@ def build_window(opening: Opening, rng: np.random.Generator, view: int) -> Place
     if h > 1.1 and rng.random() < 0.4:
         add(w - 2 * bar, 0.03, 0, z0 + h * 0.72, 0.045)
     for k in range(sashes):  # one handle a sash
-        x = -w / 2 + w * (k + 1) / sashes - 0.02 if k < sashes - 1 else -w / 2 + w * k / sashes + 0.02
+        x = (
+            -w / 2 + w * (k + 1) / sashes - 0.02
+            if k < sashes - 1
+            else -w / 2 + w * k / sashes + 0.02
+        )
         if sashes > 1 or k == 0:
-            handle = build_box((0.018, 0.02, 0.11), plain("handle", "metal", "#c4c6c8"), bevel=0.004)
+            handle = build_box(
+                (0.018, 0.02, 0.11), plain("handle", "metal", "#c4c6c8"), bevel=0.004
+            )
             shapes.append(handle.moved(x, deep + inner * 0.04, z0 + h * 0.45))
     sky = Material(
         name="daylight",
@@ -306,7 +316,9 @@ def build_window(opening: Opening, rng: np.random.Generator, view: int) -> Place
     return Placed(Item("window", tuple(shapes), lamps=(lamp,)), x, y, 0.0, yaw)
 
 
-def choose_finish(room: Room, palette: Palette, floor: Material, rng: np.random.Generator) -> RoomFinish:
+def choose_finish(
+    room: Room, palette: Palette, floor: Material, rng: np.random.Generator
+) -> RoomFinish:
     """Wall paints, tiles and floor of a room."""
     wall = palette.wall(rng)
     walls = dict.fromkeys(SIDES, wall)

@@ -1,0 +1,69 @@
+"""From a furnished draft to the light in it and the Gaussians that show it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gn0.errors import ConfigError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.progress import Progress, no_progress
+from gn0.scenes.bake import DRAFT, BakeSettings, bake_light
+from gn0.scenes.exposure import weigh_views
+from gn0.scenes.procedural.draft import SceneDraft
+from gn0.scenes.procedural.surface import ProceduralSurface
+from gn0.scenes.surfels import build_surfels
+from gn0.scenes.tone import BakedShader, choose_exposure
+
+QUALITIES = {"normal": BakeSettings(), "draft": DRAFT}
+
+
+def light_draft(
+    draft: SceneDraft, *, quality: str = "normal", seed: int = 0, progress: Progress = no_progress
+) -> BakedShader:
+    """Bake a draft's light and expose it: the look of the finished scene.
+
+    Args:
+        draft: the furnished building.
+        quality: "normal", or "draft" for a faster bake with softer shadows.
+        seed: root of the sampling patterns.
+        progress: progress sink.
+
+    Raises:
+        ConfigError: no such quality.
+    """
+    if quality not in QUALITIES:
+        raise ConfigError(f"no bake quality {quality!r}", remedy="known: " + ", ".join(QUALITIES))
+    surface = ProceduralSurface(draft.mesh, draft.materials)
+    light = bake_light(
+        draft.mesh,
+        surface,
+        draft.lamps,
+        draft.sun,
+        settings=QUALITIES[quality],
+        opaque=surface.opaque(),
+        seed=seed,
+        progress=progress,
+    )
+    return BakedShader(draft.mesh, surface, light, choose_exposure(light))
+
+
+def cover_draft(
+    draft: SceneDraft,
+    shader: BakedShader,
+    count: int,
+    *,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> GaussianCloud:
+    """At most `count` Gaussians that show a lit draft, labelled by object index."""
+    weight = weigh_views(draft.mesh, seed=seed)
+    return build_surfels(
+        draft.mesh,
+        shader,
+        count=count,
+        detail=weight,
+        seed=seed,
+        oriented=True,
+        label_of_instance=np.arange(len(draft.objects)),
+        progress=progress,
+    )

@@ -87,7 +87,7 @@ def test_hollow_things_are_not_rooms():
 
 def test_a_closed_room_stays_free():
     far = [
-        SceneMesh(m.vertices + (10.0, 0, 0), m.faces, m.uv, m.material, m.instance)
+        SceneMesh(m.vertices + np.array((10.0, 0, 0)), m.faces, m.uv, m.material, m.instance)
         for m in room_mesh()
     ]
     grid = build_occupancy(joined(*room_mesh(), *far))
@@ -108,7 +108,11 @@ def test_floor_is_found():
     assert find_floor(joined(*room_mesh())) == pytest.approx(0.0, abs=1e-9)
     raised = joined(*room_mesh(), box_mesh((1, 1, 0.7), (2, 2, 0.75)))
     shifted = SceneMesh(
-        raised.vertices + (0, 0, 1.37), raised.faces, raised.uv, raised.material, raised.instance
+        raised.vertices + np.array((0, 0, 1.37)),
+        raised.faces,
+        raised.uv,
+        raised.material,
+        raised.instance,
     )
     assert find_floor(shifted) == pytest.approx(1.37, abs=1e-6)
 
@@ -138,7 +142,7 @@ def test_vertices_must_be_finite():
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_rasteriser_misses_nothing_and_adds_nothing(seed):
-    """Every cell that holds a sampled point of the cut face is marked; all marked cells touch it."""
+    """Every cell with a sampled point of the cut face is marked; every marked cell touches it."""
     rng = np.random.default_rng(seed)
     corners = rng.uniform(-0.2, 1.2, (1, 3, 3))
     if rng.random() < 0.3:  # vertical faces and faces on cell borders

@@ -15,7 +15,7 @@ from gn0.errors import Gn0Error
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
-from gn0.scenes.folder import load_scene
+from gn0.scenes.folder import load_scene, load_scene_file, objects_hash
 from gn0.scenes.scene import Scene
 
 RADIUS = 0.20  # m: the default agent
@@ -55,7 +55,20 @@ def check_folder(path: Path | str, *, radius: float = RADIUS) -> list[Finding]:
                 remedy=error.remedy or "write the scene again",
             )
         ]
-    return check_scene(scene, cloud=cloud, radius=radius)
+    findings = check_scene(scene, cloud=cloud, radius=radius)
+    recorded = load_scene_file(Path(path)).hashes
+    now = {"grid": scene.grid.content_hash, "objects": objects_hash(scene.objects)}
+    edited = [name for name, value in now.items() if recorded.get(name, value) != value]
+    if edited:
+        findings.append(
+            Finding(
+                level="note",
+                code="edited",
+                text=f"the {' and the '.join(edited)} differ from what was written",
+                remedy="nothing, if you did; results of the old scene do not compare",
+            )
+        )
+    return findings
 
 
 def check_scene(

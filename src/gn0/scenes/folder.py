@@ -33,7 +33,6 @@ from gn0.gaussians.files import load_cloud
 from gn0.gaussians.morton import morton_order
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
-from gn0.geometry import F64
 from gn0.maps.interiorgs import load_occupancy, save_occupancy
 from gn0.progress import Progress, no_progress
 from gn0.scenes.labels import REACH, encode_labels, load_labels
@@ -50,7 +49,7 @@ _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}\Z")
 _AUX = {"label": np.int32, "albedo": np.float16, "irradiance": np.float16, "normal": np.float16}
 
 
-class SceneFile(Config):
+class SceneFile(Config, frozen=True):
     """The content of `scene.json`."""
 
     layout: int
@@ -133,7 +132,7 @@ def save_scene(
             hashes={
                 "cloud": written.content_hash,
                 "grid": grid.content_hash,
-                "objects": _objects_hash(load_labels(folder / LABEL_FILE)),
+                "objects": objects_hash(load_labels(folder / LABEL_FILE)),
             },
             software=_software(),
         )
@@ -320,7 +319,8 @@ def _attach_aux(cloud: GaussianCloud, path: Path) -> GaussianCloud:
     return replace(cloud, **changes)
 
 
-def _objects_hash(objects: tuple[SceneObject, ...]) -> str:
+def objects_hash(objects: tuple[SceneObject, ...]) -> str:
+    """Digest of the objects, as recorded in `scene.json`."""
     return content_hash(msgspec.json.encode(objects))
 
 
@@ -328,10 +328,3 @@ def _software() -> str:
     from gn0 import __version__
 
     return f"gn0 {__version__}"
-
-
-def scene_bounds(cloud: GaussianCloud, vertices: F64 | None = None) -> F64:
-    """Bounds [2, 3] m of the geometry, or of the splats where there is none."""
-    if vertices is not None and len(vertices):
-        return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    return cloud.bounds().astype(np.float64)

@@ -84,6 +84,8 @@ class SceneSourceWorld:
             progress=progress,
         )
         vertices = meshes.visual.vertices[meshes.visual.faces.ravel()]
+        # a bevel thinner than the spacing becomes one disc as large as its ring: better without
+        cloud = cloud.select(cloud.scales.max(axis=1) <= max(0.15, 6 * spacing))
         notes = _told(meshes.notes)
         return Scene(
             id=settings.scene_id or file.stem,

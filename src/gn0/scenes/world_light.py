@@ -33,7 +33,7 @@ _WARM = np.array((1.0, 0.80, 0.58))
 _DAY = np.array((0.92, 1.0, 1.12))
 _LAMP_POWER = 3.2  # radiance × area [m²] of a lamp whose SDF colour is white, per m of height²
 _DAYLIGHT = 5.0  # radiance of a window
-_WINDOW_GLOW = 2.2  # radiance of the pane as seen, times its texture
+_WINDOW_GLOW = 1.0  # radiance of the pane as seen, times its texture
 _EXPOSURE = 0.95  # imported rooms are mostly white: a grey-world exposure would bleach them
 _PASSING = {"window", "lamp", "chandelier", "curtain", "light"}  # do not stop light
 

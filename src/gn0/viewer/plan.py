@@ -28,6 +28,7 @@ _ROOM_TINTS = {
     "balcony": (221, 239, 220),
 }
 _OTHER_TINTS = ((230, 234, 226), (236, 228, 232), (226, 233, 238), (240, 234, 220))
+_HANGING = 1.25  # m: what starts above this hangs
 _SUPER = 2  # drawn twice as large, then reduced: smooth lines
 
 
@@ -81,7 +82,8 @@ class _Plan:
     def draw(self) -> Image.Image:
         self._cells(FREE, _FLOOR)
         self._rooms()
-        things = sorted(self.scene.objects, key=lambda t: (t.box.centre[2], t.id))
+        low = [t for t in self.scene.objects if _bottom(t) < _HANGING]
+        things = sorted(low, key=lambda t: (t.box.centre[2], t.id))
         for thing in things:
             if _is_flat(thing):
                 self._box(thing, fill=None)
@@ -89,6 +91,9 @@ class _Plan:
         for thing in things:
             if not _is_flat(thing):
                 self._box(thing, fill=_furniture_colour(thing))
+        for thing in self.scene.objects:
+            if _bottom(thing) >= _HANGING:
+                self._hanging(thing)
         self._openings()
         self._room_names()
         for thing in sorted(things, key=lambda t: -t.box.size[0] * t.box.size[1]):
@@ -122,6 +127,15 @@ class _Plan:
             self.pen.polygon(corners, fill=fill)
         self.pen.line([*corners, corners[0]], fill=outline, width=self.pixel, joint="curve")
 
+    def _hanging(self, thing: SceneObject) -> None:
+        """Lamps and pictures: a dotted outline, for one walks under them."""
+        corners = [self.at(float(x), float(y)) for x, y, _ in thing.box.corners()[:4]]
+        for (ax, ay), (bx, by) in zip(corners, [*corners[1:], corners[0]], strict=True):
+            dots = max(2, round(math.hypot(bx - ax, by - ay) / (4 * self.pixel)))
+            for k in range(dots):
+                x, y = ax + (bx - ax) * k / dots, ay + (by - ay) * k / dots
+                self.pen.ellipse((x - 1, y - 1, x + 1, y + 1), fill=(150, 140, 126))
+
     def _openings(self) -> None:
         for opening in self.scene.openings:
             p = np.asarray(opening.polygon)[:, :2]
@@ -139,17 +153,17 @@ class _Plan:
             area = _area(p)
             if area < 1.5:
                 continue
-            text = f"{room.type.upper()}  {area:.0f} m²"
+            text = f"{room.type.upper()}  {area:.0f} sq m"
             spots = _quiet_spots(self.scene, p)
             for size in (15, 13, 11, 9):
                 if self._place(text, spots, size, (84, 92, 104), halo=2):
                     break
 
     def _name(self, thing: SceneObject) -> None:
-        width, depth, tall = thing.box.size
+        width, depth, _ = thing.box.size
         if max(width, depth) < 0.35 or (min(width, depth) < 0.12 and max(width, depth) < 1.5):
             return
-        if thing.box.centre[2] - tall / 2 > 1.5 or thing.category in ("window", "curtain"):
+        if thing.category in ("window", "curtain"):
             return
         x, y = thing.box.centre[0], thing.box.centre[1]
         lift = 8 * self.pixel / self.scale
@@ -205,6 +219,10 @@ class _Plan:
             fill=INK,
             anchor="lm",
         )
+
+
+def _bottom(thing: SceneObject) -> float:
+    return thing.box.centre[2] - thing.box.size[2] / 2
 
 
 def _is_flat(thing: SceneObject) -> bool:

@@ -66,15 +66,15 @@ def _title(pen: ImageDraw.ImageDraw, scene: Scene, width: int) -> None:
     facts = "   ·   ".join(
         (
             f"{len(scene.gaussians):,} splats",
-            f"{scene.grid.free_area:.1f} m² walkable",
+            f"{scene.grid.free_area:.1f} sq m walkable",
             f"{size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} m",
             f"{len(scene.rooms)} rooms",
             f"{len(scene.objects)} objects of {categories} categories",
         )
     )
     pen.text((width - _GAP, 22), facts, font=font(18), fill=INK, anchor="ra")
-    licence = scene.licence[:70] + ("…" if len(scene.licence) > 70 else "")
-    source = f"{scene.source.kind}: {scene.source.detail[:90]}"
+    licence = _short(scene.licence, 60)
+    source = f"{scene.source.kind}: {_short(scene.source.detail, 110)}"
     pen.text(
         (width - _GAP, 48),
         f"{source}   ·   {licence or 'licence not recorded'}",
@@ -82,6 +82,10 @@ def _title(pen: ImageDraw.ImageDraw, scene: Scene, width: int) -> None:
         fill=MUTED,
         anchor="ra",
     )
+
+
+def _short(text: str, length: int) -> str:
+    return text if len(text) <= length else text[: length - 3].rstrip() + "..."
 
 
 def _bev(

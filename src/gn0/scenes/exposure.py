@@ -1,0 +1,85 @@
+"""How closely an agent walking through a scene sees each of its surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gn0.geometry import F64
+from gn0.jit import njit, prange
+from gn0.scenes.mesh import SceneMesh
+from gn0.scenes.rays import STACK, RayCaster, closest_hit
+from gn0.seeds import random_stream
+
+_EYES = (0.5, 1.6)  # heights of cameras [m]
+_CLEARANCE = 0.22  # of a camera to everything round it [m]
+_LEAST = 0.3  # weight of what no camera sees: maps are drawn from above, too
+
+
+def weigh_views(mesh: SceneMesh, *, cameras: int = 160, seed: int = 0) -> F64:
+    """Weight of each face for the fineness of its sampling [F], about 1 in the mean.
+
+    Cameras stand at random free places. A face weighs by the cube root of the mean of
+    cos / distance² over the cameras that see it: the share of a picture that it fills. (The cube
+    root, because that is how the best spacing of surfels depends on the weight of an error.)
+    """
+    caster = RayCaster(mesh)
+    eyes = _free_places(mesh, caster, cameras, seed)
+    areas = mesh.areas()
+    if not len(eyes):
+        return np.ones(len(mesh))
+    middle = mesh.corners().mean(axis=1)
+    corners = mesh.corners()
+    # a large face is judged by several of its points
+    rng = random_stream(seed, "exposure")
+    share = np.zeros(len(mesh))
+    for k in range(4):
+        bary = rng.dirichlet((1.0, 1.0, 1.0), len(mesh)) if k else np.full((len(mesh), 3), 1 / 3)
+        point = np.einsum("fk,fki->fi", bary, corners) if k else middle
+        share += _seen_share(
+            point, mesh.normals(), eyes[k::4].copy(), caster.boxes, caster.links, caster.corners
+        )
+    weight = np.cbrt(share / 4)
+    mean = np.average(weight, weights=areas)
+    return np.maximum(weight / max(mean, 1e-9), _LEAST)
+
+
+def _free_places(mesh: SceneMesh, caster: RayCaster, count: int, seed: int) -> F64:
+    """Random points inside the building that a head could be at."""
+    rng = random_stream(seed, "eyes")
+    lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    tries = count * 24
+    point = rng.uniform((lower[0], lower[1], _EYES[0]), (upper[0], upper[1], _EYES[1]), (tries, 3))
+    angle = np.arange(8) * np.pi / 4
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    near = caster.occluded(np.repeat(point, 8, 0), np.tile(ring, (tries, 1)), _CLEARANCE)
+    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), point.shape)
+    normals = mesh.normals()
+    above, _, _ = caster.cast(point, up)
+    below, _, _ = caster.cast(point, -up)
+    # free air has a ceiling and a floor that both face it
+    inside = (above >= 0) & (below >= 0)
+    inside &= (normals[above, 2] < 0) & (normals[below, 2] > 0)
+    free = inside & ~near.reshape(-1, 8).any(axis=1)
+    return np.ascontiguousarray(point[free][:count])
+
+
+@njit(parallel=True, error_model="numpy")
+def _seen_share(point, normal, eyes, boxes, links, corners):
+    """Mean of cos / distance² over the eyes that see each point from its front [N]."""
+    out = np.zeros(len(point))
+    for i in prange(len(point)):
+        stack = np.empty(STACK, np.int32)
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        ox, oy, oz = point[i, 0] + 2e-3 * nx, point[i, 1] + 2e-3 * ny, point[i, 2] + 2e-3 * nz
+        for e in range(len(eyes)):
+            dx, dy, dz = eyes[e, 0] - ox, eyes[e, 1] - oy, eyes[e, 2] - oz
+            d2 = dx * dx + dy * dy + dz * dz
+            cosine = dx * nx + dy * ny + dz * nz
+            if cosine <= 0.0 or d2 > 64.0:
+                continue
+            hit, _, _, _ = closest_hit(
+                boxes, links, corners, ox, oy, oz, dx, dy, dz, 1.0, True, stack
+            )
+            if hit < 0:
+                out[i] += cosine / np.sqrt(d2) / (d2 + 0.3) / len(eyes)
+    return out

@@ -7,14 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from gn0.errors import PlanError
+from gn0.figures.visibility_graph import visibility_distances
 from gn0.geometry import polyline_length
 from gn0.maps.distance import GeodesicMap, build_octile_field
 from gn0.maps.grid import OccupancyGrid
@@ -29,37 +27,6 @@ DIAGONAL = math.sqrt(2.0)
 
 def grid_of(blocked: np.ndarray, resolution: float = 1.0, origin=(0.0, 0.0)) -> OccupancyGrid:
     return OccupancyGrid(blocked.astype(np.uint8), resolution, origin)
-
-
-def oracle_distances(blocked: np.ndarray, goal: tuple[float, float], points: np.ndarray):
-    """True distances [cells]: Dijkstra over all pairs of corners that see each other."""
-    height, width = blocked.shape
-    padded = np.pad(blocked, 1, constant_values=True)
-    boxes = [shapely.box(c - 1, r - 1, c, r) for r, c in np.argwhere(padded)]
-    corners = []
-    for y in range(height + 1):
-        for x in range(width + 1):
-            around = padded[y : y + 2, x : x + 2]
-            if around.sum() == 1:
-                corners.append((x, y))
-            elif around.sum() == 2 and around[0, 0] == around[1, 1]:
-                # two obstacles that touch in a corner: no way through
-                boxes.append(shapely.Point(x, y).buffer(1e-7))
-    solid = shapely.unary_union(boxes)
-    shapely.prepare(solid)
-    nodes = np.vstack([[goal], points, np.array(corners, float).reshape(-1, 2)])
-    i, j = np.triu_indices(len(nodes), 1)
-    legs = shapely.linestrings(np.stack([nodes[i], nodes[j]], axis=1))
-    # a leg is open when its inside does not meet the inside of the obstacles
-    open_leg = np.ones(len(legs), bool)
-    touching = shapely.intersects(solid, legs)
-    long_enough = np.hypot(*(nodes[i] - nodes[j]).T) > 0
-    check = touching & long_enough
-    open_leg[check] = ~shapely.relate_pattern(legs[check], solid, "T********")
-    i, j = i[open_leg], j[open_leg]
-    length = np.maximum(np.hypot(*(nodes[i] - nodes[j]).T), 1e-300)
-    graph = csr_matrix((length, (i, j)), shape=(len(nodes), len(nodes)))
-    return dijkstra(graph, directed=False, indices=0)[1 : 1 + len(points)]
 
 
 GRIDS = st.tuples(st.integers(2, 9), st.integers(2, 9)).flatmap(
@@ -85,7 +52,7 @@ def test_cell_centres_have_the_true_distance(blocked, pick, du, dv):
     field = GeodesicMap(grid).build_field(goal)
     cells = np.argwhere(~blocked)
     centres = grid.centres_of(cells)
-    truth = oracle_distances(blocked, goal, centres)
+    truth = visibility_distances(blocked, goal, centres)
     np.testing.assert_allclose(field.distance(centres), truth, atol=1e-6)
     np.testing.assert_allclose(field.cells[tuple(cells.T)], truth, atol=1e-6)
 
@@ -93,7 +60,7 @@ def test_cell_centres_have_the_true_distance(blocked, pick, du, dv):
 def worst_error(blocked: np.ndarray, goal, points: np.ndarray) -> float:
     """Largest error as a share of what is allowed: max(1 %, one cell diagonal)."""
     found = GeodesicMap(grid_of(blocked)).build_field(goal).distance(points)
-    truth = oracle_distances(blocked, goal, points)
+    truth = visibility_distances(blocked, goal, points)
     assert (np.isfinite(found) == np.isfinite(truth)).all()
     ok = np.isfinite(truth)
     share = np.abs(found[ok] - truth[ok]) / np.maximum(0.01 * truth[ok], DIAGONAL)
@@ -140,7 +107,7 @@ def test_rooms_agree_with_the_visibility_graph(seed, radius):
     points = cells[rng.integers(len(cells), size=60)][:, ::-1] + 0.5
     goal = tuple(points[0] + 0.3)
     field = GeodesicMap(grid_of(blocked)).build_field(goal)
-    truth = oracle_distances(blocked, goal, points)
+    truth = visibility_distances(blocked, goal, points)
     np.testing.assert_allclose(field.distance(points), truth, atol=1e-6)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,12 +62,17 @@ def load_collada(path: Path) -> list[ColladaPart]:
     check_xml(data, path)
     skip = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
     try:
-        document = collada.Collada(io.BytesIO(data), ignore=skip)
-        unit = float(document.assetInfo.unitmeter or 1.0)
-        turn = _UP[str(document.assetInfo.upaxis or "Y_UP")] * unit
-        bound = list(document.scene.objects("geometry")) if document.scene is not None else []
-        primitives = [primitive for item in bound for primitive in item.primitives()]
-        parts = [_part(primitive, turn, path) for primitive in primitives]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # pycollada still uses numpy's matrix class
+            document = collada.Collada(io.BytesIO(data), ignore=skip)
+            given = document.assetInfo.unitmeter
+            unit = 1.0 if given is None else float(given)
+            if not (math.isfinite(unit) and 0 < unit <= 1e6):
+                raise FormatError(f"unit meter={unit} is not a length", file=path, field="unit")
+            turn = _UP[str(document.assetInfo.upaxis or "Y_UP")] * unit
+            bound = list(document.scene.objects("geometry")) if document.scene is not None else []
+            primitives = [primitive for item in bound for primitive in item.primitives()]
+            parts = [_part(primitive, turn, path) for primitive in primitives]
     except FormatError:
         raise
     except Exception as error:  # pycollada lets numpy's and Python's own errors through
@@ -75,8 +81,6 @@ def load_collada(path: Path) -> list[ColladaPart]:
             file=path,
             remedy="export the mesh again as COLLADA 1.4",
         ) from None
-    if not (math.isfinite(unit) and 0 < unit <= 1e6):
-        raise FormatError(f"unit meter={unit} is not a length", file=path, field="unit")
     found = [part for part in parts if part is not None]
     if sum(len(part.faces) for part in found) > _FACES_MAX:
         raise FormatError(f"more than {_FACES_MAX} triangles", file=path)

@@ -51,13 +51,15 @@ def bootstrap_means(
     v = np.asarray(values, np.float64)
     rng = random_stream(seed, "bootstrap", name)
     names = sorted(set(clusters)) if clusters is not None else []
+    sums: F64
     if len(names) >= 2 and clusters is not None:
         index = {name: i for i, name in enumerate(names)}
         member = np.array([index[c] for c in clusters])
-        sums = np.bincount(member, weights=v, minlength=len(names))
+        sums = np.bincount(member, weights=v, minlength=len(names)).astype(np.float64)
         sizes = np.bincount(member, minlength=len(names)).astype(np.float64)
     else:
-        sums, sizes = v, np.ones(len(v))
+        sums = v
+        sizes = np.ones(len(v))
     means = np.empty(resamples)
     block = max(1, 4_000_000 // len(sums))  # at most 32 MB of indices at a time
     for begin in range(0, resamples, block):

@@ -191,6 +191,9 @@ def _render(
                     row["video"] = data_uri(clip, "video/mp4")
                 rows.append(row)
     rows.sort(key=lambda row: (row["rank"], row["episode"], row["run"]))
+    shown = [row for row in rows if row["video"]]
+    for clip_number, row in enumerate(shown):
+        row["clip"] = clip_number
     return _fill(
         suite=suite,
         runs=[
@@ -208,7 +211,7 @@ def _render(
         best=_best(runs),
         rows=rows,
         symbols=symbols,
-        videos=[row for row in rows if row["video"]],
+        videos=shown,
         protocol=_protocol_rows(runs, names),
         mime=MIME,
     )
@@ -324,6 +327,7 @@ def _row(
             success_radius=suite.about.success_radius,
         ),
         "video": "",
+        "clip": -1,
     }
 
 

@@ -10,6 +10,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import cast
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -248,17 +249,15 @@ def encode_clip(frames: Sequence[U8], quality: int = QUALITIES[0]) -> bytes:
     height, width = frames[0].shape[:2]
     try:
         with av.open(stream, "w", format="mp4") as container:
-            video = container.add_stream(
-                CODEC,
-                rate=FRAMES_PER_SECOND,
-                options={
-                    "crf": str(quality),
-                    "b": "0",
-                    "deadline": "realtime",
-                    "cpu-used": "7",
-                    "row-mt": "0",
-                },
-            )
+            options = {
+                "crf": str(quality),
+                "b": "0",
+                "deadline": "realtime",
+                "cpu-used": "7",
+                "row-mt": "0",
+            }
+            added = container.add_stream(CODEC, rate=FRAMES_PER_SECOND, options=options)
+            video = cast(av.VideoStream, added)
             video.width, video.height, video.pix_fmt = width, height, "yuv420p"
             video.thread_count = 1
             for number, picture in enumerate(frames):

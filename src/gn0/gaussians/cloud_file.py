@@ -99,7 +99,7 @@ class CloudBuilder:
                 remedy="use a machine with more memory, or reduce the cloud first",
             ) from None
 
-    def put(self, start: int, means: F32, quats: F32, scales: F32, opacities: F32, dc: F32) -> None:
+    def put(self, start: int, means: F32, quats: F32, scales: F32, opacities: F32, sh: F32) -> None:
         """Store a block of activated Gaussians; quaternions are normalised here.
 
         Args:
@@ -108,34 +108,35 @@ class CloudBuilder:
             quats: (w, x, y, z) of any length [R, 4].
             scales: linear [R, 3] m.
             opacities: [R] in 0..1.
-            dc: SH DC terms [R, 3].
+            sh: the first coefficients [R, 3] or more, flattened as in `cloud.sh`.
         """
         span = slice(start, start + len(means))
         self.means[span] = means
         self.scales[span] = scales
         self.opacities[span] = opacities
-        self.sh[span, 0, :] = dc
+        flat = self.sh.reshape(len(self.sh), -1)
+        flat[span, : sh.shape[1]] = sh
         with np.errstate(all="ignore"):
-            wide = quats.astype(np.float64)
+            wide = quats.astype(np.float64)  # so that no finite length overflows
             norm = np.sqrt(np.einsum("ij,ij->i", wide, wide))
             np.divide(wide, norm[:, None], out=self.quats[span], casting="unsafe")
-            # one sum tells of any NaN or inf among finite float32, since float64 cannot overflow
-            total = (
-                means.sum(axis=1, dtype=np.float64)
-                + scales.sum(axis=1, dtype=np.float64)
-                + dc.sum(axis=1, dtype=np.float64)
-                + opacities
-                + norm
-            )
-        self.keep[span] &= np.isfinite(total) & (norm > 0)
+        self.keep[span] &= norm > 0
+        self._drop_non_finite(start, self.means[span], self.scales[span])
+        self._drop_non_finite(start, self.opacities[span], norm, sh)
 
     def put_rest(self, start: int, rest: F32) -> None:
         """Store SH beyond DC, [R, (K − 1) · 3] in the order of `sh[:, 1:, :]`."""
         span = slice(start, start + len(rest))
-        k = self.sh.shape[1]
-        self.sh[span, 1:, :] = rest.reshape(len(rest), k - 1, 3)
-        with np.errstate(all="ignore"):
-            self.keep[span] &= np.isfinite(rest.sum(axis=1, dtype=np.float64))
+        self.sh.reshape(len(self.sh), -1)[span, 3:] = rest
+        self._drop_non_finite(start, rest)
+
+    def _drop_non_finite(self, start: int, *blocks: NDArray[Any]) -> None:
+        """Mark rows that hold NaN or inf; the common case, none, is one quick pass."""
+        for block in blocks:
+            finite = np.isfinite(block)
+            if not finite.all():
+                rows = finite if finite.ndim == 1 else finite.all(axis=1)
+                self.keep[start : start + len(rows)] &= rows
 
     def build(self) -> tuple[GaussianCloud, int]:
         """The cloud of all finite Gaussians, and how many were dropped.

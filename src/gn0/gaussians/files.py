@@ -13,7 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from gn0.errors import FormatError
+from gn0.errors import FormatError, StorageError
 from gn0.gaussians.cloud_file import CloudFile
 from gn0.gaussians.ply import decode_ply
 from gn0.gaussians.ply_header import load_ply_header
@@ -54,6 +54,8 @@ def load_cloud(path: Path | str, *, limit_bytes: int | None = None) -> CloudFile
         StorageError: the file is missing or cannot be read.
     """
     path = Path(path)
+    if "\0" in str(path):
+        raise StorageError("file name holds a NUL", where=repr(str(path)), remedy="check the path")
     try:
         # O_NONBLOCK: opening a named pipe must not wait for a writer
         fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))

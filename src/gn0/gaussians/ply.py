@@ -9,11 +9,12 @@ other non-finite value, and a zero quaternion, drops its Gaussian.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.errors import FormatError
 from gn0.gaussians.cloud import GaussianCloud
@@ -66,15 +67,13 @@ def decode_ply(source: PlySource, limit_bytes: int | None = None) -> CloudFile:
     scales = _SCALES[:2] if flat else _SCALES
     names = (*_MEANS, *_ROTATION, *scales, "opacity", *_DC)
     builder = CloudBuilder(source.file, vertex.count, kept, limit_bytes, vertex.offset)
-    a, b = 7 + len(scales), 11 + len(scales)
+    a = 7 + len(scales)
     for start, rows in iterate_rows(source, vertex, (*names, *rest), np.float32):
         linear = np.zeros((len(rows), 3), np.float32)
         with np.errstate(over="ignore", invalid="ignore"):
             np.exp(rows[:, 7:a], out=linear[:, : len(scales)])
             opacities = sigmoid(rows[:, a])
-        builder.put(start, rows[:, 0:3], rows[:, 3:7], linear, opacities, rows[:, a + 1 : b])
-        if rest:
-            builder.put_rest(start, rows[:, b:])
+        builder.put(start, rows[:, 0:3], rows[:, 3:7], linear, opacities, rows[:, a + 1 :])
     cloud, dropped = builder.build()
     notes = []
     if degree > kept:
@@ -172,17 +171,18 @@ def check_writable(cloud: GaussianCloud, path: Path) -> None:
     """
     if not len(cloud):
         raise FormatError("the cloud holds no Gaussians", file=path, remedy="nothing was written")
-    with np.errstate(invalid="ignore"):
-        sound = {
-            "means": np.isfinite(cloud.means).all(axis=1),
-            "quats": np.isfinite(cloud.quats).all(axis=1) & (cloud.quats != 0).any(axis=1),
-            "scales": (np.isfinite(cloud.scales) & (cloud.scales >= 0)).all(axis=1),
-            "opacities": (cloud.opacities >= 0) & (cloud.opacities <= 1),
-            "sh": np.isfinite(cloud.sh).all(axis=(1, 2)),
-        }
-    for name, good in sound.items():
+    checks: dict[str, Callable[[F32], NDArray[np.bool_]]] = {
+        "means": np.isfinite,
+        "quats": lambda q: np.isfinite(q) & (q != 0).any(axis=-1, keepdims=True),
+        "scales": lambda s: np.isfinite(s) & (s >= 0),
+        "opacities": lambda o: (o >= 0) & (o <= 1),
+        "sh": np.isfinite,
+    }
+    for name, check in checks.items():
+        with np.errstate(invalid="ignore"):
+            good = check(getattr(cloud, name))
         if not good.all():
-            row = int(np.argmin(good))
+            row = int(np.argmin(good.reshape(len(cloud), -1).all(axis=1)))
             raise FormatError(
                 f"Gaussian {row} of the cloud has {name} out of range; nothing was written",
                 file=path,

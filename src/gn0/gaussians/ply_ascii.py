@@ -134,7 +134,7 @@ def _cast(
 ) -> NDArray[Any]:
     """Values as `dtype`; for integers each must be one."""
     if np.issubdtype(dtype, np.integer):
-        high = np.iinfo(dtype).max
+        high = int(np.iinfo(np.dtype(dtype).name).max)
         wrong = ~((table >= 0) & (table <= high) & (table == np.floor(table)))
         if wrong.any():
             row, column = (int(i) for i in np.argwhere(wrong)[0])

@@ -173,6 +173,7 @@ def parse_ply_header(head: bytes, file: Path | str) -> PlyHeader:
     comments: list[str] = []
     obj_info: list[str] = []
     drafts: list[_Draft] = []
+    names: set[str] = set()
     for offset, line in _lines(head[: end.end()], line_end):
         words = line.split()
         keyword = words[0] if words else ""
@@ -193,8 +194,9 @@ def parse_ply_header(head: bytes, file: Path | str) -> PlyHeader:
         elif keyword == "element":
             if len(words) != 3:
                 raise refuse(f"malformed PLY header line {_quote(line)}", offset)
-            if any(d.name == words[1] for d in drafts):
+            if words[1] in names:
                 raise refuse(f"PLY element {_quote(words[1])} is declared twice", offset)
+            names.add(words[1])
             drafts.append(_Draft(words[1], _count(words, file, offset), offset))
         elif keyword == "property":
             if not drafts:

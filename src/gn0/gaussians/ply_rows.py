@@ -62,7 +62,11 @@ def start_of_element(source: PlySource, wanted: PlyElement) -> int:
 
 
 def iterate_rows(
-    source: PlySource, element: PlyElement, names: Sequence[str], dtype: type[np.generic]
+    source: PlySource,
+    element: PlyElement,
+    names: Sequence[str],
+    dtype: type[np.generic],
+    block_bytes: int = BLOCK_BYTES,
 ) -> Iterator[tuple[int, NDArray[Any]]]:
     """Blocks of an element's rows: (first row, values [R, len(names)] of `dtype`).
 
@@ -74,6 +78,7 @@ def iterate_rows(
         element: an element without lists.
         names: the properties wanted, in the order wanted.
         dtype: np.float32, np.uint32 or np.uint8.
+        block_bytes: size of a block, for binary files.
 
     Raises:
         FormatError: the file ends early, or an ascii row is malformed.
@@ -95,7 +100,7 @@ def iterate_rows(
             remedy=_REMEDY,
         )
     row_type = element.row_type(source.header.byte_order)
-    rows_a_block = max(1, BLOCK_BYTES // max(1, row_bytes))
+    rows_a_block = max(1, block_bytes // max(1, row_bytes))
     buffer = bytearray(min(rows_a_block, element.count) * row_bytes)
     types = {row_type[name] for name in element.names}
     uniform = types.pop() if len(types) == 1 else None

@@ -24,6 +24,7 @@ import numpy as np
 from gn0.errors import FormatError, Gn0Error
 from gn0.progress import Progress, no_progress
 from gn0.seeds import random_stream
+from gn0.testing.memory import peak_memory_bytes, reset_peak_memory
 
 HANG_SECONDS = 1.0  # processor time a megabyte of input, at least for one megabyte
 _KEPT_FAULTS = 20
@@ -138,7 +139,8 @@ def fuzz_reader(
         for data in files:  # compile and warm up, outside the clock
             path.write_bytes(data)
             target.check(target.read(path))
-        before = _peak_bytes()
+        reset_peak_memory()
+        before = peak_memory_bytes()
         for index in range(count):
             rng = random_stream(seed, "fuzz", target.name, index)
             pick = int(rng.integers(len(files)))
@@ -167,17 +169,8 @@ def fuzz_reader(
                 faults.append(FuzzFault(index, names[pick], what, data))
             if index % 1000 == 999:
                 progress(f"fuzz {target.name}", index + 1, count)
-        growth = max(0, _peak_bytes() - before)
+        growth = max(0, peak_memory_bytes() - before)
     return FuzzReport(count, accepted, refused, foreign, hangs, slowest, growth, tuple(faults))
-
-
-def _peak_bytes() -> int:
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
 
 
 def _place(mutant: bytearray, rng: np.random.Generator) -> int:

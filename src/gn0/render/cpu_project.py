@@ -95,7 +95,7 @@ def cull_chunks(boxes, view, ortho, seen):  # type: ignore[no-untyped-def]
     return n
 
 
-@njit(parallel=True)
+@njit(parallel=True, error_model="numpy")
 def project_chunks(  # type: ignore[no-untyped-def]
     pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0, tiles_x, records,
     rects, keys, indices, counts, histogram,

@@ -41,6 +41,7 @@ _LOG_MIN = F(math.log(ALPHA_MIN))
 _LOWEST = F(-5.6)  # below log(1/255): such pixels are skipped
 _E1, _E2, _E3 = F(6.24807182e-02), F(1.93270083e-03), F(3.43559133e-05)
 _ONE, _ZERO, _HALF = F(1.0), F(0.0), F(0.5)
+_FAR_AWAY = F(np.inf)
 _EDGE = F(0.02)  # px: rounding of the row range
 _BATCH = 64
 _CHECK = 16  # splats between looks for finished rows
@@ -80,7 +81,7 @@ def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, f
             row[4, j] += w * z
 
 
-@njit(parallel=True)
+@njit(parallel=True, error_model="numpy")
 def raster_tiles(  # type: ignore[no-untyped-def]
     records, indices, ordered, starts, tile_rows, tile_keys, spare_rows, spare_keys, row_order,
     tiles_x, width, height, background, wants, rgb_u8, rgb_f32, depth, alpha,
@@ -113,6 +114,7 @@ def raster_tiles(  # type: ignore[no-untyped-def]
         last_line = F(lines)
         gathered = np.empty(12 * _BATCH, np.float32)
         reach = np.empty(2 * _BATCH, np.int32)
+        levels = np.empty((3, TILE), np.int32)
         for batch in range(begin, end, _BATCH):
             size = min(_BATCH, end - batch)
             for b in range(size):
@@ -182,20 +184,28 @@ def raster_tiles(  # type: ignore[no-untyped-def]
         for r in range(lines):
             row = acc[r]
             y = y_px + r
-            for j in range(columns):
-                x = x_px + j
-                T = abs(row[0, j])
-                opacity = _ONE - T
-                if wants[0] or wants[1]:
+            if wants[0]:
+                for channel in range(3):
+                    behind = background[channel]
+                    for j in range(TILE):
+                        value = row[1 + channel, j] + abs(row[0, j]) * behind
+                        value = min(max(value, _ZERO), _ONE)
+                        levels[channel, j] = np.int32(value * F(255.0) + _HALF)
+                for j in range(columns):
+                    rgb_u8[y, x_px + j, 0] = levels[0, j]
+                    rgb_u8[y, x_px + j, 1] = levels[1, j]
+                    rgb_u8[y, x_px + j, 2] = levels[2, j]
+            if wants[1]:
+                for j in range(columns):
                     for channel in range(3):
-                        value = row[1 + channel, j] + T * background[channel]
-                        if wants[0]:
-                            value = min(max(value, _ZERO), _ONE)
-                            rgb_u8[y, x, channel] = np.uint8(value * F(255.0) + _HALF)
-                        else:
-                            rgb_f32[y, x, channel] = value
-                if wants[2]:
-                    far = np.float32(np.inf)
-                    depth[y, x] = row[4, j] / opacity if opacity >= _HALF else far
-                if wants[3]:
-                    alpha[y, x] = opacity
+                        value = row[1 + channel, j] + abs(row[0, j]) * background[channel]
+                        rgb_f32[y, x_px + j, channel] = value
+            if wants[2]:
+                for j in range(TILE):
+                    opacity = _ONE - abs(row[0, j])
+                    row[4, j] = row[4, j] / opacity if opacity >= _HALF else _FAR_AWAY
+                for j in range(columns):
+                    depth[y, x_px + j] = row[4, j]
+            if wants[3]:
+                for j in range(columns):
+                    alpha[y, x_px + j] = _ONE - abs(row[0, j])

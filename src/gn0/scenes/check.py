@@ -16,7 +16,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.scenes.folder import load_scene, load_scene_file, objects_hash
-from gn0.scenes.scene import Scene
+from gn0.scenes.scene import Scene, SceneObject
 
 RADIUS = 0.20  # m: the default agent
 Level = Literal["error", "warning", "note"]
@@ -155,7 +155,7 @@ def _check_walkable(scene: Scene, radius: float) -> Iterator[Finding]:
         )
     main = int(np.argmax(areas))
     near = _near_region(navigation, main, grid, _REACH)
-    lost = [t for t in scene.objects if not _touches(near, grid, t.box.centre)]
+    lost = [t for t in scene.objects if not _touches(near, grid, t)]
     if lost and len(lost) >= max(1, round(0.05 * len(scene.objects))):
         names = ", ".join(f"{n} {c}" for c, n in Counter(t.category for t in lost).most_common(4))
         yield Finding(
@@ -175,9 +175,11 @@ def _near_region(
     return np.asarray(ndimage.distance_transform_edt(~inside) * grid.resolution <= reach)
 
 
-def _touches(near: np.ndarray, grid: OccupancyGrid, centre: tuple[float, float, float]) -> bool:
-    row, col = grid.cell_of(centre[0], centre[1])
-    return grid.contains(row, col) and bool(near[row, col])
+def _touches(near: np.ndarray, grid: OccupancyGrid, thing: SceneObject) -> bool:
+    """Whether the middle or a corner of an object's footprint lies on cells of a mask."""
+    spots = [thing.box.centre[:2], *(tuple(c[:2]) for c in thing.box.corners()[:4])]
+    cells = [grid.cell_of(float(x), float(y)) for x, y in spots]
+    return any(grid.contains(row, col) and bool(near[row, col]) for row, col in cells)
 
 
 def _check_rooms(scene: Scene, navigation: NavigationMap, main: int) -> Iterator[Finding]:

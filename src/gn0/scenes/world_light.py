@@ -27,6 +27,7 @@ from gn0.scenes.shading import Shader, SurfaceSample, encode_srgb
 from gn0.scenes.textures import Paint, TextureAlbedo
 from gn0.scenes.tone import BakedShader, ToneCurve, choose_exposure
 from gn0.scenes.world_mesh import WorldMeshes
+from gn0.seeds import random_stream
 
 _ALBEDO_MAX = 0.75  # white paint; textures drawn at 1.0 would never lose light
 _WARM = np.array((1.0, 0.80, 0.58))
@@ -105,7 +106,7 @@ def drop_outside(meshes: WorldMeshes, seed: int) -> WorldMeshes:
     caster = RayCaster(mesh)
     normal = mesh.normals()
     middle = mesh.corners().mean(axis=1) + 1e-3 * normal
-    rays = np.random.Generator(np.random.Philox(key=seed)).normal(size=(12, 3))
+    rays = random_stream(seed, "world", "outside").normal(size=(12, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     shell = np.flatnonzero(mesh.instance < 0)
     free = np.ones(len(shell), bool)
@@ -142,17 +143,41 @@ def light_world(
         *_daylight(objects, rooms, grid),
     ]
     lamps += _lamps_for_dark_rooms(lamps, rooms, grid, top)
+    # halls have more wall than homes, and no small shadows on it
+    fine = float(np.clip(math.sqrt(mesh.areas().sum() / 300_000), 0.06, 0.20))
+    coarse = float(np.clip(2.4 * fine, 0.15, 0.40))
     field = bake_light(
         mesh,
         surface,
         lamps,
-        settings=BakeSettings(coarse=0.15, fine=0.06, rays=64, samples=9, bounces=4),
+        settings=BakeSettings(
+            coarse=coarse,
+            fine=fine,
+            rays=64,
+            samples=9,
+            bounces=4,
+            two_sided=_inverted_share(mesh, rooms, grid, seed) > 0.02,
+        ),
         opaque=~np.isin(kind, sorted(_PASSING)),
         seed=seed,
         progress=progress,
     )
     r, g, b = (_EXPOSURE * gain for gain in choose_exposure(field).gain)
     return BakedShader(mesh=mesh, surface=surface, light=field, tone=ToneCurve(gain=(r, g, b)))
+
+
+def _inverted_share(mesh: SceneMesh, rooms: RoomMap, grid: OccupancyGrid, seed: int) -> float:
+    """Share of what is seen from inside that shows its back: faces wound the wrong way."""
+    xy = grid.centres_of(np.argwhere(rooms.label >= 0))
+    if not len(xy):
+        return 0.0
+    rng = random_stream(seed, "world", "inverted")
+    start = np.column_stack([xy[rng.integers(0, len(xy), 8000)], np.full(8000, 1.3)])
+    rays = rng.normal(size=start.shape)
+    face, _, _ = RayCaster(mesh).cast(start, rays)
+    hit = face >= 0
+    back = (rays[hit] * mesh.normals()[face[hit]]).sum(axis=1) > 0
+    return float(back.mean()) if len(back) else 0.0
 
 
 def _wall_top(caster: RayCaster, xy: NDArray[np.floating], meshes: WorldMeshes) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -38,10 +39,15 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
-def render_plan(scene: Scene, width: int, height: int) -> Image.Image:
-    """The plan as a picture of `width` x `height` pixels: north up, x to the right."""
+def render_plan(
+    scene: Scene, width: int, height: int, *, keep_clear: Sequence[tuple[float, float]] = ()
+) -> Image.Image:
+    """The plan as a picture of `width` x `height` pixels: north up, x to the right.
+
+    No name is written over the points `keep_clear` (x, y) [m].
+    """
     return (
-        _Plan(scene, width * _SUPER, height * _SUPER)
+        _Plan(scene, width * _SUPER, height * _SUPER, keep_clear)
         .draw()
         .resize((width, height), Image.Resampling.LANCZOS)
     )
@@ -64,7 +70,13 @@ def plan_bounds(scene: Scene, margin: float = 0.4) -> tuple[float, float, float,
 
 
 class _Plan:
-    def __init__(self, scene: Scene, width: int, height: int) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        width: int,
+        height: int,
+        keep_clear: Sequence[tuple[float, float]] = (),
+    ) -> None:
         self.scene = scene
         x0, y0, x1, y1 = plan_bounds(scene)
         self.scale = min(width / (x1 - x0), height / (y1 - y0))  # pixels a metre
@@ -75,6 +87,10 @@ class _Plan:
         self.pen = ImageDraw.Draw(self.image)
         self.labels: list[tuple[float, float, float, float]] = []
         self.pixel = _SUPER
+        for x, y in keep_clear:
+            px, py = self.at(x, y)
+            reach = 16 * _SUPER
+            self.labels.append((px - reach, py - reach, px + reach, py + reach))
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         return (x - self.x) * self.scale, self.height - (y - self.y) * self.scale

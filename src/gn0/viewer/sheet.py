@@ -43,10 +43,11 @@ def render_sheet(
     sheet = Image.new("RGB", (width, height), PAPER)
     pen = ImageDraw.Draw(sheet)
     _title(pen, scene, width)
-    sheet.paste(render_plan(scene, column, tall), (_GAP, _TITLE))
+    poses = choose_viewpoints(scene, _VIEWS)
+    plan = render_plan(scene, column, tall, keep_clear=[(p.x, p.y) for p in poses])
+    sheet.paste(plan, (_GAP, _TITLE))
     bev = _bev(scene, renderer, column, tall, cut_height)
     sheet.paste(bev, (2 * _GAP + column, _TITLE))
-    poses = choose_viewpoints(scene, _VIEWS)
     top = _TITLE + tall + _GAP
     views = _views(renderer, poses, view_width, view_height)
     for index, (pose, view) in enumerate(zip(poses, views, strict=True)):
@@ -68,8 +69,8 @@ def _title(pen: ImageDraw.ImageDraw, scene: Scene, width: int) -> None:
             f"{len(scene.gaussians):,} splats",
             f"{scene.grid.free_area:.1f} sq m walkable",
             f"{size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} m",
-            f"{len(scene.rooms)} rooms",
-            f"{len(scene.objects)} objects of {categories} categories",
+            _count(len(scene.rooms), "room"),
+            f"{_count(len(scene.objects), 'object')} of {categories} categories",
         )
     )
     pen.text((width - _GAP, 22), facts, font=font(18), fill=INK, anchor="ra")
@@ -82,6 +83,10 @@ def _title(pen: ImageDraw.ImageDraw, scene: Scene, width: int) -> None:
         fill=MUTED,
         anchor="ra",
     )
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number:,} {word}{'' if number == 1 else 's'}"
 
 
 def _short(text: str, length: int) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gn0.geometry import F64, Pose2D
 from gn0.maps.grid import FREE, OCCUPIED
@@ -32,21 +34,27 @@ def choose_viewpoints(scene: Scene, count: int = 4, radius: float = 0.25) -> lis
     points = _roomy_points(scene, clearance)
     walls = _walls(scene)
     headings = np.arange(_HEADINGS) * 2 * math.pi / _HEADINGS
-    score = _interest(scene, points, headings, walls) * _openness(scene, points, headings, walls)
+    sights = _sights(scene, points, headings, walls)
+    open_ = _openness(scene, points, headings, walls)
     rooms = [room_at(scene.rooms, float(x), float(y)) for x, y in points]
+    fresh = np.ones(len(sights.gains))
     chosen: list[Pose2D] = []
     taken: dict[str | None, int] = {}
-    while len(chosen) < count and score.max() > 0:
-        weight = np.array([0.45 ** taken.get(room, 0) for room in rooms])
-        best = int(np.argmax(score * weight[:, None]))
+    while len(chosen) < count:
+        score = sights.score(fresh) * open_
+        score *= np.array([0.55 ** taken.get(room, 0) for room in rooms])[:, None]
+        best = int(np.argmax(score))
+        if score.flat[best] <= 0:
+            break
         i, k = divmod(best, _HEADINGS)
         x, y, yaw = float(points[i, 0]), float(points[i, 1]), float(headings[k])
         chosen.append(Pose2D(x, y, math.remainder(yaw, 2 * math.pi)))
         taken[rooms[i]] = taken.get(rooms[i], 0) + 1
         away = np.hypot(points[:, 0] - x, points[:, 1] - y)
         turned = np.abs(np.mod(headings - yaw + math.pi, 2 * math.pi) - math.pi)
-        same = (away[:, None] < 1.2) | ((away[:, None] < 3.5) & (turned[None] < 0.8))
-        score[same] = 0.0
+        open_[(away[:, None] < 1.2) | ((away[:, None] < 3.5) & (turned[None] < 0.8))] = 0.0
+        for index, gain in enumerate(sights.gains):  # what has been shown is worth less
+            fresh[index] *= 0.3 if gain[i, k] > 0.05 else 1.0
     return chosen
 
 
@@ -80,8 +88,6 @@ def _walls(scene: Scene) -> NDArray[np.bool_]:
 
 
 def _near_free(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    from scipy import ndimage
-
     return np.asarray(ndimage.binary_dilation(free, iterations=12))
 
 
@@ -97,12 +103,31 @@ def _blocked(
     return np.asarray(walls[row, col].any(axis=-1))
 
 
-def _interest(
-    scene: Scene, points: F64, headings: F64, walls: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """How much there is to see [P, K]: different things, at a good distance, in plain sight."""
-    score = np.full((len(points), len(headings)), 0.05)
-    by_category: dict[str, NDArray[np.float64]] = {}
+@dataclass(frozen=True, eq=False)
+class _Sights:
+    """What each thing adds to the view from P places in K directions."""
+
+    gains: list[NDArray[np.float64]]  # [P, K] each
+    categories: list[str]
+    spoilt: NDArray[np.float64]  # [P, K]: things right before the lens
+
+    def score(self, fresh: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Worth of each view [P, K]; many of one kind count little more than one."""
+        best: dict[str, NDArray[np.float64]] = {}
+        for gain, category, worth in zip(self.gains, self.categories, fresh, strict=True):
+            total = best.get(category)
+            best[category] = (
+                worth * gain
+                if total is None
+                else np.maximum(total, worth * gain) + 0.2 * np.minimum(total, worth * gain)
+            )
+        return np.asarray(np.maximum(sum(best.values(), 0.05 - self.spoilt), 0.0))
+
+
+def _sights(scene: Scene, points: F64, headings: F64, walls: NDArray[np.bool_]) -> _Sights:
+    gains: list[NDArray[np.float64]] = []
+    categories: list[str] = []
+    spoilt = np.zeros((len(points), len(headings)))
     for thing in scene.objects:
         size = np.asarray(thing.box.size)
         bulk = float(np.cbrt(max(np.prod(size), 1e-6)))
@@ -115,14 +140,10 @@ def _interest(
         worth = min(bulk, 1.0) * np.exp(-(((distance - 2.8) / 1.8) ** 2)) * seen
         bearing = np.arctan2(offset[:, 1], offset[:, 0])
         turn = np.abs(np.mod(bearing[:, None] - headings + math.pi, 2 * math.pi) - math.pi)
-        gain = worth[:, None] * np.clip(1.3 - turn / _HALF_VIEW, 0.0, 1.0)
-        total = by_category.setdefault(thing.category, np.zeros_like(score))
-        np.maximum(total + 0.25 * gain, gain, out=total)
-        # a thing right before the lens spoils the picture
-        score -= 2.0 * ((distance < 0.5 + bulk / 2)[:, None] & (turn < _HALF_VIEW))
-    for total in by_category.values():
-        score += total
-    return np.maximum(score, 0.0)
+        gains.append(worth[:, None] * np.clip(1.3 - turn / _HALF_VIEW, 0.0, 1.0))
+        categories.append(thing.category)
+        spoilt += 2.0 * ((distance < 0.5 + bulk / 2)[:, None] & (turn < _HALF_VIEW))
+    return _Sights(gains, categories, spoilt)
 
 
 def _openness(

@@ -27,8 +27,8 @@ def _spread_octile(moves, height, width, goal):  # type: ignore[no-untyped-def]
     """Dijkstra with buckets as wide as the shortest edge: none in a bucket improves another."""
     n = height * width
     field = np.full(n, np.inf)
-    # three buckets hold all open cells (the longest edge is √2); each is a plain growing list
-    lists = np.empty((3, 4 * n + 8), np.int32)
+    # three buckets hold all open cells (the longest edge is √2); a cell enters once a neighbour at most
+    lists = np.empty((3, 8 * n + 8), np.int32)
     sizes = np.zeros(3, np.int64)
     field[goal] = 0.0
     lists[0, 0] = goal
@@ -107,7 +107,7 @@ class GeodesicMap:
     def __init__(self, grid: OccupancyGrid) -> None:
         self.grid = grid
         self.blocked = grid.blocked
-        self.first, self.last = build_runs(self.blocked)
+        self.runs = (self.blocked, *build_runs(self.blocked))
         self.corners = build_corners(self.blocked)
 
     def build_field(self, goal: tuple[float, float]) -> GeodesicField:
@@ -145,9 +145,7 @@ class GeodesicField:
         self.grid = grid
         s = grid.resolution
         self.label, self.roots, self.parents = spread_distances(
-            geodesic_map.blocked,
-            geodesic_map.first,
-            geodesic_map.last,
+            geodesic_map.runs,
             geodesic_map.corners,
             (x - grid.origin[0]) / s,
             (y - grid.origin[1]) / s,

@@ -20,6 +20,7 @@ import numpy as np
 from gn0.jit import njit
 
 _THIN = 1e-10  # narrower slope intervals hold no area; what they show is relayed by a corner
+HALF_DIAGONAL = math.sqrt(0.5)
 _EDGE = 1e-9  # slack [cells] for a vertex exactly on the edge of a cone
 
 
@@ -45,89 +46,245 @@ def build_runs(blocked):  # type: ignore[no-untyped-def]
 
 @njit
 def build_corners(blocked):  # type: ignore[no-untyped-def]
-    """Convex corners [H+1, W+1] int8: 0 none, else 1 + (blocked is east) + 2·(blocked is north)."""
+    """Convex corners, line by line.
+
+    Returns:
+        spots [N, 4] int64 of (x, y, bx, by), where (bx, by) = ±1 points at the blocked cell; and
+        index [H+1, W+2] int32: corners index[y, a] … index[y, b+1]−1 are those with x in a … b.
+    """
     height, width = blocked.shape
-    corners = np.zeros((height + 1, width + 1), np.int8)
-    for y in range(1, height):
-        for x in range(1, width):
-            sw, se = blocked[y - 1, x - 1], blocked[y - 1, x]
-            nw, ne = blocked[y, x - 1], blocked[y, x]
-            if sw + se + nw + ne == 1:
-                corners[y, x] = 1 + 1 * (se or ne) + 2 * (nw or ne)
-    return corners
+    spots = np.empty(((height + 1) * (width + 1), 4), np.int64)
+    index = np.empty((height + 1, width + 2), np.int32)
+    count = 0
+    for y in range(height + 1):
+        for x in range(width + 2):
+            index[y, x] = count
+            if 0 < y < height and 0 < x < width:
+                sw, se = blocked[y - 1, x - 1], blocked[y - 1, x]
+                nw, ne = blocked[y, x - 1], blocked[y, x]
+                if sw + se + nw + ne == 1:
+                    spots[count, 0], spots[count, 1] = x, y
+                    spots[count, 2] = 1 if se or ne else -1
+                    spots[count, 3] = 1 if nw or ne else -1
+                    count += 1
+    return spots[:count].copy(), index
 
 
 @njit
-def _heap_push(keys, items, count, key, item):  # type: ignore[no-untyped-def]
-    i = count
+def _sift_up(heap, slot, best, i):  # type: ignore[no-untyped-def]
+    item = heap[i]
     while i > 0:
-        parent = (i - 1) >> 1
-        if keys[parent] <= key:
+        above = (i - 1) >> 1
+        if best[heap[above]] <= best[item]:
             break
-        keys[i], items[i] = keys[parent], items[parent]
-        i = parent
-    keys[i], items[i] = key, item
+        heap[i] = heap[above]
+        slot[heap[i]] = i
+        i = above
+    heap[i] = item
+    slot[item] = i
 
 
 @njit
-def _heap_pop(keys, items, count):  # type: ignore[no-untyped-def]
-    """Remove the root of a heap of `count` entries; the caller has read it."""
-    key, item = keys[count - 1], items[count - 1]
+def _pop(heap, slot, best, count):  # type: ignore[no-untyped-def]
+    """Take the nearest corner off a heap of `count` corners."""
+    top = heap[0]
+    slot[top] = -1
+    item = heap[count - 1]
     count -= 1
     i = 0
     while True:
         child = 2 * i + 1
         if child >= count:
             break
-        if child + 1 < count and keys[child + 1] < keys[child]:
+        if child + 1 < count and best[heap[child + 1]] < best[heap[child]]:
             child += 1
-        if keys[child] >= key:
+        if best[heap[child]] >= best[item]:
             break
-        keys[i], items[i] = keys[child], items[child]
+        heap[i] = heap[child]
+        slot[heap[i]] = i
         i = child
     if count > 0:
-        keys[i], items[i] = key, item
+        heap[i] = item
+        slot[item] = i
+    return top
 
 
 @njit
-def _offer(x, y, rx, ry, g, root, corners, best, parent, queue_keys, queue_items, count):  # type: ignore[no-untyped-def]
-    """Offer the vertex (x, y) a path through a root; returns the new queue length."""
-    kind = corners[y, x]
-    if kind == 0:
-        return count
-    dx, dy = x - rx, y - ry
-    bx = 1 if (kind - 1) & 1 else -1
-    by = 1 if (kind - 1) & 2 else -1
-    ex, ey = dx * bx, dy * by
-    # a taut path grazes the obstacle: it passes along one side and turns round to the other
-    if not ((ex >= 0 and ey < 0) or (ex < 0 and ey >= 0)):
-        return count
-    cost = g + math.sqrt(dx * dx + dy * dy)
-    if cost >= best[y, x] - 1e-12:
-        return count
-    best[y, x] = cost
-    parent[y, x] = root
-    _heap_push(queue_keys, queue_items, count, cost, y * corners.shape[1] + x)
-    return count + 1
+def _offer(corners, queue, y, x0, x1, rx, ry, g, root):  # type: ignore[no-untyped-def]
+    """Offer the corners x0 … x1 of a line a path through a root."""
+    spots, index = corners
+    best, parent, heap, slot, size = queue
+    for k in range(index[y, x0], index[y, x1 + 1]):
+        dx, dy = spots[k, 0] - rx, y - ry
+        ex, ey = dx * spots[k, 2], dy * spots[k, 3]
+        # a taut path grazes the obstacle: it passes along one side and turns round to the other
+        if not ((ex >= 0 and ey < 0) or (ex < 0 and ey >= 0)):
+            continue
+        cost = g + math.sqrt(dx * dx + dy * dy)
+        if cost >= best[k] - 1e-12:
+            continue
+        best[k] = cost
+        parent[k] = root
+        if slot[k] < 0:
+            heap[size[0]] = k
+            slot[k] = size[0]
+            size[0] += 1
+        _sift_up(heap, slot, best, slot[k])
 
 
 @njit
-def _grow(keys, items):  # type: ignore[no-untyped-def]
-    more_keys = np.empty(2 * len(keys))
-    more_items = np.empty(2 * len(items), np.int64)
-    more_keys[: len(keys)] = keys
-    more_items[: len(items)] = items
-    return more_keys, more_items
+def _paint(field, label, c0, c1, rx, rise, g, root):  # type: ignore[no-untyped-def]
+    """Offer the centres c0 … c1 of a row a path; the first and last not clearly served better.
+
+    A centre p that another root serves better by more than two cells speaks for the rays near it:
+    from p, any ray of the cone within one cell along the row is met sooner than this root meets it,
+    so what lies behind such a ray is on no shortest path through this root.
+    """
+    first, last = c1 + 1, c0 - 1
+    for c in range(c0, c1 + 1):
+        ux = c + 0.5 - rx
+        cost = g + math.sqrt(ux * ux + rise * rise)
+        old = field[c]
+        field[c] = min(cost, old)
+        label[c] = root if cost < old else label[c]
+        keep = cost <= old + 2.0
+        first = min(first, c) if keep else first
+        last = c if keep else last
+    return first, last
 
 
 @njit
-def spread_distances(blocked, first, last, corners, source_x, source_y):  # type: ignore[no-untyped-def]
+def _is_served(field, x, y, cost):  # type: ignore[no-untyped-def]
+    """Whether a corner is reached sooner through the centre of a cell beside it."""
+    near = min(field[y - 1, x - 1], field[y - 1, x], field[y, x - 1], field[y, x])
+    return near + HALF_DIAGONAL < cost - 1e-9
+
+
+@njit
+def _sweep(runs, corners, queue, picture, cones, depth, rx, ry, g, root):  # type: ignore[no-untyped-def]
+    """Follow the cones on the stack away from their root, row by row, until walls end them.
+
+    A cone is (line, direction, slopes): its rays cross `line` at rx + slope · |line − ry|.
+    Returns the stack, which may have been moved to a larger one.
+    """
+    blocked, first, last = runs
+    field, label = picture
+    height, width = blocked.shape
+    while depth > 0:
+        depth -= 1
+        line, up = int(cones[depth, 0]), int(cones[depth, 1])
+        low, high = cones[depth, 2], cones[depth, 3]
+        row = line if up > 0 else line - 1
+        if row < 0 or row >= height:
+            continue
+        rise, next_rise = abs(line - ry), abs(line + up - ry)
+        middle = abs(row + 0.5 - ry)
+        right_edge = rx + high * rise
+        col = min(max(math.floor(rx + low * rise), 0), width - 1)
+        while col < width and col < right_edge:
+            begin, end = first[row, col], last[row, col]
+            shut = blocked[row, col]
+            col = end
+            if shut:
+                continue
+            a, b = max(low, (begin - rx) / rise), min(high, (end - rx) / rise)
+            if b - a <= _THIN:
+                continue
+            c0 = max(math.ceil(rx + a * middle - 0.5 - _EDGE), begin)
+            c1 = min(math.floor(rx + b * middle - 0.5 + _EDGE), end - 1)
+            if c1 >= c0:
+                keep0, keep1 = _paint(field[row], label[row], c0, c1, rx, middle, g, root)
+                if keep0 > keep1:
+                    continue
+                if keep0 > c0:
+                    a = max(a, (keep0 - 0.5 - rx) / middle)
+                if keep1 < c1:
+                    b = min(b, (keep1 + 1.5 - rx) / middle)
+            a, b = max(a, (begin - rx) / next_rise), min(b, (end - rx) / next_rise)
+            if b < a - _THIN:
+                continue
+            x0 = max(math.ceil(rx + a * next_rise - _EDGE), 0)
+            x1 = min(math.floor(rx + b * next_rise + _EDGE), width)
+            if x1 >= x0:
+                _offer(corners, queue, line + up, x0, x1, rx, ry, g, root)
+            if b - a <= _THIN:
+                continue
+            if depth == len(cones):
+                more = np.empty((2 * depth, 4))
+                more[:depth] = cones
+                cones = more
+            cones[depth, 0], cones[depth, 1] = line + up, up
+            cones[depth, 2], cones[depth, 3] = a, b
+            depth += 1
+    return cones
+
+
+@njit
+def _open_source(runs, corners, queue, picture, cones, rx, ry):  # type: ignore[no-untyped-def]
+    """Serve the source's own row and put its two half-planes on the stack."""
+    _, first, last = runs
+    field, label = picture
+    row, col = math.floor(ry), math.floor(rx)
+    begin, end = first[row, col], last[row, col]
+    _paint(field[row], label[row], begin, end - 1, rx, abs(row + 0.5 - ry), 0.0, 0)
+    for k in range(2):
+        line, up = row + 1 - k, 1 - 2 * k
+        _offer(corners, queue, line, begin, end, rx, ry, 0.0, 0)
+        rise = abs(line - ry)
+        cones[k, 0], cones[k, 1] = line, up
+        cones[k, 2], cones[k, 3] = (begin - rx) / rise, (end - rx) / rise
+    return 2
+
+
+@njit
+def _open_corner(runs, corners, queue, picture, cones, spot, px, py, g, root):  # type: ignore[no-untyped-def]
+    """Serve the first row of a corner's shadow and put its cone on the stack.
+
+    The shadow lies between the straight continuation of (px, py) → corner and the obstacle's edge.
+    """
+    blocked, first, last = runs
+    field, label = picture
+    width = blocked.shape[1]
+    x0, y0, bx, by = spot[0], spot[1], spot[2], spot[3]
+    rx, ry = float(x0), float(y0)
+    dx, dy = rx - px, ry - py
+    if dx * bx >= 0 and dy * by < 0:  # round to the level edge
+        side, up = bx, -by
+        near, far = abs(dx) / abs(dy), np.inf
+    else:  # round to the upright edge
+        side, up = -bx, by
+        near, far = 0.0, (abs(dx) / abs(dy) if dy != 0 else np.inf)
+    row = y0 if up > 0 else y0 - 1
+    col = x0 if side > 0 else x0 - 1
+    begin, end = first[row, col], last[row, col]
+    if far == np.inf:  # level rays run along the line, as far as the cells on the open side reach
+        if side > 0:
+            _offer(corners, queue, y0, x0 + 1, end, rx, ry, g, root)
+        else:
+            _offer(corners, queue, y0, begin, x0 - 1, rx, ry, g, root)
+    low, high = (near, far) if side > 0 else (-far, -near)
+    left, right = max(rx + low * 0.5, float(begin)), min(rx + high * 0.5, float(end))
+    c0 = max(math.ceil(left - 0.5 - _EDGE), begin)
+    c1 = min(math.floor(right - 0.5 + _EDGE), end - 1)
+    _paint(field[row], label[row], c0, c1, rx, 0.5, g, root)
+    # rays start in the point itself, so only the far line of the first row cuts them
+    low, high = max(low, begin - rx), min(high, end - rx)
+    if high < low - _THIN:
+        return 0
+    v0 = max(math.ceil(rx + low - _EDGE), 0)
+    v1 = min(math.floor(rx + high + _EDGE), width)
+    if v1 >= v0:
+        _offer(corners, queue, y0 + up, v0, v1, rx, ry, g, root)
+    cones[0, 0], cones[0, 1], cones[0, 2], cones[0, 3] = y0 + up, up, low, high
+    return 1 if high - low > _THIN else 0
+
+
+@njit
+def spread_distances(runs, corners, source_x, source_y):  # type: ignore[no-untyped-def]
     """Distances from a source point to every cell centre, through chains of convex corners.
 
     Args:
-        blocked: bool [H, W].
-        first: from `build_runs`.
-        last: from `build_runs`.
+        runs: (blocked [H, W] bool, and what `build_runs` makes of it).
         corners: from `build_corners`.
         source_x: source [cells], in a free cell.
         source_y: source [cells], in a free cell.
@@ -136,200 +293,39 @@ def spread_distances(blocked, first, last, corners, source_x, source_y):  # type
         label [H, W] int32, index of each cell's root, −1 where unreachable; roots [R, 3] float64 of
         (x, y, distance) in the order they became final, the source first; parents [R] int32.
     """
-    height, width = blocked.shape
+    height, width = runs[0].shape
+    spots = corners[0]
+    total = len(spots)
     field = np.full((height, width), np.inf)
     label = np.full((height, width), -1, np.int32)
-    best = np.full(corners.shape, np.inf)
-    parent = np.full(corners.shape, -1, np.int32)
-    keys = np.empty(1024)
-    items = np.empty(1024, np.int64)
-    count = 0
-    roots = np.empty((1024, 3))
-    parents = np.empty(1024, np.int32)
-    total = 0
-    # stack of cones: line, direction, slopes
-    stack_line = np.empty(256, np.int64)
-    stack_up = np.empty(256, np.int64)
-    stack_low = np.empty(256)
-    stack_high = np.empty(256)
+    picture = (field, label)
+    best = np.full(total, np.inf)
+    parent = np.full(total, -1, np.int32)
+    heap, slot = np.empty(total, np.int32), np.full(total, -1, np.int32)
+    size = np.zeros(1, np.int64)
+    queue = (best, parent, heap, slot, size)
+    roots, parents = np.empty((total + 1, 3)), np.empty(total + 1, np.int32)
+    cones = np.empty((256, 4))
 
-    row0 = min(max(math.floor(source_y), 0), height - 1)
-    col0 = min(max(math.floor(source_x), 0), width - 1)
     # on a cell's edge half the rays would have no first row; a billionth of a cell settles it
-    rx = min(max(source_x, col0 + 1e-9), col0 + 1 - 1e-9)
-    ry = min(max(source_y, row0 + 1e-9), row0 + 1 - 1e-9)
-    roots[0, 0], roots[0, 1], roots[0, 2] = rx, ry, 0.0
-    parents[0] = -1
-    total = 1
+    col = min(max(math.floor(source_x), 0), width - 1)
+    row = min(max(math.floor(source_y), 0), height - 1)
+    rx = min(max(source_x, col + 1e-9), col + 1 - 1e-9)
+    ry = min(max(source_y, row + 1e-9), row + 1 - 1e-9)
+    roots[0, 0], roots[0, 1], roots[0, 2], parents[0] = rx, ry, 0.0, -1
+    depth = _open_source(runs, corners, queue, picture, cones, rx, ry)
+    cones = _sweep(runs, corners, queue, picture, cones, depth, rx, ry, 0.0, 0)
     root = 0
-    g = 0.0
-    while True:
-        depth = 0
-        if root == 0:
-            begin, end = first[row0, col0], last[row0, col0]
-            for col in range(begin, end):
-                dx, dy = col + 0.5 - rx, row0 + 0.5 - ry
-                field[row0, col] = math.sqrt(dx * dx + dy * dy)
-                label[row0, col] = 0
-            for up in (1, -1):
-                line = row0 + 1 if up > 0 else row0
-                rise = abs(line - ry)
-                low, high = (begin - rx) / rise, (end - rx) / rise
-                for x in range(begin, end + 1):
-                    if len(keys) < count + 2:
-                        keys, items = _grow(keys, items)
-                    count = _offer(
-                        x, line, rx, ry, g, root, corners, best, parent, keys, items, count
-                    )
-                stack_line[depth], stack_up[depth] = line, up
-                stack_low[depth], stack_high[depth] = low, high
-                depth += 1
-        else:
-            x0, y0 = int(rx), int(ry)
-            kind = corners[y0, x0]
-            bx = 1 if (kind - 1) & 1 else -1
-            by = 1 if (kind - 1) & 2 else -1
-            px, py = roots[parents[root], 0], roots[parents[root], 1]
-            dx, dy = rx - px, ry - py
-            if dx * bx >= 0 and dy * by < 0:
-                # round to the side under the obstacle: from straight on to level
-                side, up = bx, -by
-                near, far = abs(dx) / abs(dy), np.inf
-            else:
-                # round to the side beside the obstacle: from straight on to upright
-                side, up = -bx, by
-                near, far = 0.0, (abs(dx) / abs(dy) if dy != 0 else np.inf)
-            row = y0 if up > 0 else y0 - 1
-            col = x0 if side > 0 else x0 - 1
-            if far == np.inf:
-                # level rays: along the line, as far as the cells on the open side reach
-                x, c = x0, col
-                while 0 <= c < width and not blocked[row, c]:
-                    x += side
-                    c += side
-                    if len(keys) < count + 2:
-                        keys, items = _grow(keys, items)
-                    count = _offer(
-                        x, y0, rx, ry, g, root, corners, best, parent, keys, items, count
-                    )
-            begin, end = first[row, col], last[row, col]
-            low, high = (near, far) if side > 0 else (-far, -near)
-            # the first row: rays start in the point itself, so only its far line cuts them
-            left = rx + low * 0.5 if low > -np.inf else -np.inf
-            right = rx + high * 0.5 if high < np.inf else np.inf
-            c0 = begin if left <= begin else max(math.ceil(left - 0.5 - _EDGE), begin)
-            c1 = end - 1 if right >= end else min(math.floor(right - 0.5 + _EDGE), end - 1)
-            for c in range(c0, c1 + 1):
-                ux = c + 0.5 - rx
-                cost = g + math.sqrt(ux * ux + 0.25)
-                if cost < field[row, c]:
-                    field[row, c] = cost
-                    label[row, c] = root
-            low, high = max(low, begin - rx), min(high, end - rx)
-            if high >= low - _THIN:
-                line = y0 + up
-                v0 = max(math.ceil(rx + low - _EDGE), 0)
-                v1 = min(math.floor(rx + high + _EDGE), width)
-                for x in range(v0, v1 + 1):
-                    if len(keys) < count + 2:
-                        keys, items = _grow(keys, items)
-                    count = _offer(
-                        x, line, rx, ry, g, root, corners, best, parent, keys, items, count
-                    )
-                if high - low > _THIN:
-                    stack_line[0], stack_up[0] = line, up
-                    stack_low[0], stack_high[0] = low, high
-                    depth = 1
-        while depth > 0:
-            depth -= 1
-            line, up = stack_line[depth], stack_up[depth]
-            low, high = stack_low[depth], stack_high[depth]
-            row = line if up > 0 else line - 1
-            if row < 0 or row >= height:
-                continue
-            rise = abs(line - ry)
-            middle = abs(row + 0.5 - ry)
-            next_rise = abs(line + up - ry)
-            right_edge = rx + high * rise
-            col = min(max(math.floor(rx + low * rise), 0), width - 1)
-            while col < width and col < right_edge:
-                begin, end = first[row, col], last[row, col]
-                if blocked[row, col]:
-                    col = end
-                    continue
-                col = end
-                a = max(low, (begin - rx) / rise)
-                b = min(high, (end - rx) / rise)
-                if b - a <= _THIN:
-                    continue
-                c0 = max(math.ceil(rx + a * middle - 0.5 - _EDGE), begin)
-                c1 = min(math.floor(rx + b * middle - 0.5 + _EDGE), end - 1)
-                dominated = c1 >= c0
-                for c in range(c0, c1 + 1):
-                    ux = c + 0.5 - rx
-                    cost = g + math.sqrt(ux * ux + middle * middle)
-                    old = field[row, c]
-                    if cost < old:
-                        field[row, c] = cost
-                        label[row, c] = root
-                    if cost <= old + 2.0:
-                        dominated = False
-                if dominated:  # each ray passes within a cell of a centre that another root reaches
-                    continue  # more than two cells sooner, so none of them is on a shortest path
-                a = max(a, (begin - rx) / next_rise)
-                b = min(b, (end - rx) / next_rise)
-                if b < a - _THIN:
-                    continue
-                next_line = line + up
-                v0 = max(math.ceil(rx + a * next_rise - _EDGE), 0)
-                v1 = min(math.floor(rx + b * next_rise + _EDGE), width)
-                for x in range(v0, v1 + 1):
-                    if corners[next_line, x] != 0:
-                        if len(keys) < count + 2:
-                            keys, items = _grow(keys, items)
-                        count = _offer(
-                            x, next_line, rx, ry, g, root, corners, best, parent, keys, items, count
-                        )
-                if b - a <= _THIN:
-                    continue
-                if depth == len(stack_line):
-                    more = np.empty(2 * depth, np.int64)
-                    more[:depth] = stack_line
-                    stack_line = more
-                    more = np.empty(2 * depth, np.int64)
-                    more[:depth] = stack_up
-                    stack_up = more
-                    wide = np.empty(2 * depth)
-                    wide[:depth] = stack_low
-                    stack_low = wide
-                    wide = np.empty(2 * depth)
-                    wide[:depth] = stack_high
-                    stack_high = wide
-                stack_line[depth], stack_up[depth] = next_line, up
-                stack_low[depth], stack_high[depth] = a, b
-                depth += 1
-        # the next root: the nearest corner whose distance is final
-        found = False
-        while count > 0:
-            key, item = keys[0], items[0]
-            _heap_pop(keys, items, count)
-            count -= 1
-            y, x = item // corners.shape[1], item % corners.shape[1]
-            if key == best[y, x]:
-                found = True
-                break
-        if not found:
-            break
-        if total == len(roots):
-            wider = np.empty((2 * total, 3))
-            wider[:total] = roots
-            roots = wider
-            longer = np.empty(2 * total, np.int32)
-            longer[:total] = parents
-            parents = longer
-        root = total
-        rx, ry, g = float(x), float(y), best[y, x]
-        roots[root, 0], roots[root, 1], roots[root, 2] = rx, ry, g
-        parents[root] = parent[y, x]
-        total += 1
-    return label, roots[:total].copy(), parents[:total].copy()
+    while size[0] > 0:
+        k = _pop(heap, slot, best, size[0])
+        size[0] -= 1
+        x, y, g = spots[k, 0], spots[k, 1], best[k]
+        if _is_served(field, x, y, g):
+            continue
+        root += 1
+        before = parent[k]
+        px, py = roots[before, 0], roots[before, 1]
+        roots[root, 0], roots[root, 1], roots[root, 2], parents[root] = x, y, g, before
+        depth = _open_corner(runs, corners, queue, picture, cones, spots[k], px, py, g, root)
+        cones = _sweep(runs, corners, queue, picture, cones, depth, float(x), float(y), g, root)
+    return label, roots[: root + 1].copy(), parents[: root + 1].copy()

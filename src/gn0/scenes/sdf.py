@@ -98,7 +98,7 @@ def find_world_file(path: Path) -> Path | None:
         if candidate.is_file() and candidate.name.lower() != "model.sdf"
     ]
     named = [f for f in found if f.stem == path.resolve().name]
-    return (named or found or [None])[0]
+    return next(iter(named or found), None)
 
 
 def load_sdf(file: Path) -> SdfWorld:
@@ -193,7 +193,7 @@ class _Reader:
                 link = pose @ _pose(child, file)
                 for role in ("visual", "collision"):
                     for item in child.findall(role):
-                        part = self._part(item, role, link, file)  # type: ignore[arg-type]
+                        part = self._part(item, role, link, file)
                         if part is not None:
                             yield part
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -255,7 +256,7 @@ def _load_mesh(path: Path) -> list[ColladaPart]:
             remedy="use COLLADA (.dae), .obj or .stl",
         )
     try:
-        mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        mesh: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
         vertices = np.asarray(mesh.vertices, np.float64)
         faces = np.asarray(mesh.faces, np.int32)
     except Exception as error:  # trimesh lets its parsers' errors through

@@ -27,7 +27,8 @@ def _spread_octile(moves, height, width, goal):  # type: ignore[no-untyped-def]
     """Dijkstra with buckets as wide as the shortest edge: none in a bucket improves another."""
     n = height * width
     field = np.full(n, np.inf)
-    # three buckets hold all open cells (the longest edge is √2); a cell enters once a neighbour at most
+    # three buckets hold all open cells, as no edge is longer than √2; a cell enters at most once
+    # for each neighbour
     lists = np.empty((3, 8 * n + 8), np.int32)
     sizes = np.zeros(3, np.int64)
     field[goal] = 0.0

@@ -14,7 +14,7 @@ from gn0.storage import cache_dir
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_dir() / "numba"))
 # idle OpenMP threads sleep: spinning ones take the cores from whoever shares the machine, and a
-# frame then costs three times its CPU time (a quiet machine loses some 20 us a parallel loop)
+# frame then costs three times its CPU time; the price is one wake-up a parallel loop
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numba

@@ -17,6 +17,7 @@ from gn0.geometry import F32, F64
 from gn0.jit import njit, prange
 from gn0.scenes.charts import Charts
 from gn0.scenes.mesh import SceneMesh
+from gn0.scenes.rays import RayCaster
 from gn0.scenes.tiles import fill_tiles, plan_tiles_at
 
 _PLANE = 0.035  # how far out of a lumel's plane it still counts [m]
@@ -70,12 +71,26 @@ class Lumels:
 
 
 def build_lumels(
-    mesh: SceneMesh, charts: Charts, spacing: float, *, two_sided: bool = False
+    mesh: SceneMesh,
+    charts: Charts,
+    spacing: float,
+    *,
+    two_sided: bool = False,
+    caster: RayCaster | None = None,
 ) -> Lumels:
-    """Lumels about `spacing` [m] apart; small faces share theirs with their neighbours."""
+    """Lumels about `spacing` [m] apart; small faces share theirs with their neighbours.
+
+    Surfaces that lie under another one (a lid under a lid, a floor under a rug) get none, lest
+    they lend their darkness to what lies on them. `caster`, of the same mesh, saves building it.
+    """
     tiles = plan_tiles_at(charts, spacing, brick=False)
     cells = fill_tiles(charts, mesh, tiles, seed=0)
     normals = mesh.normals()[cells.face]
+    if not two_sided:
+        caster = caster or RayCaster(mesh)
+        shown = ~caster.occluded(cells.point + 2e-4 * normals, normals, t_max=_PLANE)
+        if shown.any():
+            cells, normals = cells.select(shown), normals[shown]
     # many small charts: one lumel for each (position, direction) bin, at the largest cell
     bin_size = 0.6 * spacing
     place = np.floor(cells.point / bin_size).astype(np.int64)

@@ -184,4 +184,4 @@ def _draw_sun(rng: np.random.Generator, plan: FloorPlan) -> Sun:
         round(c * math.sin(heading), 6),
         round(-math.sin(height), 6),
     )
-    return Sun(direction=direction, colour=(13.0, 11.6, 9.4))
+    return Sun(direction=direction, colour=(7.5, 6.6, 5.2))

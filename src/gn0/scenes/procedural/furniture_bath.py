@@ -190,7 +190,7 @@ def build_shower(rng: np.random.Generator, palette: Palette) -> Item:
         (0, y, 1.0),
     ]
     shapes.append(build_tube(hand, 0.006, CHROME, sides=6))
-    if rng.random() < 0.35:
+    if rng.random() < 0.6:
         cloth = palette.curtain(rng)
         rail = [
             (-w / 2 + 0.02, d / 2, 1.98),
@@ -209,8 +209,10 @@ def build_shower(rng: np.random.Generator, palette: Palette) -> Item:
             shapes.append(
                 build_box((w * 0.5, 0.02, 0.02), CHROME, bevel=0.003, at=(-w / 4, -d / 2 + 0.01, z))
             )
-        # a band of frosted glass is what one sees of a clean pane
-        shapes.append(build_box((0.006, d - 0.03, 0.5), GLASS, at=(-w / 2 + 0.01, 0, 0.75)))
+        # etched stripes are what one sees of a clean pane
+        shapes += [
+            build_box((0.006, d - 0.03, 0.035), GLASS, at=(-w / 2 + 0.01, 0, z)) for z in (0.8, 0.9, 1.0, 1.1)
+        ]
     return Item("shower", tuple(shapes))
 
 

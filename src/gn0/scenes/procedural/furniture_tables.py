@@ -379,9 +379,13 @@ def build_rug(rng: np.random.Generator, palette: Palette, width: float, depth: f
         contrast=0.6, seed=int(rng.integers(50)), detail=1.0 if pattern.startswith("rug") else 0.7,
     )  # fmt: skip
     t = 0.012
-    if pattern in ("carpet", "knit") and rng.random() < 0.5:
-        r = min(width, depth) / 2
-        return Item("rug", (build_cylinder(r, t, material, bevel=0.004, segments=48),))
+    if pattern in ("carpet", "knit") and rng.random() < 0.6:
+        if max(width, depth) < 1.6 * min(width, depth):
+            r = (width + depth) / 4
+            round_rug = build_cylinder(r, t, material, bevel=0.004, segments=48)
+            return Item("rug", (round_rug.stretched(x=min(1.0, width / 2 / r), y=min(1.0, depth / 2 / r)),))
+        outline = rounded_outline(width, depth, min(width, depth) * 0.3, 6)
+        return Item("rug", (build_extrusion(outline, t, material),))
     edge = plain("rug edge", "fabric", str(second), scale=0.01)
     shapes: list[Shape] = [
         build_panel(

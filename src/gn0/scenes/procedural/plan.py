@@ -415,7 +415,7 @@ def _cut_windows(rng: np.random.Generator, plan: FloorPlan) -> list[Opening]:
         if span < 1.2:
             continue
         others = [w for w in windows if inside in w.rooms]
-        if others and (room.type != "living room" or rng.random() < 0.35 or len(others) > 2):
+        if others and (room.type != "living room" or rng.random() < 0.4 or len(others) > 1):
             continue
         if room.type == "bathroom":
             width, bottom, top = min(0.8, span - 0.5), 1.35, 2.1

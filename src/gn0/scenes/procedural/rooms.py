@@ -80,12 +80,12 @@ def hang_pictures(layout: RoomLayout, count: int, *, clock: bool = False) -> Non
         side, middle = layout.sides[name], (a + b) / 2
         if clock and k == len(gaps[:count]) - 1:
             layout.hang(side, decor.build_clock(rng, layout.palette), middle, 1.75)
-        elif span > 1.1 and rng.random() < 0.25:
+        elif span > 1.1 and rng.random() < 0.3:
             item = storage.build_wall_shelf(
                 rng, layout.palette, float(rng.uniform(0.7, min(1.2, span - 0.2)))
             )
             item = dress(item, "shelf", rng, layout.palette, count=5)
-            layout.hang(side, item, middle, float(rng.uniform(1.3, 1.5)))
+            layout.hang(side, item, middle, float(rng.uniform(1.64, 1.74)))
         elif span > 0.45:
             group = decor.build_wall_group(rng, layout.palette, span)
             layout.hang_group(side, group, middle, 1.52)
@@ -636,7 +636,7 @@ def place_desk(layout: RoomLayout, *, kelvin: float, large: bool = False) -> boo
         layout.reach = spots
     if rng.random() < 0.6:
         shelf = dress(storage.build_wall_shelf(rng, palette, 0.9), "shelf", rng, palette, count=5)
-        _hang_over(layout, spot, shelf, 1.45)
+        _hang_over(layout, spot, shelf, 1.65)
     return True
 
 

@@ -190,7 +190,12 @@ def build_lathe(
         ],
         axis=2,
     )
-    return build_surface(p + np.asarray(at, np.float64), material)
+    body = build_surface(p, material)
+    q = body.vertices[body.faces]
+    normal = np.cross(q[:, 1] - q[:, 0], q[:, 2] - q[:, 0])
+    level = np.abs(normal[:, 2]) > 0.9 * np.linalg.norm(normal, axis=1)
+    uv = np.where(level[:, None, None], q[..., :2], body.uv).astype(np.float32)  # no fan of grain
+    return replace(body, vertices=body.vertices + np.asarray(at, np.float64), uv=uv)
 
 
 def build_cylinder(

@@ -14,7 +14,7 @@ from gn0.scenes.procedural.plan import FloorPlan, Opening, Room
 from gn0.scenes.procedural.shapes import Shape, arc_path, build_box, build_panel, build_tube
 
 SIDES = ("south", "north", "west", "east")  # walls at low y, high y, low x, high x
-SKY_LIGHT = (2.6, 2.9, 3.4)  # radiance of the sky through a window
+SKY_LIGHT = (1.5, 1.65, 1.95)  # radiance of the sky through a window
 
 
 @dataclass(frozen=True)
@@ -95,11 +95,11 @@ class RoomFinish:
 
 def build_room_shell(plan: FloorPlan, room: Room, finish: RoomFinish) -> list[Shape]:
     """Floor, ceiling, walls with holes and skirting of a room."""
+    e = 0.01  # floor and ceiling run a little under the walls: no light falls through the seam
+    x0, y0, wide, deep = room.x0 - e, room.y0 - e, room.width + 2 * e, room.depth + 2 * e
     out = [
-        build_panel((room.x0, room.y0, 0), (room.width, 0, 0), (0, room.depth, 0), finish.floor),
-        build_panel(
-            (room.x1, room.y0, plan.ceiling), (-room.width, 0, 0), (0, room.depth, 0), CEILING
-        ),
+        build_panel((x0, y0, 0), (wide, 0, 0), (0, deep, 0), finish.floor),
+        build_panel((x0 + wide, y0, plan.ceiling), (-wide, 0, 0), (0, deep, 0), CEILING),
     ]
     for name, side in room_sides(plan, room).items():
         wall = finish.walls[name]
@@ -167,7 +167,7 @@ def _opening_frame(opening: Opening) -> tuple[float, float, float]:
 
 def build_opening_shell(opening: Opening, finishes: dict[str, RoomFinish]) -> list[Shape]:
     """Lining of a hole: jambs, head, and the floor strip of a door."""
-    w, t = opening.width, opening.thickness
+    w, t = opening.width, opening.thickness + 0.003  # stands out by a hair: no open seam
     h = opening.top - opening.bottom
     inside = opening.rooms[0] or opening.rooms[1]
     assert inside is not None
@@ -179,7 +179,7 @@ def build_opening_shell(opening: Opening, finishes: dict[str, RoomFinish]) -> li
         build_panel((w / 2, -t / 2, z + h), (-w, 0, 0), (0, t, 0), lining),
     ]
     base = TRIM if opening.kind == "window" else finishes[inside].floor
-    shapes.append(build_panel((-w / 2, -t / 2, z), (w, 0, 0), (0, t, 0), base))
+    shapes.append(build_panel((-w / 2, -t / 2, z), (w, 0, 0), (0, t, 0), base).moved(z=0.0005))
     x, y, yaw = _opening_frame(opening)
     return [s.moved(x, y, 0, yaw) for s in shapes]
 
@@ -293,7 +293,7 @@ def build_window(opening: Opening, rng: np.random.Generator, view: int) -> Place
         colour2=(0.25, 0.33, 0.22),
         scale=round(w / h, 3),
         contrast=0.5,
-        emission=(1.3, 1.4, 1.6),
+        emission=(1.0, 1.05, 1.15),
         seed=view,
         detail=0.5,
     )

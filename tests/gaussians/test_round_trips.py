@@ -209,6 +209,11 @@ def test_morton_codes_interleave_their_axes():
     assert morton_codes(corners).tolist() == expected and ones == 2097151
 
 
+def test_morton_of_nothing_finite_keeps_the_order():
+    points = np.full((4, 3), np.nan, np.float32)
+    assert morton_order(points).tolist() == [0, 1, 2, 3]
+
+
 def test_morton_puts_what_is_not_finite_last():
     points = np.float32([[np.nan, 0, 0], [1, 1, 1], [0, 0, 0], [np.inf, 0, 0]])
     assert morton_order(points).tolist() == [2, 1, 0, 3]

@@ -23,7 +23,8 @@ class PolicyStraight:
 
     It stops within `stop_distance`. A bump starts a detour: turn aside by `detour_turns`, walk two
     steps, aim at the goal again. The side is the goal's; each further bump before `patience`
-    free steps takes the other side and turns one more time, so that corners are left in the end.
+    free steps takes the other side, turns one more time and walks one more step, so that corners
+    are left in the end.
 
     Args:
         stop_distance: STOP this near the goal [m].
@@ -84,7 +85,7 @@ class PolicyStraight:
         self._free = 0
         self._bumps += 1
         turns = min(self.detour_turns + self._bumps - 1, 12)
-        self._queue = [self._side] * turns + [Action.FORWARD] * 2
+        self._queue = [self._side] * turns + [Action.FORWARD] * min(1 + self._bumps, 12)
 
     def _steer(self, bearing: float) -> Action:
         if abs(bearing) <= self.aim:
@@ -97,10 +98,12 @@ class PolicyWallFollower:
     """Sees only a ring of ranges: keeps a wall at its right hand and stops after `budget` actions.
 
     It does not know the goal and reads no instruction; its oracle success says how far blind
-    coverage gets one in these scenes.
+    coverage gets one in these scenes. A full circle to the right means that the wall is an island
+    (a table): it lets go, turns away and walks until it meets another.
 
     Args:
         budget: actions until STOP.
+        circle: turns in a full circle.
         front: a wall nearer than this ahead [m] is turned away from.
         near, far: band [m] in which the wall at the right is kept.
     """
@@ -109,17 +112,28 @@ class PolicyWallFollower:
     sensors: frozenset[Sensor] = frozenset({"ranges"})
 
     def __init__(
-        self, budget: int = 250, front: float = 0.35, near: float = 0.10, far: float = 0.45
+        self,
+        budget: int = 400,
+        circle: int = 24,
+        front: float = 0.35,
+        near: float = 0.10,
+        far: float = 0.45,
     ) -> None:
         self.budget = budget
+        self.circle = circle
         self.front, self.near, self.far = front, near, far
+        self._forget()
+
+    def _forget(self) -> None:
         self._previous: Action | None = None
         self._following = False
+        self._winding = 0  # turns to the right minus turns to the left since the wall was met
+        self._away = 0  # turns left to take away from an island
+        self._spun = 0  # turns since the last step forward
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:
         """Begin an episode."""
-        self._previous = None
-        self._following = False
+        self._forget()
 
     def act(self, observation: Observation) -> Action:
         """Follow the wall."""
@@ -132,16 +146,28 @@ class PolicyWallFollower:
             ahead = sector_minimum(observation.ranges, 0.0, 10.0)
             action = Action.FORWARD if ahead > 0.26 else self._previous or Action.LEFT
         self._previous = action
+        self._spun = 0 if action == Action.FORWARD else self._spun + 1
+        self._winding += (action == Action.RIGHT) - (action == Action.LEFT)
         return action
 
     def _follow(self, ranges: F32) -> Action:
-        ahead = sector_minimum(ranges, 0.0, 20.0)
+        if self._winding >= self.circle:
+            self._following = False
+            self._winding = 0
+            self._away = self.circle // 4
+        if self._away:
+            self._away -= 1
+            return Action.LEFT
+        # narrow places leave no room for a wide view: after a circle on the spot, any gap will do
+        ahead = sector_minimum(ranges, 0.0, 20.0 if self._spun < self.circle else 5.0)
         right = sector_minimum(ranges, -90.0, 20.0)
-        if ahead < self.front:
-            self._following = True
+        if ahead < (self.front if self._spun < self.circle else 0.1):
+            if not self._following:
+                self._following = True
+                self._winding = 0
             return Action.LEFT
-        if right < self.near:
-            return Action.LEFT
+        if right < self.near and self._spun < self.circle // 2:
+            return Action.LEFT  # half a circle on the spot is enough: the place is just narrow
         if self._following and right > self.far and self._previous != Action.RIGHT:
             return Action.RIGHT  # one turn, then a step: rounds the corner in an arc
         return Action.FORWARD

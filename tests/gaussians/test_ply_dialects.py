@@ -16,6 +16,7 @@ from gn0.testing.splat_corpus import (
     PlyDialect,
     build_ply,
     dialect_degree,
+    packed_file,
     ply_columns,
     rest,
     small_cloud,
@@ -67,6 +68,16 @@ def test_what_was_not_used_is_listed(tmp_path):
     dialect = DIALECTS["faces-before"]
     file = load_bytes(tmp_path, build_ply(dialect, ply_columns(small_cloud(3, 0))))
     assert file.extra_elements == (("face", 2),)
+
+
+def test_bytes_behind_the_data_are_said(tmp_path):
+    """A count that is too small leaves splats unread: the reader says how much it left."""
+    file = load_bytes(
+        tmp_path, build_ply(DIALECTS["trailing-bytes"], ply_columns(small_cloud(3, 0)))
+    )
+    assert file.notes == ("3 bytes after the last row were not read",)
+    data = packed_file(small_cloud(3, 0)) + b"more"
+    assert load_bytes(tmp_path, data).notes == ("4 bytes after the last row were not read",)
 
 
 def test_comments_are_kept_and_never_mistaken(tmp_path):

@@ -20,7 +20,7 @@ from gn0.errors import FormatError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.cloud_file import CloudBuilder, CloudFile, logit, sigmoid
 from gn0.gaussians.ply_header import PlyElement, PlyHeader
-from gn0.gaussians.ply_rows import PlySource, iterate_rows
+from gn0.gaussians.ply_rows import PlySource, iterate_rows, note_trailing_bytes
 from gn0.gaussians.sh import MAX_DEGREE, degree_of_rest, rest_columns
 from gn0.geometry import F32
 from gn0.storage import write_atomic
@@ -75,7 +75,7 @@ def decode_ply(source: PlySource, limit_bytes: int | None = None) -> CloudFile:
             opacities = sigmoid(rows[:, a])
         builder.put(start, rows[:, 0:3], rows[:, 3:7], linear, opacities, rows[:, a + 1 :])
     cloud, dropped = builder.build()
-    notes = []
+    notes = list(note_trailing_bytes(source))
     if degree > kept:
         notes.append(f"SH degree {degree} cut to {kept}")
     if flat:

@@ -29,7 +29,7 @@ from gn0.gaussians.ply import (
     unused_properties,
 )
 from gn0.gaussians.ply_header import PlyElement, PlyHeader
-from gn0.gaussians.ply_rows import PlySource, iterate_rows
+from gn0.gaussians.ply_rows import PlySource, iterate_rows, note_trailing_bytes
 from gn0.gaussians.sh import degree_of_rest, rest_columns
 from gn0.geometry import F32, F64, U8
 from gn0.storage import write_atomic
@@ -104,6 +104,7 @@ def decode_ply_packed(source: PlySource, limit_bytes: int | None = None) -> Clou
         comments=source.header.comments,
         extra_properties=unused_properties(vertex, set(_PACKED)),
         extra_elements=unused_elements(source.header, {"vertex", "chunk", "sh"}),
+        notes=note_trailing_bytes(source),
     )
 
 

@@ -61,6 +61,16 @@ def start_of_element(source: PlySource, wanted: PlyElement) -> int:
     return at
 
 
+def note_trailing_bytes(source: PlySource) -> tuple[str, ...]:
+    """A note where a binary file goes on after all the rows its header speaks of."""
+    header = source.header
+    if not header.is_binary or any(e.has_lists for e in header.elements):
+        return ()
+    used = header.data_offset + sum(e.count * e.least_bytes(True) for e in header.elements)
+    left = source.size - used
+    return (f"{left} bytes after the last row were not read",) if left else ()
+
+
 def iterate_rows(
     source: PlySource,
     element: PlyElement,

@@ -127,6 +127,30 @@ def test_observations_are_the_caller_s_own(env) -> None:
     assert env.step(2)[0]["ranges"].any()
 
 
+@pytest.mark.parametrize(
+    ("mode", "settings"), [("sync", None), ("async", {"shared_memory": False})]
+)
+def test_vectors_of_environments_agree_with_single_ones(mode: str, settings) -> None:
+    vector = gymnasium.make_vec(
+        "gn0.sim.env:gn0/PointNav-v1",
+        num_envs=2,
+        vectorization_mode=mode,
+        vector_kwargs=settings,
+    )
+    try:
+        observations, _ = vector.reset(seed=3)
+        after = vector.step(np.array([2, 1]))
+    finally:
+        vector.close()
+    for index, (seed, action) in enumerate([(3, 2), (4, 1)]):
+        env = GoalNavEnv(sensors=("goal_vector", "ranges"))
+        observation, _ = env.reset(seed=seed)
+        assert observations["instruction"][index] == observation["instruction"]
+        observation, reward, *_ = env.step(action)
+        np.testing.assert_array_equal(after[0]["ranges"][index], observation["ranges"])
+        assert after[1][index] == reward
+
+
 def test_render_gives_the_colour_picture() -> None:
     env = GoalNavEnv(sensors=("goal_vector",), preset="vlnce", render_mode="rgb_array")
     assert env.render() is None

@@ -12,6 +12,9 @@ Reward of a step, all distances geodesic [m]:
     (distance before − distance after) − 0.01 + 2.5 · [STOP and distance after < success_distance]
 so a run without detour collects about its length and the bonus. The environment ends on STOP
 (terminated) or after `max_steps` (truncated); it never acts for the agent.
+
+In `gymnasium.make_vec(..., vectorization_mode="async")` pass `vector_kwargs={"shared_memory":
+False}`: Gymnasium reads texts from shared memory only once, so instructions would stay blank.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
+from gn0.render.cpu_project import project_chunks
 from gn0.render.renderer import RenderOptions, build_renderer, check_views
 from gn0.testing.check_renderer import check_renderer, random_cloud
 from gn0.testing.reference import RendererReference
@@ -177,3 +178,15 @@ def test_unknown_outputs_and_colours_are_refused() -> None:
 
 def test_it_is_the_backend_that_auto_builds() -> None:
     assert build_renderer(random_cloud(5, seed=1)).name == "cpu"
+
+
+def test_read_only_clouds_compile_nothing_anew() -> None:
+    """Arrays mapped from a file are read-only; the kernels already compiled serve them too."""
+    cloud = random_cloud(60, seed=9, sh_degree=1)
+    a = RendererCpu(cloud).render(CAMERA, VIEW)
+    compiled = len(project_chunks.signatures)
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        getattr(cloud, name).setflags(write=False)
+    b = RendererCpu(cloud).render(CAMERA, VIEW)
+    assert bytes_of(a) == bytes_of(b)
+    assert len(project_chunks.signatures) == compiled

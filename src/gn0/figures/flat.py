@@ -72,6 +72,7 @@ def _faces() -> list[_Face]:
     ]
     faces += [_Face((0, at, 0), (x, 0, 0), (0, 0, h)) for at in (0.0, y)]
     faces += [_Face((at, 0, 0), (0, y, 0), (0, 0, h)) for at in (0.0, x)]
+    doors: tuple[tuple[float, float], ...]
     for side in (-0.05, 0.05):
         for at, doors in WALLS_X:
             faces.append(_Face((at + side, 0, 0), (0, y, 0), (0, 0, h), 1.0, 1, doors))

@@ -100,8 +100,8 @@ class RendererCpu:
                     camera.height,
                     colour,
                     wants,
-                    rgb[v] if wants[0] else no_u8,
-                    rgb[v] if wants[1] else no_f32,
+                    no_u8 if rgb is None or as_float else rgb[v],
+                    no_f32 if rgb is None or not as_float else rgb[v],
                     no_map if depth is None else depth[v],
                     no_map if alpha is None else alpha[v],
                 )
@@ -208,7 +208,7 @@ def _grown(count: int) -> int:
 def _threads(count: int) -> Iterator[None]:
     """Run with `count` Numba threads (0: all), and restore what was set before."""
     before = numba.get_num_threads()
-    wanted = before if count <= 0 else min(count, numba.config.NUMBA_NUM_THREADS)
+    wanted = before if count <= 0 else min(count, int(numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
     numba.set_num_threads(wanted)
     try:
         yield

@@ -124,9 +124,7 @@ def _sort_radix(keys, rows, spare_keys, spare_rows, bins):  # type: ignore[no-un
         rows[:] = spare_rows
 
 
+@njit
 def new_bins():  # type: ignore[no-untyped-def]
     """Scratch for `sort_tile`; each tile makes its own."""
     return np.empty(_BINS, np.int32)
-
-
-new_bins = njit(new_bins)

@@ -75,13 +75,22 @@ def pack_cloud(cloud: GaussianCloud, *, sort: bool = True) -> PackedCloud:
     boxes = np.zeros((count, 7), np.float32)
     opacity = np.minimum(cloud.opacities.astype(np.float64), 1.0)
     log_opacity = np.log(np.maximum(opacity, ALPHA_MIN / 2)).astype(np.float32)
+    sh = _read_only(cloud.sh)
     _fill(
-        *(cloud.means, cloud.quats, cloud.scales, log_opacity, cloud.sh),
-        *(order, np.int32(len(index)), pack, boxes),
+        *(_read_only(cloud.means), _read_only(cloud.quats), _read_only(cloud.scales)),
+        *(log_opacity, sh, order, np.int32(len(index)), pack, boxes),
     )
     degree = cloud.sh_degree
-    sh = cloud.sh if degree else np.zeros((1, 1, 3), np.float32)
+    if not degree:
+        sh = _read_only(np.zeros((1, 1, 3), np.float32))  # the colours are packed: let go of it
     return PackedCloud(pack, boxes, order, sh, degree, ordered)
+
+
+def _read_only(array: F32) -> F32:
+    """A read-only view: clouds from files may be so already, and kernels compile once for both."""
+    view = array.view()
+    view.setflags(write=False)
+    return view
 
 
 def _check_cloud(cloud: GaussianCloud) -> None:

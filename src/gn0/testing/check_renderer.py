@@ -140,8 +140,8 @@ def _wall(opacity: float) -> GaussianCloud:
     n = len(y)
     return GaussianCloud(
         means=np.column_stack([np.full(n, 2.0), y, z]).astype(np.float32),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
-        scales=np.tile(np.float32([1e-3, 0.1, 0.1]), (n, 1)),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        scales=np.tile(np.array([1e-3, 0.1, 0.1], np.float32), (n, 1)),
         opacities=np.full(n, opacity, np.float32),
         sh=np.zeros((n, 1, 3), np.float32),
     )
@@ -175,11 +175,11 @@ def _check_extra(factory: RendererFactory, cloud: GaussianCloud) -> None:
 
 def _check_scale(factory: RendererFactory) -> None:
     mark = GaussianCloud(
-        means=np.float32([[1.275, -0.775, 0.5], [1.275, -0.775, 3.0]]),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (2, 1)),
+        means=np.array([[1.275, -0.775, 0.5], [1.275, -0.775, 3.0]], np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (2, 1)),
         scales=np.full((2, 3), 0.01, np.float32),
         opacities=np.ones(2, np.float32),
-        sh=np.float32([[[0.5, 0.5, 0.5]], [[-0.5, -0.5, -0.5]]]) / np.float32(SH_C0),
+        sh=np.array([[[0.5, 0.5, 0.5]], [[-0.5, -0.5, -0.5]]], np.float32) / np.float32(SH_C0),
     )
     camera = Camera.orthographic(80, 60, 0.05, near=0.0)
     result = factory(mark, RenderOptions()).render(camera, view_from_above(0, 0, 2.0))

@@ -32,7 +32,7 @@ _SUN_SPREAD = 0.012  # tangent of the half angle of the sun's soft edge (the tru
 _KINDS = {"rectangle": 0, "sphere": 1, "window": 0}
 
 
-class BakeSettings(Config):
+class BakeSettings(Config, frozen=True):
     """How carefully light is computed.
 
     Attributes:
@@ -66,6 +66,7 @@ class LightField:
     bounced: Lumels
     bounced_value: F32  # [Lb, 3]
     albedo: F32  # [Lb, 3] at the coarse lumels
+    open_area: F32  # [Lb] surface of each coarse lumel that faces the inside of a room [m²]
 
     def irradiance(self, point: F32, normal: F32) -> F32:
         """Irradiance / π at surface points [M, 3] with normals [M, 3]."""
@@ -74,13 +75,13 @@ class LightField:
         )
 
     def luminance_quantiles(self, quantiles: Sequence[float]) -> F64:
-        """Quantiles of the luminance that surfaces send out, each lumel weighted by its area."""
+        """Quantiles of the luminance that surfaces send into rooms, by open area."""
         light = self.bounced_value + self.direct.lookup(
             self.direct_value, self.bounced.point, self.bounced.normal
         )
         value = (self.albedo * light) @ np.array([0.2126, 0.7152, 0.0722], np.float32)
         order = np.argsort(value, kind="stable")
-        share = np.cumsum(self.bounced.area[order], dtype=np.float64)
+        share = np.cumsum(self.open_area[order], dtype=np.float64)
         at = np.searchsorted(share, np.asarray(quantiles) * share[-1])
         return value[order][np.minimum(at, len(order) - 1)].astype(np.float64)
 
@@ -116,8 +117,12 @@ def bake_light(
     blocker = caster
     if opaque is not None and not opaque.all() and opaque.any():
         blocker = RayCaster(_faces_of(mesh, opaque))
-    coarse = build_lumels(mesh, charts, options.coarse, two_sided=options.two_sided)
-    fine = build_lumels(mesh, charts, options.fine, two_sided=options.two_sided)
+    coarse = build_lumels(
+        mesh, charts, options.coarse, two_sided=options.two_sided, caster=caster
+    )
+    fine = build_lumels(
+        mesh, charts, options.fine, two_sided=options.two_sided, caster=caster
+    )
     if options.two_sided:
         coarse, fine = _turn_outward(coarse, caster, seed), _turn_outward(fine, caster, seed)
     progress("light", 1, 4)
@@ -140,6 +145,8 @@ def bake_light(
         bounced=coarse,
         bounced_value=_smooth(coarse, bounced),
         albedo=albedo,
+        # the insides of cupboards and walls see nothing that is lit
+        open_area=coarse.area * np.square((table >= 0).mean(axis=1)).astype(np.float32),
     )
 
 

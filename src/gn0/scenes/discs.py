@@ -141,11 +141,21 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
                 ox, oy, oz = px + 0.4 * reach * dx, py + 0.4 * reach * dy, pz + 0.4 * reach * dz
             else:
                 ox, oy, oz = px, py, pz
-            hit, _, _, _ = closest_hit(
+            # straight up from the middle, slanting outwards from the sides
+            lean = 0.0 if k == 4 else 0.8
+            sx, sy, sz = nx + lean * dx, ny + lean * dy, nz + lean * dz
+            far = np.inf if oriented else _COVERED
+            hit, t, _, _ = closest_hit(
                 boxes, links, corners, ox + nx * 3e-4, oy + ny * 3e-4, oz + nz * 3e-4,
-                nx, ny, nz, _COVERED, True, stack,
+                sx, sy, sz, far, False, stack,
             )  # fmt: skip
-            covered += hit >= 0
+            if hit >= 0 and t < _COVERED:
+                covered += 1
+            elif oriented:
+                # out in the open world, or inside a solid
+                f = order[max(hit, 0)]
+                facing = normals[f, 0] * sx + normals[f, 1] * sy + normals[f, 2] * sz
+                covered += hit < 0 or facing > 0.0
         if covered == 5:
             hit, t, _, _ = closest_hit(
                 boxes, links, corners, px - nx * 3e-4, py - ny * 3e-4, pz - nz * 3e-4,

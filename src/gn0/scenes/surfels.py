@@ -17,7 +17,7 @@ from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.progress import Progress, no_progress
 from gn0.scenes.charts import Charts, build_charts
-from gn0.scenes.discs import Discs, shape_discs
+from gn0.scenes.discs import THICKNESS, Discs, shape_discs
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.rays import RayCaster
 from gn0.scenes.shading import Shader
@@ -79,7 +79,9 @@ def build_surfels(
     progress("surfels", 1, 3)
     cells = cells.select(discs.keep)
     kept_discs = discs.select(discs.keep)
-    albedo, irradiance, colour, normal = _shade_cells(shader, cells)
+    albedo, irradiance, colour, normal, rough = _shade_cells(shader, cells)
+    scales = kept_discs.scales * np.array([1, 1, 0], np.float32) * _widen(rough)[:, None]
+    scales = np.maximum(scales, np.float32(THICKNESS))
     progress("surfels", 2, 3)
     label = mesh.instance[cells.face]
     if label_of_instance is not None:
@@ -87,7 +89,7 @@ def build_surfels(
     cloud = GaussianCloud(
         means=kept_discs.point,
         quats=kept_discs.quats,
-        scales=kept_discs.scales,
+        scales=scales,
         opacities=np.full(len(cells.face), OPACITY, np.float32),
         sh=((colour - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
         label=label.astype(np.int32),
@@ -154,16 +156,27 @@ def _picked(cells: Cells) -> tuple[NDArray[np.int32], F32]:
     return cells.pick_face.reshape(-1), np.concatenate([1 - vw.sum(1, keepdims=True), vw], 1)
 
 
-def _shade_cells(shader: Shader, cells: Cells) -> tuple[F32, F32, F32, F32]:
-    """Mean albedo, irradiance, display colour and normal of each cell [N, 3]."""
+def _widen(rough: F32) -> F32:
+    """Wider discs where there is nothing to blur: no dots on plain walls."""
+    plain = 1.0 - np.clip((rough - 0.008) / 0.03, 0.0, 1.0)
+    return (1.0 + 0.13 * plain).astype(np.float32)
+
+
+def _shade_cells(shader: Shader, cells: Cells) -> tuple[F32, F32, F32, F32, F32]:
+    """Mean albedo, irradiance, display colour and normal of each cell [N, 3].
+
+    The last is the standard deviation of the colour within each cell [N].
+    """
     n = len(cells.face)
     out = [np.empty((n, 3), np.float32) for _ in range(4)]
+    rough = np.empty(n, np.float32)
     for lo in range(0, n, 65536):
         part = slice(lo, min(n, lo + 65536))
         sample = shader.shade(*_picked(cells.select(part)))
         parts = (sample.albedo, sample.irradiance, sample.colour, sample.normal)
         for target, values in zip(out, parts, strict=True):
             target[part] = values.reshape(-1, PICKS, 3).mean(axis=1)
+        rough[part] = sample.colour.reshape(-1, PICKS, 3).std(axis=1).max(axis=1)
     normal = out[3]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    return out[0], out[1], out[2], normal
+    return out[0], out[1], out[2], normal, rough

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from gn0.geometry import F32
 from gn0.scenes.mesh import SceneMesh
@@ -16,45 +17,83 @@ if TYPE_CHECKING:
     from gn0.scenes.bake import LightField
 
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
-GREY = 0.21  # where the median luminance is put before the curve
+GREY = 0.16  # where the local mean of radiance is put before the curve
 ADAPTATION = 0.65  # how far the eye takes the light's mean colour for white
+LOCAL = 0.55  # how far it adapts to each room: 0 one exposure for all, 1 all rooms as bright
+_CELL = 0.7  # of the map of local exposure [m]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ToneCurve:
-    """Display = sRGB(filmic(gain · radiance)), per channel.
+    """Display = sRGB(filmic(gain · local(x) · radiance)), per channel.
 
     filmic(x) = x (a x + b) / (x (c x + d) + e), the rational fit of the ACES film curve by
-    K. Narkowicz (2015) with its constants, and a lifted toe so that dark corners keep detail.
+    K. Narkowicz (2015) with a lifted toe, so that dark corners keep detail. `local` is a very
+    smooth map of exposure in space: as an eye adapts to the room that it looks into (a base layer
+    as in Durand and Dorsey, SIGGRAPH 2002, but of the scene instead of one picture of it).
+
+    Attributes:
+        gain: of the three channels.
+        local: exposure on a grid of cells [X, Y, Z].
+        origin: corner of the grid [3] m.
+        cell: size of its cells [m].
     """
 
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    local: F32 | None = None
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    cell: float = _CELL
 
-    def display(self, radiance: NDArray[np.floating]) -> F32:
-        """Display values 0..1 [M, 3] of linear radiance [M, 3]."""
-        x = np.maximum(np.asarray(radiance, np.float32), 0) * np.asarray(self.gain, np.float32)
+    def exposure(self, point: NDArray[np.floating]) -> F32:
+        """Exposure of each channel at points [M, 3]."""
+        gain = np.asarray(self.gain, np.float32)
+        if self.local is None:
+            return np.broadcast_to(gain, (len(point), 3))
+        where = (np.asarray(point, np.float32) - np.asarray(self.origin, np.float32)) / self.cell
+        value = map_coordinates(self.local, where.T - 0.5, order=1, mode="nearest")
+        return value[:, None].astype(np.float32) * gain  # type: ignore[no-any-return]
+
+    def display(self, exposed: NDArray[np.floating]) -> F32:
+        """Display values 0..1 [M, 3] of exposed radiance [M, 3]."""
+        x = np.maximum(np.asarray(exposed, np.float32), 0)
         y = x * (2.51 * x + 0.10) / (x * (2.43 * x + 0.59) + 0.14)
         return encode_srgb(y)
 
 
 def choose_exposure(light: LightField) -> ToneCurve:
-    """The curve for a scene: its median luminance becomes middle grey, its light nearly white."""
-    middle = max(float(light.luminance_quantiles([0.5])[0]), 1e-6)
+    """The curve for a scene: the mean of its rooms becomes middle grey, its light nearly white."""
     total = light.bounced_value + light.direct.lookup(
         light.direct_value, light.bounced.point, light.bounced.normal
     )
-    area = light.bounced.area[:, None]
-    mean = (np.minimum(total, np.quantile(total, 0.95)) * area).sum(0) / area.sum()
+    area = light.open_area.astype(np.float64) + 1e-12
+    mean = (np.minimum(total, np.quantile(total, 0.95)) * area[:, None]).sum(0) / area.sum()
     mean = np.maximum(mean / max(float(mean @ _LUMA), 1e-9), 0.2)
     balance = mean**-ADAPTATION
     balance /= float(balance @ _LUMA)
-    r, g, b = (float(v) for v in GREY / middle * balance)
-    return ToneCurve(gain=(r, g, b))
+
+    radiance = np.maximum((light.albedo * total) @ _LUMA, 1e-5)
+    floor = np.average(np.log(radiance), weights=area)
+    level = np.log(np.maximum(radiance, np.exp(floor - 3.0)))
+    middle = float(np.average(level, weights=area))
+    point = light.bounced.point.astype(np.float64)
+    origin = point.min(axis=0) - 1e-3
+    shape = np.ceil((point.max(axis=0) + 1e-3 - origin) / _CELL).astype(int) + 1
+    at = tuple(((point - origin) / _CELL).astype(int).T)
+    flat = np.ravel_multi_index(at, tuple(shape))
+    weight = np.bincount(flat, area, int(np.prod(shape))).reshape(shape)
+    value = np.bincount(flat, area * level, int(np.prod(shape))).reshape(shape)
+    reach = (1.6, 1.6, 3.0)  # the whole height of a room, and a good part of its length
+    weight = gaussian_filter(weight, reach, mode="constant") + 1e-6 * area.mean()
+    value = gaussian_filter(value, reach, mode="constant") + 1e-6 * area.mean() * middle
+    local = np.exp(-LOCAL * (value / weight - middle)).astype(np.float32)
+    r, g, b = (float(v) for v in GREY / np.exp(middle) * balance)
+    ox, oy, oz = (float(v) for v in origin)
+    return ToneCurve(gain=(r, g, b), local=local, origin=(ox, oy, oz))
 
 
 @dataclass(frozen=True, eq=False)
 class BakedShader:
-    """Appearance of a mesh under baked light."""
+    """Appearance of a mesh under baked light; irradiance is given as exposed."""
 
     mesh: SceneMesh
     surface: Surface
@@ -70,13 +109,14 @@ class BakedShader:
         normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         albedo, emission = self.surface.reflect(face, bary)
-        irradiance = self.light.irradiance(
+        exposure = self.tone.exposure(point)
+        irradiance = exposure * self.light.irradiance(
             np.asarray(point, np.float32), np.asarray(normal, np.float32)
         )
         albedo = np.asarray(albedo, np.float32)
         return SurfaceSample(
             albedo=albedo,
             irradiance=irradiance,
-            colour=self.tone.display(albedo * irradiance + emission),
+            colour=self.tone.display(albedo * irradiance + emission * exposure),
             normal=normal.astype(np.float32),
         )

@@ -1,7 +1,6 @@
-"""The main job in one command, on nothing but this package: generate an apartment, build its
-suite, run four policies through it, and write a report to look at.
+"""The main job in one command: an apartment, its suite, four policies, one report to look at.
 
-About a minute and a half on two cores. Everything lands in one folder; pictures of the apartment,
+It needs nothing but this package. About a minute and a half on two cores. Everything lands in one folder; pictures of the apartment,
 the very ones of the README, in `pictures`.
 """
 

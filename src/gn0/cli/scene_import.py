@@ -6,8 +6,9 @@ The source is told by its content. Occupancy comes from the geometry within the 
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
+import msgspec
 import tyro
 
 from gn0.config import Config
@@ -26,6 +27,8 @@ class Args(Config, frozen=True):
         height_band: the body band [m above the floor] whose obstacles block the agent.
         resolution: cell size of the occupancy grid [m].
         density: Gaussians per square metre of floor, for meshes.
+        light: home bakes lamps and daylight, flat shows textures as they are; for meshes.
+        packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
     """
 
@@ -33,7 +36,9 @@ class Args(Config, frozen=True):
     out: str
     height_band: tuple[float, float] = (0.10, 1.50)
     resolution: float = 0.05
-    density: float = 10_000.0
+    density: Annotated[float, msgspec.Meta(ge=1000, le=40000)] = 10_000.0
+    light: Literal["home", "flat"] = "home"
+    packed: bool = False
     overwrite: bool = False
 
 
@@ -49,6 +54,8 @@ def run(args: Args) -> int:
             height_band=args.height_band,
             resolution=args.resolution,
             density=args.density,
+            light=args.light,
+            cloud_form="packed" if args.packed else "exact",
             overwrite=args.overwrite,
             progress=progress,
         )

@@ -145,7 +145,7 @@ def _list_walls(plan: FloorPlan) -> tuple[SceneWall, ...]:
                 b=(float(b[0]), float(b[1])),
                 thickness=w.thickness,
                 height=plan.ceiling,
-            )  # fmt: skip
+            )
         )
     return tuple(walls)
 

@@ -47,9 +47,15 @@ def _ring(
 def build_toilet(rng: np.random.Generator) -> Item:
     """A toilet with cistern, or wall-hung with a flush plate; back at y = +0.33."""
     bowl = build_loft(
-        [_ring(0.2, 0.36, 0.09, 0.0, 0.06), _ring(0.2, 0.36, 0.09, 0.12, 0.05), _ring(0.3, 0.46, 0.14, 0.28, 0.0),
-         _ring(0.36, 0.5, 0.17, 0.38, -0.02), _ring(0.365, 0.51, 0.18, 0.4, -0.02)], CERAMIC,
-    )  # fmt: skip
+        [
+            _ring(0.2, 0.36, 0.09, 0.0, 0.06),
+            _ring(0.2, 0.36, 0.09, 0.12, 0.05),
+            _ring(0.3, 0.46, 0.14, 0.28, 0.0),
+            _ring(0.36, 0.5, 0.17, 0.38, -0.02),
+            _ring(0.365, 0.51, 0.18, 0.4, -0.02),
+        ],
+        CERAMIC,
+    )
     seat = build_extrusion(
         rounded_outline(0.375, 0.46, 0.18, 8), 0.022, WHITE, at=(0, -0.04, 0.402)
     )
@@ -211,7 +217,8 @@ def build_shower(rng: np.random.Generator, palette: Palette) -> Item:
             )
         # etched stripes are what one sees of a clean pane
         shapes += [
-            build_box((0.006, d - 0.03, 0.035), GLASS, at=(-w / 2 + 0.01, 0, z)) for z in (0.8, 0.9, 1.0, 1.1)
+            build_box((0.006, d - 0.03, 0.035), GLASS, at=(-w / 2 + 0.01, 0, z))
+            for z in (0.8, 0.9, 1.0, 1.1)
         ]
     return Item("shower", tuple(shapes))
 
@@ -265,8 +272,14 @@ def build_paper_roll(rng: np.random.Generator) -> Item:
     roll = build_lathe(
         [(0.02, 0), (0.055, 0), (0.055, 0.1), (0.02, 0.1), (0.02, 0)], paper, segments=20
     ).tilted("y", math.pi / 2)
-    return Item("toilet paper", (roll.moved(-0.05, -0.075, 0), build_rod((-0.065, -0.075, 0), (0.07, -0.075, 0), 0.006, CHROME, sides=6),
-                                 build_rod((0.07, 0, 0), (0.07, -0.075, 0), 0.006, CHROME, sides=6)))  # fmt: skip
+    return Item(
+        "toilet paper",
+        (
+            roll.moved(-0.05, -0.075, 0),
+            build_rod((-0.065, -0.075, 0), (0.07, -0.075, 0), 0.006, CHROME, sides=6),
+            build_rod((0.07, 0, 0), (0.07, -0.075, 0), 0.006, CHROME, sides=6),
+        ),
+    )
 
 
 def build_bath_mat(rng: np.random.Generator, palette: Palette) -> Item:

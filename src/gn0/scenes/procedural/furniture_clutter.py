@@ -182,8 +182,16 @@ def build_bowl(rng: np.random.Generator, palette: Palette) -> Item:
 def build_laptop(rng: np.random.Generator, palette: Palette) -> Item:
     """An open laptop, screen facing −y."""
     body = plain("aluminium", "brushed_metal", "#b9bbbe", contrast=0.1, scale=0.01)
-    screen = Material(name="screen", pattern="screen", colour=(0.2, 0.3, 0.5), colour2=(0.8, 0.8, 0.85), scale=1.6, contrast=0.8,
-                      emission=(0.3, 0.34, 0.4), seed=int(rng.integers(99)))  # fmt: skip
+    screen = Material(
+        name="screen",
+        pattern="screen",
+        colour=(0.2, 0.3, 0.5),
+        colour2=(0.8, 0.8, 0.85),
+        scale=1.6,
+        contrast=0.8,
+        emission=(0.3, 0.34, 0.4),
+        seed=int(rng.integers(99)),
+    )
     lid = [
         build_box((0.32, 0.006, 0.21), body, bevel=0.002),
         build_panel((-0.15, -0.0035, 0.01), (0.3, 0, 0), (0, 0, 0.19), screen, fit=True),
@@ -201,8 +209,16 @@ def build_monitor(rng: np.random.Generator) -> Item:
     """A computer monitor on its stand, screen facing −y."""
     w = float(rng.uniform(0.54, 0.66))
     h = w * 0.58
-    screen = Material(name="screen", pattern="screen", colour=(0.15, 0.25, 0.42), colour2=(0.75, 0.78, 0.8), scale=round(w / h, 3), contrast=0.8,
-                      emission=(0.32, 0.36, 0.42), seed=int(rng.integers(99)))  # fmt: skip
+    screen = Material(
+        name="screen",
+        pattern="screen",
+        colour=(0.15, 0.25, 0.42),
+        colour2=(0.75, 0.78, 0.8),
+        scale=round(w / h, 3),
+        contrast=0.8,
+        emission=(0.32, 0.36, 0.42),
+        seed=int(rng.integers(99)),
+    )
     body = BLACK if rng.random() < 0.6 else GREY
     shapes = (
         build_box((w, 0.03, h), body, bevel=0.008, at=(0, 0, 0.12)),
@@ -255,8 +271,15 @@ def build_magazines(rng: np.random.Generator, palette: Palette) -> Item:
     """A few magazines, not quite aligned."""
     shapes = []
     for k in range(int(rng.integers(1, 4))):
-        cover = Material(name="cover", pattern=str(rng.choice(["picture_abstract", "picture_landscape"])), colour=(0.5, 0.2, 0.15), colour2=(0.2, 0.35, 0.5),
-                         scale=0.75, contrast=0.8, seed=int(rng.integers(500)))  # fmt: skip
+        cover = Material(
+            name="cover",
+            pattern=str(rng.choice(["picture_abstract", "picture_landscape"])),
+            colour=(0.5, 0.2, 0.15),
+            colour2=(0.2, 0.35, 0.5),
+            scale=0.75,
+            contrast=0.8,
+            seed=int(rng.integers(500)),
+        )
         turn = float(rng.uniform(-0.4, 0.4))
         shapes.append(build_box((0.21, 0.28, 0.005), PAPER).moved(z=0.006 * k, yaw=turn))
         shapes.append(
@@ -358,8 +381,14 @@ def build_bin(rng: np.random.Generator, palette: Palette) -> Item:
         rz = [(0, 0), (r * 0.82, 0), (r, h), (r - 0.005, h), (r * 0.78, 0.02), (0, 0.02)]
         return Item("bin", (build_lathe(rz, m, segments=24),))
     lid = [(r, h), (r * 1.0, h + 0.02), (r * 0.75, h + 0.045), (0, h + 0.055)]
-    return Item("bin", (build_cylinder(r, h, m, bevel=0.008, segments=24), build_lathe(lid, m, segments=24),
-                        build_box((0.07, 0.03, 0.015), BLACK, bevel=0.003, at=(0, -r - 0.008, 0.01))))  # fmt: skip
+    return Item(
+        "bin",
+        (
+            build_cylinder(r, h, m, bevel=0.008, segments=24),
+            build_lathe(lid, m, segments=24),
+            build_box((0.07, 0.03, 0.015), BLACK, bevel=0.003, at=(0, -r - 0.008, 0.01)),
+        ),
+    )
 
 
 def build_suitcase(rng: np.random.Generator, palette: Palette) -> Item:
@@ -435,22 +464,74 @@ Maker = Callable[[np.random.Generator, Palette], Item]
 # what may stand on a surface of a kind, with its weight
 ON_TABLE: dict[str, tuple[tuple[Maker, float], ...]] = {
     "coffee table": (
-        (lambda r, p: build_book_stack(r, 3), 2.0), (build_magazines, 2.0), (build_cup, 2.0), (build_candle, 1.0),
-        (lambda r, p: build_vase(r, p), 1.0), (lambda r, p: build_remote(r), 1.5), (build_fruit_bowl, 0.8), (build_glass, 0.7),
+        (lambda r, p: build_book_stack(r, 3), 2.0),
+        (build_magazines, 2.0),
+        (build_cup, 2.0),
+        (build_candle, 1.0),
+        (lambda r, p: build_vase(r, p), 1.0),
+        (lambda r, p: build_remote(r), 1.5),
+        (build_fruit_bowl, 0.8),
+        (build_glass, 0.7),
     ),
-    "dining table": ((build_fruit_bowl, 2.0), (lambda r, p: build_vase(r, p, flowers=True), 2.0), (build_candle, 1.0), (build_bottle, 0.7)),
-    "desk": ((lambda r, p: build_book_stack(r), 2.0), (build_cup, 2.0), (lambda r, p: build_plant(r, p, 0.25), 1.0), (build_photo, 1.0), (build_magazines, 1.0)),
-    "nightstand": ((lambda r, p: build_book_stack(r, 2), 2.0), (build_cup, 0.7), (build_glass, 0.8), (build_photo, 1.0), (lambda r, p: build_clock_radio(r), 1.2)),
+    "dining table": (
+        (build_fruit_bowl, 2.0),
+        (lambda r, p: build_vase(r, p, flowers=True), 2.0),
+        (build_candle, 1.0),
+        (build_bottle, 0.7),
+    ),
+    "desk": (
+        (lambda r, p: build_book_stack(r), 2.0),
+        (build_cup, 2.0),
+        (lambda r, p: build_plant(r, p, 0.25), 1.0),
+        (build_photo, 1.0),
+        (build_magazines, 1.0),
+    ),
+    "nightstand": (
+        (lambda r, p: build_book_stack(r, 2), 2.0),
+        (build_cup, 0.7),
+        (build_glass, 0.8),
+        (build_photo, 1.0),
+        (lambda r, p: build_clock_radio(r), 1.2),
+    ),
     "shelf": (
-        (lambda r, p: build_book_stack(r), 2.0), (lambda r, p: build_vase(r, p), 2.0), (lambda r, p: build_plant(r, p, 0.26), 2.0), (build_photo, 2.0),
-        (build_storage_box, 1.5), (build_candle, 1.0), (build_bowl, 0.8), (build_speaker, 0.4),
+        (lambda r, p: build_book_stack(r), 2.0),
+        (lambda r, p: build_vase(r, p), 2.0),
+        (lambda r, p: build_plant(r, p, 0.26), 2.0),
+        (build_photo, 2.0),
+        (build_storage_box, 1.5),
+        (build_candle, 1.0),
+        (build_bowl, 0.8),
+        (build_speaker, 0.4),
     ),
     "sideboard": (
-        (lambda r, p: build_vase(r, p), 2.0), (lambda r, p: build_plant(r, p, 0.4), 2.0), (build_photo, 1.5), (lambda r, p: build_book_stack(r), 1.5),
-        (build_candle, 1.0), (build_bowl, 1.0), (build_speaker, 0.6),
+        (lambda r, p: build_vase(r, p), 2.0),
+        (lambda r, p: build_plant(r, p, 0.4), 2.0),
+        (build_photo, 1.5),
+        (lambda r, p: build_book_stack(r), 1.5),
+        (build_candle, 1.0),
+        (build_bowl, 1.0),
+        (build_speaker, 0.6),
     ),
-    "bath": ((build_jar, 1.5), (build_towel_stack, 1.5), (build_candle, 0.8), (lambda r, p: build_plant(r, p, 0.22), 1.0), (build_pump, 2.0)),
-    "counter": ((build_jar, 3.0), (build_bottle, 1.5), (build_bowl, 1.0), (build_cup, 1.5), (build_fruit_bowl, 1.0), (lambda r, p: build_plant(r, p, 0.24), 0.8),
-                (lambda r, p: build_board(r, p), 1.5), (lambda r, p: build_plates(r, p), 1.2)),
-    "floor": ((build_basket, 2.0), (build_storage_box, 1.0), (lambda r, p: build_book_stack(r), 0.8)),
-}  # fmt: skip
+    "bath": (
+        (build_jar, 1.5),
+        (build_towel_stack, 1.5),
+        (build_candle, 0.8),
+        (lambda r, p: build_plant(r, p, 0.22), 1.0),
+        (build_pump, 2.0),
+    ),
+    "counter": (
+        (build_jar, 3.0),
+        (build_bottle, 1.5),
+        (build_bowl, 1.0),
+        (build_cup, 1.5),
+        (build_fruit_bowl, 1.0),
+        (lambda r, p: build_plant(r, p, 0.24), 0.8),
+        (lambda r, p: build_board(r, p), 1.5),
+        (lambda r, p: build_plates(r, p), 1.2),
+    ),
+    "floor": (
+        (build_basket, 2.0),
+        (build_storage_box, 1.0),
+        (lambda r, p: build_book_stack(r), 0.8),
+    ),
+}

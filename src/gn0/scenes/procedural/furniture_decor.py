@@ -33,16 +33,27 @@ from gn0.scenes.procedural.shapes import (
 from gn0.scenes.procedural.shapes_soft import build_canopy, build_curtain, build_leaf, join_shapes
 
 GREENS = (
-    ("#3f6b35", "#24451f"), ("#5b8a45", "#37602b"), ("#2f5a3a", "#1b3a25"), ("#7a9a5a", "#4f6f38"),
+    ("#3f6b35", "#24451f"),
+    ("#5b8a45", "#37602b"),
+    ("#2f5a3a", "#1b3a25"),
+    ("#7a9a5a", "#4f6f38"),
     ("#4a7a4f", "#9ab98a"),
-)  # fmt: skip
+)
 
 
 def leaf_material(rng: np.random.Generator) -> Material:
     """A green of leaves."""
     main, vein = GREENS[int(rng.integers(len(GREENS)))]
-    return Material(name="leaf", pattern="leaf", colour=linear_colour(main), colour2=linear_colour(vein),
-                    scale=0.03, contrast=0.4, seed=int(rng.integers(9)), detail=0.6)  # fmt: skip
+    return Material(
+        name="leaf",
+        pattern="leaf",
+        colour=linear_colour(main),
+        colour2=linear_colour(vein),
+        scale=0.03,
+        contrast=0.4,
+        seed=int(rng.integers(9)),
+        detail=0.6,
+    )
 
 
 def build_pot(
@@ -63,8 +74,15 @@ def build_pot(
         )
     r = radius
     flare = float(rng.uniform(0.7, 0.92))
-    rz = [(0, 0), (r * flare * 0.94, 0), (r * flare, 0.015), (r, height - 0.015), (r + 0.006, height), (r - 0.012, height),
-          (r - 0.016, height - 0.03)]  # fmt: skip
+    rz = [
+        (0, 0),
+        (r * flare * 0.94, 0),
+        (r * flare, 0.015),
+        (r, height - 0.015),
+        (r + 0.006, height),
+        (r - 0.012, height),
+        (r - 0.016, height - 0.03),
+    ]
     return [
         build_lathe(rz, material, segments=24),
         build_lathe([(r - 0.012, height - 0.035), (0, height - 0.03)], SOIL, segments=24),
@@ -133,10 +151,10 @@ def build_plant(rng: np.random.Generator, palette: Palette, height: float) -> It
     elif kind == 3:  # snake plant
         for k in range(int(rng.integers(9, 15))):
             a, rr = 2.4 * k, pot_r * 0.55 * math.sqrt((k + 0.5) / 14)
-            root = (rr * math.cos(a), rr * math.sin(a), pot_h - 0.04)
+            foot = (rr * math.cos(a), rr * math.sin(a), pot_h - 0.04)
             leaves.append(
                 build_leaf(
-                    root,
+                    foot,
                     a,
                     float(rng.uniform(1.3, 1.5)),
                     crown * float(rng.uniform(0.6, 1.05)),
@@ -146,8 +164,15 @@ def build_plant(rng: np.random.Generator, palette: Palette, height: float) -> It
                 )
             )
     elif kind == 4:  # bush
-        canopy = build_canopy(max(crown * 0.42, 0.08), crown * 0.95, int(60 + 120 * crown), green, rng, at=(0, 0, pot_h - 0.01),
-                              leaf=(0.07 + 0.07 * crown, 0.04 + 0.03 * crown))  # fmt: skip
+        canopy = build_canopy(
+            max(crown * 0.42, 0.08),
+            crown * 0.95,
+            int(60 + 120 * crown),
+            green,
+            rng,
+            at=(0, 0, pot_h - 0.01),
+            leaf=(0.07 + 0.07 * crown, 0.04 + 0.03 * crown),
+        )
         leaves.append(canopy)
         for k in range(5):
             a = 1.26 * k
@@ -164,10 +189,10 @@ def build_plant(rng: np.random.Generator, palette: Palette, height: float) -> It
         for k in range(46):
             a = 2.4 * k
             t = float(rng.uniform(0, 1))
-            root = (pot_r * 0.9 * math.cos(a), pot_r * 0.9 * math.sin(a), pot_h - 0.01 + 0.02 * t)
+            foot = (pot_r * 0.9 * math.cos(a), pot_r * 0.9 * math.sin(a), pot_h - 0.01 + 0.02 * t)
             leaves.append(
                 build_leaf(
-                    root,
+                    foot,
                     a,
                     float(rng.uniform(0.1, 1.2)),
                     crown * float(rng.uniform(0.4, 0.9)) + 0.04,
@@ -280,8 +305,16 @@ def build_picture(rng: np.random.Generator, palette: Palette, width: float, heig
         )
     )
     first, second = rng.choice([*palette.style.bright, *palette.style.accents], 2, replace=False)
-    art = Material(name="picture", pattern=kind, colour=linear_colour(str(first)), colour2=linear_colour(str(second)),
-                   scale=round(w / h, 3), contrast=0.8, seed=int(rng.integers(10000)), detail=1.0)  # fmt: skip
+    art = Material(
+        name="picture",
+        pattern=kind,
+        colour=linear_colour(str(first)),
+        colour2=linear_colour(str(second)),
+        scale=round(w / h, 3),
+        contrast=0.8,
+        seed=int(rng.integers(10000)),
+        detail=1.0,
+    )
     shapes.append(build_panel((-w / 2, -0.011, -h / 2), (w, 0, 0), (0, 0, h), art, fit=True))
     return Item("picture", tuple(shapes))
 
@@ -422,7 +455,10 @@ def build_photo(rng: np.random.Generator, palette: Palette) -> Item:
 
 
 def build_wall_group(rng: np.random.Generator, palette: Palette, span: float) -> list[Placed]:
-    """Pictures for a wall of `span` [m]: one large, a pair, a row, or a cluster; x along it, z from its middle."""
+    """Pictures for a wall of `span` [m]: one large, a pair, a row, or a cluster.
+
+    Each is placed by x along the wall and z above the group's middle.
+    """
     kind = int(rng.integers(4)) if span > 1.3 else 0
     if kind == 0:
         w = float(np.clip(span * rng.uniform(0.45, 0.7), 0.3, 1.3))

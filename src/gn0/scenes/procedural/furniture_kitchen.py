@@ -137,9 +137,12 @@ def build_kettle(rng: np.random.Generator, palette: Palette) -> Item:
     )
     handle = arc_path((0.06, 0, 0.13), 0.075, -1.2, 1.3, "xz", 8)
     shapes = (
-        body, build_cylinder(0.09, 0.018, BLACK, segments=22), build_tube(handle, 0.011, BLACK, sides=8),
-        build_rod((-0.06, 0, 0.15), (-0.105, 0, 0.2), 0.02, m, end_radius=0.012), build_cylinder(0.014, 0.02, BLACK, at=(0, 0, 0.22), segments=10),
-    )  # fmt: skip
+        body,
+        build_cylinder(0.09, 0.018, BLACK, segments=22),
+        build_tube(handle, 0.011, BLACK, sides=8),
+        build_rod((-0.06, 0, 0.15), (-0.105, 0, 0.2), 0.02, m, end_radius=0.012),
+        build_cylinder(0.014, 0.02, BLACK, at=(0, 0, 0.22), segments=10),
+    )
     return Item("kettle", shapes)
 
 
@@ -179,9 +182,11 @@ def build_coffee_machine(rng: np.random.Generator) -> Item:
         segments=18,
     )
     shapes = (
-        build_box((0.2, 0.24, 0.03), body, bevel=0.008), build_box((0.2, 0.09, 0.33), body, bevel=0.015, round_steps=2, at=(0, 0.075, 0)),
-        build_box((0.2, 0.22, 0.08), body, bevel=0.015, round_steps=2, at=(0, 0.01, 0.25)), pot.moved(0, -0.04, 0.032),
-    )  # fmt: skip
+        build_box((0.2, 0.24, 0.03), body, bevel=0.008),
+        build_box((0.2, 0.09, 0.33), body, bevel=0.015, round_steps=2, at=(0, 0.075, 0)),
+        build_box((0.2, 0.22, 0.08), body, bevel=0.015, round_steps=2, at=(0, 0.01, 0.25)),
+        pot.moved(0, -0.04, 0.032),
+    )
     return Item("coffee machine", shapes)
 
 
@@ -194,8 +199,11 @@ def build_pot(rng: np.random.Generator, palette: Palette) -> Item:
     )
     if rng.random() < 0.6:
         r, h = 0.1, 0.12
-        shapes = [build_cylinder(r, h, m, bevel=0.008, segments=24), build_lathe([(r + 0.004, h), (r * 0.9, h + 0.015), (0, h + 0.03)], m, segments=24),
-                  build_cylinder(0.016, 0.025, BLACK, at=(0, 0, h + 0.026), segments=10)]  # fmt: skip
+        shapes = [
+            build_cylinder(r, h, m, bevel=0.008, segments=24),
+            build_lathe([(r + 0.004, h), (r * 0.9, h + 0.015), (0, h + 0.03)], m, segments=24),
+            build_cylinder(0.016, 0.025, BLACK, at=(0, 0, h + 0.026), segments=10),
+        ]
         shapes += [
             build_tube(
                 arc_path((sx * r, 0, h * 0.75), 0.03, -1.5, 1.5, "xy", 6)
@@ -255,14 +263,13 @@ def build_fridge(rng: np.random.Generator, palette: Palette) -> Item:
             (w / 2 - 0.06, -d / 2, z1),
         ]
         shapes.append(build_tube(path, 0.009, CHROME, sides=8))
-    parts = []
     for _ in range(int(rng.integers(0, 5))):
         card = plain(
             "note", "paper", str(rng.choice(["#f2e8b0", "#e8eef2", "#f0d8c8"])), contrast=0.2
         )
         x, z = float(rng.uniform(-0.2, 0.12)), float(rng.uniform(1.1, h - 0.25))
         shapes.append(build_panel((x, -d / 2 - 0.002, z), (0.1, 0, 0), (0, 0, 0.13), card))
-    return Item("fridge", tuple(shapes), (Support(-0.2, 0.2, -0.15, 0.2, h, 0.4),), tuple(parts))
+    return Item("fridge", tuple(shapes), (Support(-0.2, 0.2, -0.15, 0.2, h, 0.4),))
 
 
 def build_hood() -> Item:

@@ -102,8 +102,12 @@ def build_ceiling_lamp(
             build_cylinder(0.06, 0.02, metal, at=(0, 0, -0.02)),
         ]
         low, size = -0.215, r * 1.4
-    lamp = Lamp(centre=(0.0, 0.0, low), size=(round(size, 3), round(size, 3)), shape="rectangle",
-                colour=lamp_light(kelvin, flux, size * size))  # fmt: skip
+    lamp = Lamp(
+        centre=(0.0, 0.0, low),
+        size=(round(size, 3), round(size, 3)),
+        shape="rectangle",
+        colour=lamp_light(kelvin, flux, size * size),
+    )
     return Item("ceiling lamp", tuple(shapes), lamps=(lamp,))
 
 
@@ -146,8 +150,14 @@ def build_pendant(
         )
         return Item("pendant lamp", (*shapes, *cord), lamps=(lamp,))
     elif kind == 2:  # cone
-        shapes = [build_lathe([(0.2, z), (0.04, z + 0.2), (0, z + 0.2)], metal, segments=28),
-                  build_lathe([(0, z + 0.19), (0.037, z + 0.19), (0.196, z + 0.002), (0.2, z)], glow(kelvin, 0.8), segments=28)]  # fmt: skip
+        shapes = [
+            build_lathe([(0.2, z), (0.04, z + 0.2), (0, z + 0.2)], metal, segments=28),
+            build_lathe(
+                [(0, z + 0.19), (0.037, z + 0.19), (0.196, z + 0.002), (0.2, z)],
+                glow(kelvin, 0.8),
+                segments=28,
+            ),
+        ]
     else:  # woven drum
         weave = glow(kelvin, 0.9, "#d9b98a")
         shapes = [
@@ -210,16 +220,49 @@ def build_table_lamp(rng: np.random.Generator, palette: Palette, *, kelvin: floa
     kind = int(rng.integers(4))
     h = float(rng.uniform(0.36, 0.5))
     if kind == 0:
-        body = [build_lathe([(0, 0), (0.07, 0), (0.075, 0.02), (0.1, 0.08), (0.085, 0.16), (0.03, h - 0.24 + 0.03), (0.02, h - 0.18), (0, h - 0.18)],
-                            CERAMIC if rng.random() < 0.4 else plain("glaze", "ceramic", str(rng.choice(palette.style.bright)), contrast=0.15), segments=22)]  # fmt: skip
+        body = [
+            build_lathe(
+                [
+                    (0, 0),
+                    (0.07, 0),
+                    (0.075, 0.02),
+                    (0.1, 0.08),
+                    (0.085, 0.16),
+                    (0.03, h - 0.24 + 0.03),
+                    (0.02, h - 0.18),
+                    (0, h - 0.18),
+                ],
+                CERAMIC
+                if rng.random() < 0.4
+                else plain(
+                    "glaze", "ceramic", str(rng.choice(palette.style.bright)), contrast=0.15
+                ),
+                segments=22,
+            )
+        ]
     elif kind == 1:
         body = [
             build_cylinder(0.07, 0.015, BRASS, bevel=0.004, segments=20),
             build_rod((0, 0, 0.01), (0, 0, h - 0.16), 0.009, BRASS),
         ]
     elif kind == 2:
-        body = [build_lathe([(0, 0), (0.075, 0), (0.07, 0.02), (0.03, 0.045), (0.045, 0.09), (0.025, 0.14), (0.035, h - 0.2), (0.014, h - 0.16), (0, h - 0.16)],
-                            palette.wood(rng, 0), segments=20)]  # fmt: skip
+        body = [
+            build_lathe(
+                [
+                    (0, 0),
+                    (0.075, 0),
+                    (0.07, 0.02),
+                    (0.03, 0.045),
+                    (0.045, 0.09),
+                    (0.025, 0.14),
+                    (0.035, h - 0.2),
+                    (0.014, h - 0.16),
+                    (0, h - 0.16),
+                ],
+                palette.wood(rng, 0),
+                segments=20,
+            )
+        ]
     else:  # mushroom of glass
         r = 0.13
         cap = build_lathe(
@@ -243,8 +286,11 @@ def build_table_lamp(rng: np.random.Generator, palette: Palette, *, kelvin: floa
     r = float(rng.uniform(0.12, 0.16))
     z = h - 0.19
     shade_code = str(rng.choice(["#f3ead8", "#e9dcc3", "#e8c99a", "#f1eee6"]))
-    shapes = (*body, _open_shade(r, r * 0.7, 0.19, z, glow(kelvin, 1.6, shade_code), 24),
-              build_rod((-r * 0.75, 0, z + 0.15), (r * 0.75, 0, z + 0.15), 0.003, BRASS, sides=6))  # fmt: skip
+    shapes = (
+        *body,
+        _open_shade(r, r * 0.7, 0.19, z, glow(kelvin, 1.6, shade_code), 24),
+        build_rod((-r * 0.75, 0, z + 0.15), (r * 0.75, 0, z + 0.15), 0.003, BRASS, sides=6),
+    )
     return Item("table lamp", shapes, lamps=(_sphere(kelvin, TABLE_FLUX, z + 0.09, 0.07),))
 
 

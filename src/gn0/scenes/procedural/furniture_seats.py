@@ -8,19 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from gn0.scenes.procedural.draft import Material
-from gn0.scenes.procedural.palette import BLACK, CHROME, Palette, plain, shade
+from gn0.scenes.procedural.palette import BLACK, CHROME, Palette, plain
 from gn0.scenes.procedural.parts import Item, Placed, Support
 from gn0.scenes.procedural.shapes import (
     Shape,
     arc_path,
     build_box,
     build_cylinder,
-    build_extrusion,
     build_lathe,
     build_rod,
     build_surface,
     build_tube,
-    rounded_outline,
 )
 from gn0.scenes.procedural.shapes_soft import build_cushion, build_drape, thicken
 
@@ -42,8 +40,14 @@ def build_legs(
         for sy in (-1, 1):
             top = (sx * width / 2, sy * depth / 2, height)
             if square:
-                legs.append(build_box((2 * radius, 2 * radius, height), material, bevel=0.004,
-                                      at=(top[0], top[1], 0)))  # fmt: skip
+                legs.append(
+                    build_box(
+                        (2 * radius, 2 * radius, height),
+                        material,
+                        bevel=0.004,
+                        at=(top[0], top[1], 0),
+                    )
+                )
             else:
                 foot = (top[0] + sx * splay, top[1] + sy * splay, 0.0)
                 legs.append(build_rod(foot, top, radius * taper, material, end_radius=radius))
@@ -91,11 +95,22 @@ def build_sofa(
     seat_z, back_h = 0.42, float(rng.uniform(0.78, 0.9))
     rolled = rng.random() < 0.3
     shapes: list[Shape] = [
-        build_box((inner + 0.02, deep - 0.08, seat_z - 0.16 - leg + 0.04), cloth, bevel=0.03, round_steps=2,
-                  at=(0, 0.02, leg)),
-        build_box((inner + 0.04, 0.2, back_h - leg), cloth, bevel=0.07, round_steps=2, inner=1,
-                  at=(0, deep / 2 - 0.1, leg)),
-    ]  # fmt: skip
+        build_box(
+            (inner + 0.02, deep - 0.08, seat_z - 0.16 - leg + 0.04),
+            cloth,
+            bevel=0.03,
+            round_steps=2,
+            at=(0, 0.02, leg),
+        ),
+        build_box(
+            (inner + 0.04, 0.2, back_h - leg),
+            cloth,
+            bevel=0.07,
+            round_steps=2,
+            inner=1,
+            at=(0, deep / 2 - 0.1, leg),
+        ),
+    ]
     arm_h = float(rng.uniform(0.56, 0.64))
     for sx in (-1, 1):
         x = sx * (inner / 2 + arm / 2)
@@ -108,7 +123,7 @@ def build_sofa(
                 inner=1,
                 puff=0.006,
                 at=(x, 0, leg),
-            )  # fmt: skip
+            )
         )
         if rolled:
             roll = build_cylinder(arm * 0.62, deep - 0.02, cloth, bevel=0.03, segments=20)
@@ -125,10 +140,16 @@ def build_sofa(
                 inner=2,
                 puff=0.018,
                 at=(x, -0.09, seat_z - 0.15),
-            )  # fmt: skip
+            )
         )
-        back = build_box((each - gap, 0.17, back_h - seat_z + 0.02), cloth, bevel=0.06,
-                         round_steps=2, inner=2, puff=0.025)  # fmt: skip
+        back = build_box(
+            (each - gap, 0.17, back_h - seat_z + 0.02),
+            cloth,
+            bevel=0.06,
+            round_steps=2,
+            inner=2,
+            puff=0.025,
+        )
         shapes.append(back.tilted("x", -0.14).moved(x, deep / 2 - 0.27, seat_z + 0.015))
     foot = palette.wood(rng, 0) if rng.random() < 0.6 else palette.metal()
     shapes += build_legs(
@@ -145,8 +166,9 @@ def build_sofa(
             y = deep / 2 - 0.44 - (0.13 if k > 1 else 0)
             parts.append(Placed(item, x, y, seat_z + 0.03, turn))
         if seats > 1 and rng.random() < 0.5:
-            throw = build_drape(0.42, 0.5, (0, 0, 0.3, 0), palette.bright(rng, "knit"), rng,
-                                lift=0.02)  # fmt: skip
+            throw = build_drape(
+                0.42, 0.5, (0, 0, 0.3, 0), palette.bright(rng, "knit"), rng, lift=0.02
+            )
             x = float(rng.choice([-1, 1])) * (inner / 2 - 0.35)
             parts.append(Placed(Item("blanket", (throw,)), x, -deep / 2 + 0.32, seat_z + 0.05))
     top = Support(-inner / 2 + 0.1, inner / 2 - 0.1, -deep / 2 + 0.1, 0.0, seat_z + 0.03)
@@ -163,13 +185,32 @@ def build_corner_sofa(rng: np.random.Generator, palette: Palette) -> Item:
     long = float(rng.uniform(0.55, 0.7))
     x = side * (inner / 2 - 0.3)
     extra = [
-        build_box((0.66, long + 0.04, 0.22), cloth, bevel=0.03, round_steps=2,
-                  at=(x, low[1] - long / 2 + 0.04, 0.1)),
-        build_box((0.68, long + 0.1, 0.17), cloth, bevel=0.045, round_steps=2, inner=2, puff=0.018,
-                  at=(x, low[1] - long / 2 + 0.08, 0.27)),
-        *(build_rod((x + sx * 0.27, low[1] - long + 0.08, 0.0), (x + sx * 0.27, low[1] - long + 0.08, 0.12),
-                    0.018, palette.metal()) for sx in (-1, 1)),
-    ]  # fmt: skip
+        build_box(
+            (0.66, long + 0.04, 0.22),
+            cloth,
+            bevel=0.03,
+            round_steps=2,
+            at=(x, low[1] - long / 2 + 0.04, 0.1),
+        ),
+        build_box(
+            (0.68, long + 0.1, 0.17),
+            cloth,
+            bevel=0.045,
+            round_steps=2,
+            inner=2,
+            puff=0.018,
+            at=(x, low[1] - long / 2 + 0.08, 0.27),
+        ),
+        *(
+            build_rod(
+                (x + sx * 0.27, low[1] - long + 0.08, 0.0),
+                (x + sx * 0.27, low[1] - long + 0.08, 0.12),
+                0.018,
+                palette.metal(),
+            )
+            for sx in (-1, 1)
+        ),
+    ]
     shapes = tuple(s.moved(y=long / 2) for s in (*sofa.shapes, *extra))
     parts = tuple(replace(p, y=p.y + long / 2) for p in sofa.parts)
     return Item("sofa", shapes, (), parts)
@@ -211,8 +252,15 @@ def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = N
         return Item("chair", (shell, *legs, *struts))
     if kind == 2:
         cloth = palette.cloth(rng) if rng.random() < 0.6 else palette.bright(rng)
-        seat = build_box((0.46, 0.46, 0.09), cloth, bevel=0.035, round_steps=2, inner=1, puff=0.012,
-                         at=(0, 0, h - 0.05))  # fmt: skip
+        seat = build_box(
+            (0.46, 0.46, 0.09),
+            cloth,
+            bevel=0.035,
+            round_steps=2,
+            inner=1,
+            puff=0.012,
+            at=(0, 0, h - 0.05),
+        )
         back = build_box((0.44, 0.07, 0.46), cloth, bevel=0.03, round_steps=2, inner=1, puff=0.012)
         legs = build_legs(0.36, 0.36, h - 0.02, wood, radius=0.019, splay=0.03)
         return Item("chair", (seat, back.tilted("x", -0.14).moved(0, 0.21, h), *legs))
@@ -224,11 +272,20 @@ def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = N
         shapes[0] = build_cylinder(
             0.22, 0.035, wood, bevel=0.012, segments=24, at=(0, 0, h - 0.035)
         )
-        hoop = [(-0.19, 0.15, h - 0.01), *[tuple(p + (0, 0.02, 0)) for p in arc_path(
-            (0, 0.19, h + 0.25), 0.19, math.pi, 0, "xz", 12)], (0.19, 0.15, h - 0.01)]  # fmt: skip
+        hoop = [
+            (-0.19, 0.15, h - 0.01),
+            *[
+                tuple(p + np.array([0.0, 0.02, 0.0]))
+                for p in arc_path((0, 0.19, h + 0.25), 0.19, math.pi, 0, "xz", 12)
+            ],
+            (0.19, 0.15, h - 0.01),
+        ]
         shapes.append(build_tube(hoop, 0.011, wood))
-        inner = [(-0.11, 0.16, h - 0.01), *[tuple(p) for p in arc_path(
-            (0, 0.2, h + 0.22), 0.11, math.pi, 0, "xz", 10)], (0.11, 0.16, h - 0.01)]  # fmt: skip
+        inner = [
+            (-0.11, 0.16, h - 0.01),
+            *[tuple(p) for p in arc_path((0, 0.2, h + 0.22), 0.11, math.pi, 0, "xz", 10)],
+            (0.11, 0.16, h - 0.01),
+        ]
         shapes.append(build_tube(inner, 0.009, wood))
     else:
         for sx in (-1, 1):
@@ -236,9 +293,9 @@ def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = N
                 build_rod((sx * 0.185, 0.18, h - 0.02), (sx * 0.19, 0.25, h + 0.45), 0.016, wood)
             )
         if rng.random() < 0.5:
-            for z in (0.16, 0.27, 0.38):
+            for rise in (0.16, 0.27, 0.38):
                 rail = build_box((0.38, 0.018, 0.055), wood, bevel=0.006)
-                shapes.append(rail.moved(0, 0.195 + z * 0.13, h + z))
+                shapes.append(rail.moved(0, 0.195 + rise * 0.13, h + rise))
         else:
             shapes.append(build_box((0.4, 0.022, 0.07), wood, bevel=0.008, at=(0, 0.25, h + 0.38)))
             for k in range(5):
@@ -272,7 +329,7 @@ def build_bench(rng: np.random.Generator, palette: Palette, width: float = 1.2) 
                 inner=3,
                 puff=0.01,
                 at=(0, 0, 0.435),
-            )  # fmt: skip
+            )
         )
     return Item(
         "bench", tuple(shapes), (Support(-width / 2 + 0.1, width / 2 - 0.1, -0.12, 0.12, 0.5),)
@@ -297,9 +354,10 @@ def build_stool(rng: np.random.Generator, palette: Palette) -> Item:
     wood = palette.wood(rng, 0)
     seat = build_cylinder(0.17, 0.035, wood, bevel=0.01, at=(0, 0, 0.43), segments=24)
     return Item(
-        "stool", (seat, *build_legs(0.18, 0.18, 0.44, wood, radius=0.015, splay=0.05)),
+        "stool",
+        (seat, *build_legs(0.18, 0.18, 0.44, wood, radius=0.015, splay=0.05)),
         (Support(-0.1, 0.1, -0.1, 0.1, 0.465),),
-    )  # fmt: skip
+    )
 
 
 def build_office_chair(rng: np.random.Generator, palette: Palette) -> Item:

@@ -34,18 +34,36 @@ from gn0.scenes.procedural.shapes import (
 from gn0.scenes.procedural.shapes_soft import build_cushion, build_drape
 
 SPINES = (
-    "#7a2f2a", "#2c4a63", "#3f5c43", "#b9893c", "#d9cdb2", "#5b3f52", "#26282c", "#8c4a2f",
-    "#a9b3b0", "#c9c2b3", "#47626b", "#8a7a52", "#b8432f", "#e6e1d6",
-)  # fmt: skip
+    "#7a2f2a",
+    "#2c4a63",
+    "#3f5c43",
+    "#b9893c",
+    "#d9cdb2",
+    "#5b3f52",
+    "#26282c",
+    "#8c4a2f",
+    "#a9b3b0",
+    "#c9c2b3",
+    "#47626b",
+    "#8a7a52",
+    "#b8432f",
+    "#e6e1d6",
+)
 
 
 def spine_material(rng: np.random.Generator) -> Material:
     """The cloth and title of one of a few dozen book covers."""
     colour = linear_colour(SPINES[int(rng.integers(len(SPINES)))])
     return Material(
-        name="book", pattern="book_spine", colour=colour, colour2=shade(colour, 0.5) if sum(colour) > 1 else (0.7, 0.62, 0.4),
-        scale=0.2, contrast=0.5, seed=int(rng.integers(3)), detail=0.7,
-    )  # fmt: skip
+        name="book",
+        pattern="book_spine",
+        colour=colour,
+        colour2=shade(colour, 0.5) if sum(colour) > 1 else (0.7, 0.62, 0.4),
+        scale=0.2,
+        contrast=0.5,
+        seed=int(rng.integers(3)),
+        detail=0.7,
+    )
 
 
 def build_books(rng: np.random.Generator, length: float, height: float, depth: float = 0.2) -> Item:
@@ -116,7 +134,7 @@ def build_bookshelf(rng: np.random.Generator, palette: Palette, width: float | N
             x = (i - (columns - 1) / 2) * (inner + t)
             clear = gap - t - 0.02
             kind = rng.random()
-            if kind < 0.55 and j < rows - 1 or kind < 0.45:
+            if (kind < 0.55 and j < rows - 1) or kind < 0.45:
                 share = float(rng.uniform(0.7, 0.97))
                 row = build_books(rng, inner * share, clear, d - 0.08)
                 side = float(rng.choice([-1, 1])) * inner * (1 - share) / 2
@@ -208,8 +226,17 @@ def build_dresser(rng: np.random.Generator, palette: Palette) -> Item:
     leg = float(rng.choice([0.06, 0.14]))
     shapes = build_carcass(w, d, h - leg, body, z=leg)
     shapes.append(build_box((w + 0.02, d + 0.01, 0.02), body, bevel=0.005, at=(0, 0, h - 0.019)))
-    shapes += build_fronts(w - 0.04, h - leg - 0.05, int(rng.integers(3, 5)), 2 if w > 1.0 else 1, -d / 2 + 0.018, leg + 0.02,
-                           front, palette.metal(), knob=rng.random() < 0.5)  # fmt: skip
+    shapes += build_fronts(
+        w - 0.04,
+        h - leg - 0.05,
+        int(rng.integers(3, 5)),
+        2 if w > 1.0 else 1,
+        -d / 2 + 0.018,
+        leg + 0.02,
+        front,
+        palette.metal(),
+        knob=rng.random() < 0.5,
+    )
     shapes += build_legs(w - 0.1, d - 0.08, leg + 0.004, body, radius=0.022, splay=0.01)
     return Item(
         "dresser",
@@ -426,19 +453,26 @@ def build_bed(rng: np.random.Generator, palette: Palette, double: bool = True) -
     frame = cloth if upholstered else wood
     shapes: list[Shape] = []
     z0 = 0.2
-    rail = dict(bevel=0.02 if upholstered else 0.006, round_steps=2)
+    bevel = 0.02 if upholstered else 0.006
     for sx in (-1, 1):
         shapes.append(
             build_box(
                 (0.04, frame_l - 0.02, 0.16),
                 frame,
                 at=(sx * (frame_w / 2 - 0.02), 0, z0 - 0.04),
-                **rail,
+                bevel=bevel,
+                round_steps=2,
             )
-        )  # type: ignore[arg-type]
+        )
     shapes.append(
-        build_box((frame_w, 0.04, 0.16), frame, at=(0, -frame_l / 2 + 0.02, z0 - 0.04), **rail)
-    )  # type: ignore[arg-type]
+        build_box(
+            (frame_w, 0.04, 0.16),
+            frame,
+            at=(0, -frame_l / 2 + 0.02, z0 - 0.04),
+            bevel=bevel,
+            round_steps=2,
+        )
+    )
     head = float(rng.uniform(0.92, 1.15))
     back = frame_l / 2
     if upholstered:
@@ -457,8 +491,17 @@ def build_bed(rng: np.random.Generator, palette: Palette, double: bool = True) -
             n = max(2, int(frame_w / 0.28))
             for k in range(n):
                 x = -frame_w / 2 + (k + 0.5) * frame_w / n
-                shapes.append(build_box((frame_w / n - 0.012, 0.06, head - 0.5), frame, bevel=0.028, round_steps=2, inner=1, puff=0.012,
-                                        at=(x, back - 0.05, 0.45)))  # fmt: skip
+                shapes.append(
+                    build_box(
+                        (frame_w / n - 0.012, 0.06, head - 0.5),
+                        frame,
+                        bevel=0.028,
+                        round_steps=2,
+                        inner=1,
+                        puff=0.012,
+                        at=(x, back - 0.05, 0.45),
+                    )
+                )
     elif rng.random() < 0.5:
         shapes.append(
             build_box(
@@ -498,8 +541,17 @@ def build_bed(rng: np.random.Generator, palette: Palette, double: bool = True) -
         )
     )
     top = z0 + 0.24
-    duvet_colour = palette.bright(rng, "linen") if rng.random() < 0.5 else plain(
-        "duvet", "linen", str(rng.choice(["#eeeae2", "#dfe2e2", "#cdd3d6", "#e6dccb"])), contrast=0.2, scale=0.01)  # fmt: skip
+    duvet_colour = (
+        palette.bright(rng, "linen")
+        if rng.random() < 0.65
+        else plain(
+            "duvet",
+            "linen",
+            str(rng.choice(["#eeeae2", "#dfe2e2", "#cdd3d6", "#e6dccb"])),
+            contrast=0.2,
+            scale=0.01,
+        )
+    )
     fold = long * 0.68
     duvet = build_drape(
         w + 0.02,

@@ -1,4 +1,4 @@
-"""Tables and what is as low as a table: desks, nightstands, television stands, rugs, televisions."""
+"""Tables and what is as low: desks, nightstands, television stands, rugs, televisions."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def build_fronts(
                     material,
                     bevel=0.003,
                     at=(x, y - thick / 2, z0 + 0.003),
-                )  # fmt: skip
+                )
             )
             front = y - thick
             if vertical:
@@ -59,18 +59,29 @@ def build_fronts(
                     hx = x + w / 2 - 0.05
                 span = min(0.16, h * 0.4)
                 zc = z0 + h / 2
-                path = [(hx, front, zc - span / 2), (hx, front - 0.028, zc - span / 2),
-                        (hx, front - 0.028, zc + span / 2), (hx, front, zc + span / 2)]  # fmt: skip
+                path = [
+                    (hx, front, zc - span / 2),
+                    (hx, front - 0.028, zc - span / 2),
+                    (hx, front - 0.028, zc + span / 2),
+                    (hx, front, zc + span / 2),
+                ]
                 shapes.append(build_tube(path, 0.005, metal, sides=6))
             elif knob:
-                ball = build_lathe([(0, 0), (0.006, 0), (0.006, 0.012), (0.015, 0.018), (0.012, 0.028), (0, 0.03)],
-                                   metal, segments=10)  # fmt: skip
+                ball = build_lathe(
+                    [(0, 0), (0.006, 0), (0.006, 0.012), (0.015, 0.018), (0.012, 0.028), (0, 0.03)],
+                    metal,
+                    segments=10,
+                )
                 shapes.append(ball.tilted("x", math.pi / 2).moved(x, front, z0 + h / 2))
             else:
                 span = min(0.14, w * 0.4)
                 zc = z0 + h * (0.5 if h < 0.3 else 0.88)
-                path = [(x - span / 2, front, zc), (x - span / 2, front - 0.026, zc),
-                        (x + span / 2, front - 0.026, zc), (x + span / 2, front, zc)]  # fmt: skip
+                path = [
+                    (x - span / 2, front, zc),
+                    (x - span / 2, front - 0.026, zc),
+                    (x + span / 2, front - 0.026, zc),
+                    (x + span / 2, front, zc),
+                ]
                 shapes.append(build_tube(path, 0.005, metal, sides=6))
     return shapes
 
@@ -314,8 +325,20 @@ def build_tv_stand(rng: np.random.Generator, palette: Palette) -> Item:
     shapes = build_carcass(w, d, body, wood, z=leg)
     third = (w - 0.04) / 3
     for sx in (-1, 1):
-        shapes += [s.moved(sx * third) for s in build_fronts(third - 0.01, body - 0.04, 1 if rng.random() < 0.6 else 2, 1,
-                   -d / 2 + 0.018, leg + 0.02, front, palette.metal(), knob=True)]  # fmt: skip
+        shapes += [
+            s.moved(sx * third)
+            for s in build_fronts(
+                third - 0.01,
+                body - 0.04,
+                1 if rng.random() < 0.6 else 2,
+                1,
+                -d / 2 + 0.018,
+                leg + 0.02,
+                front,
+                palette.metal(),
+                knob=True,
+            )
+        ]
         shapes.append(
             build_box((0.018, d - 0.02, body - 0.04), wood, at=(sx * third / 2, 0, leg + 0.02))
         )
@@ -344,11 +367,15 @@ def build_tv(rng: np.random.Generator) -> Item:
     h, z = w * 0.5625, 0.07
     lit = rng.random() < 0.4
     screen = Material(
-        name="screen", pattern="screen", colour=(0.012, 0.013, 0.016) if not lit else (0.25, 0.35, 0.55),
-        colour2=(0.03, 0.032, 0.04) if not lit else (0.75, 0.5, 0.3), scale=round(w / h, 3),
-        contrast=0.3 if not lit else 0.9, emission=(0.0, 0.0, 0.0) if not lit else (0.35, 0.38, 0.45),
+        name="screen",
+        pattern="screen",
+        colour=(0.012, 0.013, 0.016) if not lit else (0.25, 0.35, 0.55),
+        colour2=(0.03, 0.032, 0.04) if not lit else (0.75, 0.5, 0.3),
+        scale=round(w / h, 3),
+        contrast=0.3 if not lit else 0.9,
+        emission=(0.0, 0.0, 0.0) if not lit else (0.35, 0.38, 0.45),
         seed=int(rng.integers(99)),
-    )  # fmt: skip
+    )
     shapes = (
         build_box((w, 0.035, h), BLACK, bevel=0.006, at=(0, 0, z)),
         build_panel(
@@ -374,16 +401,25 @@ def build_rug(rng: np.random.Generator, palette: Palette, width: float, depth: f
         )
     )
     material = Material(
-        name="rug", pattern=pattern, colour=linear_colour(str(first)), colour2=linear_colour(str(second)),
-        scale=round(width / depth, 3) if pattern in ("rug_persian", "rug_border") else {"rug_stripes": 0.12, "carpet": 0.012, "knit": 0.05}[pattern],
-        contrast=0.6, seed=int(rng.integers(50)), detail=1.0 if pattern.startswith("rug") else 0.7,
-    )  # fmt: skip
+        name="rug",
+        pattern=pattern,
+        colour=linear_colour(str(first)),
+        colour2=linear_colour(str(second)),
+        scale=round(width / depth, 3)
+        if pattern in ("rug_persian", "rug_border")
+        else {"rug_stripes": 0.12, "carpet": 0.012, "knit": 0.05}[pattern],
+        contrast=0.6,
+        seed=int(rng.integers(50)),
+        detail=1.0 if pattern.startswith("rug") else 0.7,
+    )
     t = 0.012
     if pattern in ("carpet", "knit") and rng.random() < 0.6:
         if max(width, depth) < 1.6 * min(width, depth):
             r = (width + depth) / 4
             round_rug = build_cylinder(r, t, material, bevel=0.004, segments=48)
-            return Item("rug", (round_rug.stretched(x=min(1.0, width / 2 / r), y=min(1.0, depth / 2 / r)),))
+            return Item(
+                "rug", (round_rug.stretched(x=min(1.0, width / 2 / r), y=min(1.0, depth / 2 / r)),)
+            )
         outline = rounded_outline(width, depth, min(width, depth) * 0.3, 6)
         return Item("rug", (build_extrusion(outline, t, material),))
     edge = plain("rug edge", "fabric", str(second), scale=0.01)
@@ -466,5 +502,11 @@ def build_serving_cart(rng: np.random.Generator, palette: Palette) -> Item:
         for sy in (-1, 1):
             wheel = build_cylinder(0.03, 0.018, BLACK, segments=12).tilted("x", math.pi / 2)
             shapes.append(wheel.moved(sx * w / 2, sy * d / 2 + 0.009, 0.03))
-    return Item("serving cart", tuple(shapes), (Support(-w / 2 + 0.08, w / 2 - 0.08, -d / 2 + 0.08, d / 2 - 0.08, h - 0.026),
-                Support(-w / 2 + 0.08, w / 2 - 0.08, -d / 2 + 0.08, d / 2 - 0.08, 0.174, 0.45)))  # fmt: skip
+    return Item(
+        "serving cart",
+        tuple(shapes),
+        (
+            Support(-w / 2 + 0.08, w / 2 - 0.08, -d / 2 + 0.08, d / 2 - 0.08, h - 0.026),
+            Support(-w / 2 + 0.08, w / 2 - 0.08, -d / 2 + 0.08, d / 2 - 0.08, 0.174, 0.45),
+        ),
+    )

@@ -22,7 +22,7 @@ from gn0.scenes.scene import Scene, SceneSourceInfo
 GENERATOR = "apartment 1"  # change the number when the same seed would give another flat
 
 
-class GenerateSettings(Config):
+class GenerateSettings(Config, frozen=True):
     """What to generate.
 
     Attributes:
@@ -38,9 +38,7 @@ class GenerateSettings(Config):
     kind: Literal["apartment"] = "apartment"
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     size: Literal["small", "medium", "large"] = "medium"
-    style: (
-        Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"] | None
-    ) = None
+    style: Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"] | None = None
     density: Annotated[float, msgspec.Meta(ge=1000, le=40000)] = 10_000.0
     light: Literal["normal", "draft"] = "normal"
     cloud_form: CloudForm = "exact"

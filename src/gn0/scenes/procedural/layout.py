@@ -200,7 +200,7 @@ class RoomLayout:
             reach: whether one must be able to walk up to its front.
         """
         low, high = item.full_extent()
-        width, depth, height = (float(v) for v in high - low)
+        width, depth = float(high[0] - low[0]), float(high[1] - low[1])
         options = []
         for name in self.rng.permutation(list(sides)):
             side = self.sides[str(name)]
@@ -213,7 +213,7 @@ class RoomLayout:
                 spot = {
                     "corner": ends,
                     "centre": [middle],
-                    "any": [float(self.rng.uniform(*ends)), *ends, middle],
+                    "any": [float(self.rng.uniform(ends[0], ends[1])), *ends, middle],
                 }[prefer]
                 options += [(side, t) for t in self.rng.permutation(spot)]
         if prefer == "any":

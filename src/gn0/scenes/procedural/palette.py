@@ -142,7 +142,10 @@ STYLES = (
     Style(
         "classic",
         (("#7a4a2c", "#56311c"), ("#8f5d38", "#6b4025"), ("#e6dfd0", "#d5ccb9")),
-        (("parquet_herringbone", "#a87a4a", "#855a32"), ("parquet_herringbone", "#8f6640", "#6d4a2b")),
+        (
+            ("parquet_herringbone", "#a87a4a", "#855a32"),
+            ("parquet_herringbone", "#8f6640", "#6d4a2b"),
+        ),
         ("#d8d0b9", "#d2cbb2", "#c8cdbf", "#d6c8b8", "#cfd0c6"),
         ("#5f7a6a", "#7a3f3a", "#4f6078", "#a58c5c"),
         ("#6a2f33", "#3f5a4c", "#8c7a5a", "#4a5670"),
@@ -152,7 +155,7 @@ STYLES = (
         (("#e9e5da", "#b8b2a2"), ("#c9c4b6", "#8c8778"), ("#dfe2dc", "#7c8a84")),
         ("#e8e2d2", "#6f8478", "#8a5a38"),
     ),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -230,16 +233,24 @@ class Palette:
     def wall(self, rng: np.random.Generator) -> Material:
         """Wall paint."""
         return plain(
-            "wall paint", str(rng.choice(["paint", "plaster"], p=[0.7, 0.3])),
-            str(rng.choice(self.style.walls)), contrast=0.12, scale=0.4, detail=0.0,
-        )  # fmt: skip
+            "wall paint",
+            str(rng.choice(["paint", "plaster"], p=[0.7, 0.3])),
+            str(rng.choice(self.style.walls)),
+            contrast=0.12,
+            scale=0.4,
+            detail=0.0,
+        )
 
     def accent_wall(self, rng: np.random.Generator) -> Material:
         """Paint of one wall that stands out."""
         return plain(
-            "accent paint", "paint", str(rng.choice(self.style.accents)), contrast=0.12, scale=0.4,
+            "accent paint",
+            "paint",
+            str(rng.choice(self.style.accents)),
+            contrast=0.12,
+            scale=0.4,
             detail=0.0,
-        )  # fmt: skip
+        )
 
     def floor(self, rng: np.random.Generator) -> Material:
         """Floor of the dry rooms; one for the whole flat."""

@@ -171,7 +171,8 @@ class Assembly:
             uvs.append(uv)
             starts.append(starts[-1] + len(shape.vertices))
         mesh = SceneMesh(
-            vertices=np.concatenate([s.vertices for s in self.shapes]),
+            # rounded, so that pieces which touch share their vertices exactly
+            vertices=np.round(np.concatenate([s.vertices for s in self.shapes]), 5) + 0.0,
             faces=np.concatenate(
                 [s.faces + o for s, o in zip(self.shapes, starts, strict=False)]
             ).astype(np.int32),

@@ -1,8 +1,9 @@
-"""Floor plans: rooms as rectangles, walls between them, doors of a connected room graph, windows."""
+"""Floor plans: rooms as rectangles, walls between them, doors of a connected graph, windows."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -118,6 +119,9 @@ class FloorPlan:
         return sum(room.area for room in self.rooms)
 
 
+Cell = tuple[str, float, float, float, float]  # type, x0, y0, x1, y1 on wall centre lines [m]
+
+
 def _split(
     rng: np.random.Generator, total: float, types: list[str], widths: dict[str, float]
 ) -> list[float]:
@@ -147,7 +151,7 @@ def plan_apartment(seed: int, size: str = "medium") -> FloorPlan:
 def _draw_plan(rng: np.random.Generator, size: str) -> FloorPlan | None:
     widths = {"bedroom": 3.5, "bathroom": 2.15, "study": 2.8, "kitchen": 3.2, "storage": 1.7}
     if size == "small":
-        north, south = ["bathroom", "bedroom"], []
+        north, south = ["bathroom", "bedroom"], list[str]()
         if rng.random() < 0.5:
             north = ["bedroom", "bathroom"]
     elif size == "medium":
@@ -175,7 +179,7 @@ def _draw_plan(rng: np.random.Generator, size: str) -> FloorPlan | None:
     ) * rng.uniform(0.97, 1.08)
     block = rng.uniform(4.3, 5.6) if size != "large" else rng.uniform(5.0, 6.2)
     total = deep_s + hall + deep_n
-    cells: list[tuple[str, float, float, float, float]] = []  # type, x0, y0, x1, y1 on centre lines
+    cells: list[Cell] = []
     kitchen_in_block = "kitchen" not in north + south
     if size == "small":
         block = rng.uniform(4.4, 5.4)
@@ -219,9 +223,7 @@ def _draw_plan(rng: np.random.Generator, size: str) -> FloorPlan | None:
     return _close_plan(rng, placed)
 
 
-def _close_plan(
-    rng: np.random.Generator, cells: list[tuple[str, float, float, float, float]]
-) -> FloorPlan | None:
+def _close_plan(rng: np.random.Generator, cells: list[Cell]) -> FloorPlan | None:
     """Walls, doors and windows of rooms given on wall centre lines."""
     order = [
         *("living room", "kitchen", "hallway", "bedroom", "bathroom", "study", "storage"),
@@ -245,9 +247,11 @@ def _close_plan(
             inset[key] = max(
                 w.thickness / 2
                 for w in walls
-                if w.axis == axis and abs(w.at - at) < 1e-6 and id in w.rooms
+                if w.axis == axis
+                and abs(w.at - at) < 1e-6
+                and id in w.rooms
                 and min(w.high, high) - max(w.low, low) > 1e-6
-            )  # fmt: skip
+            )
         rooms.append(
             Room(id, name, x0 + inset["x0"], y0 + inset["y0"], x1 - inset["x1"], y1 - inset["y1"])
         )
@@ -274,19 +278,21 @@ def _fit_opening(plan: FloorPlan, opening: Opening) -> Opening:
     return replace(opening, at=(low + high) / 2, thickness=high - low)
 
 
-def _build_walls(cells: list[tuple[str, float, float, float, float]], ids: list[str]) -> list[Wall]:
+def _build_walls(cells: list[Cell], ids: list[str]) -> list[Wall]:
     """Maximal wall pieces between one pair of neighbours (or a room and the outside)."""
     walls = []
     for axis in ("x", "y"):
-        lines = sorted({c[k] for c in cells for k in ((2, 4) if axis == "x" else (1, 3))})
+        spans = [
+            (x0, x1, y0, y1) if axis == "x" else (y0, y1, x0, x1) for _, x0, y0, x1, y1 in cells
+        ]
+        lines = sorted({v for span in spans for v in span[2:]})
         for at in lines:
-            cuts = sorted({c[k] for c in cells for k in ((1, 3) if axis == "x" else (2, 4))})
+            cuts = sorted({v for span in spans for v in span[:2]})
             pieces: list[Wall] = []
-            for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+            for low, high in pairwise(cuts):
                 middle = (low + high) / 2
                 sides: list[str | None] = [None, None]
-                for (_, x0, y0, x1, y1), id in zip(cells, ids, strict=True):
-                    a0, a1, b0, b1 = (x0, x1, y0, y1) if axis == "x" else (y0, y1, x0, x1)
+                for (a0, a1, b0, b1), id in zip(spans, ids, strict=True):
                     if a0 < middle < a1:
                         if abs(b1 - at) < 1e-6:
                             sides[0] = id
@@ -316,7 +322,7 @@ def _clear_span(plan: FloorPlan, wall: Wall) -> tuple[float, float]:
 
 
 def _cut_doors(rng: np.random.Generator, plan: FloorPlan) -> list[Opening] | None:
-    """Doors of a spanning graph: the hall to every room it touches, the kitchen to the living room."""
+    """Doors from the hall to every room that it touches, and from kitchen to living room."""
     types = {room.id: room.type for room in plan.rooms}
     wanted: list[tuple[str, str]] = []
     hall = "hallway_1"
@@ -370,9 +376,16 @@ def _cut_door(
     start = low + margin + max(free, 0.0) * (share if not passage else 0.5)
     start, stop = round(start, 3), round(start + width, 3)
     opening = Opening(
-        "passage" if passage else "door", wall.axis, wall.at, start, stop, 0.0,
-        DOOR_HEIGHT if not passage else 2.2, wall.thickness, (a, b),
-    )  # fmt: skip
+        "passage" if passage else "door",
+        wall.axis,
+        wall.at,
+        start,
+        stop,
+        0.0,
+        DOOR_HEIGHT if not passage else 2.2,
+        wall.thickness,
+        (a, b),
+    )
     if passage or rng.random() < 0.15:
         return opening
     # fold the leaf against the wall of the non-hall room if there is room beside the opening
@@ -396,13 +409,20 @@ def _cut_entrance(rng: np.random.Generator, plan: FloorPlan, hall: str) -> Openi
     wall, low, high = min(spans, key=lambda s: s[2] - s[1])
     start = low + 0.12 + (high - low - 0.24 - 0.92) * float(rng.uniform(0.3, 0.7))
     return Opening(
-        "entrance", wall.axis, wall.at, round(start, 3), round(start + 0.92, 3), 0.0, DOOR_HEIGHT,
-        wall.thickness, wall.rooms,
-    )  # fmt: skip
+        "entrance",
+        wall.axis,
+        wall.at,
+        round(start, 3),
+        round(start + 0.92, 3),
+        0.0,
+        DOOR_HEIGHT,
+        wall.thickness,
+        wall.rooms,
+    )
 
 
 def _cut_windows(rng: np.random.Generator, plan: FloorPlan) -> list[Opening]:
-    windows = []
+    windows: list[Opening] = []
     for wall in plan.walls:
         inside = next((id for id in wall.rooms if id is not None), None)
         if None not in wall.rooms or inside is None:
@@ -438,6 +458,6 @@ def _cut_windows(rng: np.random.Generator, plan: FloorPlan) -> list[Opening]:
                     top,
                     wall.thickness,
                     wall.rooms,
-                )  # fmt: skip
+                )
             )
     return windows

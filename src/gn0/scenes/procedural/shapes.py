@@ -33,7 +33,7 @@ class Shape:
         c, s = math.cos(yaw), math.sin(yaw)
         v = self.vertices
         turned = np.column_stack([c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1], v[:, 2]])
-        return replace(self, vertices=turned + (x, y, z))
+        return replace(self, vertices=turned + np.array([x, y, z]))
 
     def tilted(self, axis: str, angle: float) -> Shape:
         """Turned by `angle` [rad] about the x or y axis through the origin."""
@@ -83,8 +83,8 @@ def build_surface(
     if fit:
         u, v = u / max(u[-1], 1e-9), v / max(v[-1], 1e-9)
     i, j = np.meshgrid(np.arange(m - 1), np.arange(n - 1), indexing="ij")
-    i, j = i.ravel(), j.ravel()
-    quad = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+    row, col = i.ravel(), j.ravel()
+    quad = [(row, col), (row + 1, col), (row + 1, col + 1), (row, col + 1)]
     ids = np.stack([a * n + b for a, b in quad], 1)
     uvs = np.stack([np.column_stack([u[a], v[b]]) for a, b in quad], 1)
     faces = np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])
@@ -146,7 +146,9 @@ def build_box(
             p = np.empty((*ga.shape, 3))
             p[..., a], p[..., b], p[..., axis] = ga, gb, sign * half[axis]
             flat_uv = (p[..., a], p[..., b]) if half[a] >= half[b] else (p[..., b], p[..., a])
-            uv = np.stack(flat_uv, -1) + (half.max() * 1.37 * axis, 0.61 * axis + 0.3 * sign)
+            uv = np.stack(flat_uv, -1) + np.array(
+                [half.max() * 1.37 * axis, 0.61 * axis + 0.3 * sign]
+            )
             core = np.clip(p, -(half - radius), half - radius)
             if radius > 0:
                 d = p - core
@@ -162,7 +164,7 @@ def build_box(
             uvs.append(uv.reshape(-1, 2)[tri])
             faces.append(tri + start)
             start += m * n
-    v = np.concatenate(vertices) + (at[0], at[1], at[2] + half[2])
+    v = np.concatenate(vertices) + np.array([at[0], at[1], at[2] + half[2]])
     return make_shape(v, np.concatenate(faces), np.concatenate(uvs), material)
 
 
@@ -278,7 +280,7 @@ def build_extrusion(
     xy = np.asarray(outline, np.float64)
     n = len(xy)
     low = np.column_stack([xy, np.zeros(n)])
-    high = low + (0, 0, height)
+    high = low + np.array([0.0, 0.0, height])
     middle = xy.mean(axis=0)
     caps = np.array([[*middle, 0.0], [*middle, height]])
     k = np.arange(n)

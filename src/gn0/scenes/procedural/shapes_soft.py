@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gn0.geometry import F64
 from gn0.scenes.procedural.draft import Material
@@ -106,7 +107,8 @@ def build_drape(
     """A cloth over a box top width × depth at z = 0, hanging down its sides.
 
     Args:
-        width, depth: of the top [m], centred at the origin.
+        width: of the top along x [m], centred at the origin.
+        depth: of the top along y [m].
         hang: overhang (left, right, front, back) [m]; 0 ends at the edge.
         material: the cloth.
         rng: random stream of the ripples.
@@ -139,7 +141,7 @@ def build_drape(
 
 
 def build_leaf(
-    root: Sequence[float],
+    root: ArrayLike,
     heading: float,
     rise: float,
     length: float,

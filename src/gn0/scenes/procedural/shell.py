@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def _wall_panels(side: Side, low: float, high: float, material: Material) -> lis
     """The wall between two heights, without its openings."""
     out = []
     cuts = sorted({0.0, side.length, *(v for o in side.openings for v in o[:2])})
-    for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+    for a, b in pairwise(cuts):
         if b - a < 1e-6:
             continue
         middle = (a + b) / 2
@@ -334,9 +335,13 @@ def choose_finish(
         walls[str(rng.choice(SIDES))] = palette.accent_wall(rng)
     if room.type == "bedroom" and rng.random() < 0.3:
         carpet = plain(
-            "carpet", "carpet", str(rng.choice(palette.style.cloths)), contrast=0.3, scale=0.01,
+            "carpet",
+            "carpet",
+            str(rng.choice(palette.style.cloths)),
+            contrast=0.3,
+            scale=0.01,
             detail=0.6,
-        )  # fmt: skip
+        )
         return RoomFinish(walls, carpet, crown=crown)
     return RoomFinish(walls, floor, crown=crown)
 

@@ -125,10 +125,8 @@ class CloudBuilder:
         self._drop_non_finite(start, self.opacities[span], norm, sh)
 
     def put_rest(self, start: int, rest: F32) -> None:
-        """Store SH beyond DC, [R, (K − 1) · 3] in the order of `sh[:, 1:, :]`."""
-        span = slice(start, start + len(rest))
-        self.sh.reshape(len(self.sh), -1)[span, 3:] = rest
-        self._drop_non_finite(start, rest)
+        """Store finite SH beyond DC, [R, K − 1, 3]."""
+        self.sh[start : start + len(rest), 1:] = rest
 
     def _drop_non_finite(self, start: int, *blocks: NDArray[Any]) -> None:
         """Mark rows that hold NaN or inf; the common case, none, is one quick pass."""

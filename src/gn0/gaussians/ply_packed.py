@@ -30,7 +30,7 @@ from gn0.gaussians.ply import (
 )
 from gn0.gaussians.ply_header import PlyElement, PlyHeader
 from gn0.gaussians.ply_rows import PlySource, iterate_rows, note_trailing_bytes
-from gn0.gaussians.sh import degree_of_rest, rest_columns
+from gn0.gaussians.sh import degree_of_rest
 from gn0.geometry import F32, F64, U8
 from gn0.storage import write_atomic
 
@@ -88,10 +88,9 @@ def decode_ply_packed(source: PlySource, limit_bytes: int | None = None) -> Clou
                 ((rgb - 0.5) / SH_C0).astype(np.float32),
             )
     if sh is not None and rest:
-        names = [f"f_rest_{i}" for i in rest_columns(degree, degree)]
-        table = _sh_values()
-        for start, codes in iterate_rows(source, sh, names, np.uint8):
-            builder.put_rest(start, table[codes])
+        names = [f"f_rest_{i}" for i in range(rest)]
+        for start, codes in iterate_rows(source, sh, names, np.uint8, _BLOCK):
+            builder.put_rest(start, _unpack_sh(codes))
     cloud, dropped = builder.build()
     return CloudFile(
         cloud=cloud,
@@ -243,15 +242,20 @@ def _unpack_rotation(words: NDArray[np.uint32]) -> F32:
     return quats
 
 
-def _sh_values() -> F32:
-    """The value [256] of each SH byte; the two end bytes stand for exactly −4 and 4."""
-    unit = (np.arange(256) + 0.5) / 256
-    unit[0], unit[255] = 0.0, 1.0
-    return ((unit - 0.5) * 8).astype(np.float32)
+def _unpack_sh(codes: U8) -> F32:
+    """SH beyond DC [R, (K − 1), 3] of bytes [R, rest] channel by channel.
+
+    A byte b stands for the middle of its step, (b + 0.5) / 256 of −4..4; the two end bytes stand
+    for exactly −4 and 4. All of these are exact in float32.
+    """
+    values = codes * np.float32(1 / 32) + np.float32(1 / 64 - 4)
+    np.putmask(values, codes == 0, np.float32(-4))
+    np.putmask(values, codes == 255, np.float32(4))
+    return values.reshape(len(codes), 3, -1).transpose(0, 2, 1)
 
 
 def _pack_sh(coefficients: F32) -> U8:
-    """Bytes [R, rest] channel by channel, each the nearest of `_sh_values`."""
+    """Bytes [R, rest] channel by channel, each the one that `_unpack_sh` brings nearest."""
     level = (coefficients * np.float32(0.125) + np.float32(0.5)) * np.float32(256)
     codes = np.clip(np.floor(level), 0, 255)
     codes[(level >= 0.75) & (level < 1)] = 1  # byte 1 (at 1.5) is nearer than byte 0 (at 0)

@@ -21,6 +21,7 @@ from gn0.bench.results import load_results, load_summary
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite
 from gn0.errors import BenchError, ConfigError, PolicyError, StorageError
+from gn0.storage import Journal
 
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
 PLUGIN = Path(__file__).parent / "plugin"
@@ -200,6 +201,23 @@ def test_a_damaged_tail_of_the_journal_costs_only_that_episode(
         (out / name).unlink()
     run_odd(flats_suite, out, pause=0.001)
     assert outputs(out) == outputs(unbroken)
+
+
+def test_a_journal_of_something_else_is_refused_and_leftovers_are_swept(
+    flats_suite: Suite, unbroken: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    shutil.copytree(unbroken, out)
+    (out / ".gn0-tmp-left").write_text("half a result")
+    with Journal(out / "journal.jsonl") as journal:
+        journal.append({"type": "result", "result": {"episode": 5}})
+    with pytest.raises(BenchError, match=r"journal\.jsonl: line \d+ is not one of ours"):
+        run_odd(flats_suite, out, pause=0.001)
+    assert not (out / ".gn0-tmp-left").exists()
+    with Journal(tmp_path / "other" / "journal.jsonl") as journal:
+        journal.append(["a list"])
+    with pytest.raises(BenchError, match="another suite"):
+        run_odd(flats_suite, tmp_path / "other")
 
 
 def test_another_run_in_the_same_folder_is_refused(

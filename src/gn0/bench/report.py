@@ -23,6 +23,7 @@ from gn0.bench.drawing import (
     MapWindow,
     bev_symbol,
     data_uri,
+    encode_jpeg,
     find_window,
     path_marks,
     plan_symbol,
@@ -38,7 +39,7 @@ from gn0.bench.results import (
     load_traces,
 )
 from gn0.bench.suite import Suite, load_suite, load_suite_scene
-from gn0.bench.video import MIME, ClipScene, render_clip
+from gn0.bench.video import ClipScene, render_clip
 from gn0.config import load_json
 from gn0.errors import BenchError
 from gn0.missions.episode import Episode
@@ -187,8 +188,9 @@ def _render(
                     progress("rendering clips", made, len(wanted))
                     made += 1
                     clip = render_clip(art.clips, episode, result, trace, title=names[number])
-                    spent += len(clip)
-                    row["video"] = data_uri(clip, "video/mp4")
+                    spent += len(clip.mp4)
+                    row["video"] = data_uri(clip.mp4, "video/mp4")
+                    row["poster"] = data_uri(encode_jpeg(clip.poster, 75), "image/jpeg")
                 rows.append(row)
     rows.sort(key=lambda row: (row["rank"], row["episode"], row["run"]))
     shown = [row for row in rows if row["video"]]
@@ -213,7 +215,6 @@ def _render(
         symbols=symbols,
         videos=shown,
         protocol=_protocol_rows(runs, names),
-        mime=MIME,
     )
 
 
@@ -327,6 +328,7 @@ def _row(
             success_radius=suite.about.success_radius,
         ),
         "video": "",
+        "poster": "",
         "clip": -1,
     }
 

@@ -41,7 +41,7 @@ from gn0.errors import BenchError, PolicyError
 from gn0.missions.episode import Episode
 from gn0.plugins import get_plugin
 from gn0.progress import Progress, no_progress
-from gn0.storage import Journal, storage_error
+from gn0.storage import TEMPORARY_PREFIX, Journal, storage_error
 
 JOURNAL = "journal.jsonl"
 EPISODE_TIME_LIMIT = 300.0  # s
@@ -102,6 +102,7 @@ def run_suite(
     check_room(out, len(episodes))
     options = dict(policy_options or {})
     with _lock(out):
+        _sweep(out)
         if not resume:
             _forget(out)
         run = _Run(
@@ -207,6 +208,16 @@ def _lock(out: Path) -> Iterator[None]:
         yield
 
 
+def _sweep(out: Path) -> None:
+    """Remove what a killed run left half-written; a folder only when nobody can be filling it."""
+    for path in out.glob(f"{TEMPORARY_PREFIX}*"):
+        with contextlib.suppress(OSError):
+            if not path.is_dir():
+                path.unlink()
+            elif time.time() - path.stat().st_mtime > 3600:
+                shutil.rmtree(path, ignore_errors=True)
+
+
 def _forget(out: Path) -> None:
     for name in (SUMMARY, RESULTS, TRAJECTORIES, RUN, JOURNAL):
         with contextlib.suppress(FileNotFoundError):
@@ -246,7 +257,7 @@ class _Run:
         if not records:
             self.journal.append({"type": "run", **self.identity})
             return
-        head = records[0]
+        head = records[0] if isinstance(records[0], dict) else {}
         for name, value in self.identity.items():
             if head.get(name) != value:
                 raise BenchError(
@@ -254,18 +265,28 @@ class _Run:
                     where=self.out,
                     remedy="choose another --out, or give --fresh to forget the earlier run",
                 )
-        for record in records[1:]:
-            kind = record["type"]
-            if kind == "result":
-                self._take(
-                    msgspec.convert(record["result"], EpisodeResult),
-                    msgspec.convert(record["trace"], EpisodeTrace),
-                    record["about"],
-                )
-            elif kind == "policy":
-                self.card = msgspec.convert(record["card"], PolicyCard)
-            elif kind == "session":
-                self.sessions.append(record["about"])
+        for number, record in enumerate(records[1:], 2):
+            try:
+                self._recall(record)
+            except (KeyError, TypeError, AttributeError, msgspec.ValidationError) as error:
+                raise BenchError(
+                    f"line {number} is not one of ours: {error}",
+                    where=self.out / JOURNAL,
+                    remedy="choose another --out, or give --fresh to forget the earlier run",
+                ) from None
+
+    def _recall(self, record: dict[str, Any]) -> None:
+        """Take one line of the journal into account."""
+        kind = record["type"]
+        if kind == "result":
+            result = msgspec.convert(record["result"], EpisodeResult)
+            trace = msgspec.convert(record["trace"], EpisodeTrace)
+            if result.episode in self.episodes:
+                self._take(result, trace, dict(record["about"]))
+        elif kind == "policy":
+            self.card = msgspec.convert(record["card"], PolicyCard)
+        elif kind == "session":
+            self.sessions.append(dict(record["about"]))
 
     @property
     def left(self) -> list[Episode]:

@@ -288,7 +288,7 @@ def build_suite(
         minimum_length: least geodesic length from start to goal [m].
         camera: camera preset by name.
         agent: the body; the preset's when None.
-        name: what people call it; the folder's name by default.
+        name: what people call it; by default the scene's id, or the folder's name for several.
         profile: see `SuiteFile`.
         max_steps: actions until an episode is truncated.
         overwrite: replace an existing folder.
@@ -325,7 +325,7 @@ def build_suite(
         out,
         scenes,
         episodes,
-        name=name or Path(out).name,
+        name=name or (scenes[0].id if len(scenes) == 1 else Path(out).name),
         camera=camera,
         agent=body,
         profile=profile,

@@ -25,11 +25,10 @@ from gn0.render.renderer import Renderer
 from gn0.sim.presets import CameraPreset
 
 CODEC = "libvpx-vp9"
-MIME = 'video/mp4; codecs="vp09.00.20.08"'
 VIEW_HEIGHT = 252  # px of the view and of the map beside it
 CAPTION = 46  # px
 FRAMES_PER_SECOND = 8
-MOST_FRAMES = 96
+MOST_FRAMES = 64
 CLIP_LIMIT = 1_500_000  # bytes
 QUALITIES = (34, 42, 50, 58, 63)  # crf, tried in turn until a clip fits
 BATCH = 8  # views rendered in one call
@@ -37,6 +36,19 @@ BATCH = 8  # views rendered in one call
 INK, PAPER, MUTED = (238, 240, 243), (18, 21, 26), (150, 158, 170)
 GOOD, BAD, TRAIL, PLAN = (80, 200, 130), (240, 110, 90), (255, 176, 59), (140, 190, 255)
 _WORDS = {-1: "teleport", 0: "stop", 1: "forward", 2: "turn left", 3: "turn right"}
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A finished clip.
+
+    Attributes:
+        mp4: VP9 in MP4.
+        poster: one frame of it [H, W, 3], to be shown before it plays.
+    """
+
+    mp4: bytes
+    poster: U8
 
 
 @dataclass(frozen=True)
@@ -88,8 +100,8 @@ def render_clip(
     title: str,
     size_limit: int = CLIP_LIMIT,
     most_frames: int = MOST_FRAMES,
-) -> bytes:
-    """An MP4 clip of an episode.
+) -> Clip:
+    """A clip of an episode.
 
     Args:
         scene: renderer, map and eyes.
@@ -122,11 +134,12 @@ def render_clip(
                 _colour(result) if over else MUTED,
             )
         )
+    poster = frames[len(frames) * 3 // 5]  # the start is often a wall, the end a close-up
     frames += [frames[-1]] * FRAMES_PER_SECOND  # hold the end for a second
     for quality in QUALITIES:
         data = encode_clip(frames, quality)
         if len(data) <= size_limit:
-            return data
+            return Clip(data, poster)
     raise RenderError(
         f"the clip of episode {episode.id!r} has {len(data)} bytes at the lowest quality",
         remedy=f"allow more than {size_limit} bytes",

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 REACH = 1.5  # m from an object's footprint within which its standing cell must lie
 LOWEST_OUT_OF_REACH = 1.8  # m; what hangs above this is not somewhere one goes
 NEIGHBOUR_REACH = 2.0  # m within which another object tells two of a kind apart
+SMALLEST_GOAL = 0.30  # m, longest side: nobody is sent across the house to a cup
+SMALLEST_LANDMARK = 0.50  # m, longest side
 
 # parts of the building and labels that say nothing
 NOT_A_GOAL = frozenset((
@@ -114,6 +116,8 @@ def is_goal_worthy(item: SceneObject) -> bool:
     category = item.category.strip().lower()
     if not category or category.replace(" ", "_") in NOT_A_GOAL:
         return False
+    if max(item.box.size) < SMALLEST_GOAL:
+        return False
     return item.box.centre[2] - item.box.size[2] / 2 <= LOWEST_OUT_OF_REACH
 
 
@@ -185,7 +189,7 @@ def _tell_tale_neighbour(scene: Scene, item: SceneObject, room: SceneRoom | None
     best: tuple[float, str] | None = None
     for other in scene.objects:
         kind = _plain(other.category)
-        if kind == name or not is_goal_worthy(other):
+        if kind == name or not is_goal_worthy(other) or max(other.box.size) < SMALLEST_LANDMARK:
             continue
         if room is not None and room_of_object(other, scene.rooms) is not room:
             continue

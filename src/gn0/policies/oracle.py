@@ -7,7 +7,6 @@ collision rule, so nothing has to be corrected on the way and nothing dithers.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,7 @@ import numpy as np
 from gn0.errors import PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.pose_astar import plan_actions
-from gn0.sim.kinematics import heading_cycle
+from gn0.sim.kinematics import heading_cycle, step_forward
 from gn0.sim.policy import Sensor
 from gn0.sim.state import Action, Observation
 
@@ -99,8 +98,7 @@ class PolicyOracle:
         assert simulator is not None
         x, y, yaw = simulator.pose
         if action == Action.FORWARD:
-            step = simulator.agent.forward_step
-            return Pose2D(x + step * math.cos(yaw), y + step * math.sin(yaw), yaw)
+            return Pose2D(*step_forward(x, y, yaw, simulator.agent.forward_step), yaw)
         turned = simulator.heading.turned(1 if action == Action.LEFT else -1)
         return Pose2D(x, y, turned.yaw)
 

@@ -17,9 +17,9 @@ from gn0.geometry import F32, U8, Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec, Episode, check_episode
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
-from gn0.sim.collision import check_finite, check_places
+from gn0.sim.collision import check_finite, check_places, move_agent
 from gn0.sim.history import History, build_mosaic
-from gn0.sim.kinematics import Heading, heading_yaw
+from gn0.sim.kinematics import Heading, heading_yaw, step_forward
 from gn0.sim.policy import Policy, PolicyPrivileged, Sensor
 from gn0.sim.sensors import EYES, SensorConfig, SensorSuite
 from gn0.sim.state import Action, Observation, StepResult, Teleport, Trajectory
@@ -106,7 +106,6 @@ class Simulator:
         self._history = History()
         self._over = True
         self._x = self._y = self._yaw = math.nan  # nowhere yet
-        self._cos = self._sin = math.nan
 
     @property
     def sensors(self) -> frozenset[Sensor]:
@@ -218,21 +217,17 @@ class Simulator:
         x, y = self._x, self._y
         if isinstance(action, Teleport):
             check_finite("teleport", *action)
-            nx, ny, collided = self.navigation.move(x, y, float(action.x), float(action.y))
             self._keep_view()
-            self._place(nx, ny, wrap_angle(float(action.yaw)), 0)
-            moved = math.hypot(nx - x, ny - y)
+            move = move_agent(self.navigation, x, y, float(action.x), float(action.y))
+            moved, collided = move.moved, move.collided
+            self._place(move.x, move.y, wrap_angle(float(action.yaw)), 0)
         else:
             code = action_code(action)
             if self._eyes:
                 self._keep_view()
             if code == 1:
-                reach = self.agent.forward_step
-                nx, ny, collided = self.navigation.move(
-                    x, y, x + reach * self._cos, y + reach * self._sin
-                )
-                self._x, self._y = nx, ny
-                moved = math.hypot(nx - x, ny - y)
+                target = step_forward(x, y, self._yaw, self.agent.forward_step)
+                self._x, self._y, moved, collided = move_agent(self.navigation, x, y, *target)
             elif code == 0:
                 stop = True
             else:
@@ -300,8 +295,7 @@ class Simulator:
 
     def _turn(self, turns: int) -> None:
         self._turns += turns
-        self._yaw = yaw = heading_yaw(self._base, self._turns, self.agent.turn_degrees)
-        self._cos, self._sin = math.cos(yaw), math.sin(yaw)
+        self._yaw = heading_yaw(self._base, self._turns, self.agent.turn_degrees)
 
     def _look(self) -> tuple[U8 | None, F32 | None]:
         """Pictures here; not drawn again while the agent stands still."""

@@ -18,9 +18,11 @@ SIGMA = 0.65  # standard deviation of a full cell's disc, in spacings
 SIGMA_ONE = 0.45  # across a cell with one open side
 SIGMA_BOTH = 0.40  # across a cell with two: the 50 % contour of the blended disc lies on the edge
 SHIFT_ONE = 0.10  # how far a disc steps back from an open side, in cell widths
+OPACITY = 0.995
 THICKNESS = 0.001  # of a disc, one standard deviation [m]
 _COVERED = 0.02  # what lies closer than this over a surface hides it [m]
 _LIFT = 2e-3
+_BLUR = 0.0025  # widening by a renderer, half a pixel at about two metres [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,7 @@ class Discs:
         point: centres [N, 3] m.
         scales: standard deviations [N, 3] m.
         quats: orientations [N, 4], third axis along the surface normal.
+        opacity: [N]; less than full for what is thinner than a pixel.
         keep: discs that can be seen from somewhere [N].
         open_length: length of each disc's sides that end in the open [N] m.
         area: of each disc's cell [N] m².
@@ -40,6 +43,7 @@ class Discs:
     scales: F32
     quats: F32
     keep: NDArray[np.bool_]
+    opacity: F32
     open_length: F64
     area: F64
 
@@ -94,11 +98,14 @@ def shape_discs(
     step = (open_sides[:, 0::2].astype(float) - open_sides[:, 1::2]) * SHIFT_ONE * width
     point = cells.point + step[:, :1] * e1 + step[:, 1:] * e2
     scales = np.maximum(factor * width, THICKNESS)
+    # renderers widen thin things by a fraction of a pixel: fade them as much, as seen from afar
+    thin = np.where(count == 2, scales / np.sqrt(scales**2 + _BLUR**2), 1.0)
     return Discs(
         point=point.astype(np.float32),
         scales=np.concatenate([scales, np.full((len(scales), 1), THICKNESS)], 1).astype(np.float32),
         quats=quaternion_from_rotation(np.stack([e1, e2, normal], 2)).astype(np.float32),
         keep=~hidden,
+        opacity=(OPACITY * thin[:, 0] * thin[:, 1]).astype(np.float32),
         open_length=(count * width[:, ::-1]).sum(1),
         area=width[:, 0] * width[:, 1],
     )
@@ -125,12 +132,14 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
                 dx, dy, dz = -dx, -dy, -dz
             if k < 4:
                 far = 0.5 * reach + min(0.35 * reach, 0.006) + 5e-4
-                # something stands on the surface there: the disc's tail is hidden behind it
+                # does something stand on the surface there?
                 hit, _, _, _ = closest_hit(
                     boxes, links, corners, px + nx * _LIFT, py + ny * _LIFT, pz + nz * _LIFT,
-                    dx, dy, dz, far + 0.5 * reach, True, stack,
+                    dx, dy, dz, far, True, stack,
                 )  # fmt: skip
-                if hit < 0:
+                if hit >= 0:
+                    open_sides[i, k] = True  # discs are sorted by their centres: a tail would show
+                else:
                     lift = _LIFT + 0.3 * min(reach, 0.03)
                     hit, _, _, _ = closest_hit(
                         boxes, links, corners,

@@ -23,7 +23,6 @@ from gn0.scenes.rays import RayCaster
 from gn0.scenes.shading import Shader
 from gn0.scenes.tiles import PICKS, Cells, fill_tiles, plan_tiles
 
-OPACITY = 0.995
 _OUTLINE = 0.02  # error of a length of outline, against the variance of colour
 
 
@@ -90,7 +89,7 @@ def build_surfels(
         means=kept_discs.point,
         quats=kept_discs.quats,
         scales=scales,
-        opacities=np.full(len(cells.face), OPACITY, np.float32),
+        opacities=kept_discs.opacity,
         sh=((colour - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
         label=label.astype(np.int32),
         albedo=albedo,
@@ -136,7 +135,7 @@ def _spread_budget(
         need *= np.maximum(mean, 1e-3) ** 3
     fineness = np.cbrt(need)
     middle = np.average(fineness, weights=area)
-    return np.clip(fineness / middle, 0.35, 2.5)
+    return np.clip(fineness / middle, 0.5, 2.5)
 
 
 def _colour_variance(shader: Shader, cells: Cells) -> F64:

@@ -114,18 +114,22 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
         pick_face[keep],
         pick_bary[keep],
     ]
-    if len(missed):  # slivers that no subsample met: one disc each, from their bounds
-        middle = (charts.lower[missed] + charts.upper[missed]) / 2
-        extent = charts.upper[missed] - charts.lower[missed]
-        one = charts.faces[charts.start[missed]]
+    if len(missed):  # too thin for the subsamples, such as bevels: a disc for each face
+        sizes = np.diff(charts.start)[missed]
+        at = np.repeat(charts.start[missed], sizes)
+        at = at + np.arange(len(at)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        corner = charts.corners[at]
+        middle = corner.mean(axis=1)
+        d = corner - middle[:, None]  # a triangle's covariance is a twelfth of its corners' sum
+        one = charts.faces[at]
         extra = [
-            np.searchsorted(tiles.chart, missed),
-            missed,
+            np.repeat(np.searchsorted(tiles.chart, missed), sizes),
+            np.repeat(missed, sizes),
             one,
             middle,
-            np.stack([extent[:, 0] ** 2 / 12, 0 * extent[:, 0], extent[:, 1] ** 2 / 12], 1),
+            np.stack([(d[..., i] * d[..., j]).sum(1) / 12 for i, j in ((0, 0), (0, 1), (1, 1))], 1),
             np.repeat(one[:, None], PICKS, 1),
-            np.full((len(missed), PICKS, 2), 1 / 3, np.float32),
+            np.full((len(one), PICKS, 2), 1 / 3, np.float32),
         ]
         parts = [np.concatenate([a, b]) for a, b in zip(parts, extra, strict=True)]
     tile, c, f, m, s, pf, pb = parts

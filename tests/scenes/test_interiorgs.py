@@ -177,3 +177,10 @@ def test_our_own_folder_is_not_imported_again(tmp_path):
     save_scene(build_example_scene(spacing=0.3), tmp_path / "own")
     with pytest.raises(SceneError, match="already is"):
         import_scene(tmp_path / "own", tmp_path / "out")
+
+
+def test_source_keeps_the_public_contract(source):
+    from gn0.scenes.interiorgs import SceneSourceInteriorGS
+    from gn0.testing.check_source import check_source
+
+    check_source(SceneSourceInteriorGS, source)

@@ -410,3 +410,10 @@ def test_unreadable_textures_are_no_error(tmp_path):
     }.items():
         (tmp_path / name).write_bytes(data)
         assert load_texture(tmp_path / name) is None
+
+
+def test_source_keeps_the_public_contract(cabin):
+    from gn0.scenes.world import SceneSourceWorld
+    from gn0.testing.check_source import check_source
+
+    check_source(SceneSourceWorld, cabin)

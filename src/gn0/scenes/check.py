@@ -24,7 +24,7 @@ _ORDER: dict[str, int] = {"error": 0, "warning": 1, "note": 2}
 _REACH = 1.5  # m: how near walkable ground must be to an object to go "to" it
 
 
-class Finding(Config):
+class Finding(Config, frozen=True):
     """One thing worth knowing about a scene.
 
     Attributes:

@@ -7,9 +7,9 @@
     gaussians_aux.npz                        label, albedo, irradiance, normal, in PLY order
     scene.json                               id, source, licence, bounds, hashes, layout version
 
-`point_cloud.ply` (exact) is the default: it costs five times the bytes of the compressed file, but
-compression alone takes the picture to about 40 dB of the exact one (`gn0 figures scenes.folder`),
-and the walls of our own scenes are thinner than its position steps.
+`point_cloud.ply` (exact) is the default: it loads as it was written, and every reader decodes it
+alike. `3dgs_compressed.ply` is 3.4 times smaller; on `small_house` its pictures match the exact
+ones to 55 dB on average and 48 dB at worst (`gn0 figures scenes.folder`).
 """
 
 from __future__ import annotations

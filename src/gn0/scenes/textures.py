@@ -32,11 +32,6 @@ class Paint:
     colour: tuple[float, float, float]
     picture: F32 | None = None
 
-    @property
-    def busy(self) -> bool:
-        """Whether the picture varies enough to be seen to."""
-        return self.picture is not None and float(self.picture.std(axis=(0, 1)).max()) > 0.01
-
 
 def load_texture(path: Path) -> F32 | None:
     """A texture as linear light [H, W, 3], at most 1024 pixels a side; None when unreadable."""

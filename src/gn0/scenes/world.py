@@ -7,7 +7,6 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gn0.errors import SceneError
 from gn0.geometry import F64
@@ -79,13 +78,10 @@ class SceneSourceWorld:
             meshes.visual,
             shader,
             count=int(settings.density * ground),
-            detail=_detail(meshes),
             seed=settings.seed,
             progress=progress,
         )
         vertices = meshes.visual.vertices[meshes.visual.faces.ravel()]
-        # a bevel thinner than the spacing becomes one disc as large as its ring: better without
-        cloud = cloud.select(cloud.scales.max(axis=1) <= max(0.15, 6 * spacing))
         notes = _told(meshes.notes)
         return Scene(
             id=settings.scene_id or file.stem,
@@ -208,12 +204,6 @@ def _shell(mesh: SceneMesh, meshes: WorldMeshes) -> SceneMesh:
     if not keep.any():
         return mesh
     return mesh.select(keep)
-
-
-def _detail(meshes: WorldMeshes) -> NDArray[np.float64]:
-    """Textured faces are sampled finely, plain ones coarsely."""
-    busy = [1.0 if paint.busy else 0.35 for paint in meshes.paints]
-    return np.array(busy)[meshes.visual.material]
 
 
 def _told(notes: list[str]) -> str:

@@ -25,7 +25,7 @@ from gn0.scenes.scene import SceneObject
 from gn0.scenes.sdf import SdfLight
 from gn0.scenes.shading import Shader, SurfaceSample, encode_srgb
 from gn0.scenes.textures import Paint, TextureAlbedo
-from gn0.scenes.tone import BakedShader, ToneCurve, choose_exposure
+from gn0.scenes.tone import BakedShader, choose_exposure
 from gn0.scenes.world_mesh import WorldMeshes
 from gn0.seeds import random_stream
 
@@ -35,7 +35,6 @@ _DAY = np.array((0.92, 1.0, 1.12))
 _LAMP_POWER = 3.2  # radiance × area [m²] of a lamp whose SDF colour is white, per m of height²
 _DAYLIGHT = 5.0  # radiance of a window
 _WINDOW_GLOW = 1.0  # radiance of the pane as seen, times its texture
-_EXPOSURE = 0.95  # imported rooms are mostly white: a grey-world exposure would bleach them
 _PASSING = {"window", "lamp", "chandelier", "curtain", "light"}  # do not stop light
 
 
@@ -150,34 +149,12 @@ def light_world(
         mesh,
         surface,
         lamps,
-        settings=BakeSettings(
-            coarse=coarse,
-            fine=fine,
-            rays=64,
-            samples=9,
-            bounces=4,
-            two_sided=_inverted_share(mesh, rooms, grid, seed) > 0.02,
-        ),
+        settings=BakeSettings(coarse=coarse, fine=fine, rays=64, samples=9, bounces=4),
         opaque=~np.isin(kind, sorted(_PASSING)),
         seed=seed,
         progress=progress,
     )
-    r, g, b = (_EXPOSURE * gain for gain in choose_exposure(field).gain)
-    return BakedShader(mesh=mesh, surface=surface, light=field, tone=ToneCurve(gain=(r, g, b)))
-
-
-def _inverted_share(mesh: SceneMesh, rooms: RoomMap, grid: OccupancyGrid, seed: int) -> float:
-    """Share of what is seen from inside that shows its back: faces wound the wrong way."""
-    xy = grid.centres_of(np.argwhere(rooms.label >= 0))
-    if not len(xy):
-        return 0.0
-    rng = random_stream(seed, "world", "inverted")
-    start = np.column_stack([xy[rng.integers(0, len(xy), 8000)], np.full(8000, 1.3)])
-    rays = rng.normal(size=start.shape)
-    face, _, _ = RayCaster(mesh).cast(start, rays)
-    hit = face >= 0
-    back = (rays[hit] * mesh.normals()[face[hit]]).sum(axis=1) > 0
-    return float(back.mean()) if len(back) else 0.0
+    return BakedShader(mesh=mesh, surface=surface, light=field, tone=choose_exposure(field))
 
 
 def _wall_top(caster: RayCaster, xy: NDArray[np.floating], meshes: WorldMeshes) -> float:

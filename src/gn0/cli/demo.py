@@ -1,7 +1,7 @@
 """The main job in one command: an apartment, its suite, four policies, one report to look at.
 
-It needs nothing but this package. About a minute and a half on two cores. Everything lands in one folder; pictures of the apartment,
-the very ones of the README, in `pictures`.
+It needs nothing but this package and takes about a minute and a half on two cores. Everything lands
+in one folder; pictures of the apartment, the very ones of the README, in `pictures`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from gn0.config import Config
 
 EXAMPLES = """  gn0 demo --out out/demo
   gn0 demo --seed 11 --out out/other --workers 2"""
+MARKER = "demo.json"  # says that a folder is a demo's, and may be replaced by one
 POLICIES = ("oracle", "straight", "wall_follower", "random")
 
 
@@ -49,33 +50,55 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.cli.tables import print_summaries
     from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
-    from gn0.storage import folder_atomic
 
     started = time.monotonic()
     out = Path(args.out)
     workers = args.workers or min(4, os.cpu_count() or 1)
-    with folder_atomic(out, overwrite=args.overwrite) as folder, draw_progress() as progress:
+    claim_folder(out, args)
+    with draw_progress() as progress:
         settings = GenerateSettings(seed=args.seed, size="small", density=args.density)
-        generate_scene(settings, folder / "apartment", progress=progress)
-        _draw_pictures(folder / "apartment", folder / "pictures", progress)
+        generate_scene(settings, out / "apartment", progress=progress)
+        _draw_pictures(out / "apartment", out / "pictures", progress)
         suite = build_suite(
-            [folder / "apartment"],
-            folder / "suite",
+            [out / "apartment"],
+            out / "suite",
             count=args.episodes,
             seed=args.seed,
             progress=progress,
         )
-        runs = [folder / "runs" / name for name in POLICIES]
+        runs = [out / "runs" / name for name in POLICIES]
         summaries = [
             run_suite(suite, name, run_folder, workers=workers, progress=progress)
             for name, run_folder in zip(POLICIES, runs, strict=True)
         ]
-        write_report(runs, folder / "report.html", videos=2, progress=progress)
+        write_report(runs, out / "report.html", videos=2, progress=progress)
     print_summaries(summaries)
     print(f"pictures: {out / 'pictures'}")
     print(f"report:   {(out / 'report.html').resolve()}   (open it in a browser)")
     print(f"took {time.monotonic() - started:.0f} s")
     return 1 if any(summary.failed for summary in summaries) else 0
+
+
+def claim_folder(out: Path, args: Args) -> None:
+    """Make `out` ours: empty or absent, or an earlier demo that may be replaced.
+
+    Raises:
+        StorageError: it holds something else.
+    """
+    import shutil
+
+    from gn0.errors import StorageError
+    from gn0.storage import write_json
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if not (args.overwrite and (out / MARKER).is_file()):
+            raise StorageError(
+                "the folder is not empty" + (" and not a demo's" if args.overwrite else ""),
+                where=out,
+                remedy="choose another --out" + ("" if args.overwrite else ", or pass --overwrite"),
+            )
+        shutil.rmtree(out)
+    write_json(out / MARKER, {name: getattr(args, name) for name in args.__struct_fields__})
 
 
 def _draw_pictures(scene_folder: Path, pictures: Path, progress: object) -> None:

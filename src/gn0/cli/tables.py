@@ -8,46 +8,44 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gn0.bench.results import RunSummary
 
+# metric -> (title, factor, decimals)
 _COLUMNS = {
-    "SR": "SR",
-    "SPL": "SPL",
-    "OS": "OS",
-    "NE_geo": "NE geo m",
-    "NE_euclid": "NE euclid m",
-    "TL": "TL m",
-    "nDTW": "nDTW",
-    "collision_rate": "collided",
-    "steps": "steps",
+    "SR": ("SR %", 100, 0),
+    "SPL": ("SPL %", 100, 1),
+    "OS": ("OS %", 100, 0),
+    "NE_geo": ("NE geo m", 1, 2),
+    "NE_euclid": ("NE eucl m", 1, 2),
+    "TL": ("TL m", 1, 1),
+    "nDTW": ("nDTW %", 100, 0),
+    "collision_rate": ("coll. %", 100, 1),
+    "steps": ("steps", 1, 0),
 }
 
 
-def _short(value: float) -> str:
-    """Three significant digits or so: enough for a terminal."""
-    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
-
-
 def print_summaries(summaries: Sequence[RunSummary]) -> None:
-    """A row a policy: means and their 95 % intervals, and what did not run."""
+    """A row a policy: means, their 95 % intervals below, and what did not run."""
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(header_style="bold")
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", padding=(0, 1))
     table.add_column("policy", no_wrap=True)
-    table.add_column("episodes", justify="right")
-    for title in _COLUMNS.values():
-        table.add_column(title, justify="right")
+    table.add_column("scored", justify="right", no_wrap=True)
+    for title, _, _ in _COLUMNS.values():
+        table.add_column(title, justify="right", no_wrap=True)
     for summary in summaries:
         cells = []
-        for name in _COLUMNS:
-            estimate = summary.metrics.get(name)
-            cells.append(
-                "–"
-                if estimate is None
-                else f"{_short(estimate.mean)}\n[dim]{_short(estimate.low)}–{_short(estimate.high)}[/dim]"
+        for name, (_, factor, decimals) in _COLUMNS.items():
+            found = summary.metrics.get(name)
+            if found is None:
+                cells.append("–")
+                continue
+            mean, low, high = (
+                f"{factor * value:.{decimals}f}" for value in (found.mean, found.low, found.high)
             )
-        count = f"{summary.valid}/{summary.expected}"
-        table.add_row(summary.policy, count, *cells)
-    Console(width=max(110, Console().width)).print(table)
+            cells.append(f"{mean}\n[dim]{low}–{high}[/dim]")
+        table.add_row(summary.policy, f"{summary.valid}/{summary.expected}", *cells)
+    Console(width=max(120, Console().width), highlight=False).print(table)
     for summary in summaries:
         if summary.failed:
             print(f"{summary.policy}: {len(summary.failed)} episodes did not run:")

@@ -13,11 +13,11 @@ _COLUMNS = {
     "SR": ("SR %", 100, 0),
     "SPL": ("SPL %", 100, 1),
     "OS": ("OS %", 100, 0),
-    "NE_geo": ("NE geo m", 1, 2),
-    "NE_euclid": ("NE eucl m", 1, 2),
+    "NE_geo": ("NE geo", 1, 1),
+    "NE_euclid": ("NE eucl", 1, 1),
     "TL": ("TL m", 1, 1),
-    "nDTW": ("nDTW %", 100, 0),
-    "collision_rate": ("coll. %", 100, 1),
+    "nDTW": ("nDTW", 100, 0),
+    "collision_rate": ("coll %", 100, 0),
     "steps": ("steps", 1, 0),
 }
 
@@ -45,7 +45,7 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
             )
             cells.append(f"{mean}\n[dim]{low}–{high}[/dim]")
         table.add_row(summary.policy, f"{summary.valid}/{summary.expected}", *cells)
-    Console(width=max(120, Console().width), highlight=False).print(table)
+    Console(width=max(116, Console().width), highlight=False).print(table)
     for summary in summaries:
         if summary.failed:
             print(f"{summary.policy}: {len(summary.failed)} episodes did not run:")

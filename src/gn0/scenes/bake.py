@@ -117,12 +117,8 @@ def bake_light(
     blocker = caster
     if opaque is not None and not opaque.all() and opaque.any():
         blocker = RayCaster(_faces_of(mesh, opaque))
-    coarse = build_lumels(
-        mesh, charts, options.coarse, two_sided=options.two_sided, caster=caster
-    )
-    fine = build_lumels(
-        mesh, charts, options.fine, two_sided=options.two_sided, caster=caster
-    )
+    coarse = build_lumels(mesh, charts, options.coarse, two_sided=options.two_sided, caster=caster)
+    fine = build_lumels(mesh, charts, options.fine, two_sided=options.two_sided, caster=caster)
     if options.two_sided:
         coarse, fine = _turn_outward(coarse, caster, seed), _turn_outward(fine, caster, seed)
     progress("light", 1, 4)
@@ -320,7 +316,7 @@ def _gather(table, radiance):
 
 @njit(parallel=True, error_model="numpy")
 def _openness(point, normal, boxes, links, corners, seed):
-    """Mean length of eight rays over each point, each at most 3 m."""
+    """Mean length of eight rays over each point, each at most 3 m; none where they leave."""
     out = np.zeros(len(point))
     for i in prange(len(point)):
         stack = np.empty(STACK, np.int32)
@@ -329,10 +325,11 @@ def _openness(point, normal, boxes, links, corners, seed):
         su, sv = _rand(i, 2, seed)
         for k in range(8):
             dx, dy, dz = _cosine_ray(nx, ny, nz, k, 8, su, sv)
-            _, t, _, _ = closest_hit(
-                boxes, links, corners, ox, oy, oz, dx, dy, dz, 3.0, False, stack
+            hit, t, _, _ = closest_hit(
+                boxes, links, corners, ox, oy, oz, dx, dy, dz, np.inf, False, stack
             )
-            out[i] += min(t, 3.0) / 8
+            if hit >= 0:
+                out[i] += min(t, 3.0) / 8
     return out
 
 

@@ -57,7 +57,7 @@ def fill_tiles(ranges, counts, rects, keys, tiles_x, histogram, tile_rows, tile_
 
 
 @njit
-def sort_tile(keys, rows, spare_keys, spare_rows, bins, indices, records, ordered):  # type: ignore[no-untyped-def]
+def sort_tile(keys, rows, spare_keys, spare_rows, indices, records, ordered):  # type: ignore[no-untyped-def]
     """Sort one tile's list in place by (key, index of the row in its cloud).
 
     Lists arrive in packed order, which is index order when `ordered`.
@@ -74,6 +74,7 @@ def sort_tile(keys, rows, spare_keys, spare_rows, bins, indices, records, ordere
                 j -= 1
             keys[j + 1], rows[j + 1] = key, row
         return
+    bins = np.empty(_BINS, np.int32)
     _sort_radix(keys, rows, spare_keys, spare_rows, bins)
     if ordered:
         return
@@ -122,9 +123,3 @@ def _sort_radix(keys, rows, spare_keys, spare_rows, bins):  # type: ignore[no-un
     if passes % 2 == 1:
         keys[:] = spare_keys
         rows[:] = spare_rows
-
-
-@njit
-def new_bins():  # type: ignore[no-untyped-def]
-    """Scratch for `sort_tile`; each tile makes its own."""
-    return np.empty(_BINS, np.int32)

@@ -95,7 +95,127 @@ def cull_chunks(boxes, view, ortho, seen):  # type: ignore[no-untyped-def]
     return n
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
+def _project_block(  # type: ignore[no-untyped-def]
+    begin, end, pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0,
+    tiles_x, records, rects, keys, indices, counts, tiles,
+):  # fmt: skip
+    """Project chunks begin to end of `chunks`; see `project_chunks`."""
+    r00, r01, r02 = view[0], view[1], view[2]
+    r10, r11, r12 = view[3], view[4], view[5]
+    r20, r21, r22 = view[6], view[7], view[8]
+    ex, ey, ez = view[CENTRE], view[CENTRE + 1], view[CENTRE + 2]
+    fx, fy, cx, cy = view[FX], view[FY], view[CX], view[CY]
+    near, far, width, height = view[NEAR], view[FAR], view[WIDTH], view[HEIGHT]
+    lxp, lxn, lyp, lyn = view[LIM_XP], view[LIM_XN], view[LIM_YP], view[LIM_YN]
+    pinhole = _ZERO if ortho else _ONE
+    tiles[:] = 0
+    lanes = np.empty(_LANES * CHUNK, np.float32)
+    ok = np.empty(CHUNK, np.int32)
+    for v in range(begin, end):
+        p = pack[chunks[v]]
+        for k in range(CHUNK):
+            x, y, z = p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
+            X = r00 * x + r01 * y + r02 * z
+            Y = r10 * x + r11 * y + r12 * z
+            Z = r20 * x + r21 * y + r22 * z + _ZERO  # + 0: no negative zero among the keys
+            inside = (near <= Z) & (far >= Z) & (p[REACH * CHUNK + k] >= _ZERO)
+            iz = _ONE / (Z if (inside & (pinhole > _ZERO)) else _ONE)
+            tx, ty = X * iz, Y * iz
+            u, w = fx * tx + cx, fy * ty + cy
+            # J clamps x/z and y/z to the picture widened by 0.3 of its half angle
+            tx = min(lxp, max(-lxn, tx)) * pinhole
+            ty = min(lyp, max(-lyn, ty)) * pinhole
+            jx, jy = fx * iz, fy * iz
+            m0, m1, m2 = jx * (r00 - tx * r20), jx * (r01 - tx * r21), jx * (r02 - tx * r22)
+            n0, n1, n2 = jy * (r10 - ty * r20), jy * (r11 - ty * r21), jy * (r12 - ty * r22)
+            f0 = m0 * p[3 * CHUNK + k] + m1 * p[6 * CHUNK + k] + m2 * p[9 * CHUNK + k]
+            f1 = m0 * p[4 * CHUNK + k] + m1 * p[7 * CHUNK + k] + m2 * p[10 * CHUNK + k]
+            f2 = m0 * p[5 * CHUNK + k] + m1 * p[8 * CHUNK + k] + m2 * p[11 * CHUNK + k]
+            g0 = n0 * p[3 * CHUNK + k] + n1 * p[6 * CHUNK + k] + n2 * p[9 * CHUNK + k]
+            g1 = n0 * p[4 * CHUNK + k] + n1 * p[7 * CHUNK + k] + n2 * p[10 * CHUNK + k]
+            g2 = n0 * p[5 * CHUNK + k] + n1 * p[8 * CHUNK + k] + n2 * p[11 * CHUNK + k]
+            a0 = f0 * f0 + f1 * f1 + f2 * f2
+            d0 = g0 * g0 + g1 * g1 + g2 * g2
+            b = f0 * g0 + f1 * g1 + f2 * g2
+            e0, e1, e2 = f0 * g1 - f1 * g0, f0 * g2 - f2 * g0, f1 * g2 - f2 * g1
+            thin = e0 * e0 + e1 * e1 + e2 * e2
+            a, d = a0 + _EPS, d0 + _EPS
+            det = thin + _EPS * (a0 + d)
+            # exponent = ((d dx - b dy)² / det + dy²) / 2d
+            ratio = np.sqrt(_HALF / (d * det))
+            extent = p[EXTENT * CHUNK + k]
+            lanes[_QX * CHUNK + k] = d * ratio
+            lanes[_QY * CHUNK + k] = -b * ratio
+            lanes[_QK * CHUNK + k] = _HALF / d
+            lanes[_RX * CHUNK + k] = extent * np.sqrt(a)
+            lanes[_RY * CHUNK + k] = extent * np.sqrt(d)
+            lanes[_THIN * CHUNK + k] = thin / det
+            lanes[_U * CHUNK + k], lanes[_V * CHUNK + k], lanes[_Z * CHUNK + k] = u, w, Z
+            rx, ry = lanes[_RX * CHUNK + k], lanes[_RY * CHUNK + k]
+            inside = inside & (u + rx > _ZERO) & (u - rx < width)
+            inside = inside & (w + ry > _ZERO) & (w - ry < height)
+            ok[k] = 1 if inside else 0
+        n = 0
+        row = row0 + v * CHUNK
+        for k in range(CHUNK):
+            if ok[k] == 0:
+                continue
+            rx, ry, log_opacity = (
+                lanes[_RX * CHUNK + k],
+                lanes[_RY * CHUNK + k],
+                p[LOG_OPACITY * CHUNK + k],
+            )
+            if antialiased:
+                if lanes[_THIN * CHUNK + k] <= _ZERO:
+                    continue
+                log_opacity += _HALF * np.float32(math.log(lanes[_THIN * CHUNK + k]))
+                squared = _TWO * (log_opacity - _LOG_MIN)
+                if squared <= _ZERO:
+                    continue
+                shrink = np.sqrt(squared) / p[EXTENT * CHUNK + k]
+                rx, ry = rx * shrink, ry * shrink
+            # pixel centres within the footprint's box: columns x0 <= x < x1
+            x0 = max(np.ceil(lanes[_U * CHUNK + k] - rx - _HALF - _SLACK), _ZERO)
+            x1 = min(np.floor(lanes[_U * CHUNK + k] + rx - _HALF + _SLACK) + _ONE, width)
+            y0 = max(np.ceil(lanes[_V * CHUNK + k] - ry - _HALF - _SLACK), _ZERO)
+            y1 = min(np.floor(lanes[_V * CHUNK + k] + ry - _HALF + _SLACK) + _ONE, height)
+            if not (x0 < x1 and y0 < y1):
+                continue
+            index = order[chunks[v] * CHUNK + k]
+            o = records[row + n]
+            o[U], o[V], o[QX], o[QY], o[QK] = (
+                lanes[_U * CHUNK + k],
+                lanes[_V * CHUNK + k],
+                lanes[_QX * CHUNK + k],
+                lanes[_QY * CHUNK + k],
+                lanes[_QK * CHUNK + k],
+            )
+            o[LOGO], o[DEPTH] = log_opacity, lanes[_Z * CHUNK + k]
+            o[X0], o[X1], o[Y0], o[Y1] = x0, x1, y0, y1
+            if degree == 0:
+                o[CR], o[CG], o[CB] = (
+                    p[RED * CHUNK + k],
+                    p[GREEN * CHUNK + k],
+                    p[BLUE * CHUNK + k],
+                )
+            else:
+                o[CR], o[CG], o[CB] = sh_colour(
+                    sh[index], degree, p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
+                )
+            t = rects[row + n]
+            t[0], t[1] = np.int16(np.int32(x0) >> 4), np.int16((np.int32(x1) + 15) >> 4)
+            t[2], t[3] = np.int16(np.int32(y0) >> 4), np.int16((np.int32(y1) + 15) >> 4)
+            keys[row + n] = np.float32(lanes[_Z * CHUNK + k]).view(np.uint32)
+            indices[row + n] = first_index + index
+            n += 1
+            for ty in range(t[2], t[3]):
+                for tile in range(ty * tiles_x + t[0], ty * tiles_x + t[1]):
+                    tiles[tile] += 1
+        counts[v] = n
+
+
+@njit(parallel=True)
 def project_chunks(  # type: ignore[no-untyped-def]
     pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0, tiles_x, records,
     rects, keys, indices, counts, histogram,
@@ -106,118 +226,10 @@ def project_chunks(  # type: ignore[no-untyped-def]
     `keys` [rows] (depth bits), `indices` [rows] (index in the cloud, plus `first_index`),
     `counts[v]`, the rows filled, and `histogram` [blocks, tiles], entries of block b's chunks.
     """
-    r00, r01, r02 = view[0], view[1], view[2]
-    r10, r11, r12 = view[3], view[4], view[5]
-    r20, r21, r22 = view[6], view[7], view[8]
-    ex, ey, ez = view[CENTRE], view[CENTRE + 1], view[CENTRE + 2]
-    fx, fy, cx, cy = view[FX], view[FY], view[CX], view[CY]
-    near, far, width, height = view[NEAR], view[FAR], view[WIDTH], view[HEIGHT]
-    lxp, lxn, lyp, lyn = view[LIM_XP], view[LIM_XN], view[LIM_YP], view[LIM_YN]
-    pinhole = _ZERO if ortho else _ONE
     blocks = histogram.shape[0]
     for block in prange(blocks):
-        tiles = histogram[block]
-        tiles[:] = 0
-        lanes = np.empty(_LANES * CHUNK, np.float32)
-        ok = np.empty(CHUNK, np.int32)
-        for v in range(block * len(chunks) // blocks, (block + 1) * len(chunks) // blocks):
-            p = pack[chunks[v]]
-            for k in range(CHUNK):
-                x, y, z = p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
-                X = r00 * x + r01 * y + r02 * z
-                Y = r10 * x + r11 * y + r12 * z
-                Z = r20 * x + r21 * y + r22 * z + _ZERO  # + 0: no negative zero among the keys
-                inside = (near <= Z) & (far >= Z) & (p[REACH * CHUNK + k] >= _ZERO)
-                iz = _ONE / (Z if (inside & (pinhole > _ZERO)) else _ONE)
-                tx, ty = X * iz, Y * iz
-                u, w = fx * tx + cx, fy * ty + cy
-                # J clamps x/z and y/z to the picture widened by 0.3 of its half angle
-                tx = min(lxp, max(-lxn, tx)) * pinhole
-                ty = min(lyp, max(-lyn, ty)) * pinhole
-                jx, jy = fx * iz, fy * iz
-                m0, m1, m2 = jx * (r00 - tx * r20), jx * (r01 - tx * r21), jx * (r02 - tx * r22)
-                n0, n1, n2 = jy * (r10 - ty * r20), jy * (r11 - ty * r21), jy * (r12 - ty * r22)
-                f0 = m0 * p[3 * CHUNK + k] + m1 * p[6 * CHUNK + k] + m2 * p[9 * CHUNK + k]
-                f1 = m0 * p[4 * CHUNK + k] + m1 * p[7 * CHUNK + k] + m2 * p[10 * CHUNK + k]
-                f2 = m0 * p[5 * CHUNK + k] + m1 * p[8 * CHUNK + k] + m2 * p[11 * CHUNK + k]
-                g0 = n0 * p[3 * CHUNK + k] + n1 * p[6 * CHUNK + k] + n2 * p[9 * CHUNK + k]
-                g1 = n0 * p[4 * CHUNK + k] + n1 * p[7 * CHUNK + k] + n2 * p[10 * CHUNK + k]
-                g2 = n0 * p[5 * CHUNK + k] + n1 * p[8 * CHUNK + k] + n2 * p[11 * CHUNK + k]
-                a0 = f0 * f0 + f1 * f1 + f2 * f2
-                d0 = g0 * g0 + g1 * g1 + g2 * g2
-                b = f0 * g0 + f1 * g1 + f2 * g2
-                e0, e1, e2 = f0 * g1 - f1 * g0, f0 * g2 - f2 * g0, f1 * g2 - f2 * g1
-                thin = e0 * e0 + e1 * e1 + e2 * e2
-                a, d = a0 + _EPS, d0 + _EPS
-                det = thin + _EPS * (a0 + d)
-                # exponent = ((d dx - b dy)² / det + dy²) / 2d
-                ratio = np.sqrt(_HALF / (d * det))
-                extent = p[EXTENT * CHUNK + k]
-                lanes[_QX * CHUNK + k] = d * ratio
-                lanes[_QY * CHUNK + k] = -b * ratio
-                lanes[_QK * CHUNK + k] = _HALF / d
-                lanes[_RX * CHUNK + k] = extent * np.sqrt(a)
-                lanes[_RY * CHUNK + k] = extent * np.sqrt(d)
-                lanes[_THIN * CHUNK + k] = thin / det
-                lanes[_U * CHUNK + k], lanes[_V * CHUNK + k], lanes[_Z * CHUNK + k] = u, w, Z
-                rx, ry = lanes[_RX * CHUNK + k], lanes[_RY * CHUNK + k]
-                inside = inside & (u + rx > _ZERO) & (u - rx < width)
-                inside = inside & (w + ry > _ZERO) & (w - ry < height)
-                ok[k] = 1 if inside else 0
-            n = 0
-            row = row0 + v * CHUNK
-            for k in range(CHUNK):
-                if ok[k] == 0:
-                    continue
-                rx, ry, log_opacity = (
-                    lanes[_RX * CHUNK + k],
-                    lanes[_RY * CHUNK + k],
-                    p[LOG_OPACITY * CHUNK + k],
-                )
-                if antialiased:
-                    if lanes[_THIN * CHUNK + k] <= _ZERO:
-                        continue
-                    log_opacity += _HALF * np.float32(math.log(lanes[_THIN * CHUNK + k]))
-                    squared = _TWO * (log_opacity - _LOG_MIN)
-                    if squared <= _ZERO:
-                        continue
-                    shrink = np.sqrt(squared) / p[EXTENT * CHUNK + k]
-                    rx, ry = rx * shrink, ry * shrink
-                # pixel centres within the footprint's box: columns x0 <= x < x1
-                x0 = max(np.ceil(lanes[_U * CHUNK + k] - rx - _HALF - _SLACK), _ZERO)
-                x1 = min(np.floor(lanes[_U * CHUNK + k] + rx - _HALF + _SLACK) + _ONE, width)
-                y0 = max(np.ceil(lanes[_V * CHUNK + k] - ry - _HALF - _SLACK), _ZERO)
-                y1 = min(np.floor(lanes[_V * CHUNK + k] + ry - _HALF + _SLACK) + _ONE, height)
-                if not (x0 < x1 and y0 < y1):
-                    continue
-                index = order[chunks[v] * CHUNK + k]
-                o = records[row + n]
-                o[U], o[V], o[QX], o[QY], o[QK] = (
-                    lanes[_U * CHUNK + k],
-                    lanes[_V * CHUNK + k],
-                    lanes[_QX * CHUNK + k],
-                    lanes[_QY * CHUNK + k],
-                    lanes[_QK * CHUNK + k],
-                )
-                o[LOGO], o[DEPTH] = log_opacity, lanes[_Z * CHUNK + k]
-                o[X0], o[X1], o[Y0], o[Y1] = x0, x1, y0, y1
-                if degree == 0:
-                    o[CR], o[CG], o[CB] = (
-                        p[RED * CHUNK + k],
-                        p[GREEN * CHUNK + k],
-                        p[BLUE * CHUNK + k],
-                    )
-                else:
-                    o[CR], o[CG], o[CB] = sh_colour(
-                        sh[index], degree, p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
-                    )
-                t = rects[row + n]
-                t[0], t[1] = np.int16(np.int32(x0) >> 4), np.int16((np.int32(x1) + 15) >> 4)
-                t[2], t[3] = np.int16(np.int32(y0) >> 4), np.int16((np.int32(y1) + 15) >> 4)
-                keys[row + n] = np.float32(lanes[_Z * CHUNK + k]).view(np.uint32)
-                indices[row + n] = first_index + index
-                n += 1
-                for ty in range(t[2], t[3]):
-                    for tile in range(ty * tiles_x + t[0], ty * tiles_x + t[1]):
-                        tiles[tile] += 1
-            counts[v] = n
+        begin, end = block * len(chunks) // blocks, (block + 1) * len(chunks) // blocks
+        _project_block(
+            begin, end, pack, order, first_index, sh, degree, chunks, view, ortho, antialiased,
+            row0, tiles_x, records, rects, keys, indices, counts, histogram[block],
+        )  # fmt: skip

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from gn0.jit import njit, prange
-from gn0.render.cpu_bin import new_bins, sort_tile
+from gn0.render.cpu_bin import sort_tile
 from gn0.render.cpu_project import (
     CB,
     CG,
@@ -36,19 +36,21 @@ from gn0.render.renderer import ALPHA_CAP, ALPHA_MIN, TRANSMITTANCE_STOP
 
 F = np.float32
 TILE = 16
+_ROW = 5 * TILE  # transmittance, red, green, blue, depth of a picture row
 _CAP, _STOP = F(ALPHA_CAP), F(TRANSMITTANCE_STOP)
 _LOG_MIN = F(math.log(ALPHA_MIN))
 _LOWEST = F(-5.6)  # below log(1/255): such pixels are skipped
 _E1, _E2, _E3 = F(6.24807182e-02), F(1.93270083e-03), F(3.43559133e-05)
 _ONE, _ZERO, _HALF = F(1.0), F(0.0), F(0.5)
 _FAR_AWAY = F(np.inf)
+_LAST = F(TILE - 1)
 _EDGE = F(0.02)  # px: rounding of the row range
 _BATCH = 64
 _CHECK = 16  # splats between looks for finished rows
 _ENDED = np.int64(-0x7FFFFFFF80000000)  # sign bits of two float32
 
 
-@njit(inline="always")
+@njit(error_model="numpy")
 def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, first, lanes):  # type: ignore[no-untyped-def]
     """Blend one splat into `lanes` columns from `first` of rows y0 to y1 of a tile."""
     for r in range(y0, y1):
@@ -57,7 +59,7 @@ def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, f
         dy = dy0 + F(r)
         start = q0 + qy * dy
         k0 = log_o - qk * dy * dy
-        row = acc[r]
+        row = acc[r * _ROW : (r + 1) * _ROW]
         for j in range(first, first + lanes):
             q = start + qx * F(j)
             p = k0 - q * q
@@ -69,19 +71,141 @@ def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, f
             e = e * e
             e = min(e, _CAP)
             e = e if p >= _LOG_MIN else _ZERO
-            T = row[0, j]
+            T = row[j]
             w = e * T
             after = T - w
             keep = after > _STOP
             w = w if keep else _ZERO
-            row[0, j] = after if keep else -abs(T)
-            row[1, j] += w * red
-            row[2, j] += w * green
-            row[3, j] += w * blue
-            row[4, j] += w * z
+            row[j] = after if keep else -abs(T)
+            row[1 * TILE + j] += w * red
+            row[2 * TILE + j] += w * green
+            row[3 * TILE + j] += w * blue
+            row[4 * TILE + j] += w * z
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
+def _gather(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no-untyped-def]
+    """Bring a batch of splats into the frame of a tile whose first pixel is (x_px, y_px).
+
+    Fills `gathered` field by field, and `reach` with the rows y0 <= r < y1 where the ellipse
+    (qx dx + qy dy)² + qk dy² <= tau, beyond which opacity is under 1/255, meets the tile.
+    """
+    left, top = F(x_px) + _HALF, F(y_px) + _HALF
+    for b in range(rows.shape[0]):
+        o = records[rows[b]]
+        gathered[b] = left - o[U]
+        gathered[_BATCH + b] = top - o[V]
+        gathered[2 * _BATCH + b] = o[QX]
+        gathered[3 * _BATCH + b] = o[QY]
+        gathered[4 * _BATCH + b] = o[QK]
+        gathered[5 * _BATCH + b] = o[LOGO]
+        gathered[6 * _BATCH + b] = o[CR]
+        gathered[7 * _BATCH + b] = o[CG]
+        gathered[8 * _BATCH + b] = o[CB]
+        gathered[9 * _BATCH + b] = o[DEPTH]
+        gathered[10 * _BATCH + b] = o[X0] - F(x_px)
+        gathered[11 * _BATCH + b] = o[X1] - F(x_px)
+    for b in range(rows.shape[0]):
+        dx0, dy0 = gathered[b], gathered[_BATCH + b]
+        qx, qy = gathered[2 * _BATCH + b], gathered[3 * _BATCH + b]
+        k = gathered[4 * _BATCH + b]
+        tau = gathered[5 * _BATCH + b] - _LOG_MIN
+        peak = qy * np.sqrt(tau / k) / qx  # the ellipse's lowest point lies at dx = -peak
+        low = min(max(-peak, dx0), dx0 + _LAST)
+        high = min(max(peak, dx0), dx0 + _LAST)
+        square = qy * qy + k
+        scale = _ONE / square
+        mixed = qx * qy
+        inner = tau * square
+        steep = k * qx * qx
+        down = np.sqrt(max(inner - steep * low * low, _ZERO))
+        up = np.sqrt(max(inner - steep * high * high, _ZERO))
+        y1 = (down - mixed * low) * scale - dy0
+        y0 = (-up - mixed * high) * scale - dy0
+        reach[b] = np.int32(min(max(np.ceil(y0 - _EDGE), _ZERO), _LAST + _ONE))
+        reach[_BATCH + b] = np.int32(min(max(np.floor(y1 + _EDGE) + _ONE, _ZERO), _LAST + _ONE))
+
+
+@njit(error_model="numpy")
+def _blend_tile(records, rows, x_px, y_px, columns, lines, acc):  # type: ignore[no-untyped-def]
+    """Blend `rows`, front to back, into `acc` [TILE * _ROW].
+
+    Each picture row holds TILE transmittances, reds, greens, blues and depths.
+    """
+    signs = acc.view(np.int64)
+    acc[:] = _ZERO
+    for r in range(TILE):
+        for j in range(TILE):
+            acc[r * _ROW + j] = _ONE if r < lines and j < columns else -_ONE
+    live = (1 << lines) - 1
+    gathered = np.empty(12 * _BATCH, np.float32)
+    reach = np.empty(2 * _BATCH, np.int32)
+    for start in range(0, rows.shape[0], _BATCH):
+        size = min(_BATCH, rows.shape[0] - start)
+        _gather(records, rows[start : start + size], x_px, y_px, gathered, reach)
+        for b in range(size):
+            y0, y1 = reach[b], reach[_BATCH + b]
+            dx0, dy0 = gathered[b], gathered[_BATCH + b]
+            qx, qy = gathered[2 * _BATCH + b], gathered[3 * _BATCH + b]
+            qk, log_o = gathered[4 * _BATCH + b], gathered[5 * _BATCH + b]
+            red, green = gathered[6 * _BATCH + b], gathered[7 * _BATCH + b]
+            blue, z = gathered[8 * _BATCH + b], gathered[9 * _BATCH + b]
+            q0 = qx * dx0
+            if gathered[11 * _BATCH + b] <= F(8.0):
+                _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
+            elif gathered[10 * _BATCH + b] >= F(8.0):
+                _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
+            else:
+                _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16)
+            if (b & (_CHECK - 1)) == _CHECK - 1:
+                for r in range(lines):
+                    if (live >> r) & 1:
+                        ended = _ENDED
+                        for j in range(TILE // 2):
+                            ended &= signs[r * (_ROW // 2) + j]
+                        if ended == _ENDED:
+                            live &= ~(1 << r)
+                if live == 0:
+                    return
+
+
+@njit(error_model="numpy")
+def _write_tile(  # type: ignore[no-untyped-def]
+    acc, x_px, y_px, columns, lines, background, wants, rgb_u8, rgb_f32, depth, alpha
+):
+    """Finish a tile's pixels and store what was asked for."""
+    levels = np.empty((3, TILE), np.int32)
+    for r in range(lines):
+        row = acc[r * _ROW : (r + 1) * _ROW]
+        y = y_px + r
+        if wants[0]:
+            for channel in range(3):
+                behind = background[channel]
+                for j in range(TILE):
+                    value = row[(1 + channel) * TILE + j] + abs(row[j]) * behind
+                    value = min(max(value, _ZERO), _ONE)
+                    levels[channel, j] = np.int32(value * F(255.0) + _HALF)
+            for j in range(columns):
+                rgb_u8[y, x_px + j, 0] = levels[0, j]
+                rgb_u8[y, x_px + j, 1] = levels[1, j]
+                rgb_u8[y, x_px + j, 2] = levels[2, j]
+        if wants[1]:
+            for j in range(columns):
+                for channel in range(3):
+                    value = row[(1 + channel) * TILE + j] + abs(row[j]) * background[channel]
+                    rgb_f32[y, x_px + j, channel] = value
+        if wants[2]:
+            for j in range(TILE):
+                opacity = _ONE - abs(row[j])
+                row[4 * TILE + j] = row[4 * TILE + j] / opacity if opacity >= _HALF else _FAR_AWAY
+            for j in range(columns):
+                depth[y, x_px + j] = row[4 * TILE + j]
+        if wants[3]:
+            for j in range(columns):
+                alpha[y, x_px + j] = _ONE - abs(row[j])
+
+
+@njit(parallel=True)
 def raster_tiles(  # type: ignore[no-untyped-def]
     records, indices, ordered, starts, tile_rows, tile_keys, spare_rows, spare_keys, row_order,
     tiles_x, width, height, background, wants, rgb_u8, rgb_f32, depth, alpha,
@@ -91,121 +215,16 @@ def raster_tiles(  # type: ignore[no-untyped-def]
     `row_order` is a permutation of the tile rows that spreads the work over threads.
     """
     for step in prange(row_order.shape[0] * tiles_x):
-        tile_y = row_order[step // tiles_x]
-        tile_x = step % tiles_x
+        tile_y, tile_x = row_order[step // tiles_x], step % tiles_x
         t = tile_y * tiles_x + tile_x
         x_px, y_px = tile_x * TILE, tile_y * TILE
         columns, lines = min(TILE, width - x_px), min(TILE, height - y_px)
-        acc = np.empty((TILE, 5, TILE), np.float32)  # a row: transmittance, red, green, blue, depth
-        signs = acc.view(np.int64)
-        acc[:] = _ZERO
-        acc[:, 0, :] = -_ONE
-        for r in range(lines):
-            for j in range(columns):
-                acc[r, 0, j] = _ONE
-        begin, end = starts[t], starts[t + 1]
-        sort_tile(
-            tile_keys[begin:end], tile_rows[begin:end], spare_keys[begin:end],
-            spare_rows[begin:end], new_bins(), indices, records, ordered,
-        )  # fmt: skip
-        live = (1 << lines) - 1
-        left, top = F(x_px) + _HALF, F(y_px) + _HALF
-        right = F(columns - 1)
-        last_line = F(lines)
-        gathered = np.empty(12 * _BATCH, np.float32)
-        reach = np.empty(2 * _BATCH, np.int32)
-        levels = np.empty((3, TILE), np.int32)
-        for batch in range(begin, end, _BATCH):
-            size = min(_BATCH, end - batch)
-            for b in range(size):
-                o = records[tile_rows[batch + b]]
-                gathered[b] = left - o[U]
-                gathered[_BATCH + b] = top - o[V]
-                gathered[2 * _BATCH + b] = o[QX]
-                gathered[3 * _BATCH + b] = o[QY]
-                gathered[4 * _BATCH + b] = o[QK]
-                gathered[5 * _BATCH + b] = o[LOGO]
-                gathered[6 * _BATCH + b] = o[CR]
-                gathered[7 * _BATCH + b] = o[CG]
-                gathered[8 * _BATCH + b] = o[CB]
-                gathered[9 * _BATCH + b] = o[DEPTH]
-                gathered[10 * _BATCH + b] = o[X0] - F(x_px)
-                gathered[11 * _BATCH + b] = o[X1] - F(x_px)
-            for b in range(size):
-                # rows where (qx dx + qy dy)² + k dy² <= tau for some dx in the tile's columns
-                dx0, dy0 = gathered[b], gathered[_BATCH + b]
-                qx, qy = gathered[2 * _BATCH + b], gathered[3 * _BATCH + b]
-                k = gathered[4 * _BATCH + b]
-                tau = gathered[5 * _BATCH + b] - _LOG_MIN
-                peak = qy * np.sqrt(tau / k) / qx  # the lowest point lies at dx = -peak
-                low = min(max(-peak, dx0), dx0 + right)
-                high = min(max(peak, dx0), dx0 + right)
-                square = qy * qy + k
-                scale = _ONE / square
-                mixed = qx * qy
-                inner = tau * square
-                steep = k * qx * qx
-                down = np.sqrt(max(inner - steep * low * low, _ZERO))
-                up = np.sqrt(max(inner - steep * high * high, _ZERO))
-                y1 = (down - mixed * low) * scale - dy0
-                y0 = (-up - mixed * high) * scale - dy0
-                y0 = min(max(np.ceil(y0 - _EDGE), _ZERO), last_line)
-                y1 = min(max(np.floor(y1 + _EDGE) + _ONE, _ZERO), last_line)
-                reach[b] = np.int32(y0)
-                reach[_BATCH + b] = np.int32(y1)
-            for b in range(size):
-                y0, y1 = reach[b], reach[_BATCH + b]
-                dx0, dy0 = gathered[b], gathered[_BATCH + b]
-                qx, qy = gathered[2 * _BATCH + b], gathered[3 * _BATCH + b]
-                qk, log_o = gathered[4 * _BATCH + b], gathered[5 * _BATCH + b]
-                red, green = gathered[6 * _BATCH + b], gathered[7 * _BATCH + b]
-                blue, z = gathered[8 * _BATCH + b], gathered[9 * _BATCH + b]
-                q0 = qx * dx0
-                if gathered[11 * _BATCH + b] <= F(8.0):
-                    _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
-                elif gathered[10 * _BATCH + b] >= F(8.0):
-                    _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
-                else:
-                    _blend(
-                        acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16
-                    )
-                if (b & (_CHECK - 1)) == _CHECK - 1:
-                    for r in range(lines):
-                        if (live >> r) & 1:
-                            ended = _ENDED
-                            for j in range(TILE // 2):
-                                ended &= signs[r, 0, j]
-                            if ended == _ENDED:
-                                live &= ~(1 << r)
-                    if live == 0:
-                        break
-            if live == 0:
-                break
-        for r in range(lines):
-            row = acc[r]
-            y = y_px + r
-            if wants[0]:
-                for channel in range(3):
-                    behind = background[channel]
-                    for j in range(TILE):
-                        value = row[1 + channel, j] + abs(row[0, j]) * behind
-                        value = min(max(value, _ZERO), _ONE)
-                        levels[channel, j] = np.int32(value * F(255.0) + _HALF)
-                for j in range(columns):
-                    rgb_u8[y, x_px + j, 0] = levels[0, j]
-                    rgb_u8[y, x_px + j, 1] = levels[1, j]
-                    rgb_u8[y, x_px + j, 2] = levels[2, j]
-            if wants[1]:
-                for j in range(columns):
-                    for channel in range(3):
-                        value = row[1 + channel, j] + abs(row[0, j]) * background[channel]
-                        rgb_f32[y, x_px + j, channel] = value
-            if wants[2]:
-                for j in range(TILE):
-                    opacity = _ONE - abs(row[0, j])
-                    row[4, j] = row[4, j] / opacity if opacity >= _HALF else _FAR_AWAY
-                for j in range(columns):
-                    depth[y, x_px + j] = row[4, j]
-            if wants[3]:
-                for j in range(columns):
-                    alpha[y, x_px + j] = _ONE - abs(row[0, j])
+        rows, keys = tile_rows[starts[t] : starts[t + 1]], tile_keys[starts[t] : starts[t + 1]]
+        more_rows = spare_rows[starts[t] : starts[t + 1]]
+        more_keys = spare_keys[starts[t] : starts[t + 1]]
+        sort_tile(keys, rows, more_keys, more_rows, indices, records, ordered)
+        acc = np.empty(TILE * _ROW, np.float32)
+        _blend_tile(records, rows, x_px, y_px, columns, lines, acc)
+        _write_tile(
+            acc, x_px, y_px, columns, lines, background, wants, rgb_u8, rgb_f32, depth, alpha
+        )

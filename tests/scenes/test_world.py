@@ -13,10 +13,11 @@ from gn0.errors import FormatError, Gn0Error, SceneError, StorageError
 from gn0.maps.grid import FREE, OCCUPIED
 from gn0.scenes.collada import load_collada
 from gn0.scenes.folder import load_scene
+from gn0.scenes.scene import ObjectBox, SceneObject
 from gn0.scenes.sdf import find_world_file, load_sdf
 from gn0.scenes.sources import find_source, import_scene
 from gn0.scenes.textures import Paint, TextureAlbedo, load_texture
-from gn0.scenes.world import upright_box
+from gn0.scenes.world import upright_box, world_openings
 from gn0.scenes.world_mesh import category_of, common_prefix, load_world_meshes
 from gn0.scenes.xml import load_xml
 
@@ -417,3 +418,49 @@ def test_source_keeps_the_public_contract(cabin):
     from gn0.testing.check_source import check_source
 
     check_source(SceneSourceWorld, cabin)
+
+
+def test_doors_and_windows_are_openings():
+    door = SceneObject(
+        id="d", category="door", box=ObjectBox(centre=(2, 0, 1), size=(0.9, 0.1, 2), yaw=0.0)
+    )
+    window = SceneObject(
+        id="w", category="window", box=ObjectBox(centre=(0, 3, 1.5), size=(0.1, 2, 1), yaw=0.0)
+    )
+    sofa = SceneObject(id="s", category="sofa", box=ObjectBox(centre=(0, 0, 0), size=(1, 1, 1)))
+    first, second = world_openings((door, sofa, window))
+    assert (first.kind, first.thickness) == ("DOOR", 0.1)
+    assert np.ptp(np.asarray(first.polygon), axis=0) == pytest.approx((0.9, 0, 2))
+    assert (second.kind, second.thickness) == ("WINDOW", 0.1)
+    assert np.ptp(np.asarray(second.polygon), axis=0) == pytest.approx((0, 2, 1))
+
+
+@pytest.mark.parametrize("target", ["world", "model", "mesh"])
+def test_damaged_bytes_never_leak_foreign_errors(cabin, target):
+    """Whatever bytes change, the import works or fails in our own words."""
+    path = {
+        "world": cabin / "worlds" / "cabin.world",
+        "model": cabin / "models" / "Mat_01" / "model.sdf",
+        "mesh": cabin / "models" / "Mat_01" / "meshes" / "mat.dae",
+    }[target]
+    whole = path.read_bytes()
+    rng = np.random.default_rng(7)
+    refused = 0
+    for _ in range(120):
+        data = bytearray(whole)
+        for _ in range(int(rng.integers(1, 4))):
+            kind, at = rng.integers(0, 4), int(rng.integers(0, len(data)))
+            if kind == 0:
+                data[at] = int(rng.integers(0, 256))
+            elif kind == 1:
+                del data[at : at + int(rng.integers(1, 40))]
+            elif kind == 2:
+                data[at:at] = bytes(data[at : at + int(rng.integers(1, 40))])
+            else:
+                data[at : at + 1] = rng.choice([b"-1", b"1e999", b"nan", b"99999999", b"<", b"&"])
+        path.write_bytes(bytes(data))
+        try:
+            load_world_meshes(load_sdf(cabin / "worlds" / "cabin.world"))
+        except Gn0Error:
+            refused += 1
+    assert refused > 20

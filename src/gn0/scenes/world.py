@@ -15,7 +15,7 @@ from gn0.progress import Progress, no_progress
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.occupancy import build_occupancy, find_floor
 from gn0.scenes.rooms import RoomMap, assign_rooms, build_rooms
-from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneSourceInfo
+from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneOpening, SceneSourceInfo
 from gn0.scenes.sdf import SdfWorld, find_world_file, load_sdf
 from gn0.scenes.sources import ImportSettings
 from gn0.scenes.surfels import build_surfels
@@ -104,6 +104,7 @@ class SceneSourceWorld:
             grid=grid,
             objects=objects,
             rooms=rooms.rooms,
+            openings=world_openings(objects),
             bounds=np.stack([vertices.min(axis=0), vertices.max(axis=0)]),
             load_cloud=lambda: cloud,
             licence=_licence(world),
@@ -154,6 +155,30 @@ def world_objects(meshes: WorldMeshes) -> tuple[SceneObject, ...]:
             box = upright_box(points, meshes.yaws[index])
             objects.append(SceneObject(id=name, category=category, box=box))
     return tuple(objects)
+
+
+def world_openings(objects: tuple[SceneObject, ...]) -> tuple[SceneOpening, ...]:
+    """Doors and windows among the objects, as upright rectangles in their walls."""
+    openings = []
+    for thing in objects:
+        kind = {"door": "DOOR", "window": "WINDOW"}.get(thing.category)
+        if kind is None:
+            continue
+        corners = thing.box.corners()
+        sx, sy, _ = thing.box.size
+        # the middle line of the footprint, along its longer side
+        a, b, c, d = (corners[k] for k in range(4))
+        ends = ((a + d) / 2, (b + c) / 2) if sx >= sy else ((a + b) / 2, (c + d) / 2)
+        low, high = corners[0, 2], corners[4, 2]
+        outline = [(ends[0], low), (ends[1], low), (ends[1], high), (ends[0], high)]
+        openings.append(
+            SceneOpening(
+                kind=kind,
+                polygon=tuple((float(p[0]), float(p[1]), float(z)) for p, z in outline),
+                thickness=float(min(sx, sy)),
+            )
+        )
+    return tuple(openings)
 
 
 def upright_box(points: F64, yaw: float) -> ObjectBox:

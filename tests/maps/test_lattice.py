@@ -15,16 +15,12 @@ from gn0.errors import ConfigError, PlanError
 from gn0.geometry import Pose2D, polyline_length, wrap_angle
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.lattice import (
-    FORWARD,
-    LEFT,
-    RIGHT,
-    ROOT_POWERS,
-    STOP,
     ActionPlanner,
     LatticeCosts,
     LatticeProblem,
     discretize_path,
 )
+from gn0.maps.lattice_states import FORWARD, LEFT, RIGHT, ROOT_POWERS, STOP
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.maps.ros import load_ros_map

@@ -25,45 +25,32 @@ from numpy.typing import NDArray
 
 from gn0.errors import ConfigError, PlanError
 from gn0.geometry import F64, Pose2D, wrap_angle
-from gn0.jit import njit
 from gn0.maps.grid import OccupancyGrid
+from gn0.maps.lattice_states import (
+    FORWARD,
+    HEADINGS,
+    LAST_AT,
+    LEFT,
+    LONGEST_HORIZON,
+    ORIGIN_KEY,
+    RIGHT,
+    STOP,
+    check_moves,
+    end_costs,
+    expand_states,
+    merge_states,
+    place_states,
+    point_at,
+    project,
+    shun_bumps,
+)
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import trace_points
 
-STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3  # the codes of VLN-CE
-HEADINGS = 24
-LONGEST_HORIZON = 16  # coefficients must stay within six bits
-
-BUMP_RADIUS = 0.05  # m round a place where a FORWARD was cut short against expectation
-BUMP_AHEAD = 0.06  # m from where the agent stopped to that place: just more than the radius
+BUMP_AHEAD = 0.06  # m from where a FORWARD was cut short to the bump: more than BUMP_RADIUS
 BUMPS_KEPT = 64
 
 MoveCheck = Callable[[float, float, float, float], bool]
-
-_BITS = 6
-_HALF = 1 << (_BITS - 1)
-_HEADING_AT = 8 * _BITS
-_LAST_AT = _HEADING_AT + 5
-
-
-def _root_powers() -> NDArray[np.int64]:
-    """ζ^k over the basis 1, ζ, …, ζ⁷: [24, 8]."""
-    powers = np.zeros((HEADINGS, 8), np.int64)
-    powers[0, 0] = 1
-    for k in range(1, HEADINGS):
-        powers[k, 1:] = powers[k - 1, :-1]
-        carry = powers[k - 1, -1]  # ζ⁸ = ζ⁴ − 1
-        powers[k, 4] += carry
-        powers[k, 0] -= carry
-    return powers
-
-
-ROOT_POWERS = _root_powers()
-# a state's key holds its eight integers, biased, then heading and last action; a FORWARD adds this
-_FORWARD_KEY = (ROOT_POWERS << (_BITS * np.arange(8))).sum(axis=1)
-_ORIGIN_KEY = int((_HALF << (_BITS * np.arange(8, dtype=np.int64))).sum())
-_BASIS_X = np.cos(np.arange(8) * (2 * math.pi / HEADINGS))
-_BASIS_Y = np.sin(np.arange(8) * (2 * math.pi / HEADINGS))
 
 
 @dataclass(frozen=True)
@@ -96,180 +83,6 @@ class LatticeCosts:
                 *(self.backward, self.remaining, self.heading),
             ]
         )
-
-
-@njit
-def project(points, arcs, first, last, x, y):  # type: ignore[no-untyped-def]
-    """Nearest point of the legs first … last−1 of a polyline: its arc [m] and its distance [m]."""
-    best = np.inf
-    arc = 0.0
-    for i in range(first, last):
-        ax, ay = points[i, 0], points[i, 1]
-        dx, dy = points[i + 1, 0] - ax, points[i + 1, 1] - ay
-        length = arcs[i + 1] - arcs[i]
-        t = ((x - ax) * dx + (y - ay) * dy) / (length * length)
-        t = min(max(t, 0.0), 1.0)
-        ex, ey = x - ax - t * dx, y - ay - t * dy
-        squared = ex * ex + ey * ey
-        if squared < best:
-            best = squared
-            arc = arcs[i] + t * length
-    return arc, math.sqrt(best)
-
-
-@njit
-def point_at(points, arcs, arc):  # type: ignore[no-untyped-def]
-    """The point (x, y) of a polyline at an arc length [m]."""
-    i = min(max(np.searchsorted(arcs, arc) - 1, 0), len(arcs) - 2)
-    t = (arc - arcs[i]) / (arcs[i + 1] - arcs[i])
-    t = min(max(t, 0.0), 1.0)
-    return (
-        points[i, 0] + t * (points[i + 1, 0] - points[i, 0]),
-        points[i, 1] + t * (points[i + 1, 1] - points[i, 1]),
-    )
-
-
-@njit
-def _positions(keys, x0, y0, cos0, sin0, step):  # type: ignore[no-untyped-def]
-    out = np.empty((len(keys), 2))
-    for i in range(len(keys)):
-        zx, zy = 0.0, 0.0
-        for j in range(8):
-            coefficient = ((keys[i] >> (_BITS * j)) & (2 * _HALF - 1)) - _HALF
-            zx += coefficient * _BASIS_X[j]
-            zy += coefficient * _BASIS_Y[j]
-        out[i, 0] = x0 + step * (cos0 * zx - sin0 * zy)
-        out[i, 1] = y0 + step * (sin0 * zx + cos0 * zy)
-    return out
-
-
-@njit
-def _expand(keys, done, stride):  # type: ignore[no-untyped-def]
-    """Children of a layer: keys, parents, actions; a finished state is its own only child."""
-    n = len(keys)
-    child = np.empty(3 * n, np.int64)
-    parent = np.empty(3 * n, np.int32)
-    action = np.empty(3 * n, np.int8)
-    count = 0
-    low = (1 << _HEADING_AT) - 1
-    for i in range(n):
-        key = keys[i]
-        if done[i]:
-            child[count], parent[count], action[count] = key, i, 0
-            count += 1
-            continue
-        heading = (key >> _HEADING_AT) & 31
-        last = key >> _LAST_AT
-        place = key & low
-        for a in (1, 2, 3):
-            if last + a == 5:  # LEFT after RIGHT or RIGHT after LEFT
-                continue
-            if a == 1:
-                place_after = place + _FORWARD_KEY[heading]
-                after = heading
-            else:
-                place_after = place
-                after = (heading + (stride if a == 2 else HEADINGS - stride)) % HEADINGS
-            child[count] = place_after | (after << _HEADING_AT) | (a << _LAST_AT)
-            parent[count], action[count] = i, a
-            count += 1
-    return child[:count], parent[:count], action[:count]
-
-
-@njit
-def _check_moves(blocked, ox, oy, resolution, before, after, parent, action):  # type: ignore[no-untyped-def]
-    free = np.ones(len(action), np.bool_)
-    for i in range(len(action)):
-        if action[i] == 1:
-            p = parent[i]
-            free[i] = not trace_points(
-                blocked, ox, oy, resolution, before[p, 0], before[p, 1], after[i, 0], after[i, 1]
-            )[2]
-    return free
-
-
-@njit
-def _shun_bumps(free, before, after, parent, action, bumps):  # type: ignore[no-untyped-def]
-    """Bar each FORWARD that passes within `BUMP_RADIUS` of a place where the agent was stopped."""
-    for i in range(len(action)):
-        if action[i] != 1 or not free[i]:
-            continue
-        ax, ay = before[parent[i], 0], before[parent[i], 1]
-        dx, dy = after[i, 0] - ax, after[i, 1] - ay
-        length = dx * dx + dy * dy
-        for k in range(len(bumps)):
-            t = ((bumps[k, 0] - ax) * dx + (bumps[k, 1] - ay) * dy) / length
-            t = min(max(t, 0.0), 1.0)
-            ex, ey = bumps[k, 0] - ax - t * dx, bumps[k, 1] - ay - t * dy
-            if ex * ex + ey * ey < BUMP_RADIUS * BUMP_RADIUS:
-                free[i] = False
-                break
-
-
-@njit
-def _merge(  # type: ignore[no-untyped-def]
-    child, parent, action, places, free, cost, arc, away, points, arcs, window, end_radius, weights
-):
-    """Charge each free child and keep the cheapest of equal states, the first among equals."""
-    n = len(child)
-    size = 16
-    while size < 2 * n + 2:
-        size *= 2
-    table = np.full(size, -1, np.int32)
-    out = np.empty(n, np.int32)
-    new_cost = np.empty(n)
-    new_arc = np.empty(n)
-    new_away = np.empty(n)
-    done = np.zeros(n, np.bool_)
-    count = 0
-    for i in range(n):
-        if not free[i]:
-            continue
-        p = parent[i]
-        a = action[i]
-        if a == 0:
-            total, s, d, finished = cost[p], arc[p], away[p], True
-        else:
-            if a == 1:
-                s, d = project(points, arcs, window[0], window[1], places[i, 0], places[i, 1])
-            else:
-                s, d = arc[p], away[p]
-            total = cost[p] + weights[0] + (weights[1] if a != 1 else 0.0)
-            excess = d - weights[3]
-            if excess > 0:
-                total += weights[2] * excess * excess
-            if s < arc[p]:
-                total += weights[4] * (s - arc[p]) * (s - arc[p])
-            ex, ey = places[i, 0] - points[-1, 0], places[i, 1] - points[-1, 1]
-            finished = a == 1 and ex * ex + ey * ey <= end_radius * end_radius
-        key = child[i]
-        slot = ((key * 2654435761) ^ (key >> 29)) & (size - 1)
-        while table[slot] >= 0 and child[out[table[slot]]] != key:
-            slot = (slot + 1) & (size - 1)
-        k = table[slot]
-        if k < 0:
-            k = count
-            table[slot] = k
-            count += 1
-        elif total >= new_cost[k]:
-            continue
-        out[k], new_cost[k], new_arc[k], new_away[k], done[k] = i, total, s, d, finished
-    return out[:count], new_cost[:count], new_arc[:count], new_away[:count], done[:count]
-
-
-@njit
-def _end_costs(keys, places, cost, arc, done, points, arcs, yaw0, turn, ahead, weights):  # type: ignore[no-untyped-def]
-    out = cost.copy()
-    for i in range(len(keys)):
-        if done[i]:
-            continue
-        tx, ty = point_at(points, arcs, arc[i] + ahead)
-        heading = yaw0 + ((keys[i] >> _HEADING_AT) & 31) * (2 * math.pi / HEADINGS)
-        error = math.atan2(ty - places[i, 1], tx - places[i, 0]) - heading
-        error = abs(error - 2 * math.pi * round(error / (2 * math.pi)))
-        out[i] += weights[5] * (arcs[-1] - arc[i])
-        out[i] += weights[6] * max(0.0, error - turn / 2) / turn
-    return out
 
 
 class LatticeProblem:
@@ -401,18 +214,18 @@ class LatticeProblem:
         window = self.legs_between(arc - 0.5, arc + reach + 0.5)
         s, d = project(self.points, self.arcs, window[0], window[1], x0, y0)
         turned = last_action if last_action in (LEFT, RIGHT) else FORWARD
-        keys = np.array([_ORIGIN_KEY | (turned << _LAST_AT)], np.int64)
+        keys = np.array([ORIGIN_KEY | (turned << LAST_AT)], np.int64)
         places = np.array([[x0, y0]])
         cost, arcs, away = np.zeros(1), np.array([s]), np.array([d])
         done = np.zeros(1, np.bool_)
         history: list[tuple[NDArray[np.int32], NDArray[np.int8]]] = []
         for _ in range(horizon):
-            child, parent, action = _expand(keys, done, self.stride)
-            after = _positions(child, *anchor)
+            child, parent, action = expand_states(keys, done, self.stride)
+            after = place_states(child, *anchor)
             free = self._free(places, after, parent, action)
             if bumps is not None:
-                _shun_bumps(free, places, after, parent, action, bumps)
-            kept, cost, arcs, away, done = _merge(
+                shun_bumps(free, places, after, parent, action, bumps)
+            kept, cost, arcs, away, done = merge_states(
                 *(child, parent, action, after, free, cost, arcs, away),
                 *(self.points, self.arcs, window, self.stop_distance, self._weights),
             )
@@ -420,7 +233,7 @@ class LatticeProblem:
             history.append((parent[kept], action[kept]))
             if len(keys) == 0:
                 return [], math.inf
-        total = _end_costs(
+        total = end_costs(
             *(keys, places, cost, arcs, done, self.points, self.arcs),
             *(yaw, self.turn, self.look_ahead, self._weights),
         )
@@ -441,7 +254,7 @@ class LatticeProblem:
         action: NDArray[np.int8],
     ) -> NDArray[np.bool_]:
         if self._frame is not None:
-            return _check_moves(*self._frame, before, after, parent, action)
+            return check_moves(*self._frame, before, after, parent, action)
         free = np.ones(len(action), np.bool_)
         if self._check is not None:
             for i in np.flatnonzero(action == FORWARD):
@@ -580,7 +393,7 @@ class ActionPlanner:
             return False
         free = np.ones(1, np.bool_)
         one = np.zeros(1, np.int32), np.full(1, FORWARD, np.int8)
-        _shun_bumps(free, before, after, *one, self._bump_array())
+        shun_bumps(free, before, after, *one, self._bump_array())
         return bool(free[0])
 
     def _bump_array(self) -> F64:

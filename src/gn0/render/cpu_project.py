@@ -4,7 +4,7 @@ The 2D covariance is kept as a factor, F = J W M with M Mᵀ the 3D covariance, 
 as a sum of squared minors (Cauchy-Binet), so thin splats lose no digits in float32. A splat's
 exponent is (qx·dx + qy·dy)² + dy²·k, the Cholesky form of half the Mahalanobis distance.
 
-Source of the rules: gsplat (EWA splatting, Zwicker et al. 2001); see `docs/conventions.md`.
+Source of the rules: gsplat (EWA splatting, Zwicker et al. 2001); see `docs/renderer.md`.
 """
 
 from __future__ import annotations

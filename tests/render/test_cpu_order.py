@@ -1,0 +1,84 @@
+"""Tile lists: in (depth bits, index in the cloud) order for any list, tied or not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gn0.render.cpu import spread_rows
+from gn0.render.cpu_bin import fill_tiles, scan_tiles, sort_tile
+from gn0.render.cpu_pack import CHUNK
+from gn0.render.cpu_project import DEPTH, RECORD
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    n=st.integers(0, 700),
+    depths=st.sampled_from([1, 3, 40, 10**6]),
+    low=st.sampled_from([0.0, 0.05, 1.9, 900.0]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_list_is_sorted_by_depth_then_index(n: int, depths: int, low: float, seed: int) -> None:
+    stream = np.random.default_rng(seed)
+    records = np.zeros((n + 5, RECORD), np.float32)
+    records[:, DEPTH] = low + stream.integers(0, depths, n + 5) * np.float32(0.37)
+    indices = stream.permutation(10 * (n + 5))[: n + 5].astype(np.uint32)
+    rows = stream.permutation(n + 5)[:n].astype(np.int32)
+    keys = np.ascontiguousarray(records[rows, DEPTH]).view(np.uint32)
+    order = np.lexsort((indices[rows], records[rows, DEPTH]))
+    want = rows[order]
+    sort_tile(keys, rows, np.empty_like(keys), np.empty_like(rows), indices, records, False)
+    assert (rows == want).all()
+
+
+def test_lists_that_come_in_index_order_keep_it() -> None:
+    stream = np.random.default_rng(1)
+    records = np.zeros((500, RECORD), np.float32)
+    records[:, DEPTH] = stream.integers(1, 5, 500)
+    rows = np.arange(500, dtype=np.int32)
+    keys = np.ascontiguousarray(records[:, DEPTH]).view(np.uint32)
+    want = np.argsort(records[:, DEPTH], kind="stable")
+    spare = np.empty_like(keys), np.empty_like(rows)
+    sort_tile(keys, rows, *spare, rows.astype(np.uint32), records, True)
+    assert (rows == want).all()
+
+
+def test_lists_hold_every_splat_of_every_tile_once() -> None:
+    """Against a plain loop: 3 chunks in 5 blocks over a 7x4 tile grid."""
+    stream = np.random.default_rng(2)
+    chunks, tiles_x, tiles_y, blocks = 3, 7, 4, 5
+    counts = np.array([256, 0, 31], np.int32)
+    rects = np.zeros((chunks * CHUNK, 4), np.int16)
+    rects[:, 0], rects[:, 2] = stream.integers(0, 6, len(rects)), stream.integers(0, 3, len(rects))
+    rects[:, 1] = rects[:, 0] + stream.integers(1, 3, len(rects)).clip(max=tiles_x - rects[:, 0])
+    rects[:, 3] = rects[:, 2] + 1
+    keys = stream.integers(0, 2**31, len(rects)).astype(np.uint32)
+    edges = np.arange(blocks + 1) * chunks // blocks
+    ranges = np.column_stack([edges[:-1], edges[1:]])
+    want: list[list[int]] = [[] for _ in range(tiles_x * tiles_y)]
+    histogram = np.zeros((blocks, tiles_x * tiles_y), np.int32)
+    for b, (first, last) in enumerate(ranges):
+        for v in range(first, last):
+            for row in range(v * CHUNK, v * CHUNK + counts[v]):
+                x0, x1, y0, y1 = rects[row]
+                for t in [y * tiles_x + x for y in range(y0, y1) for x in range(x0, x1)]:
+                    want[t].append(row)
+                    histogram[b, t] += 1
+    starts = np.empty(tiles_x * tiles_y + 1, np.int32)
+    total = scan_tiles(histogram, starts)
+    assert total == sum(map(len, want)) == starts[-1]
+    rows, listed = np.empty(total, np.int32), np.empty(total, np.uint32)
+    fill_tiles(ranges, counts, rects, keys, tiles_x, histogram, rows, listed)
+    assert [rows[starts[t] : starts[t + 1]].tolist() for t in range(len(want))] == want
+    assert (listed == keys[rows]).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 14, 30, 64, 257])
+def test_row_order_is_a_permutation_that_spreads(count: int) -> None:
+    order = spread_rows(count)
+    assert sorted(order.tolist()) == list(range(count))
+    if count >= 14:  # each half of the work sees the whole height
+        half = order[: count // 2]
+        assert half.min() < count / 8 and half.max() > count * 6 / 8

@@ -22,6 +22,14 @@ from gn0.scenes.scene import SceneOpening, SceneRoom, SceneWall
 from gn0.seeds import random_stream
 
 AGENT_RADIUS = 0.20  # m, for which every room must be reachable
+DRAWS = 8  # furnishings tried for a room until it has all that it needs
+NEEDED = {
+    "bedroom": {"bed"},
+    "kitchen": {"kitchen counter", "fridge"},
+    "bathroom": {"toilet", "washbasin"},
+    "living room": {"sofa"},
+    "study": {"desk"},
+}
 ATTEMPTS = 6  # of furnishing an offending room before it is left emptier
 
 
@@ -101,9 +109,12 @@ def _assemble(seed: int, plan: FloorPlan, palette: Palette, tries: dict[str, int
     assembly = Assembly()
     add_shell(assembly, plan, palette, random_stream(seed, "apartment", "shell"))
     for room in plan.rooms:
-        stream = random_stream(seed, "apartment", room.id, tries[room.id])
-        layout = RoomLayout(plan, room, stream, palette)
-        furnish_room(layout)
+        for draw in range(DRAWS):  # until the room has what makes it one
+            stream = random_stream(seed, "apartment", room.id, tries[room.id], draw)
+            layout = RoomLayout(plan, room, stream, palette)
+            furnish_room(layout)
+            if {p.item.category for p in layout.placed} >= NEEDED.get(room.type, set()):
+                break
         placed = layout.placed
         if tries[room.id] >= ATTEMPTS:  # leave out what stands on the floor, last first
             extra = tries[room.id] - ATTEMPTS + 1

@@ -29,6 +29,7 @@ from gn0.scenes.procedural.shapes import (
     build_panel,
     build_rod,
     build_tube,
+    make_shape,
 )
 from gn0.scenes.procedural.shapes_soft import build_canopy, build_curtain, build_leaf, join_shapes
 
@@ -201,7 +202,11 @@ def build_plant(rng: np.random.Generator, palette: Palette, height: float) -> It
                     green,
                 )
             )
-    return Item("plant", (*shapes, join_shapes(leaves)))
+    crown_shape = join_shapes(leaves)
+    v = crown_shape.vertices.copy()
+    v[:, 2] = np.maximum(v[:, 2], 0.004)  # leaves that hang to the ground lie on it
+    crown_shape = make_shape(v, crown_shape.faces, crown_shape.uv, green)
+    return Item("plant", (*shapes, crown_shape))
 
 
 def build_vase(rng: np.random.Generator, palette: Palette, *, flowers: bool | None = None) -> Item:

@@ -95,7 +95,12 @@ def light_ceiling(layout: RoomLayout, kelvin: float, *, flux: float | None = Non
 
 
 def place_corner_things(
-    layout: RoomLayout, *, plants: int, lamp: float | None = None, basket: bool = True
+    layout: RoomLayout,
+    *,
+    plants: int,
+    lamp: float | None = None,
+    basket: bool = True,
+    widest: float = 1.0,
 ) -> None:
     """Plants, a floor lamp and a basket in the corners that are left."""
     rng, palette = layout.rng, layout.palette
@@ -105,7 +110,7 @@ def place_corner_things(
     for _ in range(plants):
         item = decor.build_plant(rng, palette, float(rng.uniform(0.7, 1.7)))
         low, high = item.full_extent()
-        if high[0] - low[0] > 1.0:
+        if high[0] - low[0] > widest:
             continue
         layout.place_on_wall(item, prefer="corner", gap=0.03, reach=False)
     if basket:
@@ -337,23 +342,23 @@ def place_bed(layout: RoomLayout, double: bool, kelvin: float) -> Placed | None:
     bed = storage.build_bed(rng, palette, double)
     low, high = bed.full_extent()
     width, depth = float(high[0] - low[0]), float(high[1] - low[1])
-    options = []
+    options: list[tuple[int, Side, float]] = []  # best first: room for two nightstands, one, none
     for name in rng.permutation(list(SIDES)):
         side = layout.sides[str(name)]
         for a, b in layout.intervals(side, 0.5, 1.0):
-            wide = b - a
-            if double and wide > width + 1.0:
-                options += [
-                    (0, side, t, 2)
-                    for t in (rng.uniform(a + width / 2 + 0.5, b - width / 2 - 0.5), (a + b) / 2)
-                ]
-            if wide > width + 0.55:
-                options += [(1, side, a + width / 2 + 0.03, 1), (1, side, b - width / 2 - 0.03, 1)]
-            if wide > width + 0.04:
-                options += [(2, side, a + width / 2 + 0.02, 0), (2, side, b - width / 2 - 0.02, 0)]
+            for rank, beside in enumerate((0.5, 0.27, 0.02)):
+                low_t, high_t = a + width / 2 + beside, b - width / 2 - beside
+                if rank == 1:  # a nightstand on one side only
+                    low_t, high_t = a + width / 2 + 0.03, b - width / 2 - 0.03
+                if high_t < low_t or (rank == 1 and b - a < width + 0.55):
+                    continue
+                spots_t = [low_t, high_t]
+                if rank == 0:
+                    spots_t = [(a + b) / 2, float(rng.uniform(low_t, high_t)), low_t, high_t]
+                if double or rank:
+                    options += [(rank, side, t) for t in spots_t]
     options.sort(key=lambda o: o[0])
-    for _, side, t, _tables in options:
-        t = float(t)
+    for _, side, t in options:
         placed = layout.against_wall(side, bed, t, 0.02)
         rect = footprint(placed)
         spots = [side.point(t, depth + 0.38)] if double else []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -55,13 +56,21 @@ class Item:
     parts: tuple[Placed, ...] = ()
     lamps: tuple[Lamp, ...] = ()
 
+    @cached_property
+    def _extent(self) -> F64:
+        v = np.concatenate([s.vertices for s in self.shapes])
+        return np.stack([v.min(axis=0), v.max(axis=0)])
+
     def extent(self) -> F64:
         """Lower and upper corner [2, 3] m of its own pieces."""
-        v = np.concatenate([s.vertices[s.faces.ravel()] for s in self.shapes])
-        return np.stack([v.min(axis=0), v.max(axis=0)])
+        return self._extent
 
     def full_extent(self) -> F64:
         """Lower and upper corner [2, 3] m with all its parts."""
+        return self._full_extent
+
+    @cached_property
+    def _full_extent(self) -> F64:
         boxes = [self.extent()]
         for part in self.parts:
             low, high = part.item.full_extent()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from gn0.scenes.procedural.groups import (
 from gn0.scenes.procedural.layout import Block, RoomLayout, dress, footprint
 from gn0.scenes.procedural.palette import plain
 from gn0.scenes.procedural.parts import Placed
-from gn0.scenes.procedural.shell import SIDES
+from gn0.scenes.procedural.shell import SIDES, Side
 
 
 def furnish_room(layout: RoomLayout) -> None:
@@ -98,14 +98,7 @@ def furnish_kitchen(layout: RoomLayout) -> None:
         for a, b in layout.intervals(side, kitchen.COUNTER_DEPTH + 0.02, 1.0):
             lengths.append((b - a, name, a, b))
     lengths.sort(key=lambda g: (-g[0], g[1]))
-    for span, name, a, b in lengths:
-        side = layout.sides[name]
-        with_fridge = span > 2.6
-        width = min(round((span - 0.04 - (0.68 if with_fridge else 0.0)) / 0.6 - 0.3) * 0.6, 3.6)
-        if width < 1.2:
-            width = 1.2
-        if width > span - 0.02:
-            continue
+    for side, t, width, flip, with_fridge in _counter_places(layout, lengths):
         counter = kitchen.build_counter(rng, palette, width, front, top)
         extras = [kitchen.build_kettle(rng, palette)]
         for maker in (
@@ -116,11 +109,8 @@ def furnish_kitchen(layout: RoomLayout) -> None:
             if rng.random() < 0.6:
                 extras.append(maker(rng, palette))
         counter = dress(counter, "counter", rng, palette, count=6, first=extras, turn=0.15)
-        flip = bool(rng.random() < 0.5)
-        t = a + 0.02 + width / 2 if not flip else b - 0.02 - width / 2
         placed = layout.against_wall(side, counter, t, 0.005)
-        rect = footprint(placed)
-        spot = side.point(t, 1.0)
+        rect, spot = footprint(placed), side.point(t, 1.0)
         if not (layout.is_clear(rect) and layout.is_passable([rect], [spot])):
             continue
         layout.add(placed)
@@ -129,10 +119,9 @@ def furnish_kitchen(layout: RoomLayout) -> None:
         if with_fridge:
             edge = t + (width / 2 + 0.36) * (1 if not flip else -1)
             cold = layout.against_wall(side, fridge, edge, 0.02)
-            if layout.is_clear(footprint(cold)) and layout.is_passable([footprint(cold)]):
+            with_fridge = layout.is_clear(footprint(cold)) and layout.is_passable([footprint(cold)])
+            if with_fridge:
                 layout.add(cold)
-            else:
-                with_fridge = False
         if not with_fridge:
             layout.place_on_wall(fridge, prefer="corner")
         break
@@ -150,6 +139,21 @@ def furnish_kitchen(layout: RoomLayout) -> None:
     hang_pictures(layout, 3, clock=True)
 
 
+def _counter_places(
+    layout: RoomLayout, lengths: list[tuple[float, str, float, float]]
+) -> Iterator[tuple[Side, float, float, bool, bool]]:
+    """Where a counter may stand, longest first: side, middle, width, which end, fridge beside."""
+    for span, name, a, b in lengths:
+        with_fridge = span > 2.6
+        longest = int((span - 0.04 - (0.7 if with_fridge else 0.0)) / 0.6 + 1e-6)
+        for units in range(min(longest, 6), 1, -1):
+            width = units * 0.6
+            flips = [bool(f) for f in layout.rng.permutation([False, True])]
+            for flip in flips:
+                t = a + 0.02 + width / 2 if not flip else b - 0.02 - width / 2
+                yield layout.sides[name], t, width, flip, with_fridge
+
+
 def furnish_bedroom(layout: RoomLayout) -> None:
     """A bed with nightstands and lamps, wardrobe, dresser; toys and a desk in a child's room."""
     rng, palette, room = layout.rng, layout.palette, layout.room
@@ -158,8 +162,8 @@ def furnish_bedroom(layout: RoomLayout) -> None:
     double = not child and room.area > 8.5
     kelvin = 2700.0 if rng.random() < 0.6 else 3000.0
     placed = place_bed(layout, double, kelvin)
-    if placed is None and double:
-        placed = place_bed(layout, False, kelvin)
+    if placed is None:
+        place_bed(layout, False, kelvin)
     wardrobe = dress(storage.build_wardrobe(rng, palette), "floor", rng, palette, count=2)
     if layout.place_on_wall(wardrobe, prefer="corner", front=0.45) is None:
         layout.place_on_wall(storage.build_wardrobe(rng, palette), prefer="any")
@@ -332,7 +336,7 @@ def furnish_hallway(layout: RoomLayout) -> None:
                 layout.blocks.append(Block(strip, 1.8))
                 break
     layout.place_on_wall(storage.build_umbrella_stand(rng, palette), prefer="corner", reach=False)
-    place_corner_things(layout, plants=1, basket=False)
+    place_corner_things(layout, plants=2, basket=False, widest=0.5)
     long, short = max(room.width, room.depth), min(room.width, room.depth)
     runner = tables.build_rug(rng, palette, min(long * 0.6, 3.2), min(0.75, short - 0.5))
     yaw = 0.0 if room.width >= room.depth else math.pi / 2

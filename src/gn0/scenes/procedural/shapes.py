@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,10 +59,21 @@ def make_shape(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, material: M
     v = np.asarray(vertices, np.float64)
     f = np.asarray(faces, np.int32)
     t = np.asarray(uv, np.float32)
-    p = v[f]
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) / 2
-    keep = area > LEAST_AREA
-    return Shape(v, f[keep], t[keep], material)
+    keep = (_face_normals(v, f) ** 2).sum(axis=1) > (2 * LEAST_AREA) ** 2
+    return Shape(v, f, t, material) if keep.all() else Shape(v, f[keep], t[keep], material)
+
+
+def _face_normals(vertices: F64, faces: NDArray[np.int32]) -> F64:
+    """Normals of faces [F, 3], as long as twice their area [m²]."""
+    a = vertices[faces[:, 0]]
+    e, g = vertices[faces[:, 1]] - a, vertices[faces[:, 2]] - a
+    return np.column_stack(
+        [
+            e[:, 1] * g[:, 2] - e[:, 2] * g[:, 1],
+            e[:, 2] * g[:, 0] - e[:, 0] * g[:, 2],
+            e[:, 0] * g[:, 1] - e[:, 1] * g[:, 0],
+        ]
+    )
 
 
 def build_surface(
@@ -82,15 +94,21 @@ def build_surface(
     v = np.concatenate([[0.0], np.cumsum(across)])
     if fit:
         u, v = u / max(u[-1], 1e-9), v / max(v[-1], 1e-9)
-    i, j = np.meshgrid(np.arange(m - 1), np.arange(n - 1), indexing="ij")
-    row, col = i.ravel(), j.ravel()
-    quad = [(row, col), (row + 1, col), (row + 1, col + 1), (row, col + 1)]
-    ids = np.stack([a * n + b for a, b in quad], 1)
-    uvs = np.stack([np.column_stack([u[a], v[b]]) for a, b in quad], 1)
-    faces = np.concatenate([ids[:, [0, 1, 2]], ids[:, [0, 2, 3]]])
-    return make_shape(
-        p.reshape(-1, 3), faces, np.concatenate([uvs[:, [0, 1, 2]], uvs[:, [0, 2, 3]]]), material
-    )
+    faces, row, col = _sheet_lattice(m, n)
+    uv = np.stack([u[row], v[col]], -1)
+    return make_shape(p.reshape(-1, 3), faces, uv, material)
+
+
+@lru_cache(maxsize=512)
+def _sheet_lattice(m: int, n: int) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.intp]]:
+    """Faces [F, 3] of an m × n lattice, with the row and column of each of their corners."""
+    i, j = (g.ravel() for g in np.meshgrid(np.arange(m - 1), np.arange(n - 1), indexing="ij"))
+    row = np.stack([i, i + 1, i + 1, i], 1)
+    col = np.stack([j, j, j + 1, j + 1], 1)
+    pick = ([0, 1, 2], [0, 2, 3])
+    row = np.concatenate([row[:, k] for k in pick])
+    col = np.concatenate([col[:, k] for k in pick])
+    return (row * n + col).astype(np.int32), row, col
 
 
 def build_panel(
@@ -128,44 +146,77 @@ def build_box(
         flat_bottom: do not let the underside swell.
     """
     half = np.asarray(size, np.float64) / 2
-    radius = min(bevel, float(half.min()) * 0.999)
-    lines = []
-    for h in half:
-        flat = np.linspace(-(h - radius), h - radius, 2 + inner)
-        if radius > 0:
-            edge = radius * np.tan(np.linspace(0, math.pi / 4, round_steps + 1)[1:])
-            flat = np.concatenate([-(h - radius) - edge[::-1], flat, (h - radius) + edge])
-        lines.append(flat)
-    vertices, faces, uvs, start = [], [], [], 0
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            a, b = (
-                ((axis + 1) % 3, (axis + 2) % 3) if sign > 0 else ((axis + 2) % 3, (axis + 1) % 3)
-            )
-            ga, gb = np.meshgrid(lines[a], lines[b], indexing="ij")
-            p = np.empty((*ga.shape, 3))
-            p[..., a], p[..., b], p[..., axis] = ga, gb, sign * half[axis]
-            flat_uv = (p[..., a], p[..., b]) if half[a] >= half[b] else (p[..., b], p[..., a])
-            uv = np.stack(flat_uv, -1) + np.array(
-                [half.max() * 1.37 * axis, 0.61 * axis + 0.3 * sign]
-            )
-            core = np.clip(p, -(half - radius), half - radius)
-            if radius > 0:
-                d = p - core
-                p = core + radius * d / np.linalg.norm(d, axis=-1, keepdims=True)
-            if puff and not (flat_bottom and axis == 2 and sign < 0):
-                swell = (1 - (ga / half[a]) ** 2) * (1 - (gb / half[b]) ** 2)
-                p[..., axis] += sign * puff * np.clip(swell, 0, 1)
-            m, n = ga.shape
-            i, j = (k.ravel() for k in np.meshgrid(range(m - 1), range(n - 1), indexing="ij"))
-            quad = np.stack([i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1], 1)
-            tri = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-            vertices.append(p.reshape(-1, 3))
-            uvs.append(uv.reshape(-1, 2)[tri])
-            faces.append(tri + start)
-            start += m * n
-    v = np.concatenate(vertices) + np.array([at[0], at[1], at[2] + half[2]])
-    return make_shape(v, np.concatenate(faces), np.concatenate(uvs), material)
+    radius = min(bevel, float(half.min()) * 0.999) if bevel > 1e-5 else 0.0
+    on_flat, on_edge, axis, sign, faces = _box_lattice(round_steps if radius else 0, inner)
+    flat = half - radius
+    raw = on_flat * flat + on_edge * radius
+    p = raw
+    if radius:
+        core = np.clip(raw, -flat, flat)
+        d = raw - core
+        p = core + radius * d / np.sqrt((d * d).sum(axis=1, keepdims=True))
+    k = np.arange(len(raw))
+    if puff:
+        fall = 1 - (raw / half) ** 2
+        fall[k, axis] = 1.0
+        swell = puff * np.clip(fall.prod(axis=1), 0, 1)
+        if flat_bottom:
+            swell[(axis == 2) & (sign < 0)] = 0.0
+        p = p.copy()
+        p[k, axis] += sign * swell
+    # the grain runs along the longer side of each face
+    longer = np.array([1 if half[1] >= half[2] else 2, 0 if half[0] >= half[2] else 2,
+                       0 if half[0] >= half[1] else 1])  # fmt: skip
+    shorter = 3 - longer - np.arange(3)
+    uv = np.column_stack(
+        [
+            raw[k, longer[axis]] + half.max() * 1.37 * axis,
+            raw[k, shorter[axis]] + 0.61 * axis + 0.3 * sign,
+        ]
+    )
+    return make_shape(p + np.array([at[0], at[1], at[2] + half[2]]), faces, uv[faces], material)
+
+
+@lru_cache(maxsize=64)
+def _box_lattice(
+    steps: int, inner: int
+) -> tuple[F64, F64, NDArray[np.intp], F64, NDArray[np.int32]]:
+    """A box of unit flats and unit edge radius: both parts of the vertices, and their faces.
+
+    Returns:
+        Vertex = first · (half − radius) + second · radius, both [V, 3]; axis and sign of the side
+        that each vertex belongs to [V]; faces [F, 3].
+    """
+    first = np.linspace(-1, 1, 2 + inner)
+    second = np.zeros_like(first)
+    if steps:
+        edge = np.tan(np.linspace(0, math.pi / 4, steps + 1)[1:])
+        first = np.concatenate([-np.ones(steps), first, np.ones(steps)])
+        second = np.concatenate([-edge[::-1], second, edge])
+    n = len(first)
+    i, j = (g.ravel() for g in np.meshgrid(range(n - 1), range(n - 1), indexing="ij"))
+    quad = np.stack([i * n + j, (i + 1) * n + j, (i + 1) * n + j + 1, i * n + j + 1], 1)
+    triangles = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+    flats: list[F64] = []
+    edges: list[F64] = []
+    faces = []
+    for side in range(6):
+        axis, sign = side // 2, 1.0 if side % 2 == 0 else -1.0
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        if sign < 0:
+            a, b = b, a
+        for values, out in ((first, flats), (second, edges)):
+            ga, gb = np.meshgrid(values, values, indexing="ij")
+            p = np.empty((n * n, 3))
+            p[:, a], p[:, b], p[:, axis] = ga.ravel(), gb.ravel(), sign
+            out.append(p)
+        faces.append(triangles + side * n * n)
+    axes = np.repeat(np.arange(3), 2 * n * n)
+    signs = np.tile(np.repeat([1.0, -1.0], n * n), 3)
+    return (
+        np.concatenate(flats), np.concatenate(edges), axes, signs,
+        np.concatenate(faces).astype(np.int32),
+    )  # fmt: skip
 
 
 def build_lathe(
@@ -194,7 +245,7 @@ def build_lathe(
     )
     body = build_surface(p, material)
     q = body.vertices[body.faces]
-    normal = np.cross(q[:, 1] - q[:, 0], q[:, 2] - q[:, 0])
+    normal = _face_normals(body.vertices, body.faces)
     level = np.abs(normal[:, 2]) > 0.9 * np.linalg.norm(normal, axis=1)
     uv = np.where(level[:, None, None], q[..., :2], body.uv).astype(np.float32)  # no fan of grain
     return replace(body, vertices=body.vertices + np.asarray(at, np.float64), uv=uv)

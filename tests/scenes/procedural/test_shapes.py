@@ -1,0 +1,207 @@
+"""What furniture is made of: closed solids point outwards, uv are metres, nothing degenerates."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gn0.scenes.procedural import (
+    furniture_bath,
+    furniture_clutter,
+    furniture_decor,
+    furniture_kitchen,
+    furniture_light,
+    furniture_seats,
+    furniture_storage,
+    furniture_tables,
+)
+from gn0.scenes.procedural.palette import STEEL, STYLES, WHITE, Palette, linear_colour
+from gn0.scenes.procedural.parts import Assembly, Item, Placed
+from gn0.scenes.procedural.shapes import (
+    LEAST_AREA,
+    Shape,
+    build_ball,
+    build_box,
+    build_cylinder,
+    build_extrusion,
+    build_lathe,
+    build_panel,
+    build_tube,
+    rounded_outline,
+)
+from gn0.scenes.procedural.shapes_soft import build_curtain, build_cushion, build_drape
+from gn0.seeds import random_stream
+
+MODULES = (
+    furniture_bath,
+    furniture_clutter,
+    furniture_decor,
+    furniture_kitchen,
+    furniture_light,
+    furniture_seats,
+    furniture_storage,
+    furniture_tables,
+)
+ARGUMENTS: dict[str, dict[str, object]] = {
+    "build_dining_table": {"seats": 4},
+    "build_rug": {"width": 2.0, "depth": 1.4},
+    "build_books": {"length": 0.8, "height": 0.3},
+    "build_plant": {"height": 1.2},
+    "build_picture": {"width": 0.5, "height": 0.4},
+    "build_mirror": {"width": 0.5, "height": 0.5},
+    "build_curtains": {"width": 1.5, "top": 2.2},
+    "build_blind": {"width": 1.0, "height": 1.0},
+    "build_radiator": {"width": 1.0},
+    "build_counter": {"width": 2.4, "front": WHITE, "top": STEEL},
+    "build_wall_units": {"width": 1.2, "front": WHITE},
+    "build_kitchen_island": {"width": 1.4, "front": WHITE, "top": STEEL},
+    "build_bathtub": {"length": 1.7},
+    "build_pendant": {"drop": 0.9},
+    "build_dishwasher": {"front": WHITE, "metal": STEEL},
+}
+
+
+def volume(shape: Shape) -> float:
+    p = shape.vertices[shape.faces]
+    return float((np.cross(p[:, 0], p[:, 1]) * p[:, 2]).sum() / 6)
+
+
+def items_of(module: ModuleType) -> list[str]:
+    return [
+        name
+        for name, value in vars(module).items()
+        if name.startswith("build_")
+        and getattr(value, "__module__", "") == module.__name__
+        and inspect.signature(value).return_annotation == "Item"
+    ]
+
+
+def make_item(module: ModuleType, name: str, seed: int) -> Item:
+    maker = getattr(module, name)
+    offered = {
+        **ARGUMENTS.get(name, {}),
+        "rng": random_stream(seed, name),
+        "palette": Palette(STYLES[seed % len(STYLES)]),
+        "kelvin": 3000.0,
+    }
+    known = inspect.signature(maker).parameters
+    return maker(**{k: v for k, v in offered.items() if k in known})
+
+
+def every_shape(item: Item) -> list[Shape]:
+    return [*item.shapes, *(s for part in item.parts for s in every_shape(part.item))]
+
+
+SOLIDS = {
+    "box": (build_box((1, 2, 0.5), WHITE), 1.0),
+    "bevelled box": (build_box((1, 2, 0.5), WHITE, bevel=1e-4), 1.0),
+    "cylinder": (build_cylinder(0.5, 1, WHITE, segments=256), math.pi / 4),
+    "cone": (build_cylinder(0.5, 1, WHITE, top_radius=0.25, segments=256), math.pi * 0.4375 / 3),
+    "ball": (build_ball(0.5, WHITE, segments=200), math.pi / 6),
+    "prism": (build_extrusion(rounded_outline(1, 1, 0.0), 0.3, WHITE), 0.3),
+    "tube": (build_tube([(0, 0, 0), (0, 0, 1)], 0.1, WHITE, sides=256), math.pi * 0.01),
+}
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_solids_enclose_their_volume_with_normals_outwards(name: str) -> None:
+    shape, expected = SOLIDS[name]
+    assert volume(shape) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_soft_things_are_closed_skins(seed: int) -> None:
+    rng = random_stream(seed, "soft")
+    cushion = build_cushion(0.45, 0.4, 0.15, WHITE)
+    curtain = build_curtain(1.0, 2.2, WHITE, rng)
+    drape = build_drape(1.4, 1.2, (0.2, 0.2, 0.1, 0.0), WHITE, rng)
+    assert volume(cushion) > 0.005
+    assert volume(curtain) > 0
+    assert volume(drape) > 0
+    assert curtain.vertices[:, 2].min() == pytest.approx(0.0, abs=0.01)
+    assert drape.vertices[:, 2].min() < -0.15
+
+
+@given(
+    st.tuples(*[st.floats(0.05, 3)] * 3),
+    st.floats(0, 0.4),
+    st.integers(1, 3),
+    st.integers(0, 2),
+    st.floats(-4, 4),
+)
+def test_boxes_keep_their_size(
+    size: tuple[float, float, float], bevel: float, steps: int, inner: int, yaw: float
+) -> None:
+    box = build_box(size, WHITE, at=(1, 2, 3), bevel=bevel, round_steps=steps, inner=inner)
+    low, high = box.vertices.min(axis=0), box.vertices.max(axis=0)
+    np.testing.assert_allclose(high - low, size, atol=1e-9)
+    np.testing.assert_allclose(low + np.array([*(np.array(size[:2]) / 2), 0]), (1, 2, 3), atol=1e-9)
+    assert 0 < volume(box) <= np.prod(size) * (1 + 1e-9)
+    assert volume(box.moved(0.3, -0.2, 0.1, yaw)) == pytest.approx(volume(box), rel=1e-9)
+
+
+def test_uv_are_metres_on_flat_faces() -> None:
+    box = build_box((1.0, 0.5, 0.25), WHITE)
+    p, t = box.vertices[box.faces], box.uv.astype(np.float64)
+    edge = np.linalg.norm(p[:, 1] - p[:, 0], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(t[:, 1] - t[:, 0], axis=1), edge, atol=1e-6)
+    fitted = build_panel((0, 0, 0), (2, 0, 0), (0, 0, 1), WHITE, fit=True)
+    assert fitted.uv.min() == 0 and fitted.uv.max() == 1
+
+
+def test_a_vessel_is_hollow() -> None:
+    cup = build_lathe(
+        [(0, 0), (0.04, 0), (0.04, 0.1), (0.036, 0.1), (0.036, 0.01), (0, 0.01)], WHITE
+    )
+    assert 0 < volume(cup) < math.pi * 0.04**2 * 0.1 * 0.4
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda m: m.__name__.rsplit("_", 1)[-1])
+def test_every_piece_of_furniture_is_sound(module: ModuleType) -> None:
+    """Finite, without degenerate faces, standing at its origin, and not absurdly large."""
+    names = items_of(module)
+    assert len(names) >= 6
+    for name in names:
+        for seed in range(6):
+            item = make_item(module, name, seed)
+            assert item.category == item.category.lower() and item.category.strip()
+            low, high = item.full_extent()
+            assert (high - low > 0.001).all() and (high - low < 3.2).all(), name
+            for shape in every_shape(item):
+                assert np.isfinite(shape.vertices).all() and np.isfinite(shape.uv).all()
+                p = shape.vertices[shape.faces]
+                area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) / 2
+                assert (area > LEAST_AREA * 0.99).all(), name
+                assert len(shape.faces) > 0
+
+
+def test_variants_differ() -> None:
+    for module, name in ((furniture_seats, "build_chair"), (furniture_light, "build_floor_lamp")):
+        shapes = {tuple(np.round(make_item(module, name, s).size, 3)) for s in range(8)}
+        assert len(shapes) >= 4
+
+
+def test_assembly_gives_each_part_a_box_that_holds_it() -> None:
+    sofa = furniture_seats.build_sofa(random_stream(4, "sofa"), Palette(STYLES[0]), seats=3)
+    assembly = Assembly()
+    assembly.add_item(Placed(sofa, 2.0, 1.0, 0.0, 0.7), "living_room_1")
+    mesh, materials = assembly.finish()
+    assert assembly.objects[0].category == "sofa"
+    assert len({o.id for o in assembly.objects}) == len(assembly.objects)
+    assert mesh.material.max() == len(materials) - 1
+    for k, thing in enumerate(assembly.objects):
+        points = mesh.vertices[np.unique(mesh.faces[mesh.instance == k])] - thing.box.centre
+        c, s = math.cos(thing.box.yaw), math.sin(thing.box.yaw)
+        local = points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        assert (np.abs(local) <= np.array(thing.box.size) / 2 + 1e-4).all(), thing.id
+
+
+def test_colours_are_linear() -> None:
+    assert linear_colour("#ffffff") == (1.0, 1.0, 1.0)
+    assert linear_colour("#808080")[0] == pytest.approx(0.2158, abs=1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -117,7 +118,10 @@ def flats_suite(flat_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return load_suite(root / "suite")
 
 
-@pytest.fixture(scope="session", autouse=True)
-def scratch_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Pictures cached by these tests go away with them; compiled kernels stay."""
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(Path.home() / ".cache" / "gn0" / "numba"))
+@pytest.fixture(scope="package", autouse=True)
+def scratch_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Pictures cached by these tests go away with them; compiled kernels stay where they are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NUMBA_CACHE_DIR", os.environ["NUMBA_CACHE_DIR"])  # as gn0.jit left it
+        patch.setenv("GN0_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield

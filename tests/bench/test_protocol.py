@@ -1,0 +1,104 @@
+"""The protocol card says what was done, identities change when a result could, scenes load once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from gn0.bench.protocol import code_version, config_hash, protocol_card
+from gn0.bench.results import PolicyCard
+from gn0.bench.runner import run_suite
+from gn0.bench.schedule import Schedule
+from gn0.bench.suite import Suite
+from gn0.missions.episode import Episode
+
+
+def card_of(suite: Suite, **fields: object) -> dict[str, str]:
+    card = PolicyCard(**{"name": "p", "sensors": (), "privileged": False, **fields})  # type: ignore[arg-type]
+    return dict(protocol_card(suite, card, "1.0+abc"))
+
+
+def test_the_card_tells_an_oracle_from_a_robot(flats_suite: Suite) -> None:
+    oracle = card_of(flats_suite, privileged=True)["the policy sees"]
+    told = card_of(flats_suite, sensors=("goal_vector",))["the policy sees"]
+    robot = card_of(flats_suite, sensors=("depth", "rgb"))["the policy sees"]
+    blind = card_of(flats_suite)["the policy sees"]
+    assert "an oracle" in oracle and "where the goal is" in told
+    assert robot == "depth, rgb" and blind.startswith("nothing but the instruction")
+
+
+def test_the_card_follows_the_suites_settings(flats_suite: Suite) -> None:
+    card = card_of(flats_suite)
+    assert card["step limit"].startswith("60 actions") and "0.2 m" in card["agent"]
+    assert "480×360" in card["camera"] and "vfov 70.00°" in card["camera"]
+    assert "walking distance" in card["navigation error"]
+    about = msgspec.structs.replace(flats_suite.about, profile="paper", success_radius=1.5)
+    paper = card_of(Suite(flats_suite.folder, about, flats_suite.episodes))
+    assert "straight distance" in paper["navigation error"] and "< 1.5 m" in paper["success"]
+
+
+def test_a_real_run_writes_the_card_of_its_own_policy(flats_suite: Suite, tmp_path: Path) -> None:
+    summary = run_suite(flats_suite, "straight", tmp_path, max_episodes=1)
+    card = dict(summary.protocol)
+    assert card["policy"] == "straight" and "goal_vector" in card["the policy sees"]
+    assert card["code"] == f"gn0 {code_version()}" and flats_suite.hash in card["suite"]
+
+
+def test_the_identity_changes_with_whatever_decides_a_result(flats_suite: Suite) -> None:
+    base = config_hash(flats_suite, "random", {}, "cpu", 12)
+    assert config_hash(flats_suite, "random", {}, "cpu", 12) == base
+    others = {
+        config_hash(flats_suite, "straight", {}, "cpu", 12),
+        config_hash(flats_suite, "random", {"seed": 1}, "cpu", 12),
+        config_hash(flats_suite, "random", {}, "cuda", 12),
+        config_hash(flats_suite, "random", {}, "cpu", 11),
+        config_hash(
+            Suite(flats_suite.folder, flats_suite.about, flats_suite.episodes[1:]),
+            "random", {}, "cpu", 12,
+        ),
+    }  # fmt: skip
+    assert len(others) == 5 and base not in others
+
+
+def episodes_in(*scenes: str) -> list[Episode]:
+    return [
+        msgspec.convert(
+            {
+                "id": f"{scene}_{i}", "scene_id": scene, "start": (0, 0, 0), "path": [],
+                "mission": {"type": "goal", "goal": (0, 0), "object_id": "o", "category": "c",
+                            "instruction": "Go."},
+            },
+            Episode,
+        )
+        for scene in scenes
+        for i in range(10)
+    ]  # fmt: skip
+
+
+def test_each_worker_loads_a_scene_once_while_there_is_work_in_it() -> None:
+    for seed in (None, 3):
+        schedule = Schedule(episodes_in("a", "b", "c", "d"), seed)
+        scene = {0: "", 1: ""}
+        loads: list[str] = []
+        ran: list[str] = []
+        while len(schedule):
+            for worker in (0, 1):
+                episode = schedule.next(scene[worker], [scene[1 - worker]])
+                if episode is None:
+                    continue
+                if episode.scene_id != scene[worker]:
+                    loads.append(episode.scene_id)
+                scene[worker] = episode.scene_id
+                ran.append(episode.id)
+        assert len(ran) == len(set(ran)) == 40
+        assert sorted(loads) == ["a", "b", "c", "d"], "nobody loads what another works on"
+
+
+def test_the_last_scene_is_shared_and_a_broken_episode_comes_back_first() -> None:
+    schedule = Schedule(episodes_in("a"))
+    first = schedule.next("", [])
+    assert first is not None and schedule.next("", ["a"]) is not None
+    schedule.put_back(first)
+    assert schedule.next("a", []) is first
+    assert len(schedule) == 8

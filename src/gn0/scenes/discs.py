@@ -21,6 +21,10 @@ SHIFT_ONE = 0.10  # how far a disc steps back from an open side, in cell widths
 OPACITY = 0.995
 THICKNESS = 0.001  # of a disc, one standard deviation [m]
 _COVERED = 0.02  # what lies closer than this over a surface hides it [m]
+INSET = 0.005  # discs lie this far under their surface: renderers widen outlines [m]
+INSET_EDGE = 0.006  # and step back this far from edges with nothing beyond [m]
+EDGE = 0.35  # share of a cell that its disc along an open side takes
+_SPLIT_LEAST = 0.005  # narrower cells are not split [m]
 _LIFT = 2e-3
 _BLUR = 0.0025  # widening by a renderer, half a pixel at about two metres [m]
 
@@ -30,6 +34,7 @@ class Discs:
     """Placed discs.
 
     Attributes:
+        cell: the cell that each disc is a part of [N].
         point: centres [N, 3] m.
         scales: standard deviations [N, 3] m.
         quats: orientations [N, 4], third axis along the surface normal.
@@ -39,6 +44,7 @@ class Discs:
         area: of each disc's cell [N] m².
     """
 
+    cell: NDArray[np.int64]
     point: F32
     scales: F32
     quats: F32
@@ -89,18 +95,45 @@ def shape_discs(
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
     e1, e2 = c * t1 + s * t2, c * t2 - s * t1
     width = np.sqrt(12.0 * np.maximum(np.stack([large, small], 1), 1e-9))  # [N, 2] m
-    open_sides, hidden = _probe_sides(
+    open_sides, free, depth, hidden = _probe_sides(
         cells.point, normal, e1, e2, width, caster.boxes, caster.links, caster.order,
         caster.corners, mesh.normals(), oriented,
     )  # fmt: skip
+    cell = np.arange(len(normal))
+    point = cells.point
+    for k, axis in ((0, e1), (1, e2)):
+        # a narrow disc along an edge and a wide one within: the blur of an edge is its disc's
+        one = open_sides[:, 2 * k] ^ open_sides[:, 2 * k + 1]
+        edge = np.flatnonzero(one & (width[:, k] > _SPLIT_LEAST))
+        way = np.where(open_sides[edge, 2 * k + 1], 1.0, -1.0)[:, None] * axis[cell[edge]]
+        span = width[edge, k][:, None]
+        outer_point = point[edge] + way * span * (1 - EDGE) / 2
+        point = point.copy()
+        point[edge] -= way * span * EDGE / 2
+        outer_width = width[edge].copy()
+        outer_width[:, k] *= EDGE
+        width = width.copy()
+        width[edge, k] *= 1 - EDGE
+        outer_open, outer_free = open_sides[edge].copy(), free[edge].copy()
+        free[edge, 2 * k : 2 * k + 2] = False
+        open_sides[edge, 2 * k : 2 * k + 2] = False
+        point = np.concatenate([point, outer_point])
+        width = np.concatenate([width, outer_width])
+        open_sides = np.concatenate([open_sides, outer_open])
+        free = np.concatenate([free, outer_free])
+        cell = np.concatenate([cell, cell[edge]])
+    e1, e2, normal, hidden = e1[cell], e2[cell], normal[cell], hidden[cell]
     count = open_sides.reshape(-1, 2, 2).sum(2)  # [N, axis]
     factor = np.array([SIGMA, SIGMA_ONE, SIGMA_BOTH])[count]
     step = (open_sides[:, 0::2].astype(float) - open_sides[:, 1::2]) * SHIFT_ONE * width
-    point = cells.point + step[:, :1] * e1 + step[:, 1:] * e2
+    step += (free[:, 0::2].astype(float) - free[:, 1::2]) * np.minimum(INSET_EDGE, 0.3 * width)
+    sink = np.minimum(INSET, 0.35 * depth[cell])[:, None]
+    point = point + step[:, :1] * e1 + step[:, 1:] * e2 - sink * normal
     scales = np.maximum(factor * width, THICKNESS)
     # renderers widen thin things by a fraction of a pixel: fade them as much, as seen from afar
     thin = np.where(count == 2, scales / np.sqrt(scales**2 + _BLUR**2), 1.0)
     return Discs(
+        cell=cell,
         point=point.astype(np.float32),
         scales=np.concatenate([scales, np.full((len(scales), 1), THICKNESS)], 1).astype(np.float32),
         quats=quaternion_from_rotation(np.stack([e1, e2, normal], 2)).astype(np.float32),
@@ -113,9 +146,15 @@ def shape_discs(
 
 @njit(parallel=True, error_model="numpy")
 def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, normals, oriented):
-    """Per disc: open sides (−e1, +e1, −e2, +e2) [N, 4], and whether nobody can see it [N]."""
+    """Sides of each disc where its surface ends, free sides, depth of the solid, if unseen.
+
+    Sides are in the order −e1, +e1, −e2, +e2 [N, 4]; free ones have nothing beyond. The depth is
+    that of the solid under the disc [N] m; the last says whether nobody can see it [N].
+    """
     n = len(point)
     open_sides = np.zeros((n, 4), np.bool_)
+    free = np.zeros((n, 4), np.bool_)
+    depth = np.zeros(n)
     hidden = np.zeros(n, np.bool_)
     for i in prange(n):
         stack = np.empty(STACK, np.int32)
@@ -146,7 +185,7 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
                         px + dx * far + nx * lift, py + dy * far + ny * lift,
                         pz + dz * far + nz * lift, -nx, -ny, -nz, 2.0 * lift, True, stack,
                     )  # fmt: skip
-                    open_sides[i, k] = hit < 0
+                    open_sides[i, k] = free[i, k] = hit < 0
                 ox, oy, oz = px + 0.4 * reach * dx, py + 0.4 * reach * dy, pz + 0.4 * reach * dz
             else:
                 ox, oy, oz = px, py, pz
@@ -165,14 +204,15 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
                 f = order[max(hit, 0)]
                 facing = normals[f, 0] * sx + normals[f, 1] * sy + normals[f, 2] * sz
                 covered += hit < 0 or facing > 0.0
+        hit, t, _, _ = closest_hit(
+            boxes, links, corners, px - nx * 3e-4, py - ny * 3e-4, pz - nz * 3e-4,
+            -nx, -ny, -nz, np.inf, False, stack,
+        )  # fmt: skip
+        depth[i] = t if hit >= 0 else 1.0
         if covered == 5:
-            hit, t, _, _ = closest_hit(
-                boxes, links, corners, px - nx * 3e-4, py - ny * 3e-4, pz - nz * 3e-4,
-                -nx, -ny, -nz, np.inf, False, stack,
-            )  # fmt: skip
             if hit < 0 or t < _COVERED:
                 hidden[i] = True
             elif oriented:
                 f = order[hit]
                 hidden[i] = normals[f, 0] * nx + normals[f, 1] * ny + normals[f, 2] * nz < 0.0
-    return open_sides, hidden
+    return open_sides, free, depth, hidden

@@ -63,7 +63,8 @@ def build_surfels(
 
     def place(target: int, fineness: F64 | None) -> tuple[Cells, Discs]:
         cells = fill_tiles(charts, mesh, plan_tiles(charts, target, fineness), seed)
-        return cells, shape_discs(cells, charts, mesh, caster, oriented=oriented)
+        discs = shape_discs(cells, charts, mesh, caster, oriented=oriented)
+        return cells.select(discs.cell), discs
 
     # a coarse pass tells what is hidden (it costs nothing) and what needs many discs
     pilot = place(max(count // 6, 1), None)

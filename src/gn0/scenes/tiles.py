@@ -79,8 +79,8 @@ class Cells:
     pick_face: NDArray[np.int32]  # [N, PICKS]
     pick_bary: F32  # [N, PICKS, 2] weights of the second and third corner
 
-    def select(self, mask: NDArray[np.bool_] | slice) -> Cells:
-        """The cells at `mask`."""
+    def select(self, mask: NDArray[np.bool_] | NDArray[np.integer] | slice) -> Cells:
+        """The cells at `mask` (mask, indices or slice)."""
         return Cells(**{name: value[mask] for name, value in vars(self).items()})
 
 

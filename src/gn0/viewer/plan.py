@@ -89,7 +89,7 @@ class _Plan:
         self.pixel = _SUPER
         for x, y in keep_clear:
             px, py = self.at(x, y)
-            reach = 16 * _SUPER
+            reach = 30 * _SUPER
             self.labels.append((px - reach, py - reach, px + reach, py + reach))
 
     def at(self, x: float, y: float) -> tuple[float, float]:

@@ -124,6 +124,19 @@ def test_big_splats_close_to_the_camera() -> None:
     agree(cloud, Camera.from_hfov(48, 48, 90), view_from_pose(0, 0, 0, 0.4), 55)
 
 
+def test_splats_the_size_of_a_landscape() -> None:
+    stream = np.random.default_rng(7)
+    n = 40
+    cloud = make_cloud(
+        stream.uniform(-3, 3, (n, 3)),
+        stream.uniform(10, 5000, (n, 3)),
+        stream.uniform(0.05, 0.4, n),
+        stream.uniform(0, 1, (n, 3)),
+        stream.normal(size=(n, 4)),
+    )
+    agree(cloud, Camera.from_hfov(48, 48, 90), VIEWS, 55)
+
+
 def test_intrinsics_off_centre_and_not_square() -> None:
     camera = Camera(width=70, height=45, fx=40, fy=65, cx=12.3, cy=40.1)
     agree(random_cloud(400, seed=20), camera, VIEWS, 55)

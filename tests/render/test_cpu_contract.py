@@ -190,3 +190,18 @@ def test_read_only_clouds_compile_nothing_anew() -> None:
     b = RendererCpu(cloud).render(CAMERA, VIEW)
     assert bytes_of(a) == bytes_of(b)
     assert len(project_chunks.signatures) == compiled
+
+
+@pytest.mark.parametrize("size", [1e2, 1e4, 1e6, 1e12, 1e25, 1e38])
+def test_absurd_sizes_and_places_are_harmless(size: float) -> None:
+    """Whatever float32 can hold: no crash, no value that is not a number."""
+    cloud = random_cloud(60, seed=11)
+    for scales, means in ((cloud.scales * np.float32(size), cloud.means), (None, size)):
+        changed = GaussianCloud(
+            cloud.means * np.float32(means) if scales is None else means,
+            *(cloud.quats, cloud.scales if scales is None else scales, cloud.opacities, cloud.sh),
+        )
+        for camera in (CAMERA, Camera.orthographic(30, 30, 0.1)):
+            result = RendererCpu(changed, RenderOptions(rgb_float=True)).render(camera, VIEW)
+            assert np.isfinite(result.rgb).all() and np.isfinite(result.alpha).all()
+            assert not np.isnan(result.depth).any()

@@ -40,10 +40,9 @@ _Z, _U, _V, _QX, _QY, _QK, _RX, _RY, _THIN, _LANES = range(10)  # fields of a ch
 _PAD = F(EXTENT_MAX * math.sqrt(DILATION) + 0.5)  # px: what the dilation can add, and rounding
 _EPS = F(DILATION)
 _LOG_MIN = F(math.log(ALPHA_MIN))
-_EXTENT_MAX = F(EXTENT_MAX)
 _HALF, _ONE, _ZERO, _TWO = F(0.5), F(1.0), F(0.0), F(2.0)
 _SLACK = F(0.01)  # px: rounding of a footprint's edge
-_FAR_PX = F(30000.0)
+_LARGEST = F(1e9)  # px: a footprint larger than this overflows further on
 
 
 @njit
@@ -143,16 +142,18 @@ def _project_block(  # type: ignore[no-untyped-def]
             a, d = a0 + _EPS, d0 + _EPS
             det = thin + _EPS * (a0 + d)
             # exponent = ((d dx - b dy)² / det + dy²) / 2d
-            ratio = np.sqrt(_HALF / (d * det))
+            qx = np.sqrt(_HALF * d / det)
             extent = p[EXTENT * CHUNK + k]
-            lanes[_QX * CHUNK + k] = d * ratio
-            lanes[_QY * CHUNK + k] = -b * ratio
+            lanes[_QX * CHUNK + k] = qx
+            lanes[_QY * CHUNK + k] = -(b / d) * qx
             lanes[_QK * CHUNK + k] = _HALF / d
             lanes[_RX * CHUNK + k] = extent * np.sqrt(a)
             lanes[_RY * CHUNK + k] = extent * np.sqrt(d)
             lanes[_THIN * CHUNK + k] = thin / det
             lanes[_U * CHUNK + k], lanes[_V * CHUNK + k], lanes[_Z * CHUNK + k] = u, w, Z
             rx, ry = lanes[_RX * CHUNK + k], lanes[_RY * CHUNK + k]
+            # what float32 cannot hold is dropped: comparisons with NaN are false
+            inside = inside & (rx < _LARGEST) & (ry < _LARGEST) & (qx > _ZERO)
             inside = inside & (u + rx > _ZERO) & (u - rx < width)
             inside = inside & (w + ry > _ZERO) & (w - ry < height)
             ok[k] = 1 if inside else 0

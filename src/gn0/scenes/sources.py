@@ -14,7 +14,7 @@ from gn0.scenes.occupancy import BAND, RESOLUTION
 from gn0.scenes.scene import Scene
 
 
-class ImportSettings(Config):
+class ImportSettings(Config, frozen=True):
     """What an importer is told.
 
     Attributes:

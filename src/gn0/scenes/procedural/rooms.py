@@ -122,8 +122,8 @@ def furnish_kitchen(layout: RoomLayout) -> None:
             with_fridge = layout.is_clear(footprint(cold)) and layout.is_passable([footprint(cold)])
             if with_fridge:
                 layout.add(cold)
-        if not with_fridge:
-            layout.place_on_wall(fridge, prefer="corner")
+        if not with_fridge and layout.place_on_wall(fridge, prefer="corner") is None:
+            layout.place_on_wall(fridge, prefer="any", reach=False)
         break
     if room.area > 8.5:
         seats_at = 4 if room.area > 11.5 else 2

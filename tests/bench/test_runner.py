@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,14 @@ PLUGIN = Path(__file__).parent / "plugin"
 
 def outputs(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in SAME}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def still_code() -> Iterator[None]:
+    """Pretend that nobody edits the package while these tests stop and resume runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "code_version", lambda: "1.0+still")
+        yield
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +59,9 @@ def run_odd(suite: Suite, out: Path, workers: int = 1, **more: object) -> runner
 
 
 @pytest.fixture(scope="module")
-def unbroken(flats_suite: Suite, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unbroken(
+    still_code: None, flats_suite: Suite, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     """One worker, in order, never interrupted."""
     out = tmp_path_factory.mktemp("unbroken") / "run"
     sys.path.insert(0, str(PLUGIN))
@@ -85,7 +96,9 @@ def test_a_finished_run_is_not_run_again_and_times_stay_out_of_results(
 PARENT = """
 import sys
 sys.path.insert(0, {plugin!r})
+from gn0.bench import runner
 from gn0.bench.runner import run_suite
+runner.code_version = lambda: "1.0+still"
 from gn0.bench.suite import load_suite
 run_suite(load_suite({suite!r}), "odd", {out!r}, workers={workers}, shuffle_seed={shuffle},
           policy_options={{"pause": 0.001}}, plugin_modules=("odd_policies",))

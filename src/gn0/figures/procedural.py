@@ -8,6 +8,7 @@ from collections import Counter
 import numpy as np
 
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0.figures.surfels import FIGURES as SURFEL_FIGURES
 from gn0.maps.navigation import NavigationMap
 from gn0.scenes.occupancy import build_occupancy
 from gn0.scenes.procedural.apartment import AGENT_RADIUS, check_reach, draft_apartment
@@ -90,4 +91,5 @@ def measure_generation(ctx: FigureContext) -> list[FigureRow]:
 FIGURES = [
     Figure("procedural.flats", "Generated flats: walkable and full", measure_flats, 1.5),
     Figure("procedural.generate", "Generating a scene folder", measure_generation, 2.0),
+    *SURFEL_FIGURES,
 ]

@@ -67,7 +67,7 @@ class Camera(Config, frozen=True):
             cx=width / 2,
             cy=height / 2,
             model="ortho",
-            **more,  # type: ignore[arg-type]
+            **more,
         )
 
     @property

@@ -161,10 +161,7 @@ def box_from_corners(corners: F64, file: Path, index: int) -> ObjectBox:
     if face[:, 2].mean() > other[:, 2].mean():
         face, other = other, face
     middle = corners.mean(axis=0)
-    offset = face[:, :2] - face[:, :2].mean(axis=0)
-    turn = np.arctan2(offset[:, 1], offset[:, 0])
-    # start at the given corner 0 and go round counter-clockwise, whatever the file's order
-    ring = face[np.argsort(np.mod(turn - turn[0] + 1e-9, 2 * math.pi), kind="stable")]
+    ring = _counter_clockwise(face)
     along = (ring[1, :2] - ring[0, :2] + ring[2, :2] - ring[3, :2]) / 2
     across = (ring[2, :2] - ring[1, :2] + ring[3, :2] - ring[0, :2]) / 2
     sx, sy = float(np.hypot(*along)), float(np.hypot(*across))
@@ -179,3 +176,16 @@ def box_from_corners(corners: F64, file: Path, index: int) -> ObjectBox:
         size=(round(sx, 6), round(sy, 6), round(sz, 6)),
         yaw=round(wrap_angle(yaw), 6) + 0.0,
     )
+
+
+def _counter_clockwise(face: F64) -> F64:
+    """A face's corners [4, 3] from the given first one round counter-clockwise."""
+    xy = face[:, :2]
+    size = np.abs(xy - xy.mean(axis=0)).max()
+    if np.abs(xy[0] + xy[2] - xy[1] - xy[3]).max() <= 1e-3 * size + 1e-9:
+        # already a ring: opposite corners share their middle (also of a box without depth)
+        a, b = xy[2] - xy[0], xy[3] - xy[1]
+        return face if a[0] * b[1] - a[1] * b[0] >= 0 else face[[0, 3, 2, 1]]
+    offset = xy - xy.mean(axis=0)
+    turn = np.arctan2(offset[:, 1], offset[:, 0])
+    return face[np.argsort(np.mod(turn - turn[0] + 1e-9, 2 * math.pi), kind="stable")]

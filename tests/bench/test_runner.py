@@ -272,7 +272,12 @@ def _made(folder: Path) -> Path:
     ],
 )
 def test_a_dying_policy_costs_its_episodes_only_and_names_them(
-    flats_suite: Suite, tmp_path: Path, odd: str, reason: str, shown: str
+    flats_suite: Suite,
+    tmp_path: Path,
+    odd: str,
+    reason: str,
+    shown: str,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     summary = run_odd(flats_suite, tmp_path / "run", 2, odd=odd, when="sofa")
     expected = {e.id for e in flats_suite.episodes if "sofa" in e.instruction}
@@ -285,6 +290,7 @@ def test_a_dying_policy_costs_its_episodes_only_and_names_them(
     for name in expected:
         assert about["episodes"][name]["attempts"] == 2
         assert shown in about["episodes"][name]["traceback"]
+        assert f"episode {name} failed twice: {reason}" in caplog.text and shown in caplog.text
     assert load_summary(tmp_path / "run") == summary
     assert len(load_results(tmp_path / "run")) == 12
 

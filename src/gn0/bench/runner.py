@@ -8,6 +8,7 @@ are sorted by episode at the end, so neither workers nor order nor interruptions
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import platform
 import shutil
@@ -49,6 +50,7 @@ LOAD_TIME_LIMIT = 900.0  # s to load a scene and to build the policy
 ATTEMPTS = 2  # one retry
 BYTES_PER_EPISODE = 200_000  # journal and results of a long episode
 PROBE_BYTES = 1 << 20
+_log = logging.getLogger(__name__)
 
 
 def run_suite(
@@ -428,6 +430,7 @@ class _Run:
         if self.attempts[episode.id] < ATTEMPTS:
             schedule.put_back(episode)
             return
+        _log.error("episode %s failed twice: %s\n%s", episode.id, why, words[-4000:])
         result = EpisodeResult(
             episode=episode.id, scene=episode.scene_id, status="failed", reason=why
         )

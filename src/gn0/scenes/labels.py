@@ -174,8 +174,14 @@ def box_from_corners(corners: F64, file: Path, index: int) -> ObjectBox:
     return ObjectBox(
         centre=(float(centre[0]), float(centre[1]), float(centre[2])),
         size=(round(sx, 6), round(sy, 6), round(sz, 6)),
-        yaw=round(wrap_angle(yaw), 6) + 0.0,
+        yaw=_rounded_yaw(yaw),
     )
+
+
+def _rounded_yaw(yaw: float) -> float:
+    """Six decimals that read back the same, at the seam of ±π too."""
+    rounded = round(wrap_angle(yaw), 6) + 0.0
+    return -3.141592 if abs(rounded) > 3.141592 else rounded
 
 
 def _counter_clockwise(face: F64) -> F64:

@@ -27,7 +27,7 @@ _EXPORTS = {
     "Observation": "gn0.sim.state",
     "Simulator": "gn0.sim.simulator",
     "open_simulator": "gn0.sim.open",
-    "run_episode": "gn0.sim.simulator",
+    "run_episode": "gn0.sim.rollout",
     "register_envs": "gn0.sim.env",
 }
 

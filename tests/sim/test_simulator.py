@@ -16,7 +16,8 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
 from gn0.sim.open import open_simulator
-from gn0.sim.simulator import STEP_SECONDS, Simulator, run_episode
+from gn0.sim.rollout import run_episode
+from gn0.sim.simulator import STEP_SECONDS, Simulator
 from gn0.sim.state import Action, Observation, Teleport
 from gn0.testing.scenes import build_map_scene, build_point_episodes
 

@@ -31,7 +31,8 @@ from gn0.errors import EpisodeError, Gn0Error
 from gn0.plugins import get_plugin
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import Policy, PolicyPrivileged
-from gn0.sim.simulator import Simulator, run_episode
+from gn0.sim.rollout import run_episode
+from gn0.sim.simulator import Simulator
 
 if TYPE_CHECKING:
     from gn0.missions.episode import Episode

@@ -28,7 +28,7 @@ from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.scenes.sources import import_scene
 from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
-from gn0.sim.simulator import run_episode
+from gn0.sim.rollout import run_episode
 from gn0.storage import Journal
 from gn0.testing.judge_metrics import worst_disagreement
 

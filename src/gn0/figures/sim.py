@@ -14,7 +14,8 @@ from gn0.policies.oracle import PolicyOracle
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
-from gn0.sim.simulator import Simulator, run_episode
+from gn0.sim.rollout import run_episode
+from gn0.sim.simulator import Simulator
 from gn0.testing.scenes import (
     build_floor_plan,
     build_map_scene,

@@ -16,8 +16,7 @@ from gn0.errors import PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.pose_astar import plan_actions
 from gn0.sim.kinematics import heading_cycle, step_forward
-from gn0.sim.policy import Sensor
-from gn0.sim.state import Action, Observation
+from gn0.sim.state import Action, Observation, Sensor
 
 if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator

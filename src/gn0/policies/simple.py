@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from gn0.geometry import F32
-from gn0.sim.policy import Sensor
-from gn0.sim.state import Action, Observation
+from gn0.sim.state import Action, Observation, Sensor
 
 TURNS = (Action.LEFT, Action.RIGHT)
 

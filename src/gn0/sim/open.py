@@ -16,9 +16,7 @@ from gn0.render.renderer import Renderer, build_renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import EYES, SensorConfig, check_sensors
-from gn0.sim.simulator import Simulator, run_episode
-
-__all__ = ["open_simulator", "run_episode"]
+from gn0.sim.simulator import Simulator
 
 CEILING_CUT = 2.3  # m: the BEV leaves out what is above, so one looks into rooms
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from gn0.sim.state import Action, Observation, Teleport
+from gn0.sim.state import Action, Observation, Sensor, Teleport
 
 if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator
-
-Sensor = Literal["rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector"]
 
 
 @runtime_checkable

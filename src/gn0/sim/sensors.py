@@ -15,8 +15,8 @@ from gn0.geometry import F32, U8, Pose2D, view_from_pose, world_to_agent
 from gn0.maps.grid import OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.sim.history import reduce_picture
-from gn0.sim.policy import Sensor
 from gn0.sim.presets import CameraPreset, find_preset
+from gn0.sim.state import Sensor
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap

@@ -8,21 +8,18 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from gn0.errors import EpisodeError, PolicyError, SimError
+from gn0.errors import EpisodeError, SimError
 from gn0.geometry import F32, U8, Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec, Episode, check_episode
 from gn0.scenes.scene import Scene
-from gn0.seeds import random_stream
 from gn0.sim.collision import check_finite, check_places, move_agent
 from gn0.sim.history import History, build_mosaic
 from gn0.sim.kinematics import Heading, heading_yaw, step_forward
-from gn0.sim.policy import Policy, PolicyPrivileged, Sensor
 from gn0.sim.sensors import EYES, SensorConfig, SensorSuite
-from gn0.sim.state import Action, Observation, StepResult, Teleport, Trajectory
+from gn0.sim.state import Action, Observation, Sensor, StepResult, Teleport
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
@@ -30,7 +27,6 @@ if TYPE_CHECKING:
     from gn0.render.renderer import Renderer
 
 STEP_SECONDS = 0.5
-TELEPORT_CODE = -1  # how a teleport is written in `Trajectory.actions`
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,56 +351,3 @@ def action_code(action: Action | int) -> int:
             remedy="give STOP 0, FORWARD 1, LEFT 2, RIGHT 3 or a Teleport",
         )
     return code
-
-
-def run_episode(
-    simulator: Simulator,
-    policy: Policy,
-    episode: Episode,
-    *,
-    watch: Callable[[Observation, StepResult | None], None] | None = None,
-) -> Trajectory:
-    """Let a policy act until it stops or runs out of steps.
-
-    The policy sees exactly the sensors it declares, also when the simulator carries more. Its
-    randomness is a stream named by the episode and the policy, so results do not depend on the
-    order of episodes. `watch` is called after reset (result None) and after every action.
-
-    Raises:
-        PolicyError: the policy wants a sensor that is not carried, or returns no action.
-        EpisodeError: see `Simulator.reset`.
-    """
-    missing = frozenset(policy.sensors) - simulator.sensors
-    if missing:
-        raise PolicyError(
-            f"policy {policy.name!r} reads {sorted(missing)}, which the agent does not carry",
-            remedy="open the simulator with sensors=policy.sensors",
-        )
-    observation = simulator.reset(episode, sensors=frozenset(policy.sensors))
-    policy.reset(
-        episode.instruction, random_stream(episode.seed, "policy", policy.name, episode.id)
-    )
-    if isinstance(policy, PolicyPrivileged):
-        policy.reset_privileged(simulator)
-    poses, actions, collisions = [simulator.pose], [], []
-    if watch is not None:
-        watch(observation, None)
-    while True:
-        action = policy.act(observation)
-        try:
-            result = simulator.step(action)
-        except SimError as error:
-            raise PolicyError(
-                f"policy {policy.name!r} returned no valid action: {error.what}",
-                where=f"episode {episode.id!r}, step {simulator.steps}",
-                remedy=error.remedy,
-            ) from error
-        poses.append(simulator.pose)
-        actions.append(TELEPORT_CODE if isinstance(action, Teleport) else int(action))
-        collisions.append(result.collided)
-        observation = result.observation
-        if watch is not None:
-            watch(observation, result)
-        if result.terminated or result.truncated:
-            break
-    return Trajectory(tuple(poses), tuple(actions), tuple(collisions), result.terminated)

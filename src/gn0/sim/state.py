@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from gn0.geometry import F32, U8, Pose2D
+
+Sensor = Literal["rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector"]
 
 
 class Action(IntEnum):

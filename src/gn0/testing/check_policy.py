@@ -16,8 +16,9 @@ from gn0.missions.episode import Episode
 from gn0.missions.goal import sample_goal_episodes
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import Policy, PolicyPrivileged
+from gn0.sim.rollout import run_episode
 from gn0.sim.sensors import SENSOR_NAMES
-from gn0.sim.simulator import Simulator, run_episode
+from gn0.sim.simulator import Simulator
 from gn0.sim.state import Observation, StepResult, Trajectory
 from gn0.testing.scenes import build_room_scene
 

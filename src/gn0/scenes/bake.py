@@ -83,7 +83,7 @@ class LightField:
         order = np.argsort(value, kind="stable")
         share = np.cumsum(self.open_area[order], dtype=np.float64)
         at = np.searchsorted(share, np.asarray(quantiles) * share[-1])
-        return value[order][np.minimum(at, len(order) - 1)].astype(np.float64)
+        return np.asarray(value[order][np.minimum(at, len(order) - 1)], np.float64)
 
 
 def bake_light(
@@ -164,7 +164,7 @@ def _mean_albedo(surface: Surface, lumels: Lumels, mesh: SceneMesh) -> F32:
         middle = np.array([1 - 2 * skew, skew, skew], np.float32)
         bary = keep * lumels.bary + (1 - keep) * middle
         total += np.asarray(surface.reflect(lumels.face, bary)[0], np.float32)
-    return total / 4
+    return np.asarray(total / 4, np.float32)
 
 
 def _smooth(lumels: Lumels, values: F32) -> F32:
@@ -208,7 +208,7 @@ def _direct_light(
         d = np.asarray(sun.direction, np.float64)
         sun_table[:3] = d / np.linalg.norm(d)
         sun_table[3:] = sun.colour
-    return _direct_kernel(  # type: ignore[no-any-return]
+    return _direct_kernel(
         lumels.point, lumels.normal, caster.boxes, caster.links, caster.corners,
         table, sun_table, options.samples, derive_seed(seed, "direct") & 0x7FFFFFFF,
     )  # fmt: skip
@@ -235,7 +235,7 @@ def _gather_table(
 
 
 @njit(inline="always")
-def _rand(a, b, c):
+def _rand(a, b, c):  # type: ignore[no-untyped-def]
     """Two uniform numbers from an integer key (lowbias32 rounds)."""
     h = np.uint32(a) * np.uint32(0x9E3779B1) ^ np.uint32(b)
     h ^= h >> np.uint32(16)
@@ -249,7 +249,7 @@ def _rand(a, b, c):
 
 
 @njit(inline="always")
-def _frame(nx, ny, nz):
+def _frame(nx, ny, nz):  # type: ignore[no-untyped-def]
     """Two tangents of a unit normal (Duff et al., JCGT 2017)."""
     s = 1.0 if nz >= 0.0 else -1.0
     a = -1.0 / (s + nz)
@@ -258,7 +258,7 @@ def _frame(nx, ny, nz):
 
 
 @njit(inline="always")
-def _cosine_ray(nx, ny, nz, k, count, shift_u, shift_v):
+def _cosine_ray(nx, ny, nz, k, count, shift_u, shift_v):  # type: ignore[no-untyped-def]
     """Ray k of `count`, cosine-distributed: a rank-1 lattice turned by a random shift."""
     u = (k + 0.5) / count + shift_u
     v = k * 0.6180339887498949 + shift_v
@@ -270,7 +270,7 @@ def _cosine_ray(nx, ny, nz, k, count, shift_u, shift_v):
 
 
 @njit(parallel=True, error_model="numpy")
-def _hemisphere_hits(
+def _hemisphere_hits(  # type: ignore[no-untyped-def]
     point, normal, boxes, links, order, corners, rays, base, seed, normals, two_sided
 ):
     n = len(point)
@@ -299,7 +299,7 @@ def _hemisphere_hits(
 
 
 @njit(parallel=True)
-def _gather(table, radiance):
+def _gather(table, radiance):  # type: ignore[no-untyped-def]
     out = np.zeros((len(table), 3), np.float32)
     rays = table.shape[1]
     for i in prange(len(table)):
@@ -315,7 +315,7 @@ def _gather(table, radiance):
 
 
 @njit(parallel=True, error_model="numpy")
-def _openness(point, normal, boxes, links, corners, seed):
+def _openness(point, normal, boxes, links, corners, seed):  # type: ignore[no-untyped-def]
     """Mean length of eight rays over each point, each at most 3 m; none where they leave."""
     out = np.zeros(len(point))
     for i in prange(len(point)):
@@ -334,7 +334,7 @@ def _openness(point, normal, boxes, links, corners, seed):
 
 
 @njit(parallel=True, error_model="numpy")
-def _direct_kernel(point, normal, boxes, links, corners, lamps, sun, samples, seed):
+def _direct_kernel(point, normal, boxes, links, corners, lamps, sun, samples, seed):  # type: ignore[no-untyped-def]
     """Irradiance / π from lamps and sun at each point [L, 3]."""
     out = np.zeros((len(point), 3), np.float32)
     has_sun = sun[3] + sun[4] + sun[5] > 0.0

@@ -95,7 +95,7 @@ def _weld(vertices: F64) -> NDArray[np.int64]:
     keys -= keys.min(axis=0)
     span = keys.max(axis=0) + 1
     flat = (keys[:, 0] * span[1] + keys[:, 1]) * span[2] + keys[:, 2]
-    return np.unique(flat, return_inverse=True)[1]  # type: ignore[no-any-return]
+    return np.unique(flat, return_inverse=True)[1]
 
 
 def _neighbours(welded: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -109,7 +109,7 @@ def _neighbours(welded: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @njit
-def _grow(seeds, areas, normals, first, links, min_cos):
+def _grow(seeds, areas, normals, first, links, min_cos):  # type: ignore[no-untyped-def]
     """Flood from the largest face down; returns chart per face (−1 degenerate) and their count."""
     chart = np.full(len(areas), -1, np.int32)
     queue = np.empty(len(areas), np.int64)
@@ -152,7 +152,7 @@ def _frames(
     """Planes, axes and bounds of grown charts."""
     count = len(start) - 1
     owner = chart[faces]
-    area = np.bincount(owner, areas[faces], count)
+    area: F64 = np.bincount(owner, areas[faces], count).astype(np.float64)
     points = mesh.corners()[faces]  # [G, 3, 3]
     middle = points.mean(axis=1)
 
@@ -190,7 +190,7 @@ def _frames(
     across = (vector[outline] * v[owner_edge]).sum(1)
     length = np.hypot(along, across)
     angle = np.arctan2(across, along) * 4.0
-    border = np.bincount(owner_edge, length, count)
+    border = np.bincount(owner_edge, length, count).astype(np.float64)
     turn = np.arctan2(
         np.bincount(owner_edge, length * np.sin(angle), count),
         np.bincount(owner_edge, length * np.cos(angle), count),

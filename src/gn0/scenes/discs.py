@@ -42,6 +42,7 @@ class Discs:
         keep: discs that can be seen from somewhere [N].
         open_length: length of each disc's sides that end in the open [N] m.
         area: of each disc's cell [N] m².
+        depth: of the solid under each disc [N] m.
     """
 
     cell: NDArray[np.int64]
@@ -52,6 +53,7 @@ class Discs:
     opacity: F32
     open_length: F64
     area: F64
+    depth: F64
 
     def select(self, mask: NDArray[np.bool_]) -> Discs:
         """The discs at `mask`."""
@@ -141,11 +143,12 @@ def shape_discs(
         opacity=(OPACITY * thin[:, 0] * thin[:, 1]).astype(np.float32),
         open_length=(count * width[:, ::-1]).sum(1),
         area=width[:, 0] * width[:, 1],
+        depth=depth[cell],
     )
 
 
 @njit(parallel=True, error_model="numpy")
-def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, normals, oriented):
+def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, normals, oriented):  # type: ignore[no-untyped-def]
     """Sides of each disc where its surface ends, free sides, depth of the solid, if unseen.
 
     Sides are in the order −e1, +e1, −e2, +e2 [N, 4]; free ones have nothing beyond. The depth is

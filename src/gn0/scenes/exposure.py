@@ -12,7 +12,7 @@ from gn0.seeds import random_stream
 
 _EYES = (0.5, 1.6)  # heights of cameras [m]
 _CLEARANCE = 0.22  # of a camera to everything round it [m]
-_LEAST = 0.3  # weight of what no camera sees: maps are drawn from above, too
+LEAST = 0.3  # weight of what no camera sees: maps are drawn from above, too
 
 
 def weigh_views(mesh: SceneMesh, *, cameras: int = 160, seed: int = 0) -> F64:
@@ -40,7 +40,7 @@ def weigh_views(mesh: SceneMesh, *, cameras: int = 160, seed: int = 0) -> F64:
         )
     weight = np.cbrt(share / 4)
     mean = np.average(weight, weights=areas)
-    return np.maximum(weight / max(mean, 1e-9), _LEAST)
+    return np.maximum(weight / max(mean, 1e-9), LEAST)
 
 
 def _free_places(mesh: SceneMesh, caster: RayCaster, count: int, seed: int) -> F64:
@@ -64,7 +64,7 @@ def _free_places(mesh: SceneMesh, caster: RayCaster, count: int, seed: int) -> F
 
 
 @njit(parallel=True, error_model="numpy")
-def _seen_share(point, normal, eyes, boxes, links, corners):
+def _seen_share(point, normal, eyes, boxes, links, corners):  # type: ignore[no-untyped-def]
     """Mean of cos / distance² over the eyes that see each point from its front [N]."""
     out = np.zeros(len(point))
     for i in prange(len(point)):

@@ -55,7 +55,7 @@ class Lumels:
 
     def lookup(self, values: F32, point: F32, normal: F32) -> F32:
         """The field of `values` [L, C] at surface points [M, 3] with normals [M, 3]."""
-        return _lookup(  # type: ignore[no-any-return]
+        return _lookup(
             self.point, self.normal, self.radius, self.origin, self.shape, self.first,
             self.two_sided, np.ascontiguousarray(values, np.float32),
             np.ascontiguousarray(point, np.float32), np.ascontiguousarray(normal, np.float32),
@@ -63,7 +63,7 @@ class Lumels:
 
     def nearest(self, point: F32, normal: F32) -> NDArray[np.int32]:
         """The lumel that speaks most for each surface point [M]; −1 where none is near."""
-        return _nearest(  # type: ignore[no-any-return]
+        return _nearest(
             self.point, self.normal, self.radius, self.origin, self.shape, self.first,
             self.two_sided, np.ascontiguousarray(point, np.float32),
             np.ascontiguousarray(normal, np.float32),
@@ -145,7 +145,7 @@ def _barycentric(corners: F64, point: F64) -> F32:
 
 
 @njit(inline="always")
-def _weight(point, normal, i, px, py, pz, nx, ny, nz, reach, two_sided):
+def _weight(point, normal, i, px, py, pz, nx, ny, nz, reach, two_sided):  # type: ignore[no-untyped-def]
     """How much lumel i says about a point; 0 for none."""
     dx, dy, dz = px - point[i, 0], py - point[i, 1], pz - point[i, 2]
     d2 = (dx * dx + dy * dy + dz * dz) / (reach * reach)
@@ -164,7 +164,7 @@ def _weight(point, normal, i, px, py, pz, nx, ny, nz, reach, two_sided):
 
 
 @njit(parallel=True, error_model="numpy")
-def _lookup(point, normal, reach, origin, shape, first, two_sided, values, query, facing):
+def _lookup(point, normal, reach, origin, shape, first, two_sided, values, query, facing):  # type: ignore[no-untyped-def]
     channels = values.shape[1]
     out = np.zeros((len(query), channels), np.float32)
     for q in prange(len(query)):
@@ -194,7 +194,7 @@ def _lookup(point, normal, reach, origin, shape, first, two_sided, values, query
 
 
 @njit(parallel=True, error_model="numpy")
-def _nearest(point, normal, reach, origin, shape, first, two_sided, query, facing):
+def _nearest(point, normal, reach, origin, shape, first, two_sided, query, facing):  # type: ignore[no-untyped-def]
     out = np.full(len(query), -1, np.int32)
     for q in prange(len(query)):
         px, py, pz = query[q, 0], query[q, 1], query[q, 2]

@@ -67,7 +67,7 @@ class RayCaster:
             and (u, v) [N, 2]: the weights of the face's second and third corner.
         """
         origin, direction, limit = _ray_arrays(origins, directions, t_max)
-        return _cast_rays(  # type: ignore[no-any-return]
+        return _cast_rays(
             self.boxes, self.links, self.order, self.corners, origin, direction, limit
         )
 
@@ -79,9 +79,7 @@ class RayCaster:
     ) -> NDArray[np.bool_]:
         """Whether anything lies between each origin and `t_max` along its direction [N]."""
         origin, direction, limit = _ray_arrays(origins, directions, t_max)
-        return _occlude_rays(  # type: ignore[no-any-return]
-            self.boxes, self.links, self.corners, origin, direction, limit
-        )
+        return _occlude_rays(self.boxes, self.links, self.corners, origin, direction, limit)
 
 
 def _ray_arrays(
@@ -98,13 +96,13 @@ def _ray_arrays(
 
 
 @njit
-def _half_area(lo, hi):
+def _half_area(lo, hi):  # type: ignore[no-untyped-def]
     dx, dy, dz = hi[0] - lo[0], hi[1] - lo[1], hi[2] - lo[2]
     return dx * dy + dy * dz + dz * dx
 
 
 @njit
-def _build_tree(lower, upper):
+def _build_tree(lower, upper):  # type: ignore[no-untyped-def]
     """Binned SAH tree in depth-first order, built without recursion."""
     n = len(lower)
     order = np.arange(n).astype(np.int32)
@@ -196,7 +194,7 @@ def _build_tree(lower, upper):
 
 
 @njit(error_model="numpy")
-def closest_hit(boxes, links, corners, ox, oy, oz, dx, dy, dz, t_max, any_hit, stack):
+def closest_hit(boxes, links, corners, ox, oy, oz, dx, dy, dz, t_max, any_hit, stack):  # type: ignore[no-untyped-def]
     """Nearest triangle of one ray: (index in tree order or −1, t, u, v).
 
     With `any_hit` the first triangle found will do. `stack` is scratch [STACK] int32.
@@ -285,7 +283,7 @@ def closest_hit(boxes, links, corners, ox, oy, oz, dx, dy, dz, t_max, any_hit, s
 
 
 @njit(parallel=True, error_model="numpy")
-def _cast_rays(boxes, links, order, corners, origin, direction, limit):
+def _cast_rays(boxes, links, order, corners, origin, direction, limit):  # type: ignore[no-untyped-def]
     n = len(origin)
     face = np.full(n, -1, np.int32)
     t = np.full(n, np.inf, np.float32)
@@ -308,7 +306,7 @@ def _cast_rays(boxes, links, order, corners, origin, direction, limit):
 
 
 @njit(parallel=True, error_model="numpy")
-def _occlude_rays(boxes, links, corners, origin, direction, limit):
+def _occlude_rays(boxes, links, corners, origin, direction, limit):  # type: ignore[no-untyped-def]
     n = len(origin)
     hit = np.zeros(n, np.bool_)
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):

@@ -9,6 +9,8 @@ above 0.8).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +25,7 @@ from gn0.scenes.rays import RayCaster
 from gn0.scenes.shading import Shader
 from gn0.scenes.tiles import PICKS, Cells, fill_tiles, plan_tiles
 
+_THIN = 0.06  # solids below this thickness need care [m]
 _OUTLINE = 0.02  # error of a length of outline, against the variance of colour
 
 
@@ -34,6 +37,7 @@ def build_surfels(
     detail: NDArray[np.floating] | None = None,
     seed: int = 0,
     oriented: bool = False,
+    unseen: NDArray[np.bool_] | None = None,
     label_of_instance: NDArray[np.integer] | None = None,
     progress: Progress = no_progress,
 ) -> GaussianCloud:
@@ -49,6 +53,8 @@ def build_surfels(
         seed: varies nothing but the choice of the points that are shaded.
         oriented: face normals are known to point out of solids, so that the insides of touching
             solids need no discs.
+        unseen: faces that no camera will see [F]; where they are the far side of something thin,
+            they get no discs.
         label_of_instance: label of each mesh instance [I]; the instance number itself by default.
         progress: progress sink.
 
@@ -64,6 +70,12 @@ def build_surfels(
     def place(target: int, fineness: F64 | None) -> tuple[Cells, Discs]:
         cells = fill_tiles(charts, mesh, plan_tiles(charts, target, fineness), seed)
         discs = shape_discs(cells, charts, mesh, caster, oriented=oriented)
+        if unseen is not None:
+            # one side of a thin solid is enough: a disc shows on both, and the unlit side of a
+            # table top would shine through its lit one, for renderers sort discs by their centres
+            spare = unseen[cells.face[discs.cell]] & (discs.depth < _THIN)
+            spare &= mesh.normals()[cells.face[discs.cell], 2] < 0.5
+            discs = replace(discs, keep=discs.keep & ~spare)
         return cells.select(discs.cell), discs
 
     # a coarse pass tells what is hidden (it costs nothing) and what needs many discs
@@ -120,7 +132,7 @@ def _spread_budget(
     tiles = int(cells.tile.max()) + 1
 
     def total(values: NDArray[np.floating]) -> F64:
-        return np.bincount(cells.tile, values, tiles)
+        return np.bincount(cells.tile, values, tiles).astype(np.float64)
 
     shown = np.where(discs.keep, discs.area, 0.0)
     area = np.maximum(total(discs.area), 1e-12)
@@ -130,7 +142,8 @@ def _spread_budget(
     outline = total(discs.open_length * discs.keep) / area
     bend = np.zeros(tiles)
     bend[cells.tile] = charts.bend[cells.chart]
-    need = texture + _OUTLINE * (outline + bend) + 1e-4
+    thin = total(np.where(discs.depth < _THIN, 1.0, 0.0) / np.maximum(discs.depth, 0.004) * shown)
+    need = texture + _OUTLINE * (outline + bend + 0.5 * thin / area) + 1e-4
     if weight is not None:
         mean = total(np.asarray(weight, np.float64)[cells.face] * discs.area) / area
         need *= np.maximum(mean, 1e-3) ** 3

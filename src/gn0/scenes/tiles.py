@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +106,7 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
     chart = tiles.chart[tile]
     missed = np.setdiff1d(np.arange(len(charts)), np.unique(chart[face >= 0]))
     keep = np.flatnonzero(face >= 0)
-    parts = [
+    parts: list[Any] = [
         tile[keep],
         chart[keep],
         face[keep],
@@ -122,7 +123,7 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
         middle = corner.mean(axis=1)
         d = corner - middle[:, None]  # a triangle's covariance is a twelfth of its corners' sum
         one = charts.faces[at]
-        extra = [
+        extra: list[Any] = [
             np.repeat(np.searchsorted(tiles.chart, missed), sizes),
             np.repeat(missed, sizes),
             one,
@@ -152,7 +153,7 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
 
 
 @njit
-def _mix(h):
+def _mix(h):  # type: ignore[no-untyped-def]
     """Integer hash (lowbias32, C. Wellons)."""
     h = np.uint32(h)
     h ^= h >> np.uint32(16)
@@ -164,7 +165,7 @@ def _mix(h):
 
 
 @njit(parallel=True, error_model="numpy")
-def _fill_kernel(
+def _fill_kernel(  # type: ignore[no-untyped-def]
     tile_chart, tile_lower, tile_size, tile_cells, brick, offset,
     start, faces, corners, seed,
     face, mean, spread, pick_face, pick_bary,

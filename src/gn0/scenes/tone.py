@@ -51,7 +51,7 @@ class ToneCurve:
             return np.broadcast_to(gain, (len(point), 3))
         where = (np.asarray(point, np.float32) - np.asarray(self.origin, np.float32)) / self.cell
         value = map_coordinates(self.local, where.T - 0.5, order=1, mode="nearest")
-        return value[:, None].astype(np.float32) * gain  # type: ignore[no-any-return]
+        return value[:, None].astype(np.float32) * gain
 
     def display(self, exposed: NDArray[np.floating]) -> F32:
         """Display values 0..1 [M, 3] of exposed radiance [M, 3]."""

@@ -8,7 +8,7 @@ from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.progress import Progress, no_progress
 from gn0.scenes.bake import DRAFT, BakeSettings, bake_light
-from gn0.scenes.exposure import weigh_views
+from gn0.scenes.exposure import LEAST, weigh_views
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.surface import ProceduralSurface
 from gn0.scenes.surfels import build_surfels
@@ -64,6 +64,7 @@ def cover_draft(
         detail=weight,
         seed=seed,
         oriented=True,
+        unseen=weight <= LEAST,
         label_of_instance=np.arange(len(draft.objects)),
         progress=progress,
     )

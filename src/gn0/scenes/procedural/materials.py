@@ -311,7 +311,7 @@ def _soil(m: Material, u: F64, v: F64, fp: float) -> F64:
 def _book_spine(m: Material, u: F64, v: F64, fp: float) -> F64:
     tall = v / 0.24
     soft = max(fp, 0.004) / 0.24
-    band = 0.0
+    band = np.zeros(len(u))
     for place, half in ((0.14, 0.025), (0.86, 0.025), (0.22, 0.008)):
         band = band + (1 - step(np.abs(tall % 1.0 - place) - half, soft))
     title = 1 - step(np.abs(tall % 1.0 - 0.55) - 0.14, soft)

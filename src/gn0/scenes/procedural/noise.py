@@ -13,7 +13,7 @@ from gn0.jit import njit, prange
 
 
 @njit(inline="always")
-def _hash(x, y, seed):
+def _hash(x, y, seed):  # type: ignore[no-untyped-def]
     """Integer hash of a lattice point (rounds of lowbias32, C. Wellons)."""
     h = np.uint32(np.int64(x) & np.int64(0xFFFFFFFF))
     h = np.uint32(h * np.uint32(0x9E3779B1)) ^ np.uint32(np.int64(y) & np.int64(0xFFFFFFFF))
@@ -26,13 +26,13 @@ def _hash(x, y, seed):
 
 
 @njit(parallel=True)
-def _random_kernel(x, y, seed, out):
+def _random_kernel(x, y, seed, out):  # type: ignore[no-untyped-def]
     for i in prange(len(x)):
         out[i] = _hash(np.int64(np.floor(x[i])), np.int64(np.floor(y[i])), seed) / 4294967296.0
 
 
 @njit(inline="always")
-def _gradient(ix, iy, fx, fy, seed):
+def _gradient(ix, iy, fx, fy, seed):  # type: ignore[no-untyped-def]
     h = _hash(ix, iy, seed)
     # eight directions of equal length
     k = h & np.uint32(7)
@@ -43,7 +43,7 @@ def _gradient(ix, iy, fx, fy, seed):
 
 
 @njit(parallel=True)
-def _fractal_kernel(x, y, seed, weights, out):
+def _fractal_kernel(x, y, seed, weights, out):  # type: ignore[no-untyped-def]
     norm = 0.0
     for o in range(len(weights)):
         norm += weights[o] * weights[o]
@@ -71,7 +71,7 @@ def _fractal_kernel(x, y, seed, weights, out):
 
 
 @njit(parallel=True)
-def _cells_kernel(x, y, seed, first, second, tone):
+def _cells_kernel(x, y, seed, first, second, tone):  # type: ignore[no-untyped-def]
     for i in prange(len(x)):
         ix, iy = np.int64(np.floor(x[i])), np.int64(np.floor(y[i]))
         d1, d2, best = 9.0, 9.0, np.uint32(0)
@@ -141,8 +141,8 @@ def stripes(x: NDArray[np.floating], share: float, footprint: float) -> F64:
         whole = np.floor(p)
         return whole * share + np.minimum(p - whole, share)
 
-    x = np.asarray(x, np.float64)
-    return (filled(x + width / 2) - filled(x - width / 2)) / width
+    at: F64 = np.asarray(x, np.float64)
+    return (filled(at + width / 2) - filled(at - width / 2)) / width
 
 
 def step(x: NDArray[np.floating], width: float) -> F64:

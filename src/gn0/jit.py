@@ -6,21 +6,57 @@ be the same bytes for any thread count and, as far as IEEE goes, on any machine.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
+import shutil
+import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from gn0.storage import cache_dir
 
-os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_dir() / "numba"))
+_KEPT_DAYS = 30.0  # caches of other versions of the kernels are removed after so long
+
+
+def kernel_digest() -> str:
+    """Digest of every module that holds kernels.
+
+    Numba checks a cached kernel against its own file only, not against the files of kernels that
+    it calls: a stale caller may crash. So each version of the kernels has a cache of its own.
+    """
+    digest = hashlib.blake2b(digest_size=8)
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        source = path.read_bytes()
+        if b"gn0.jit" in source:
+            digest.update(path.name.encode() + b"\0" + source + b"\0")
+    return digest.hexdigest()
+
+
+def _claim_cache() -> str:
+    root = cache_dir() / "numba"
+    mine = root / kernel_digest()
+    with contextlib.suppress(OSError):  # an unwritable cache only costs compile time
+        if not mine.exists():
+            mine.mkdir(parents=True, exist_ok=True)
+            for other in root.iterdir():
+                if time.time() - other.stat().st_mtime > _KEPT_DAYS * 86400:
+                    shutil.rmtree(other, ignore_errors=True)
+        os.utime(mine)
+    return str(mine)
+
+
+os.environ.setdefault("NUMBA_CACHE_DIR", _claim_cache())
 # idle OpenMP threads sleep: spinning ones take the cores from whoever shares the machine, and a
 # frame then costs three times its CPU time; the price is one wake-up a parallel loop
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numba
 
-if not numba.config.CACHE_DIR:  # Numba was imported before us
-    numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+_config: Any = numba.config
+if not _config.CACHE_DIR:  # Numba was imported before us
+    _config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
 
 prange = numba.prange
 

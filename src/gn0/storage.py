@@ -208,7 +208,7 @@ def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
             little = data.astype(data.dtype.newbyteorder("<"), copy=False)
             head = f"a{little.dtype.str}{little.shape}".encode()
             digest.update(len(head).to_bytes(4, "little") + head)
-            digest.update(little.tobytes() if little.ndim == 0 else memoryview(little).cast("B"))
+            digest.update(little.reshape(-1).view(np.uint8).data)
         else:
             raw = value if isinstance(value, bytes) else repr(value).encode()
             digest.update(b"v" + len(raw).to_bytes(8, "little") + raw)

@@ -52,7 +52,7 @@ os.environ.setdefault("NUMBA_CACHE_DIR", _claim_cache())
 # frame then costs three times its CPU time; the price is one wake-up a parallel loop
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-import numba
+import numba  # noqa: E402 (it reads its settings when imported)
 
 _config: Any = numba.config
 if not _config.CACHE_DIR:  # Numba was imported before us

@@ -204,7 +204,7 @@ def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
     digest = hashlib.blake2b(digest_size=16)
     for value in arrays:
         if isinstance(value, np.ndarray):
-            data = np.ascontiguousarray(value)
+            data = np.asarray(value, order="C")
             little = data.astype(data.dtype.newbyteorder("<"), copy=False)
             head = f"a{little.dtype.str}{little.shape}".encode()
             digest.update(len(head).to_bytes(4, "little") + head)

@@ -27,6 +27,7 @@ from gn0.scenes.procedural.shapes import (
     build_box,
     build_cylinder,
     build_lathe,
+    build_moulding,
     build_panel,
     build_rod,
     build_tube,
@@ -201,14 +202,8 @@ def build_wardrobe(rng: np.random.Generator, palette: Palette) -> Item:
         for k in range(doors):
             x = -w / 2 + (k + 0.5) * w / doors
             for z, tall in ((0.16, h * 0.32), (h * 0.32 + 0.28, h * 0.5)):
-                shapes.append(
-                    build_box(
-                        (w / doors - 0.16, 0.012, tall),
-                        body,
-                        bevel=0.005,
-                        at=(x, -d / 2 - 0.002, z),
-                    )
-                )
+                frame = build_moulding(w / doors - 0.16, tall, body)
+                shapes += [m.moved(x, -d / 2, z) for m in frame]
     return Item(
         "wardrobe", tuple(shapes), (Support(-w / 2 + 0.15, w / 2 - 0.15, -0.15, 0.15, h, 0.3),)
     )

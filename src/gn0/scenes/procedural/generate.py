@@ -22,6 +22,9 @@ from gn0.scenes.scene import Scene, SceneSourceInfo
 GENERATOR = "apartment 1"  # change the number when the same seed would give another flat
 
 
+DARK = 0.01  # of the median irradiance: less is not seen
+
+
 class GenerateSettings(Config, frozen=True):
     """What to generate.
 
@@ -53,6 +56,17 @@ def floor_area(draft: SceneDraft) -> float:
     return total
 
 
+def _drop_unlit(cloud: GaussianCloud) -> GaussianCloud:
+    """Without the discs that no light reaches.
+
+    They lie between surfaces that touch or nearly touch; nobody can see them, but where two
+    layers are closer than a disc is wide they would show through the upper one as dark stripes.
+    """
+    assert cloud.irradiance is not None
+    level = cloud.irradiance.max(axis=1)
+    return cloud.select(np.flatnonzero(level > DARK * float(np.median(level))))
+
+
 def build_apartment(
     settings: GenerateSettings, scene_id: str, progress: Progress = no_progress
 ) -> Scene:
@@ -69,7 +83,7 @@ def build_apartment(
     grid = build_occupancy(draft.mesh)
     shader = light_draft(draft, quality=settings.light, seed=settings.seed, progress=progress)
     count = int(settings.density * floor_area(draft))
-    cloud: GaussianCloud = cover_draft(draft, shader, count, seed=settings.seed, progress=progress)
+    cloud = _drop_unlit(cover_draft(draft, shader, count, seed=settings.seed, progress=progress))
     corners = draft.mesh.vertices[np.unique(draft.mesh.faces)]
     return Scene(
         id=scene_id,

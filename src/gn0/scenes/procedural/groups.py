@@ -40,7 +40,7 @@ def dress_windows(layout: RoomLayout, *, curtains: bool = True) -> None:
                 layout.hung[side.name].append((a - 0.3, 0.0, b + 0.3, top + 0.25))
                 for sx in (-1, 1):
                     edge = middle + sx * (width / 2 + 0.02)
-                    rect = layout._strip(side, edge - 0.24, edge + 0.24, 0.15)
+                    rect = layout.strip(side, edge - 0.24, edge + 0.24, 0.15)
                     layout.blocks.append(Block(rect, top + 0.2))
             elif rng.random() < 0.7 and layout.room.type != "kitchen":
                 blind = decor.build_blind(rng, layout.palette, width + 0.06, top - bottom)
@@ -252,7 +252,7 @@ def place_sofa_group(layout: RoomLayout) -> Side | None:
         rects = [footprint(p) for p, _ in group]
         if not all(layout.is_clear(q) for q in rects):
             continue
-        view = layout._strip(side, t - 0.5, t + 0.5, back - sofa_d, stand_d + 0.05)
+        view = layout.strip(side, t - 0.5, t + 0.5, back - sofa_d, stand_d + 0.05)
         if not layout.is_clear(view, ignore_keep=True):
             continue
         if not layout.is_passable(rects, [side.point(t, stand_d + 0.45)]):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
@@ -73,13 +73,13 @@ class RoomLayout:
             for a, b, bottom, _, opening in side.openings:
                 if bottom > 0:
                     continue
-                self.keep.append(self._strip(side, a - 0.05, b + 0.05, DOOR_DEPTH))
+                self.keep.append(self.strip(side, a - 0.05, b + 0.05, DOOR_DEPTH))
                 if opening.kind != "entrance" or not self.targets:
                     x, y = side.point((a + b) / 2, 0.4)
                     self.targets.append((x, y))
                 if opening.leaf == self.room.id:
                     span = self._leaf_span(side, a, b, opening)
-                    rect = self._strip(side, *span, 0.15)
+                    rect = self.strip(side, *span, 0.15)
                     self.blocks.append(Block(rect, 2.05))
                     self.hung[side.name].append((span[0], 0.0, span[1], 2.1))
 
@@ -89,7 +89,7 @@ class RoomLayout:
         before = (opening.hinge == "low") == forward
         return (a - (b - a) - 0.05, a) if before else (b, b + (b - a) + 0.05)
 
-    def _strip(self, side: Side, a: float, b: float, depth: float, off: float = 0.0) -> Rect:
+    def strip(self, side: Side, a: float, b: float, depth: float, off: float = 0.0) -> Rect:
         """Floor rectangle along a wall from a to b, from `off` to `depth` [m] into the room."""
         p, q = side.point(a, off), side.point(b, depth)
         return (min(p[0], q[0]), min(p[1], q[1]), max(p[0], q[0]), max(p[1], q[1]))
@@ -155,7 +155,7 @@ class RoomLayout:
             for a, b, bottom, _, _ in side.openings
             if bottom <= 0 or bottom - 0.03 < height
         ]
-        strip = self._strip(side, 0.0, side.length, depth)
+        strip = self.strip(side, 0.0, side.length, depth)
         for rect in [*(b.rect for b in self.blocks), *self.keep]:
             if overlaps(rect, strip, 1e-6):
                 ts = [
@@ -233,7 +233,7 @@ class RoomLayout:
         return None
 
     def _front_clear(self, side: Side, t: float, width: float, depth: float, front: float) -> bool:
-        rect = self._strip(side, t - width / 2, t + width / 2, depth + front, depth)
+        rect = self.strip(side, t - width / 2, t + width / 2, depth + front, depth)
         return self.is_clear(rect, ignore_keep=True)
 
     def place_free(self, rects_of: Sequence[tuple[Placed, bool]], clear: Rect) -> bool:
@@ -250,6 +250,9 @@ class RoomLayout:
     def hang(self, side: Side, item: Item, t: float, z: float, gap: float = 0.004) -> Placed | None:
         """Hang an item (its back at its largest y) on a wall with its origin at height z."""
         low, high = item.full_extent()
+        back = float(high[1])
+        item = replace(item, shapes=tuple(s.without_back(back) for s in item.shapes))
+        item = replace(item, shapes=tuple(s for s in item.shapes if len(s.faces)))
         half = float(high[0] - low[0]) / 2
         z0, z1 = z + float(low[2]), z + float(high[2])
         rect = (t - half, z0, t + half, z1)
@@ -260,7 +263,7 @@ class RoomLayout:
                 return None
         if any(overlaps(rect, other) for other in self.hung[side.name]):
             return None
-        strip = self._strip(side, t - half, t + half, 0.12)
+        strip = self.strip(side, t - half, t + half, 0.12)
         if any(overlaps(b.rect, strip) and b.height > z0 - 0.02 for b in self.blocks):
             return None
         x, y = side.point(t + float(low[0] + high[0]) / 2, gap + float(high[1]))
@@ -277,7 +280,7 @@ class RoomLayout:
             (a - 0.1, b + 0.1) for a, b, bottom, top, _ in side.openings if bottom < z1 and top > z0
         ]
         cuts += [(r[0], r[2]) for r in self.hung[side.name] if r[1] < z1 and r[3] > z0]
-        strip = self._strip(side, 0.0, side.length, 0.12)
+        strip = self.strip(side, 0.0, side.length, 0.12)
         for block in self.blocks:
             if block.height > z0 and overlaps(block.rect, strip):
                 ts = [

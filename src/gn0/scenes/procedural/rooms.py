@@ -99,6 +99,9 @@ def furnish_kitchen(layout: RoomLayout) -> None:
             lengths.append((b - a, name, a, b))
     lengths.sort(key=lambda g: (-g[0], g[1]))
     for side, t, width, flip, with_fridge in _counter_places(layout, lengths):
+        rough = layout.strip(side, t - width / 2, t + width / 2, kitchen.COUNTER_DEPTH)
+        if not (layout.is_clear(rough) and layout.is_passable([rough])):
+            continue
         counter = kitchen.build_counter(rng, palette, width, front, top)
         extras = [kitchen.build_kettle(rng, palette)]
         for maker in (
@@ -110,18 +113,17 @@ def furnish_kitchen(layout: RoomLayout) -> None:
                 extras.append(maker(rng, palette))
         counter = dress(counter, "counter", rng, palette, count=6, first=extras, turn=0.15)
         placed = layout.against_wall(side, counter, t, 0.005)
-        rect, spot = footprint(placed), side.point(t, 1.0)
-        if not (layout.is_clear(rect) and layout.is_passable([rect], [spot])):
+        edge = t + (width / 2 + 0.36) * (1 if not flip else -1)
+        cold = layout.against_wall(side, fridge, edge, 0.02)
+        spot = side.point(t, 1.0)
+        wanted = [placed, cold] if with_fridge else [placed]
+        rects = [footprint(p) for p in wanted]
+        if not (all(map(layout.is_clear, rects)) and layout.is_passable(rects, [spot])):
             continue
-        layout.add(placed)
+        for thing in wanted:
+            layout.add(thing)
         layout.reach.append(spot)
         hang_above_counter(layout, side, t, width, front, counter)
-        if with_fridge:
-            edge = t + (width / 2 + 0.36) * (1 if not flip else -1)
-            cold = layout.against_wall(side, fridge, edge, 0.02)
-            with_fridge = layout.is_clear(footprint(cold)) and layout.is_passable([footprint(cold)])
-            if with_fridge:
-                layout.add(cold)
         if not with_fridge and layout.place_on_wall(fridge, prefer="corner") is None:
             layout.place_on_wall(fridge, prefer="any", reach=False)
         break
@@ -143,15 +145,14 @@ def _counter_places(
     layout: RoomLayout, lengths: list[tuple[float, str, float, float]]
 ) -> Iterator[tuple[Side, float, float, bool, bool]]:
     """Where a counter may stand, longest first: side, middle, width, which end, fridge beside."""
-    for span, name, a, b in lengths:
-        with_fridge = span > 2.6
-        longest = int((span - 0.04 - (0.7 if with_fridge else 0.0)) / 0.6 + 1e-6)
-        for units in range(min(longest, 6), 1, -1):
-            width = units * 0.6
-            flips = [bool(f) for f in layout.rng.permutation([False, True])]
-            for flip in flips:
-                t = a + 0.02 + width / 2 if not flip else b - 0.02 - width / 2
-                yield layout.sides[name], t, width, flip, with_fridge
+    for with_fridge in (True, False):
+        for span, name, a, b in lengths:
+            longest = int((span - 0.04 - (0.7 if with_fridge else 0.0)) / 0.6 + 1e-6)
+            for units in range(min(longest, 6), 1, -1):
+                width = units * 0.6
+                for flip in (bool(f) for f in layout.rng.permutation([False, True])):
+                    t = a + 0.02 + width / 2 if not flip else b - 0.02 - width / 2
+                    yield layout.sides[name], t, width, flip, with_fridge
 
 
 def furnish_bedroom(layout: RoomLayout) -> None:
@@ -327,7 +328,7 @@ def furnish_hallway(layout: RoomLayout) -> None:
         wide = coats.size[0]
         if gaps and gaps[0][1] - gaps[0][0] > wide + 0.1:
             t = float(rng.uniform(gaps[0][0] + wide / 2 + 0.05, gaps[0][1] - wide / 2 - 0.05))
-            strip = layout._strip(side, t - wide / 2, t + wide / 2, 0.2)
+            strip = layout.strip(side, t - wide / 2, t + wide / 2, 0.2)
             if (
                 layout.is_clear(strip)
                 and layout.is_passable([strip])

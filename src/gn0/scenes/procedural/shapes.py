@@ -49,6 +49,11 @@ class Shape:
         """Scaled along the axes by positive factors."""
         return replace(self, vertices=self.vertices * (x, y, z))
 
+    def without_back(self, y: float) -> Shape:
+        """Without the faces that lie at `y` [m] or beyond: what touches a wall is never seen."""
+        keep = ~(self.vertices[self.faces][..., 1] > y - 1e-4).all(axis=1)
+        return replace(self, faces=self.faces[keep], uv=self.uv[keep])
+
     def painted(self, material: Material) -> Shape:
         """The same piece of another material."""
         return replace(self, material=material)
@@ -322,6 +327,17 @@ def build_rod(
     """A straight rod, tapering when `end_radius` is given: legs, rails, stems."""
     r = (radius, radius if end_radius is None else end_radius)
     return build_tube([start, end], r, material, sides=sides)
+
+
+def build_moulding(width: float, height: float, material: Material) -> list[Shape]:
+    """Four thin bars round a rectangle that stands on z = 0, on a plane y = 0, seen from −y."""
+    bar, thick = 0.022, 0.01
+    long = build_box((width, thick, bar), material).without_back(thick / 2)
+    tall = build_box((bar, thick, height - 2 * bar), material).without_back(thick / 2)
+    return [
+        *(long.moved(0, -thick / 2, z) for z in (0.0, height - bar)),
+        *(tall.moved(sx * (width - bar) / 2, -thick / 2, bar) for sx in (-1, 1)),
+    ]
 
 
 def build_extrusion(

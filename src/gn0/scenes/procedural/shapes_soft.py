@@ -80,7 +80,10 @@ def build_curtain(
     folds: int = 6,
     amplitude: float = 0.045,
 ) -> Shape:
-    """A hanging curtain in the xz plane: base at z = 0, folds along y, tighter at the top."""
+    """A hanging curtain in the xz plane, seen from −y: base at z = 0, folds along y.
+
+    One sheet: a second one behind it would only show through between its discs.
+    """
     columns, rows = folds * 6 + 1, 7
     s = np.linspace(0, 1, columns)
     t = np.linspace(0, 1, rows)
@@ -90,7 +93,7 @@ def build_curtain(
     wave = wave + 0.012 * np.sin(5 * s[:, None] + 3 * t[None, :] + rng.uniform(0, 6))
     x = (s[:, None] - 0.5) * width * (1.03 - 0.06 * t[None, :])
     z = np.broadcast_to(t[None, :] * height, x.shape)
-    return thicken(np.stack([x, wave, z], -1)[::-1], 0.006, material)
+    return build_surface(np.stack([x, wave, z], -1), material)
 
 
 def build_drape(
@@ -104,7 +107,7 @@ def build_drape(
     lift: float = 0.015,
     step: float = 0.07,
 ) -> Shape:
-    """A cloth over a box top width × depth at z = 0, hanging down its sides.
+    """A cloth over a box top width × depth at z = 0, hanging down its sides; one sheet.
 
     Args:
         width: of the top along x [m], centred at the origin.
@@ -137,7 +140,7 @@ def build_drape(
         0.5 + 0.3 * np.sin(5.3 * u + 2.1 * v + b) + 0.2 * np.sin(-3.7 * u + 6.9 * v + c)
     )
     z = np.where(fall > 0, -fall, crumple)
-    return thicken(np.stack([x, y, z], -1), 0.02, material)
+    return build_surface(np.stack([x, y, z + 0.01], -1), material)
 
 
 def build_leaf(

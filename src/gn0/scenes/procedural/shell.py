@@ -12,7 +12,14 @@ from gn0.scenes.procedural.draft import Lamp, Material
 from gn0.scenes.procedural.palette import CEILING, TRIM, Palette, plain
 from gn0.scenes.procedural.parts import Assembly, Item, Placed
 from gn0.scenes.procedural.plan import FloorPlan, Opening, Room
-from gn0.scenes.procedural.shapes import Shape, arc_path, build_box, build_panel, build_tube
+from gn0.scenes.procedural.shapes import (
+    Shape,
+    arc_path,
+    build_box,
+    build_moulding,
+    build_panel,
+    build_tube,
+)
 
 SIDES = ("south", "north", "west", "east")  # walls at low y, high y, low x, high x
 SKY_LIGHT = (1.5, 1.65, 1.95)  # radiance of the sky through a window
@@ -155,6 +162,7 @@ def _skirting(side: Side, height: float, thick: float, z: float) -> list[Shape]:
         if a - start > 0.02:
             x, y = side.point((start + a) / 2, thick / 2)
             board = build_box((a - start, thick, height), TRIM, bevel=0.004)
+            board = board.without_back(thick / 2)
             out.append(board.moved(x, y, z, side.yaw))
         start = b
     return out
@@ -187,12 +195,14 @@ def build_opening_shell(opening: Opening, finishes: dict[str, RoomFinish]) -> li
 
 def _casing(width: float, height: float, side: float, material: Material) -> list[Shape]:
     """Boards round a door on one face of the wall; `side` is the y of that face, signed."""
-    y = side + math.copysign(0.008, side)
+    y, turn = side + math.copysign(0.008, side), 0.0 if side < 0 else math.pi
     board = 0.065
+    post = build_box((board, 0.016, height + board), material, bevel=0.004).without_back(0.008)
+    head = build_box((width, 0.016, board), material, bevel=0.004).without_back(0.008)
     return [
-        build_box((board, 0.016, height + board), material, bevel=0.004, at=(sx, y, 0))
-        for sx in (-width / 2 - board / 2, width / 2 + board / 2)
-    ] + [build_box((width, 0.016, board), material, bevel=0.004, at=(0, y, height))]
+        *(post.moved(sx * (width + board) / 2, y, 0, turn) for sx in (-1, 1)),
+        head.moved(0, y, height, turn),
+    ]
 
 
 def _leaf(
@@ -208,14 +218,9 @@ def _leaf(
     }[rng_style % 3]
     for low, high, margin in fields:
         for sign in (-1, 1):
-            shapes.append(
-                build_box(
-                    (width - 2 * margin, 0.012, (high - low) * height),
-                    material,
-                    bevel=0.006,
-                    at=(width / 2, sign * thick / 2, low * height),
-                )
-            )
+            frame = build_moulding(width - 2 * margin, (high - low) * height, material)
+            spin = 0.0 if sign < 0 else math.pi
+            shapes += [m.moved(width / 2, sign * thick / 2, low * height, spin) for m in frame]
     for sign in (-1, 1):
         y = sign * (thick / 2 + 0.045)
         path = [(width - 0.06, sign * thick / 2, 1.03), (width - 0.06, y, 1.03)]

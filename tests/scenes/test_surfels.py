@@ -86,7 +86,7 @@ def test_discs_lie_on_the_surface(room: SceneMesh, cloud: GaussianCloud) -> None
 
 
 def test_picture_matches_ray_tracing(room: SceneMesh, cloud: GaussianCloud) -> None:
-    camera = Camera.from_hfov(320, 240, 79.0)
+    camera = Camera.from_hfov(640, 480, 79.0)
     K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
     views = [
         view_from_pose(-1.5, 0.2, 1.25, 0.0, -0.1),
@@ -94,10 +94,10 @@ def test_picture_matches_ray_tracing(room: SceneMesh, cloud: GaussianCloud) -> N
     ]
     shown = RendererCpu(cloud, RenderOptions(rgb_float=True)).render(camera, np.stack(views))
     for k, view in enumerate(views):
-        truth, depth = render_truth(room, Waves(room), K, view, (320, 240), samples=3)
+        truth, depth = render_truth(room, Waves(room), K, view, (640, 480), samples=2)
         assert shown.rgb is not None and shown.alpha is not None and shown.depth is not None
         error = np.clip(shown.rgb[k], 0, 1) - truth
-        assert -10 * np.log10(np.mean(error**2)) > 30.0
+        assert -10 * np.log10(np.mean(error**2)) > 31.0
         assert (shown.alpha[k] < 0.95).mean() < 1e-3
         assert np.median(np.abs(shown.depth[k] - depth)) < 0.01
 

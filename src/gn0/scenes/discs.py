@@ -26,7 +26,7 @@ INSET_EDGE = 0.006  # and step back this far from edges with nothing beyond [m]
 EDGE = 0.35  # share of a cell that its disc along an open side takes
 _SPLIT_LEAST = 0.005  # narrower cells are not split [m]
 _LIFT = 2e-3
-_BLUR = 0.0025  # widening by a renderer, half a pixel at about two metres [m]
+_BLUR = 0.005  # widening by a renderer, half a pixel at about four metres [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,8 @@ def shape_discs(
     point = point + step[:, :1] * e1 + step[:, 1:] * e2 - sink * normal
     scales = np.maximum(factor * width, THICKNESS)
     # renderers widen thin things by a fraction of a pixel: fade them as much, as seen from afar
-    thin = np.where(count == 2, scales / np.sqrt(scales**2 + _BLUR**2), 1.0)
+    # (a rod is many such strips behind each other, hence the power)
+    thin = np.where(count == 2, (scales / np.sqrt(scales**2 + _BLUR**2)) ** 1.5, 1.0)
     return Discs(
         cell=cell,
         point=point.astype(np.float32),

@@ -13,6 +13,7 @@ from typing import Annotated
 import msgspec
 
 from gn0.config import Config
+from gn0.progress import Progress
 
 EXAMPLES = """  gn0 demo --out out/demo
   gn0 demo --seed 11 --out out/other --workers 2"""
@@ -101,12 +102,19 @@ def claim_folder(out: Path, args: Args) -> None:
     write_json(out / MARKER, {name: getattr(args, name) for name in args.__struct_fields__})
 
 
-def _draw_pictures(scene_folder: Path, pictures: Path, progress: object) -> None:
-    """The sheet, and the four views and the bird's-eye view of it as files of their own."""
+def _draw_pictures(scene_folder: Path, pictures: Path, progress: Progress) -> None:
+    """The sheet, and its four views as files of their own."""
     from gn0.render.renderer import build_renderer
     from gn0.scenes.folder import load_scene
-    from gn0.viewer.sheet import render_sheet
+    from gn0.viewer.sheet import render_sheet, render_views
+    from gn0.viewer.viewpoints import choose_viewpoints
 
+    progress("drawing the apartment", 0, 1)
     scene = load_scene(scene_folder)
+    renderer = build_renderer(scene.gaussians)
     pictures.mkdir(parents=True, exist_ok=True)
-    render_sheet(scene, build_renderer(scene.gaussians)).save(pictures / "sheet.png")
+    render_sheet(scene, renderer).save(pictures / "sheet.png")
+    views = render_views(renderer, choose_viewpoints(scene), 800, 600)
+    for number, view in enumerate(views, 1):
+        view.save(pictures / f"view_{number}.jpg", quality=90)
+    progress("drawing the apartment", 1, 1)

@@ -127,8 +127,8 @@ def shape_discs(
     e1, e2, normal, hidden = e1[cell], e2[cell], normal[cell], hidden[cell]
     count = open_sides.reshape(-1, 2, 2).sum(2)  # [N, axis]
     factor = np.array([SIGMA, SIGMA_ONE, SIGMA_BOTH])[count]
-    step = (open_sides[:, 0::2].astype(float) - open_sides[:, 1::2]) * SHIFT_ONE * width
-    step += (free[:, 0::2].astype(float) - free[:, 1::2]) * np.minimum(INSET_EDGE, 0.3 * width)
+    inset = SHIFT_ONE * width + np.minimum(INSET_EDGE, 0.3 * width)
+    step = (free[:, 0::2].astype(float) - free[:, 1::2]) * inset  # corners of rooms stay closed
     sink = np.minimum(INSET, 0.35 * depth[cell])[:, None]
     point = point + step[:, :1] * e1 + step[:, 1:] * e2 - sink * normal
     scales = np.maximum(factor * width, THICKNESS)

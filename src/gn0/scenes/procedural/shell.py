@@ -252,10 +252,15 @@ def build_door(opening: Opening, material: Material, metal: Material, style: int
         y = side * (t / 2 + 0.085)
         # the frame of a wall along y runs towards −y: its low end is at local +x
         low_end = (opening.hinge == "low") == (opening.axis == "x")
-        if low_end:
-            shapes += [s.moved(-w / 2 - 0.02, y, 0, math.pi) for s in leaf]
-        else:
-            shapes += [s.moved(w / 2 + 0.02, y, 0, 0.0) for s in leaf]
+        turn = math.pi if low_end else 0.0
+        # the side towards the wall is never seen, and would show through the thin leaf
+        hidden = side * math.cos(turn)
+        at_x = (-1 if low_end else 1) * (w / 2 + 0.02)
+        for piece in leaf:
+            inward = (piece.vertices[piece.faces][..., 1] * hidden < -0.0199).all(axis=1)
+            kept = Shape(piece.vertices, piece.faces[~inward], piece.uv[~inward], piece.material)
+            if len(kept.faces):
+                shapes.append(kept.moved(at_x, y, 0, turn))
     x, y, yaw = _opening_frame(opening)
     return Placed(Item("door", tuple(shapes)), x, y, 0.0, yaw)
 

@@ -36,7 +36,7 @@ class Args(Config, frozen=True):
     out: str
     seed: int = 7
     episodes: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 20
-    density: Annotated[float, msgspec.Meta(ge=5_000, le=20_000)] = 6_000.0
+    density: Annotated[float, msgspec.Meta(ge=5_000, le=20_000)] = 10_000.0
     workers: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
     overwrite: bool = False
 
@@ -114,7 +114,8 @@ def _draw_pictures(scene_folder: Path, pictures: Path, progress: Progress) -> No
     renderer = build_renderer(scene.gaussians)
     pictures.mkdir(parents=True, exist_ok=True)
     render_sheet(scene, renderer).save(pictures / "sheet.png")
-    views = render_views(renderer, choose_viewpoints(scene), 800, 600)
+    poses = choose_viewpoints(scene, renderer=renderer)
+    views = render_views(renderer, poses, 800, 600)
     for number, view in enumerate(views, 1):
         view.save(pictures / f"view_{number}.jpg", quality=90)
     progress("drawing the apartment", 1, 1)

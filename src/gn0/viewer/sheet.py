@@ -13,10 +13,8 @@ from gn0.render.camera import Camera
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.viewer.plan import INK, MUTED, PAPER, font, plan_bounds, render_plan
-from gn0.viewer.viewpoints import choose_viewpoints
+from gn0.viewer.viewpoints import EYE, PITCH, choose_viewpoints
 
-EYE = 1.45  # m
-PITCH = math.radians(-8)
 _GAP = 16
 _TITLE = 74
 _VIEWS = 4
@@ -43,7 +41,7 @@ def render_sheet(
     sheet = Image.new("RGB", (width, height), PAPER)
     pen = ImageDraw.Draw(sheet)
     _title(pen, scene, width)
-    poses = choose_viewpoints(scene, _VIEWS)
+    poses = choose_viewpoints(scene, _VIEWS, renderer=renderer)
     plan = render_plan(scene, column, tall, keep_clear=[(p.x, p.y) for p in poses])
     sheet.paste(plan, (_GAP, _TITLE))
     bev = _bev(scene, renderer, column, tall, cut_height)

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gn0.geometry import F64, Pose2D
+from gn0.geometry import F64, Pose2D, view_from_pose
 from gn0.maps.grid import FREE, OCCUPIED
 from gn0.maps.navigation import NavigationMap
+from gn0.render.camera import Camera
+from gn0.render.renderer import Renderer
 from gn0.scenes.rooms import room_at
 from gn0.scenes.scene import Scene
 
@@ -19,12 +21,17 @@ _HEADINGS = 24
 _HALF_VIEW = math.radians(36)  # a little inside a picture of hfov 79°
 _POINTS = 260
 _SAMPLES = 24
+_LOOKS, _STRIDE = 24, 3  # candidates looked at, and how many are passed over between two
+EYE, PITCH = 1.45, math.radians(-8)  # m, rad: where and how a person looks
 
 
-def choose_viewpoints(scene: Scene, count: int = 4, radius: float = 0.25) -> list[Pose2D]:
+def choose_viewpoints(
+    scene: Scene, count: int = 4, radius: float = 0.25, *, renderer: Renderer | None = None
+) -> list[Pose2D]:
     """Up to `count` poses with free space in front and many different things in sight.
 
-    Deterministic; prefers a new room for each view. Empty when nothing is walkable.
+    Deterministic; prefers a new room for each view. With a renderer the best candidates are
+    looked at before one is taken. Empty when nothing is walkable.
     """
     navigation = NavigationMap(scene.grid, radius)
     regions = np.asarray(navigation.regions)
@@ -43,11 +50,20 @@ def choose_viewpoints(scene: Scene, count: int = 4, radius: float = 0.25) -> lis
     while len(chosen) < count:
         score = sights.score(fresh) * open_
         score *= np.array([0.55 ** taken.get(room, 0) for room in rooms])[:, None]
-        best = int(np.argmax(score))
-        if score.flat[best] <= 0:
+        best = np.argsort(-score, axis=None, kind="stable")[::_STRIDE][:_LOOKS]
+        best = best[score.flat[best] > 0]
+        if not len(best):
             break
-        i, k = divmod(best, _HEADINGS)
-        x, y, yaw = float(points[i, 0]), float(points[i, 1]), float(headings[k])
+        poses = [
+            Pose2D(*map(float, points[index // _HEADINGS]), float(headings[index % _HEADINGS]))
+            for index in best
+        ]
+        worth = score.flat[best]
+        if renderer is not None:
+            worth = worth * _look(renderer, poses)
+        pick = int(np.argmax(worth))
+        i, k = divmod(int(best[pick]), _HEADINGS)
+        x, y, yaw = poses[pick]
         chosen.append(Pose2D(x, y, math.remainder(yaw, 2 * math.pi)))
         taken[rooms[i]] = taken.get(rooms[i], 0) + 1
         away = np.hypot(points[:, 0] - x, points[:, 1] - y)
@@ -56,6 +72,21 @@ def choose_viewpoints(scene: Scene, count: int = 4, radius: float = 0.25) -> lis
         for index, gain in enumerate(sights.gains):  # what has been shown is worth less
             fresh[index] *= 0.3 if gain[i, k] > 0.05 else 1.0
     return chosen
+
+
+def _look(renderer: Renderer, poses: list[Pose2D]) -> F64:
+    """How much a thumbnail from each pose shows: contrast everywhere, and depth in the middle."""
+    camera = Camera.from_hfov(96, 72, 79.0)
+    views = np.stack([view_from_pose(p.x, p.y, EYE, p.yaw, PITCH) for p in poses])
+    seen = renderer.render(camera, views, outputs=("rgb", "depth"))
+    assert seen.rgb is not None and seen.depth is not None
+    scale = 255.0 if seen.rgb.dtype == np.uint8 else 1.0
+    grey = seen.rgb.astype(np.float64).mean(axis=3) / scale
+    blocks = grey.reshape(len(poses), 6, 12, 8, 12).std(axis=(2, 4))  # 6 x 8 blocks of 12 px
+    lively = np.minimum(blocks, 0.08).mean(axis=(1, 2))
+    depth = np.minimum(np.nan_to_num(seen.depth, posinf=10.0), 4.0)
+    near = (depth < 0.8).mean(axis=(1, 2))
+    return lively * np.median(depth, axis=(1, 2)) * np.maximum(1.0 - 3.0 * near, 0.02)
 
 
 def _roomy_points(scene: Scene, clearance: NDArray[np.floating]) -> F64:

@@ -55,8 +55,8 @@ def choose_viewpoints(
         if not len(best):
             break
         poses = [
-            Pose2D(*map(float, points[index // _HEADINGS]), float(headings[index % _HEADINGS]))
-            for index in best
+            Pose2D(float(x), float(y), float(headings[index % _HEADINGS]))
+            for index, (x, y) in zip(best, points[best // _HEADINGS], strict=True)
         ]
         worth = score.flat[best]
         if renderer is not None:

@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+from gn0.errors import BenchError, StorageError
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_most
 
 _RUNS = 11
@@ -57,8 +58,10 @@ def measure_install(context: FigureContext) -> list[FigureRow]:
     }
     start = time.perf_counter()
     subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True, env=env)
-    pip = [str(venv / "bin" / "pip"), "install", "--quiet", "--no-cache-dir"]
-    subprocess.run([*pip, str(root)], check=True, env=env)
+    pip = [str(venv / "bin" / "pip"), "install", "--quiet", "--no-cache-dir", str(root)]
+    done = subprocess.run(pip, check=False, env=env, capture_output=True, text=True)
+    if done.returncode:
+        raise StorageError("pip could not install the package", where=root, remedy=done.stderr)
     seconds = time.perf_counter() - start
     files = [p for p in venv.rglob("*") if p.is_file() and not p.is_symlink()]
     size = sum(p.stat().st_size for p in files) / 1e6
@@ -73,7 +76,55 @@ def measure_install(context: FigureContext) -> list[FigureRow]:
     ]
 
 
+def measure_demo(context: FigureContext) -> list[FigureRow]:
+    """`gn0 demo` right after an install: no kernel is compiled yet."""
+    out = context.work / "demo"
+    env = {**os.environ, "GN0_CACHE": str(context.work / "cache")}
+    env.pop("NUMBA_CACHE_DIR", None)
+    context.progress("demo", 0, 2)
+    seconds = []
+    peak = 0
+    for run in (1, 2):  # the second finds its kernels compiled
+        start = time.perf_counter()
+        command = [sys.executable, "-m", "gn0", "demo", "--out", str(out), "--overwrite"]
+        process = subprocess.Popen(
+            command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        while process.poll() is None:
+            peak = max(peak, _tree_memory(process.pid))
+            time.sleep(0.2)
+        if process.returncode:
+            raise BenchError("the demo failed", remedy="run `gn0 demo --out out/demo`")
+        seconds.append(time.perf_counter() - start)
+        context.progress("demo", run, 2)
+    files = [p for p in context.work.rglob("*") if p.is_file() and not p.is_symlink()]
+    disk = sum({p.stat().st_ino: p.stat().st_size for p in files}.values()) / 1e9
+    detail = "apartment seed 12, small, 10,000 Gaussians/m², 20 episodes, four policies, report"
+    return [
+        row_at_most("demo after install", seconds[0], 90, "s", f"{detail}; empty kernel cache"),
+        FigureRow(name="demo again", value=seconds[1], unit="s", detail=detail),
+        row_at_most("demo, peak memory of all processes", peak / 1e9, 3, "GB", "summed RSS"),
+        row_at_most("demo, disk with its caches", disk, 3, "GB", detail),
+    ]
+
+
+def _tree_memory(root: int) -> int:
+    """Resident bytes of a process and all its descendants (Linux; 0 elsewhere)."""
+    total, pending = 0, [root]
+    while pending:
+        pid = pending.pop()
+        try:
+            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+            total += pages * os.sysconf("SC_PAGE_SIZE")
+            for thread in Path(f"/proc/{pid}/task").iterdir():
+                pending += map(int, (thread / "children").read_text().split())
+        except (OSError, IndexError, ValueError):
+            continue  # it ended meanwhile
+    return total
+
+
 FIGURES = [
     Figure("install.startup", "Start-up time", measure_startup, 0.3),
     Figure("install.core", "Core install", measure_install, 1.5),
+    Figure("install.demo", "The demo", measure_demo, 2),
 ]

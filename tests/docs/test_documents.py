@@ -64,3 +64,13 @@ def test_every_link_and_picture_exists(document: Path) -> None:
 def test_documents_name_no_workplace() -> None:
     for document in DOCUMENTS:
         assert "/work/" not in document.read_text(), document.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
+def test_every_example_runs(example: Path, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, str(example)], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()

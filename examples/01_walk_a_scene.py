@@ -18,9 +18,9 @@ def main(out: Path) -> None:
     scene = build_example_scene()
     simulator = open_simulator(scene, preset="vlnce_r2r", sensors={"rgb", "depth", "bev"})
     episode = sample_goal_episodes(scene, simulator.navigation, count=1, seed=1)[0]
+    trajectory = run_episode(simulator, PolicyOracle(), episode)
     first = simulator.reset(episode)
     print(first.instruction)
-    trajectory = run_episode(simulator, PolicyOracle(), episode)
     last = simulator.observe_at(trajectory.poses[-1])
     out.mkdir(parents=True, exist_ok=True)
     for name, observation in (("first", first), ("last", last)):

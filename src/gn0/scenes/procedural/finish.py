@@ -14,6 +14,7 @@ from gn0.scenes.procedural.surface import ProceduralSurface
 from gn0.scenes.surfels import build_surfels
 from gn0.scenes.tone import BakedShader, choose_exposure
 
+DARK = 0.01  # of the median irradiance: less is not seen
 QUALITIES = {"normal": BakeSettings(), "draft": DRAFT}
 
 
@@ -57,7 +58,7 @@ def cover_draft(
 ) -> GaussianCloud:
     """At most `count` Gaussians that show a lit draft, labelled by object index."""
     weight = weigh_views(draft.mesh, seed=seed)
-    return build_surfels(
+    cloud = build_surfels(
         draft.mesh,
         shader,
         count=count,
@@ -68,3 +69,15 @@ def cover_draft(
         label_of_instance=np.arange(len(draft.objects)),
         progress=progress,
     )
+    return _drop_unlit(cloud)
+
+
+def _drop_unlit(cloud: GaussianCloud) -> GaussianCloud:
+    """Without the discs that no light reaches.
+
+    They lie between surfaces that touch or nearly touch; nobody can see them, but where two
+    layers are closer than a disc is wide they would show through the upper one as dark stripes.
+    """
+    assert cloud.irradiance is not None
+    level = cloud.irradiance.max(axis=1)
+    return cloud.select(np.flatnonzero(level > DARK * float(np.median(level))))

@@ -10,7 +10,6 @@ import numpy as np
 
 from gn0.config import Config, check_config
 from gn0.errors import StorageError
-from gn0.gaussians.cloud import GaussianCloud
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
@@ -20,9 +19,6 @@ from gn0.scenes.procedural.finish import cover_draft, light_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo
 
 GENERATOR = "apartment 1"  # change the number when the same seed would give another flat
-
-
-DARK = 0.01  # of the median irradiance: less is not seen
 
 
 class GenerateSettings(Config, frozen=True):
@@ -56,17 +52,6 @@ def floor_area(draft: SceneDraft) -> float:
     return total
 
 
-def _drop_unlit(cloud: GaussianCloud) -> GaussianCloud:
-    """Without the discs that no light reaches.
-
-    They lie between surfaces that touch or nearly touch; nobody can see them, but where two
-    layers are closer than a disc is wide they would show through the upper one as dark stripes.
-    """
-    assert cloud.irradiance is not None
-    level = cloud.irradiance.max(axis=1)
-    return cloud.select(np.flatnonzero(level > DARK * float(np.median(level))))
-
-
 def build_apartment(
     settings: GenerateSettings, scene_id: str, progress: Progress = no_progress
 ) -> Scene:
@@ -83,7 +68,7 @@ def build_apartment(
     grid = build_occupancy(draft.mesh)
     shader = light_draft(draft, quality=settings.light, seed=settings.seed, progress=progress)
     count = int(settings.density * floor_area(draft))
-    cloud = _drop_unlit(cover_draft(draft, shader, count, seed=settings.seed, progress=progress))
+    cloud = cover_draft(draft, shader, count, seed=settings.seed, progress=progress)
     corners = draft.mesh.vertices[np.unique(draft.mesh.faces)]
     return Scene(
         id=scene_id,

@@ -63,7 +63,7 @@ def test_every_link_and_picture_exists(document: Path) -> None:
 
 def test_documents_name_no_workplace() -> None:
     for document in DOCUMENTS:
-        assert "/work/" not in document.read_text(), document.name
+        assert f"{ROOT.parent}/" not in document.read_text(), document.name
 
 
 @pytest.mark.slow

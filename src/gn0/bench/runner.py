@@ -38,7 +38,7 @@ from gn0.bench.results import (
 )
 from gn0.bench.schedule import Schedule
 from gn0.bench.suite import Suite, load_suite_scene
-from gn0.errors import BenchError, PolicyError
+from gn0.errors import BenchError, ConfigError, PolicyError
 from gn0.missions.episode import Episode
 from gn0.plugins import get_plugin
 from gn0.progress import Progress, no_progress
@@ -97,7 +97,13 @@ def run_suite(
     if not episode_time_limit > 0:
         raise BenchError(f"time limit is {episode_time_limit} s", remedy="give a positive number")
     for module in plugin_modules:
-        import_module(module)
+        try:
+            import_module(module)
+        except ImportError as error:
+            raise ConfigError(
+                f"cannot import the plug-in module {module!r}: {error}",
+                remedy="install it, or put its folder on PYTHONPATH",
+            ) from error
     get_plugin("policy", policy_name)  # an unknown name ends here, before any work
     episodes = _choose(suite, max_episodes)
     out = Path(out)

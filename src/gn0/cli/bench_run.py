@@ -17,7 +17,8 @@ from gn0.config import Config
 
 EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy wall_follower --workers 2 --out out/walls
-  gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try"""
+  gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try
+  gn0 bench run out/suite --policy mine --plugin my_policies --out out/mine"""
 
 
 class Args(Config, frozen=True):
@@ -33,6 +34,7 @@ class Args(Config, frozen=True):
         fresh: forget an earlier run in the output folder instead of resuming it.
         no_report: do not write report.html.
         videos: how many episodes the report shows as video.
+        plugin: modules to import first; they call `gn0.plugins.register` for policies of yours.
     """
 
     suite: Annotated[str, tyro.conf.Positional]
@@ -44,6 +46,7 @@ class Args(Config, frozen=True):
     fresh: bool = False
     no_report: bool = False
     videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4
+    plugin: tuple[str, ...] = ()
 
 
 def run(args: Args) -> int:
@@ -65,6 +68,7 @@ def run(args: Args) -> int:
             resume=not args.fresh,
             episode_time_limit=args.time_limit,
             max_episodes=args.episodes or None,
+            plugin_modules=args.plugin,
             progress=progress,
         )
         report = None

@@ -397,7 +397,9 @@ def test_settings_without_sense_are_refused(flats_suite: Suite, tmp_path: Path) 
             run_suite(flats_suite, "random", tmp_path / "run", **more)  # type: ignore[arg-type]
 
 
-def test_a_missing_plugin_module_is_said_before_any_work(suite: Suite, tmp_path: Path) -> None:
+def test_a_missing_plugin_module_is_said_before_any_work(
+    flats_suite: Suite, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigError, match="no_such_module"):
-        run_suite(suite, "random", tmp_path / "out", plugin_modules=("no_such_module",))
+        run_suite(flats_suite, "random", tmp_path / "out", plugin_modules=("no_such_module",))
     assert not (tmp_path / "out").exists()

@@ -76,3 +76,11 @@ def test_help_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip().endswith("[]")
+
+
+def test_a_setting_out_of_range_is_named_as_it_was_typed(
+    tmp_path: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["scene", "generate", "--density", "3", "--out", f"{tmp_path}/flat"]) == 2
+    err = capsys.readouterr().err
+    assert "--density" in err and "5000" in err

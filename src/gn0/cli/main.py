@@ -106,6 +106,7 @@ def parse_arguments(module: Any, verb: str, rest: list[str]) -> Any:
     import tyro
 
     from gn0.config import check_config
+    from gn0.errors import ConfigError
 
     doc = (module.__doc__ or "").strip()
     args = tyro.cli(
@@ -115,7 +116,12 @@ def parse_arguments(module: Any, verb: str, rest: list[str]) -> Any:
         args=rest,
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
     )
-    return check_config(args)
+    try:
+        return check_config(args)
+    except ConfigError as error:
+        what, _, field = error.what.partition(" - at `$.")
+        flag = "--" + field.rstrip("`").replace("_", "-") if field else verb
+        raise ConfigError(what, where=flag, remedy=f"see `gn0 {verb} --help`") from None
 
 
 def format_error(error: Any) -> str:

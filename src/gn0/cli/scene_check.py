@@ -34,5 +34,5 @@ def run(args: Args) -> int:
         if finding.remedy:
             print(f"        → {finding.remedy}")
     wrong = [f for f in findings if f.level != "note"]
-    print(f"{args.folder}: " + (f"{len(wrong)} things to look at" if wrong else "fit to navigate"))
+    print(f"{args.folder}: " + (f"{len(wrong)} to look at" if wrong else "fit to navigate"))
     return 1 if any(f.level == "error" for f in findings) else 0

@@ -26,6 +26,9 @@ def run(args: Args) -> int:
     """Print what the file holds."""
     from gn0.gaussians.files import describe_cloud_file
 
-    for name, value in describe_cloud_file(args.file).items():
-        print(f"{name:<14}{value}")
+    facts = describe_cloud_file(args.file)
+    width = max(map(len, facts)) + 2
+    for name, value in facts.items():
+        shown = f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else value
+        print(f"{name.replace('_', ' '):<{width}}{'–' if value in ([], {}, ()) else shown}")
     return 0

@@ -61,10 +61,12 @@ def run(args: Args) -> int:
     data = Path(args.data or os.environ.get("GN0_DATA", "../shared/data"))
     missed = 0
     with tempfile.TemporaryDirectory(prefix="gn0-figures-") as work, draw_progress() as progress:
-        context = FigureContext(
-            data=data.resolve() if data.is_dir() else None, work=Path(work), progress=progress
-        )
         for figure in figures:
+            scratch = Path(work) / figure.id
+            scratch.mkdir()
+            context = FigureContext(
+                data=data.resolve() if data.is_dir() else None, work=scratch, progress=progress
+            )
             try:
                 rows = figure.measure(context)
             except FileNotFoundError as error:

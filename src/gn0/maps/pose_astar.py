@@ -119,7 +119,9 @@ def _search(  # type: ignore[no-untyped-def]
     while len(heap) > 0:
         _, node = heapq.heappop(heap)
         x, y, k, g = xs[node], ys[node], facing[node], costs[node]
-        if math.hypot(goal_x - x, goal_y - y) <= tolerance:
+        u, v = (x - origin_x) / resolution, (y - origin_y) / resolution
+        left, _ = _remaining(label, roots, onward, bending, u, v, yaws[k], near)
+        if math.hypot(goal_x - x, goal_y - y) <= tolerance and left * resolution <= tolerance:
             _, _, hit = trace_points(blocked, origin_x, origin_y, resolution, x, y, goal_x, goal_y)
             if not hit:
                 length = 0
@@ -134,7 +136,6 @@ def _search(  # type: ignore[no-untyped-def]
                     plan[length] = actions[i]
                     i = came_from[i]
                 return plan, True
-        u, v = (x - origin_x) / resolution, (y - origin_y) / resolution
         key = (int(v * subcells) * bins + int(u * subcells)) * headings + k
         slot = _slot_of(keys, key)
         if keys[slot] == key and best[slot] < g:
@@ -196,6 +197,8 @@ def plan_actions(
     turn_cost: float = 0.02,
 ) -> NDArray[np.int8]:
     """A collision-free plan of actions to within `tolerance` of the goal, in line of sight of it.
+
+    Near means near on foot as well: the geodesic distance is within `tolerance`, too.
 
     Args:
         field: distances to the goal on the agent's inflated grid.

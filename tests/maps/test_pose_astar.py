@@ -63,8 +63,8 @@ def two_points(navigation: NavigationMap, seed: int) -> tuple[tuple[float, float
     return tuple((float(x), float(y)) for x, y in points)
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32), st.floats(0.0, 0.12), st.floats(-3.1, 3.1))
+@settings(max_examples=120, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.0, 0.3), st.floats(-3.1, 3.1))
 def test_a_plan_replays_to_the_goal(seed: int, density: float, yaw: float) -> None:
     navigation = noise_map(seed, density)
     pair = two_points(navigation, seed)

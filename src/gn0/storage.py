@@ -129,22 +129,42 @@ def read_bytes(path: Path | str, limit: int | None = None) -> bytes:
         raise storage_error(error, path, "read") from error
 
 
-@contextlib.contextmanager
-def folder_atomic(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
-    """Fill a temporary folder that becomes `path` only when the block ends well.
+def check_replaceable(path: Path | str, *, overwrite: bool, marker: str) -> None:
+    """Make sure that writing the folder `path` destroys nothing but an earlier one of its kind.
 
     Raises:
-        StorageError: `path` exists and is not empty (unless `overwrite`), or cannot be written.
+        StorageError: it is not empty and `overwrite` is off, or it has no file named `marker`.
+    """
+    path = Path(path)
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return
+    if not overwrite:
+        raise StorageError(
+            "the output folder exists and is not empty",
+            where=path,
+            remedy="choose another --out, or pass --overwrite",
+        )
+    if not (path / marker).is_file():
+        raise StorageError(
+            f"the output folder holds something else: it has no {marker}, so it is not replaced",
+            where=path,
+            remedy="choose another --out",
+        )
+
+
+@contextlib.contextmanager
+def folder_atomic(path: Path | str, *, overwrite: bool = False, marker: str = "") -> Iterator[Path]:
+    """Fill a temporary folder that becomes `path` only when the block ends well.
+
+    With `overwrite` an earlier folder is replaced, if it has a file named `marker`.
+
+    Raises:
+        StorageError: see `check_replaceable`; or `path` cannot be written.
     """
     path = Path(path)
     temporary: Path | None = None
     try:
-        if path.exists() and (not path.is_dir() or any(path.iterdir())) and not overwrite:
-            raise StorageError(
-                "the output folder exists and is not empty",
-                where=path,
-                remedy="choose another --out, or pass --overwrite",
-            )
+        check_replaceable(path, overwrite=overwrite, marker=marker)
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=path.parent))
         os.chmod(temporary, 0o755)  # noqa: S103 (a scene is meant to be read)
@@ -153,7 +173,12 @@ def folder_atomic(path: Path | str, *, overwrite: bool = False) -> Iterator[Path
         if path.exists():
             old = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=path.parent))
             os.replace(path, old / "old")
-        os.replace(temporary, path)
+        try:
+            os.replace(temporary, path)
+        except OSError:
+            if old is not None:
+                os.replace(old / "old", path)
+            raise
         temporary = None
         _fsync_dir(path.parent)
         if old is not None:

@@ -58,7 +58,13 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     assert names(tmp_path / "out") == ["whole"]
     with pytest.raises(StorageError, match="not empty"), folder_atomic(tmp_path / "out"):
         pass
-    with folder_atomic(tmp_path / "out", overwrite=True) as folder:
+    with (
+        pytest.raises(StorageError, match="something else"),
+        folder_atomic(tmp_path / "out", overwrite=True, marker="scene.json"),
+    ):
+        pass
+    assert names(tmp_path / "out") == ["whole"]  # never somebody's own folder
+    with folder_atomic(tmp_path / "out", overwrite=True, marker="whole") as folder:
         (folder / "new").write_text("x")
     assert names(tmp_path / "out") == ["new"]
     assert names(tmp_path) == ["out"]

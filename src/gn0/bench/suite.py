@@ -249,7 +249,7 @@ def save_suite(
         max_steps=max_steps,
         episodes=len(episodes),
     )
-    with folder_atomic(out, overwrite=overwrite) as folder:
+    with folder_atomic(out, overwrite=overwrite, marker=SUITE_FILE) as folder:
         for scene in scenes:
             if scene.path is None:
                 raise SceneError(

@@ -88,16 +88,10 @@ def claim_folder(out: Path, args: Args) -> None:
     """
     import shutil
 
-    from gn0.errors import StorageError
-    from gn0.storage import write_json
+    from gn0.storage import check_replaceable, write_json
 
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        if not (args.overwrite and (out / MARKER).is_file()):
-            raise StorageError(
-                "the folder is not empty" + (" and not a demo's" if args.overwrite else ""),
-                where=out,
-                remedy="choose another --out" + ("" if args.overwrite else ", or pass --overwrite"),
-            )
+    check_replaceable(out, overwrite=args.overwrite, marker=MARKER)
+    if out.exists():
         shutil.rmtree(out)
     write_json(out / MARKER, {name: getattr(args, name) for name in args.__struct_fields__})
 

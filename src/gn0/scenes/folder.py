@@ -98,7 +98,7 @@ def save_scene(
     check_scene_id(scene.id)
     _check_references(scene.objects, scene.rooms, "scene")
     cloud = scene.gaussians
-    with folder_atomic(out, overwrite=overwrite) as folder:
+    with folder_atomic(out, overwrite=overwrite, marker="scene.json") as folder:
         progress("writing splats", 1, 4)
         name = CLOUD_FILES[cloud_form]
         if cloud_form == "exact":

@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 
 from gn0.config import Config, check_config
-from gn0.errors import StorageError
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
@@ -17,6 +16,7 @@ from gn0.scenes.procedural.apartment import draft_apartment
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.finish import cover_draft, light_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo
+from gn0.storage import check_replaceable
 
 GENERATOR = "apartment 1"  # change the number when the same seed would give another flat
 
@@ -120,12 +120,8 @@ def generate_scene(
         SceneError: no walkable flat was found, or the folder's name cannot be a scene's id.
     """
     out = Path(out)
-    if out.exists() and not overwrite and (not out.is_dir() or any(out.iterdir())):
-        raise StorageError(  # said now, not after half a minute of work
-            "the output folder exists and is not empty",
-            where=out,
-            remedy="choose another --out, or pass --overwrite",
-        )
+    # said now, not after half a minute of work
+    check_replaceable(out, overwrite=overwrite, marker="scene.json")
     scene = build_apartment(settings, out.resolve().name, progress)
     return save_scene(
         scene, out, cloud_form=settings.cloud_form, overwrite=overwrite, progress=progress

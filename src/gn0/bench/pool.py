@@ -1,4 +1,7 @@
-"""Worker processes as the runner sees them: started, spoken to, watched and ended by one parent."""
+"""Workers as child processes of this machine: started, spoken to, watched and ended by one parent.
+
+Closing a worker's stdin ends it, so no worker outlives its parent, however the parent dies.
+"""
 
 from __future__ import annotations
 
@@ -11,72 +14,38 @@ import sys
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass, field
-from typing import IO, Any
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import IO, Any, Self
 
 import msgspec
 
+from gn0.bench.executors import Ended, Heard, Worker, count_cores, describe_end
 from gn0.bench.messages import FromWorker, Open
-from gn0.errors import BenchError
 
 LAST_WORDS = 200  # lines of a worker's stderr that are kept
-GRACE = 1.0  # s between asking a worker to end and ending it
 
 
-@dataclass(frozen=True)
-class Heard:
-    """A message of a worker; None when it is gone."""
+class WorkerProcess:
+    """One `python -m gn0.bench.worker`.
 
-    worker: int
-    message: FromWorker | None
-
-
-@dataclass
-class Worker:
-    """One process.
-
-    Attributes:
-        number: its id in this run.
-        process: the process.
-        scene: hash of the scene it has loaded, or is loading.
-        episode: the episode it holds a lease of, "" when idle.
-        deadline: monotonic time [s] after which it counts as hung.
-        last_words: the tail of its stderr.
+    Args:
+        hear: called from another thread with each line it says, and with None when it is gone.
+        threads: compute threads it may use.
+        paths: its import path.
     """
 
-    number: int
-    process: subprocess.Popen[bytes]
-    scene: str = ""
-    episode: str = ""
-    deadline: float = float("inf")
-    ready: bool = False
-    last_words: deque[str] = field(default_factory=lambda: deque(maxlen=LAST_WORDS))
-    listeners: list[threading.Thread] = field(default_factory=list)
-
-
-class WorkerPool:
-    """Starts and ends workers; use as a context manager, which ends all of them on the way out."""
-
-    def __init__(self, settings: Open, workers: int) -> None:
-        self.settings = settings
-        self.size = workers
-        self.heard: queue.Queue[Heard] = queue.Queue()
-        self.workers: dict[int, Worker] = {}
-        self._next = 0
-        self._decoder = msgspec.json.Decoder(FromWorker)
-
-    def start(self) -> Worker:
-        """Start one worker and tell it which policy to build."""
-        threads = str(max(1, len(os.sched_getaffinity(0)) // self.size)) if hasattr(
-            os, "sched_getaffinity"
-        ) else "1"  # fmt: skip
+    def __init__(
+        self, hear: Callable[[bytes | None], None], threads: int, paths: Sequence[str]
+    ) -> None:
         environment = {
             **os.environ,
-            "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path),
-            "NUMBA_NUM_THREADS": threads,
-            "OMP_NUM_THREADS": threads,
+            "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in paths),
+            "NUMBA_NUM_THREADS": str(threads),
+            "OMP_NUM_THREADS": str(threads),
         }
-        process = subprocess.Popen(
+        self._last_words: deque[str] = deque(maxlen=LAST_WORDS)
+        self._process = subprocess.Popen(
             [sys.executable, "-m", "gn0.bench.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -84,101 +53,135 @@ class WorkerPool:
             env=environment,
             start_new_session=True,  # Ctrl-C reaches the parent alone, which then ends us
         )
-        worker = Worker(self._next, process)
-        self._next += 1
-        self.workers[worker.number] = worker
-        for target, stream in ((self._hear, process.stdout), (self._hear_stderr, process.stderr)):
-            thread = threading.Thread(target=target, args=(worker, stream), daemon=True)
+        self._listeners = [
+            threading.Thread(target=self._hear, args=(self._process.stdout, hear), daemon=True),
+            threading.Thread(target=self._hear_stderr, args=(self._process.stderr,), daemon=True),
+        ]
+        for thread in self._listeners:
             thread.start()
-            worker.listeners.append(thread)
-        self.send(worker, self.settings)
-        return worker
 
-    def _hear(self, worker: Worker, stream: IO[bytes]) -> None:
-        with contextlib.suppress(ValueError, OSError, msgspec.DecodeError):
-            for line in stream:
-                self.heard.put(Heard(worker.number, self._decoder.decode(line)))
-        self.heard.put(Heard(worker.number, None))
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
 
-    def _hear_stderr(self, worker: Worker, stream: IO[bytes]) -> None:
+    def _hear(self, stream: IO[bytes], hear: Callable[[bytes | None], None]) -> None:
         with contextlib.suppress(ValueError, OSError):
             for line in stream:
-                worker.last_words.append(line.decode("utf-8", "replace").rstrip("\n")[:2000])
+                hear(line)
+        hear(None)
+
+    def _hear_stderr(self, stream: IO[bytes]) -> None:
+        with contextlib.suppress(ValueError, OSError):
+            for line in stream:
+                self._last_words.append(line.decode("utf-8", "replace").rstrip("\n")[:2000])
+
+    def send(self, line: bytes) -> None:
+        """Send one message; a worker that is gone is noticed by its listener."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError, ValueError):
+            self._process.stdin.write(line + b"\n")
+            self._process.stdin.flush()
+
+    def ask_where(self) -> str:
+        """Its Python stacks on top of its last words; it tells them even with the GIL held."""
+        if hasattr(signal, "SIGUSR1"):
+            before = len(self._last_words)
+            with contextlib.suppress(ProcessLookupError):
+                self._process.send_signal(signal.SIGUSR1)
+            until = time.monotonic() + 0.5
+            while time.monotonic() < until and len(self._last_words) == before:
+                time.sleep(0.02)
+            time.sleep(0.05)
+        return "\n".join(self._last_words)
+
+    def kill(self) -> None:
+        """Kill it with whatever it started; does not wait."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            if hasattr(os, "killpg"):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            else:
+                self._process.kill()
+
+    def end(self) -> Ended:
+        """Kill it, and say how it ended."""
+        self.kill()
+        self._process.wait()
+        for thread in self._listeners:
+            thread.join(timeout=1.0)
+        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()
+        return Ended(describe_end(self._process.returncode), "\n".join(self._last_words))
+
+
+class PoolProcess:
+    """The executor `process`: see `gn0.bench.executors.Pool`."""
+
+    def __init__(self, settings: Open, workers: int) -> None:
+        self.size = workers
+        self.workers: dict[int, Worker] = {}
+        self._settings = settings
+        self._processes: dict[int, WorkerProcess] = {}
+        self._heard: queue.Queue[tuple[int, bytes | None]] = queue.Queue()
+        self._decoder = msgspec.json.Decoder(FromWorker)
+        self._next = 0
+
+    def start(self) -> Worker:
+        """Start one worker and tell it which policy to build."""
+        worker = Worker(self._next)
+        self._next += 1
+        self._processes[worker.number] = WorkerProcess(
+            lambda line: self._heard.put((worker.number, line)),
+            max(1, count_cores() // self.size),
+            sys.path,
+        )
+        self.workers[worker.number] = worker
+        self.send(worker, self._settings)
+        return worker
 
     def send(self, worker: Worker, message: Any) -> None:
-        """Send a message; a worker that is gone is noticed by its listener."""
-        assert worker.process.stdin is not None
-        with contextlib.suppress(BrokenPipeError, OSError):
-            worker.process.stdin.write(msgspec.json.encode(message) + b"\n")
-            worker.process.stdin.flush()
+        """Send a message."""
+        self._processes[worker.number].send(msgspec.json.encode(message))
 
     def hear(self, timeout: float) -> Heard | None:
         """The next message within `timeout` [s], or None."""
         try:
-            return self.heard.get(timeout=max(0.0, timeout))
+            number, line = self._heard.get(timeout=max(0.0, timeout))
         except queue.Empty:
             return None
+        return Heard(number, decode_line(self._decoder, line))
 
     def ask_where(self, worker: Worker) -> str:
-        """Where a hung worker is: its Python stacks, as far as it can still tell them."""
-        if hasattr(signal, "SIGUSR1"):
-            before = len(worker.last_words)
-            with contextlib.suppress(ProcessLookupError):
-                worker.process.send_signal(signal.SIGUSR1)
-            until = time.monotonic() + 0.5
-            while time.monotonic() < until and len(worker.last_words) == before:
-                time.sleep(0.02)
-            time.sleep(0.05)
-        return "\n".join(worker.last_words)
+        """Where a hung worker is."""
+        return self._processes[worker.number].ask_where()
 
-    def end(self, worker: Worker) -> str:
-        """Kill one worker with whatever it started, and return its last words."""
-        self._kill(worker)
-        worker.process.wait()
-        for thread in worker.listeners:
-            thread.join(timeout=1.0)
-        for stream in (worker.process.stdin, worker.process.stdout, worker.process.stderr):
-            if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
+    def end(self, worker: Worker) -> Ended:
+        """End one worker."""
         self.workers.pop(worker.number, None)
-        return "\n".join(worker.last_words)
+        return self._processes.pop(worker.number).end()
 
-    def _kill(self, worker: Worker) -> None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            if hasattr(os, "killpg"):
-                os.killpg(worker.process.pid, signal.SIGKILL)
-            else:
-                worker.process.kill()
-
-    def __enter__(self) -> WorkerPool:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        for worker in list(self.workers.values()):
-            self._kill(worker)
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for process in self._processes.values():
+            process.kill()
         for worker in list(self.workers.values()):
             self.end(worker)
 
 
-def describe_end(returncode: int | None) -> str:
-    """How a process ended, in words."""
-    if returncode is None:
-        return "stopped answering"
-    if returncode < 0:
-        try:
-            return f"was killed by {signal.Signals(-returncode).name}"
-        except ValueError:
-            return f"was killed by signal {-returncode}"
-    return f"ended with exit code {returncode}"
-
-
-def check_workers(workers: int) -> int:
-    """The number of workers, if it makes sense.
-
-    Raises:
-        BenchError: less than one, or beyond reason.
-    """
-    if not 1 <= workers <= 1024:
-        raise BenchError(f"{workers} workers", where="--workers", remedy="give 1 to 1024")
-    return workers
+def decode_line(decoder: msgspec.json.Decoder[FromWorker], line: bytes | None) -> FromWorker | None:
+    """A message; None when the worker is gone, or says what no worker says and so must go."""
+    if line is None:
+        return None
+    try:
+        return decoder.decode(line)
+    except msgspec.DecodeError:
+        return None

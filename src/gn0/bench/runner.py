@@ -21,8 +21,8 @@ from typing import IO, Any
 
 import msgspec
 
+from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers, open_pool
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
-from gn0.bench.pool import Worker, WorkerPool, check_workers, describe_end
 from gn0.bench.protocol import code_version, config_hash, protocol_card
 from gn0.bench.results import (
     RESULTS,
@@ -48,6 +48,8 @@ JOURNAL = "journal.jsonl"
 EPISODE_TIME_LIMIT = 300.0  # s
 LOAD_TIME_LIMIT = 900.0  # s to load a scene and to build the policy
 ATTEMPTS = 2  # one retry
+BUILD_ATTEMPTS = 3  # workers in a row that may die while they build the policy
+HEED = 1.0  # s at most that messages are read before somebody looks for hung workers
 BYTES_PER_EPISODE = 200_000  # journal and results of a long episode
 PROBE_BYTES = 1 << 20
 _log = logging.getLogger(__name__)
@@ -67,6 +69,8 @@ def run_suite(
     max_episodes: int | None = None,
     plugin_modules: Sequence[str] = (),
     backend: str = "auto",
+    executor: ExecutorName = "process",
+    ray_address: str = "",
 ) -> RunSummary:
     """Run a policy over a suite and write results, trajectories, summary and times to `out`.
 
@@ -83,6 +87,8 @@ def run_suite(
         max_episodes: only the first so many, by id.
         plugin_modules: modules to import first, here and in every worker.
         backend: renderer backend.
+        executor: where the workers live, see `gn0.bench.executors`; changes no result.
+        ray_address: a Ray cluster to join; by default one of this machine alone is started.
 
     Returns:
         The summary; `summary.ok` says whether every episode was scored.
@@ -139,8 +145,8 @@ def run_suite(
                     max_steps=suite.about.max_steps,
                     success_radius=suite.about.success_radius,
                 )
-                run.begin_session(workers)
-                with WorkerPool(settings, workers) as pool:
+                with open_pool(executor, settings, workers, ray_address=ray_address) as pool:
+                    run.begin_session(workers, executor)
                     run.drive(pool, Schedule(run.left, shuffle_seed))
             return run.finish()
         finally:
@@ -258,6 +264,7 @@ class _Run:
         self.sessions: list[dict[str, Any]] = []
         self.card: PolicyCard | None = None
         self.attempts: dict[str, int] = {}
+        self.stillborn = 0  # workers in a row that died before their policy was built
         self._read_journal()
 
     def _read_journal(self) -> None:
@@ -301,12 +308,13 @@ class _Run:
         """Episodes without a line in the journal."""
         return [e for e in self.episodes.values() if e.id not in self.results]
 
-    def begin_session(self, workers: int) -> None:
+    def begin_session(self, workers: int, executor: str) -> None:
         """Note who runs this, when and where."""
         about = {
             "begun": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "host": platform.node(),
             "workers": workers,
+            "executor": executor,
             "python": platform.python_version(),
             "platform": platform.platform(),
         }
@@ -332,7 +340,7 @@ class _Run:
         self._take(result, trace, about)
         self.progress("episodes", len(self.results), len(self.episodes))
 
-    def drive(self, pool: WorkerPool, schedule: Schedule) -> None:
+    def drive(self, pool: Pool, schedule: Schedule) -> None:
         """Lease episodes to workers until each has a result."""
         self.progress("episodes", len(self.results), len(self.episodes))
         for _ in range(min(pool.size, len(schedule))):
@@ -341,12 +349,16 @@ class _Run:
             now = time.monotonic()
             nearest = min((w.deadline for w in pool.workers.values()), default=now)
             heard = pool.hear(min(nearest - now, 60.0))
-            if heard is not None and heard.worker in pool.workers:
-                self._listen(pool, schedule, pool.workers[heard.worker], heard.message)
+            heed = time.monotonic() + HEED
+            while heard is not None:  # what was said in time counts, however late we read it
+                if heard.worker in pool.workers:
+                    self._listen(pool, schedule, pool.workers[heard.worker], heard.message)
+                self._staff(pool, schedule)
+                heard = pool.hear(0.0) if time.monotonic() < heed else None
             self._find_hung(pool, schedule)
             self._staff(pool, schedule)
 
-    def _staff(self, pool: WorkerPool, schedule: Schedule) -> None:
+    def _staff(self, pool: Pool, schedule: Schedule) -> None:
         """Give idle workers an episode; replace workers that are gone while there is work."""
         for worker in list(pool.workers.values()):
             if worker.ready and not worker.episode:
@@ -358,7 +370,7 @@ class _Run:
         if len(schedule) > waiting and len(pool.workers) < pool.size:
             pool.start().deadline = time.monotonic() + LOAD_TIME_LIMIT
 
-    def _lease(self, pool: WorkerPool, worker: Worker, episode: Episode) -> None:
+    def _lease(self, pool: Pool, worker: Worker, episode: Episode) -> None:
         attempt = self.attempts[episode.id] = self.attempts.get(episode.id, 0) + 1
         lease = {"episode": episode.id, "worker": worker.number, "attempt": attempt}
         self.journal.append({"type": "lease", **lease})
@@ -373,13 +385,14 @@ class _Run:
         )
 
     def _listen(
-        self, pool: WorkerPool, schedule: Schedule, worker: Worker, message: FromWorker | None
+        self, pool: Pool, schedule: Schedule, worker: Worker, message: FromWorker | None
     ) -> None:
         if message is None:
-            words = pool.end(worker)
-            self._lost(schedule, worker, describe_end(worker.process.returncode), words)
+            ended = pool.end(worker)
+            self._lost(schedule, worker, ended.how, ended.last_words)
         elif isinstance(message, Ready):
             worker.ready, worker.deadline = True, float("inf")
+            self.stillborn = 0
             if self.card is None:
                 self.card = message.card
                 self.journal.append({"type": "policy", "card": msgspec.to_builtins(message.card)})
@@ -409,7 +422,7 @@ class _Run:
             pool.end(worker)  # a policy that broke is not trusted with another episode
             self._lost(schedule, worker, message.what, message.traceback)
 
-    def _find_hung(self, pool: WorkerPool, schedule: Schedule) -> None:
+    def _find_hung(self, pool: Pool, schedule: Schedule) -> None:
         now = time.monotonic()
         for worker in [w for w in pool.workers.values() if w.deadline <= now]:
             where = pool.ask_where(worker)
@@ -425,7 +438,8 @@ class _Run:
     def _lost(self, schedule: Schedule, worker: Worker, why: str, words: str) -> None:
         """A worker is gone: its episode is tried once more, then failed by name."""
         if not worker.episode:
-            if not worker.ready:
+            self.stillborn += not worker.ready
+            if self.stillborn >= BUILD_ATTEMPTS:
                 raise PolicyError(
                     f"the worker {why} while it built policy {self.identity['policy']!r}\n{words}",
                     remedy="see its last words above",

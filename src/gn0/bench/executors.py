@@ -1,0 +1,144 @@
+"""Executors: where the workers of a run live. The runner speaks to all of them in the same words.
+
+`process` keeps them on this machine as child processes; `ray` spreads them over a Ray cluster. An
+executor only carries messages (see `gn0.bench.messages`): what a worker does, and so every byte of
+a result, is the same on each of them.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Literal, Protocol, Self
+
+from gn0.bench.messages import FromWorker, Open
+from gn0.errors import BenchError
+
+ExecutorName = Literal["process", "ray"]
+
+
+@dataclass(eq=False)
+class Worker:
+    """One worker as the runner sees it.
+
+    Attributes:
+        number: its id in this run.
+        scene: the scene it has loaded, or is loading.
+        episode: the episode it holds a lease of, "" when idle.
+        deadline: monotonic time [s] after which it counts as hung.
+        ready: its policy is built.
+    """
+
+    number: int
+    scene: str = ""
+    episode: str = ""
+    deadline: float = float("inf")
+    ready: bool = False
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message of a worker; None when it is gone."""
+
+    worker: int
+    message: FromWorker | None
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a worker ended, in words, and the tail of what it wrote to stderr."""
+
+    how: str
+    last_words: str
+
+
+class Pool(Protocol):
+    """Starts, hears and ends workers; a context manager that ends all of them on the way out.
+
+    Attributes:
+        size: how many workers are wanted at a time.
+        workers: those that have been started and not ended, by number.
+    """
+
+    size: int
+    workers: dict[int, Worker]
+
+    def start(self) -> Worker:
+        """Start one worker and tell it which policy to build."""
+        ...
+
+    def send(self, worker: Worker, message: Any) -> None:
+        """Send a message; a worker that is gone is noticed by `hear`, not here."""
+        ...
+
+    def hear(self, timeout: float) -> Heard | None:
+        """The next message within `timeout` [s], or None."""
+        ...
+
+    def ask_where(self, worker: Worker) -> str:
+        """Where a hung worker is: its Python stacks, as far as it can still tell them."""
+        ...
+
+    def end(self, worker: Worker) -> Ended:
+        """End one worker with whatever it started, however stuck it is."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+
+def open_pool(
+    executor: ExecutorName, settings: Open, workers: int, *, ray_address: str = ""
+) -> Pool:
+    """The pool of an executor, not started yet.
+
+    Raises:
+        BenchError: unknown executor, or `ray` is not installed.
+    """
+    if executor == "process":
+        from gn0.bench.pool import PoolProcess
+
+        return PoolProcess(settings, workers)
+    if executor == "ray":
+        from gn0.bench.pool_ray import PoolRay
+
+        return PoolRay(settings, workers, address=ray_address)
+    raise BenchError(f"no executor {executor!r}", where="--executor", remedy="process or ray")
+
+
+def describe_end(returncode: int | None) -> str:
+    """How a process ended, in words."""
+    if returncode is None:
+        return "stopped answering"
+    if returncode < 0:
+        try:
+            return f"was killed by {signal.Signals(-returncode).name}"
+        except ValueError:
+            return f"was killed by signal {-returncode}"
+    return f"ended with exit code {returncode}"
+
+
+def count_cores() -> int:
+    """CPU cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def check_workers(workers: int) -> int:
+    """The number of workers, if it makes sense.
+
+    Raises:
+        BenchError: less than one, or beyond reason.
+    """
+    if not 1 <= workers <= 1024:
+        raise BenchError(f"{workers} workers", where="--workers", remedy="give 1 to 1024")
+    return workers

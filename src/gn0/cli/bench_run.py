@@ -8,7 +8,7 @@ where it stopped when the same command is given again.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import tyro
@@ -18,6 +18,7 @@ from gn0.config import Config
 EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy wall_follower --workers 2 --out out/walls
   gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try
+  gn0 bench run out/suite --executor ray --ray-address auto --workers 16 --out out/many
   gn0 bench run out/suite --policy mine --plugin my_policies --out out/mine"""
 
 
@@ -29,6 +30,8 @@ class Args(Config, frozen=True):
         out: the folder of results; an interrupted run there is resumed.
         policy: name of a policy (oracle, straight, wall_follower, random, or a plug-in).
         workers: processes; never changes a result.
+        executor: where the workers live: on this machine, or on a Ray cluster.
+        ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
         episodes: run only the first so many; 0 means all.
         time_limit: seconds an episode may take before it counts as failed.
         fresh: forget an earlier run in the output folder instead of resuming it.
@@ -41,6 +44,8 @@ class Args(Config, frozen=True):
     out: str
     policy: str = "oracle"
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
+    executor: Literal["process", "ray"] = "process"
+    ray_address: str = ""
     episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
     time_limit: Annotated[float, msgspec.Meta(gt=0)] = 300.0
     fresh: bool = False
@@ -70,6 +75,8 @@ def run(args: Args) -> int:
             max_episodes=args.episodes or None,
             plugin_modules=args.plugin,
             progress=progress,
+            executor=args.executor,
+            ray_address=args.ray_address,
         )
         report = None
         if not args.no_report:

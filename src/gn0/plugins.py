@@ -27,7 +27,11 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "random": "gn0.policies.simple:PolicyRandom",
     },
     "metric": {},
-    "exporter": {},
+    "exporter": {
+        "gn-matrix": "gn0.missions.sets.gn_matrix:ExporterGnMatrix",
+        "gn-matrix-json": "gn0.missions.sets.gn_matrix_json:ExporterGnMatrixJson",
+        "vlnce": "gn0.missions.sets.vlnce:ExporterVlnce",
+    },
 }
 _registered: dict[tuple[str, str], Any] = {}
 _discovered = False

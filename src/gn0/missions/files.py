@@ -11,7 +11,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError, FormatError
-from gn0.geometry import F64
+from gn0.geometry import F64, wrap_angle
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import (
     AgentSpec,
@@ -61,6 +61,9 @@ GN_MATRIX_COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
     ("path_raster_pixel_x", _INTS),
     ("path_raster_pixel_y", _INTS),
 )
+PATH_COLUMNS = (
+    "path_raster_world_x", "path_raster_world_y", "path_raster_pixel_x", "path_raster_pixel_y",
+)  # fmt: skip
 OUR_COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
     ("episode_id", _TEXT),
     ("mission", _TEXT),
@@ -130,7 +133,7 @@ def save_episodes(
                 where=f"episode {episode.id!r}",
                 remedy="pass the grid of every scene",
             )
-        for name, value in _row(episode, grids[episode.scene_id]).items():
+        for name, value in gn_matrix_row(episode, grids[episode.scene_id]).items():
             rows[name].append(value)
     table = pa.table({f.name: pa.array(rows[f.name], f.type) for f in _SCHEMA}, schema=_SCHEMA)
     stream = io.BytesIO()
@@ -138,7 +141,14 @@ def save_episodes(
     write_bytes(path, stream.getvalue())
 
 
-def check_unique(episodes: Sequence[Episode], file: str | Path = "") -> None:
+class Named(Protocol):
+    """Anything with an id."""
+
+    @property
+    def id(self) -> str: ...
+
+
+def check_unique(episodes: Sequence[Named], file: str | Path = "") -> None:
     """Refuse a repeated episode id: results would overwrite each other.
 
     Raises:
@@ -155,7 +165,8 @@ def check_unique(episodes: Sequence[Episode], file: str | Path = "") -> None:
         seen[episode.id] = row
 
 
-def _row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
+def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
+    """All columns of an episode, GN-Matrix's and ours, by name."""
     points = np.array(episode.path, np.float64).reshape(-1, 2)
     cells = rasterise_path(grid, points) if len(points) else np.zeros((0, 2), np.int64)
     pixels = cells_to_pixels(grid, cells)
@@ -221,15 +232,14 @@ def load_episodes(
             unequal length; names the row and the column.
         EpisodeError: an episode that makes no sense on its own, or a repeated id.
     """
-    table = _read_table(Path(path))
+    table = read_table(Path(path))
     ours = "episode_id" in table.column_names
     columns = GN_MATRIX_COLUMNS + OUR_COLUMNS if ours else GN_MATRIX_COLUMNS
-    values = {name: _column(table, name, kind, path) for name, kind in columns}
+    values = {name: read_column(table, name, kind, path) for name, kind in columns}
     unknown = sorted(set(table.column_names) - set(values))
     if unknown and ours:
         raise FormatError("unknown column", file=path, field=unknown[0], remedy="remove it")
-    _check_lists(values, path, ("path_raster_world_x", "path_raster_world_y",
-                                "path_raster_pixel_x", "path_raster_pixel_y"))  # fmt: skip
+    check_path_lists(values, path)
     if ours:
         _check_lists(values, path, ("path_3dgs_x", "path_3dgs_y"))
     episodes = []
@@ -248,7 +258,13 @@ def load_episodes(
     return episodes
 
 
-def _read_table(path: Path) -> pa.Table:
+def read_table(path: Path) -> pa.Table:
+    """A Parquet file as an Arrow table, every value checked.
+
+    Raises:
+        StorageError: missing, unreadable or too large.
+        FormatError: not Parquet, or damaged.
+    """
     data = read_bytes(path, SIZE_LIMIT)
     try:
         about = pq.ParquetFile(io.BytesIO(data)).metadata
@@ -271,7 +287,12 @@ def _read_table(path: Path) -> pa.Table:
         ) from None
 
 
-def _column(table: pa.Table, name: str, kind: pa.DataType, path: Path | str) -> list[Any]:
+def read_column(table: pa.Table, name: str, kind: pa.DataType, path: Path | str) -> list[Any]:
+    """The values of a column that must be there, of that kind, without nulls.
+
+    Raises:
+        FormatError: it is missing, of another type, or holds a null; names the row.
+    """
     places = [i for i, column in enumerate(table.column_names) if column == name]
     if len(places) != 1:
         what = "column is missing" if not places else "column appears more than once"
@@ -298,12 +319,27 @@ def _fits(found: pa.DataType, wanted: pa.DataType) -> bool:
     if pa.types.is_list(wanted):
         is_list = pa.types.is_list(found) or pa.types.is_large_list(found)
         return is_list and _fits(found.value_type, wanted.value_type)
+    if pa.types.is_dictionary(found):
+        return _fits(found.value_type, wanted)
     if wanted == _TEXT:
-        text = pa.types.is_string(found) or pa.types.is_large_string(found)
+        text = (
+            pa.types.is_string(found)
+            or pa.types.is_large_string(found)
+            or pa.types.is_string_view(found)
+        )
         return text or pa.types.is_integer(found)
     if wanted == _REAL:
         return pa.types.is_floating(found) or pa.types.is_integer(found)
     return pa.types.is_integer(found)
+
+
+def check_path_lists(values: Mapping[str, list[Any]], path: Path | str) -> None:
+    """Refuse rows whose four path lists differ in length.
+
+    Raises:
+        FormatError: names the row and the column.
+    """
+    _check_lists(values, path, PATH_COLUMNS)
 
 
 def _check_lists(values: Mapping[str, list[Any]], path: Path | str, names: Sequence[str]) -> None:
@@ -390,7 +426,7 @@ def _gn_matrix_episode(
         start=(
             sx,
             sy,
-            math.atan2(cells["start_facing_unit_dy"], cells["start_facing_unit_dx"]),
+            float(wrap_angle(math.radians(cells["start_facing_heading_degrees"]))),
         ),
         path=_points(path[:, 0].tolist(), path[:, 1].tolist()),
         seed=row + 1,

@@ -1,0 +1,244 @@
+"""A set of episodes as a foreign file tells it: the tasks we understand, and everything else.
+
+`tasks` is the common reading of every format, in the floor plane of the file. `native` is the file
+itself, decoded and untouched: writing a set gives back what was read, the fields nobody here knows
+included. `place` turns tasks into episodes of scenes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import msgspec
+import numpy as np
+
+from gn0.errors import ConfigError, EpisodeError, FormatError
+from gn0.maps.grid import OccupancyGrid
+from gn0.missions.episode import (
+    AgentSpec,
+    Episode,
+    MissionGoal,
+    MissionInstruction,
+    check_episode,
+)
+from gn0.missions.frames import Placement
+from gn0.plugins import get_plugin, plugin_names
+
+Point = tuple[float, float]
+
+
+class Task(msgspec.Struct, frozen=True, kw_only=True):
+    """One task in the file's own floor plane (x, y) [m], yaw [rad] counter-clockwise.
+
+    Attributes:
+        id: name of the episode; unique in the set.
+        scene: id of its scene.
+        kind: "goal" (a semantic target) or "instruction" (a route in words).
+        instruction: the text that the format gives to an agent.
+        start: x, y [m], yaw [rad].
+        goal: x, y [m]; None where the file keeps it secret.
+        path: reference path [m], start first.
+        heights: lowest and highest floor height [m] of start, goal and path.
+        object_id, category: the target of a goal task.
+        split: the file's own division, "" for none.
+        number: 1-based place in the file.
+    """
+
+    id: str
+    scene: str
+    kind: Literal["goal", "instruction"]
+    instruction: str
+    start: tuple[float, float, float]
+    goal: Point | None
+    path: tuple[Point, ...]
+    heights: tuple[float, float] = (0.0, 0.0)
+    object_id: str = ""
+    category: str = ""
+    split: str = ""
+    number: int = 0
+
+    @property
+    def points(self) -> np.ndarray:
+        """Start, path and goal [N, 2] m."""
+        ends = [self.start[:2]] + ([self.goal] if self.goal is not None else [])
+        return np.array([*ends, *self.path], np.float64).reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeSet:
+    """A file of episodes: what we understand of it, and the file itself.
+
+    Attributes:
+        format: exporter name: "gn-matrix", "gn-matrix-json", "vlnce" or a plug-in's.
+        name: what people call it, usually the split.
+        tasks: one a row, in the file's order.
+        native: the decoded file, for its exporter alone.
+        notes: what a reader should know (records that the format itself skips, …).
+    """
+
+    format: str
+    name: str
+    tasks: tuple[Task, ...]
+    native: Any
+    notes: tuple[str, ...] = ()
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Scene ids, sorted."""
+        return tuple(sorted({task.scene for task in self.tasks}))
+
+    def select(self, ids: Sequence[str]) -> EpisodeSet:
+        """The set of these tasks only, in the file's order.
+
+        Raises:
+            EpisodeError: an id that the set does not have.
+        """
+        wanted = set(ids)
+        missing = sorted(wanted - {task.id for task in self.tasks})
+        if missing:
+            raise EpisodeError(f"no episode {missing[0]!r} in the set {self.name!r}")
+        if len(wanted) == len(self.tasks):
+            return self
+        rows = [i for i, task in enumerate(self.tasks) if task.id in wanted]
+        native = get_exporter(self.format).take(self.native, rows)
+        return replace(self, tasks=tuple(self.tasks[i] for i in rows), native=native)
+
+
+@runtime_checkable
+class Exporter(Protocol):
+    """Reads and writes one format of episode sets; run `gn0.testing.check_exporter` on yours.
+
+    Attributes:
+        name: plug-in name.
+        title: one line for people.
+        camera: preset that the format's own benchmark uses.
+    """
+
+    name: str
+    title: str
+    camera: str
+
+    def recognises(self, path: Path) -> bool:
+        """Whether a file or folder looks like this format; never raises for what it cannot read."""
+        ...
+
+    def load(self, path: Path) -> EpisodeSet:
+        """Read a set.
+
+        Raises:
+            StorageError, FormatError: missing or damaged; names file, row and field.
+        """
+        ...
+
+    def save(self, episodes: EpisodeSet, path: Path) -> None:
+        """Write a set of this format, so that `load` reads back the same."""
+        ...
+
+    def build(
+        self, episodes: Sequence[Episode], grids: Mapping[str, OccupancyGrid], name: str
+    ) -> EpisodeSet:
+        """A set of this format from episodes of ours, given the raw grid of each scene."""
+        ...
+
+    def take(self, native: Any, rows: Sequence[int]) -> Any:
+        """The native content of these tasks only (0-based places among the tasks)."""
+        ...
+
+    def placements(self, grid: OccupancyGrid) -> tuple[Placement, ...]:
+        """Ways to lay the file's floor plane into a scene: the documented one first."""
+        ...
+
+
+def get_exporter(name: str) -> Exporter:
+    """The exporter of that name.
+
+    Raises:
+        ConfigError: no such exporter; lists those that exist.
+    """
+    exporter: Exporter = get_plugin("exporter", name)()
+    return exporter
+
+
+def load_set(path: Path | str, format: str = "") -> EpisodeSet:
+    """Read an episode set of any known format.
+
+    Args:
+        path: a file or folder.
+        format: exporter name; found by looking when empty.
+
+    Raises:
+        StorageError, FormatError: missing, damaged, or of no known format.
+        ConfigError: no such exporter.
+    """
+    path = Path(path)
+    if format:
+        return get_exporter(format).load(path)
+    exporters = [get_exporter(name) for name in plugin_names("exporter")]
+    if not path.exists():
+        from gn0.errors import StorageError
+
+        raise StorageError("no such file or folder", where=path, remedy="check the path")
+    for exporter in exporters:
+        if exporter.recognises(path):
+            return exporter.load(path)
+    raise FormatError(
+        "no known episode format",
+        file=path,
+        remedy="known: " + "; ".join(f"{e.name} ({e.title})" for e in exporters),
+    )
+
+
+def find_placement(exporter: Exporter, grid: OccupancyGrid, name: str) -> Placement:
+    """The placement of that name; "" means the documented one.
+
+    Raises:
+        ConfigError: no such placement; lists those that exist.
+    """
+    known = exporter.placements(grid)
+    for placement in known:
+        if placement.name == (name or known[0].name):
+            return placement
+    raise ConfigError(
+        f"no frame {name!r} for {exporter.name}",
+        where="--frame",
+        remedy="known: " + ", ".join(p.name for p in known),
+    )
+
+
+def place_task(task: Task, placement: Placement, agent: AgentSpec, split: str = "") -> Episode:
+    """The task as an episode of its scene, in the world frame.
+
+    Raises:
+        EpisodeError: no goal is known, the instruction is empty, or a value is not finite.
+    """
+    where = f"episode {task.id!r}"
+    if task.goal is None:
+        raise EpisodeError("has no goal: it cannot be scored", where=where)
+    (x, y), goal = placement.points([task.start[:2], task.goal]).tolist()
+    path = placement.points(task.path).tolist() or [[x, y], goal]
+    mission: MissionGoal | MissionInstruction
+    place = (goal[0], goal[1])
+    if task.kind == "goal":
+        mission = MissionGoal(
+            goal=place,
+            object_id=task.object_id,
+            category=task.category,
+            instruction=task.instruction,
+        )
+    else:
+        mission = MissionInstruction(goal=place, instruction=task.instruction)
+    return check_episode(
+        Episode(
+            id=task.id,
+            scene_id=task.scene,
+            mission=mission,
+            start=(x, y, placement.yaw(task.start[2])),
+            path=tuple((px, py) for px, py in path),
+            split=split or task.split or "test",
+            seed=task.number,
+            agent=agent,
+        )
+    )

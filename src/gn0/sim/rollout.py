@@ -7,11 +7,11 @@ from collections.abc import Callable
 from gn0.errors import PolicyError, SimError
 from gn0.missions.episode import Episode
 from gn0.seeds import random_stream
-from gn0.sim.policy import Policy, PolicyPrivileged
+from gn0.sim.policy import Policy, PolicyPrivileged, PolicySession
 from gn0.sim.simulator import Simulator
-from gn0.sim.state import Observation, StepResult, Teleport, Trajectory
+from gn0.sim.state import Displacement, Observation, StepResult, Teleport, Trajectory
 
-TELEPORT_CODE = -1  # how a teleport is written in `Trajectory.actions`
+TELEPORT_CODE = -1  # how a teleport or displacement is written in `Trajectory.actions`
 
 
 def run_episode(
@@ -41,6 +41,8 @@ def run_episode(
     policy.reset(
         episode.instruction, random_stream(episode.seed, "policy", policy.name, episode.id)
     )
+    if isinstance(policy, PolicySession):
+        policy.reset_session(episode.id)
     if isinstance(policy, PolicyPrivileged):
         policy.reset_privileged(simulator)
     poses, actions, collisions = [simulator.pose], [], []
@@ -57,7 +59,9 @@ def run_episode(
                 remedy=error.remedy,
             ) from error
         poses.append(simulator.pose)
-        actions.append(TELEPORT_CODE if isinstance(action, Teleport) else int(action))
+        actions.append(
+            TELEPORT_CODE if isinstance(action, Teleport | Displacement) else int(action)
+        )
         collisions.append(result.collided)
         observation = result.observation
         if watch is not None:

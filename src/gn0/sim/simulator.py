@@ -19,7 +19,7 @@ from gn0.sim.collision import check_finite, check_places, move_agent
 from gn0.sim.history import History, build_mosaic
 from gn0.sim.kinematics import Heading, heading_yaw, step_forward
 from gn0.sim.sensors import EYES, SensorConfig, SensorSuite
-from gn0.sim.state import Action, Observation, Sensor, StepResult, Teleport
+from gn0.sim.state import Action, AnyAction, Displacement, Observation, Sensor, StepResult, Teleport
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
@@ -194,12 +194,12 @@ class Simulator:
         self._place(episode.start[0], episode.start[1], wrap_angle(episode.start[2]), 0)
         return self._observe()
 
-    def step(self, action: Action | Teleport | int) -> StepResult:
+    def step(self, action: AnyAction | int) -> StepResult:
         """Take one action.
 
-        FORWARD and Teleport are cut at the first blocked cell (paper, Eq. collision); a teleport
-        takes its yaw in any case. STOP ends the episode (`terminated`); reaching `max_steps`
-        without STOP truncates it.
+        FORWARD, Teleport and Displacement are cut at the first blocked cell (paper, Eq.
+        collision); a teleport takes its yaw, a displacement its turn in any case. STOP ends the
+        episode (`terminated`); reaching `max_steps` without STOP truncates it.
 
         Raises:
             SimError: before reset, after the end, or an action that is none or holds NaN.
@@ -211,6 +211,14 @@ class Simulator:
             )
         moved, collided, stop = 0.0, False, False
         x, y = self._x, self._y
+        if isinstance(action, Displacement):
+            check_finite("displacement", *action)
+            c, s = math.cos(self._yaw), math.sin(self._yaw)
+            action = Teleport(
+                x + c * action.forward - s * action.left,
+                y + s * action.forward + c * action.left,
+                self._yaw + action.turn,
+            )
         if isinstance(action, Teleport):
             check_finite("teleport", *action)
             self._keep_view()
@@ -348,6 +356,6 @@ def action_code(action: Action | int) -> int:
     if not 0 <= code <= 3 or isinstance(action, bool):
         raise SimError(
             f"{action!r} is not an action",
-            remedy="give STOP 0, FORWARD 1, LEFT 2, RIGHT 3 or a Teleport",
+            remedy="give STOP 0, FORWARD 1, LEFT 2, RIGHT 3, a Teleport or a Displacement",
         )
     return code

@@ -31,6 +31,20 @@ class Teleport(NamedTuple):
     yaw: float
 
 
+class Displacement(NamedTuple):
+    """A move in the agent's own frame: forward, left [m], then turn [rad], left positive.
+
+    The robot's way to say `Teleport`: it needs no pose in the world. Clipped in the same way.
+    """
+
+    forward: float
+    left: float
+    turn: float
+
+
+AnyAction = Action | Teleport | Displacement
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """What a robot could know, and nothing else. Fields not asked for are None.
@@ -93,7 +107,7 @@ class Trajectory:
 
     Attributes:
         poses: pose after reset and after each action, T+1 entries.
-        actions: T action codes; a teleport is written as −1.
+        actions: T action codes; a teleport or displacement is written as −1.
         collided: T flags.
         stopped: the agent said STOP (as opposed to running out of steps).
     """

@@ -1,32 +1,49 @@
 """Whether a policy keeps the protocol: run a plug-in's factory against it.
 
 from gn0.testing.check_policy import check_policy
-check_policy(MyPolicy)
+check_policy(MyPolicy)        # a Policy
+check_policy(MyPolicyBatch)   # a PolicyBatch: checked as a batch of one, then in other batches
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode
 from gn0.missions.goal import sample_goal_episodes
+from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
-from gn0.sim.policy import Policy, PolicyPrivileged
-from gn0.sim.rollout import run_episode
+from gn0.sim.policy import (
+    Policy,
+    PolicyBatch,
+    PolicyBatchEach,
+    PolicyOfBatch,
+    PolicyPrivileged,
+    check_answers,
+)
+from gn0.sim.rollout import TELEPORT_CODE, run_episode
 from gn0.sim.sensors import SENSOR_NAMES
 from gn0.sim.simulator import Simulator
-from gn0.sim.state import Observation, StepResult, Trajectory
+from gn0.sim.state import Displacement, Observation, StepResult, Teleport, Trajectory
 from gn0.testing.scenes import build_room_scene
 
 PolicyFactory = Callable[[], Policy]
+PolicyBatchFactory = Callable[[], PolicyBatch]
+# how five episodes are grouped into calls: (slots reset and asked together), round by round
+_GROUPINGS = (((0, 1, 2, 3, 4),), ((3, 1), (4, 0, 2)), ((2,), (4,), (0, 3, 1)))
 
 
-def check_policy(factory: PolicyFactory, *, preset: str = "gn_bench", max_steps: int = 30) -> None:
+def check_policy(
+    factory: PolicyFactory | PolicyBatchFactory, *, preset: str = "gn_bench", max_steps: int = 30
+) -> None:
     """Check a policy's contract in the built-in flat.
+
+    A `PolicyBatch` must keep the same contract as a batch of one, and choose the same actions
+    however agents are grouped into calls. A `Policy` is checked alone and one a slot.
 
     Args:
         factory: builds a policy (a class without required arguments will do).
@@ -36,18 +53,77 @@ def check_policy(factory: PolicyFactory, *, preset: str = "gn_bench", max_steps:
     Raises:
         AssertionError: the first rule that is broken, in plain words.
     """
-    policy = factory()
+    made = factory()
+    if isinstance(made, PolicyBatch):
+        batch_factory: PolicyBatchFactory = factory  # type: ignore[assignment]
+        policy: Policy = PolicyOfBatch(made)
+        build: PolicyFactory = lambda: PolicyOfBatch(batch_factory())  # noqa: E731
+    else:
+        build = factory  # type: ignore[assignment]
+        batch_factory = lambda: PolicyBatchEach(build)  # noqa: E731
+        policy = made
     _check_declaration(policy)
     scene = build_room_scene()
     simulator = open_simulator(scene, preset, sensors=policy.sensors, max_steps=max_steps)
-    episodes = sample_goal_episodes(scene, simulator.navigation, 3, 7, agent=simulator.agent)
+    episodes = sample_goal_episodes(scene, simulator.navigation, 5, 7, agent=simulator.agent)
     first = [_play(simulator, policy, episode) for episode in episodes]
     _check_actions(first)
     again = [_play(simulator, policy, episode) for episode in episodes]
     _compare(first, again, "the second time, with the same seed: state survives reset()")
-    fresh = factory()
+    fresh = build()
     backwards = [_play(simulator, fresh, episode) for episode in reversed(episodes)][::-1]
     _compare(first, backwards, "in a new instance, in another order: one episode changes the next")
+    if isinstance(policy, PolicyPrivileged):
+        return  # an oracle looks at one simulator and has no batch form
+    simulators = [simulator] + [
+        open_simulator(scene, preset, sensors=policy.sensors, max_steps=max_steps)
+        for _ in episodes[1:]
+    ]
+    for grouping in _GROUPINGS:
+        together = _play_batch(simulators, batch_factory(), episodes, grouping)
+        for number, (a, b) in enumerate(zip(first, together, strict=True)):
+            assert a.actions == b, (
+                f"actions of slot {number} differ when slots are asked in groups {grouping}: "
+                "one agent's episode changes another's"
+            )
+
+
+def _play_batch(
+    simulators: Sequence[Simulator],
+    policy: PolicyBatch,
+    episodes: Sequence[Episode],
+    grouping: Sequence[Sequence[int]],
+) -> list[tuple[int, ...]]:
+    """Action codes of each episode, all in one batch policy, asked group by group in lockstep."""
+    sensors = frozenset(policy.sensors)
+    seen: dict[int, Observation] = {}
+    actions: list[list[int]] = [[] for _ in episodes]
+    for group in grouping:
+        for slot in group:
+            seen[slot] = simulators[slot].reset(episodes[slot], sensors=sensors)
+        policy.reset_batch(
+            list(group),
+            [episodes[slot].instruction for slot in group],
+            [random_stream(episodes[s].seed, "policy", policy.name, episodes[s].id) for s in group],
+        )
+    while seen:
+        for group in grouping:
+            live = [slot for slot in group if slot in seen]
+            if not live:
+                continue
+            answers = policy.act_batch(live, [seen[slot] for slot in live])
+            for slot, action in zip(
+                live, check_answers(policy.name, answers, len(live)), strict=True
+            ):
+                result = simulators[slot].step(action)
+                actions[slot].append(
+                    TELEPORT_CODE if isinstance(action, Teleport | Displacement) else int(action)
+                )
+                if result.terminated or result.truncated:
+                    del seen[slot]
+                else:
+                    seen[slot] = result.observation
+    return [tuple(codes) for codes in actions]
 
 
 def _check_declaration(policy: Policy) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import resource
 import signal
 import time
 from pathlib import Path
@@ -24,6 +26,8 @@ class PolicyOdd:
         self.name = "odd"
         self.odd, self.when, self.pause = odd, when, pause
         self.marks = Path(marks) if marks else None
+        if odd == "stillborn" and self.first_time():
+            os._exit(7)
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -37,15 +41,32 @@ class PolicyOdd:
             return Teleport(float("nan"), 0.0, 0.0)
         return Action(int(self.rng.choice(4, p=(0.02, 0.58, 0.2, 0.2))))
 
+    def first_time(self) -> bool:
+        """Whether this is the first misdeed, for those who commit only one."""
+        if self.marks is None:
+            return True
+        if self.marks.exists():
+            return False
+        self.marks.write_text("here")
+        return True
+
     def misbehave(self) -> None:
-        if self.marks is not None:  # only the first time
-            if self.marks.exists():
-                return
-            self.marks.write_text("here")
+        if not self.first_time():
+            return
         if self.odd == "raise":
             raise ValueError("the policy lost its mind")
         if self.odd == "die":
             os.kill(os.getpid(), signal.SIGKILL)
+        if self.odd == "bereave":  # kill the Ray actor that hosts us; never anybody else
+            parent = os.getppid()
+            assert b"ray::" in Path(f"/proc/{parent}/cmdline").read_bytes()
+            os.kill(parent, signal.SIGKILL)
+            time.sleep(3600)
+        if self.odd == "grip":  # a long call into C that never lets go of the interpreter
+            ctypes.PyDLL(None).sleep(3600)
+        if self.odd == "gorge":  # more memory than this process may have
+            resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30))
+            self.hoard = [bytearray(2**26) for _ in range(10_000)]
         if self.odd == "exit":
             os._exit(7)
         if self.odd == "hang":

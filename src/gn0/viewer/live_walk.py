@@ -1,0 +1,148 @@
+"""An agent walked by hand: the simulator's own actions and collisions, and what its eyes see."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gn0.errors import EpisodeError
+from gn0.geometry import F32, U8, Pose2D
+from gn0.missions.episode import Episode, MissionGoal
+from gn0.scenes.rooms import room_at
+from gn0.sim.simulator import Simulator
+from gn0.sim.state import Action, Observation
+
+PictureKind = Literal["RGB", "depth", "BEV", "occupancy"]
+PICTURES: tuple[PictureKind, ...] = ("RGB", "depth", "BEV", "occupancy")
+WORDS = {
+    Action.STOP: "stop",
+    Action.FORWARD: "forward",
+    Action.LEFT: "turn left",
+    Action.RIGHT: "turn right",
+}
+STEPS = 1_000_000  # a walk by hand never runs out of steps
+TRAIL = 4000  # poses kept
+
+# dark blue, teal, green, yellow, pale: even in lightness, told apart without colour vision
+_RAMP = np.array(
+    [
+        (252, 246, 206), (246, 212, 104), (196, 198, 74), (112, 178, 92), (44, 150, 118),
+        (22, 118, 132), (34, 84, 128), (44, 52, 104), (36, 22, 62),
+    ],
+    np.float64,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LastMove:
+    """What the last action did.
+
+    Attributes:
+        word: the action in words.
+        moved: distance covered [m].
+        bumped: an obstacle cut it short.
+    """
+
+    word: str = "–"
+    moved: float = 0.0
+    bumped: bool = False
+
+
+class AgentWalk:
+    """One agent in one scene, without a task.
+
+    Args:
+        simulator: with sensors rgb, depth, bev and occupancy; see `open_simulator`.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator = simulator
+        self.last = LastMove()
+        self.trail: list[tuple[float, float]] = []
+        self.bumps = 0
+        self._observation: Observation | None = None
+
+    @property
+    def pose(self) -> Pose2D:
+        """Where the agent stands."""
+        return self.simulator.pose
+
+    @property
+    def standing(self) -> bool:
+        """Whether it has been put anywhere yet."""
+        return self._observation is not None
+
+    def place(self, x: float, y: float, yaw: float) -> bool:
+        """Put the agent at x, y [m], yaw [rad]; False, and no change, where it has no room."""
+        here = (float(x), float(y))
+        episode = Episode(
+            id="walk",
+            scene_id=self.simulator.scene.id,
+            mission=MissionGoal(goal=here, object_id="", category="", instruction="Look around."),
+            start=(*here, float(yaw)),
+            path=(here, here),
+            agent=self.simulator.agent,
+        )
+        try:
+            self._observation = self.simulator.reset(episode)
+        except EpisodeError:
+            self.last = LastMove("no room for the agent there", 0.0, True)
+            return False
+        self.last = LastMove("put here")
+        self.trail = [here]
+        return True
+
+    def act(self, action: Action) -> LastMove:
+        """Take one action exactly as a policy would.
+
+        Raises:
+            SimError: before `place`.
+        """
+        result = self.simulator.step(action)
+        self._observation = result.observation
+        self.last = LastMove(WORDS[action], result.moved, result.collided)
+        self.bumps += result.collided
+        if result.moved > 0:
+            self.trail = [*self.trail[1 - TRAIL :], (self.pose.x, self.pose.y)]
+        return self.last
+
+    def picture(self, kind: PictureKind) -> U8:
+        """What the agent sees or is told, as a picture [H, W, 3].
+
+        Raises:
+            EpisodeError: before `place`.
+        """
+        seen = self._observation
+        if seen is None:
+            raise EpisodeError("the agent stands nowhere yet", remedy="call place first")
+        if kind == "depth":
+            assert seen.depth is not None
+            return colour_depth(seen.depth, self.simulator.config.preset.depth_range[1])
+        picture = {"RGB": seen.rgb, "BEV": seen.bev, "occupancy": seen.occupancy}[kind]
+        assert picture is not None
+        return picture
+
+    @property
+    def text(self) -> str:
+        """Pose, last action and place, one fact a line."""
+        pose = self.pose
+        room = room_at(self.simulator.scene.rooms, pose.x, pose.y)
+        kind = next((r.type for r in self.simulator.scene.rooms if r.id == room), "")
+        lines = [
+            f"x {pose.x:.2f} m   y {pose.y:.2f} m   yaw {math.degrees(pose.yaw):.0f}°",
+            f"step {self.simulator.steps}: {self.last.word}"
+            + (f", {self.last.moved:.2f} m" if self.last.word == WORDS[Action.FORWARD] else ""),
+        ]
+        return "\n".join(lines + ([f"in: {kind}"] if kind else []))
+
+
+def colour_depth(depth: F32, limit: float) -> U8:
+    """Depth [H, W] m as colours: near is pale, far is dark; `limit` [m] and beyond the darkest."""
+    share = np.clip(np.nan_to_num(depth, nan=limit, posinf=limit) / limit, 0, 1) ** 0.6
+    place = share * (len(_RAMP) - 1)
+    low = np.minimum(place.astype(np.int64), len(_RAMP) - 2)
+    part = (place - low)[..., None]
+    return np.asarray(_RAMP[low] * (1 - part) + _RAMP[low + 1] * part + 0.5, np.uint8)

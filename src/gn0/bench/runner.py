@@ -49,6 +49,8 @@ EPISODE_TIME_LIMIT = 300.0  # s
 LOAD_TIME_LIMIT = 900.0  # s to load a scene and to build the policy
 ATTEMPTS = 2  # one retry
 BUILD_ATTEMPTS = 3  # workers in a row that may die while they build the policy
+SECRETS = ("token", "password", "secret", "api_key")  # never written beside results
+HIDDEN = "(not kept)"
 HEED = 1.0  # s at most that messages are read before somebody looks for hung workers
 BYTES_PER_EPISODE = 200_000  # journal and results of a long episode
 PROBE_BYTES = 1 << 20
@@ -115,6 +117,7 @@ def run_suite(
     out = Path(out)
     check_room(out, len(episodes))
     options = dict(policy_options or {})
+    settings = build_settings(suite, policy_name, options, plugin_modules, backend)
     with _lock(out):
         _sweep(out)
         if not resume:
@@ -135,23 +138,33 @@ def run_suite(
         try:
             if run.left:
                 _check_scenes(suite, run.left, progress)
-                settings = Open(
-                    policy=policy_name,
-                    options=options,
-                    plugin_modules=tuple(plugin_modules),
-                    camera=suite.about.camera,
-                    backend=backend,
-                    agent=suite.about.agent,
-                    max_steps=suite.about.max_steps,
-                    success_radius=suite.about.success_radius,
-                )
                 with open_pool(executor, settings, workers, ray_address=ray_address) as pool:
                     run.begin_session(workers, executor)
                     run.drive(pool, Schedule(run.left, shuffle_seed))
-            return run.finish()
+            return run.finish(settings)
         finally:
             with contextlib.suppress(OSError):
                 run.journal.close()
+
+
+def build_settings(
+    suite: Suite,
+    policy_name: str,
+    options: Mapping[str, Any],
+    plugin_modules: Sequence[str] = (),
+    backend: str = "auto",
+) -> Open:
+    """What every worker of a run must know: the policy, and the suite's own rules."""
+    return Open(
+        policy=policy_name,
+        options=dict(options),
+        plugin_modules=tuple(plugin_modules),
+        camera=suite.about.camera,
+        backend=backend,
+        agent=suite.about.agent,
+        max_steps=suite.about.max_steps,
+        success_radius=suite.about.success_radius,
+    )
 
 
 def _choose(suite: Suite, max_episodes: int | None) -> tuple[Episode, ...]:
@@ -461,7 +474,7 @@ class _Run:
         }
         self._record(result, EpisodeTrace(episode=episode.id), about)
 
-    def finish(self) -> RunSummary:
+    def finish(self, settings: Open) -> RunSummary:
         """Write the files of the finished run."""
         card = self.card or PolicyCard(name=self.identity["policy"], sensors=(), privileged=False)
         results = sorted(self.results.values(), key=lambda r: r.episode)
@@ -483,12 +496,23 @@ class _Run:
             "seconds": round(sum(seconds), 3),
             "suite_folder": str(self.suite.folder.resolve()),
             "suite_relative": os.path.relpath(self.suite.folder.resolve(), self.out.resolve()),
+            "settings": describe_settings(settings),
             "versions": _versions(),
             "command": sys.argv,
             "episodes": dict(sorted(self.times.items())),
         }
         save_run(self.out, results, list(self.traces.values()), summary, run)
         return summary
+
+
+def describe_settings(settings: Open) -> dict[str, Any]:
+    """Settings as they are kept beside results; what looks like a secret is not."""
+    known: dict[str, Any] = msgspec.to_builtins(settings)
+    known["options"] = {
+        name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
+        for name, value in known["options"].items()
+    }
+    return known
 
 
 def _versions() -> dict[str, str]:

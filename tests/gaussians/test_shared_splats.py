@@ -69,27 +69,6 @@ def test_malformed_fixture(name, shared_data):
     assert caught.value.offset is not None and caught.value.remedy
 
 
-OTHERS = {
-    "*.spz": "SPZ|gzip|no splat file",
-    "*.sog": "SOG|zip|no splat file",
-    "*.ksplat": "KSPLAT",
-    "*.splat": r"\.splat",
-    "*.glb": "binary glTF",
-    "*.gltf": "JSON",
-    "meta.json": "JSON",
-    "*.webp": "no splat file",
-}
-
-
-@pytest.mark.parametrize("pattern", OTHERS)
-def test_formats_without_a_reader_are_named(pattern, shared_data):
-    paths = sorted((shared_data / "splats").rglob(pattern))
-    assert paths
-    for path in paths:
-        with pytest.raises(FormatError, match=OTHERS[pattern]):
-            load_cloud(path)
-
-
 def test_inria_order(shared_data):
     file = load_cloud(shared_data / "splats/fixtures/pc_short.ply")
     assert (file.stored, file.dropped, file.sh_degree) == (100, 0, 3)

@@ -16,17 +16,19 @@ class Args(Config, frozen=True):
     """The file.
 
     Attributes:
-        file: a 3DGS PLY or a PlayCanvas compressed PLY.
+        file: a splat file of any format, or the folder of an unbundled SOG.
+        level: level of detail of a streamed SOG, 0 the finest.
     """
 
     file: Annotated[str, tyro.conf.Positional]
+    level: int | None = None
 
 
 def run(args: Args) -> int:
     """Print what the file holds."""
     from gn0.gaussians.files import describe_cloud_file
 
-    facts = describe_cloud_file(args.file)
+    facts = describe_cloud_file(args.file, level=args.level)
     width = max(map(len, facts)) + 2
     for name, value in facts.items():
         shown = f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else value

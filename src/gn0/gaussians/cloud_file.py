@@ -33,6 +33,10 @@ class CloudFile:
         extra_properties: per-Gaussian properties that were not used.
         extra_elements: other tables in the file, as (name, rows).
         notes: what a careful user should know, in plain words.
+        frame: which axes the cloud is in, in plain words; empty where the file fixes none.
+        size: bytes of all files read; 0 stands for the one file.
+        levels: how many levels of detail the file has; 1 where the format knows none.
+        level: the one that was read, 0 the finest.
     """
 
     cloud: GaussianCloud
@@ -46,6 +50,10 @@ class CloudFile:
     extra_properties: tuple[str, ...] = ()
     extra_elements: tuple[tuple[str, int], ...] = ()
     notes: tuple[str, ...] = ()
+    frame: str = ""
+    size: int = 0
+    levels: int = 1
+    level: int = 0
 
 
 class CloudBuilder:

@@ -7,22 +7,28 @@ import stat
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from gn0.errors import FormatError, StorageError
 from gn0.gaussians.cloud_file import CloudFile
+from gn0.gaussians.cloud_source import CloudSource
 from gn0.gaussians.ply import decode_ply
 from gn0.gaussians.ply_header import load_ply_header
 from gn0.gaussians.ply_packed import decode_ply_packed, is_packed
 from gn0.gaussians.ply_rows import PlySource
+from gn0.gaussians.sog import META_NAME, decode_sog_bundle, decode_sog_folder
+from gn0.gaussians.sog_streamed import INDEX_NAME, decode_sog_streamed
+from gn0.gaussians.splat import decode_splat, looks_like_splat
 from gn0.storage import storage_error
 
 _HEAD = 4096  # bytes shown to the recognisers
 _CONVERT = "convert it to .ply first, e.g. with PlayCanvas's splat-transform"
+_INSIDE = (INDEX_NAME, META_NAME)  # what a folder of splats is known by
+READABLE = ".ply, .compressed.ply, .spz, .sog, .splat, .ksplat, .glb, .gltf or a SOG folder"
 
 
 @dataclass(frozen=True)
@@ -32,84 +38,98 @@ class CloudFormat:
     Attributes:
         name: its name in plain words.
         recognise: whether the first bytes (up to 4 KiB) of a file of a given size look like it.
-        decode: reader of (stream, file, size, limit_bytes); None while there is none.
+        decode: its reader; None for what we only know by name.
         remedy: what to do where there is no reader.
+        levels: whether files of it may have several levels of detail.
     """
 
     name: str
     recognise: Callable[[bytes, int], bool]
-    decode: Callable[[IO[bytes], Path, int, int | None], CloudFile] | None = None
+    decode: Callable[[CloudSource], CloudFile] | None = None
     remedy: str = _CONVERT
+    levels: bool = False
 
 
-def load_cloud(path: Path | str, *, limit_bytes: int | None = None) -> CloudFile:
+def load_cloud(
+    path: Path | str, *, level: int | None = None, limit_bytes: int | None = None
+) -> CloudFile:
     """Read a splat file of any format we know, told by its content and not by its name.
 
     Args:
-        path: the file.
+        path: the file, or the folder of an unbundled or streamed SOG.
+        level: level of detail of a streamed SOG, 0 the finest, which is also the default.
         limit_bytes: refuse a cloud that takes more than this decoded, if given.
 
     Raises:
-        FormatError: not a splat file, a format without a reader, broken, truncated or forged.
+        FormatError: not a splat file, a format without a reader, broken, truncated or forged; or
+            there is no such level.
         StorageError: the file is missing or cannot be read.
     """
     path = Path(path)
     if "\0" in str(path):
         raise StorageError("file name holds a NUL", where=repr(str(path)), remedy="check the path")
     try:
+        if path.is_dir():
+            path = _file_of_folder(path)
         # O_NONBLOCK: opening a named pipe must not wait for a writer
         fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(fd, "rb", buffering=0) as stream:
             info = os.fstat(stream.fileno())
-            if stat.S_ISDIR(info.st_mode):
-                raise _folder(path)
             if not stat.S_ISREG(info.st_mode):
                 raise FormatError(
                     "is not a regular file (a pipe or device)",
                     file=path,
                     remedy="copy the splats into a file first",
                 )
+            source = CloudSource(stream, path, info.st_size, limit_bytes, level)
             head = stream.read(_HEAD)
             for form in CLOUD_FORMATS:
                 if form.recognise(head, info.st_size):
-                    if form.decode is None:
-                        raise FormatError(
-                            f"this is {form.name}, which is not supported yet",
-                            file=path,
-                            offset=0,
-                            remedy=form.remedy,
-                        )
-                    return form.decode(stream, path, info.st_size, limit_bytes)
+                    return _decode(form, source)
     except OSError as error:
-        if path.is_dir():  # not every system opens a folder
-            raise _folder(path) from error
         raise storage_error(error, path, "read") from error
     raise FormatError(
         "is no splat file that we know" if head else "the file is empty",
         file=path,
         offset=0,
-        remedy="pass a 3DGS .ply or PlayCanvas .compressed.ply file",
+        remedy=f"pass a {READABLE}",
     )
 
 
-def describe_cloud_file(path: Path | str, *, limit_bytes: int | None = None) -> dict[str, Any]:
+def _decode(form: CloudFormat, source: CloudSource) -> CloudFile:
+    """Decode a recognised file, or say why not."""
+    if form.decode is None:
+        raise source.refuse(f"this is {form.name}", remedy=form.remedy)
+    if source.level and not form.levels:
+        raise source.refuse(
+            f"there is no level {source.level}: {form.name} has one level of detail, 0",
+            None,
+            field="level",
+            remedy="leave the level out",
+        )
+    file = form.decode(source)
+    return file if file.size else replace(file, size=source.size)
+
+
+def describe_cloud_file(
+    path: Path | str, *, level: int | None = None, limit_bytes: int | None = None
+) -> dict[str, Any]:
     """What a splat file holds, as plain JSON values, in the order a person wants to read it.
 
     Raises:
         FormatError: as `load_cloud`.
         StorageError: as `load_cloud`.
     """
-    file = load_cloud(path, limit_bytes=limit_bytes)
+    file = load_cloud(path, level=level, limit_bytes=limit_bytes)
     cloud = file.cloud
     quantiles = (0.01, 0.5, 0.99)
     low, high = np.quantile(cloud.means.astype(np.float64), [0.01, 0.99], axis=0)
-    size = Path(path).stat().st_size
     return {
-        "file": str(path),
+        "file": str(file.path),
         "format": file.format,
         "encoding": file.encoding,
-        "bytes": size,
-        "bytes_per_gaussian": round(size / file.stored, 2),
+        "bytes": file.size,
+        "bytes_per_gaussian": round(file.size / file.stored, 2),
         "gaussians": len(cloud),
         "dropped_non_finite": file.dropped,
         "sh_degree": file.sh_degree,
@@ -129,22 +149,27 @@ def _rounded(values: np.ndarray[Any, Any]) -> Any:
     return np.array([float(f"{v:.5g}") for v in values.ravel()]).reshape(values.shape).tolist()
 
 
-def _folder(path: Path) -> FormatError:
-    if (path / "meta.json").is_file():
-        return FormatError(
-            "this is an unbundled SOG folder, which is not supported yet",
-            file=path,
-            remedy=_CONVERT,
-        )
-    return FormatError(
-        "is a folder, not a splat file", file=path, remedy="pass the .ply file inside it"
+def _file_of_folder(folder: Path) -> Path:
+    """The file by which a folder of splats is read.
+
+    Raises:
+        FormatError: it is no such folder.
+    """
+    for name in _INSIDE:
+        if (folder / name).is_file():
+            return folder / name
+    raise FormatError(
+        f"is a folder, not a splat file, and has no {META_NAME} or {INDEX_NAME} (SOG) in it",
+        file=folder,
+        remedy="pass the splat file inside it",
     )
 
 
-def _decode_any_ply(stream: IO[bytes], file: Path, size: int, limit_bytes: int | None) -> CloudFile:
-    source = PlySource(stream, file, size, load_ply_header(stream, file, size))
-    decode = decode_ply_packed if is_packed(source.header) else decode_ply
-    return decode(source, limit_bytes)
+def _decode_any_ply(source: CloudSource) -> CloudFile:
+    header = load_ply_header(source.stream, source.file, source.size)
+    ply = PlySource(source.stream, source.file, source.size, header)
+    decode = decode_ply_packed if is_packed(header) else decode_ply
+    return decode(ply, source.limit_bytes)
 
 
 def _starts(*magics: bytes) -> Callable[[bytes, int], bool]:
@@ -160,13 +185,21 @@ def _is_gzip_spz(head: bytes, size: int) -> bool:
         return False
 
 
-def _is_zip_sog(head: bytes, size: int) -> bool:
-    return head.startswith(b"PK\x03\x04") and (b".webp" in head or b"meta.json" in head)
-
-
 def _is_json(head: bytes, size: int) -> bool:
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     return text.startswith(b"{") and b'"' in text
+
+
+def _decode_json(source: CloudSource) -> CloudFile:
+    """Tell the kinds of JSON apart by the keys that only they have."""
+    head = source.read(0, min(source.size, 1 << 16), "JSON")
+    for keys, form in _JSON_FORMATS:
+        if all(key in head for key in keys):
+            return _decode(form, source)
+    raise source.refuse(
+        "this is JSON, but neither SOG (meta.json, lod-meta.json) nor glTF",
+        remedy=f"pass a {READABLE}",
+    )
 
 
 def _is_page(head: bytes, size: int) -> bool:
@@ -182,17 +215,13 @@ def _is_ksplat(head: bytes, size: int) -> bool:
     return used <= sections < 65536 and splats > 0 and sections * 1024 + 4096 <= size
 
 
-def _is_splat(head: bytes, size: int) -> bool:
-    """.splat has no magic: 32-byte records, finite places and sane scales in the first few."""
-    if size == 0 or size % 32 or len(head) < 32:
-        return False
-    records = np.frombuffer(head[: len(head) // 32 * 32], np.uint8).reshape(-1, 32)
-    places = np.ascontiguousarray(records[:, :24]).view("<f4")
-    with np.errstate(invalid="ignore"):
-        sane = np.isfinite(places).all() and (np.abs(places) < 1e6).all()
-        positive = (places[:, 3:] >= 0).all() and (places[:, 3:] > 1e-12).any()
-    return bool(sane and positive and (records[:, 28:] != 128).any())
-
+_JSON_FORMATS: tuple[tuple[tuple[bytes, ...], CloudFormat], ...] = (
+    (
+        (b'"lodLevels"', b'"filenames"'),
+        CloudFormat("a streamed SOG", _is_json, decode_sog_streamed, levels=True),
+    ),
+    ((b'"means"', b'"quats"'), CloudFormat("a SOG folder", _is_json, decode_sog_folder)),
+)
 
 # Tried in order; a reader for a further format is one more `decode` here.
 CLOUD_FORMATS: tuple[CloudFormat, ...] = (
@@ -200,8 +229,7 @@ CLOUD_FORMATS: tuple[CloudFormat, ...] = (
     CloudFormat("SPZ", _starts(b"NGSP")),
     CloudFormat("SPZ (gzip)", _is_gzip_spz),
     CloudFormat("a gzip archive", _starts(b"\x1f\x8b"), remedy="unpack it first"),
-    CloudFormat("SOG (a bundle)", _is_zip_sog),
-    CloudFormat("a zip archive", _starts(b"PK\x03\x04", b"PK\x05\x06"), remedy="unpack it first"),
+    CloudFormat("a SOG bundle", _starts(b"PK\x03\x04", b"PK\x05\x06"), decode_sog_bundle),
     CloudFormat("binary glTF (GLB)", _starts(b"glTF")),
     CloudFormat(
         "a Git LFS pointer, not the file itself",
@@ -211,7 +239,12 @@ CLOUD_FORMATS: tuple[CloudFormat, ...] = (
     CloudFormat(
         "a web page", _is_page, remedy="the download failed or needs a log-in: fetch it again"
     ),
-    CloudFormat("JSON (SOG meta.json or glTF)", _is_json),
+    CloudFormat(
+        "a picture (WebP), perhaps one plane of a SOG folder",
+        lambda head, size: head[:4] == b"RIFF" and head[8:12] == b"WEBP",
+        remedy="pass the folder or its meta.json",
+    ),
+    CloudFormat("JSON", _is_json, _decode_json, levels=True),
     CloudFormat("KSPLAT", _is_ksplat),
-    CloudFormat(".splat", _is_splat),
+    CloudFormat(".splat", looks_like_splat, decode_splat),
 )

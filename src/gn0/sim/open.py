@@ -37,7 +37,8 @@ def open_simulator(
         scene: a Scene, or the path of a scene folder.
         preset: cameras and body, by name or value.
         backend: renderer backend; "auto" takes the best that is here.
-        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector.
+        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
+            pose.
         agent: the body, instead of the preset's.
         max_steps: actions until an episode is truncated.
         cut_height: what lies higher [m] is left out of the BEV.

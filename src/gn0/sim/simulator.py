@@ -15,6 +15,7 @@ from gn0.errors import EpisodeError, SimError
 from gn0.geometry import F32, U8, Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec, Episode, check_episode
 from gn0.scenes.scene import Scene
+from gn0.seeds import random_stream
 from gn0.sim.collision import check_finite, check_places, move_agent
 from gn0.sim.history import History, build_mosaic
 from gn0.sim.kinematics import Heading, heading_yaw, step_forward
@@ -191,6 +192,7 @@ class Simulator:
         self._over = False
         self._history.clear()
         self._last_look: tuple[Pose2D, tuple[U8 | None, F32 | None]] | None = None
+        self._goal_picture: U8 | None = None
         self._place(episode.start[0], episode.start[1], wrap_angle(episode.start[2]), 0)
         return self._observe()
 
@@ -291,6 +293,7 @@ class Simulator:
         self._steps, self._collided, self._over = state.steps, state.collided, state.over
         self._history = History(state.tiles)
         self._last_look = None
+        self._goal_picture = None
         self._place(state.x, state.y, state.base, state.turns)
 
     def _place(self, x: float, y: float, base: float, turns: int) -> None:
@@ -307,6 +310,16 @@ class Simulator:
         if self._last_look is None or self._last_look[0] != pose:
             self._last_look = (pose, self._suite.look(pose, self._wanted))
         return self._last_look[1]
+
+    def _look_from_goal(self) -> U8:
+        """The goal picture; drawn once an episode."""
+        if self._goal_picture is None:
+            episode = self.episode
+            yaw = random_stream(episode.seed, "goal picture", episode.id).uniform(-math.pi, math.pi)
+            rgb, _ = self._suite.look(Pose2D(*episode.goal, yaw), frozenset({"rgb"}))
+            assert rgb is not None
+            self._goal_picture = rgb
+        return self._goal_picture
 
     def _keep_view(self) -> None:
         if "history" in self._wanted:
@@ -334,6 +347,8 @@ class Simulator:
                 fields["depth"] = depth
             if "history" in self._wanted:
                 fields["history"] = build_mosaic(self._history.tiles)
+            if "goal_picture" in self._wanted:
+                fields["goal_picture"] = self._look_from_goal()
         return Observation(
             step=step,
             time=step * STEP_SECONDS,

@@ -8,7 +8,9 @@ from typing import Any, Literal, NamedTuple
 
 from gn0.geometry import F32, U8, Pose2D
 
-Sensor = Literal["rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector"]
+Sensor = Literal[
+    "rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector", "goal_picture", "pose"
+]
 
 
 class Action(IntEnum):
@@ -63,6 +65,9 @@ class Observation:
         ranges: [R] float32 m, a planar lidar ring: ray k points at yaw + 2πk/R, the distance to
             the first blocked cell of the agent's inflated map.
         goal_vector: (forward, left) [m] to the goal, for policies that are told the place.
+        goal_picture: [H, W, 3] uint8, what the agent's camera sees from the goal, looking in a
+            direction drawn by the episode's seed.
+        pose: (x, y) [m] and yaw [rad] in the scene's frame: perfect odometry from a known start.
         collided: whether the previous action was truncated (a bumper knows).
     """
 
@@ -77,6 +82,8 @@ class Observation:
     history: U8 | None = None
     ranges: F32 | None = None
     goal_vector: tuple[float, float] | None = None
+    goal_picture: U8 | None = None
+    pose: Pose2D | None = None
     collided: bool = False
 
 
@@ -110,9 +117,11 @@ class Trajectory:
         actions: T action codes; a teleport or displacement is written as −1.
         collided: T flags.
         stopped: the agent said STOP (as opposed to running out of steps).
+        teleports: the poses that teleports asked for, in order; what came of them is in `poses`.
     """
 
     poses: tuple[Pose2D, ...]
     actions: tuple[int, ...]
     collided: tuple[bool, ...]
     stopped: bool
+    teleports: tuple[Pose2D, ...] = ()

@@ -63,7 +63,7 @@ def test_the_eye_stands_where_the_body_stands(make_simulator, make_episode, eye)
     simulator = make_simulator("rgb", preset=preset)
     simulator.reset(make_episode(start=(1.0, 2.5, 0.7)))
     expected = view_from_pose(1.0, 2.5, 0.60, 0.7, math.radians(-30))
-    np.testing.assert_array_equal(eye.calls[0][2], expected)
+    np.testing.assert_array_equal(eye.calls[0][2], [expected])
 
 
 def test_standing_still_is_not_rendered_again(make_simulator, make_episode, eye) -> None:
@@ -188,3 +188,27 @@ def test_settings_without_meaning_are_refused(settings: dict) -> None:
 def test_ring_and_frame_agree_with_the_pose() -> None:
     frame = MapFrame(10, 10, 0.1, 0.0, 0.0)
     assert frame.pixel_of(*Pose2D(0.05, 0.95, 0.0)[:2]) == (0, 0)
+
+
+def test_pose_is_the_pose_and_given_only_when_asked_for(make_simulator, make_episode) -> None:
+    simulator = make_simulator("pose", "ranges")
+    assert simulator.reset(make_episode()).pose == simulator.pose
+    simulator.step(1)
+    assert simulator.step(2).observation.pose == simulator.pose
+    assert simulator.reset(make_episode(), sensors=frozenset({"ranges"})).pose is None
+
+
+def test_the_goal_picture_is_the_view_from_the_goal(make_simulator, make_episode, eye) -> None:
+    """Drawn once an episode, by the episode's own seed, from where the goal is."""
+    simulator = make_simulator("goal_picture")
+    first = simulator.reset(make_episode()).goal_picture
+    assert first is not None and first.dtype == np.uint8 and not first.flags.writeable
+    drawn = len(eye.calls)
+    view = np.asarray(eye.calls[-1][2]).reshape(4, 4)
+    eye_at = -view[:3, :3].T @ view[:3, 3]
+    np.testing.assert_allclose(eye_at[:2], make_episode().goal, atol=1e-5)
+    assert simulator.step(2).observation.goal_picture is first
+    assert len(eye.calls) == drawn
+    simulator.reset(make_episode())
+    again = np.asarray(eye.calls[-1][2]).reshape(4, 4)
+    np.testing.assert_array_equal(again, view)

@@ -104,7 +104,7 @@ def _line_cells(row0, col0, row1, col1):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _cast_rays(blocked, u, v, angles, limit, out):  # type: ignore[no-untyped-def]
+def cast_rays_cells(blocked, u, v, angles, limit, out):  # type: ignore[no-untyped-def]
     """Exact distance [cells] along each ray to the edge of the first blocked cell."""
     for k in range(len(angles)):
         dx, dy = math.cos(angles[k]), math.sin(angles[k])
@@ -202,7 +202,7 @@ def cast_rays(
     s = float(blocked.resolution)
     u = min(max((x - blocked.origin[0]) / s, -_FAR), _FAR)
     v = min(max((y - blocked.origin[1]) / s, -_FAR), _FAR)
-    _cast_rays(blocked.blocked, u, v, directions, float(max_range) / s, out)
+    cast_rays_cells(blocked.blocked, u, v, directions, float(max_range) / s, out)
     return (out * s).astype(np.float32)
 
 

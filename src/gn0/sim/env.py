@@ -101,7 +101,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         self._picture: U8 | None = None
         self._distance = 0.0
         self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(4)  # type: ignore[assignment]
-        self._map_shape = _largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
+        self._map_shape = largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
         self.observation_space = spaces.Dict(
             build_spaces(self.sensors, find_preset(self.tasks.preset), self._map_shape)
             | {"instruction": text_space(self.tasks.episodes), "collided": spaces.Discrete(2)}
@@ -255,6 +255,12 @@ def build_spaces(
         "ranges": spaces.Box(0.0, config.range_limit, (config.range_rays,), np.float32),
         "goal_vector": spaces.Box(-VECTOR_LIMIT, VECTOR_LIMIT, (2,), np.float32),
     }
+    missing = sorted(set(sensors) - set(known))
+    if missing:
+        raise ConfigError(
+            f"sensor {missing[0]!r} has no Gymnasium space",
+            remedy="take the pose from info['pose'], or drive a Simulator yourself",
+        )
     return {name: known[name] for name in sorted(sensors)}
 
 
@@ -267,7 +273,8 @@ def text_space(episodes: Sequence[Episode]) -> spaces.Text:
     )
 
 
-def _largest_map(tasks: TaskSet) -> tuple[int, int]:
+def largest_map(tasks: TaskSet) -> tuple[int, int]:
+    """(H, W) [px] that holds the map picture of every scene."""
     shapes = [make().grid.shape for make in tasks.scenes.values()]
     return max(h for h, _ in shapes), max(w for _, w in shapes)
 
@@ -283,7 +290,12 @@ def register_envs() -> None:
     """Register GN0's environments with Gymnasium; may be called again."""
     for name, settings in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
-            gymnasium.register(id=name, entry_point="gn0.sim.env:GoalNavEnv", kwargs=settings)
+            gymnasium.register(
+                id=name,
+                entry_point="gn0.sim.env:GoalNavEnv",
+                vector_entry_point="gn0.sim.vector:VectorEnv",
+                kwargs=settings,
+            )
 
 
 register_envs()

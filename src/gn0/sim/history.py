@@ -31,6 +31,13 @@ def reduce_picture(rgb: U8, width: int, height: int) -> U8:
     return np.asarray(image, np.uint8)
 
 
+def reduce_pictures(rgb: U8, width: int, height: int) -> U8:
+    """Pictures [V, H, W, 3] at another size [V, height, width, 3]; see `reduce_picture`."""
+    if rgb.shape[1:3] == (height, width):
+        return rgb
+    return np.stack([reduce_picture(picture, width, height) for picture in rgb])
+
+
 class History:
     """The tiles of the last sixteen views, newest first."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast, get_args
@@ -14,7 +14,7 @@ from gn0.errors import ConfigError, SimError
 from gn0.geometry import F32, U8, Pose2D, view_from_pose, world_to_agent
 from gn0.maps.grid import OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
-from gn0.sim.history import reduce_picture
+from gn0.sim.history import reduce_pictures
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.state import Sensor
 
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from gn0.render.renderer import Renderer
 
 SENSOR_NAMES: frozenset[str] = frozenset(get_args(Sensor))
-EYES = frozenset({"rgb", "depth", "history"})  # these need a renderer
+EYES = frozenset({"rgb", "depth", "history", "goal_picture"})  # these need a renderer
+PICTURES = EYES | {"bev", "occupancy"}
 GREEN, RED = (0, 255, 0), (255, 0, 0)
 GREY_OF_CELL = np.array([255, 0, 127], np.uint8)  # free, occupied, unknown: as InteriorGS
 
@@ -33,7 +34,8 @@ class SensorConfig(Config, frozen=True):
     """Which sensors an agent carries, and how they are set.
 
     Attributes:
-        active: names out of rgb, depth, bev, occupancy, history, ranges, goal_vector.
+        active: names out of rgb, depth, bev, occupancy, history, ranges, goal_vector,
+            goal_picture, pose.
         preset: cameras and body.
         range_rays: rays of the range ring.
         range_limit: reach of the range ring [m].
@@ -196,10 +198,22 @@ class SensorSuite:
 
     def look(self, pose: Pose2D, wanted: frozenset[str]) -> tuple[U8 | None, F32 | None]:
         """Render the eyes at a pose: (rgb [H, W, 3], depth [Hd, Wd] m), None where not wanted."""
+        rgb, depth = self.look_many([pose], wanted)
+        return None if rgb is None else rgb[0], None if depth is None else depth[0]
+
+    def look_many(
+        self, poses: Sequence[Pose2D], wanted: frozenset[str]
+    ) -> tuple[U8 | None, F32 | None]:
+        """Render the eyes at many poses: (rgb [V, H, W, 3], depth [V, Hd, Wd] m).
+
+        One call of the renderer; two where colour and depth have cameras of their own.
+        """
         want_rgb = bool(wanted & {"rgb", "history"})
         want_depth = "depth" in wanted
         preset = self.config.preset
-        view = view_from_pose(pose.x, pose.y, self._camera_height, pose.yaw, self._pitch)
+        views = np.stack(
+            [view_from_pose(p.x, p.y, self._camera_height, p.yaw, self._pitch) for p in poses]
+        )
         rgb: U8 | None = None
         depth: F32 | None = None
         assert self._renderer is not None
@@ -207,7 +221,7 @@ class SensorSuite:
             both = want_depth and preset.depth == preset.rgb
             result = self._renderer.render(
                 preset.rgb,
-                view,
+                views,
                 outputs=("rgb", "depth") if both else ("rgb",),
                 background=preset.background,
             )
@@ -216,10 +230,10 @@ class SensorSuite:
                 raise SimError(
                     f"renderer gives {result.rgb.dtype} pictures", remedy="build it for uint8"
                 )
-            rgb = reduce_picture(cast(U8, result.rgb[0]), *preset.picture_size)
-            depth = result.depth[0] if both and result.depth is not None else None
+            rgb = reduce_pictures(cast(U8, result.rgb), *preset.picture_size)
+            depth = result.depth if both else None
         if want_depth and depth is None:
-            depth = self._renderer.render(preset.depth, view, outputs=("depth",)).depth[0]  # type: ignore[index]
+            depth = self._renderer.render(preset.depth, views, outputs=("depth",)).depth
         if depth is not None:
             low, high = preset.depth_range
             depth = np.clip(depth, np.float32(low), np.float32(high))
@@ -256,4 +270,6 @@ class SensorSuite:
             fields["ranges"] = self.ranges(pose)
         if "goal_vector" in wanted:
             fields["goal_vector"] = world_to_agent(pose, *goal)
+        if "pose" in wanted:
+            fields["pose"] = pose
         return fields

@@ -70,7 +70,7 @@ class TaskSet:
 
 
 def load_tasks(
-    scene: Scene | Path | str | None = None,
+    scene: Scene | Path | str | Sequence[Scene | Path | str] | None = None,
     suite: Path | str | None = None,
     episodes: Sequence[Episode] | Path | str | None = None,
     *,
@@ -83,14 +83,14 @@ def load_tasks(
     """Scenes and episodes to play.
 
     Args:
-        scene: a Scene or the path of a scene folder; the built-in flat when neither this nor
-            `suite` is given.
+        scene: a Scene or the path of a scene folder, or several of them; the built-in flat when
+            neither this nor `suite` is given.
         suite: a suite folder, instead of a scene.
         episodes: episodes, or a Parquet file of them; sampled from the scene when absent.
         preset: camera preset; the suite's, else gn_bench.
         agent: the body; the suite's, else the preset's.
         max_steps: actions until truncation; the suite's, else 500.
-        count: how many episodes to sample (50, or 12 in the built-in flat).
+        count: how many episodes to sample a scene (50, or 12 in the built-in flat).
         seed: seed of the sampling.
 
     Raises:
@@ -115,18 +115,46 @@ def load_tasks(
             max_steps=max_steps or view.max_steps,
         )
     if scene is None:
-        place, default_count = build_example_scene(), EXAMPLE_EPISODES
+        places, default_count = [build_example_scene()], EXAMPLE_EPISODES
     else:
-        place, default_count = scene if isinstance(scene, Scene) else load_scene(Path(scene)), 50
+        several = [scene] if isinstance(scene, Scene | Path | str) else list(scene)
+        places = [s if isinstance(s, Scene) else load_scene(Path(s)) for s in several]
+        default_count = 50
     chosen = preset or "gn_bench"
     body = agent or find_preset(chosen).agent
     if given is None:
-        navigation = NavigationMap(place.grid, body.radius)
-        given = sample_goal_episodes(place, navigation, count or default_count, seed, agent=body)
+        given = [
+            episode
+            for place in places
+            for episode in sample_goal_episodes(
+                place, NavigationMap(place.grid, body.radius), count or default_count, seed,
+                agent=body,
+            )
+        ]  # fmt: skip
     return TaskSet(
-        scenes={place.id: lambda: place},
+        scenes=_by_id(places),
         episodes=tuple(given),
         preset=chosen,
         agent=body,
         max_steps=max_steps or 500,
     )
+
+
+def _by_id(places: Sequence[Scene]) -> dict[str, Callable[[], Scene]]:
+    """How to get each scene: they are here already.
+
+    Raises:
+        ConfigError: two of them have the same id.
+    """
+    scenes: dict[str, Callable[[], Scene]] = {}
+    for place in places:
+        if place.id in scenes:
+            raise ConfigError(
+                f"two scenes are called {place.id!r}", remedy="give each an id of its own"
+            )
+        scenes[place.id] = partial(_itself, place)
+    return scenes
+
+
+def _itself(scene: Scene) -> Scene:
+    return scene

@@ -1,0 +1,219 @@
+"""Many agents in many scenes, stepped together: the engine under `VectorEnv`.
+
+Each agent is a `Simulator` of its own in all but memory and speed: the same poses, collisions,
+ends and observations, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import SimError
+from gn0.geometry import F64
+from gn0.missions.episode import AgentSpec
+from gn0.scenes.scene import Scene
+from gn0.sim.batch_eyes import BatchEyes, Snapshot
+from gn0.sim.batch_kernels import (
+    AgentArrays,
+    place_agents,
+    read_goal_vectors,
+    read_poses,
+    read_ranges,
+    step_agents,
+)
+from gn0.sim.batch_tables import EpisodeTable, MapTable
+from gn0.sim.sensors import PICTURES, SensorConfig
+from gn0.sim.state import Sensor
+
+if TYPE_CHECKING:
+    from gn0.sim.sensors import SensorSuite
+
+FIELD_MEMORY = 512 * 2**20  # bytes of geodesic fields
+
+
+class BatchStep(NamedTuple):
+    """Outcome of one action each.
+
+    Attributes:
+        progress: [N] m, geodesic distance gained.
+        stopped: [N], the agent said STOP.
+        truncated: [N], the step limit was reached.
+    """
+
+    progress: F64
+    stopped: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+
+
+class SimulatorBatch:
+    """N agents of one body, each in an episode of its own.
+
+    Args:
+        count: N.
+        scenes: scene id → how to get the scene; each is loaded when first needed.
+        config: sensors they carry, and cameras.
+        agent: the body; the preset's when None.
+        max_steps: actions until an episode is truncated.
+        open_suite: scene id → the sensors of one agent in that scene; needed for pictures.
+        scenes_kept: picture-making scenes held while no agent is in them.
+        field_memory: bytes that geodesic fields may take.
+
+    Raises:
+        SimError: a number out of range, a turn that never comes full circle, or pictures asked
+            for without `open_suite`.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        scenes: Mapping[str, Callable[[], Scene]],
+        config: SensorConfig,
+        *,
+        agent: AgentSpec | None = None,
+        max_steps: int = 500,
+        open_suite: Callable[[str], SensorSuite] | None = None,
+        scenes_kept: int = 4,
+        field_memory: int = FIELD_MEMORY,
+    ) -> None:
+        if count < 1 or max_steps < 1:
+            raise SimError(
+                f"{count} agents of {max_steps} steps", remedy="allow at least one of each"
+            )
+        self.count = count
+        self.config = config
+        self.agent = agent or config.preset.agent
+        self.max_steps = max_steps
+        self.table = EpisodeTable(MapTable(scenes, self.agent.radius), self.agent, field_memory)
+        self.state = AgentArrays(
+            np.full(count, -1, np.int32),
+            np.zeros((count, 2)),
+            np.zeros(count, np.int32),
+            np.zeros(count, np.int32),
+            np.zeros(count, np.bool_),
+            np.zeros(count),
+        )
+        self._everyone = np.arange(count)
+        self._rays = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
+        self._eyes: BatchEyes | None = None
+        if config.active & PICTURES:
+            if open_suite is None:
+                raise SimError(
+                    f"sensors {sorted(config.active & PICTURES)} need pictures",
+                    remedy="use VectorEnv, or hand open_suite to SimulatorBatch",
+                )
+            self._eyes = BatchEyes(count, config, open_suite, scenes_kept)
+
+    @property
+    def sensors(self) -> frozenset[Sensor]:
+        """What each agent carries."""
+        return self.config.active  # type: ignore[return-value]
+
+    def place(self, which: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
+        """Begin episodes `chosen` [K] (numbers of `table`) with agents `which` [K].
+
+        Raises:
+            EpisodeError: see `Simulator.reset`; then no agent has moved.
+        """
+        table = self.table
+        table.prepare(chosen, self.state.episode)
+        place_agents(which, chosen, self.state, table.maps.arrays, table.fields, table.arrays)
+        table.touch(chosen)
+        if self._eyes is not None:
+            self._eyes.begin(which)
+
+    def step(self, actions: NDArray[np.integer]) -> BatchStep:
+        """Take one action 0..3 each.
+
+        Raises:
+            SimError: wrong shape or type, or an action that is none; then no agent has moved.
+        """
+        codes = check_actions(actions, self.count)
+        if self._eyes is not None:
+            self._eyes.keep_views()
+        step = BatchStep(
+            np.empty(self.count), np.empty(self.count, np.bool_), np.empty(self.count, np.bool_)
+        )
+        table = self.table
+        step_agents(
+            *(codes, self.state, table.maps.arrays, table.fields, table.arrays),
+            *(self.agent.forward_step, self.max_steps, *step),
+        )
+        return step
+
+    def poses(self, which: NDArray[np.int64] | None = None) -> F64:
+        """Poses [K, 3] (x, y [m], yaw [rad]) of agents `which`, or of all."""
+        chosen = self._everyone if which is None else which
+        out = np.empty((len(chosen), 3))
+        read_poses(chosen, self.state, self.table.arrays, out)
+        return out
+
+    def observe(
+        self, which: NDArray[np.int64] | None = None, limit: float = np.inf
+    ) -> dict[str, Any]:
+        """What agents `which` [K] sense where they stand, an array [K, …] a sensor.
+
+        Goal vectors are clipped to ±limit [m]. Pictures come from `look`.
+        """
+        chosen = self._everyone if which is None else which
+        table = self.table
+        found: dict[str, Any] = {}
+        if "goal_vector" in self.sensors:
+            out = np.empty((len(chosen), 2), np.float32)
+            read_goal_vectors(chosen, self.state, table.arrays, np.float32(limit), out)
+            found["goal_vector"] = out
+        if "ranges" in self.sensors:
+            out = np.empty((len(chosen), len(self._rays)), np.float32)
+            read_ranges(
+                *(chosen, self.state, table.maps.arrays, table.arrays),
+                *(self._rays, float(self.config.range_limit), out),
+            )
+            found["ranges"] = out
+        return found
+
+    def snapshot(self, which: NDArray[np.int64] | None = None) -> Snapshot | None:
+        """What `draw` needs to know of agents `which` as they stand now; None without pictures."""
+        if self._eyes is None:
+            return None
+        chosen = self._everyone if which is None else which
+        episodes = [self.table.episodes[n] for n in self.state.episode[chosen].tolist()]
+        return Snapshot(
+            chosen,
+            [episode.scene_id for episode in episodes],
+            self.poses(chosen),
+            np.array([episode.start for episode in episodes]),
+            self._eyes.mosaics(chosen),
+        )
+
+    def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
+        """The pictures of snapshots, arrays or lists [K, …] a sensor; see `BatchEyes.draw`.
+
+        To be called after every `place` and `step`, the last snapshot being of all agents moved.
+        """
+        assert self._eyes is not None
+        return self._eyes.draw(snapshots)
+
+
+def check_actions(actions: Any, count: int) -> NDArray[np.int64]:
+    """Actions as int64 [N].
+
+    Raises:
+        SimError: wrong shape or type, or a value outside 0..3.
+    """
+    codes = np.asarray(actions)
+    if codes.shape != (count,) or codes.dtype.kind not in "iu":
+        raise SimError(
+            f"actions are {codes.dtype} {codes.shape}",
+            remedy=f"give {count} integers: STOP 0, FORWARD 1, LEFT 2, RIGHT 3",
+        )
+    if codes.min() < 0 or codes.max() > 3:
+        bad = int(np.flatnonzero((codes < 0) | (codes > 3))[0])
+        raise SimError(
+            f"{codes[bad]} is not an action",
+            where=f"agent {bad}",
+            remedy="give STOP 0, FORWARD 1, LEFT 2 or RIGHT 3",
+        )
+    return np.ascontiguousarray(codes, np.int64)

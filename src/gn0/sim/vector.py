@@ -1,0 +1,379 @@
+"""`VectorEnv`: thousands of `GoalNavEnv` in one, over many scenes, stepped by one kernel.
+
+    env = gymnasium.make_vec("gn0.sim.env:gn0/PointNav-v1", num_envs=4096)
+
+Environment i, seeded with s, plays exactly what `GoalNavEnv` seeded with s plays: the same
+episodes in the same order, the same observations, rewards and infos. An episode that ends is
+followed by the next in the same step (Gymnasium's `AutoresetMode.SAME_STEP`): the observation is
+the new episode's first, and `infos["final_obs"]`, `infos["final_info"]` hold the old one's last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from gn0.errors import ConfigError, EpisodeError
+from gn0.geometry import U8
+from gn0.missions.episode import AgentSpec, Episode
+from gn0.scenes.scene import Scene
+from gn0.sim.batch import FIELD_MEMORY, SimulatorBatch
+from gn0.sim.batch_eyes import Snapshot
+from gn0.sim.env import (
+    STEP_COST,
+    SUCCESS_REWARD,
+    VECTOR_LIMIT,
+    build_spaces,
+    largest_map,
+    text_space,
+)
+from gn0.sim.open import open_simulator
+from gn0.sim.presets import find_preset
+from gn0.sim.sensors import SensorConfig, SensorSuite, check_sensors
+from gn0.sim.tasks import load_tasks
+
+_DRAWS = 64  # episodes that an environment draws ahead
+
+
+class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], NDArray[Any]]):
+    """Goal navigation in many scenes at once; see `GoalNavEnv` for what one of them is.
+
+    Args:
+        num_envs: how many environments.
+        scene: a Scene, a scene folder, or several; the built-in two-room flat when absent.
+        suite: a suite folder, instead of scenes.
+        episodes: episodes or a Parquet file of them; sampled when absent.
+        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector.
+        preset: camera preset by name.
+        backend: renderer backend.
+        agent: the body, instead of the preset's.
+        max_steps: actions until truncation.
+        success_distance: geodesic distance [m] below which STOP succeeds.
+        render_mode: "rgb_array" gives the colour pictures from `render()`.
+        scenes_kept: scenes whose renderer is kept while no environment is in them.
+        field_memory: bytes of distance fields kept.
+        visible_sets: draw pictures from the splats visible near each place, not from all; see
+            `gn0.render.visible`.
+
+    Raises:
+        ConfigError: an unknown sensor, preset, backend or render mode.
+        EpisodeError: no episode, or one of a scene that is not here.
+        SimError: num_envs < 1, or an agent whose turns never come full circle.
+        StorageError, FormatError: a file is missing or broken.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium's own declaration)
+        "render_modes": ["rgb_array"],
+        "render_fps": 2,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scene: Scene | Path | str | Sequence[Scene | Path | str] | None = None,
+        suite: Path | str | None = None,
+        episodes: Sequence[Episode] | Path | str | None = None,
+        *,
+        sensors: Iterable[str] = ("goal_vector",),
+        preset: str | None = None,
+        backend: str = "auto",
+        agent: AgentSpec | None = None,
+        max_steps: int | None = None,
+        success_distance: float = 3.0,
+        render_mode: str | None = None,
+        scenes_kept: int = 4,
+        field_memory: int = FIELD_MEMORY,
+        visible_sets: bool = False,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
+        self.render_mode = render_mode
+        self.num_envs = num_envs
+        self.sensors = check_sensors(sensors)
+        self.success_distance = success_distance
+        self.tasks = load_tasks(
+            scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
+        )
+        camera = find_preset(self.tasks.preset)
+        self._backend = backend
+        self._visible_sets = visible_sets
+        self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
+        self.batch = SimulatorBatch(
+            num_envs,
+            self.tasks.scenes,
+            SensorConfig(active=frozenset(self._drawn), preset=camera),
+            agent=self.tasks.agent,
+            max_steps=self.tasks.max_steps,
+            open_suite=self._open_suite,
+            scenes_kept=scenes_kept,
+            field_memory=field_memory,
+        )
+        self._numbers = self.batch.table.add(self.tasks.episodes)
+        self._map_shape = largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
+        self.single_action_space = spaces.Discrete(4)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.single_observation_space = spaces.Dict(
+            build_spaces(self.sensors, camera, self._map_shape)
+            | {"instruction": text_space(self.tasks.episodes), "collided": spaces.Discrete(2)}
+        )
+        self.observation_space = _batch_dict(self.single_observation_space, num_envs)
+        self._everyone = np.arange(num_envs)
+        # each runs up to _DRAWS draws ahead of the episodes that are played
+        self._streams: list[np.random.Generator | None] = [None] * num_envs
+        self._queue = np.zeros((num_envs, _DRAWS), np.int64)
+        self._cursor = np.full(num_envs, _DRAWS)
+        self._pictures: U8 | None = None
+        self._begun = False
+        self._name()
+
+    def _name(self) -> None:
+        """Texts by episode number, so that a step looks none of them up one by one."""
+        listed = self.batch.table.episodes
+        self._ids, self._scene_ids, self._texts = (
+            np.array([None, *values], object)[1:]
+            for values in (
+                [e.id for e in listed],
+                [e.scene_id for e in listed],
+                [e.instruction for e in listed],
+            )
+        )
+
+    def _open_suite(self, scene_id: str) -> SensorSuite:
+        return open_simulator(
+            self.tasks.scenes[scene_id](),
+            self.tasks.preset,
+            self._backend,
+            self._drawn,
+            self.tasks.agent,
+            self.tasks.max_steps,
+        ).suite
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode in each environment, or in those of `options["reset_mask"]`.
+
+        An integer seed s seeds environment i with s + i, as Gymnasium's own vectors do; None goes
+        on with the streams there are. `options={"episode": id or index or Episode}` chooses one
+        for all; a list chooses one for each.
+
+        Raises:
+            EpisodeError: no such episode, or it does not fit its scene.
+            ConfigError: seeds or mask of another length.
+        """
+        options = options or {}
+        which = self._masked(options.get("reset_mask"))
+        self._seed(which, seed)
+        if options.get("episode") is not None:
+            chosen = self._choose(options["episode"])[which]
+        else:
+            chosen = self._draw_episodes(which)
+        self.batch.place(which, chosen)
+        self._begun = True
+        (observation,) = self._finish([(self._everyone, self._sense(self._everyone))])
+        return observation, self._infos(which, np.zeros(self.num_envs, np.bool_))
+
+    def step(
+        self, actions: Any
+    ) -> tuple[dict[str, Any], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Take one action each: STOP 0, FORWARD 1, LEFT 2, RIGHT 3.
+
+        Raises:
+            SimError: wrong shape or type, or no such action; then nobody has moved.
+            EpisodeError: the next episode of an environment does not fit its scene.
+        """
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        progress, terminated, truncated = self.batch.step(actions)
+        success = terminated & (self.batch.state.distance < self.success_distance)
+        rewards = progress - STEP_COST
+        rewards[success] += SUCCESS_REWARD
+        ended = np.flatnonzero(terminated | truncated)
+        parts, final_info = [], {}
+        if len(ended):
+            final_info = self._infos(ended, success)
+            parts.append((ended, self._sense(ended)))
+            self.batch.place(ended, self._draw_episodes(ended))
+            success = np.zeros(self.num_envs, np.bool_)
+        parts.append((self._everyone, self._sense(self._everyone)))
+        *finals, observation = self._finish(parts)
+        infos = self._infos(self._everyone, success)
+        for final in finals:
+            infos |= {
+                "final_obs": self._split(ended, final),
+                "_final_obs": _mask(ended, self.num_envs),
+                "final_info": final_info,
+                "_final_info": _mask(ended, self.num_envs),
+            }
+        return observation, rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[U8, ...] | None:
+        """The latest colour pictures [H, W, 3] with render_mode "rgb_array"; else None."""
+        if self.render_mode is None or self._pictures is None:
+            return None
+        return tuple(self._pictures.copy())
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of scenes and renderers."""
+        del self.batch
+        self._pictures = None
+        self._begun = False
+
+    def _masked(self, mask: Any) -> NDArray[np.int64]:
+        if mask is None:
+            return self._everyone
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ConfigError(
+                f"reset_mask is {mask.dtype} {mask.shape}",
+                remedy=f"give {self.num_envs} booleans, at least one of them True",
+            )
+        if not self._begun and not mask.all():
+            raise gymnasium.error.ResetNeeded("reset all environments before some of them")
+        return np.flatnonzero(mask)
+
+    def _seed(self, which: NDArray[np.int64], seed: int | Sequence[int | None] | None) -> None:
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + i for i in range(self.num_envs)]
+        if seed is not None and len(seed) != self.num_envs:
+            raise ConfigError(
+                f"{len(seed)} seeds for {self.num_envs} environments",
+                remedy="give one each, or one integer for all",
+            )
+        for i in which.tolist():
+            given = None if seed is None else seed[i]
+            if given is not None or self._streams[i] is None:
+                self._streams[i], _ = seeding.np_random(given)
+                self._cursor[i] = _DRAWS
+
+    def _draw_episodes(self, which: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The next episode's number for each of `which`, from its own stream."""
+        for i in which[self._cursor[which] == _DRAWS].tolist():
+            stream = self._streams[i]
+            assert stream is not None
+            self._queue[i] = stream.integers(len(self._numbers), size=_DRAWS)
+            self._cursor[i] = 0
+        drawn = self._queue[which, self._cursor[which]]
+        self._cursor[which] += 1
+        return self._numbers[drawn]
+
+    def _choose(self, wanted: Any) -> NDArray[np.int64]:
+        """Numbers [N] of the episodes named in `options["episode"]`."""
+        many = wanted if isinstance(wanted, list | tuple | np.ndarray) else [wanted]
+        if len(many) not in (1, self.num_envs):
+            raise EpisodeError(
+                f"{len(many)} episodes for {self.num_envs} environments",
+                remedy="give one each, or one for all",
+            )
+        known = {episode.id: number for number, episode in enumerate(self.tasks.episodes)}
+        numbers = []
+        for value in many:
+            if isinstance(value, Episode):
+                numbers.append(int(self.batch.table.add([value])[0]))
+                continue
+            index = known.get(value, -1) if isinstance(value, str) else int(value)
+            if not 0 <= index < len(self._numbers):
+                raise EpisodeError(
+                    f"no episode {value!r}",
+                    remedy=f"give an id, an Episode or 0..{len(self._numbers) - 1}",
+                )
+            numbers.append(int(self._numbers[index]))
+        if len(self._ids) < len(self.batch.table.episodes):
+            self._name()
+        return np.resize(np.array(numbers, np.int64), self.num_envs)
+
+    def _sense(self, which: NDArray[np.int64]) -> tuple[dict[str, Any], Snapshot | None]:
+        """What agents `which` sense now, and what their pictures will need."""
+        found = self.batch.observe(which, VECTOR_LIMIT)
+        found["collided"] = self.batch.state.collided[which].astype(np.int64)
+        found["instruction"] = tuple(self._texts[self.batch.state.episode[which]].tolist())
+        return found, self.batch.snapshot(which)
+
+    def _finish(
+        self, parts: list[tuple[NDArray[np.int64], tuple[dict[str, Any], Snapshot | None]]]
+    ) -> list[dict[str, Any]]:
+        """Observations of all parts, their pictures drawn in one call a scene."""
+        found = [values for _, (values, _) in parts]
+        snapshots = [snapshot for _, (_, snapshot) in parts if snapshot is not None]
+        if snapshots:
+            for values, pictures in zip(found, self.batch.draw(snapshots), strict=True):
+                values |= pictures
+            if self.render_mode is not None:
+                self._pictures = found[-1]["rgb"]
+        for values in found:
+            for name in self.sensors & {"bev", "occupancy"}:
+                values[name] = _pad(values[name], self._map_shape)
+        names = list(self.single_observation_space)  # type: ignore[call-overload]
+        return [{name: values[name] for name in names} for values in found]
+
+    def _infos(self, which: NDArray[np.int64], success: NDArray[np.bool_]) -> dict[str, Any]:
+        """What a robot cannot know, of agents `which`, as Gymnasium lays it out."""
+        state, mask = self.batch.state, _mask(which, self.num_envs)
+        number = state.episode[which]
+        values = {
+            "episode_id": self._ids[number],
+            "scene_id": self._scene_ids[number],
+            "pose": self.batch.poses(which),
+            "distance_to_goal": state.distance[which],
+            "success": success[which],
+        }
+        infos: dict[str, Any] = {}
+        for name, value in values.items():
+            if len(which) == self.num_envs:
+                infos[name] = value
+            else:
+                empty = None if value.dtype == object else 0
+                infos[name] = np.full((self.num_envs, *value.shape[1:]), empty, value.dtype)
+                infos[name][which] = value
+            infos["_" + name] = mask.copy()
+        return infos
+
+    def _split(self, which: NDArray[np.int64], values: dict[str, Any]) -> NDArray[np.object_]:
+        """Observations of `which`, one dict each, in an array [N] of None otherwise."""
+        out = np.full(self.num_envs, None, object)
+        columns = {
+            name: value.tolist() if name == "collided" else value for name, value in values.items()
+        }
+        rows = zip(*columns.values(), strict=True)
+        for i, row in zip(which.tolist(), rows, strict=True):
+            out[i] = dict(zip(columns, row, strict=True))
+        return out
+
+
+def _mask(which: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
+    mask = np.zeros(count, np.bool_)
+    mask[which] = True
+    return mask
+
+
+def _pad(pictures: list[U8], shape: tuple[int, int] | None) -> U8:
+    """Map pictures of several scenes in one array [K, H, W, 3], black to the right and below."""
+    assert shape is not None
+    out = np.zeros((len(pictures), *shape, 3), np.uint8)
+    for row, picture in zip(out, pictures, strict=True):
+        row[: picture.shape[0], : picture.shape[1]] = picture
+    return out
+
+
+def _batch_dict(single: spaces.Dict, count: int) -> spaces.Dict:
+    """`batch_space`, but the copies of a text space are one object: thousands are slow to make."""
+    batched: dict[str, spaces.Space[Any]] = {}
+    for name, space in single.items():
+        if isinstance(space, spaces.Text):
+            batched[name] = spaces.Tuple([space] * count)
+        else:
+            batched[name] = batch_space(space, count)
+    return spaces.Dict(batched)

@@ -62,21 +62,24 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         poses: (x, y, yaw) [m, m, rad] after reset and after each action.
         actions: action codes; −1 is a teleport.
         collided: indices of actions that an obstacle cut short.
+        teleports: (x, y, yaw) that the teleports asked for, in order.
     """
 
     episode: str
     poses: tuple[tuple[float, float, float], ...] = ()
     actions: tuple[int, ...] = ()
     collided: tuple[int, ...] = ()
+    teleports: tuple[tuple[float, float, float], ...] = ()
 
     @classmethod
     def of(cls, episode_id: str, trajectory: Trajectory) -> EpisodeTrace:
         """The trace of a trajectory."""
         return cls(
             episode=episode_id,
-            poses=tuple((float(p.x), float(p.y), float(p.yaw)) for p in trajectory.poses),
+            poses=_plain(trajectory.poses),
             actions=tuple(int(a) for a in trajectory.actions),
             collided=tuple(i for i, hit in enumerate(trajectory.collided) if hit),
+            teleports=_plain(trajectory.teleports),
         )
 
     def trajectory(self, stopped: bool) -> Trajectory:
@@ -87,7 +90,12 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             actions=self.actions,
             collided=tuple(i in hits for i in range(len(self.actions))),
             stopped=stopped,
+            teleports=tuple(Pose2D(*pose) for pose in self.teleports),
         )
+
+
+def _plain(poses: Iterable[Pose2D]) -> tuple[tuple[float, float, float], ...]:
+    return tuple((float(p.x), float(p.y), float(p.yaw)) for p in poses)
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True):

@@ -42,11 +42,13 @@ if TYPE_CHECKING:
 class EpisodeWorker:
     """Runs episodes of one policy; a scene is loaded once and kept until another is needed."""
 
-    def __init__(self, settings: Open) -> None:
+    def __init__(self, settings: Open, policy: Policy | None = None) -> None:
         self.settings = settings
-        for module in settings.plugin_modules:
-            import_module(module)
-        self.policy: Policy = get_plugin("policy", settings.policy)(**settings.options)
+        if policy is None:
+            for module in settings.plugin_modules:
+                import_module(module)
+            policy = get_plugin("policy", settings.policy)(**settings.options)
+        self.policy: Policy = policy
         self._simulator: Simulator | None = None
         self._hash = ""
 
@@ -103,7 +105,7 @@ def score(
             trajectory, episode, field.distance, success_radius=success_radius
         )
     except EpisodeError as error:
-        return _invalid(episode, error), EpisodeTrace(episode=episode.id)
+        return _invalid(episode, error), EpisodeTrace.of(episode.id, trajectory)
     result = EpisodeResult(
         episode=episode.id,
         scene=episode.scene_id,

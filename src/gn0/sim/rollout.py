@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gn0.errors import PolicyError, SimError
+from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode
 from gn0.seeds import random_stream
 from gn0.sim.policy import Policy, PolicyPrivileged, PolicySession
@@ -46,6 +47,7 @@ def run_episode(
     if isinstance(policy, PolicyPrivileged):
         policy.reset_privileged(simulator)
     poses, actions, collisions = [simulator.pose], [], []
+    teleports: list[Pose2D] = []
     if watch is not None:
         watch(observation, None)
     while True:
@@ -68,4 +70,6 @@ def run_episode(
             watch(observation, result)
         if result.terminated or result.truncated:
             break
-    return Trajectory(tuple(poses), tuple(actions), tuple(collisions), result.terminated)
+    return Trajectory(
+        tuple(poses), tuple(actions), tuple(collisions), result.terminated, tuple(teleports)
+    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import stat
 import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from gn0.gaussians.ply_rows import PlySource
 from gn0.gaussians.sog import META_NAME, decode_sog_bundle, decode_sog_folder
 from gn0.gaussians.sog_streamed import INDEX_NAME, decode_sog_streamed
 from gn0.gaussians.splat import decode_splat, looks_like_splat
+from gn0.gaussians.spz import MAGIC, decode_spz, decode_spz_gzip
 from gn0.storage import storage_error
 
 _HEAD = 4096  # bytes shown to the recognisers
@@ -176,15 +176,6 @@ def _starts(*magics: bytes) -> Callable[[bytes, int], bool]:
     return lambda head, size: head.startswith(magics)
 
 
-def _is_gzip_spz(head: bytes, size: int) -> bool:
-    if not head.startswith(b"\x1f\x8b"):
-        return False
-    try:
-        return zlib.decompressobj(31).decompress(head, 4) == b"NGSP"
-    except zlib.error:
-        return False
-
-
 def _is_json(head: bytes, size: int) -> bool:
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     return text.startswith(b"{") and b'"' in text
@@ -226,9 +217,8 @@ _JSON_FORMATS: tuple[tuple[tuple[bytes, ...], CloudFormat], ...] = (
 # Tried in order; a reader for a further format is one more `decode` here.
 CLOUD_FORMATS: tuple[CloudFormat, ...] = (
     CloudFormat("PLY", _starts(b"ply\n", b"ply\r"), _decode_any_ply),
-    CloudFormat("SPZ", _starts(b"NGSP")),
-    CloudFormat("SPZ (gzip)", _is_gzip_spz),
-    CloudFormat("a gzip archive", _starts(b"\x1f\x8b"), remedy="unpack it first"),
+    CloudFormat("SPZ", _starts(MAGIC), decode_spz),
+    CloudFormat("SPZ in gzip", _starts(b"\x1f\x8b"), decode_spz_gzip),
     CloudFormat("a SOG bundle", _starts(b"PK\x03\x04", b"PK\x05\x06"), decode_sog_bundle),
     CloudFormat("binary glTF (GLB)", _starts(b"glTF")),
     CloudFormat(

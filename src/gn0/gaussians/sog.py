@@ -16,11 +16,11 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from gn0.errors import FormatError, StorageError
 from gn0.gaussians.cloud_file import CloudBuilder, CloudFile, sigmoid
 from gn0.gaussians.cloud_source import REEXPORT, CloudSource, decode_json
+from gn0.gaussians.rotation import scatter_rotation
 from gn0.gaussians.sh import coefficient_count
 from gn0.gaussians.sog_planes import decode_picture, decode_plane
 from gn0.gaussians.sog_zip import load_zip_directory, read_zip_entry
@@ -363,18 +363,6 @@ def _unpack_rotation(codes: U8, start: int, files: SogFiles) -> F32:
     three = (codes[:, :3] / 255.0 * 2.0 - 1.0) / math.sqrt(2.0)
     largest = np.sqrt(np.maximum(0.0, 1.0 - np.einsum("ij,ij->i", three, three)))
     return scatter_rotation(three, largest, tags - np.uint8(252))
-
-
-def scatter_rotation(three: NDArray[Any], largest: NDArray[Any], which: NDArray[Any]) -> F32:
-    """Quaternions [R, 4] of three components in order and the one at index `which`."""
-    quats = np.empty((len(three), 4), np.float32)
-    for slot in range(4):
-        rows = np.flatnonzero(which == slot)
-        if len(rows):
-            quats[rows, slot] = largest[rows]
-            for column, other in enumerate(i for i in range(4) if i != slot):
-                quats[rows, other] = three[rows, column]
-    return quats
 
 
 def _palette_v1(meta: _PaletteV1, files: SogFiles) -> tuple[F32, int]:

@@ -168,8 +168,12 @@ def aggregate(results: Sequence[EpisodeResult], seed: int = 0) -> dict[str, Inte
 
 def write_lines(path: Path, records: Iterable[Any]) -> None:
     """Write records as JSON lines with sorted keys, atomically."""
-    lines = [msgspec.json.encode(record, order="sorted") + b"\n" for record in records]
-    write_bytes(path, b"".join(lines))
+    write_bytes(path, b"".join(map(encode_line, records)))
+
+
+def encode_line(record: Any) -> bytes:
+    """A record as its one line of bytes."""
+    return msgspec.json.encode(record, order="sorted") + b"\n"
 
 
 def _load_lines(path: Path, kind: type[T]) -> list[T]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -9,7 +10,24 @@ from contextlib import contextmanager
 
 from gn0.progress import Progress
 
+# what a terminal obeys instead of showing: C0 but the line feed, DEL, C1, and marks that turn the
+# direction of text or are not seen at all
+_OBEYED = re.compile(
+    "[\x00-\x09\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"
+    "\U000e0000-\U000e007f]"
+)
 _QUIET_SECONDS = 5.0  # between two lines of one stage when not on a terminal
+
+
+def plain_text(text: str, *, lines: bool = False) -> str:
+    """Text from data as a terminal may have it: what it would obey is spelled out.
+
+    Args:
+        text: a name, an instruction, an error.
+        lines: keep line feeds.
+    """
+    text = _OBEYED.sub(lambda m: m[0].encode("unicode_escape").decode(), text)
+    return text if lines else text.replace("\n", "\\n")
 
 
 @contextmanager

@@ -19,9 +19,14 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene check": ("scene_check", "say in plain words what is wrong with a scene"),
     "scene show": ("scene_show", "draw a sheet: plan, bird's-eye view, four views"),
     "scene inspect": ("scene_inspect", "what a splat file holds"),
+    "view": ("view", "walk through a scene in the browser, or replay runs side by side"),
     "bench run": ("bench_run", "run a policy over a suite, or over a scene folder"),
     "bench report": ("bench_report", "one HTML page from one or more runs"),
     "bench compare": ("bench_compare", "is run A better than run B, worse, or can nobody tell"),
+    "bench replay": (
+        "bench_replay",
+        "drive a run's actions again: agrees to the byte, or where not",
+    ),
     "bench suite": ("bench_suite", "build a suite of goal episodes from scene folders"),
     "figures": ("figures", "measure the figures of merit and write the board"),
 }

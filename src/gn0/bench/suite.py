@@ -11,17 +11,18 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 import msgspec
 
 from gn0.bench.metrics import SUCCESS_RADIUS
+from gn0.bench.profiles import PROFILES, RELEASE, Profile, profile_settings, release_order
 from gn0.config import Config, load_json
-from gn0.errors import BenchError, EpisodeError, SceneError, StorageError
+from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.files import check_unique, episodes_digest_bytes, load_episodes, save_episodes
@@ -30,14 +31,15 @@ from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
+from gn0.sim.sensors import check_map_mode
+from gn0.sim.state import MapMode
 from gn0.storage import content_hash, folder_atomic, safe_join, write_json
 
 SUITE_FILE, EPISODE_FILE, SCENE_FOLDER = "suite.json", "episodes.parquet", "scenes"
 SUITE_VERSION = 1  # layout of suite.json
 MAX_STEPS = 500
 
-Profile = Literal["default", "paper"]
-MapMode = Literal["unknown_is_occupied"]
+_OLDER_PRIOR = "unknown_is_occupied"  # how suites called map mode prior before there were others
 
 
 class SuiteScene(Config, frozen=True):
@@ -59,8 +61,9 @@ class SuiteFile(Config, frozen=True):
         camera: camera preset by name.
         agent: the body that moves.
         episodes: how many rows `episodes.parquet` has.
-        profile: "default", or "paper", where NE means the straight distance.
-        map_mode: what counts as walkable.
+        profile: "default"; "paper", where NE means the straight distance; or "gn0-release", the
+            official harness.
+        map_mode: what the maps shown to a policy hold, see `gn0.sim.state.MapMode`.
         max_steps: actions until an episode is truncated.
         success_radius: walking distance [m] below which STOP is a success.
     """
@@ -73,9 +76,13 @@ class SuiteFile(Config, frozen=True):
     agent: AgentSpec
     episodes: Annotated[int, msgspec.Meta(ge=1)]
     profile: Profile = "default"
-    map_mode: MapMode = "unknown_is_occupied"
+    map_mode: MapMode | Literal["unknown_is_occupied"] = "prior"
     max_steps: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = MAX_STEPS
     success_radius: Annotated[float, msgspec.Meta(gt=0, le=100)] = SUCCESS_RADIUS
+
+    def __post_init__(self) -> None:
+        if self.map_mode == _OLDER_PRIOR:
+            msgspec.structs.force_setattr(self, "map_mode", "prior")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +92,7 @@ class Suite:
     Attributes:
         folder: where it lives.
         about: its `suite.json`.
-        episodes: in order of their ids.
+        episodes: in order of their ids; under gn0-release in that harness's order.
     """
 
     folder: Path
@@ -94,8 +101,40 @@ class Suite:
 
     @property
     def name(self) -> str:
-        """Its name."""
-        return self.about.name
+        """Its name, with the map mode where that is not `prior`: "flat", "flat+explored"."""
+        mode = self.map_mode
+        return self.about.name if mode == "prior" else f"{self.about.name}+{mode}"
+
+    @property
+    def map_mode(self) -> MapMode:
+        """What the maps shown to a policy hold."""
+        return cast(MapMode, self.about.map_mode)
+
+    def with_map_mode(self, mode: str) -> Suite:
+        """The same scenes and episodes with another map mode: another name, another hash.
+
+        Raises:
+            ConfigError: no such mode.
+        """
+        if mode == self.map_mode:
+            return self
+        about = msgspec.structs.replace(self.about, map_mode=check_map_mode(mode, ()))
+        return Suite(self.folder, about, self.episodes)
+
+    def with_profile(self, profile: str) -> Suite:
+        """The same scenes and episodes under another profile: another hash.
+
+        The official harness decides camera, body, step limit and order of the episodes as well.
+
+        Raises:
+            ConfigError: no such profile.
+        """
+        if profile == self.about.profile:
+            return self
+        if profile not in PROFILES:
+            raise ConfigError(f"no profile {profile!r}", remedy="known: " + ", ".join(PROFILES))
+        about = msgspec.structs.replace(self.about, **profile_settings(profile))
+        return Suite(self.folder, about, _ordered(self.episodes, profile))
 
     @cached_property
     def hash(self) -> str:
@@ -190,7 +229,13 @@ def load_suite(path: Path | str) -> Suite:
             raise BenchError(
                 "was planned for another agent than the suite's", where=where, remedy="rebuild it"
             )
-    return Suite(folder, about, tuple(sorted(episodes, key=lambda e: e.id)))
+    return Suite(folder, about, _ordered(episodes, about.profile))
+
+
+def _ordered(episodes: Sequence[Episode], profile: str) -> tuple[Episode, ...]:
+    if profile == RELEASE:
+        return tuple(sorted(episodes, key=lambda e: release_order(e.seed, e.id)))
+    return tuple(sorted(episodes, key=lambda e: e.id))
 
 
 def save_suite(
@@ -204,11 +249,15 @@ def save_suite(
     agent: AgentSpec | None = None,
     profile: Profile = "default",
     max_steps: int = MAX_STEPS,
+    map_mode: str = "prior",
     overwrite: bool = False,
+    keep_unfit: bool = False,
+    add: Callable[[Path], None] | None = None,
 ) -> Suite:
     """Write a suite folder of given scenes and episodes, whole or not at all.
 
-    Every episode is checked against its scene: walkable start and goal, and a way between them.
+    Every episode is checked against its scene: walkable start and goal, and a way between them;
+    but with `keep_unfit` (a run will name those episodes). `add` may write more into the folder.
 
     Raises:
         EpisodeError: an episode that cannot be done, or a repeated id.
@@ -234,7 +283,8 @@ def save_suite(
                 where=f"episode {episode.id!r}",
                 remedy="sample the episodes for the suite's agent",
             )
-        check_episode_fits(episode, episode.scene_id, maps[episode.scene_id])
+        if not keep_unfit:
+            check_episode_fits(episode, episode.scene_id, maps[episode.scene_id])
     about = SuiteFile(
         layout=SUITE_VERSION,
         name=name,
@@ -247,6 +297,7 @@ def save_suite(
         agent=body,
         profile=profile,
         max_steps=max_steps,
+        map_mode=check_map_mode(map_mode, ()),
         episodes=len(episodes),
     )
     with folder_atomic(out, overwrite=overwrite, marker=SUITE_FILE) as folder:
@@ -259,6 +310,8 @@ def save_suite(
                 )
             copy_folder(scene.path, safe_join(folder, f"{SCENE_FOLDER}/{scene.id}"))
         save_episodes(folder / EPISODE_FILE, episodes, {s.id: s.grid for s in scenes})
+        if add is not None:
+            add(folder)
         write_json(folder / SUITE_FILE, msgspec.to_builtins(about))
     return load_suite(out)
 
@@ -275,6 +328,7 @@ def build_suite(
     name: str = "",
     profile: Profile = "default",
     max_steps: int = MAX_STEPS,
+    map_mode: str = "prior",
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Suite:
@@ -291,6 +345,7 @@ def build_suite(
         name: what people call it; by default the scene's id, or the folder's name for several.
         profile: see `SuiteFile`.
         max_steps: actions until an episode is truncated.
+        map_mode: see `SuiteFile`.
         overwrite: replace an existing folder.
         progress: progress sink.
 
@@ -330,6 +385,7 @@ def build_suite(
         agent=body,
         profile=profile,
         max_steps=max_steps,
+        map_mode=map_mode,
         overwrite=overwrite,
     )
 

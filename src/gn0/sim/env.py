@@ -35,7 +35,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.history import COLUMNS, ROWS, TILE_HEIGHT, TILE_WIDTH
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.sensors import SensorConfig, check_sensors
+from gn0.sim.sensors import SensorConfig, check_map_mode, check_sensors
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Observation
 from gn0.sim.tasks import TaskSet, load_tasks
@@ -65,6 +65,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         max_steps: actions until truncation.
         success_distance: geodesic distance [m] below which STOP succeeds.
         render_mode: "rgb_array" gives the colour picture from `render()`.
+        map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
+            (explored), or nothing (none); the suite's, else prior.
     """
 
     metadata = {  # noqa: RUF012 (Gymnasium's own declaration)
@@ -85,6 +87,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         max_steps: int | None = None,
         success_distance: float = 3.0,
         render_mode: str | None = None,
+        map_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -95,6 +98,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
+        self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
         self._simulators: OrderedDict[str, Simulator] = OrderedDict()
         self._simulator: Simulator | None = None
@@ -195,6 +199,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
                 self._drawn,
                 self.tasks.agent,
                 self.tasks.max_steps,
+                map_mode=self.map_mode,
             )
         self._simulators.move_to_end(scene_id)
         while len(self._simulators) > SIMULATORS_KEPT:

@@ -15,10 +15,8 @@ from gn0.render.bev import BevPicture, render_bev
 from gn0.render.renderer import Renderer, build_renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.sensors import EYES, SensorConfig, check_sensors
+from gn0.sim.sensors import CEILING_CUT, EYES, MAPS, SensorConfig, check_map_mode, check_sensors
 from gn0.sim.simulator import Simulator
-
-CEILING_CUT = 2.3  # m: the BEV leaves out what is above, so one looks into rooms
 
 
 def open_simulator(
@@ -30,6 +28,7 @@ def open_simulator(
     max_steps: int = 500,
     *,
     cut_height: float = CEILING_CUT,
+    map_mode: str = "prior",
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -42,13 +41,17 @@ def open_simulator(
         agent: the body, instead of the preset's.
         max_steps: actions until an episode is truncated.
         cut_height: what lies higher [m] is left out of the BEV.
+        map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
+            (explored), or nothing (none).
 
     Raises:
-        ConfigError: unknown preset, backend or sensor.
+        ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
         SceneError: nothing is walkable for this agent.
         StorageError, FormatError: the scene folder is missing or broken.
     """
     active = check_sensors(sensors)
+    mode = check_map_mode(map_mode, active)
+    explores = mode == "explored" and bool(active & MAPS)
     if not isinstance(scene, Scene):
         from gn0.scenes.folder import load_scene  # readers are not needed for a Scene in memory
 
@@ -64,9 +67,9 @@ def open_simulator(
         )
     renderer: Renderer | None = None
     bev: BevPicture | None = None
-    if active & EYES or "bev" in active:
+    if active & EYES or "bev" in active or explores:
         renderer = build_renderer(scene.gaussians, backend)
-    if "bev" in active and renderer is not None:
+    if "bev" in active and renderer is not None and not explores:
         bev = render_bev(
             scene.cloud_hash or scene.gaussians.content_hash,
             renderer,
@@ -78,7 +81,9 @@ def open_simulator(
     return Simulator(
         scene,
         navigation=navigation,
-        sensors=SensorConfig(active=frozenset(active), preset=cameras),
+        sensors=SensorConfig(
+            active=frozenset(active), preset=cameras, map_mode=mode, cut_height=cut_height
+        ),
         renderer=renderer,
         bev=bev,
         agent=body,

@@ -16,16 +16,20 @@ from gn0.maps.grid import OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.sim.history import reduce_pictures
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.state import Sensor
+from gn0.sim.state import MapMode, Sensor
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.render.bev import BevPicture
     from gn0.render.renderer import Renderer
+    from gn0.sim.mapping import Mapper
 
 SENSOR_NAMES: frozenset[str] = frozenset(get_args(Sensor))
 EYES = frozenset({"rgb", "depth", "history", "goal_picture"})  # these need a renderer
-PICTURES = EYES | {"bev", "occupancy"}
+MAPS = frozenset({"bev", "occupancy"})
+PICTURES = EYES | MAPS
+MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
+CEILING_CUT = 2.3  # m: the BEV leaves out what is above, so one looks into rooms
 GREEN, RED = (0, 255, 0), (255, 0, 0)
 GREY_OF_CELL = np.array([255, 0, 127], np.uint8)  # free, occupied, unknown: as InteriorGS
 
@@ -40,6 +44,8 @@ class SensorConfig(Config, frozen=True):
         range_rays: rays of the range ring.
         range_limit: reach of the range ring [m].
         disc_radius: radius of the start and agent discs in the occupancy picture [px].
+        map_mode: what bev and occupancy show, see `gn0.sim.state.MapMode`.
+        cut_height: what lies higher [m] is left out of an explored BEV.
     """
 
     active: frozenset[str] = frozenset()
@@ -47,6 +53,8 @@ class SensorConfig(Config, frozen=True):
     range_rays: int = 72
     range_limit: float = 10.0
     disc_radius: int = 3
+    map_mode: MapMode = "prior"
+    cut_height: float = CEILING_CUT
 
     def __post_init__(self) -> None:
         check_sensors(self.active)
@@ -57,6 +65,16 @@ class SensorConfig(Config, frozen=True):
             )
         if not 0 <= self.disc_radius <= 100:
             raise ConfigError(f"disc_radius is {self.disc_radius} px", remedy="give 0 to 100")
+        check_map_mode(self.map_mode, self.active)
+        if not 0 < self.cut_height <= 100:
+            raise ConfigError(
+                f"cut_height is {self.cut_height} m", remedy="give a height in metres"
+            )
+
+    @property
+    def explores(self) -> bool:
+        """Whether the agent draws its own map."""
+        return self.map_mode == "explored" and bool(self.active & MAPS)
 
 
 def check_sensors(names: Iterable[str]) -> frozenset[Sensor]:
@@ -72,6 +90,23 @@ def check_sensors(names: Iterable[str]) -> frozenset[Sensor]:
             f"no sensor named {unknown[0]!r}", remedy="known: " + ", ".join(sorted(SENSOR_NAMES))
         )
     return cast(frozenset[Sensor], found)
+
+
+def check_map_mode(mode: str, sensors: Iterable[str]) -> MapMode:
+    """A map mode that offers these sensors.
+
+    Raises:
+        ConfigError: there is no such mode, or it has no maps and a map is asked for.
+    """
+    if mode not in MAP_MODES:
+        raise ConfigError(f"no map mode {mode!r}", remedy="known: " + ", ".join(MAP_MODES))
+    maps = sorted(frozenset(sensors) & MAPS)
+    if mode == "none" and maps:
+        raise ConfigError(
+            f"map mode 'none' has no {' and no '.join(maps)}: the agent carries no map",
+            remedy="use map mode 'prior' or 'explored', or a policy that reads no map",
+        )
+    return cast(MapMode, mode)
 
 
 @dataclass(frozen=True)
@@ -159,12 +194,13 @@ class SensorSuite:
         renderer: Renderer | None = None,
         bev: BevPicture | None = None,
     ) -> None:
-        if config.active & EYES and renderer is None:
+        drawn = config.active & (PICTURES if config.explores else EYES)
+        if drawn and renderer is None:
             raise SimError(
-                f"sensors {sorted(config.active & EYES)} need a renderer",
+                f"sensors {sorted(drawn)} need a renderer",
                 remedy="use open_simulator, or hand a renderer to Simulator",
             )
-        if "bev" in config.active and bev is None:
+        if "bev" in config.active and bev is None and not config.explores:
             raise SimError(
                 "sensor 'bev' needs a BEV picture",
                 remedy="use open_simulator, or hand render_bev(...) to Simulator",
@@ -242,9 +278,12 @@ class SensorSuite:
             rgb.setflags(write=False)
         return rgb, depth
 
-    def occupancy_picture(self, start: Pose2D, pose: Pose2D) -> U8:
-        """The occupancy picture [H, W, 3] with the start in green, then the agent in red."""
-        picture = self._occupancy.copy()
+    def occupancy_picture(self, start: Pose2D, pose: Pose2D, own: U8 | None = None) -> U8:
+        """The occupancy picture [H, W, 3] with the start in green, then the agent in red.
+
+        Drawn on `own`, the agent's own map, where there is one, and on the scene's else.
+        """
+        picture = self._occupancy.copy() if own is None else own
         radius = self.config.disc_radius
         draw_disc(picture, *self.map_frame.pixel_of(start.x, start.y), radius, GREEN)
         draw_disc(picture, *self.map_frame.pixel_of(pose.x, pose.y), radius, RED)
@@ -256,14 +295,23 @@ class SensorSuite:
         return cast_rays(self._navigation.inflated, pose.x, pose.y, angles, self.config.range_limit)
 
     def read_static(
-        self, pose: Pose2D, start: Pose2D, goal: tuple[float, float], wanted: frozenset[str]
+        self,
+        pose: Pose2D,
+        start: Pose2D,
+        goal: tuple[float, float],
+        wanted: frozenset[str],
+        mapper: Mapper | None = None,
     ) -> dict[str, Any]:
-        """Observation fields of the wanted sensors that need no rendering."""
+        """Observation fields of the wanted sensors that need no rendering.
+
+        `mapper` holds the agent's own map in map mode `explored`.
+        """
         fields: dict[str, Any] = {}
         if "bev" in wanted:
-            fields["bev"] = self._bev_rgb
+            fields["bev"] = self._bev_rgb if mapper is None else mapper.bev
         if "occupancy" in wanted:
-            fields["occupancy"] = self.occupancy_picture(start, pose)
+            own = None if mapper is None else mapper.occupancy
+            fields["occupancy"] = self.occupancy_picture(start, pose, own)
         if "bev" in wanted or "occupancy" in wanted:
             fields["bev_metres_per_pixel"] = self.map_frame.metres_per_pixel
         if "ranges" in wanted:

@@ -19,10 +19,12 @@ from gn0.seeds import random_stream
 from gn0.sim.collision import check_finite, check_places, move_agent
 from gn0.sim.history import History, build_mosaic
 from gn0.sim.kinematics import Heading, heading_yaw, step_forward
-from gn0.sim.sensors import EYES, SensorConfig, SensorSuite
+from gn0.sim.mapping import Mapper
+from gn0.sim.sensors import EYES, MAPS, SensorConfig, SensorSuite
 from gn0.sim.state import Action, AnyAction, Displacement, Observation, Sensor, StepResult, Teleport
 
 if TYPE_CHECKING:
+    from gn0.maps.explored import ExploredState
     from gn0.maps.navigation import NavigationMap
     from gn0.render.bev import BevPicture
     from gn0.render.renderer import Renderer
@@ -43,6 +45,7 @@ class SimState:
         collided: the last action was truncated.
         over: the episode has ended.
         tiles: history tiles, newest first.
+        explored: the agent's own map, in map mode `explored`.
     """
 
     episode: Episode
@@ -55,6 +58,7 @@ class SimState:
     collided: bool
     over: bool
     tiles: tuple[U8, ...]
+    explored: ExploredState | None = None
 
 
 class Simulator:
@@ -99,6 +103,12 @@ class Simulator:
                 remedy="build the NavigationMap with the agent's radius",
             )
         self._suite = SensorSuite(config, navigation, self.agent.camera_height, renderer, bev)
+        self._mapper: Mapper | None = None
+        if config.explores:
+            self._mapper = Mapper(
+                navigation.grid, config.preset, self.agent, config.cut_height,
+                coloured="bev" in config.active,
+            )  # fmt: skip
         self._episode: Episode | None = None
         self._history = History()
         self._over = True
@@ -185,8 +195,9 @@ class Simulator:
                 remedy="open the simulator with them",
             )
         self._episode = episode
-        self._wanted = cast("frozenset[Sensor]", wanted)
-        self._eyes = bool(wanted & EYES)
+        self._want(cast("frozenset[Sensor]", wanted))
+        if self._mapper is not None:
+            self._mapper.reset()
         self._steps = 0
         self._collided = False
         self._over = False
@@ -283,18 +294,29 @@ class Simulator:
             collided=self._collided,
             over=self._over,
             tiles=self._history.tiles,
+            explored=None if self._mapper is None else self._mapper.save(),
         )
 
     def restore_state(self, state: SimState) -> None:
         """Go back to a saved state, bit for bit."""
         self._episode = state.episode
-        self._wanted = state.wanted
-        self._eyes = bool(state.wanted & EYES)
+        self._want(state.wanted)
+        if self._mapper is not None and state.explored is not None:
+            self._mapper.restore(state.explored)
         self._steps, self._collided, self._over = state.steps, state.collided, state.over
         self._history = History(state.tiles)
         self._last_look = None
         self._goal_picture = None
         self._place(state.x, state.y, state.base, state.turns)
+
+    def _want(self, wanted: frozenset[Sensor]) -> None:
+        """Choose what is observed, and what must be drawn for it."""
+        self._wanted = wanted
+        self._eyes = bool(wanted & EYES)
+        self._maps = self._mapper is not None and bool(wanted & MAPS)
+        self._drawn: frozenset[str] = wanted
+        if self._maps:  # the agent's own map is made from depth, its colours from rgb
+            self._drawn = wanted | ({"depth", "rgb"} if "bev" in wanted else {"depth"})
 
     def _place(self, x: float, y: float, base: float, turns: int) -> None:
         self._x, self._y, self._base, self._turns = x, y, base, turns
@@ -308,7 +330,7 @@ class Simulator:
         """Pictures here; not drawn again while the agent stands still."""
         pose = Pose2D(self._x, self._y, self._yaw)
         if self._last_look is None or self._last_look[0] != pose:
-            self._last_look = (pose, self._suite.look(pose, self._wanted))
+            self._last_look = (pose, self._suite.look(pose, self._drawn))
         return self._last_look[1]
 
     def _look_from_goal(self) -> U8:
@@ -336,8 +358,12 @@ class Simulator:
             )
         episode = self._episode
         pose = Pose2D(self._x, self._y, self._yaw)
+        if self._maps and self._mapper is not None:
+            rgb, depth = self._look()
+            assert depth is not None
+            self._mapper.update(pose, depth, rgb)
         fields: dict[str, Any] = self._suite.read_static(
-            pose, episode.start_pose, episode.goal, self._wanted
+            pose, episode.start_pose, episode.goal, self._wanted, self._mapper
         )
         if self._eyes:
             rgb, depth = self._look()

@@ -12,6 +12,10 @@ Sensor = Literal[
     "rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector", "goal_picture", "pose"
 ]
 
+MapMode = Literal["prior", "explored", "none"]
+"""What the sensors bev and occupancy show: `prior`, the whole scene, as a robot that was here
+before; `explored`, what the agent's own depth has seen since reset; `none`: there are none."""
+
 
 class Action(IntEnum):
     """VLN-CE compliant local actions."""
@@ -57,10 +61,12 @@ class Observation:
         instruction: the text of the mission.
         rgb: [H, W, 3] uint8 egocentric picture.
         depth: [Hd, Wd] float32 m, camera z, clipped to the sensor's range.
-        bev: [Hb, Wb, 3] uint8 metric map picture of the whole scene, north (+y) up.
+        bev: [Hb, Wb, 3] uint8 metric map picture, north (+y) up: of the whole scene, or with map
+            mode `explored` of what the agent has seen, grey elsewhere.
         bev_metres_per_pixel: scale of `bev` and `occupancy` [m].
         occupancy: [Hb, Wb, 3] uint8 occupancy picture, same frame and scale as `bev`, with the
-            start (green) and the agent (red) drawn as discs.
+            start (green) and the agent (red) drawn as discs; with map mode `explored` all that
+            the agent has not seen is unknown.
         history: [480, 640, 3] uint8 mosaic of the last sixteen views, newest first.
         ranges: [R] float32 m, a planar lidar ring: ray k points at yaw + 2πk/R, the distance to
             the first blocked cell of the agent's inflated map.

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from gn0.config import decode_json
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError, EpisodeError, FormatError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.files import load_episodes
@@ -19,6 +19,8 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
+from gn0.sim.sensors import check_map_mode
+from gn0.sim.state import MapMode
 from gn0.storage import read_bytes, safe_join
 
 SUITE_LIMIT = 2**26  # bytes of suite.json
@@ -37,6 +39,7 @@ class _SuiteView(msgspec.Struct, frozen=True):
     camera: str
     agent: AgentSpec
     max_steps: int = 500
+    map_mode: str = "prior"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,7 @@ class TaskSet:
         preset: camera preset by name.
         agent: the body.
         max_steps: actions until truncation.
+        map_mode: what bev and occupancy show, see `gn0.sim.state.MapMode`.
     """
 
     scenes: dict[str, Callable[[], Scene]]
@@ -56,6 +60,7 @@ class TaskSet:
     preset: str
     agent: AgentSpec
     max_steps: int
+    map_mode: MapMode = "prior"
 
     def __post_init__(self) -> None:
         if not self.episodes:
@@ -113,6 +118,7 @@ def load_tasks(
             preset=chosen,
             agent=agent or (find_preset(chosen).agent if preset else view.agent),
             max_steps=max_steps or view.max_steps,
+            map_mode=read_map_mode(view.map_mode, file),
         )
     if scene is None:
         places, default_count = [build_example_scene()], EXAMPLE_EPISODES
@@ -138,6 +144,20 @@ def load_tasks(
         agent=body,
         max_steps=max_steps or 500,
     )
+
+
+def read_map_mode(word: str, file: Path) -> MapMode:
+    """The map mode that a `suite.json` names; an older word for `prior` is understood.
+
+    Raises:
+        FormatError: there is no such mode.
+    """
+    if word == "unknown_is_occupied":
+        return "prior"
+    try:
+        return check_map_mode(word, ())
+    except ConfigError as error:
+        raise FormatError(error.what, file=file, field="map_mode", remedy=error.remedy) from None
 
 
 def _by_id(places: Sequence[Scene]) -> dict[str, Callable[[], Scene]]:

@@ -38,7 +38,13 @@ from gn0.sim.env import (
 )
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset
-from gn0.sim.sensors import SensorConfig, SensorSuite, check_sensors
+from gn0.sim.sensors import (
+    MAPS,
+    SensorConfig,
+    SensorSuite,
+    check_map_mode,
+    check_sensors,
+)
 from gn0.sim.tasks import load_tasks
 
 _DRAWS = 64  # episodes that an environment draws ahead
@@ -63,6 +69,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         field_memory: bytes of distance fields kept.
         visible_sets: draw pictures from the splats visible near each place, not from all; see
             `gn0.render.visible`.
+        map_mode: "prior" or "none", see `GoalNavEnv`; the suite's, else prior.
 
     Raises:
         ConfigError: an unknown sensor, preset, backend or render mode.
@@ -94,6 +101,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         scenes_kept: int = 4,
         field_memory: int = FIELD_MEMORY,
         visible_sets: bool = False,
+        map_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -104,6 +112,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
+        self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
+        if self.map_mode == "explored" and self.sensors & MAPS:
+            raise ConfigError(
+                "map mode 'explored' is not offered to many environments at once",
+                remedy="use gymnasium.make, or make_vec(..., vectorization_mode='sync')",
+            )
         camera = find_preset(self.tasks.preset)
         self._backend = backend
         self._visible_sets = visible_sets
@@ -156,6 +170,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
             self._drawn,
             self.tasks.agent,
             self.tasks.max_steps,
+            map_mode=self.map_mode,
         ).suite
 
     def reset(

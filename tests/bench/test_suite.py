@@ -149,7 +149,7 @@ def test_a_scene_behind_a_link_is_refused(copy: Path, flat_folder: Path) -> None
         (lambda v: v.update(camra="x"), FormatError, "camra"),
         (lambda v: v.pop("agent"), FormatError, "agent"),
         (lambda v: v["agent"].update(radius="wide"), FormatError, "radius"),
-        (lambda v: v.update(profile="gn0-release"), FormatError, "profile"),
+        (lambda v: v.update(profile="gn1-release"), FormatError, "profile"),
         (lambda v: v.update(max_steps=0), FormatError, "max_steps"),
         (lambda v: v.update(layout=99), BenchError, "layout 99"),
         (lambda v: v.update(camera="fisheye"), ConfigError, "fisheye"),

@@ -17,7 +17,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         policy: plug-in name.
         options: keyword arguments of the policy.
         plugin_modules: modules to import first, so that they can register plug-ins.
-        camera, backend, agent, max_steps, success_radius: see `SuiteFile`.
+        camera, backend, agent, max_steps, success_radius, profile: see `SuiteFile`.
     """
 
     policy: str
@@ -28,6 +28,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
     agent: AgentSpec
     max_steps: int
     success_radius: float
+    profile: str = "default"
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, tag="lease"):

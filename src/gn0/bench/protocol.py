@@ -19,7 +19,7 @@ from gn0.storage import content_hash
 # what decides a result; the rest of the package may change between two sessions of one run
 _DECIDING = (
     "geometry.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim", "policies",
-    "bench/metrics.py", "bench/worker.py",
+    "bench/metrics.py", "bench/release.py", "bench/worker.py",
 )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ import msgspec
 
 from gn0.bench.intervals import Interval, bootstrap_interval
 from gn0.bench.metrics import METRICS, EpisodeMetrics
+from gn0.bench.release import ReleaseReport, ReleaseScore
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError
 from gn0.geometry import Pose2D
@@ -41,6 +42,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         stopped: the agent said STOP.
         metrics: scores of a valid episode.
         reason: why it is invalid or failed.
+        release: the official harness's score; under profile gn0-release only.
     """
 
     episode: str
@@ -49,6 +51,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     stopped: bool = False
     metrics: EpisodeMetrics | None = None
     reason: str = ""
+    release: ReleaseScore | None = None
 
     def __str__(self) -> str:
         return f"{self.episode}: {self.status}: {self.reason}" if self.reason else self.episode
@@ -122,6 +125,8 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         failed: episodes without a score, with the reason; their number is never hidden in a mean.
         metrics: mean and interval by metric key, over the valid episodes.
         protocol: (what, how) rows: what the harness really did.
+        profile: the suite's profile in this run.
+        release: what the official harness would report; under profile gn0-release only.
     """
 
     policy: str
@@ -134,6 +139,8 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     failed: tuple[EpisodeResult, ...]
     metrics: dict[str, Interval]
     protocol: tuple[tuple[str, str], ...]
+    profile: str = "default"
+    release: ReleaseReport | None = None
 
     @property
     def ok(self) -> bool:

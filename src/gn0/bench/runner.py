@@ -24,6 +24,7 @@ import msgspec
 from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers, open_pool
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
 from gn0.bench.protocol import code_version, config_hash, protocol_card
+from gn0.bench.release import report_release
 from gn0.bench.results import (
     RESULTS,
     RUN,
@@ -164,6 +165,7 @@ def build_settings(
         agent=suite.about.agent,
         max_steps=suite.about.max_steps,
         success_radius=suite.about.success_radius,
+        profile=suite.about.profile,
     )
 
 
@@ -489,6 +491,8 @@ class _Run:
             failed=tuple(r for r in results if r.status != "valid"),
             metrics=aggregate(results),
             protocol=protocol_card(self.suite, card, self.identity["code"]),
+            profile=self.suite.about.profile,
+            release=report_release(results),
         )
         seconds = [about["seconds"] for about in self.times.values() if "seconds" in about]
         run = {

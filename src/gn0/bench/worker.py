@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import dataclasses
 import faulthandler
 import os
 import queue
@@ -25,9 +26,13 @@ import msgspec
 
 from gn0.bench.messages import Begun, Broke, Done, Lease, Open, Ready, Refused, ToWorker
 from gn0.bench.metrics import compute_metrics
+from gn0.bench.profiles import RELEASE
+from gn0.bench.release import PolicyUnderRelease, score_release
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard
 from gn0.bench.suite import load_suite_scene
-from gn0.errors import EpisodeError, Gn0Error
+from gn0.errors import EpisodeError, Gn0Error, PlanError
+from gn0.maps.navigation import NavigationMap
+from gn0.maps.release import ReleaseNavigation
 from gn0.plugins import get_plugin
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import Policy, PolicyPrivileged
@@ -50,6 +55,8 @@ class EpisodeWorker:
             policy = get_plugin("policy", settings.policy)(**settings.options)
         self.policy: Policy = policy
         self._simulator: Simulator | None = None
+        self._release: ReleaseNavigation | None = None
+        self._honest: NavigationMap | None = None
         self._hash = ""
 
     @property
@@ -72,6 +79,8 @@ class EpisodeWorker:
             self._simulator = None  # let go of the old scene before loading the next
             scene = load_suite_scene(folder, scene_id, expected_hash)
             s = self.settings
+            released = s.profile == RELEASE
+            self._release = ReleaseNavigation(scene.grid, s.agent.radius) if released else None
             self._simulator = open_simulator(
                 scene,
                 s.camera,
@@ -79,7 +88,9 @@ class EpisodeWorker:
                 sensors=frozenset(self.policy.sensors),
                 agent=s.agent,
                 max_steps=s.max_steps,
+                navigation=self._release,
             )
+            self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
             self._hash = expected_hash
         return self._simulator
 
@@ -88,23 +99,51 @@ class EpisodeWorker:
 
         An episode that has no finite score is invalid and says why; other errors go up.
         """
+        if self._release is not None and self._honest is not None:
+            return self._run_release(simulator, episode, self._release, self._honest)
         try:
             trajectory = run_episode(simulator, self.policy, episode)
         except EpisodeError as error:
             return _invalid(episode, error), EpisodeTrace(episode=episode.id)
-        return score(trajectory, episode, simulator, self.settings.success_radius)
+        return score(trajectory, episode, simulator.navigation, self.settings.success_radius)
+
+    def _run_release(
+        self,
+        simulator: Simulator,
+        episode: Episode,
+        release: ReleaseNavigation,
+        honest: NavigationMap,
+    ) -> tuple[EpisodeResult, EpisodeTrace]:
+        """Run under the official harness; score its way, and ours on the same trajectory."""
+        driver = PolicyUnderRelease(self.policy, release.release)
+        trajectory = run_episode(simulator, driver, episode)
+        theirs = score_release(
+            trajectory,
+            episode,
+            release.release,
+            forced_at=driver.forced_at,
+            invalid=driver.invalid,
+        )
+        said = trajectory.stopped and driver.forced_at is None
+        ours, trace = score(
+            dataclasses.replace(trajectory, stopped=said),
+            episode,
+            honest,
+            self.settings.success_radius,
+        )
+        return msgspec.structs.replace(ours, release=theirs), trace
 
 
 def score(
-    trajectory: Trajectory, episode: Episode, simulator: Simulator, success_radius: float
+    trajectory: Trajectory, episode: Episode, navigation: NavigationMap, success_radius: float
 ) -> tuple[EpisodeResult, EpisodeTrace]:
     """Result and trace of a finished trajectory."""
-    field = simulator.navigation.geodesic(episode.goal)
     try:
+        field = navigation.geodesic(episode.goal)
         metrics = compute_metrics(
             trajectory, episode, field.distance, success_radius=success_radius
         )
-    except EpisodeError as error:
+    except (EpisodeError, PlanError) as error:
         return _invalid(episode, error), EpisodeTrace.of(episode.id, trajectory)
     result = EpisodeResult(
         episode=episode.id,
@@ -116,7 +155,7 @@ def score(
     return result, EpisodeTrace.of(episode.id, trajectory)
 
 
-def _invalid(episode: Episode, error: EpisodeError) -> EpisodeResult:
+def _invalid(episode: Episode, error: EpisodeError | PlanError) -> EpisodeResult:
     return EpisodeResult(
         episode=episode.id, scene=episode.scene_id, status="invalid", reason=error.what
     )

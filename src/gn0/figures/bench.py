@@ -125,7 +125,7 @@ def measure_apartments(ctx: FigureContext) -> list[FigureRow]:
         )
         for episode in episodes:
             trajectory = run_episode(simulator, policy, episode)
-            results.append(score(trajectory, episode, simulator, 3.0)[0])
+            results.append(score(trajectory, episode, simulator.navigation, 3.0)[0])
     detail = (
         f"{APARTMENTS} medium apartments, seeds 0 to {APARTMENTS - 1}, {APARTMENT_EPISODES} goal "
         f"episodes of at least {MINIMUM_LENGTH:g} m each, agent radius 0.20 m"

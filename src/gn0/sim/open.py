@@ -29,6 +29,7 @@ def open_simulator(
     *,
     cut_height: float = CEILING_CUT,
     map_mode: str = "prior",
+    navigation: NavigationMap | None = None,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -43,6 +44,7 @@ def open_simulator(
         cut_height: what lies higher [m] is left out of the BEV.
         map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
             (explored), or nothing (none).
+        navigation: the map that moves the agent; by default its radius decides.
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -58,7 +60,8 @@ def open_simulator(
         scene = load_scene(Path(scene))
     cameras = find_preset(preset) if isinstance(preset, str) else check_config(preset)
     body = agent or cameras.agent
-    navigation = NavigationMap(scene.grid, body.radius)
+    if navigation is None:
+        navigation = NavigationMap(scene.grid, body.radius)
     if not navigation.inflated.free_area:
         raise SceneError(
             f"nothing is walkable for an agent of radius {body.radius:g} m",

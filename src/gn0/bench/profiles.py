@@ -1,0 +1,114 @@
+"""Profiles of a suite, and by name what `gn0-release` does otherwise than `default`.
+
+`default` is what this package stands for; `paper` reports the straight distance as NE;
+`gn0-release` reproduces the official harness beside it. A profile is part of a suite's hash, hence
+of a run's identity: numbers of two profiles are never compared by accident.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from gn0.maps.release import MARGINS
+from gn0.missions.episode import AgentSpec
+
+Profile = Literal["default", "paper", "gn0-release"]
+PROFILES: tuple[str, ...] = ("default", "paper", "gn0-release")
+RELEASE: Profile = "gn0-release"
+RELEASE_STEPS = 500
+_DISCS = ", ".join(map(str, MARGINS))
+
+# (what, default, gn0-release): every difference by name; the tests know each of them
+DIFFERENCES: tuple[tuple[str, str, str], ...] = (
+    (
+        "camera",
+        "what the suite says, hfov and vfov by name",
+        "gn_bench: 480×360, its 'HFOV: 70' is used as the vertical angle (hfov 86.07°)",
+    ),
+    (
+        "body",
+        "a disc in metres; beyond the map is wall",
+        f"a margin in pixels ({MARGINS[-1]} px for motion); the map's edge is no wall",
+    ),
+    (
+        "unfit places",
+        "an episode with a blocked start or goal, or no way between them, is refused and named",
+        "every episode is run; for distances a blocked start or goal is moved to the nearest "
+        "passable pixel by square rings; an agent on blocked ground cannot leave it",
+    ),
+    (
+        "collision",
+        "a move is cut at the first blocked cell; no slipping between two cells that touch",
+        "Bresenham over pixels, cut in the centre of the last free pixel, also between two pixels "
+        "that touch in a corner; no test within one pixel",
+    ),
+    (
+        "distances",
+        "any-angle shortest path on the agent's map",
+        f"octile pixel paths: A* with margins {_DISCS} px in turn, lines of sight at "
+        f"{MARGINS[0]} px, drawn by Bresenham; up to 8 % longer than straight",
+    ),
+    (
+        "the harness",
+        "never acts for the agent",
+        "sends STOP after more than 25 checks of unchanged distance; that STOP may score a success "
+        "(counted and logged per episode)",
+    ),
+    (
+        "no action",
+        "a policy that returns none loses its episode, by name",
+        "read as STOP (counted per episode)",
+    ),
+    (
+        "success",
+        "STOP by the agent at a walking distance < 3.0 m",
+        "STOP, said or forced, at 0 < distance < 3.0 m: in the goal's own pixel it is a failure",
+    ),
+    (
+        "oracle success",
+        "walking distance < 3.0 m at any pose",
+        "octile distance < 3.0 m at any pose since the agent last stood in the goal's own pixel",
+    ),
+    ("SPL", "any-angle shortest / max(shortest, TL)", "octile shortest / max(shortest, TL)"),
+    (
+        "no way to the goal",
+        "the episode is invalid, named, and in no mean",
+        "its NaN and infinity become 0.0, which improves NE",
+    ),
+    (
+        "what means divide by",
+        "scored episodes; the others are counted beside them",
+        "episodes with a log; one that failed to run is left out without a word",
+    ),
+    (
+        "order of episodes",
+        "by name",
+        "by row number as text (1, 10, 100, 2): it decides which come first under --episodes",
+    ),
+    (
+        "not reproduced",
+        "–",
+        "the fitted camera transform and its half pixel, colours of its PLY decoder, a last "
+        "position that survives from the episode before, start = goal dividing by zero, "
+        "float32 poses",
+    ),
+)
+
+
+def profile_settings(profile: str) -> dict[str, Any]:
+    """Fields of a `SuiteFile` that a profile decides, beside its own name."""
+    if profile != RELEASE:
+        return {"profile": profile}
+    return {
+        "profile": profile,
+        "camera": "gn_bench",
+        "agent": AgentSpec(),
+        "max_steps": RELEASE_STEPS,
+        "success_radius": 3.0,
+    }
+
+
+def release_order(seed: int, episode_id: str) -> tuple[str, str]:
+    """Sort key of the official harness: the row number, which an import keeps as seed, as text."""
+    return str(seed), episode_id
+

@@ -50,6 +50,8 @@ class Comparison:
 def compare_runs(a: Path | str, b: Path | str, *, seed: int = 0) -> list[Comparison]:
     """Compare two runs of one suite, metric by metric, on the episodes that both scored.
 
+    The runs may differ in map mode, which `name_difference` then says.
+
     Pairs are resampled by scene where there are several scenes, else by episode.
 
     Raises:
@@ -57,12 +59,13 @@ def compare_runs(a: Path | str, b: Path | str, *, seed: int = 0) -> list[Compari
         StorageError, FormatError: a run is missing or damaged.
     """
     first, second = load_summary(a), load_summary(b)
-    if first.suite_hash != second.suite_hash:
+    same_task = first.task_hash and first.task_hash == second.task_hash
+    if first.suite_hash != second.suite_hash and not same_task:
         raise BenchError(
             f"ran suite {second.suite!r} ({second.suite_hash}), {a} ran {first.suite!r} "
             f"({first.suite_hash})",
             where=b,
-            remedy="compare runs of one suite",
+            remedy="compare runs of one suite; they may differ in map mode, in nothing else",
         )
     scored_a = {r.episode: r for r in load_results(a) if r.metrics is not None}
     scored_b = {r.episode: r for r in load_results(b) if r.metrics is not None}
@@ -89,6 +92,21 @@ def compare_runs(a: Path | str, b: Path | str, *, seed: int = 0) -> list[Compari
             )
         )
     return rows
+
+
+def name_difference(a: Path | str, b: Path | str) -> str:
+    """What two runs of one task were shown differently, in a sentence; "" when it is the same.
+
+    Raises:
+        StorageError, FormatError: a run is missing or damaged.
+    """
+    first, second = load_summary(a), load_summary(b)
+    if first.map_mode == second.map_mode:
+        return ""
+    return (
+        f"not the same task: A ran with map mode {first.map_mode!r}, B with {second.map_mode!r}; "
+        "the difference is that of policy and maps together"
+    )
 
 
 def _judge(info: MetricInfo, low: float, high: float) -> Verdict:

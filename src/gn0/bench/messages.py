@@ -17,7 +17,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         policy: plug-in name.
         options: keyword arguments of the policy.
         plugin_modules: modules to import first, so that they can register plug-ins.
-        camera, backend, agent, max_steps, success_radius, profile: see `SuiteFile`.
+        camera, backend, agent, map_mode, max_steps, success_radius, profile: see `SuiteFile`.
     """
 
     policy: str
@@ -28,6 +28,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
     agent: AgentSpec
     max_steps: int
     success_radius: float
+    map_mode: str = "prior"
     profile: str = "default"
 
 

@@ -14,6 +14,7 @@ import gn0
 from gn0.bench.results import PolicyCard
 from gn0.bench.suite import Suite
 from gn0.sim.presets import find_preset
+from gn0.sim.state import MapMode
 from gn0.storage import content_hash
 
 # what decides a result; the rest of the package may change between two sessions of one run
@@ -48,6 +49,14 @@ def config_hash(
     )
 
 
+MAP_WORDS: dict[MapMode, str] = {
+    "prior": "bev and occupancy show the whole scene, as a robot that was here before has it",
+    "explored": "bev and occupancy show what the agent's own depth has seen since reset; of the "
+    "rest only the extent of the map is known",
+    "none": "there is no bev and no occupancy picture",
+}
+
+
 def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str, str], ...]:
     """(what, how) rows of a run; nothing here depends on workers, order or host."""
     about, agent = suite.about, suite.about.agent
@@ -60,7 +69,7 @@ def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str,
         sees += "; goal_vector tells it where the goal is"
     radius = about.success_radius
     return (
-        ("suite", f"{about.name}, version {about.version}, hash {suite.hash}"),
+        ("suite", f"{suite.name}, version {about.version}, hash {suite.hash}"),
         ("policy", card.name),
         ("the policy sees", sees),
         (
@@ -95,7 +104,12 @@ def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str,
             "the harness",
             "never acts for the agent: it sends no STOP, no retry within an episode, no hint",
         ),
-        ("map mode", "unknown cells count as occupied; the map does not change in an episode"),
+        ("map mode", f"{suite.map_mode}: {MAP_WORDS[suite.map_mode]}"),
+        (
+            "the scene's map",
+            "unknown cells count as occupied; what moves, collides and measures is always the "
+            "whole map, which does not change in an episode",
+        ),
         ("time", "simulated; a slow policy is not punished"),
         (
             "episodes without a score",

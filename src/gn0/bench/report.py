@@ -108,7 +108,7 @@ def find_suite(run: RunData) -> Suite:
     ]
     for place in places:
         if (place / "suite.json").is_file():
-            suite = load_suite(place)
+            suite = load_suite(place).with_map_mode(run.summary.map_mode)
             if suite.hash == run.summary.suite_hash:
                 return suite
     raise BenchError(
@@ -148,7 +148,7 @@ def write_report(
     loaded = [load_run(folder) for folder in folders]
     suite = find_suite(loaded[0])
     for run in loaded[1:]:
-        if run.summary.suite_hash != suite.hash:
+        if run.summary.task_hash != suite.task_hash:
             raise BenchError(
                 "ran another suite than the first run; their numbers cannot stand side by side",
                 where=run.folder,
@@ -246,8 +246,10 @@ def _csp_hash(text: str) -> str:
 
 
 def _run_names(runs: Sequence[RunData]) -> list[str]:
-    """A name a run: the policy's, with the folder's where two runs share a policy."""
+    """A name a run: the policy's; where two share it, with the map mode, else with the folder's."""
     policies = [run.summary.policy for run in runs]
+    if len({run.summary.map_mode for run in runs}) > 1:
+        policies = [f"{run.summary.policy}, map {run.summary.map_mode}" for run in runs]
     return [
         f"{policy} ({run.folder.name})" if policies.count(policy) > 1 else policy
         for policy, run in zip(policies, runs, strict=True)

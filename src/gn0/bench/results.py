@@ -19,7 +19,7 @@ from gn0.bench.release import ReleaseReport, ReleaseScore
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError
 from gn0.geometry import Pose2D
-from gn0.sim.state import Trajectory
+from gn0.sim.state import MapMode, Trajectory
 from gn0.storage import read_bytes, write_bytes, write_json
 
 RESULTS, TRAJECTORIES, SUMMARY, RUN = (
@@ -121,6 +121,8 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         policy: name given on the command line.
         suite: suite name; suite_hash, config_hash and code say exactly what ran.
+        map_mode: what the maps shown to the policy held.
+        task_hash: the suite's hash without the map mode.
         expected, valid: episodes asked for and scored; the rest is in `failed`.
         failed: episodes without a score, with the reason; their number is never hidden in a mean.
         metrics: mean and interval by metric key, over the valid episodes.
@@ -139,6 +141,8 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     failed: tuple[EpisodeResult, ...]
     metrics: dict[str, Interval]
     protocol: tuple[tuple[str, str], ...]
+    map_mode: MapMode = "prior"
+    task_hash: str = ""
     profile: str = "default"
     release: ReleaseReport | None = None
 

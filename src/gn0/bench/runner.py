@@ -165,6 +165,7 @@ def build_settings(
         agent=suite.about.agent,
         max_steps=suite.about.max_steps,
         success_radius=suite.about.success_radius,
+        map_mode=suite.map_mode,
         profile=suite.about.profile,
     )
 
@@ -484,6 +485,8 @@ class _Run:
             policy=self.identity["policy"],
             suite=self.suite.name,
             suite_hash=self.identity["suite"],
+            map_mode=self.suite.map_mode,
+            task_hash=self.suite.task_hash,
             config_hash=self.identity["config"],
             code=self.identity["code"],
             expected=len(self.episodes),

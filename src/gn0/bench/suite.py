@@ -110,6 +110,11 @@ class Suite:
         """What the maps shown to a policy hold."""
         return cast(MapMode, self.about.map_mode)
 
+    @cached_property
+    def task_hash(self) -> str:
+        """The hash without the map mode: equal for runs that differ in nothing but their maps."""
+        return self.with_map_mode("prior").hash
+
     def with_map_mode(self, mode: str) -> Suite:
         """The same scenes and episodes with another map mode: another name, another hash.
 

@@ -37,6 +37,7 @@ from gn0.plugins import get_plugin
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import Policy, PolicyPrivileged
 from gn0.sim.rollout import run_episode
+from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ class EpisodeWorker:
                 import_module(module)
             policy = get_plugin("policy", settings.policy)(**settings.options)
         self.policy: Policy = policy
+        check_map_mode(settings.map_mode, policy.sensors)
         self._simulator: Simulator | None = None
         self._release: ReleaseNavigation | None = None
         self._honest: NavigationMap | None = None
@@ -88,6 +90,7 @@ class EpisodeWorker:
                 sensors=frozenset(self.policy.sensors),
                 agent=s.agent,
                 max_steps=s.max_steps,
+                map_mode=s.map_mode,
                 navigation=self._release,
             )
             self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None

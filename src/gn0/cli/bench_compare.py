@@ -25,8 +25,11 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Print a line a metric."""
-    from gn0.bench.compare import compare_runs
+    from gn0.bench.compare import compare_runs, name_difference
 
-    for row in compare_runs(args.a, args.b):
+    rows = compare_runs(args.a, args.b)
+    if difference := name_difference(args.a, args.b):
+        print(f"note: {difference}")
+    for row in rows:
         print(row)
     return 0

@@ -17,6 +17,7 @@ from gn0.config import Config
 
 EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy wall_follower --workers 2 --out out/walls
+  gn0 bench run out/suite --policy explorer --map-mode explored --out out/explored
   gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try
   gn0 bench run out/suite --executor ray --ray-address auto --workers 16 --out out/many
   gn0 bench run out/suite --policy mine --plugin my_policies --out out/mine"""
@@ -32,6 +33,9 @@ class Args(Config, frozen=True):
         workers: processes; never changes a result.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
+        map_mode: what the maps shown to the policy hold: the whole scene (prior), what the agent
+            has seen (explored), or nothing (none). By default what the suite says; part of the
+            run's identity.
         episodes: run only the first so many; 0 means all.
         time_limit: seconds an episode may take before it counts as failed.
         fresh: forget an earlier run in the output folder instead of resuming it.
@@ -46,6 +50,7 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
+    map_mode: Literal["prior", "explored", "none"] | None = None
     episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
     time_limit: Annotated[float, msgspec.Meta(gt=0)] = 300.0
     fresh: bool = False
@@ -65,6 +70,7 @@ def run(args: Args) -> int:
     out = Path(args.out)
     with draw_progress() as progress:
         suite = open_suite(args.suite, beside=out)
+        suite = suite.with_map_mode(args.map_mode or suite.map_mode)
         summary = run_suite(
             suite,
             args.policy,

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import tyro
 
 from gn0.config import Config
 
-EXAMPLES = "  gn0 bench suite out/flat out/house --episodes 50 --minimum-length 5 --out out/suite"
+EXAMPLES = """  gn0 bench suite out/flat out/house --episodes 50 --minimum-length 5 --out out/suite
+  gn0 bench suite out/flat --map-mode explored --out out/unknown-flat"""
 
 
 class Args(Config, frozen=True):
@@ -22,6 +23,8 @@ class Args(Config, frozen=True):
         seed: seed of the sampler.
         minimum_length: shortest geodesic from start to goal [m].
         camera: name of a camera preset.
+        map_mode: what the maps shown to a policy hold: the whole scene (prior), what the agent has
+            seen (explored), or nothing (none).
         overwrite: replace an existing suite.
     """
 
@@ -31,6 +34,7 @@ class Args(Config, frozen=True):
     seed: int = 0
     minimum_length: Annotated[float, msgspec.Meta(ge=0)] = 3.0
     camera: str = "gn_bench"
+    map_mode: Literal["prior", "explored", "none"] = "prior"
     overwrite: bool = False
 
 
@@ -50,6 +54,7 @@ def run(args: Args) -> int:
             seed=args.seed,
             minimum_length=args.minimum_length,
             camera=args.camera,
+            map_mode=args.map_mode,
             overwrite=args.overwrite,
             progress=progress,
         )

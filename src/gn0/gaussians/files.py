@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +14,8 @@ import numpy as np
 from gn0.errors import FormatError, StorageError
 from gn0.gaussians.cloud_file import CloudFile
 from gn0.gaussians.cloud_source import CloudSource
+from gn0.gaussians.gltf import decode_glb, decode_gltf
+from gn0.gaussians.ksplat import decode_ksplat, looks_like_ksplat
 from gn0.gaussians.ply import decode_ply
 from gn0.gaussians.ply_header import load_ply_header
 from gn0.gaussians.ply_packed import decode_ply_packed, is_packed
@@ -183,9 +184,10 @@ def _is_json(head: bytes, size: int) -> bool:
 
 def _decode_json(source: CloudSource) -> CloudFile:
     """Tell the kinds of JSON apart by the keys that only they have."""
-    head = source.read(0, min(source.size, 1 << 16), "JSON")
+    span = min(source.size, 1 << 16)  # the middle of a glTF may be one long text
+    ends = source.read(0, span, "JSON") + source.read(source.size - span, span, "JSON")
     for keys, form in _JSON_FORMATS:
-        if all(key in head for key in keys):
+        if all(key in ends for key in keys):
             return _decode(form, source)
     raise source.refuse(
         "this is JSON, but neither SOG (meta.json, lod-meta.json) nor glTF",
@@ -198,20 +200,13 @@ def _is_page(head: bytes, size: int) -> bool:
     return text.startswith((b"<!doctype html", b"<html", b"<?xml"))
 
 
-def _is_ksplat(head: bytes, size: int) -> bool:
-    """Version 0.x, a 4096-byte header whose section count agrees with the size."""
-    if size < 4096 + 1024 or len(head) < 24 or head[0] != 0 or head[1] == 0:
-        return False
-    sections, used, _, splats = struct.unpack_from("<4I", head, 4)
-    return used <= sections < 65536 and splats > 0 and sections * 1024 + 4096 <= size
-
-
 _JSON_FORMATS: tuple[tuple[tuple[bytes, ...], CloudFormat], ...] = (
     (
         (b'"lodLevels"', b'"filenames"'),
         CloudFormat("a streamed SOG", _is_json, decode_sog_streamed, levels=True),
     ),
     ((b'"means"', b'"quats"'), CloudFormat("a SOG folder", _is_json, decode_sog_folder)),
+    ((b'"asset"', b'"meshes"'), CloudFormat("glTF", _is_json, decode_gltf)),
 )
 
 # Tried in order; a reader for a further format is one more `decode` here.
@@ -220,7 +215,7 @@ CLOUD_FORMATS: tuple[CloudFormat, ...] = (
     CloudFormat("SPZ", _starts(MAGIC), decode_spz),
     CloudFormat("SPZ in gzip", _starts(b"\x1f\x8b"), decode_spz_gzip),
     CloudFormat("a SOG bundle", _starts(b"PK\x03\x04", b"PK\x05\x06"), decode_sog_bundle),
-    CloudFormat("binary glTF (GLB)", _starts(b"glTF")),
+    CloudFormat("binary glTF", _starts(b"glTF"), decode_glb),
     CloudFormat(
         "a Git LFS pointer, not the file itself",
         _starts(b"version https://git-lfs"),
@@ -235,6 +230,6 @@ CLOUD_FORMATS: tuple[CloudFormat, ...] = (
         remedy="pass the folder or its meta.json",
     ),
     CloudFormat("JSON", _is_json, _decode_json, levels=True),
-    CloudFormat("KSPLAT", _is_ksplat),
+    CloudFormat("KSPLAT", looks_like_ksplat, decode_ksplat),
     CloudFormat(".splat", looks_like_splat, decode_splat),
 )

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 import gn0
+from gn0.bench.profiles import DIFFERENCES, RELEASE
 from gn0.bench.results import PolicyCard
 from gn0.bench.suite import Suite
 from gn0.sim.presets import find_preset
@@ -68,7 +69,7 @@ def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str,
     elif "goal_vector" in card.sensors:
         sees += "; goal_vector tells it where the goal is"
     radius = about.success_radius
-    return (
+    rows = (
         ("suite", f"{suite.name}, version {about.version}, hash {suite.hash}"),
         ("policy", card.name),
         ("the policy sees", sees),
@@ -120,3 +121,13 @@ def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str,
                       "episodes, 10,000 draws"),
         ("code", f"gn0 {code}"),
     )  # fmt: skip
+    return _release_rows(rows) if about.profile == RELEASE else rows
+
+
+def _release_rows(rows: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
+    """The card of a run under the official harness: its own words wherever it differs."""
+    told = {what: theirs for what, _, theirs in DIFFERENCES if what != "camera"}
+    told["agent"] = told.pop("body")
+    told["navigation error"] = "gn0-release: octile distance left; ours beside it"
+    card = {what: told.pop(what, how) for what, how in rows}
+    return tuple({"profile": "gn0-release; each score stands beside ours", **card, **told}.items())

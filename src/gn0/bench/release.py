@@ -175,9 +175,20 @@ def score_release(
     )
 
 
+# (key, title, our metric, factor, unit) of the two reports side by side
+SIDE_BY_SIDE = (
+    ("SR", "success", "SR", 100.0, "%"),
+    ("SPL", "success by path length", "SPL", 100.0, "%"),
+    ("OS", "oracle success", "OS", 100.0, "%"),
+    ("NE", "distance left", "NE_geo", 1.0, "m"),
+    ("TL", "trajectory length", "TL", 1.0, "m"),
+)
+
+
 def report_release(results: Sequence[EpisodeResult]) -> ReleaseReport | None:
     """What the official report would print; None when no episode was scored its way."""
-    scores = [result.release for result in results if result.release is not None]
+    scored = [(r, r.release) for r in results if r.release is not None]
+    scores = [score for _, score in scored]
     if not scores:
         return None
     n = len(scores)
@@ -191,5 +202,8 @@ def report_release(results: Sequence[EpisodeResult]) -> ReleaseReport | None:
         zeroed=sum(s.distance_to_goal is None for s in scores),
         forced_stops=sum(s.forced_stop is not None for s in scores),
         forced_successes=sum(s.success for s in scores if s.forced_stop is not None),
-        in_goal_pixel=sum(s.distance_to_goal == 0.0 for s in scores),
+        in_goal_pixel=sum(
+            s.distance_to_goal == 0.0 and (r.stopped or s.forced_stop is not None)
+            for r, s in scored
+        ),
     )

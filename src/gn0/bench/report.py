@@ -30,6 +30,8 @@ from gn0.bench.drawing import (
 )
 from gn0.bench.intervals import Interval
 from gn0.bench.metrics import METRICS
+from gn0.bench.profiles import DIFFERENCES
+from gn0.bench.release import SIDE_BY_SIDE
 from gn0.bench.results import (
     EpisodeResult,
     EpisodeTrace,
@@ -108,7 +110,11 @@ def find_suite(run: RunData) -> Suite:
     ]
     for place in places:
         if (place / "suite.json").is_file():
-            suite = load_suite(place).with_map_mode(run.summary.map_mode)
+            suite = (
+                load_suite(place)
+                .with_profile(run.summary.profile)
+                .with_map_mode(run.summary.map_mode)
+            )
             if suite.hash == run.summary.suite_hash:
                 return suite
     raise BenchError(
@@ -215,6 +221,12 @@ def _render(
         symbols=symbols,
         videos=shown,
         protocol=_protocol_rows(runs, names),
+        released=[
+            _released(run, name)
+            for run, name in zip(runs, names, strict=True)
+            if run.summary.release
+        ],
+        differences=DIFFERENCES,
     )
 
 
@@ -333,6 +345,24 @@ def _row(
         "poster": "",
         "clip": -1,
     }
+
+
+def _released(run: RunData, name: str) -> dict[str, Any]:
+    """The official harness's numbers of a run, ours beside them, and what it did."""
+    theirs = run.summary.release
+    assert theirs is not None
+    rows = []
+    for key, title, ours, factor, unit in SIDE_BY_SIDE:
+        mean = run.summary.metrics.get(ours)
+        rows.append(
+            {
+                "title": title,
+                "unit": unit,
+                "theirs": f"{getattr(theirs, key) * factor:.2f}",
+                "ours": "–" if mean is None else f"{mean.mean * factor:.2f}",
+            }
+        )
+    return {"name": name, "rows": rows, "report": theirs, "valid": run.summary.valid}
 
 
 def _explain(result: EpisodeResult) -> str:

@@ -20,6 +20,7 @@ EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy explorer --map-mode explored --out out/explored
   gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try
   gn0 bench run out/suite --executor ray --ray-address auto --workers 16 --out out/many
+  gn0 bench run out/suite --policy straight --profile gn0-release --out out/official
   gn0 bench run out/suite --policy mine --plugin my_policies --out out/mine"""
 
 
@@ -36,6 +37,8 @@ class Args(Config, frozen=True):
         map_mode: what the maps shown to the policy hold: the whole scene (prior), what the agent
             has seen (explored), or nothing (none). By default what the suite says; part of the
             run's identity.
+        profile: default, paper, or gn0-release (the official harness beside ours); by default
+            what the suite says.
         episodes: run only the first so many; 0 means all.
         time_limit: seconds an episode may take before it counts as failed.
         fresh: forget an earlier run in the output folder instead of resuming it.
@@ -51,6 +54,7 @@ class Args(Config, frozen=True):
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
     map_mode: Literal["prior", "explored", "none"] | None = None
+    profile: Literal["", "default", "paper", "gn0-release"] = ""
     episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
     time_limit: Annotated[float, msgspec.Meta(gt=0)] = 300.0
     fresh: bool = False
@@ -70,6 +74,7 @@ def run(args: Args) -> int:
     out = Path(args.out)
     with draw_progress() as progress:
         suite = open_suite(args.suite, beside=out)
+        suite = suite.with_profile(args.profile or suite.about.profile)
         suite = suite.with_map_mode(args.map_mode or suite.map_mode)
         summary = run_suite(
             suite,

@@ -47,7 +47,40 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
         table.add_row(summary.policy, f"{summary.valid}/{summary.expected}", *cells)
     Console(width=max(116, Console().width), highlight=False).print(table)
     for summary in summaries:
+        if summary.release is not None:
+            _print_release(summary)
+    for summary in summaries:
         if summary.failed:
             print(f"{summary.policy}: {len(summary.failed)} episodes did not run:")
             for failure in summary.failed:
                 print(f"  {failure}")
+
+
+def _print_release(summary: RunSummary) -> None:
+    """The official harness's numbers beside ours, on the same trajectories."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from gn0.bench.release import SIDE_BY_SIDE
+
+    theirs = summary.release
+    assert theirs is not None
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", padding=(0, 1))
+    table.add_column(f"{summary.policy}, same trajectories")
+    table.add_column("gn0-release", justify="right")
+    table.add_column("ours", justify="right")
+    for key, title, ours, factor, unit in SIDE_BY_SIDE:
+        mean = summary.metrics.get(ours)
+        table.add_row(
+            f"{title} [{unit}]".replace("[", "\\["),
+            f"{getattr(theirs, key) * factor:.2f}",
+            "–" if mean is None else f"{mean.mean * factor:.2f}",
+        )
+    table.add_row("episodes in the mean", str(theirs.episodes), str(summary.valid))
+    Console(width=max(80, Console().width), highlight=False).print(table)
+    print(
+        f"the harness stopped {theirs.forced_stops} episodes itself "
+        f"({theirs.forced_successes} of them as successes), failed {theirs.in_goal_pixel} in the "
+        f"goal's own pixel, and counts {theirs.zeroed} unreachable goals as NE 0"
+    )

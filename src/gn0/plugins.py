@@ -15,6 +15,7 @@ Kind = Literal["scene_source", "renderer", "mission", "policy", "metric", "expor
 
 _BUILTIN: dict[str, dict[str, str]] = {
     "scene_source": {
+        "capture": "gn0.scenes.capture.source:SceneSourceCapture",
         "interiorgs": "gn0.scenes.interiorgs:SceneSourceInteriorGS",
         "world": "gn0.scenes.world:SceneSourceWorld",
     },
@@ -25,6 +26,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "straight": "gn0.policies.simple:PolicyStraight",
         "wall_follower": "gn0.policies.simple:PolicyWallFollower",
         "random": "gn0.policies.simple:PolicyRandom",
+        "remote": "gn0.policies.remote.policy:PolicyRemote",
     },
     "metric": {},
     "exporter": {

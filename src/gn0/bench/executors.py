@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, Protocol, Self
@@ -29,6 +30,7 @@ class Worker:
         episode: the episode it holds a lease of, "" when idle.
         deadline: monotonic time [s] after which it counts as hung.
         ready: its policy is built.
+        slot: its place among its fellows.
     """
 
     number: int
@@ -36,6 +38,13 @@ class Worker:
     episode: str = ""
     deadline: float = float("inf")
     ready: bool = False
+    slot: int = 0
+
+
+def next_worker(number: int, workers: Mapping[int, Worker]) -> Worker:
+    """A new worker, in the first place that is free among `workers`."""
+    taken = {worker.slot for worker in workers.values()}
+    return Worker(number, slot=min(set(range(len(taken) + 1)) - taken))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         policy: plug-in name.
         options: keyword arguments of the policy.
         plugin_modules: modules to import first, so that they can register plug-ins.
+        slot: the worker's place among its fellows, 0 for the first; a successor takes it over.
         camera, backend, agent, map_mode, max_steps, success_radius, profile: see `SuiteFile`.
     """
 
@@ -30,6 +31,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
     success_radius: float
     map_mode: str = "prior"
     profile: str = "default"
+    slot: int = 0
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, tag="lease"):
@@ -47,10 +49,17 @@ class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
 
 
 class Refused(msgspec.Struct, frozen=True, kw_only=True, tag="refused"):
-    """The policy cannot be built: the run cannot go on."""
+    """The policy cannot be built: the run cannot go on.
+
+    Attributes:
+        what: what is wrong.
+        traceback: for people; "" when `what` says it all.
+        remedy: what the user can do.
+    """
 
     what: str
     traceback: str
+    remedy: str = ""
 
 
 class Begun(msgspec.Struct, frozen=True, kw_only=True, tag="begun"):

@@ -20,7 +20,7 @@ from typing import IO, Any, Self
 
 import msgspec
 
-from gn0.bench.executors import Ended, Heard, Worker, count_cores, describe_end
+from gn0.bench.executors import Ended, Heard, Worker, count_cores, describe_end, next_worker
 from gn0.bench.messages import FromWorker, Open
 
 LAST_WORDS = 200  # lines of a worker's stderr that are kept
@@ -130,7 +130,7 @@ class PoolProcess:
 
     def start(self) -> Worker:
         """Start one worker and tell it which policy to build."""
-        worker = Worker(self._next)
+        worker = next_worker(self._next, self.workers)
         self._next += 1
         self._processes[worker.number] = WorkerProcess(
             lambda line: self._heard.put((worker.number, line)),
@@ -138,7 +138,7 @@ class PoolProcess:
             sys.path,
         )
         self.workers[worker.number] = worker
-        self.send(worker, self._settings)
+        self.send(worker, msgspec.structs.replace(self._settings, slot=worker.slot))
         return worker
 
     def send(self, worker: Worker, message: Any) -> None:

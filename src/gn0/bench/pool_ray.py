@@ -24,7 +24,7 @@ from typing import Any, Self
 
 import msgspec
 
-from gn0.bench.executors import Ended, Heard, Worker, count_cores
+from gn0.bench.executors import Ended, Heard, Worker, count_cores, next_worker
 from gn0.bench.messages import FromWorker, Lease, Open
 from gn0.bench.parcel import pack_folder, unpack_scene
 from gn0.bench.pool import WorkerProcess, decode_line
@@ -153,13 +153,13 @@ class PoolRay:
 
     def start(self) -> Worker:
         """Start one worker and tell it which policy to build."""
-        worker = Worker(self._next)
+        worker = next_worker(self._next, self.workers)
         self._next += 1
         paths = msgspec.json.encode([path or os.getcwd() for path in sys.path])
         host = self._host.remote(paths, 1 if not self._ours else max(1, count_cores() // self.size))
         self._hosts[worker.number] = host
         self.workers[worker.number] = worker
-        self.send(worker, self._settings)
+        self.send(worker, msgspec.structs.replace(self._settings, slot=worker.slot))
         self._listen(worker.number)
         return worker
 

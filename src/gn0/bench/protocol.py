@@ -68,11 +68,14 @@ def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str,
         sees += "; and the simulator itself (map, pose, goal): an oracle, no robot could do this"
     elif "goal_vector" in card.sensors:
         sees += "; goal_vector tells it where the goal is"
+    if "pose" in card.sensors:
+        sees += "; pose is exact: odometry without drift, from a start known in the scene's frame"
     radius = about.success_radius
     rows = (
         ("suite", f"{suite.name}, version {about.version}, hash {suite.hash}"),
         ("policy", card.name),
         ("the policy sees", sees),
+        *card.rows,
         (
             "camera",
             f"{about.camera}: {width}×{height}, hfov {preset.rgb.hfov:.2f}°, "

@@ -43,6 +43,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         metrics: scores of a valid episode.
         reason: why it is invalid or failed.
         release: the official harness's score; under profile gn0-release only.
+        notes: what the policy says was odd, counted; absent when nothing was.
     """
 
     episode: str
@@ -52,6 +53,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     metrics: EpisodeMetrics | None = None
     reason: str = ""
     release: ReleaseScore | None = None
+    notes: dict[str, int] | msgspec.UnsetType = msgspec.UNSET
 
     def __str__(self) -> str:
         return f"{self.episode}: {self.status}: {self.reason}" if self.reason else self.episode
@@ -108,11 +110,13 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True):
         name: its name.
         sensors: observation fields it reads, sorted.
         privileged: whether it was handed the simulator: an oracle.
+        rows: rows of its own for the protocol card.
     """
 
     name: str
     sensors: tuple[str, ...]
     privileged: bool
+    rows: tuple[tuple[str, str], ...] = ()
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):

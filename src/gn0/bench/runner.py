@@ -280,6 +280,7 @@ class _Run:
         self.sessions: list[dict[str, Any]] = []
         self.card: PolicyCard | None = None
         self.attempts: dict[str, int] = {}
+        self.built = False  # whether the policy was ever built in this session
         self.stillborn = 0  # workers in a row that died before their policy was built
         self._read_journal()
 
@@ -318,6 +319,9 @@ class _Run:
             self.card = msgspec.convert(record["card"], PolicyCard)
         elif kind == "session":
             self.sessions.append(dict(record["about"]))
+        elif kind == "broke":  # counts as an attempt, else a policy that dies of it never gets by
+            episode = str(record["episode"])
+            self.attempts[episode] = self.attempts.get(episode, 0) + 1
 
     @property
     def left(self) -> list[Episode]:
@@ -408,16 +412,20 @@ class _Run:
             self._lost(schedule, worker, ended.how, ended.last_words)
         elif isinstance(message, Ready):
             worker.ready, worker.deadline = True, float("inf")
-            self.stillborn = 0
+            self.stillborn, self.built = 0, True
             if self.card is None:
                 self.card = message.card
                 self.journal.append({"type": "policy", "card": msgspec.to_builtins(message.card)})
         elif isinstance(message, Refused):
-            raise PolicyError(
-                f"policy {self.identity['policy']!r} cannot be built: {message.what}\n"
-                f"{message.traceback}",
-                remedy="see the traceback above",
-            )
+            what = f"policy {self.identity['policy']!r} cannot be built: {message.what}"
+            if self.built:
+                what += (
+                    f"\n{len(self.results)} of {len(self.episodes)} episodes are done; the same "
+                    "command goes on with the rest"
+                )
+            if message.traceback:
+                what += f"\n{message.traceback}"
+            raise PolicyError(what, remedy=message.remedy or "see the traceback above")
         elif isinstance(message, Begun):
             worker.deadline = time.monotonic() + self.time_limit
         elif isinstance(message, Done) and message.result.episode == worker.episode:
@@ -436,6 +444,7 @@ class _Run:
                     remedy="mend the named file; the same command then goes on",
                 )
             pool.end(worker)  # a policy that broke is not trusted with another episode
+            self.journal.append({"type": "broke", "episode": message.episode, "why": message.what})
             self._lost(schedule, worker, message.what, message.traceback)
 
     def _find_hung(self, pool: Pool, schedule: Schedule) -> None:

@@ -11,6 +11,7 @@ import contextlib
 import ctypes
 import dataclasses
 import faulthandler
+import inspect
 import os
 import queue
 import signal
@@ -18,6 +19,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -30,12 +32,12 @@ from gn0.bench.profiles import RELEASE
 from gn0.bench.release import PolicyUnderRelease, score_release
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard
 from gn0.bench.suite import load_suite_scene
-from gn0.errors import EpisodeError, Gn0Error, PlanError
+from gn0.errors import ConfigError, EpisodeError, Gn0Error, PlanError
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.release import ReleaseNavigation
 from gn0.plugins import get_plugin
 from gn0.sim.open import open_simulator
-from gn0.sim.policy import Policy, PolicyPrivileged
+from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged
 from gn0.sim.rollout import run_episode
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
@@ -53,7 +55,8 @@ class EpisodeWorker:
         if policy is None:
             for module in settings.plugin_modules:
                 import_module(module)
-            policy = get_plugin("policy", settings.policy)(**settings.options)
+            os.environ[SLOT_VARIABLE] = str(settings.slot)
+            policy = build_policy(settings.policy, settings.options)
         self.policy: Policy = policy
         check_map_mode(settings.map_mode, policy.sensors)
         self._simulator: Simulator | None = None
@@ -68,6 +71,7 @@ class EpisodeWorker:
             name=str(self.policy.name),
             sensors=tuple(sorted(self.policy.sensors)),
             privileged=isinstance(self.policy, PolicyPrivileged),
+            rows=self.policy.card_rows if isinstance(self.policy, PolicyNotes) else (),
         )
 
     def open_scene(self, folder: Path, scene_id: str, expected_hash: str) -> Simulator:
@@ -103,12 +107,18 @@ class EpisodeWorker:
         An episode that has no finite score is invalid and says why; other errors go up.
         """
         if self._release is not None and self._honest is not None:
-            return self._run_release(simulator, episode, self._release, self._honest)
-        try:
-            trajectory = run_episode(simulator, self.policy, episode)
-        except EpisodeError as error:
-            return _invalid(episode, error), EpisodeTrace(episode=episode.id)
-        return score(trajectory, episode, simulator.navigation, self.settings.success_radius)
+            result, trace = self._run_release(simulator, episode, self._release, self._honest)
+        else:
+            try:
+                trajectory = run_episode(simulator, self.policy, episode)
+            except EpisodeError as error:
+                return _invalid(episode, error), EpisodeTrace(episode=episode.id)
+            result, trace = score(
+                trajectory, episode, simulator.navigation, self.settings.success_radius
+            )
+        if isinstance(self.policy, PolicyNotes) and (notes := self.policy.notes()):
+            result = msgspec.structs.replace(result, notes=dict(sorted(notes.items())))
+        return result, trace
 
     def _run_release(
         self,
@@ -135,6 +145,26 @@ class EpisodeWorker:
             self.settings.success_radius,
         )
         return msgspec.structs.replace(ours, release=theirs), trace
+
+
+def build_policy(name: str, options: Mapping[str, Any]) -> Policy:
+    """The policy of that name with these options.
+
+    Raises:
+        ConfigError: no such policy, or it has no such option.
+    """
+    factory = get_plugin("policy", name)
+    try:
+        inspect.signature(factory).bind(**options)
+    except TypeError as error:
+        known = ", ".join(inspect.signature(factory).parameters) or "none"
+        raise ConfigError(
+            f"policy {name!r} does not take these options: {error}", remedy=f"known: {known}"
+        ) from None
+    except ValueError:  # a factory without a signature
+        pass
+    policy: Policy = factory(**options)
+    return policy
 
 
 def score(
@@ -209,6 +239,10 @@ def main() -> int:
             try:
                 worker = EpisodeWorker(message)
                 send(Ready(card=worker.card))
+            except Gn0Error as error:  # says itself what is wrong, and what to do
+                what = f"{error.where}: {error.what}" if error.where else error.what
+                send(Refused(what=what, traceback="", remedy=error.remedy))
+                return 1
             except Exception as error:
                 send(Refused(what=describe_error(error), traceback=traceback.format_exc()))
                 return 1

@@ -7,13 +7,15 @@ where it stopped when the same command is given again.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.errors import ConfigError
 
 EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy wall_follower --workers 2 --out out/walls
@@ -21,6 +23,7 @@ EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try
   gn0 bench run out/suite --executor ray --ray-address auto --workers 16 --out out/many
   gn0 bench run out/suite --policy straight --profile gn0-release --out out/official
+  gn0 bench run out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --out out/remote
   gn0 bench run out/suite --policy mine --plugin my_policies --out out/mine"""
 
 
@@ -30,7 +33,8 @@ class Args(Config, frozen=True):
     Attributes:
         suite: a suite folder, or a scene folder.
         out: the folder of results; an interrupted run there is resumed.
-        policy: name of a policy (oracle, straight, wall_follower, random, or a plug-in).
+        policy: name of a policy (oracle, straight, wall_follower, random, remote, or a plug-in).
+        policy_option: an option of the policy as NAME=VALUE; may be given several times.
         workers: processes; never changes a result.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
@@ -50,6 +54,7 @@ class Args(Config, frozen=True):
     suite: Annotated[str, tyro.conf.Positional]
     out: str
     policy: str = "oracle"
+    policy_option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
@@ -85,6 +90,7 @@ def run(args: Args) -> int:
             episode_time_limit=args.time_limit,
             max_episodes=args.episodes or None,
             plugin_modules=args.plugin,
+            policy_options=read_options(args.policy_option),
             progress=progress,
             executor=args.executor,
             ray_address=args.ray_address,
@@ -97,3 +103,26 @@ def run(args: Args) -> int:
     if report is not None:
         print(f"report:  {report}")
     return 0 if not summary.failed else 1
+
+
+def read_options(options: Sequence[str]) -> dict[str, Any]:
+    """NAME=VALUE texts as keyword arguments; a value that reads as JSON is one.
+
+    Raises:
+        ConfigError: no NAME=VALUE, or a name given twice.
+    """
+    found: dict[str, Any] = {}
+    for option in options:
+        name, equals, value = option.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals or not name.isidentifier() or name in found:
+            raise ConfigError(
+                f"policy option {option!r} " + ("is given twice" if name in found else "is none"),
+                where="--policy-option",
+                remedy="give NAME=VALUE, e.g. url=ws://127.0.0.1:8000",
+            )
+        try:
+            found[name] = msgspec.json.decode(value)
+        except msgspec.DecodeError:
+            found[name] = value
+    return found

@@ -13,6 +13,8 @@ from gn0.sim.state import AnyAction, Observation, Sensor
 if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator
 
+SLOT_VARIABLE = "GN0_WORKER_SLOT"  # environment of a bench worker: its place among its fellows
+
 
 @runtime_checkable
 class Policy(Protocol):
@@ -50,6 +52,20 @@ class PolicySession(Policy, Protocol):
 
     def reset_session(self, session: str) -> None:
         """Name the episode that `reset` has just begun; a label, never a hint."""
+        ...
+
+
+@runtime_checkable
+class PolicyNotes(Policy, Protocol):
+    """A policy that has something to say about itself, for results and protocol card."""
+
+    @property
+    def card_rows(self) -> tuple[tuple[str, str], ...]:
+        """(what, how) rows for the protocol card; the same in every worker."""
+        ...
+
+    def notes(self) -> dict[str, int]:
+        """What was odd in the episode so far, counted; depends on the episode alone."""
         ...
 
 

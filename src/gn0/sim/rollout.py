@@ -60,10 +60,12 @@ def run_episode(
                 where=f"episode {episode.id!r}, step {simulator.steps}",
                 remedy=error.remedy,
             ) from error
+        if isinstance(action, Displacement):
+            action = action.at(poses[-1])
+        if isinstance(action, Teleport):
+            teleports.append(Pose2D(*map(float, action)))
         poses.append(simulator.pose)
-        actions.append(
-            TELEPORT_CODE if isinstance(action, Teleport | Displacement) else int(action)
-        )
+        actions.append(TELEPORT_CODE if isinstance(action, Teleport) else int(action))
         collisions.append(result.collided)
         observation = result.observation
         if watch is not None:

@@ -226,12 +226,7 @@ class Simulator:
         x, y = self._x, self._y
         if isinstance(action, Displacement):
             check_finite("displacement", *action)
-            c, s = math.cos(self._yaw), math.sin(self._yaw)
-            action = Teleport(
-                x + c * action.forward - s * action.left,
-                y + s * action.forward + c * action.left,
-                self._yaw + action.turn,
-            )
+            action = action.at(Pose2D(x, y, self._yaw))
         if isinstance(action, Teleport):
             check_finite("teleport", *action)
             self._keep_view()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
@@ -46,6 +47,15 @@ class Displacement(NamedTuple):
     forward: float
     left: float
     turn: float
+
+    def at(self, pose: Pose2D) -> Teleport:
+        """Where it leads from a pose."""
+        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+        return Teleport(
+            pose.x + c * self.forward - s * self.left,
+            pose.y + s * self.forward + c * self.left,
+            pose.yaw + self.turn,
+        )
 
 
 AnyAction = Action | Teleport | Displacement

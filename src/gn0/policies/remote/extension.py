@@ -1,0 +1,174 @@
+"""The extension: what the released protocol has no room for, under one key and with a version.
+
+A server that wants more than pictures and words says so in the frame it sends on connect:
+`{"gn0": {"version": 1, "name": "mine", "wants": ["rgb", "depth"]}}`. Requests to it then hold a map
+`gn0` beside the usual keys. A server that says nothing never sees that key, and a client that does
+not know it ignores the greeting, so each side works with a peer of the other kind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, cast, get_args
+
+import numpy as np
+
+from gn0.errors import FormatError
+from gn0.geometry import Pose2D
+from gn0.policies.remote.answers import show
+from gn0.sim.state import Observation, Sensor
+
+KEY = "gn0"
+VERSION = 1
+OFFICIAL_SENSORS: frozenset[Sensor] = frozenset({"rgb"})
+_SENSORS = frozenset(get_args(Sensor))
+_STATIC = ("bev", "goal_picture")  # sent when they change, not with every query
+_ARRAYS = ("depth", "bev", "occupancy", "history", "ranges", "goal_picture")
+
+
+@dataclass(frozen=True)
+class Greeting:
+    """What a server says about itself on connect.
+
+    Attributes:
+        extended: it knows the extension, so requests carry it.
+        name: what it calls itself.
+        wants: observation fields it asks for.
+    """
+
+    extended: bool = False
+    name: str = ""
+    wants: frozenset[Sensor] = OFFICIAL_SENSORS
+
+
+def read_greeting(metadata: dict[str, Any]) -> Greeting:
+    """What a first frame means to us; anything we do not know is passed over."""
+    about = metadata.get(KEY)
+    if not isinstance(about, dict):
+        return Greeting()
+    version = about.get("version")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        return Greeting()
+    wants = about.get("wants")
+    asked = (
+        frozenset(w for w in wants if isinstance(w, str)) & _SENSORS
+        if isinstance(wants, list)
+        else OFFICIAL_SENSORS
+    )
+    name = about.get("name")
+    return Greeting(
+        extended=True,
+        name=show(name)[:80] if isinstance(name, str) else "",
+        wants=cast("frozenset[Sensor]", asked),
+    )
+
+
+def build_greeting(name: str, wants: frozenset[Sensor]) -> dict[str, Any]:
+    """The first frame of a server that knows the extension."""
+    return {KEY: {"version": VERSION, "name": name, "wants": sorted(wants)}}
+
+
+class ObservationSender:
+    """Observations as the extension's map; pictures that stay the same are sent once."""
+
+    def __init__(self) -> None:
+        self._sent: dict[str, Any] = {}
+
+    def reset(self) -> None:
+        """Begin an episode: everything is new to the server."""
+        self._sent.clear()
+
+    def pack(self, observation: Observation) -> dict[str, Any]:
+        """The map that goes under the key `gn0` of a request."""
+        found: dict[str, Any] = {
+            "version": VERSION,
+            "step": observation.step,
+            "time": observation.time,
+            "collided": observation.collided,
+        }
+        for name in _ARRAYS:
+            value = getattr(observation, name)
+            if value is None or (name in _STATIC and self._sent.get(name) is value):
+                continue
+            found[name] = value
+            self._sent[name] = value
+        if observation.bev_metres_per_pixel is not None:
+            found["bev_metres_per_pixel"] = float(observation.bev_metres_per_pixel)
+        if observation.goal_vector is not None:
+            found["goal_vector"] = [float(v) for v in observation.goal_vector]
+        if observation.pose is not None:
+            found["pose"] = [float(v) for v in observation.pose]
+        return found
+
+
+_SHAPES = {"depth": (np.float32, 2, 0), "bev": (np.uint8, 3, 3), "occupancy": (np.uint8, 3, 3),
+           "history": (np.uint8, 3, 3), "ranges": (np.float32, 1, 0),
+           "goal_picture": (np.uint8, 3, 3)}  # fmt: skip
+
+
+def read_observation(
+    instruction: str, images: Any, more: Any, before: Observation | None
+) -> Observation:
+    """The observation of a request, as a server sees it.
+
+    Args:
+        instruction: the text of the mission.
+        images: HWC or THWC uint8 pictures, or None.
+        more: the extension's map, or None.
+        before: the last observation of this session, for pictures that are sent once.
+
+    Raises:
+        FormatError: a field of the wrong type or shape.
+    """
+    rgb = None
+    if images is not None:
+        if not isinstance(images, np.ndarray) or images.dtype != np.uint8:
+            raise _refusal("images", "uint8 [H, W, 3] or [T, H, W, 3]")
+        if images.ndim not in (3, 4) or images.shape[-1] != 3 or 0 in images.shape:
+            raise _refusal("images", "uint8 [H, W, 3] or [T, H, W, 3]")
+        rgb = images if images.ndim == 3 else images[-1]
+    seen = Observation(
+        step=0 if before is None else before.step + 1, time=0.0, instruction=instruction, rgb=rgb
+    )
+    if more is None:
+        return seen
+    if not isinstance(more, dict):
+        raise _refusal(KEY, "a map")
+    fields: dict[str, Any] = {}
+    if before is not None:
+        fields |= {name: getattr(before, name) for name in _STATIC}
+    for name, (dtype, ndim, last) in _SHAPES.items():
+        value = more.get(name)
+        if value is None:
+            continue
+        if not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != ndim:
+            raise _refusal(name, f"{np.dtype(dtype).name} of {ndim} dimensions")
+        if last and value.shape[-1] != last:
+            raise _refusal(name, "a picture [H, W, 3]")
+        fields[name] = value
+    for name, kind, holds in (("step", int, "an int"), ("time", float, "seconds"),
+                              ("bev_metres_per_pixel", float, "metres"),
+                              ("collided", bool, "true or false")):  # fmt: skip
+        value = more.get(name)
+        if value is not None:
+            if not isinstance(value, kind):
+                raise _refusal(name, holds)
+            fields[name] = value
+    for name, count in (("goal_vector", 2), ("pose", 3)):
+        value = more.get(name)
+        if value is None:
+            continue
+        if (
+            not isinstance(value, list)
+            or len(value) != count
+            or not all(isinstance(v, float) for v in value)
+        ):
+            raise _refusal(name, f"{count} numbers")
+        fields[name] = tuple(value) if name == "goal_vector" else Pose2D(*value)
+    return replace(seen, **fields)
+
+
+def _refusal(field: str, holds: str) -> FormatError:
+    return FormatError(
+        "not what it should be", where="request", field=field, remedy=f"send {holds}"
+    )

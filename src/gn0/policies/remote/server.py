@@ -1,0 +1,317 @@
+"""A small server kit: a policy class becomes a server that a benchmark run can ask.
+
+    class MyPolicy:
+        name = "mine"
+        sensors = frozenset({"depth"})
+        def reset(self, instruction, rng): ...
+        def act(self, observation): return Action.FORWARD
+
+    serve(MyPolicy, port=8000)
+
+The class is the one that also runs in-process as a plug-in. A class with `answer(observation,
+frames)` instead of `act` may return several actions at once, moves in metres, or a text.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import logging
+import threading
+from collections.abc import Callable, Sequence
+from http import HTTPStatus
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from gn0.errors import ConfigError, FormatError, Gn0Error, PolicyError
+from gn0.geometry import U8, world_to_agent, wrap_angle
+from gn0.policies.remote.client import check_token, find_token, is_loopback
+from gn0.policies.remote.extension import KEY, build_greeting, read_observation
+from gn0.policies.remote.wire import REQUEST_LIMITS, WireLimits, decode_message, encode_message
+from gn0.seeds import random_stream
+from gn0.sim.policy import Policy
+from gn0.sim.state import Action, Displacement, Observation, Sensor, Teleport
+
+CONNECTIONS_LIMIT = 64
+IDLE_TIMEOUT = 3600.0  # s without a request until a connection is closed
+WORDS_LIMIT = 100_000  # characters of an instruction or a session id
+_log = logging.getLogger(__name__)
+
+
+class Answerer(Protocol):
+    """What a server asks: like a `Policy`, but for several actions at once.
+
+    Attributes:
+        name: what the server calls itself.
+        sensors: observation fields it reads.
+    """
+
+    name: str
+    sensors: frozenset[Sensor]
+
+    def reset(self, instruction: str, rng: np.random.Generator) -> None:
+        """Begin an episode."""
+        ...
+
+    def answer(self, observation: Observation, frames: Sequence[U8]) -> Any:
+        """Actions, rows of (dx forward, dy left [m], dyaw [rad]), a text, or a whole reply (dict).
+
+        `frames` are the pictures since the last question, the current one last.
+        """
+        ...
+
+
+class PolicyServer:
+    """Serves a policy in the background while its `with` block lasts.
+
+    Each connection has a policy of its own, and one is asked at a time, so a model that all of them
+    share needs no lock. Any exception of the policy goes back to the client as an error text.
+
+    Args:
+        build: builds a policy or `Answerer`; called once here and once a connection.
+        host: address to listen on; only this machine unless there is a token.
+        port: TCP port; 0 takes a free one, see `url`.
+        token: what clients must send as `Authorization: Bearer`; by default that of `$GN0_TOKEN`.
+        limits: what a request may hold.
+
+    Raises:
+        ConfigError: another machine could reach it and there is no token, or the port is taken.
+    """
+
+    def __init__(
+        self,
+        build: Callable[[], Policy | Answerer],
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8000,
+        token: str | None = None,
+        limits: WireLimits = REQUEST_LIMITS,
+    ) -> None:
+        from websockets.sync.server import serve
+
+        self._token = find_token() if token is None else check_token(token)
+        if not is_loopback(host) and not self._token:
+            raise ConfigError(
+                f"{host} can be reached by other machines, and there is no token",
+                where="host",
+                remedy="set GN0_TOKEN, for the clients too, or listen on 127.0.0.1",
+            )
+        self._build = build
+        self._limits = limits
+        first = build()  # a policy that cannot be built says so now, not to the first client
+        self._spare: list[Policy | Answerer] = [first]
+        self.name = str(first.name)
+        self._greeting = encode_message(build_greeting(self.name, frozenset(first.sensors)))
+        self._turn = threading.Lock()
+        self._open: set[Any] = set()
+        self._threads: list[threading.Thread] = []
+        try:
+            self._server = serve(
+                self._handle,
+                host,
+                port,
+                max_size=limits.size,
+                compression=None,
+                ping_interval=None,
+                origins=[None],  # a page in a browser has no business here
+                process_request=self._admit,
+                close_timeout=1.0,
+                logger=_QUIET,
+            )
+        except OSError as error:
+            raise ConfigError(
+                f"cannot listen: {error.strerror or error}",
+                where=f"{host}:{port}",
+                remedy="choose another port",
+            ) from None
+        bound = self._server.socket.getsockname()
+        self.url = f"ws://{f'[{host}]' if ':' in host else host}:{bound[1]}"
+
+    def _admit(self, connection: Any, request: Any) -> Any:
+        """Refuse who has no token, and who comes when the house is full."""
+        if self._token:
+            sent = request.headers.get_all("Authorization")
+            wanted = f"Bearer {self._token}".encode()
+            given = sent[0].encode("utf-8", "replace") if len(sent) == 1 else b""
+            if not hmac.compare_digest(given, wanted):
+                return connection.respond(HTTPStatus.UNAUTHORIZED, "token required\n")
+        if len(self._open) >= CONNECTIONS_LIMIT:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
+        return None
+
+    def _handle(self, connection: Any) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        self._open.add(connection)
+        try:
+            with self._turn:
+                policy = self._spare.pop() if self._spare else self._build()
+            session = PolicySession(policy)
+            connection.send(self._greeting)
+            while True:
+                frame = connection.recv(timeout=IDLE_TIMEOUT)
+                connection.send(self._answer(session, frame))
+        except (ConnectionClosed, TimeoutError, OSError):
+            pass  # the client is gone, or has nothing to say
+        except Exception:
+            _log.exception("a policy could not be built")
+            with contextlib.suppress(Exception):
+                connection.close(1011, "the policy cannot be built")
+        finally:
+            self._open.discard(connection)
+
+    def _answer(self, session: PolicySession, frame: bytes | str) -> bytes | str:
+        """The reply to a request; a text is an error."""
+        try:
+            if isinstance(frame, str):
+                raise FormatError("is a text", where="request", remedy="send binary frames")
+            request = decode_message(frame, self._limits)
+            with self._turn:
+                reply = session.reply(request)
+            return encode_message(reply)
+        except Gn0Error as error:
+            _log.warning("%s", error)
+            return str(error)
+        except Exception as error:
+            _log.exception("the policy failed")
+            return f"{type(error).__name__}: {error}"[:2000]
+
+    def serve_forever(self) -> None:
+        """Serve until `close` is called from elsewhere."""
+        self._server.serve_forever()
+
+    def close(self) -> None:
+        """Stop listening and hang up on everybody."""
+        self._server.shutdown()
+        for connection in list(self._open):
+            with contextlib.suppress(Exception):
+                connection.close(1001)
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+
+    def __enter__(self) -> Self:
+        thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        thread.start()
+        self._threads.append(thread)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class PolicySession:
+    """One client's policy, and where its episode stands.
+
+    Args:
+        policy: a `Policy` or an `Answerer`.
+    """
+
+    def __init__(self, policy: Policy | Answerer) -> None:
+        self.policy = policy
+        self._session: str | None = None
+        self._before: Observation | None = None
+
+    def reply(self, request: Any) -> dict[str, Any]:
+        """The reply to a decoded request.
+
+        Raises:
+            FormatError: the request is none.
+            PolicyError: the policy gives no action.
+        """
+        if not isinstance(request, dict):
+            raise FormatError("is no map", where="request", remedy="send a map")
+        endpoint = request.get("endpoint")
+        if endpoint == "reset":
+            self._session = None
+            return {"status": "ok"}
+        if endpoint != "infer":
+            raise FormatError(
+                "unknown", where="request", field="endpoint", remedy="send reset or infer"
+            )
+        instruction = _words(request, "instruction")
+        session = _words(request, "session_id")
+        fresh = session != self._session
+        images = request.get("images")
+        seen = read_observation(
+            instruction, images, request.get(KEY), None if fresh else self._before
+        )
+        if fresh:
+            self.policy.reset(instruction, random_stream(0, "remote policy", session))
+            self._session = session
+        self._before = seen
+        frames: Sequence[U8] = [] if images is None else images if images.ndim == 4 else [images]
+        if hasattr(self.policy, "answer"):
+            said = self.policy.answer(seen, frames)
+        else:
+            said = self.policy.act(seen)
+        return build_reply(said, seen)
+
+
+def _words(request: dict[str, Any], name: str) -> str:
+    value = request.get(name, "")
+    if not isinstance(value, str) or len(value) > WORDS_LIMIT:
+        raise FormatError("is no text", where="request", field=name, remedy="send a text")
+    return value
+
+
+def build_reply(said: Any, seen: Observation) -> dict[str, Any]:
+    """What a policy said, as a reply.
+
+    Raises:
+        PolicyError: it is no action; or a `Teleport`, and the client told no pose.
+    """
+    if isinstance(said, dict):
+        return said
+    if isinstance(said, str):
+        return {"action_type": "text", "text": said}
+    if isinstance(said, Teleport):
+        if seen.pose is None:
+            raise PolicyError(
+                "a Teleport needs the pose, which the client does not tell",
+                remedy="answer with a Displacement, or run with --policy-option pose=true",
+            )
+        forward, left = world_to_agent(seen.pose, said.x, said.y)
+        said = Displacement(forward, left, wrap_angle(said.yaw - seen.pose.yaw))
+    if isinstance(said, Displacement):
+        return {"action_type": "nav_delta", "actions": [[float(v) for v in said]]}
+    if isinstance(said, Action | int | np.integer) and not isinstance(said, bool):
+        return {"action_type": "discrete", "actions": [int(said)]}
+    if isinstance(said, np.ndarray):
+        said = said.tolist()
+    if not isinstance(said, list | tuple):
+        raise PolicyError(f"the policy said {said!r:.80}", remedy="return actions")
+    if said and all(isinstance(row, list | tuple | np.ndarray) for row in said):
+        return {"action_type": "nav_delta", "actions": [[float(v) for v in row] for row in said]}
+    return {"action_type": "discrete", "actions": [int(code) for code in said]}
+
+
+def serve(
+    build: Callable[[], Policy | Answerer],
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8000,
+    token: str | None = None,
+) -> None:
+    """Serve a policy until Ctrl-C; see `PolicyServer`.
+
+    Raises:
+        ConfigError: another machine could reach it and there is no token, or the port is taken.
+    """
+    server = PolicyServer(build, host=host, port=port, token=token)
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.close()
+
+
+_QUIET = logging.getLogger("gn0.policies.remote.websocket")
+_QUIET.setLevel(logging.CRITICAL)  # strangers at the door are no news

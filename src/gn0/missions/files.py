@@ -145,7 +145,9 @@ class Named(Protocol):
     """Anything with an id."""
 
     @property
-    def id(self) -> str: ...
+    def id(self) -> str:
+        """Its id."""
+        ...
 
 
 def check_unique(episodes: Sequence[Named], file: str | Path = "") -> None:

@@ -70,7 +70,12 @@ class FrameCheck:
         if self.better:
             text += (
                 f". The frame looks wrong: read as {self.better!r} it would be "
-                f"{self.free[self.better]:.1%}; if the picture agrees, give --frame {self.better}"
+                f"{self.free[self.better]:.1%}; if the picture agrees, "
+                + (
+                    "leave --frame out"
+                    if self.better == "documented"
+                    else f"give --frame {self.better}"
+                )
             )
         elif share < LOW_SHARE:
             text += ". That is little: is this the scene that the episodes were made for?"

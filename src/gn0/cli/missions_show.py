@@ -1,0 +1,140 @@
+"""Draw an episode: its path on the occupancy map on the bird's-eye view, with its instruction.
+
+Without an episode: all paths of each scene, a picture a scene. A foreign set whose scenes are not
+here is told in numbers, and its paths are drawn on white.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from gn0.config import Config
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from gn0.bench.suite import Suite
+    from gn0.missions.episode import Episode
+
+EXAMPLES = """  gn0 missions show out/suite
+  gn0 missions show out/suite flat_0003 --out flat_0003.png
+  gn0 missions show val_seen.json.gz"""
+
+
+class Args(Config, frozen=True):
+    """What to draw and where to.
+
+    Attributes:
+        path: a suite folder, or an episode set in another format.
+        episode: id of an episode; by default all of them, a picture a scene.
+        out: the PNG to write, or a folder for several; by default beside the suite.
+        no_rooms: leave out the outlines of rooms.
+    """
+
+    path: Annotated[str, tyro.conf.Positional]
+    episode: Annotated[str, tyro.conf.Positional] = ""
+    out: str = ""
+    no_rooms: bool = False
+
+
+def run(args: Args) -> int:
+    """Draw and write."""
+    from gn0.bench.suite import SUITE_FILE
+
+    if (Path(args.path) / SUITE_FILE).is_file():
+        return _show_suite(args)
+    return _show_set(args)
+
+
+def draw_episode(
+    suite: Suite, episode: Episode | None, scene_id: str = "", rooms: bool = True
+) -> Image.Image:
+    """The overlay of one episode, or of all of a scene."""
+    from gn0.bench.suite import load_suite_scene
+    from gn0.render.renderer import build_renderer
+    from gn0.viewer.overlay import render_overlay
+
+    name = episode.scene_id if episode is not None else scene_id
+    scene = load_suite_scene(suite.scene_folder(name), name, suite.scene_hash(name))
+    chosen = [episode] if episode else [e for e in suite.episodes if e.scene_id == name]
+    inside = [scene.grid.is_free(x, y) for e in chosen for x, y in (e.start[:2], *e.path, e.goal)]
+    words = (
+        f"{sum(inside) / max(len(inside), 1):.1%} of {len(inside)} points on free cells   ·   "
+        "green: start, star: goal, red: not on free cells"
+    )
+    return render_overlay(
+        scene, chosen, build_renderer(scene.gaussians), rooms=rooms, caption=[words]
+    )
+
+
+def _show_suite(args: Args) -> int:
+    from gn0.bench.suite import load_suite
+    from gn0.cli.console import draw_progress
+    from gn0.errors import EpisodeError
+    from gn0.storage import write_atomic
+
+    suite = load_suite(args.path)
+    home = Path(args.path).resolve()
+    known = {episode.id: episode for episode in suite.episodes}
+    if args.episode:
+        if args.episode not in known:
+            import difflib
+
+            near = difflib.get_close_matches(args.episode, known, n=1)
+            raise EpisodeError(
+                f"no episode {args.episode!r}",
+                where=args.path,
+                remedy=f"did you mean {near[0]!r}?" if near else f"the first is {min(known)!r}",
+            )
+        name = "".join(c if c.isalnum() or c in "._-" else "_" for c in args.episode)
+        jobs = [(args.episode, "", Path(args.out) if args.out else home.parent / f"{name}.png")]
+    else:
+        out = Path(args.out) if args.out else home.parent / f"{home.name}-overlays"
+        several = len(suite.about.scenes) > 1 or not args.out.endswith(".png")
+        jobs = [
+            ("", scene.id, out / f"{scene.id}.png" if several else out)
+            for scene in suite.about.scenes
+        ]
+    with draw_progress() as progress:
+        for done, (episode, scene, path) in enumerate(jobs):
+            progress("drawing", done, len(jobs))
+            picture = draw_episode(suite, known.get(episode), scene, not args.no_rooms)
+            write_atomic(path, lambda stream, p=picture: p.save(stream, "PNG"))  # type: ignore[misc]
+        progress("drawing", len(jobs), len(jobs))
+    for _, _, path in jobs:
+        print(f"written to {path}")
+    return 0
+
+
+def _show_set(args: Args) -> int:
+    from gn0.missions.sets.check import summarise
+    from gn0.missions.sets.episode_set import load_set
+    from gn0.storage import write_atomic
+    from gn0.viewer.overlay import render_paths
+
+    found = load_set(args.path)
+    tasks = [task for task in found.tasks if not args.episode or task.id == args.episode]
+    told = summarise(tasks)
+    print(f"{found.format}, {found.name}: {told.episodes} episodes in {told.scenes} scenes")
+    for name, values, unit in (
+        ("reference path", told.path_length, "m"),
+        ("start to goal, straight", told.straight, "m"),
+        ("instruction", told.words, "words"),
+    ):
+        low, middle, high = values
+        print(f"  {name:<24} {low:8.1f} {middle:8.1f} {high:8.1f} {unit}  (least, median, most)")
+    if told.no_goal:
+        print(f"  {told.no_goal} have no goal: they cannot be scored")
+    if told.storeys:
+        print(f"  {told.storeys} change storey; maps here know one floor")
+    for note in found.notes:
+        print(f"  {note}")
+    if args.out and tasks:
+        scene = max(found.scenes, key=lambda s: sum(t.scene == s for t in tasks))
+        picture = render_paths([t.points for t in tasks if t.scene == scene])
+        write_atomic(args.out, lambda stream: picture.save(stream, "PNG"))
+        print(f"paths of {scene}: {args.out}")
+    return 0

@@ -17,7 +17,7 @@ from urllib.parse import unquote
 import msgspec
 
 from gn0.errors import StorageError
-from gn0.gaussians.cloud_source import REFETCH, CloudSource
+from gn0.gaussians.cloud_source import REFETCH, CloudSource, decode_json
 from gn0.storage import safe_join, storage_error
 
 _DATA = b"data:"
@@ -113,7 +113,7 @@ def open_buffer(
                 f"a data URI holds {held} bytes, not the {length} promised", field=field
             )
         return TextBuffer(source, body, length), 0
-    name = unquote(msgspec.json.decode(uri, type=str))
+    name = unquote(decode_json(text, str, source.file, "the URI of a buffer"))
     if "://" in name:
         raise source.refuse(
             f"buffer {name!r} is a web address, which is never fetched",

@@ -149,7 +149,8 @@ def _decode(header: _Header, stream: PlaneStream, source: CloudSource, encoding:
         quats = _unpack_rotation(rows("rotations"), header.version)
         quats[:, 2:] *= np.float32(-1)
         means = _unpack_positions(rows("positions"), header)
-        means[:, 1:] *= np.float32(-1)
+        with np.errstate(invalid="ignore"):  # halves may be NaN
+            means[:, 1:] *= np.float32(-1)
         builder.put(
             start,
             means,

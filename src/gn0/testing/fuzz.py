@@ -14,7 +14,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,8 @@ class FuzzTarget:
         check: raises if what was read is not sound.
         tokens: words of the format that mutations may put in.
         suffix: file name ending.
+        beside: sound files that lie beside the input, by relative path.
+        finish: last step of every mutant, e.g. making its checksums agree again.
     """
 
     name: str
@@ -55,6 +57,8 @@ class FuzzTarget:
     check: Callable[[Any], None] = lambda _: None
     tokens: Sequence[bytes] = ()
     suffix: str = ""
+    beside: Mapping[str, bytes] = field(default_factory=dict)
+    finish: Callable[[bytes, np.random.Generator], bytes] = lambda data, _: data
 
 
 @dataclass(frozen=True)
@@ -136,6 +140,9 @@ def fuzz_reader(
     with tempfile.TemporaryDirectory(dir=parent) as folder, warnings.catch_warnings():
         warnings.simplefilter("error")
         path = Path(folder) / f"input{target.suffix}"
+        for name, data in target.beside.items():
+            (Path(folder) / name).parent.mkdir(parents=True, exist_ok=True)
+            (Path(folder) / name).write_bytes(data)
         for data in files:  # compile and warm up, outside the clock
             path.write_bytes(data)
             target.check(target.read(path))
@@ -144,7 +151,7 @@ def fuzz_reader(
         for index in range(count):
             rng = random_stream(seed, "fuzz", target.name, index)
             pick = int(rng.integers(len(files)))
-            data = mutate(files[pick], rng, files, target.tokens)
+            data = target.finish(mutate(files[pick], rng, files, target.tokens), rng)
             path.write_bytes(data)
             started = time.process_time()
             what = ""
@@ -274,6 +281,12 @@ _MUTATIONS: tuple[Callable[..., None], ...] = (
 TARGETS = {
     "ply": "gn0.testing.splat_corpus:ply_target",
     "ply-packed": "gn0.testing.splat_corpus:ply_packed_target",
+    "splat": "gn0.testing.splat_targets:splat_target",
+    "ksplat": "gn0.testing.splat_targets:ksplat_target",
+    "spz": "gn0.testing.splat_targets:spz_target",
+    "sog": "gn0.testing.splat_targets:sog_target",
+    "sog-folder": "gn0.testing.splat_targets:sog_folder_target",
+    "gltf": "gn0.testing.splat_targets:gltf_target",
 }
 
 

@@ -26,6 +26,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "straight": "gn0.policies.simple:PolicyStraight",
         "wall_follower": "gn0.policies.simple:PolicyWallFollower",
         "random": "gn0.policies.simple:PolicyRandom",
+        "explorer": "gn0.policies.explorer:PolicyExplorer",
         "remote": "gn0.policies.remote.policy:PolicyRemote",
     },
     "metric": {},

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Protocol
 
 from gn0.config import Config, check_config
-from gn0.errors import SceneError, StorageError
+from gn0.errors import ConfigError, SceneError, StorageError
 from gn0.plugins import get_plugin, plugin_names
 from gn0.progress import Progress, no_progress
+from gn0.scenes.capture.settings import CaptureSettings, check_capture_settings
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION
 from gn0.scenes.scene import Scene
@@ -24,6 +25,7 @@ class ImportSettings(Config, frozen=True):
         seed: of whatever is drawn by chance.
         scene_id: id of the scene; the source's own name when empty.
         light: "home" bakes lamps and daylight, "flat" shows the textures as they are.
+        capture: what is known about a bare capture.
     """
 
     height_band: tuple[float, float] = BAND
@@ -32,6 +34,7 @@ class ImportSettings(Config, frozen=True):
     seed: int = 0
     scene_id: str = ""
     light: str = "home"
+    capture: CaptureSettings = CaptureSettings()
 
 
 class SceneSource(Protocol):
@@ -92,6 +95,7 @@ def import_scene(
     density: float = 10_000.0,
     seed: int = 0,
     light: str = "home",
+    capture: CaptureSettings | None = None,
     cloud_form: CloudForm = "exact",
     overwrite: bool = False,
     progress: Progress = no_progress,
@@ -99,13 +103,14 @@ def import_scene(
     """Import whatever lies at `path` into the scene folder `out`; the scene's id is its name.
 
     Args:
-        path: an InteriorGS folder, a Gazebo world folder or a `.world`/`.sdf` file.
+        path: a splat file, an InteriorGS folder, a Gazebo world folder or a `.world`/`.sdf` file.
         out: the folder to write.
         height_band: (low, high) [m] above the floor: what blocks the agent.
         resolution: cell size of the occupancy grid [m].
         density: Gaussians per square metre of floor, for meshes.
         seed: of whatever is drawn by chance.
         light: "home" bakes lamps and daylight, "flat" shows the textures as they are.
+        capture: up, scale, floor and the like of a bare capture, where known.
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).
         overwrite: replace an existing folder.
         progress: progress sink.
@@ -146,9 +151,17 @@ def import_scene(
             seed=seed,
             scene_id=scene_id_from(out.resolve().name),
             light=light,
+            capture=check_capture_settings(capture or CaptureSettings()),
         )
     )
-    scene = find_source(path).build(path, settings, progress)
+    source = find_source(path)
+    if capture not in (None, CaptureSettings()) and source.name != "capture":
+        raise ConfigError(
+            f"up, scale, floor and the like are for bare captures, not for {source.name} scenes",
+            where=path,
+            remedy="leave them out",
+        )
+    scene = source.build(path, settings, progress)
     return save_scene(scene, out, cloud_form=cloud_form, overwrite=overwrite, progress=progress)
 
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from gn0.errors import SceneError
-from gn0.geometry import F64
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.progress import Progress, no_progress
+from gn0.scenes.boxes import upright_box
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.occupancy import build_occupancy, find_floor
 from gn0.scenes.rooms import RoomMap, assign_rooms, build_rooms
-from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneOpening, SceneSourceInfo
+from gn0.scenes.scene import Scene, SceneObject, SceneOpening, SceneSourceInfo
 from gn0.scenes.sdf import SdfWorld, find_world_file, load_sdf
 from gn0.scenes.sources import ImportSettings
 from gn0.scenes.surfels import build_surfels
@@ -179,34 +179,6 @@ def world_openings(objects: tuple[SceneObject, ...]) -> tuple[SceneOpening, ...]
             )
         )
     return tuple(openings)
-
-
-def upright_box(points: F64, yaw: float) -> ObjectBox:
-    """The smallest upright box of points [N, 3] m, at the model's own yaw or a better one.
-
-    Another angle is taken only when it saves a tenth of the footprint: models are drawn along
-    their axes.
-    """
-    best: tuple[float, float, F64, F64] | None = None
-    for step in range(46):
-        angle = yaw if step == 0 else yaw + math.radians(2 * (step - 1))
-        c, s = math.cos(angle), math.sin(angle)
-        local = points[:, :2] @ np.array([[c, -s], [s, c]])
-        low, high = local.min(axis=0), local.max(axis=0)
-        area = float(np.prod(np.maximum(high - low, 1e-3)))
-        if best is None or area < (0.9 if best[1] == yaw else 1.0) * best[0]:
-            best = (area, angle, low, high)
-    assert best is not None
-    _, angle, low, high = best
-    c, s = math.cos(angle), math.sin(angle)
-    x, y = (low + high) / 2 @ np.array([[c, s], [-s, c]])
-    z0, z1 = points[:, 2].min(), points[:, 2].max()
-    sx, sy = high - low
-    return ObjectBox(
-        centre=(round(float(x), 4), round(float(y), 4), round(float(z0 + z1) / 2, 4)),
-        size=(round(float(sx), 4), round(float(sy), 4), round(float(z1 - z0), 4)),
-        yaw=round(math.remainder(angle, 2 * math.pi), 6),
-    )
 
 
 def ceiling_height(meshes: WorldMeshes) -> float:

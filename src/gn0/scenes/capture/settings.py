@@ -1,0 +1,152 @@
+"""What a user may say about a capture instead of having it proposed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gn0.config import Config
+from gn0.errors import ConfigError
+from gn0.geometry import F64
+from gn0.scenes.capture.gravity import AXES
+
+
+class CaptureSettings(Config, frozen=True):
+    """What is known about a bare capture; the defaults leave everything to be proposed.
+
+    Attributes:
+        up: "auto", an axis of the file such as "-y", or a direction "x,y,z".
+        scale: metres per unit of the file; 0 when it is to be proposed.
+        scale_from: a known length instead, see `read_scale_rule`; "" for none.
+        floor: "auto", "bottom", or a height along up in units of the file: a flat ground there.
+        yaw: "walls" turns the walls along x and y, "keep" leaves the heading.
+        seed_point: (x, y) [m] on open floor in the scene's frame; None for the proposed one.
+        level: level of detail of a streamed file; None for the finest.
+    """
+
+    up: str = "auto"
+    scale: float = 0.0
+    scale_from: str = ""
+    floor: str = "auto"
+    yaw: Literal["walls", "keep"] = "walls"
+    seed_point: tuple[float, float] | None = None
+    level: int | None = None
+
+
+@dataclass(frozen=True)
+class ScaleRule:
+    """A known length.
+
+    Attributes:
+        kind: "ceiling", "camera-height", "door-height" or "two-points".
+        metres: the true length.
+        points: in the file's frame; one for heights, two for two points.
+    """
+
+    kind: str
+    metres: float
+    points: tuple[tuple[float, float, float], ...] = ()
+
+
+_POINTS = {"ceiling": 0, "camera-height": 1, "door-height": 1, "two-points": 2}
+_FORMS = (
+    "use ceiling:2.6, camera-height:1.5@x,y,z, door-height:2.0@x,y,z or "
+    "two-points:1.2@x,y,z@x,y,z, with lengths in metres and points in the file's own units"
+)
+
+
+def check_capture_settings(settings: CaptureSettings) -> CaptureSettings:
+    """The settings, when they make sense.
+
+    Raises:
+        ConfigError: names the setting and what it may be.
+    """
+    read_up(settings.up)
+    read_floor(settings.floor)
+    if settings.scale_from:
+        read_scale_rule(settings.scale_from)
+        if settings.scale:
+            raise ConfigError("--scale and --scale-from are both given", remedy="give one of them")
+    if not (math.isfinite(settings.scale) and 0 <= settings.scale <= 1e6):
+        raise ConfigError(
+            f"scale {settings.scale:g} is not a positive number",
+            where="--scale",
+            remedy="give the metres that one unit of the file stands for, e.g. 0.01",
+        )
+    return settings
+
+
+def read_up(text: str) -> F64 | None:
+    """The direction [3] that a user names as up; None for "auto".
+
+    Raises:
+        ConfigError: neither an axis nor a direction.
+    """
+    said = text.strip().lower()
+    if said == "auto":
+        return None
+    named = said if said[:1] in "+-" else f"+{said}"
+    if named in AXES:
+        return np.array(AXES[named], np.float64)
+    try:
+        up = np.array([float(part) for part in said.split(",")], np.float64)
+    except ValueError:
+        up = np.zeros(0)
+    if up.shape != (3,) or not np.isfinite(up).all() or not np.linalg.norm(up) > 0:
+        raise ConfigError(
+            f"{text!r} is no direction",
+            where="--up",
+            remedy="use auto, x, -x, y, -y, z, -z or three numbers such as 0,-0.98,0.2 "
+            "(write --up=-y, with '=', for what starts with a minus)",
+        )
+    return np.asarray(up / np.linalg.norm(up))
+
+
+def read_floor(text: str) -> float | Literal["bottom"] | None:
+    """The floor's height along up in the file's units, "bottom", or None for "auto".
+
+    Raises:
+        ConfigError: none of these.
+    """
+    said = text.strip().lower()
+    if said == "auto":
+        return None
+    if said == "bottom":
+        return "bottom"
+    try:
+        value = float(said)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(
+            f"{text!r} is no height",
+            where="--floor",
+            remedy="use auto, bottom, or a height along up in the file's units, e.g. --floor=-0.4",
+        )
+    return value
+
+
+def read_scale_rule(text: str) -> ScaleRule:
+    """A known length in the words of `--scale-from`.
+
+    Raises:
+        ConfigError: not of a form that is known.
+    """
+    kind, _, rest = text.strip().partition(":")
+    length, *points = rest.split("@")
+    try:
+        metres = float(length)
+        where = tuple(tuple(float(v) for v in point.split(",")) for point in points)
+    except ValueError:
+        raise ConfigError(f"{text!r} is no rule", where="--scale-from", remedy=_FORMS) from None
+    if (
+        kind not in _POINTS
+        or len(where) != _POINTS[kind]
+        or not (math.isfinite(metres) and metres > 0)
+        or any(len(p) != 3 or not all(map(math.isfinite, p)) for p in where)
+    ):
+        raise ConfigError(f"{text!r} is no rule", where="--scale-from", remedy=_FORMS)
+    return ScaleRule(kind, metres, tuple((p[0], p[1], p[2]) for p in where))

@@ -1,0 +1,152 @@
+"""A bare capture as a scene: splats in any format we read, and nothing else."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from gn0.errors import Gn0Error
+from gn0.gaussians.cloud_file import CloudFile
+from gn0.gaussians.files import load_cloud
+from gn0.geometry import quaternion_from_rotation
+from gn0.progress import Progress, no_progress
+from gn0.scenes.capture.objects import CaptureLabels, find_things
+from gn0.scenes.capture.occupancy import (
+    CaptureOccupancy,
+    build_capture_occupancy,
+    main_extent,
+)
+from gn0.scenes.capture.pose import CapturePose, propose_pose
+from gn0.scenes.capture.settings import check_capture_settings
+from gn0.scenes.scene import Scene, SceneSourceInfo
+from gn0.scenes.sources import ImportSettings, scene_id_from
+
+SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb", ".gltf")
+TOPICS = ("up", "floor", "scale", "yaw", "map", "labels")  # of evidence, in reading order
+INDEXES = ("meta.json", "lod-meta.json")  # of unbundled and of streamed SOG folders
+
+
+class SceneSourceCapture:
+    """A splat file, or a folder of SOG pictures."""
+
+    name = "capture"
+    looked_for = "a .ply, .splat, .ksplat, .spz, .sog or .glb file of splats, or a SOG folder"
+
+    def recognises(self, path: Path) -> bool:
+        """Whether it is named like a splat file, or is a SOG folder."""
+        try:
+            if path.is_dir():
+                return any((path / name).is_file() for name in INDEXES)
+            return path.is_file() and (path.suffix.lower() in SUFFIXES or path.name in INDEXES)
+        except OSError:
+            return False
+
+    def build(
+        self, path: Path, settings: ImportSettings, progress: Progress = no_progress
+    ) -> Scene:
+        """Read, turn upright, put on the floor, map, label.
+
+        Raises:
+            FormatError, StorageError: the file is damaged or unreadable.
+            SceneError: no floor, or no open floor; says what to give instead.
+            ConfigError: a setting does not make sense.
+        """
+        told = check_capture_settings(settings.capture)
+        progress("reading splats", 0, 4)
+        file = load_cloud(path, level=told.level)
+        progress("finding up, floor and scale", 1, 4)
+        try:
+            pose = propose_pose(file.cloud, told)
+            cloud = pose.apply(file.cloud)
+            progress("mapping", 2, 4)
+            occupancy = build_capture_occupancy(
+                cloud,
+                resolution=settings.resolution,
+                band=settings.height_band,
+                seed=told.seed_point,
+                ground=pose.ground,
+            )
+        except Gn0Error as error:
+            if not error.where:
+                error.where = str(path)
+            raise
+        progress("finding things", 3, 4)
+        labels = find_things(occupancy, settings.height_band, pose.walls)
+        progress("finding things", 4, 4)
+        low, high = main_extent(cloud)
+        return Scene(
+            id=settings.scene_id or scene_id_from(path.resolve().stem),
+            source=SceneSourceInfo(
+                kind=self.name,
+                detail=_detail(file),
+                settings=describe_capture(settings, pose, occupancy, labels),
+                label_source="heuristic" if labels.objects else "none",
+            ),
+            grid=occupancy.grid,
+            objects=labels.objects,
+            rooms=labels.rooms.rooms,
+            bounds=np.stack([low, high]).astype(np.float64),
+            load_cloud=lambda: cloud,
+        )
+
+
+def describe_capture(
+    settings: ImportSettings, pose: CapturePose, occupancy: CaptureOccupancy, labels: CaptureLabels
+) -> dict[str, str | int | float | bool | None]:
+    """What `scene.json` records: the frame, the evidence for it, and what is doubtful."""
+    quat = quaternion_from_rotation(pose.rotation)[0]
+    low, high = settings.height_band
+    grid = occupancy.grid
+    layers = f"{low:g} to {high:g} m"
+    out: dict[str, str | int | float | bool | None] = {
+        "height_band_low": low,
+        "height_band_high": high,
+        "resolution": grid.resolution,
+        "ceiling": None if pose.ceiling is None else round(pose.ceiling, 3),
+        "frame_rotation": " ".join(f"{v:.9g}" for v in quat),
+        "frame_scale": float(pose.scale),
+        "frame_lift": round(float(pose.lift), 6),
+        "seed_x": round(occupancy.seed[0], 3),
+        "seed_y": round(occupancy.seed[1], 3),
+    }
+    for topic, words in pose.evidence.items():
+        out[f"evidence_{topic}"] = words
+    out["evidence_map"] = (
+        f"extinction over one half between {layers}; clumps under 30 voxels left out "
+        f"({occupancy.floating:,} voxels); flooded from ({occupancy.seed[0]:.2f}, "
+        f"{occupancy.seed[1]:.2f}): {grid.free_area:.1f} m² free"
+        + (f", {occupancy.left_out:.1f} m² of other open floor left out"
+           if occupancy.left_out >= 0.5 else "")
+    )  # fmt: skip
+    if labels.objects:
+        out["evidence_labels"] = (
+            f"{len(labels.objects)} clumps of voxels named by shape alone; edit labels.json"
+        )
+    for topic, words in pose.doubts.items():
+        out[f"doubt_{topic}"] = words
+    if occupancy.left_out > max(1.0, 0.1 * grid.free_area) and math.isfinite(occupancy.left_out):
+        out["doubt_map"] = (
+            f"{occupancy.left_out:.1f} m² of open floor cannot be reached from the seed: to walk "
+            "there instead, give --seed-point X Y"
+        )
+    return out
+
+
+def evidence_lines(source: SceneSourceInfo) -> list[str]:
+    """The evidence of a capture's frame and then the doubts, a line each, as a user reads them."""
+    known = source.settings
+    lines = [
+        f"  {topic:<7}{known[f'evidence_{topic}']}"
+        for topic in TOPICS
+        if f"evidence_{topic}" in known
+    ]
+    return lines + [f"  doubtful: {known[f'doubt_{t}']}" for t in TOPICS if f"doubt_{t}" in known]
+
+
+def _detail(file: CloudFile) -> str:
+    words = f"{file.path.name}, {file.format}, {file.stored:,} splats, SH degree {file.sh_degree}"
+    if file.dropped:
+        words += f"; {file.dropped} not finite left out"
+    return words

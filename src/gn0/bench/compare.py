@@ -1,18 +1,33 @@
-"""Is run A better than run B, worse, or can nobody tell? A paired bootstrap over their episodes."""
+"""Is run A better than run B, worse, or can nobody tell? Paired, episode by episode.
+
+A difference counts when two things hold: its bootstrap interval leaves out zero, and a sign-flip
+test (Fisher 1935: under equal policies each pair could as well have come out the other way round)
+would see so large a difference at most once in twenty times. The first says how large it is; the
+second is exact for any number of episodes, so equal policies are told apart in at most 5 % of
+comparisons, however few episodes there are.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import special
 
 from gn0.bench.intervals import LEVEL, bootstrap_means
 from gn0.bench.metrics import METRICS, MetricInfo
-from gn0.bench.results import load_results, load_summary
+from gn0.bench.results import RunSummary, load_results, load_summary
 from gn0.errors import BenchError
+from gn0.geometry import F64
+from gn0.seeds import random_stream
 
+FLIPS = 10_000
+FEW_SCENES = 6  # with fewer, no test at 5 % can speak about other scenes: 2 / 2^5 > 0.05
+Unit = Literal["auto", "scene", "episode"]
 Verdict = Literal["A is better", "B is better", "A is higher", "B is higher", "nobody can tell"]
 
 
@@ -25,8 +40,12 @@ class Comparison:
         a, b: means over the episodes that both runs scored.
         difference: a − b.
         low, high: its 95 % interval.
-        verdict: a difference counts only when the interval leaves out zero.
+        verdict: see the module.
         episodes: how many pairs.
+        chance: how often equal policies would differ as much (sign-flip test, two-sided).
+        wins: pairs in which A has the higher value.
+        losses: pairs in which B has it.
+        unit: what was resampled and flipped: whole scenes, or episodes of these very scenes.
     """
 
     metric: MetricInfo
@@ -37,22 +56,30 @@ class Comparison:
     high: float
     verdict: Verdict
     episodes: int
+    chance: float = 1.0
+    wins: int = 0
+    losses: int = 0
+    unit: Literal["scene", "episode"] = "episode"
 
     def __str__(self) -> str:
         scale, unit = (100.0, "%") if self.metric.unit == "%" else (1.0, self.metric.unit)
         a, b, low, high = (v * scale for v in (self.a, self.b, self.low, self.high))
         difference = f"{self.difference * scale:+.2f} [{low:+.2f}, {high:+.2f}] {unit}".rstrip()
         return (
-            f"{self.metric.key:<15} A {a:8.2f}   B {b:8.2f}   A − B {difference:<30} {self.verdict}"
+            f"{self.metric.key:<15} A {a:8.2f}   B {b:8.2f}   A − B {difference:<30} "
+            f"{self.wins:>4} : {self.losses:<4} {self.verdict}"
         )
 
 
-def compare_runs(a: Path | str, b: Path | str, *, seed: int = 0) -> list[Comparison]:
+def compare_runs(
+    a: Path | str, b: Path | str, *, seed: int = 0, unit: Unit = "auto"
+) -> list[Comparison]:
     """Compare two runs of one suite, metric by metric, on the episodes that both scored.
 
     The runs may differ in map mode, which `name_difference` then says.
 
-    Pairs are resampled by scene where there are several scenes, else by episode.
+    Whole scenes are resampled where there are at least six, which speaks of scenes like these; with
+    fewer, episodes are, which speaks of these scenes alone. `unit` overrules.
 
     Raises:
         BenchError: different suites, or no episode scored by both.
@@ -63,7 +90,7 @@ def compare_runs(a: Path | str, b: Path | str, *, seed: int = 0) -> list[Compari
     if first.suite_hash != second.suite_hash and not same_task:
         raise BenchError(
             f"ran suite {second.suite!r} ({second.suite_hash}), {a} ran {first.suite!r} "
-            f"({first.suite_hash})",
+            f"({first.suite_hash}); they differ in {_differing(first, second)}",
             where=b,
             remedy="compare runs of one suite; they may differ in map mode, in nothing else",
         )
@@ -72,26 +99,102 @@ def compare_runs(a: Path | str, b: Path | str, *, seed: int = 0) -> list[Compari
     shared = sorted(scored_a.keys() & scored_b.keys())
     if not shared:
         raise BenchError("no episode was scored by both runs", where=b, remedy="run them again")
-    scenes = [scored_a[name].scene for name in shared]
+    names = [scored_a[name].scene for name in shared]
+    whole = unit == "scene" or (unit == "auto" and len(set(names)) >= FEW_SCENES)
+    scenes = names if whole and len(set(names)) >= 2 else None
     rows = []
     for info in METRICS:
         x = np.array([float(getattr(scored_a[n].metrics, info.field)) for n in shared])
         y = np.array([float(getattr(scored_b[n].metrics, info.field)) for n in shared])
-        means = bootstrap_means(x - y, scenes, seed=seed, name=f"compare {info.key}")
-        low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+        low, high = paired_interval(x - y, scenes, seed=seed, name=info.key)
+        chance = sign_flip_chance(x - y, scenes, seed=seed, name=info.key)
         rows.append(
             Comparison(
                 metric=info,
                 a=float(x.mean()),
                 b=float(y.mean()),
                 difference=float((x - y).mean()),
-                low=float(low),
-                high=float(high),
-                verdict=_judge(info, float(low), float(high)),
+                low=low,
+                high=high,
+                verdict=judge_difference(info, low, high, chance),
                 episodes=len(shared),
+                chance=chance,
+                wins=int((x > y).sum()),
+                losses=int((x < y).sum()),
+                unit="episode" if scenes is None else "scene",
             )
         )
     return rows
+
+
+def paired_interval(
+    differences: NDArray[np.floating], scenes: Sequence[str] | None, *, seed: int, name: str
+) -> tuple[float, float]:
+    """The 95 % bootstrap interval of a mean difference [N], widened for few units.
+
+    A percentile interval is too narrow for few units; its levels are moved out as far as Student's
+    t would move them (Hesterberg 2015, "expanded percentile interval").
+    """
+    units = len(set(scenes)) if scenes is not None else len(differences)
+    means = bootstrap_means(differences, scenes, seed=seed, name=f"compare {name}")
+    if units < 2:
+        return float(means.min()), float(means.max())
+    reach = np.sqrt(units / (units - 1)) * special.stdtrit(units - 1, (1 + LEVEL) / 2)
+    level = float(special.ndtr(-reach))
+    low, high = np.quantile(means, [level, 1 - level])
+    return float(low), float(high)
+
+
+def sign_flip_chance(
+    differences: NDArray[np.floating], scenes: Sequence[str] | None, *, seed: int, name: str
+) -> float:
+    """How often a mean difference [N] at least so large comes about when every sign is a coin toss.
+
+    All differences of a scene are flipped together where `scenes` are given. With the differences
+    as they are counted among the draws, the test is exact: a value of at most p turns up in at most
+    a share p of comparisons of equal policies (Phipson and Smyth 2010).
+    """
+    d: F64 = np.asarray(differences, np.float64)
+    if scenes is not None:
+        index = {scene: i for i, scene in enumerate(sorted(set(scenes)))}
+        member = [index[s] for s in scenes]
+        d = np.bincount(member, weights=d, minlength=len(index)).astype(np.float64)
+    d = d[d != 0.0]
+    if not len(d):
+        return 1.0
+    observed = abs(float(d.sum()))
+    slack = 1e-12 * float(np.abs(d).sum())  # sums in another order are not other sums
+    rng = random_stream(seed, "sign flip", name)
+    as_large, block = 1, max(1, 4_000_000 // len(d))
+    for begin in range(0, FLIPS, block):
+        signs = rng.integers(0, 2, size=(min(block, FLIPS - begin), len(d)), dtype=np.int8)
+        sums = (2.0 * signs - 1.0) @ d
+        as_large += int((np.abs(sums) >= observed - slack).sum())
+    return as_large / (FLIPS + 1)
+
+
+def name_pairing(a: Path | str, b: Path | str) -> str:
+    """What a comparison of two runs leaves out, in a sentence; "" when nothing.
+
+    Raises:
+        StorageError, FormatError: a run is missing or damaged.
+    """
+    scored_a = {r.episode for r in load_results(a) if r.metrics is not None}
+    scored_b = {r.episode for r in load_results(b) if r.metrics is not None}
+    if scored_a == scored_b:
+        return ""
+    return (
+        f"{len(scored_a & scored_b)} episodes were scored by both; left out: "
+        f"{len(scored_a - scored_b)} that only A scored, {len(scored_b - scored_a)} that only B did"
+    )
+
+
+def _differing(first: RunSummary, second: RunSummary) -> str:
+    """Rows of two protocol cards that differ, by name; the task, not the policy."""
+    of_policy = {"suite", "policy", "the policy sees", "code"}
+    a, b = dict(first.protocol), dict(second.protocol)
+    names = [k for k in {**a, **b} if k not in of_policy and a.get(k) != b.get(k)]
+    return ", ".join(names) or "scenes or episodes"
 
 
 def name_difference(a: Path | str, b: Path | str) -> str:
@@ -109,8 +212,9 @@ def name_difference(a: Path | str, b: Path | str) -> str:
     )
 
 
-def _judge(info: MetricInfo, low: float, high: float) -> Verdict:
-    if low <= 0.0 <= high:
+def judge_difference(info: MetricInfo, low: float, high: float, chance: float) -> Verdict:
+    """The verdict on a metric from its interval and its sign-flip chance."""
+    if low <= 0.0 <= high or chance > 1.0 - LEVEL:
         return "nobody can tell"
     higher_is_a = low > 0
     if not info.better:

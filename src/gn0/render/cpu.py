@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 
@@ -25,6 +25,7 @@ from gn0.render.cpu_bin import BLOCKS, fill_tiles, scan_tiles
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud
 from gn0.render.cpu_raster import TILE, raster_tiles
 from gn0.render.renderer import Output, RenderOptions, RenderResult, check_views
+from gn0.render.visible_mark import mark_tiles
 
 OUTPUTS = ("rgb", "depth", "alpha")
 STAGES = ("project", "bin", "raster")
@@ -42,9 +43,9 @@ class RendererCpu:
             RenderError: the cloud holds values that are not finite.
         """
         self.options = options or RenderOptions()
-        self._size = len(cloud)
+        self.size = len(cloud)
         with _threads(self.options.threads):
-            self._cloud = pack_cloud(cloud)
+            self.cloud = pack_cloud(cloud)
         self._buffers = _Buffers()
         self.stage_seconds = dict.fromkeys(STAGES, 0.0)  # spent so far, for figures
 
@@ -64,6 +65,26 @@ class RendererCpu:
                 a splat is not finite.
         """
         matrices = check_views(views)
+        clouds = [self.cloud] * len(matrices)
+        return self.render_clouds(
+            camera, matrices, clouds, extra=extra, outputs=outputs, background=background
+        )
+
+    def render_clouds(
+        self,
+        camera: Camera,
+        matrices: F64,
+        clouds: Sequence[PackedCloud],
+        *,
+        extra: GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = OUTPUTS,  # type: ignore[assignment]
+        background: tuple[float, float, float] | None = None,
+    ) -> RenderResult:
+        """Render view v [4, 4] of `matrices` from `clouds[v]`, a part of this renderer's cloud.
+
+        Raises:
+            RenderError: an output is unknown, or a colour or a splat is not finite.
+        """
         unknown = [name for name in outputs if name not in OUTPUTS]
         if unknown:
             raise RenderError(f"unknown output {unknown[0]!r}", remedy="rgb, depth or alpha")
@@ -87,11 +108,11 @@ class RendererCpu:
         no_u8, no_f32 = np.empty((1, 1, 3), np.uint8), np.empty((1, 1, 3), np.float32)
         no_map = np.empty((1, 1), np.float32)
         with _threads(self.options.threads):
-            parts = [(self._cloud, 0)]
+            moving = []
             if extra is not None and len(extra):
-                parts.append((pack_cloud(extra, sort=False), self._size))
+                moving.append((pack_cloud(extra, sort=False), self.size))
             for v, matrix in enumerate(matrices):
-                lists = self._arrange(camera, matrix, parts)
+                lists = self.arrange(camera, matrix, [(clouds[v], 0), *moving])
                 start = time.perf_counter()
                 raster_tiles(
                     *lists,
@@ -108,7 +129,20 @@ class RendererCpu:
                 self.stage_seconds["raster"] += time.perf_counter() - start
         return RenderResult(rgb, depth, alpha)
 
-    def _arrange(
+    def mark_visible(
+        self, camera: Camera, matrices: F64, threshold: float, marks: NDArray[np.uint8]
+    ) -> None:
+        """Set `marks` [N] to 1 for splats that weigh more than `threshold` in some pixel."""
+        with _threads(self.options.threads):
+            for matrix in matrices:
+                lists = self.arrange(camera, matrix, [(self.cloud, 0)])
+                tiles_x = -(-camera.width // TILE)
+                mark_tiles(
+                    *(*lists, tiles_x, camera.width, camera.height),
+                    *(np.float32(threshold), marks),
+                )
+
+    def arrange(
         self, camera: Camera, matrix: F64, parts: list[tuple[PackedCloud, int]]
     ) -> tuple[NDArray[np.generic] | bool, ...]:
         """Project all parts and list each tile's splats; what `raster_tiles` takes first."""

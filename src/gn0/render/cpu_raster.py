@@ -38,16 +38,27 @@ F = np.float32
 TILE = 16
 _ROW = 5 * TILE  # transmittance, red, green, blue, depth of a picture row
 _CAP, _STOP = F(ALPHA_CAP), F(TRANSMITTANCE_STOP)
-_LOG_MIN = F(math.log(ALPHA_MIN))
+LOG_MIN = F(math.log(ALPHA_MIN))
 _LOWEST = F(-5.6)  # below log(1/255): such pixels are skipped
 _E1, _E2, _E3 = F(6.24807182e-02), F(1.93270083e-03), F(3.43559133e-05)
 _ONE, _ZERO, _HALF = F(1.0), F(0.0), F(0.5)
 _FAR_AWAY = F(np.inf)
 _LAST = F(TILE - 1)
 _EDGE = F(0.02)  # px: rounding of the row range
-_BATCH = 64
+BATCH = 64
 _CHECK = 16  # splats between looks for finished rows
 _ENDED = np.int64(-0x7FFFFFFF80000000)  # sign bits of two float32
+
+
+@njit(inline="always", error_model="numpy")
+def exponential(p):  # type: ignore[no-untyped-def]
+    """exp(p) for p from _LOWEST to 0: the 16th power of a cubic."""
+    s = max(p, _LOWEST)
+    e = _ONE + s * (_E1 + s * (_E2 + s * _E3))
+    e = e * e
+    e = e * e
+    e = e * e
+    return e * e
 
 
 @njit(error_model="numpy")
@@ -63,14 +74,8 @@ def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, f
         for j in range(first, first + lanes):
             q = start + qx * F(j)
             p = k0 - q * q
-            s = max(p, _LOWEST)
-            e = _ONE + s * (_E1 + s * (_E2 + s * _E3))
-            e = e * e
-            e = e * e
-            e = e * e
-            e = e * e
-            e = min(e, _CAP)
-            e = e if p >= _LOG_MIN else _ZERO
+            e = min(exponential(p), _CAP)
+            e = e if p >= LOG_MIN else _ZERO
             T = row[j]
             w = e * T
             after = T - w
@@ -84,7 +89,7 @@ def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, f
 
 
 @njit(error_model="numpy")
-def _gather(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no-untyped-def]
+def gather_batch(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no-untyped-def]
     """Bring a batch of splats into the frame of a tile whose first pixel is (x_px, y_px).
 
     Fills `gathered` field by field, and `reach` with the rows y0 <= r < y1 where the ellipse
@@ -94,22 +99,22 @@ def _gather(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no-unty
     for b in range(rows.shape[0]):
         o = records[rows[b]]
         gathered[b] = left - o[U]
-        gathered[_BATCH + b] = top - o[V]
-        gathered[2 * _BATCH + b] = o[QX]
-        gathered[3 * _BATCH + b] = o[QY]
-        gathered[4 * _BATCH + b] = o[QK]
-        gathered[5 * _BATCH + b] = o[LOGO]
-        gathered[6 * _BATCH + b] = o[CR]
-        gathered[7 * _BATCH + b] = o[CG]
-        gathered[8 * _BATCH + b] = o[CB]
-        gathered[9 * _BATCH + b] = o[DEPTH]
-        gathered[10 * _BATCH + b] = o[X0] - F(x_px)
-        gathered[11 * _BATCH + b] = o[X1] - F(x_px)
+        gathered[BATCH + b] = top - o[V]
+        gathered[2 * BATCH + b] = o[QX]
+        gathered[3 * BATCH + b] = o[QY]
+        gathered[4 * BATCH + b] = o[QK]
+        gathered[5 * BATCH + b] = o[LOGO]
+        gathered[6 * BATCH + b] = o[CR]
+        gathered[7 * BATCH + b] = o[CG]
+        gathered[8 * BATCH + b] = o[CB]
+        gathered[9 * BATCH + b] = o[DEPTH]
+        gathered[10 * BATCH + b] = o[X0] - F(x_px)
+        gathered[11 * BATCH + b] = o[X1] - F(x_px)
     for b in range(rows.shape[0]):
-        dx0, dy0 = gathered[b], gathered[_BATCH + b]
-        qx, qy = gathered[2 * _BATCH + b], gathered[3 * _BATCH + b]
-        k = gathered[4 * _BATCH + b]
-        tau = gathered[5 * _BATCH + b] - _LOG_MIN
+        dx0, dy0 = gathered[b], gathered[BATCH + b]
+        qx, qy = gathered[2 * BATCH + b], gathered[3 * BATCH + b]
+        k = gathered[4 * BATCH + b]
+        tau = gathered[5 * BATCH + b] - LOG_MIN
         peak = qy * np.sqrt(tau / k) / qx  # the ellipse's lowest point lies at dx = -peak
         low = min(max(-peak, dx0), dx0 + _LAST)
         high = min(max(peak, dx0), dx0 + _LAST)
@@ -123,7 +128,7 @@ def _gather(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no-unty
         y1 = (down - mixed * low) * scale - dy0
         y0 = (-up - mixed * high) * scale - dy0
         reach[b] = np.int32(min(max(np.ceil(y0 - _EDGE), _ZERO), _LAST + _ONE))
-        reach[_BATCH + b] = np.int32(min(max(np.floor(y1 + _EDGE) + _ONE, _ZERO), _LAST + _ONE))
+        reach[BATCH + b] = np.int32(min(max(np.floor(y1 + _EDGE) + _ONE, _ZERO), _LAST + _ONE))
 
 
 @njit(error_model="numpy")
@@ -138,22 +143,22 @@ def _blend_tile(records, rows, x_px, y_px, columns, lines, acc):  # type: ignore
         for j in range(TILE):
             acc[r * _ROW + j] = _ONE if r < lines and j < columns else -_ONE
     live = (1 << lines) - 1
-    gathered = np.empty(12 * _BATCH, np.float32)
-    reach = np.empty(2 * _BATCH, np.int32)
-    for start in range(0, rows.shape[0], _BATCH):
-        size = min(_BATCH, rows.shape[0] - start)
-        _gather(records, rows[start : start + size], x_px, y_px, gathered, reach)
+    gathered = np.empty(12 * BATCH, np.float32)
+    reach = np.empty(2 * BATCH, np.int32)
+    for start in range(0, rows.shape[0], BATCH):
+        size = min(BATCH, rows.shape[0] - start)
+        gather_batch(records, rows[start : start + size], x_px, y_px, gathered, reach)
         for b in range(size):
-            y0, y1 = reach[b], reach[_BATCH + b]
-            dx0, dy0 = gathered[b], gathered[_BATCH + b]
-            qx, qy = gathered[2 * _BATCH + b], gathered[3 * _BATCH + b]
-            qk, log_o = gathered[4 * _BATCH + b], gathered[5 * _BATCH + b]
-            red, green = gathered[6 * _BATCH + b], gathered[7 * _BATCH + b]
-            blue, z = gathered[8 * _BATCH + b], gathered[9 * _BATCH + b]
+            y0, y1 = reach[b], reach[BATCH + b]
+            dx0, dy0 = gathered[b], gathered[BATCH + b]
+            qx, qy = gathered[2 * BATCH + b], gathered[3 * BATCH + b]
+            qk, log_o = gathered[4 * BATCH + b], gathered[5 * BATCH + b]
+            red, green = gathered[6 * BATCH + b], gathered[7 * BATCH + b]
+            blue, z = gathered[8 * BATCH + b], gathered[9 * BATCH + b]
             q0 = qx * dx0
-            if gathered[11 * _BATCH + b] <= F(8.0):
+            if gathered[11 * BATCH + b] <= F(8.0):
                 _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
-            elif gathered[10 * _BATCH + b] >= F(8.0):
+            elif gathered[10 * BATCH + b] >= F(8.0):
                 _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
             else:
                 _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16)

@@ -1,0 +1,282 @@
+"""Visible sets: for each cell of the floor, the splats that can be seen from it.
+
+An agent's eye stays at one height and the scene stands still, so most splats can never show from
+where it stands: they are behind walls, inside furniture, under others. A set holds the splats that
+weigh more than 1/255 in some pixel of pictures taken all round from a few free places in the cell;
+a picture drawn from the set alone is nearly the picture of all splats, and quicker.
+
+A set depends on the cloud, the free cells of the map and the settings, on nothing else: not on the
+order in which sets are built, nor on the number of threads. Sets are kept in the cache folder.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.config import Config
+from gn0.errors import RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F64, view_from_pose
+from gn0.maps.grid import OccupancyGrid
+from gn0.progress import Progress, no_progress
+from gn0.render.camera import Camera
+from gn0.render.cpu import RendererCpu
+from gn0.render.cpu_pack import CHUNK, FIELDS, REACH, PackedCloud
+from gn0.render.renderer import Output, RenderResult, check_views
+from gn0.render.visible_files import VisibleFiles
+from gn0.render.visible_mark import gather_chunks
+from gn0.storage import content_hash
+
+_FORMAT = 1  # raise when a set changes for another reason than its inputs
+_PER_SPLAT = (FIELDS + 1) * 4  # bytes of a packed splat
+_HEADINGS = tuple((quarter * math.pi / 2, 0.0) for quarter in range(4))
+_FACES = (*_HEADINGS, (0.0, math.pi / 2), (0.0, -math.pi / 2))  # yaw, pitch: all round
+
+
+class VisibleOptions(Config, frozen=True):
+    """How visible sets are found.
+
+    Attributes:
+        cell: side of a floor cell [m].
+        places: places in a cell that are looked from.
+        pixels: side of each of the six pictures a place [px]; finer finds more.
+        threshold: weight above which a splat counts.
+        near: what is nearer than this to a place [m] always counts and hides nothing.
+        height_tolerance: eyes this far [m] from the sets' height still use them.
+        memory: bytes of sets held ready.
+        disk: bytes of sets kept in the cache folder, of all scenes together.
+    """
+
+    cell: float = 0.5
+    places: int = 5
+    pixels: int = 640
+    threshold: float = 1.0 / 255.0
+    near: float = 0.2
+    height_tolerance: float = 0.02
+    memory: int = 2**29
+    disk: int = 2**31
+
+    def __post_init__(self) -> None:
+        if not (0.05 <= self.cell <= 10 and 1 <= self.places <= 64 and 16 <= self.pixels <= 2048):
+            raise RenderError(
+                f"visible sets of {self.cell} m cells, {self.places} places, {self.pixels} px",
+                remedy="give cells of 0.05 to 10 m, 1 to 64 places and 16 to 2048 px",
+            )
+        if not (0 < self.threshold < 1 and 0 < self.near < 5 and 0 <= self.height_tolerance < 1):
+            raise RenderError("visible sets: threshold, near or height_tolerance out of range")
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleSet:
+    """The splats that can be seen from a cell, packed for the renderer."""
+
+    cloud: PackedCloud
+    size: int
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the packed copy."""
+        return self.cloud.chunks * CHUNK * _PER_SPLAT
+
+
+class RendererVisible:
+    """A `RendererCpu` that draws from visible sets where it can.
+
+    Views of a pinhole camera whose eye is at `eye_height` over a cell of `floor` use that cell's
+    set; it is read from the cache or found the first time. All other views, and orthographic
+    ones, use the full set. `extra` splats are always drawn.
+
+    Args:
+        renderer: draws; holds all splats.
+        cloud_hash: content hash of its cloud.
+        floor: where eyes can be: free cells, inflated for the agent.
+        eye_height: of the cameras [m].
+        options: how sets are found.
+        cache: read and write the cache folder.
+    """
+
+    name = "cpu-visible"
+
+    def __init__(
+        self,
+        renderer: RendererCpu,
+        cloud_hash: str,
+        floor: OccupancyGrid,
+        eye_height: float,
+        options: VisibleOptions | None = None,
+        *,
+        cache: bool = True,
+    ) -> None:
+        self.full = renderer
+        self.options = options or VisibleOptions()
+        self.floor = floor
+        self.eye_height = float(eye_height)
+        settings = self.options
+        self._places = _places_by_cell(floor, settings.cell, settings.places)
+        self._sets: OrderedDict[tuple[int, int], VisibleSet] = OrderedDict()
+        self._held = 0
+        reach = renderer.cloud.pack.reshape(-1, FIELDS, CHUNK)[-1:, REACH]
+        self._alive = renderer.cloud.chunks * CHUNK - int((reach < 0).sum())
+        self.built = 0  # sets found by looking, for figures
+        self.key = content_hash(
+            *(_FORMAT, cloud_hash, floor.content_hash, self.eye_height),
+            *(int(renderer.options.antialiased), settings.cell, settings.places),
+            *(settings.pixels, settings.threshold, settings.near),
+        )
+        self.files = VisibleFiles(self.key, renderer.size, settings.disk) if cache else None
+
+    @property
+    def cells(self) -> list[tuple[int, int]]:
+        """Cells (column, row) that have a free place, in order."""
+        return sorted(self._places)
+
+    def cell_of(self, x: float, y: float) -> tuple[int, int]:
+        """The cell that holds a point [m]."""
+        return math.floor(x / self.options.cell), math.floor(y / self.options.cell)
+
+    def render(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        *,
+        extra: GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
+        background: tuple[float, float, float] | None = None,
+    ) -> RenderResult:
+        """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.render`.
+
+        Raises:
+            RenderError: see `RendererCpu.render`.
+        """
+        matrices = check_views(views)
+        clouds = [self._cloud_for(camera, matrix) for matrix in matrices]
+        return self.full.render_clouds(
+            camera, matrices, clouds, extra=extra, outputs=outputs, background=background
+        )
+
+    def _cloud_for(self, camera: Camera, matrix: F64) -> PackedCloud:
+        if camera.model != "pinhole":
+            return self.full.cloud
+        x, y, z = -matrix[:3, :3].T @ matrix[:3, 3]
+        if abs(z - self.eye_height) > self.options.height_tolerance:
+            return self.full.cloud
+        cell = self.cell_of(x, y)
+        if cell not in self._places:
+            return self.full.cloud
+        return self.open(cell).cloud
+
+    def open(self, cell: tuple[int, int]) -> VisibleSet:
+        """The set of a cell: held, read from the cache, or found now.
+
+        Raises:
+            RenderError: the cell has no free place.
+        """
+        held = self._sets.get(cell)
+        if held is not None:
+            self._sets.move_to_end(cell)
+            return held
+        if cell not in self._places:
+            raise RenderError(f"cell {cell} has no free place", remedy="see RendererVisible.cells")
+        marks = self.files.load(cell) if self.files is not None else None
+        if marks is None:
+            marks = self.find(cell)
+            if self.files is not None:
+                self.files.save(cell, marks)
+        found = self._pack(marks)
+        self._sets[cell] = found
+        self._held += found.nbytes
+        while self._held > self.options.memory and len(self._sets) > 1:
+            self._held -= self._sets.popitem(last=False)[1].nbytes
+        return found
+
+    def build(self, progress: Progress = no_progress) -> Iterator[tuple[int, int]]:
+        """Find the sets of all cells that the cache does not hold yet, one a step.
+
+        Raises:
+            RenderError: there is no cache to keep them in.
+        """
+        if self.files is None:
+            raise RenderError("visible sets need the cache", remedy="leave cache=True")
+        cells = self.cells
+        for done, cell in enumerate(cells):
+            progress("visible sets", done, len(cells))
+            if self.files.load(cell) is None:
+                self.files.save(cell, self.find(cell))
+            yield cell
+        progress("visible sets", len(cells), len(cells))
+
+    def find(self, cell: tuple[int, int]) -> NDArray[np.uint8]:
+        """Which splats show from a cell: uint8 [N], 1 for those that do."""
+        settings = self.options
+        camera = Camera.from_hfov(settings.pixels, settings.pixels, 90.0, near=settings.near)
+        places = self._places[cell]
+        marks = np.zeros(self.full.size, np.uint8)
+        views = np.stack(
+            [view_from_pose(x, y, self.eye_height, *face) for x, y in places for face in _FACES]
+        )
+        self.full.mark_visible(camera, views, settings.threshold, marks)
+        self._mark_near(places, marks)
+        self.built += 1
+        return marks
+
+    def _mark_near(self, places: F64, marks: NDArray[np.uint8]) -> None:
+        """Mark what a picture's `near` may have cut off: a cube's corner is at √3 near."""
+        cloud, reach = self.full.cloud, self.options.near * math.sqrt(3)
+        boxes = cloud.boxes
+        for x, y in places:
+            eye = np.array([x, y, self.eye_height], np.float32)
+            gap = np.maximum(np.maximum(boxes[:, :3] - eye, eye - boxes[:, 3:6]), 0)
+            for c in np.flatnonzero((gap**2).sum(axis=1) <= reach**2):
+                means = cloud.pack[c].reshape(FIELDS, CHUNK)[:3].T
+                lanes = np.flatnonzero(
+                    (((means - eye) ** 2).sum(axis=1) <= reach**2)
+                    & (cloud.pack[c].reshape(FIELDS, CHUNK)[REACH] >= 0)
+                )
+                marks[cloud.order[c * CHUNK + lanes]] = 1
+
+    def _pack(self, marks: NDArray[np.uint8]) -> VisibleSet:
+        """A contiguous copy of the marked splats, in packed order."""
+        full = self.full.cloud
+        lanes = np.flatnonzero(marks[full.order[: self._alive]])  # padding is at the end
+        chunks = -(-len(lanes) // CHUNK)
+        pack = np.empty((chunks, FIELDS * CHUNK), np.float32)
+        boxes = np.empty((chunks, 7), np.float32)
+        gather_chunks(full.pack, REACH, lanes, pack, boxes)
+        order = np.zeros(chunks * CHUNK, np.int32)
+        order[: len(lanes)] = full.order[lanes]
+        return VisibleSet(
+            PackedCloud(pack, boxes, order, full.sh, full.degree, full.ordered), len(lanes)
+        )
+
+
+def _places_by_cell(floor: OccupancyGrid, cell: float, count: int) -> dict[tuple[int, int], F64]:
+    """Free places [K, 2] m of each cell that has any: spread, at most `count`.
+
+    The first is the free place nearest the middle of the cell's free ones; each further one is
+    the farthest from those chosen, the first in row order among equals.
+    """
+    free = np.argwhere(~floor.blocked)
+    points = floor.centres_of(free)
+    index = np.floor(points / cell).astype(np.int64)
+    places: dict[tuple[int, int], F64] = {}
+    if not len(points):
+        return places
+    _, first, member = np.unique(index, axis=0, return_index=True, return_inverse=True)
+    member = member.ravel()
+    order = np.argsort(member, kind="stable")
+    edges = np.searchsorted(member[order], np.arange(len(first) + 1))
+    for n, at in enumerate(first):
+        mine = points[order[edges[n] : edges[n + 1]]]
+        chosen = [int(((mine - mine.mean(axis=0)) ** 2).sum(axis=1).argmin())]
+        nearest = ((mine - mine[chosen[0]]) ** 2).sum(axis=1)
+        while len(chosen) < min(count, len(mine)):
+            chosen.append(int(nearest.argmax()))
+            nearest = np.minimum(nearest, ((mine - mine[chosen[-1]]) ** 2).sum(axis=1))
+        places[int(index[at, 0]), int(index[at, 1])] = mine[chosen]
+    return places

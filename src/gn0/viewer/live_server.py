@@ -9,6 +9,7 @@ share button, which would open a tunnel through somebody else's server, is taken
 from __future__ import annotations
 
 import contextlib
+import gzip
 import io
 import ipaddress
 import logging
@@ -17,7 +18,8 @@ import socket
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -214,7 +216,7 @@ def _gated(gate: Gate) -> Iterator[list[bool]]:
     def answer(inner: Any, connection: Any, request: Any) -> Any:
         refusal = gate.judge(request.path, request.headers)
         if refusal is None:
-            return inner(connection, request) if inner else None
+            return dress_page(inner(connection, request)) if inner else None
         _silence(connection)
         status, text, more = refusal
         body = text.encode()
@@ -231,6 +233,32 @@ def _gated(gate: Gate) -> Iterator[list[bool]]:
         yield used
     finally:
         library.serve = original  # type: ignore[misc]
+
+
+def dress_page(response: Any) -> Any:
+    """Viser's page with our title and our script before its own; other answers as they are.
+
+    The script (live_page.js) makes splats fast where there is no GPU.
+    """
+    if response is None or not str(response.headers.get("Content-Type")).startswith("text/html"):
+        return response
+    packed = response.headers.get("Content-Encoding") == "gzip"
+    response.body = _dress(response.body, packed)
+    del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(response.body))
+    response.headers["X-Content-Type-Options"] = "nosniff"
+    response.headers["X-Frame-Options"] = "DENY"
+    response.headers["Referrer-Policy"] = "no-referrer"
+    return response
+
+
+@lru_cache(maxsize=4)
+def _dress(body: bytes, packed: bool) -> bytes:
+    html = gzip.decompress(body) if packed else body
+    script = Path(__file__).with_name("live_page.js").read_bytes()
+    start = b"<title>GN0 view</title><script>" + script + b"</script>"
+    html = html.replace(b"<title>Viser</title>", b"").replace(b"<head>", b"<head>" + start, 1)
+    return gzip.compress(html, 1) if packed else html
 
 
 def _silence(connection: Any) -> None:

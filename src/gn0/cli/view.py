@@ -1,0 +1,164 @@
+"""Walk through a scene in the browser, replay runs side by side, or look at a splat file.
+
+The agent moves by the simulator's own actions and collides as a policy's would; its pictures are
+drawn from all splats, while the browser gets a thinned set. Nobody but this machine can reach the
+page, and only with the secret in its address. Ctrl-C ends it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+if TYPE_CHECKING:
+    from gn0.viewer.live_loop import LiveLoop
+    from gn0.viewer.live_server import LiveServer
+
+EXAMPLES = """  gn0 view out/flat
+  gn0 view out/flat --splats 300000 --camera n1
+  gn0 view out/demo/runs/oracle out/demo/runs/random
+  gn0 view out/demo/apartment --results out/demo/runs/oracle
+  gn0 view capture.ply --up -y"""
+
+
+class Args(Config, frozen=True):
+    """What to show, and where to serve it.
+
+    Attributes:
+        paths: a scene folder, a splat file, a suite, or run folders as `gn0 bench run` writes them.
+        results: run folders whose episodes are replayed in that scene.
+        splats: how many splats the browser gets; 60,000 still move without a GPU.
+        camera: eyes and body of the agent, a camera preset by name.
+        up: which axis of a splat file points up.
+        host: address to listen on.
+        port: port to listen on; the next free one when it is taken, 0 for any.
+        allow_remote: allow a --host that other machines can reach.
+        no_browser: do not open a browser.
+        check: stop with code 0 as soon as everything is on the page; for scripts.
+    """
+
+    paths: Annotated[tuple[str, ...], tyro.conf.Positional]
+    results: tuple[str, ...] = ()
+    splats: Annotated[int, msgspec.Meta(ge=100, le=5_000_000)] = 60_000
+    camera: str = "gn_bench"
+    up: Literal["+z", "-z", "+y", "-y", "+x", "-x"] = "+z"
+    host: str = "127.0.0.1"
+    port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8080
+    allow_remote: bool = False
+    no_browser: bool = False
+    check: bool = False
+
+
+def run(args: Args) -> int:
+    """Serve the page until Ctrl-C."""
+    from gn0.viewer.live_loop import LiveLoop
+    from gn0.viewer.live_server import need_viser, open_server
+
+    need_viser()
+    build = find_view(args)
+    loop = LiveLoop()
+    with open_server(args.host, args.port, allow_remote=args.allow_remote) as live:
+        announce(args, live)
+        view = build(live, loop)
+        view.open()
+        if args.check:
+            return _check(view, live, loop)
+        try:
+            loop.run(getattr(view, "tick", None))
+        except KeyboardInterrupt:
+            print("\nclosed")
+    return 0
+
+
+def find_view(args: Args) -> Any:
+    """What the paths mean: a function of server and loop that makes the view.
+
+    Everything that can be wrong with the paths is found out here, before a server starts.
+
+    Raises:
+        ConfigError, StorageError, FormatError, BenchError, SceneError: see the message.
+    """
+    from functools import partial
+
+    from gn0.errors import ConfigError, StorageError
+    from gn0.sim.presets import find_preset
+
+    if not args.paths:
+        raise ConfigError("nothing to show", remedy="gn0 view SCENE, or gn0 view RUN, or FILE.ply")
+    paths = [Path(path) for path in args.paths]
+    for path in paths:
+        if not path.exists():
+            raise StorageError("there is nothing of that name", where=path, remedy="check the path")
+    first = paths[0]
+    if args.results or (first / "summary.json").is_file():
+        from gn0.viewer.replay import load_replay
+        from gn0.viewer.replay_live import ReplayView
+
+        runs = [Path(r) for r in args.results] if args.results else paths
+        replay = load_replay(runs, first if args.results else None)
+        return partial(ReplayView, replay=replay, splats=args.splats)
+    if len(paths) > 1:
+        raise ConfigError(
+            "several paths that are no runs", remedy="one scene or file, or several run folders"
+        )
+    if first.is_dir() and (first / "scene.json").is_file():
+        from gn0.scenes.folder import load_scene
+        from gn0.viewer.live import SceneView
+
+        preset = find_preset(args.camera)
+        scene = load_scene(first)
+        return partial(_scene_view, SceneView, scene, args.splats, preset)
+    if first.is_dir() and (first / "suite.json").is_file():
+        raise ConfigError(
+            "is a suite, not a scene",
+            where=first,
+            remedy="gn0 view one of its scenes/ folders, or a run of the suite",
+        )
+    from gn0.gaussians.files import load_cloud
+    from gn0.viewer.live_file import FileView
+
+    file = load_cloud(first)
+    return partial(_file_view, FileView, first, file, args.splats, args.up)
+
+
+def _scene_view(
+    kind: Any, scene: Any, splats: int, preset: Any, live: LiveServer, loop: LiveLoop
+) -> Any:
+    return kind(live, scene, loop, splats=splats, preset=preset)
+
+
+def _file_view(
+    kind: Any, path: Path, file: Any, splats: int, up: str, live: LiveServer, loop: LiveLoop
+) -> Any:
+    return kind(live, path, file, loop, splats=splats, up=up)
+
+
+def announce(args: Args, live: LiveServer) -> None:
+    """Say where the page is, and open it."""
+    if args.port and live.port != args.port:
+        print(f"port {args.port} is taken; using {live.port}")
+    print(f"open {live.url}", flush=True)
+    if not args.check:
+        print("Ctrl-C ends it", flush=True)
+    if args.allow_remote:
+        print("anyone who has this address can use the page; it is not encrypted", flush=True)
+    if not (args.no_browser or args.check):
+        import threading
+        import webbrowser
+
+        threading.Thread(target=webbrowser.open, args=(live.url,), daemon=True).start()
+
+
+def _check(view: Any, live: LiveServer, loop: LiveLoop) -> int:
+    from gn0.viewer.live_server import fetch_page
+
+    loop.post(loop.stop, key="check")
+    loop.run()  # what `open` has left to do comes first
+    fetch_page(live)
+    print("the page is ready" if view.ready else "the page is ready; no agent can stand here")
+    return 0

@@ -1,0 +1,259 @@
+"""What stands in the browser's 3D scene: splats, labels, agents, trails, tasks, and the camera."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F64, U8, Pose2D
+from gn0.missions.episode import AgentSpec
+from gn0.scenes.scene import Scene
+from gn0.viewer.live_map import GOAL, REFERENCE
+from gn0.viewer.live_splats import LiveSplats
+from gn0.viewer.live_text import name_line
+from gn0.viewer.plan import plan_bounds
+
+if TYPE_CHECKING:
+    import viser
+
+Colour = tuple[int, int, int]
+BUMP: Colour = (255, 196, 0)
+BODY_HEIGHT = 1.5  # of the cylinder that is drawn [m]
+OVERVIEW_FOV = math.radians(50)
+_HALF_LIMIT = 6e4  # what a 16-bit float holds
+_FINE = 16.0  # splats are sent this much larger: a thin disc's variance is lost in 16 bits else
+
+
+class LiveBody:
+    """An agent in the scene: a cylinder with a nose, and the line of its steps."""
+
+    def __init__(self, server: viser.ViserServer, name: str, agent: AgentSpec, colour: Colour):
+        self._scene, self._name, self._colour = server.scene, name, colour
+        self._shown = True
+        self._frame = server.scene.add_frame(name, show_axes=False)
+        height = max(BODY_HEIGHT, agent.camera_height + 0.15)
+        radius = max(agent.radius, 0.05)
+        self._cylinder = server.scene.add_cylinder(
+            f"{name}/body", radius, height, color=colour, opacity=0.75, position=(0, 0, height / 2)
+        )
+        self._nose = server.scene.add_mesh_simple(
+            f"{name}/nose", *_nose(radius, agent.camera_height), color=(255, 255, 255)
+        )
+        self._line: Any = None
+
+    def move(
+        self, pose: Pose2D, trail: Sequence[tuple[float, float]] = (), bumped: bool = False
+    ) -> None:
+        """Stand at a pose; draw the way here [(x, y) m]."""
+        self._frame.position = (pose.x, pose.y, 0.0)
+        self._frame.wxyz = (math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2))
+        self._cylinder.color = BUMP if bumped else self._colour
+        if self._line is not None:
+            self._line.remove()
+            self._line = None
+        if len(trail) > 1:
+            self._line = add_line(self._scene, f"{self._name}_trail", trail, self._colour, 0.03, 4)
+
+    def show(self, visible: bool) -> None:
+        """Show or hide the body; the trail stays."""
+        self._frame.visible = visible
+
+    def remove(self) -> None:
+        """Take body and trail away."""
+        for handle in (self._line, self._frame):
+            if handle is not None:
+                handle.remove()
+
+
+def _nose(radius: float, height: float) -> tuple[F64, NDArray[np.int64]]:
+    """Vertices and faces of a wedge that points ahead at eye height."""
+    a, b, h = radius * 0.8, radius * 2.0, 0.09
+    corners = [(a, radius * 0.7), (a, -radius * 0.7), (b, 0.0)]
+    vertices = np.array([(x, y, height + z) for z in (-h, h) for x, y in corners])
+    faces = [(0, 2, 1), (3, 4, 5), (0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5)]
+    return vertices, np.array(faces)
+
+
+def add_line(
+    scene: Any,
+    name: str,
+    points: NDArray[np.floating] | Sequence[tuple[float, float]],
+    colour: Colour,
+    height: float,
+    width: float,
+) -> Any:
+    """A line on the floor through points [N, 2] m, `height` [m] above it, `width` [px]."""
+    xy = np.asarray(points, np.float32).reshape(-1, 2)
+    line = np.column_stack([xy, np.full(len(xy), height, np.float32)])
+    pairs = np.stack([line[:-1], line[1:]], axis=1)
+    return scene.add_line_segments(name, pairs, colors=colour, line_width=width)
+
+
+class LiveStage:
+    """The browser's scene. All names of nodes are ours; texts of others appear in labels only."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.server = server
+        self._splats: dict[str, Any] = {}
+        self._rooms: list[Any] = []
+        self._things: list[Any] = []
+        self._task: list[Any] = []
+        self._plan: Any = None
+        self.ceiling = False
+        self.splats_shown = True
+
+    def show_splats(self, splats: LiveSplats, cut: float | None) -> None:
+        """Put splats on the stage; those above `cut` [m] are the ceiling and can be hidden."""
+        high = splats.centres[:, 2] > cut if cut is not None else np.zeros(len(splats), bool)
+        for name, part in (("low", splats.select(~high)), ("high", splats.select(high))):
+            old = self._splats.pop(name, None)
+            if old is not None:
+                old.remove()
+            if len(part):
+                self._splats[name] = self.server.scene.add_gaussian_splats(
+                    f"/splats/{name}",
+                    centers=part.centres * np.float32(_FINE),
+                    covariances=np.clip(part.covariances * _FINE**2, -_HALF_LIMIT, _HALF_LIMIT),
+                    rgbs=part.colours,
+                    opacities=part.opacities[:, None],
+                    scale=1 / _FINE,
+                    visible=self.splats_shown and (name == "low" or self.ceiling),
+                )
+
+    def show(self, *, splats: bool | None = None, ceiling: bool | None = None) -> None:
+        """Show or hide the splats, or those of the ceiling."""
+        self.splats_shown = self.splats_shown if splats is None else splats
+        self.ceiling = self.ceiling if ceiling is None else ceiling
+        for name, handle in self._splats.items():
+            handle.visible = self.splats_shown and (name == "low" or self.ceiling)
+
+    def add_labels(self, scene: Scene, *, rooms: bool, objects: bool) -> None:
+        """Names of rooms and objects, shown or not."""
+        for number, room in enumerate(scene.rooms):
+            x, y = np.asarray(room.polygon, np.float64).mean(axis=0)
+            self._rooms.append(
+                self.server.scene.add_label(
+                    f"/labels/room_{number}",
+                    name_line(room.type, 40).upper(),
+                    position=(float(x), float(y), 1.2),
+                    anchor="center-center",
+                    font_screen_scale=1.1,
+                    visible=rooms,
+                )
+            )
+        for number, thing in enumerate(scene.objects):
+            x, y, z = thing.box.centre
+            self._things.append(
+                self.server.scene.add_label(
+                    f"/labels/thing_{number}",
+                    name_line(thing.category, 40),
+                    position=(x, y, z + thing.box.size[2] / 2 + 0.05),
+                    anchor="bottom-center",
+                    font_screen_scale=0.75,
+                    visible=objects,
+                )
+            )
+
+    def show_labels(self, *, rooms: bool | None = None, objects: bool | None = None) -> None:
+        """Show or hide the names of rooms, of objects."""
+        for wanted, handles in ((rooms, self._rooms), (objects, self._things)):
+            if wanted is not None:
+                for handle in handles:
+                    handle.visible = wanted
+
+    def show_plan(self, picture: U8 | None, bounds: tuple[float, float, float, float]) -> None:
+        """Lay a plan [H, W, 3] of x0, y0, x1, y1 [m] on the floor; None takes it away."""
+        if self._plan is not None:
+            self._plan.remove()
+            self._plan = None
+        if picture is not None:
+            x0, y0, x1, y1 = bounds
+            self._plan = self.server.scene.add_image(
+                "/plan",
+                picture,
+                render_width=x1 - x0,
+                render_height=y1 - y0,
+                wxyz=(0.0, 1.0, 0.0, 0.0),  # viser draws pictures y down, as seen by a camera
+                position=((x0 + x1) / 2, (y0 + y1) / 2, 0.015),
+            )
+
+    def show_task(
+        self, path: Sequence[tuple[float, float]], goal: tuple[float, float], radius: float
+    ) -> None:
+        """A task's reference path, its goal as a pole, and the circle of success [m]."""
+        for handle in self._task:
+            handle.remove()
+        scene = self.server.scene
+        turn = np.linspace(0, 2 * np.pi, 65)
+        ring = np.column_stack([goal[0] + radius * np.cos(turn), goal[1] + radius * np.sin(turn)])
+        self._task = [
+            scene.add_cylinder(
+                "/task/goal", 0.07, 2.2, color=GOAL, opacity=0.85, position=(*goal, 1.1)
+            ),
+            scene.add_label("/task/name", "GOAL", position=(*goal, 2.3), anchor="bottom-center"),
+            add_line(scene, "/task/ring", ring, GOAL, 0.02, 2),
+        ]
+        if len(path) > 1:
+            self._task.append(add_line(scene, "/task/path", path, REFERENCE, 0.02, 4))
+
+    def clear(self) -> None:
+        """Empty the stage for another scene."""
+        for handle in (*self._splats.values(), *self._rooms, *self._things, *self._task):
+            handle.remove()
+        self._splats, self._rooms, self._things, self._task = {}, [], [], []
+        self.show_plan(None, (0, 0, 0, 0))
+
+    def look(self, position: F64, target: F64, fov: float) -> None:
+        """Move every visitor's camera: from, to [m], vertical field of view [rad]."""
+        for client in self.server.get_clients().values():
+            # a visitor may leave at any moment; that is no error of ours
+            with contextlib.suppress(RuntimeError, AssertionError, KeyError), client.atomic():
+                client.camera.up_direction = (0.0, 0.0, 1.0)
+                client.camera.position = position
+                client.camera.look_at = target
+                client.camera.fov = fov
+
+    def start_at(self, position: F64, target: F64, fov: float) -> None:
+        """Where a new visitor's camera begins."""
+        camera = self.server.initial_camera
+        camera.position = position
+        camera.look_at = target
+        camera.fov = fov
+
+
+def overview(scene: Scene) -> tuple[F64, F64]:
+    """Position and target [m] of a camera that sees the whole scene from its long side, high up."""
+    x0, y0, x1, y1 = plan_bounds(scene)
+    wide, deep = x1 - x0, y1 - y0
+    target = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.4])
+    if wide >= deep:  # the longer side lies across the picture
+        return target + max(wide, 1.35 * deep) * np.array([0.0, -0.55, 0.8]), target
+    return target + max(deep, 1.35 * wide) * np.array([0.55, 0.0, 0.8]), target
+
+
+def from_above(scene: Scene) -> tuple[F64, F64]:
+    """Position and target [m] of a camera that looks straight down, north up."""
+    x0, y0, x1, y1 = plan_bounds(scene)
+    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+    height = 1.15 * max((x1 - x0) / 1.3, y1 - y0)
+    return middle + np.array([0.0, -0.01 * height, height]), middle
+
+
+def eyes(pose: Pose2D, height: float, pitch: float = 0.0) -> tuple[F64, F64]:
+    """Position and target [m] of the agent's own eyes."""
+    position = np.array([pose.x, pose.y, height])
+    flat = math.cos(pitch)
+    ahead = (math.cos(pose.yaw) * flat, math.sin(pose.yaw) * flat, math.sin(pitch))
+    return position, position + np.array(ahead)
+
+
+def behind(pose: Pose2D) -> tuple[F64, F64]:
+    """Position and target [m] of a camera over the agent's shoulder."""
+    ahead = np.array([math.cos(pose.yaw), math.sin(pose.yaw), 0.0])
+    here = np.array([pose.x, pose.y, 0.0])
+    return here - 1.5 * ahead + (0, 0, 2.1), here + 1.2 * ahead + (0, 0, 0.9)

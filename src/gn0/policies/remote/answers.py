@@ -66,7 +66,7 @@ def read_answer(
     """
     if not isinstance(reply, dict):
         raise _refusal(f"is a {type(reply).__name__}, not a map")
-    if reply.get("error") and not any(key.startswith("action") for key in reply):
+    if "error" in reply and not any(key.startswith("action") for key in reply):
         raise _refusal(f"reports an error: {show(reply['error'])}")
     kind, raw = _select(reply)
     if kind == "text":
@@ -101,7 +101,8 @@ def _refusal(what: str) -> PolicyError:
 
 
 def _select(reply: dict[str, Any]) -> tuple[str, Any]:
-    stated = reply.get("action_type") or reply.get("action.type") or reply.get("action_format")
+    named = (reply.get(key) for key in ("action_type", "action.type", "action_format"))
+    stated = next((value for value in named if value is not None), None)
     if stated is not None and not isinstance(stated, str):
         raise _refusal(f"has an action_type that is a {type(stated).__name__}")
     kind = _TYPES.get((stated or "").strip().lower().replace("-", "_"))
@@ -133,7 +134,7 @@ def _table(raw: Any) -> tuple[list[Any], tuple[int, ...]]:
             raise _refusal(f"has actions of shape {raw.shape}")
         return (raw.tolist() if raw.ndim else [raw.item()]), raw.shape
     if not isinstance(raw, list):
-        return [raw], ()
+        return [raw.item() if isinstance(raw, np.generic) else raw], ()
     if len(raw) > ROWS_LIMIT:
         raise _refusal(f"has {len(raw)} actions, {ROWS_LIMIT} are allowed")
     rows = [

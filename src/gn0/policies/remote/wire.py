@@ -229,7 +229,7 @@ class _Reader:
             self.refuse(f"shape {shape} of {dtype.name} needs {count} bytes, data holds {held}")
         values = np.frombuffer(data, dtype).reshape(shape)
         if dtype.kind == "b":
-            values = np.frombuffer(data, np.uint8).reshape(shape) != 0
+            values = np.asarray(np.frombuffer(data, np.uint8).reshape(shape) != 0)
         elif not dtype.isnative:
             values = values.astype(dtype.newbyteorder("="))
         values.setflags(write=False)

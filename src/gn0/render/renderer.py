@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.config import Config
-from gn0.errors import RenderError
+from gn0.errors import ConfigError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
+from gn0.maps.grid import OccupancyGrid
 from gn0.plugins import get_plugin
 from gn0.render.camera import Camera
 
@@ -134,3 +135,27 @@ def build_renderer(
     name, _ = choose_backend(backend)
     renderer: Renderer = get_plugin("renderer", name)(cloud, options or RenderOptions())
     return renderer
+
+
+def limit_to_visible(
+    renderer: Renderer, cloud_hash: str, floor: OccupancyGrid, eye_height: float
+) -> Renderer:
+    """A renderer that draws from visible sets; see `gn0.render.visible.RendererVisible`.
+
+    Args:
+        renderer: draws; holds all splats.
+        cloud_hash: content hash of its cloud.
+        floor: free cells where eyes can be, inflated for the agent.
+        eye_height: of the cameras [m].
+
+    Raises:
+        ConfigError: the backend has no visible sets.
+    """
+    from gn0.render.cpu import RendererCpu  # kernels are not needed to know the protocol
+    from gn0.render.visible import RendererVisible
+
+    if not isinstance(renderer, RendererCpu):
+        raise ConfigError(
+            f"renderer {renderer.name!r} has no visible sets", remedy="use backend 'cpu'"
+        )
+    return RendererVisible(renderer, cloud_hash, floor, eye_height)

@@ -367,6 +367,13 @@ def _released(run: RunData, name: str) -> dict[str, Any]:
 
 def _explain(result: EpisodeResult) -> str:
     m = result.metrics
+    theirs = result.release
+    if theirs is not None and theirs.forced_stop is not None:
+        verdict = "success" if theirs.success else "failure"
+        return (
+            f"stopped by the gn0-release harness at action {theirs.forced_stop}, which counts it "
+            f"as a {verdict}"
+        )
     if m is None or m.success:
         return ""
     left = f"{m.navigation_error_geodesic:.2f} m from the goal"

@@ -44,12 +44,13 @@ def render_overlay(
         scene: the scene.
         episodes: one (with start, heading, goal and instruction), or several (thin paths).
         renderer: a renderer of the scene's splats.
-        width: of the picture [px].
+        width: of the picture [px]; less for a scene that is deeper than wide.
         rooms: draw the outlines of rooms.
         caption: more lines of text below the instruction.
         cut_height: what lies higher [m] is left out of the BEV.
     """
     x0, y0, x1, y1 = plan_bounds(scene)
+    width = max(600, min(width, round(width * (x1 - x0) / (y1 - y0))))  # no tower of a picture
     scale = (x1 - x0) / (width * _SCALE)
     height = max(1, round((y1 - y0) / scale / _SCALE))
     bounds = np.array([[x0, y0], [x1 - scale / 2, y1 - scale / 2]])

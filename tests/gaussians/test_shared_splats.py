@@ -1,4 +1,4 @@
-"""Files made by others: every PLY of the data folder is read, or refused for the right reason."""
+"""Files made by others: all of the data folder are read, or refused for the right reason."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from gn0.errors import FormatError
 from gn0.gaussians.files import load_cloud
 from gn0.gaussians.ply_packed import save_ply_packed
+from gn0.testing.splat_corpus import check_cloud_file
 
 FIXTURES = "splats/fixtures/gaussian-ply/tests/fixtures"
 READ = {  # (Gaussians, SH degree in the file)
@@ -67,6 +69,177 @@ def test_malformed_fixture(name, shared_data):
         load_cloud(path)
     assert caught.value.file == str(path)
     assert caught.value.offset is not None and caught.value.remedy
+
+
+ELSEWHERE = "splats/fixtures/gaussian-ply"  # READ and REFUSED above
+SOUND: dict[str, tuple[str, int, int]] = {  # (format, Gaussians, SH degree in the file)
+    "splats/fixtures/gaussian-sog/tests/fixtures/decode-degree1.sog": ("sog-v2", 2, 1),
+    "splats/fixtures/gaussian-sog/tests/fixtures/kit-multi-degree3-deflated.sog": ("sog-v2", 3, 3),
+    "splats/fixtures/gaussian-sog/tests/fixtures/kit-multi-degree3.sog": ("sog-v2", 3, 3),
+    "splats/fixtures/gaussian-sog/tests/fixtures/kit-one-degree0.sog": ("sog-v2", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/decode-degree1-v2.spz": ("spz-v2", 2, 1),
+    "splats/fixtures/gaussian-spz/tests/fixtures/decode-degree3-v2.spz": ("spz-v2", 2, 3),
+    "splats/fixtures/gaussian-spz/tests/fixtures/decode-degree4-v2.spz": ("spz-v2", 1, 4),
+    "splats/fixtures/gaussian-spz/tests/fixtures/decode-v1.spz": ("spz-v1", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/decode-v3.spz": ("spz-v3", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/degree3-v2.spz": ("spz-v2", 1, 3),
+    "splats/fixtures/gaussian-spz/tests/fixtures/degree4-v2.spz": ("spz-v2", 1, 4),
+    "splats/fixtures/gaussian-spz/tests/fixtures/extensions-v2.spz": ("spz-v2", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/header-fields-v2.spz": ("spz-v2", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/long-fname-v2.spz": ("spz-v2", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/minimal-v1.spz": ("spz-v1", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/minimal-v2.spz": ("spz-v2", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/minimal-v3.spz": ("spz-v3", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/plaintext-v2.spz": ("spz-v2", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/three-points-degree1-v2.spz": ("spz-v2", 3, 1),
+    "splats/fixtures/gaussian-spz/tests/fixtures/trailing-after-member-v2.spz": ("spz-v2", 1, 0),
+    "splats/fixtures/gaussian-spz/tests/fixtures/trailing-decompressed-v2.spz": ("spz-v2", 1, 0),
+    "splats/fixtures/khr_gaussian_splatting/khr_conformance_matrix.glb": ("gltf", 15, 3),
+    "splats/fixtures/khr_gaussian_splatting/khr_conformance_matrix.gltf": ("gltf", 15, 3),
+    "splats/fixtures/khr_gaussian_splatting/khr_extensible_fallback.gltf": ("gltf", 1, 0),
+    "splats/fixtures/minimal-raw.spz": ("spz-v2", 4, 0),
+    "splats/fixtures/minimal-v2.spz": ("spz-v2", 4, 0),
+    "splats/fixtures/minimal-v3.spz": ("spz-v3", 4, 0),
+    "splats/fixtures/minimal-v4.spz": ("spz-v4", 4, 0),
+    "splats/fixtures/minimal.ksplat": ("ksplat", 4, 0),
+    "splats/fixtures/minimal.splat": ("splat", 4, 0),
+    "splats/fixtures/pc_short.ply": ("ply", 100, 3),
+    "splats/leica-sofort/leica-sofort-top8192.ply": ("ply", 8192, 3),
+    "splats/leica-sofort/leica-sofort-top8192.sog": ("sog-v2", 8192, 3),
+    "splats/leica-sofort/leica-sofort-top8192.spz": ("spz-v2", 8192, 3),
+    "splats/luma-seal/luma-seal.splat": ("splat", 101_780, 0),
+    "splats/playcanvas/guitar.compressed.ply": ("ply-packed", 90_854, 0),
+    "splats/playcanvas/playcanvas-logo/meta.json": ("sog-v1", 307_128, 0),
+    "splats/statues/angel.sog": ("sog-v2", 71_359, 0),
+    "splats/statues/massa.sog": ("sog-v2", 58_649, 0),
+    "splats/statues/narcissus.sog": ("sog-v2", 101_275, 0),
+    "splats/statues/trumpet.sog": ("sog-v2", 89_292, 0),
+}
+BROKEN = {  # by file name: what the refusal says
+    "bad-bands.sog": "SH of 4 bands",
+    "bad-quat-tag.sog": "has the tag 100, not 252 to 255",
+    "bad-zip.sog": "no directory at its end",
+    "corrupt-plane.sog": "damaged WebP",
+    "count-exceeds-plane.sog": "fewer than the 4096 needed",
+    "device-plane-name.sog": "device on Windows",
+    "empty-count.sog": "holds no Gaussians",
+    "escaping-plane-name.sog": "climbs out of its folder",
+    "huge-bands.sog": r"shN\.bands",
+    "huge-count.sog": r"\$\.count",
+    "huge-palette-count.sog": r"shN\.count",
+    "huge-version.sog": "SOG version 1e.300 is not read",
+    "labels-out-of-range.sog": "SH label 1 of Gaussian 1",
+    "lossy-plane.sog": "lossy WebP",
+    "malformed-meta.sog": "truncated",
+    "missing-plane.sog": "a plane is missing",
+    "no-meta.sog": "no meta.json",
+    "not-sog.sog": "no splat file that we know",
+    "short-codebook.sog": "255 values, not 256",
+    "version-1.sog": "SOG v1 .* missing required field `shape`",
+    "version-3.sog": "SOG version 3",
+    "bad-crc-v2.spz": "incorrect data check",
+    "bad-fhcrc-v2.spz": "header crc mismatch",
+    "bad-isize-v2.spz": "incorrect length check",
+    "corrupt-deflate.spz": "invalid block type",
+    "count-exceeds-stream-v2.spz": "forged: 1000000 Gaussians",
+    "decode-nonfinite-v1.spz": "all 1 Gaussians hold NaN",
+    "empty-points-v2.spz": "holds no Gaussians",
+    "gzip-not-spz.spz": "holds no SPZ",
+    "huge-count-v2.spz": "forged: 2147483648 Gaussians",
+    "not-spz.spz": "no splat file that we know",
+    "plaintext-v4.spz": "the table of streams needs 96 bytes",
+    "sh-degree-5-v2.spz": "SH degree 5",
+    "short-stream.spz": "10 of 16 bytes",
+    "truncated-deflate-v2.spz": "ends within the alphas",
+    "truncated-gzip-header.spz": "0 of 16 bytes",
+    "truncated-payload-v2.spz": "ends within the colours",
+    "version-0.spz": "SPZ version 0",
+    "version-5.spz": "SPZ version 5",
+}
+NO_SPLATS = {".webp": "a picture", ".json": "neither SOG"}
+
+
+def test_the_tables_cover_the_whole_folder(shared_data):
+    known = set(SOUND)
+    for path in sorted((shared_data / "splats").rglob("*")):
+        name = path.relative_to(shared_data).as_posix()
+        if path.is_dir() or name.startswith(ELSEWHERE):
+            continue
+        assert name in known or path.name in BROKEN or path.suffix in NO_SPLATS, name
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_sound_file(name, shared_data):
+    file = load_cloud(shared_data / name)
+    assert (file.format, file.stored, file.sh_degree) == SOUND[name]
+    assert file.dropped == 0 and file.size > 0
+    check_cloud_file(file)
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_file(name, shared_data):
+    (path,) = (shared_data / "splats").rglob(name)
+    with pytest.raises(FormatError, match=BROKEN[name]) as caught:
+        load_cloud(path)
+    error = caught.value
+    assert error.file == str(path) and error.remedy
+    assert error.offset is not None and 0 <= error.offset <= path.stat().st_size
+
+
+@pytest.mark.parametrize("suffix", NO_SPLATS)
+def test_what_lies_beside_is_named(suffix, shared_data):
+    for path in sorted((shared_data / "splats").rglob(f"*{suffix}")):
+        if path.name != "meta.json":
+            with pytest.raises(FormatError, match=NO_SPLATS[suffix]) as caught:
+                load_cloud(path)
+            assert caught.value.remedy
+
+
+def test_a_sog_folder_may_be_named_itself(shared_data):
+    folder = shared_data / "splats/playcanvas/playcanvas-logo"
+    by_folder, by_meta = load_cloud(folder), load_cloud(folder / "meta.json")
+    assert by_folder.cloud.content_hash == by_meta.cloud.content_hash
+    assert by_folder.size == sum(path.stat().st_size for path in folder.iterdir())
+
+
+def test_leica_ply_and_sog_are_one_reconstruction(shared_data):
+    """Each Gaussian of one is one of the other; what differs is what SOG rounds away."""
+    stem = shared_data / "splats/leica-sofort/leica-sofort-top8192"
+    ply = load_cloud(stem.with_suffix(".ply")).cloud
+    sog = load_cloud(stem.with_suffix(".sog")).cloud
+
+    def key(cloud):  # SOG is written in another order, and many Gaussians share a place
+        logs = np.sign(cloud.means) * np.log1p(np.abs(cloud.means.astype(np.float64)))
+        return logs, np.c_[logs, cloud.sh[:, 0] * 0.05, cloud.opacities[:, None] * 0.05]
+
+    _, index = cKDTree(key(ply)[1]).query(key(sog)[1])
+    assert len(np.unique(index)) == len(ply) == len(sog) == 8192
+    same = ply.select(index)
+    step = np.ptp(key(ply)[0], axis=0) / 65535
+    assert (np.abs(key(same)[0] - key(sog)[0]) <= 1.01 * step).all()
+    assert np.abs(sog.opacities - same.opacities).max() <= 1.01 / 255
+    logs = np.log(np.maximum(same.scales, 1e-9)) - np.log(sog.scales)
+    assert np.median(np.abs(logs)) < 0.02 and np.abs(logs).max() < 0.1
+    dots = np.abs((same.quats.astype(np.float64) * sog.quats).sum(axis=1))
+    assert (2 * np.arccos(np.clip(dots, 0, 1))).max() < 0.03
+    assert np.abs(sog.sh[:, 0] - same.sh[:, 0]).max() < 0.04
+    assert np.corrcoef(sog.sh[:, 1:].ravel(), same.sh[:, 1:].ravel())[0, 1] > 0.9999
+
+
+def test_draft_gltf_has_scales_in_logs(shared_data):
+    """The matrix says what each node tests, in the draft's logs: 0, ½, −½ and so on."""
+    folder = shared_data / "splats/fixtures/khr_gaussian_splatting"
+    file = load_cloud(folder / "khr_conformance_matrix.glb")
+    cloud = file.cloud
+    assert any("scales are logs" in note for note in file.notes)
+    assert any("lin_rec709_display" in note for note in file.notes)
+    np.testing.assert_allclose(cloud.scales[0], np.exp([0, 0.5, -0.5]), rtol=1e-6)
+    np.testing.assert_allclose(cloud.scales[4], np.exp([1, -2, 3]), rtol=1e-6)  # plain int8
+    np.testing.assert_allclose(cloud.scales[5], np.exp([1, 0, -1]), rtol=1e-6)  # fractions
+    np.testing.assert_allclose(cloud.opacities[8:11], [0.75, 64 / 255, 16384 / 65535], rtol=1e-6)
+    np.testing.assert_array_equal(cloud.means, np.tile(np.float32([-1, -2, 3]), (15, 1)))
+    text = load_cloud(folder / "khr_conformance_matrix.gltf").cloud
+    assert text.content_hash == cloud.content_hash
 
 
 def test_inria_order(shared_data):

@@ -29,6 +29,7 @@ from gn0.storage import storage_error
 _HEAD = 4096  # bytes shown to the recognisers
 _CONVERT = "convert it to .ply first, e.g. with PlayCanvas's splat-transform"
 _INSIDE = (INDEX_NAME, META_NAME)  # what a folder of splats is known by
+AXES_AS_STORED = "as stored; the format fixes none (captures: often y down; GN0's own scenes: z up)"
 READABLE = ".ply, .compressed.ply, .spz, .sog, .splat, .ksplat, .glb, .gltf or a SOG folder"
 
 
@@ -134,6 +135,9 @@ def describe_cloud_file(
         "gaussians": len(cloud),
         "dropped_non_finite": file.dropped,
         "sh_degree": file.sh_degree,
+        "levels": file.levels,
+        "level": file.level,
+        "axes": file.frame or AXES_AS_STORED,
         "bounds_m": _rounded(cloud.bounds()),
         "bounds_98_percent_m": _rounded(np.stack([low, high])),
         "scale_m_at_1_50_99_percent": _rounded(np.quantile(cloud.scales, quantiles)),

@@ -14,6 +14,7 @@ import gn0
 from gn0.bench.profiles import DIFFERENCES, RELEASE
 from gn0.bench.results import PolicyCard
 from gn0.bench.suite import Suite
+from gn0.render.renderer import VISIBLE
 from gn0.sim.presets import find_preset
 from gn0.sim.state import MapMode
 from gn0.storage import content_hash
@@ -58,7 +59,15 @@ MAP_WORDS: dict[MapMode, str] = {
 }
 
 
-def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str, str], ...]:
+VISIBLE_WORDS = (
+    "drawn from visible sets: only splats that show from free places of the same 0.5 m floor cell; "
+    "nearly, not exactly, the pictures of all splats"
+)
+
+
+def protocol_card(
+    suite: Suite, card: PolicyCard, code: str, backend: str = "auto"
+) -> tuple[tuple[str, str], ...]:
     """(what, how) rows of a run; nothing here depends on workers, order or host."""
     about, agent = suite.about, suite.about.agent
     preset = find_preset(about.camera)
@@ -82,6 +91,7 @@ def protocol_card(suite: Suite, card: PolicyCard, code: str) -> tuple[tuple[str,
             f"vfov {preset.rgb.vfov:.2f}°, {agent.camera_height:g} m above the floor, "
             f"pitch {preset.pitch_degrees:g}°",
         ),
+        *((("pictures", VISIBLE_WORDS),) if backend == VISIBLE else ()),
         ("agent", f"disc of radius {agent.radius:g} m"),
         (
             "actions",

@@ -502,7 +502,7 @@ class _Run:
             valid=sum(r.status == "valid" for r in results),
             failed=tuple(r for r in results if r.status != "valid"),
             metrics=aggregate(results),
-            protocol=protocol_card(self.suite, card, self.identity["code"]),
+            protocol=protocol_card(self.suite, card, self.identity["code"], settings.backend),
             profile=self.suite.about.profile,
             release=report_release(results),
         )

@@ -18,6 +18,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene import": ("scene_import", "an InteriorGS folder or a Gazebo world as a scene folder"),
     "scene check": ("scene_check", "say in plain words what is wrong with a scene"),
     "scene show": ("scene_show", "draw a sheet: plan, bird's-eye view, four views"),
+    "scene visible": ("scene_visible", "find which splats show from where, for quicker pictures"),
     "scene inspect": ("scene_inspect", "what a splat file holds"),
     "view": ("view", "walk through a scene in the browser, or replay runs side by side"),
     "bench run": ("bench_run", "run a policy over a suite, or over a scene folder"),

@@ -22,6 +22,7 @@ TRANSMITTANCE_STOP = 1e-4
 DILATION = 0.3  # px², added to both diagonal terms of the 2D covariance ("eps2d")
 EXTENT_MAX = 3.33  # standard deviations
 
+VISIBLE = "cpu-visible"  # backend name of the CPU renderer with visible sets
 VIEW_TOLERANCE = 1e-4  # how far a view's rotation may be from orthonormal
 
 Output = Literal["rgb", "depth", "alpha"]
@@ -120,6 +121,8 @@ def choose_backend(backend: str = "auto") -> tuple[str, str]:
     """
     if backend == "auto":
         return "cpu", "the Numba renderer runs everywhere; no faster backend is installed"
+    if backend == VISIBLE:
+        return backend, "the Numba renderer, drawing from visible sets as asked for"
     get_plugin("renderer", backend)
     return backend, "asked for by name"
 
@@ -133,6 +136,11 @@ def build_renderer(
         ConfigError: no such backend.
     """
     name, _ = choose_backend(backend)
+    if name == VISIBLE:
+        raise ConfigError(
+            "visible sets need to know where eyes can be",
+            remedy="use open_simulator, or build_renderer(cloud, 'cpu') and limit_to_visible",
+        )
     renderer: Renderer = get_plugin("renderer", name)(cloud, options or RenderOptions())
     return renderer
 

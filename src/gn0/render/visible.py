@@ -28,7 +28,7 @@ from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, FIELDS, REACH, PackedCloud
-from gn0.render.renderer import Output, RenderResult, check_views
+from gn0.render.renderer import VISIBLE, Output, RenderResult, check_views
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_mark import gather_chunks
 from gn0.storage import content_hash
@@ -101,7 +101,7 @@ class RendererVisible:
         cache: read and write the cache folder.
     """
 
-    name = "cpu-visible"
+    name = VISIBLE
 
     def __init__(
         self,
@@ -200,6 +200,7 @@ class RendererVisible:
 
         Raises:
             RenderError: there is no cache to keep them in.
+            StorageError: the cache cannot be written.
         """
         if self.files is None:
             raise RenderError("visible sets need the cache", remedy="leave cache=True")
@@ -207,7 +208,7 @@ class RendererVisible:
         for done, cell in enumerate(cells):
             progress("visible sets", done, len(cells))
             if self.files.load(cell) is None:
-                self.files.save(cell, self.find(cell))
+                self.files.save(cell, self.find(cell), strict=True)
             yield cell
         progress("visible sets", len(cells), len(cells))
 

@@ -41,18 +41,31 @@ class VisibleFiles:
         self._limit = limit
         self._written = 0
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of this scene's sets on disk."""
+        return sum(path.stat().st_size for path in self.folder.glob(f"*{_SUFFIX}"))
+
     def path(self, cell: tuple[int, int]) -> Path:
         """The file of a cell (column, row)."""
         return self.folder / f"{cell[0]}_{cell[1]}{_SUFFIX}"
 
-    def save(self, cell: tuple[int, int], marks: NDArray[np.uint8]) -> None:
-        """Keep the set of a cell: `marks` uint8 [N], 1 for its splats."""
+    def save(
+        self, cell: tuple[int, int], marks: NDArray[np.uint8], *, strict: bool = False
+    ) -> None:
+        """Keep the set of a cell: `marks` uint8 [N], 1 for its splats.
+
+        Raises:
+            StorageError: with `strict`, if the cache cannot be written.
+        """
         body = zlib.compress(np.packbits(marks).tobytes(), 1)
         digest = hashlib.blake2b(body, digest_size=16).hexdigest()
         head = {"cell": cell, "splats": self._splats, "digest": digest}
         try:
             write_bytes(self.path(cell), _MAGIC + json.dumps(head).encode() + b"\n" + body)
         except StorageError as error:
+            if strict:
+                raise
             _log.warning("the visible set is not cached: %s", error)
             return
         if self._written % _SWEEP_EVERY == 0:

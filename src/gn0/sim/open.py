@@ -12,7 +12,7 @@ from gn0.errors import SceneError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
 from gn0.render.bev import BevPicture, render_bev
-from gn0.render.renderer import Renderer, build_renderer, limit_to_visible
+from gn0.render.renderer import VISIBLE, Renderer, build_renderer, limit_to_visible
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import CEILING_CUT, EYES, MAPS, SensorConfig, check_map_mode, check_sensors
@@ -30,14 +30,14 @@ def open_simulator(
     cut_height: float = CEILING_CUT,
     map_mode: str = "prior",
     navigation: NavigationMap | None = None,
-    visible_sets: bool = False,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
     Args:
         scene: a Scene, or the path of a scene folder.
         preset: cameras and body, by name or value.
-        backend: renderer backend; "auto" takes the best that is here.
+        backend: renderer backend; "auto" takes the best that is here, "cpu-visible" draws views
+            from the splats that can be seen near each place (see `gn0.render.visible`).
         sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
             pose.
         agent: the body, instead of the preset's.
@@ -46,12 +46,9 @@ def open_simulator(
         map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
             (explored), or nothing (none).
         navigation: the map that moves the agent; by default its radius decides.
-        visible_sets: draw the agent's views from the splats visible near each place, not from
-            all: quicker, and nearly the same (see `gn0.render.visible`).
 
     Raises:
-        ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none; or a
-            backend without visible sets.
+        ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
         SceneError: nothing is walkable for this agent.
         StorageError, FormatError: the scene folder is missing or broken.
     """
@@ -75,7 +72,7 @@ def open_simulator(
     renderer: Renderer | None = None
     bev: BevPicture | None = None
     if active & EYES or "bev" in active or explores:
-        renderer = build_renderer(scene.gaussians, backend)
+        renderer = build_renderer(scene.gaussians, "cpu" if backend == VISIBLE else backend)
     if "bev" in active and renderer is not None and not explores:
         bev = render_bev(
             scene.cloud_hash or scene.gaussians.content_hash,
@@ -85,7 +82,7 @@ def open_simulator(
             cut_height,
             background=cameras.background,
         )
-    if visible_sets and renderer is not None:
+    if backend == VISIBLE and renderer is not None:  # not for the BEV: it is seen from above
         renderer = limit_to_visible(
             renderer,
             scene.cloud_hash or scene.gaussians.content_hash,

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from gn0.errors import ConfigError, EpisodeError
 from gn0.geometry import U8
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.render.renderer import VISIBLE
 from gn0.scenes.scene import Scene
 from gn0.sim.batch import FIELD_MEMORY, SimulatorBatch
 from gn0.sim.batch_eyes import Snapshot
@@ -119,8 +120,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
                 remedy="use gymnasium.make, or make_vec(..., vectorization_mode='sync')",
             )
         camera = find_preset(self.tasks.preset)
-        self._backend = backend
-        self._visible_sets = visible_sets
+        self._backend = VISIBLE if visible_sets else backend
         self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
         self.batch = SimulatorBatch(
             num_envs,

@@ -10,8 +10,10 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
+import unicodedata
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -190,38 +192,76 @@ def folder_atomic(path: Path | str, *, overwrite: bool = False, marker: str = ""
             shutil.rmtree(temporary, ignore_errors=True)
 
 
+# names that Windows gives to devices, whatever their extension
+_DEVICES = frozenset(
+    ["con", "prn", "aux", "nul", "conin$", "conout$", "clock$"]
+    + [f"{port}{digit}" for port in ("com", "lpt") for digit in "0123456789¹²³"]
+)
+_NAME_BYTES, _PATH_BYTES = 255, 4096  # what file systems take
+
+
 def safe_join(root: Path | str, relative: str) -> Path:
     """Join a path from untrusted data to `root`, refusing whatever would leave `root`.
 
-    Refuses absolute paths, `..`, NUL, backslashes, drive letters, percent-encoded separators and
-    symbolic links that lead outside.
+    The rules are those of all systems at once, so that what is safe here is safe elsewhere:
+    refused are absolute paths, `..` (also percent-encoded, in full-width or other letters that
+    stand for it, or padded with dots and blanks), backslashes, drive letters and other colons,
+    device names, control characters, names too long, and symbolic links that lead outside.
 
     Raises:
-        StorageError: the path climbs out of its folder.
+        StorageError: the path climbs out of its folder, or is no plain relative path.
     """
     root = Path(root)
-
-    def refuse(why: str) -> StorageError:
-        return StorageError(
-            f"path {relative!r} {why}", where=root, remedy="use a plain name inside the folder"
+    shown = relative if len(relative) <= 200 else f"{relative[:199]}…"
+    why = find_path_fault(relative)
+    if why:
+        raise StorageError(
+            f"path {shown!r} {why}", where=root, remedy="use a plain name inside the folder"
         )
-
-    if not relative or "\0" in relative:
-        raise refuse("is empty or holds a NUL")
-    lowered = relative.lower()
-    if "%2e" in lowered or "%2f" in lowered or "%5c" in lowered or "%00" in lowered:
-        raise refuse("is percent-encoded")
-    if "\\" in relative or (len(relative) > 1 and relative[1] == ":"):
-        raise refuse("is not a plain relative path")
-    if relative.startswith(("/", "~")) or ".." in relative.split("/"):
-        raise refuse("climbs out of its folder")
     joined = root / relative
     try:
-        if not joined.resolve().is_relative_to(root.resolve()):
-            raise refuse("leads out of its folder through a link")
+        inside = joined.resolve().is_relative_to(root.resolve())
+        why = "" if inside else "leads out of its folder through a link"
     except (OSError, RuntimeError) as error:
-        raise refuse(f"cannot be resolved: {error}") from error
+        why = f"cannot be resolved: {error}"
+    if why:
+        raise StorageError(
+            f"path {shown!r} {why}", where=root, remedy="use a plain name inside the folder"
+        )
     return joined
+
+
+def find_path_fault(relative: str) -> str:
+    """Why a relative path from data is refused wherever it leads; "" when it is not."""
+    if not relative or "\0" in relative:
+        return "is empty or holds a NUL"
+    try:
+        size = len(relative.encode())
+    except UnicodeEncodeError:
+        return "is not proper Unicode"
+    # what compatibility forms stand for: full-width dots and slashes, one-dot leaders
+    plain = unicodedata.normalize("NFKC", relative).translate(_SLASHES)
+    for text in (relative, plain):
+        if any(unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp") for c in text):
+            return "holds characters that are not seen"
+        if re.search("%(25)*(2e|2f|5c|00)", text.lower()):
+            return "is percent-encoded"
+        if "\\" in text or ":" in text:
+            return "is not a plain relative path"
+        parts = text.split("/")
+        if text.startswith(("/", "~")) or any(
+            set(part) <= {".", " "} and part not in ("", ".") for part in parts
+        ):
+            return "climbs out of its folder"
+        if any(part.split(".")[0].rstrip(" ").lower() in _DEVICES for part in parts):
+            return "names a device of Windows"
+    if size > _PATH_BYTES or any(len(part.encode()) > _NAME_BYTES for part in relative.split("/")):
+        return "is too long"
+    return ""
+
+
+# letters that look like a slash; NFKC leaves them alone
+_SLASHES = str.maketrans(dict.fromkeys("\u2044\u2215\u29f8\u27cb", "/") | {"\u29f5": "\\"})
 
 
 def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:

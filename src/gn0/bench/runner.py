@@ -39,6 +39,7 @@ from gn0.bench.results import (
 )
 from gn0.bench.schedule import Schedule
 from gn0.bench.suite import Suite, load_suite_scene
+from gn0.bench.worker import describe_error
 from gn0.errors import BenchError, ConfigError, PolicyError
 from gn0.missions.episode import Episode
 from gn0.plugins import get_plugin
@@ -105,14 +106,7 @@ def run_suite(
     check_workers(workers)
     if not episode_time_limit > 0:
         raise BenchError(f"time limit is {episode_time_limit} s", remedy="give a positive number")
-    for module in plugin_modules:
-        try:
-            import_module(module)
-        except ImportError as error:
-            raise ConfigError(
-                f"cannot import the plug-in module {module!r}: {error}",
-                remedy="install it, or put its folder on PYTHONPATH",
-            ) from error
+    import_plugins(plugin_modules)
     get_plugin("policy", policy_name)  # an unknown name ends here, before any work
     episodes = _choose(suite, max_episodes)
     out = Path(out)
@@ -146,6 +140,24 @@ def run_suite(
         finally:
             with contextlib.suppress(OSError):
                 run.journal.close()
+
+
+def import_plugins(modules: Sequence[str]) -> None:
+    """Import modules that register plug-ins.
+
+    Raises:
+        ConfigError: a name is none, or the module cannot be imported.
+    """
+    for module in modules:
+        try:
+            if not all(part.isidentifier() for part in module.split(".")):
+                raise ImportError("a module is named like package.module, without a path")
+            import_module(module)
+        except Exception as error:  # whatever a stranger's module raises
+            raise ConfigError(
+                f"cannot import the plug-in module {module!r}: {describe_error(error)}",
+                remedy="install it, or put its folder on PYTHONPATH",
+            ) from error
 
 
 def build_settings(

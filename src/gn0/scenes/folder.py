@@ -38,7 +38,15 @@ from gn0.progress import Progress, no_progress
 from gn0.scenes.labels import REACH, encode_labels, load_labels
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom, SceneSourceInfo
 from gn0.scenes.structure import encode_structure, load_structure
-from gn0.storage import content_hash, folder_atomic, read_bytes, safe_join, write_bytes, write_json
+from gn0.storage import (
+    content_hash,
+    find_path_fault,
+    folder_atomic,
+    read_bytes,
+    safe_join,
+    write_bytes,
+    write_json,
+)
 
 LAYOUT_VERSION = 1
 CLOUD_FILES = {"exact": "point_cloud.ply", "packed": "3dgs_compressed.ply"}
@@ -69,7 +77,7 @@ def check_scene_id(value: str, where: str | Path = "") -> str:
     Raises:
         SceneError: it is not.
     """
-    if not _ID.match(value):
+    if not _ID.match(value) or find_path_fault(value):
         raise SceneError(
             f"scene id {value!r} is not a plain name",
             where=where,

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from gn0.errors import ConfigError
 
-Kind = Literal["scene_source", "renderer", "mission", "policy", "metric", "exporter"]
+Kind = Literal["scene_source", "renderer", "refiner", "mission", "policy", "metric", "exporter"]
 
 _BUILTIN: dict[str, dict[str, str]] = {
     "scene_source": {
@@ -20,6 +20,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "world": "gn0.scenes.world:SceneSourceWorld",
     },
     "renderer": {"cpu": "gn0.render.cpu:RendererCpu"},
+    "refiner": {"cpu": "gn0.render.refine:refine_cloud"},
     "mission": {"goal": "gn0.missions.episode:MissionGoal"},
     "policy": {
         "oracle": "gn0.policies.oracle:PolicyOracle",

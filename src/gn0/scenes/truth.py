@@ -70,3 +70,46 @@ def render_truth(
                 if (i, j) == middle:
                     depth[rows] = t.reshape(shape)
     return rgb.astype(np.float32), depth
+
+
+def trace_picture(
+    mesh: SceneMesh,
+    shader: Shader,
+    intrinsics: NDArray[np.floating],
+    size: tuple[int, int],
+    view: NDArray[np.floating],
+    rng: np.random.Generator,
+    *,
+    caster: RayCaster | None = None,
+) -> NDArray[np.uint8]:
+    """One pinhole picture with a single ray at a random place of each pixel.
+
+    Its mean over `rng` is `render_truth`; a fit to many such pictures needs no more.
+
+    Args:
+        mesh: the surfaces.
+        shader: their appearance.
+        intrinsics: camera matrix K [3, 3], pixels.
+        size: (width, height) [pixels].
+        view: world-to-camera [4, 4], OpenCV axes.
+        rng: places the rays.
+        caster: a ray caster of the same mesh, to save building it again.
+
+    Returns:
+        display colours [H, W, 3], black where nothing is hit.
+    """
+    width, height = size
+    caster = caster or RayCaster(mesh)
+    view = np.asarray(view, np.float64)
+    K = np.asarray(intrinsics, np.float64)
+    x = (np.arange(width)[None, :] + rng.random((height, width)) - K[0, 2]) / K[0, 0]
+    y = (np.arange(height)[:, None] + rng.random((height, width)) - K[1, 2]) / K[1, 1]
+    ray = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ view[:3, :3]
+    eye = -view[:3, :3].T @ view[:3, 3]
+    face, _, uv = caster.cast(np.broadcast_to(eye, ray.shape), ray)
+    hit = np.flatnonzero(face >= 0)
+    vw = uv[hit].astype(np.float64)
+    bary = np.concatenate([1 - vw.sum(1, keepdims=True), vw], 1)
+    colour = np.zeros((width * height, 3), np.float32)
+    colour[hit] = shader.shade(face[hit], bary).colour
+    return (np.clip(colour, 0, 1) * 255 + 0.5).astype(np.uint8).reshape(height, width, 3)

@@ -218,8 +218,13 @@ class RendererVisible:
         camera = Camera.from_hfov(settings.pixels, settings.pixels, 90.0, near=settings.near)
         places = self._places[cell]
         marks = np.zeros(self.full.size, np.uint8)
-        views = np.stack(
-            [view_from_pose(x, y, self.eye_height, *face) for x, y in places for face in _FACES]
+        turn = math.pi / 2 / len(places)  # splats of one wall change order with the heading, so
+        views = np.stack(  # each place looks in directions of its own
+            [
+                view_from_pose(x, y, self.eye_height, yaw + k * turn, pitch)
+                for k, (x, y) in enumerate(places)
+                for yaw, pitch in _FACES
+            ]
         )
         self.full.mark_visible(camera, views, settings.threshold, marks)
         self._mark_near(places, marks)

@@ -199,8 +199,8 @@ def _deltas(rows: list[Any], shape: tuple[int, ...]) -> Answer:
 
 
 def is_stop(delta: Delta, epsilon: float) -> bool:
-    """Whether a delta is so small that it means STOP."""
-    return all(abs(value) <= epsilon for value in delta)
+    """Whether a delta is so small that it means STOP; compared in float32, as it is sent."""
+    return all(abs(value) <= float(np.float32(epsilon)) for value in delta)
 
 
 def build_displacement(

@@ -226,13 +226,14 @@ class RemoteClient:
 
         what = f"is gone ({type(error).__name__})"
         if isinstance(error, ConnectionClosed):
-            if error.sent is not None and error.sent.code == 1009:
+            theirs, ours = error.rcvd, error.sent
+            if theirs is not None and error.rcvd_then_sent is not False:
+                reason = f": {show(theirs.reason)}" if theirs.reason else ""
+                what = f"closed the connection (code {theirs.code}{reason})"
+            elif ours is not None and ours.code == 1009:
                 what = f"sent more than the {self.limits.size} bytes an answer may have"
-            elif error.sent is not None and error.rcvd is None:
-                what = f"broke the WebSocket protocol: {show(error.sent.reason)}"
-            elif error.rcvd is not None:
-                reason = f": {show(error.rcvd.reason)}" if error.rcvd.reason else ""
-                what = f"closed the connection (code {error.rcvd.code}{reason})"
+            elif ours is not None:
+                what = f"broke the WebSocket protocol: {show(ours.reason)}"
             else:
                 what = "broke the connection off"
         return self._fault(what)

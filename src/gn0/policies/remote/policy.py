@@ -112,6 +112,7 @@ class PolicyRemote:
         wants = set(self.greeting.wants) - {"pose"}
         self.sensors: frozenset[Sensor] = frozenset(wants | ({"pose"} if self.send_pose else set()))
         self._sender = ObservationSender()
+        self._seed = 0
         self._forget("", "")
 
     @property
@@ -147,7 +148,8 @@ class PolicyRemote:
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:
         """Begin an episode; the server is told when the first action is wanted."""
-        self._forget(instruction, f"session-{rng.integers(2**62):016x}")
+        self._seed = int(rng.integers(2**62))  # the server's share of the episode's chance
+        self._forget(instruction, f"session-{self._seed:016x}")
 
     def reset_session(self, session: str) -> None:
         """Call the episode's session by the episode's name, as the released harness does."""
@@ -199,6 +201,8 @@ class PolicyRemote:
             payload["state.nav_pose"] = np.array(observation.pose, np.float32)
         if self.greeting.extended:
             payload[KEY] = self._sender.pack(observation)
+            if not self._queries:
+                payload[KEY]["seed"] = self._seed
         reply = self.client.request(payload)
         self._queries += 1
         self._frames.clear()

@@ -243,7 +243,7 @@ class PolicySession:
             instruction, images, request.get(KEY), None if fresh else self._before
         )
         if fresh:
-            self.policy.reset(instruction, random_stream(0, "remote policy", session))
+            self.policy.reset(instruction, _stream(request.get(KEY), session))
             self._session = session
         self._before = seen
         frames: Sequence[U8] = [] if images is None else images if images.ndim == 4 else [images]
@@ -252,6 +252,14 @@ class PolicySession:
         else:
             said = self.policy.act(seen)
         return build_reply(said, seen)
+
+
+def _stream(more: Any, session: str) -> np.random.Generator:
+    """An episode's chance: the client's seed, or that of the session's name."""
+    seed = more.get("seed") if isinstance(more, dict) else None
+    if isinstance(seed, int):
+        return random_stream(seed, "remote policy")
+    return random_stream(0, "remote policy", session)
 
 
 def _words(request: dict[str, Any], name: str) -> str:

@@ -20,8 +20,8 @@ from gn0.missions.frames import NavFrame, Placement
 from gn0.missions.goal import check_episode_fits
 from gn0.missions.sets.episode_set import EpisodeSet, Exporter, Task
 
-LOW_SHARE = 0.9  # fewer points than this on free cells look wrong
-BETTER_BY = 0.1  # another frame must be better by this to be named
+LOW_SHARE = 0.99  # fewer points than this on free cells look wrong: paths keep off walls
+FEWER_MISSES = 5.0  # another frame is named if it leaves so many times fewer points off the floor
 STOREY = 0.75  # m between the lowest and the highest point: more is another storey
 
 
@@ -50,8 +50,8 @@ class FrameCheck:
     def better(self) -> str:
         """Name of a placement that fits clearly better than the one in use, or ""."""
         best = max(self.free, key=lambda name: self.free[name])
-        share = self.free[self.used]
-        found = share < LOW_SHARE and self.free[best] >= share + BETTER_BY
+        missed = 1.0 - self.free[self.used]
+        found = missed > 1.0 - LOW_SHARE and (1.0 - self.free[best]) * FEWER_MISSES <= missed
         return best if found else ""
 
     @property
@@ -78,7 +78,10 @@ class FrameCheck:
                 )
             )
         elif share < LOW_SHARE:
-            text += ". That is little: is this the scene that the episodes were made for?"
+            text += (
+                ". A reference path should not leave the floor: look at the picture; is this the "
+                "scene that the episodes were made for?"
+            )
         return text
 
 

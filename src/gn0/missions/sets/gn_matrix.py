@@ -111,7 +111,13 @@ class ExporterGnMatrix:
         if not isinstance(episodes.native, pa.Table):
             raise FormatError(f"a set of format {episodes.format!r} is no GN-Matrix table")
         stream = io.BytesIO()
-        pq.write_table(episodes.native, stream, compression="zstd", store_schema=True)
+        pq.write_table(
+            episodes.native,
+            stream,
+            compression="zstd",
+            store_schema=True,
+            use_compliant_nested_type=False,  # the names inside lists stay what they were, too
+        )
         write_bytes(path, stream.getvalue())
 
     def build(

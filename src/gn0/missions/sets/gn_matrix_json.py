@@ -21,7 +21,7 @@ from gn0.missions.frames import Placement
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.gn_matrix import build_row, nav_placements, nav_task
 from gn0.missions.sets.json_file import load_exact, save_exact
-from gn0.storage import check_replaceable, folder_atomic, read_bytes, safe_join
+from gn0.storage import check_replaceable, folder_atomic, safe_join, storage_error
 
 FILE_LIMIT = 64 << 20  # bytes of one trajectory
 GROUPS = ("easy", "medium", "hard")
@@ -111,15 +111,16 @@ class ExporterGnMatrixJson:
                 is none.
         """
         path = Path(path)
-        if not path.is_dir():
-            read_bytes(path, 0)  # says that it is missing, or a file
-        found = {
-            (folder.name, file.name): file
-            for folder in sorted(path.iterdir())
-            if folder.is_dir() and not folder.name.startswith(".")
-            for file in sorted(folder.glob("*.json"))
-            if file.stem.isdigit()
-        }
+        try:
+            found = {
+                (folder.name, file.name): file
+                for folder in sorted(path.iterdir())
+                if folder.is_dir() and not folder.name.startswith(".")
+                for file in sorted(folder.glob("*.json"))
+                if file.stem.isdigit()
+            }
+        except OSError as error:
+            raise storage_error(error, path, "read the folder") from error
         if not found:
             raise FormatError(
                 "no <scene>/<digits>.json in it", file=path, remedy="give the folder above scenes"

@@ -69,7 +69,7 @@ def run(args: Args) -> int:
         if args.check:
             return _check(view, live, loop)
         try:
-            loop.run(getattr(view, "tick", None))
+            loop.run(view.tick)
         except KeyboardInterrupt:
             print("\nclosed")
     return 0
@@ -157,8 +157,9 @@ def announce(args: Args, live: LiveServer) -> None:
 def _check(view: Any, live: LiveServer, loop: LiveLoop) -> int:
     from gn0.viewer.live_server import fetch_page
 
-    loop.post(loop.stop, key="check")
-    loop.run()  # what `open` has left to do comes first
+    view.finish()
+    loop.post(loop.stop)
+    loop.run()  # what is waiting comes first
     fetch_page(live)
     print("the page is ready" if view.ready else "the page is ready; no agent can stand here")
     return 0

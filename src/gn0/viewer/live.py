@@ -39,7 +39,9 @@ from gn0.viewer.viewpoints import choose_viewpoints
 CAMERAS = ("free", "the agent's eyes", "behind the agent")
 DETAILS = (30_000, 100_000, 300_000, 1_000_000)
 _ACTIONS = {"forward": Action.FORWARD, "left": Action.LEFT, "right": Action.RIGHT}
+BEV_PIXELS = 2048
 FLOOR = 0.15  # what is hit by a click lower than this is floor [m]
+HEAD_START, ALONE = 0.6, 5.0  # how long the agent waits for a visitor's page, for a visitor [s]
 PANEL = 400  # width of the panel [px]
 KEYS = (
     "**I** forward · **J** left · **L** right · **V** next picture · **C** next camera · "
@@ -87,6 +89,7 @@ class SceneView:
         self._renderer: Renderer | None = None
         self._bev: BevPicture | None = None
         self._plan_on_floor = False
+        self._woken, self._seen, self._since = False, False, 0.0
 
     def show_splats(self) -> None:
         """Send the splats, thinned to the wanted number."""
@@ -100,7 +103,36 @@ class SceneView:
         self.show_splats()
         self.stage.add_labels(self.scene, rooms=True, objects=False)
         self._build_panel()
-        self.loop.post(self._wake_agent)
+        self.server.on_client_connect(lambda client: self.loop.post(self._greet))
+
+    def _greet(self) -> None:
+        """A visitor came: his window decides how far away the overview is."""
+        if self.camera == CAMERAS[0]:
+            self.stage.look_over(self.scene)
+        else:
+            self._look()
+
+    def finish(self) -> None:
+        """Do now what `tick` would leave for later: wake the agent."""
+        if not self._woken:
+            self._woken = True
+            self._wake_agent()
+
+    def tick(self, now: float) -> float | None:
+        """Wake the agent once the first visitor has had time to fetch the splats.
+
+        Compiling kernels for the first time takes long and would keep the page waiting.
+        """
+        if self._woken:
+            return None
+        seen = bool(self.server.get_clients())
+        self._since = self._since if self._since and seen == self._seen else now
+        self._seen = seen
+        rest = self._since + (HEAD_START if seen else ALONE) - now
+        if rest <= 0:
+            self.finish()
+            return None
+        return min(rest, 0.1)
 
     def _build_panel(self) -> None:
         gui: Any = self.server.gui
@@ -188,7 +220,7 @@ class SceneView:
             scene.cloud_hash or scene.gaussians.content_hash,
             self._renderer,
             bounds,
-            scene.grid.resolution,
+            max(scene.grid.resolution, float(np.ptp(bounds, axis=0).max()) / BEV_PIXELS),
             CEILING_CUT,
             background=preset.background,
         )
@@ -308,7 +340,6 @@ class SceneView:
         self._follow(self._cameras.value)
 
     def _jump(self, where: str) -> None:
-        place = overview(self.scene) if where == "overview" else from_above(self.scene)
         if self.camera != CAMERAS[0]:
             self.camera = CAMERAS[0]
             self._cameras.value = CAMERAS[0]
@@ -316,7 +347,10 @@ class SceneView:
             self.stage.show(ceiling=False)
             if self.body is not None:
                 self.body.show(True)
-        self.stage.look(*place, OVERVIEW_FOV)
+        if where == "overview":
+            self.stage.look_over(self.scene)
+        else:
+            self.stage.look(*from_above(self.scene), OVERVIEW_FOV)
 
     def _show_kind(self, kind: PictureKind) -> None:
         self.kind = kind

@@ -78,6 +78,13 @@ class FileView:
             "then `gn0 view DIR`."
         )
 
+    def finish(self) -> None:
+        """Nothing is left for later."""
+
+    def tick(self, now: float) -> float | None:
+        """Nothing happens by itself."""
+        return None
+
     @property
     def ready(self) -> bool:
         """Always: there is no agent to wait for."""

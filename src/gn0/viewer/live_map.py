@@ -16,7 +16,7 @@ from gn0.scenes.scene import Scene
 from gn0.viewer.plan import plan_bounds, render_plan
 
 AGENT = (214, 64, 40)
-REFERENCE, GOAL = (60, 120, 216), (34, 150, 84)
+REFERENCE, GOAL = (26, 28, 34), (34, 150, 84)
 _DOUBLE = 2  # drawn twice as large, then reduced
 
 
@@ -87,12 +87,12 @@ class LiveMap:
         pen.line(spots, fill=colour, width=width * _DOUBLE, joint="curve")
 
 
-def plan_map(scene: Scene, width: int = 520, height_limit: int = 420) -> LiveMap:
+def plan_map(scene: Scene, width: int = 520, height_limit: int = 360) -> LiveMap:
     """The scene's plan, at most `width` x `height_limit` [px]."""
     x0, y0, x1, y1 = plan_bounds(scene)
     scale = min(width / (x1 - x0), height_limit / (y1 - y0))
     size = (max(1, round((x1 - x0) * scale)), max(1, round((y1 - y0) * scale)))
-    picture = np.asarray(render_plan(scene, *size), np.uint8)
+    picture = np.asarray(render_plan(scene, *size, names=False), np.uint8)
     return LiveMap(picture, scale, (x0 + x1) / 2 - size[0] / scale / 2, (y0 + y1) / 2
                    + size[1] / scale / 2)  # fmt: skip
 

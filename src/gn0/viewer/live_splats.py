@@ -23,10 +23,10 @@ _LEVELS = 7  # halvings of the coarsest cell
 _FAR = 0.001  # share of splats on each side that may lie far out, e.g. a sky
 _EVEN = 0.004  # what area alone is worth, beside the variance of colour in 0..1
 _ROUGH = 0.03  # what a bent surface is worth beside a speckled one
-_SPREAD = 3.0  # widening of a merged splat along its members' scatter: discs must overlap
+_SPREAD = 3.7  # widening of a merged splat along its members' scatter: discs must overlap
 _FAINT = 0.02  # opacity below which a splat is left out
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_OPAQUE = 0.97  # opacity of a merged splat at most
+_OPAQUE = 0.985  # opacity of a merged splat at most
 
 
 @dataclass(frozen=True, eq=False)

@@ -211,12 +211,13 @@ class LiveStage:
     def look(self, position: F64, target: F64, fov: float) -> None:
         """Move every visitor's camera: from, to [m], vertical field of view [rad]."""
         for client in self.server.get_clients().values():
-            # a visitor may leave at any moment; that is no error of ours
-            with contextlib.suppress(RuntimeError, AssertionError, KeyError), client.atomic():
-                client.camera.up_direction = (0.0, 0.0, 1.0)
-                client.camera.position = position
-                client.camera.look_at = target
-                client.camera.fov = fov
+            _turn_camera(client, position, target, fov)
+
+    def look_over(self, scene: Scene) -> None:
+        """Show every visitor the whole scene, as it fits into his window."""
+        for client in self.server.get_clients().values():
+            with contextlib.suppress(RuntimeError, AssertionError, ZeroDivisionError):
+                _turn_camera(client, *overview(scene, client.camera.aspect), OVERVIEW_FOV)
 
     def start_at(self, position: F64, target: F64, fov: float) -> None:
         """Where a new visitor's camera begins."""
@@ -226,14 +227,38 @@ class LiveStage:
         camera.fov = fov
 
 
-def overview(scene: Scene) -> tuple[F64, F64]:
-    """Position and target [m] of a camera that sees the whole scene from its long side, high up."""
+def _turn_camera(client: viser.ClientHandle, position: F64, target: F64, fov: float) -> None:
+    # a visitor may leave at any moment; that is no error of ours
+    with contextlib.suppress(RuntimeError, AssertionError, KeyError), client.atomic():
+        client.camera.up_direction = (0.0, 0.0, 1.0)
+        client.camera.position = position
+        client.camera.look_at = target
+        client.camera.fov = fov
+
+
+def overview(scene: Scene, aspect: float = 1.3) -> tuple[F64, F64]:
+    """Position and target [m] of a camera, high up, that sees the whole scene.
+
+    It looks north or west, whichever shows the scene larger in a picture of that `aspect`.
+    """
     x0, y0, x1, y1 = plan_bounds(scene)
-    wide, deep = x1 - x0, y1 - y0
-    target = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.4])
-    if wide >= deep:  # the longer side lies across the picture
-        return target + max(wide, 1.35 * deep) * np.array([0.0, -0.55, 0.8]), target
-    return target + max(deep, 1.35 * wide) * np.array([0.55, 0.0, 0.8]), target
+    corners = np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (0.0, 2.4)])
+    target = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.6])
+    choices = [
+        _fit(corners - target, np.array([x, y, 0.9]), aspect) for x, y in ((0, -0.5), (0.5, 0))
+    ]
+    return target + min(choices, key=lambda away: float(np.linalg.norm(away))), target
+
+
+def _fit(corners: F64, away: F64, aspect: float) -> F64:
+    """The least multiple of `away` from where all corners [8, 3] m are in the picture."""
+    back = away / np.linalg.norm(away)
+    right = np.cross((0.0, 0.0, 1.0), back)
+    right /= np.linalg.norm(right)
+    half = math.tan(OVERVIEW_FOV / 2) * 0.94
+    across, up = np.abs(corners @ right), np.abs(corners @ np.cross(back, right))
+    distance = corners @ back + np.maximum(across / (half * aspect), up / half)
+    return np.asarray(back * float(distance.max()))
 
 
 def from_above(scene: Scene) -> tuple[F64, F64]:

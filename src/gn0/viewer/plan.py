@@ -40,15 +40,21 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def render_plan(
-    scene: Scene, width: int, height: int, *, keep_clear: Sequence[tuple[float, float]] = ()
+    scene: Scene,
+    width: int,
+    height: int,
+    *,
+    keep_clear: Sequence[tuple[float, float]] = (),
+    names: bool = True,
 ) -> Image.Image:
     """The plan as a picture of `width` x `height` pixels: north up, x to the right.
 
-    No name is written over the points `keep_clear` (x, y) [m].
+    No name is written over the points `keep_clear` (x, y) [m]. Without `names`, rooms keep theirs
+    and things do not have any: for small pictures.
     """
     return (
         _Plan(scene, width * _SUPER, height * _SUPER, keep_clear)
-        .draw()
+        .draw(names)
         .resize((width, height), Image.Resampling.LANCZOS)
     )
 
@@ -95,7 +101,7 @@ class _Plan:
     def at(self, x: float, y: float) -> tuple[float, float]:
         return (x - self.x) * self.scale, self.height - (y - self.y) * self.scale
 
-    def draw(self) -> Image.Image:
+    def draw(self, names: bool = True) -> Image.Image:
         self._cells(FREE, _FLOOR)
         self._rooms()
         low = [t for t in self.scene.objects if _bottom(t) < _HANGING]
@@ -112,8 +118,9 @@ class _Plan:
                 self._hanging(thing)
         self._openings()
         self._room_names()
-        for thing in sorted(things, key=lambda t: -t.box.size[0] * t.box.size[1]):
-            self._name(thing)
+        if names:
+            for thing in sorted(things, key=lambda t: -t.box.size[0] * t.box.size[1]):
+                self._name(thing)
         self._scale_bar()
         return self.image
 

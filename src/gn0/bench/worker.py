@@ -129,7 +129,10 @@ class EpisodeWorker:
     ) -> tuple[EpisodeResult, EpisodeTrace]:
         """Run under the official harness; score its way, and ours on the same trajectory."""
         driver = PolicyUnderRelease(self.policy, release.release)
-        trajectory = run_episode(simulator, driver, episode)
+        try:
+            trajectory = run_episode(simulator, driver, episode)
+        except EpisodeError as error:
+            return _invalid(episode, error), EpisodeTrace(episode=episode.id)
         theirs = score_release(
             trajectory,
             episode,

@@ -129,7 +129,7 @@ class ExporterGnMatrixJson:
         listed = _listed(configs)
         files = {key: load_exact(file, FILE_LIMIT) for key, file in found.items()}
         ours, others, notes = {}, {}, []
-        tasks = []
+        tasks: list[Task] = []
         for key, content in files.items():
             scene, name = key
             stem = Path(name).stem

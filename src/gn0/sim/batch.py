@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import SimError
-from gn0.geometry import F64
+from gn0.geometry import F64, Pose2D, world_to_agent
 from gn0.missions.episode import AgentSpec
 from gn0.scenes.scene import Scene
 from gn0.sim.batch_eyes import BatchEyes, Snapshot
@@ -27,6 +27,7 @@ from gn0.sim.batch_kernels import (
 )
 from gn0.sim.batch_tables import EpisodeTable, MapTable
 from gn0.sim.sensors import PICTURES, SensorConfig
+from gn0.sim.simulator import goal_view
 from gn0.sim.state import Sensor
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class SimulatorBatch:
                     f"sensors {sorted(config.active & PICTURES)} need pictures",
                     remedy="use VectorEnv, or hand open_suite to SimulatorBatch",
                 )
-            self._eyes = BatchEyes(count, config, open_suite, scenes_kept)
+            self._eyes = BatchEyes(count, config, open_suite, scenes_kept, self.agent)
 
     @property
     def sensors(self) -> frozenset[Sensor]:
@@ -172,7 +173,14 @@ class SimulatorBatch:
                 *(self._rays, float(self.config.range_limit), out),
             )
             found["ranges"] = out
+        if "pose" in self.sensors:
+            found["pose"] = self.poses(chosen)
         return found
+
+    def goal_vector(self, agent: int) -> tuple[float, float]:
+        """The goal (forward, left) [m] of one agent, in full precision."""
+        pose = Pose2D(*self.poses(np.array([agent]))[0].tolist())
+        return world_to_agent(pose, *self.table.episodes[int(self.state.episode[agent])].goal)
 
     def snapshot(self, which: NDArray[np.int64] | None = None) -> Snapshot | None:
         """What `draw` needs to know of agents `which` as they stand now; None without pictures."""
@@ -180,13 +188,12 @@ class SimulatorBatch:
             return None
         chosen = self._everyone if which is None else which
         episodes = [self.table.episodes[n] for n in self.state.episode[chosen].tolist()]
-        return Snapshot(
-            chosen,
-            [episode.scene_id for episode in episodes],
-            self.poses(chosen),
-            np.array([episode.start for episode in episodes]),
-            self._eyes.mosaics(chosen),
-        )
+        starts = np.array([episode.start for episode in episodes])
+        goals = starts  # not looked at
+        if "goal_picture" in self.sensors:
+            goals = np.array([goal_view(episode) for episode in episodes])
+        scenes = [episode.scene_id for episode in episodes]
+        return self._eyes.snapshot(chosen, scenes, self.poses(chosen), starts, goals)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of snapshots, arrays or lists [K, …] a sensor; see `BatchEyes.draw`.

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64, Pose2D
+from gn0.missions.episode import AgentSpec
 from gn0.sim.history import History
-from gn0.sim.sensors import EYES, SensorConfig
+from gn0.sim.mapping import Mapper
+from gn0.sim.sensors import EYES, MAPS, SensorConfig
 
 if TYPE_CHECKING:
     from gn0.sim.sensors import SensorSuite
+
+
+@dataclass(eq=False)
+class Kept:
+    """What an agent keeps through one episode: made when first drawn, left to its last snapshot."""
+
+    mapper: Mapper | None = None
+    goal_picture: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +37,9 @@ class Snapshot:
         scenes: [K] ids of their scenes.
         poses: [K, 3] x, y [m], yaw [rad].
         starts: [K, 3] the same at their episodes' start.
+        goals: [K, 3] the same where their goal pictures are taken.
+        kept: [K] what an agent has kept of its episode.
+        due: [K] whether the agent's own map lacks what it sees now.
         mosaics: [K] history mosaics, when they carry that sensor.
     """
 
@@ -34,7 +47,10 @@ class Snapshot:
     scenes: list[str]
     poses: F64
     starts: F64
-    mosaics: list[NDArray[np.uint8]] = field(default_factory=list)
+    goals: F64
+    kept: list[Kept]
+    due: NDArray[np.bool_]
+    mosaics: list[NDArray[np.uint8]]
 
 
 class BatchEyes:
@@ -45,6 +61,7 @@ class BatchEyes:
         config: which sensors, and their cameras.
         open_suite: scene id → the sensors of an agent in that scene, renderer included.
         scenes_kept: scenes held while nobody is in them.
+        agent: the body they have.
     """
 
     def __init__(
@@ -53,9 +70,18 @@ class BatchEyes:
         config: SensorConfig,
         open_suite: Callable[[str], SensorSuite],
         scenes_kept: int,
+        agent: AgentSpec,
     ) -> None:
         self.config = config
+        self._agent = agent
         self._wanted = frozenset(config.active)
+        self._explores = config.explores and bool(self._wanted & MAPS)
+        self._drawn: frozenset[str] = self._wanted
+        if self._explores:  # an agent's own map is made from depth, its colours from rgb
+            self._drawn |= {"depth", "rgb"} if "bev" in self._wanted else {"depth"}
+        self._kept = [Kept() for _ in range(count)]
+        self._due = np.ones(count, np.bool_)
+        self._spared = {"rgb", "depth"} - self._wanted  # drawn for others' sake
         self._open_suite = open_suite
         self._scenes_kept = scenes_kept
         self._suites: OrderedDict[str, SensorSuite] = OrderedDict()
@@ -67,20 +93,31 @@ class BatchEyes:
 
     def begin(self, which: NDArray[np.int64]) -> None:
         """Agents `which` begin an episode: nothing has been seen."""
+        self._due[which] = True
+        for i in which.tolist():
+            self._kept[i] = Kept()
         if self._histories:
             for i in which.tolist():
                 self._histories[i].clear()
 
     def keep_views(self) -> None:
         """All agents are about to act: what each sees goes into its history."""
+        self._due[:] = True
         if self._histories:
             assert self._rgb is not None
             for history, rgb in zip(self._histories, self._rgb, strict=True):
                 history.add(rgb)
 
-    def mosaics(self, which: NDArray[np.int64]) -> list[NDArray[np.uint8]]:
-        """History mosaics of agents `which`, as they are now."""
-        return [self._histories[i].mosaic() for i in which.tolist()] if self._histories else []
+    def snapshot(
+        self, which: NDArray[np.int64], scenes: list[str], poses: F64, starts: F64, goals: F64
+    ) -> Snapshot:
+        """Where agents `which` stand now, with what they have kept of their episodes."""
+        due = self._due[which]
+        self._due[which] = False
+        agents = which.tolist()
+        mosaics = [self._histories[i].mosaic() for i in agents] if self._histories else []
+        kept = [self._kept[i] for i in agents]
+        return Snapshot(which, scenes, poses, starts, goals, kept, due, mosaics)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of each snapshot, an array [K, …] a sensor.
@@ -91,14 +128,14 @@ class BatchEyes:
         """
         self._load({name for snapshot in snapshots for name in snapshot.scenes})
         found: list[dict[str, Any]] = [{} for _ in snapshots]
-        if self._wanted & EYES:
+        if self._drawn & EYES:
             self._draw_eyes(snapshots, found)
         for snapshot, pictures in zip(snapshots, found, strict=True):
             if self._histories:
                 pictures["history"] = np.array(snapshot.mosaics, np.uint8)
-            if self._wanted & {"bev", "occupancy"}:
+            if self._wanted & MAPS:
                 self._draw_maps(snapshot, pictures)
-        return found
+        return [{name: p[name] for name in p if name not in self._spared} for p in found]
 
     def _load(self, names: set[str]) -> None:
         for name in sorted(names):
@@ -121,29 +158,42 @@ class BatchEyes:
         missing = dict.fromkeys(
             place for _, _, agent, place in requests if self._place[agent] != place
         )
+        goals: list[tuple[Kept, tuple[str, bytes]]] = []
+        if "goal_picture" in self._wanted:
+            goals = [
+                (kept, (scene, goal.tobytes()))
+                for snapshot in snapshots
+                for kept, scene, goal in zip(
+                    snapshot.kept, snapshot.scenes, snapshot.goals, strict=True
+                )
+                if kept.goal_picture is None
+            ]
+            missing |= dict.fromkeys(place for _, place in goals)
         drawn: dict[tuple[str, bytes], tuple[Any, Any]] = {}
         for scene in sorted({scene for scene, _ in missing}):
             places = [place for place in missing if place[0] == scene]
             poses = [Pose2D(*np.frombuffer(raw, np.float64).tolist()) for _, raw in places]
-            rgb, depth = self._suites[scene].look_many(poses, self._wanted)
+            wanted = self._drawn | {"rgb"} if goals else self._drawn
+            rgb, depth = self._suites[scene].look_many(poses, wanted)
             for k, place in enumerate(places):
                 drawn[place] = (
                     None if rgb is None else rgb[k],
                     None if depth is None else depth[k],
                 )
+        for kept, place in goals:
+            kept.goal_picture = np.array(drawn[place][0])
         self._allocate()
         for snapshot, pictures in zip(snapshots, found, strict=True):
-            for name, kept in (("rgb", self._rgb), ("depth", self._depth)):
-                if kept is not None and name in self._wanted:
-                    pictures[name] = np.empty((len(snapshot.agents), *kept.shape[1:]), kept.dtype)
+            for name, now in (("rgb", self._rgb), ("depth", self._depth)):
+                if now is not None:
+                    pictures[name] = np.empty((len(snapshot.agents), *now.shape[1:]), now.dtype)
+            if "goal_picture" in self._wanted:
+                pictures["goal_picture"] = np.array([k.goal_picture for k in snapshot.kept])
         for s, k, agent, place in requests:
             known = self._place[agent] == place
-            for column, (name, kept) in enumerate((("rgb", self._rgb), ("depth", self._depth))):
-                if kept is None:
-                    continue
-                picture = kept[agent] if known else drawn[place][column]
-                if name in self._wanted:
-                    found[s][name][k] = picture
+            for column, (name, now) in enumerate((("rgb", self._rgb), ("depth", self._depth))):
+                if now is not None:
+                    found[s][name][k] = now[agent] if known else drawn[place][column]
         latest = {agent: place for _, _, agent, place in requests}
         for agent, place in latest.items():  # only now: snapshots used what was kept
             if self._place[agent] != place:
@@ -156,25 +206,30 @@ class BatchEyes:
 
     def _allocate(self) -> None:
         preset = self.config.preset
-        if self._rgb is None and self._wanted & {"rgb", "history"}:
+        if self._rgb is None and self._drawn & {"rgb", "history"}:
             width, height = preset.picture_size
             self._rgb = np.empty((self._count, height, width, 3), np.uint8)
-        if self._depth is None and "depth" in self._wanted:
+        if self._depth is None and "depth" in self._drawn:
             shape = (self._count, preset.depth.height, preset.depth.width)
             self._depth = np.empty(shape, np.float32)
 
     def _draw_maps(self, snapshot: Snapshot, pictures: dict[str, Any]) -> None:
         """Map pictures, each of its scene's own size."""
-        suites = [self._suites[name] for name in snapshot.scenes]
-        fields = [
-            suite.read_static(Pose2D(*pose), Pose2D(*start), (0.0, 0.0), self._wanted & _MAPS)
-            for suite, pose, start in zip(
-                suites, snapshot.poses.tolist(), snapshot.starts.tolist(), strict=True
-            )
-        ]
-        for name in self._wanted & _MAPS:
-            pictures[name] = [found[name] for found in fields]
-        pictures["bev_metres_per_pixel"] = [found["bev_metres_per_pixel"] for found in fields]
-
-
-_MAPS = frozenset({"bev", "occupancy"})
+        found = []
+        for k, scene in enumerate(snapshot.scenes):
+            suite, kept = self._suites[scene], snapshot.kept[k]
+            pose = Pose2D(*snapshot.poses[k].tolist())
+            if self._explores:
+                if kept.mapper is None:
+                    kept.mapper = Mapper(
+                        *(suite.grid, self.config.preset, self._agent, self.config.cut_height),
+                        coloured="bev" in self._wanted,
+                    )
+                if snapshot.due[k]:
+                    rgb = pictures["rgb"][k] if "rgb" in pictures else None
+                    kept.mapper.update(pose, pictures["depth"][k], rgb)
+            start = Pose2D(*snapshot.starts[k].tolist())
+            maps = self._wanted & MAPS
+            found.append(suite.read_static(pose, start, (0.0, 0.0), maps, kept.mapper))
+        for name in (*(self._wanted & MAPS), "bev_metres_per_pixel"):
+            pictures[name] = [fields[name] for fields in found]

@@ -58,7 +58,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         scene: a Scene or a scene folder; the built-in two-room flat when absent.
         suite: a suite folder, instead of a scene.
         episodes: episodes or a Parquet file of them; sampled when absent.
-        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector.
+        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
+            pose.
         preset: camera preset by name.
         backend: renderer backend.
         agent: the body, instead of the preset's.
@@ -257,6 +258,8 @@ def build_spaces(
         "history": spaces.Box(0, 255, (ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3), np.uint8),
         "bev": spaces.Box(0, 255, (rows, cols, 3), np.uint8),
         "occupancy": spaces.Box(0, 255, (rows, cols, 3), np.uint8),
+        "goal_picture": spaces.Box(0, 255, (height, width, 3), np.uint8),
+        "pose": spaces.Box(-np.inf, np.inf, (3,), np.float64),
         "ranges": spaces.Box(0.0, config.range_limit, (config.range_rays,), np.float32),
         "goal_vector": spaces.Box(-VECTOR_LIMIT, VECTOR_LIMIT, (2,), np.float32),
     }

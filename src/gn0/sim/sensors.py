@@ -214,6 +214,11 @@ class SensorSuite:
         self._ring = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
         self._pitch = float(np.radians(config.preset.pitch_degrees))
 
+    @property
+    def grid(self) -> OccupancyGrid:
+        """The scene's map, as it was before it was inflated."""
+        return self._navigation.grid
+
     @cached_property
     def map_frame(self) -> MapFrame:
         """The frame shared by BEV and occupancy picture."""

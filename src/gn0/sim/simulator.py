@@ -331,9 +331,7 @@ class Simulator:
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""
         if self._goal_picture is None:
-            episode = self.episode
-            yaw = random_stream(episode.seed, "goal picture", episode.id).uniform(-math.pi, math.pi)
-            rgb, _ = self._suite.look(Pose2D(*episode.goal, yaw), frozenset({"rgb"}))
+            rgb, _ = self._suite.look(goal_view(self.episode), frozenset({"rgb"}))
             assert rgb is not None
             self._goal_picture = rgb
         return self._goal_picture
@@ -377,6 +375,12 @@ class Simulator:
             collided=self._collided,
             **fields,
         )
+
+
+def goal_view(episode: Episode) -> Pose2D:
+    """Where the goal picture of an episode is taken: at its goal, looking somewhere."""
+    yaw = random_stream(episode.seed, "goal picture", episode.id).uniform(-math.pi, math.pi)
+    return Pose2D(*episode.goal, yaw)
 
 
 def action_code(action: Action | int) -> int:

@@ -59,7 +59,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         scene: a Scene, a scene folder, or several; the built-in two-room flat when absent.
         suite: a suite folder, instead of scenes.
         episodes: episodes or a Parquet file of them; sampled when absent.
-        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector.
+        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
+            pose.
         preset: camera preset by name.
         backend: renderer backend.
         agent: the body, instead of the preset's.
@@ -119,13 +120,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
                 "map mode 'explored' is not offered to many environments at once",
                 remedy="use gymnasium.make, or make_vec(..., vectorization_mode='sync')",
             )
+        self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset)
         self._backend = VISIBLE if visible_sets else backend
         self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
         self.batch = SimulatorBatch(
             num_envs,
             self.tasks.scenes,
-            SensorConfig(active=frozenset(self._drawn), preset=camera),
+            SensorConfig(active=frozenset(self._drawn), preset=camera, map_mode=self.map_mode),
             agent=self.tasks.agent,
             max_steps=self.tasks.max_steps,
             open_suite=self._open_suite,
@@ -240,6 +242,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         if self.render_mode is None or self._pictures is None:
             return None
         return tuple(self._pictures.copy())
+
+    def claim(self) -> SimulatorBatch:
+        """The engine itself, for a rollout; the environment must be reset afterwards."""
+        self._begun = False
+        return self.batch
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of scenes and renderers."""

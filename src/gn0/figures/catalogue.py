@@ -7,7 +7,9 @@ from importlib import import_module
 from gn0.errors import ConfigError
 from gn0.figures.board import Figure
 
-_MODULES = ("install", "gaussians", "maps", "render", "scenes", "procedural", "sim", "bench")
+_MODULES = (
+    "install", "gaussians", "maps", "render", "scenes", "procedural", "sim", "bench", "view",
+)  # fmt: skip
 
 
 def all_figures() -> dict[str, Figure]:

@@ -103,10 +103,12 @@ class SceneView:
         self.show_splats()
         self.stage.add_labels(self.scene, rooms=True, objects=False)
         self._build_panel()
-        self.server.on_client_connect(lambda client: self.loop.post(self._greet))
+        self.server.on_client_connect(lambda client: self.loop.post(partial(self._greet, client)))
 
-    def _greet(self) -> None:
+    def _greet(self, client: Any) -> None:
         """A visitor came: his window decides how far away the overview is."""
+        fit, key = partial(self.stage.refit, client, self.scene), f"fit {client.client_id}"
+        client.camera.on_update(lambda _: self.loop.post(fit, key=key))
         if self.camera == CAMERAS[0]:
             self.stage.look_over(self.scene)
         else:

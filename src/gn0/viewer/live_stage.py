@@ -104,6 +104,7 @@ class LiveStage:
         self._things: list[Any] = []
         self._task: list[Any] = []
         self._plan: Any = None
+        self._fitted: dict[int, tuple[float, F64]] = {}  # visitor -> aspect, position of overview
         self.ceiling = False
         self.splats_shown = True
 
@@ -217,7 +218,21 @@ class LiveStage:
         """Show every visitor the whole scene, as it fits into his window."""
         for client in self.server.get_clients().values():
             with contextlib.suppress(RuntimeError, AssertionError, ZeroDivisionError):
-                _turn_camera(client, *overview(scene, client.camera.aspect), OVERVIEW_FOV)
+                self._fit(client, scene)
+
+    def refit(self, client: viser.ClientHandle, scene: Scene) -> None:
+        """Look again where a window changed its shape and its visitor has not moved since."""
+        with contextlib.suppress(RuntimeError, AssertionError, ZeroDivisionError):
+            aspect, place = self._fitted.get(client.client_id, (0.0, np.zeros(3)))
+            moved = float(np.linalg.norm(client.camera.position - place))
+            if aspect and abs(client.camera.aspect / aspect - 1) > 0.03 and moved < 0.05:
+                self._fit(client, scene)
+
+    def _fit(self, client: viser.ClientHandle, scene: Scene) -> None:
+        aspect = client.camera.aspect
+        position, target = overview(scene, aspect)
+        self._fitted[client.client_id] = (aspect, position)
+        _turn_camera(client, position, target, OVERVIEW_FOV)
 
     def start_at(self, position: F64, target: F64, fov: float) -> None:
         """Where a new visitor's camera begins."""

@@ -69,10 +69,16 @@ class ReplayView:
         self._enter(self.episode.scene_id)
         self._build_panels()
         self._choose(self.replay.title(self.episode))
-        self.server.on_client_connect(lambda client: self.loop.post(self._greet))
+        self.server.on_client_connect(lambda client: self.loop.post(partial(self._greet, client)))
 
-    def _greet(self) -> None:
+    def _refit(self, client: Any) -> None:
+        assert self.scene is not None
+        self.stage.refit(client, self.scene)
+
+    def _greet(self, client: Any) -> None:
         """A visitor came: his window decides how far away the overview is."""
+        fit, key = partial(self._refit, client), f"fit {client.client_id}"
+        client.camera.on_update(lambda _: self.loop.post(fit, key=key))
         assert self.scene is not None
         if self.camera == "free":
             self.stage.look_over(self.scene)

@@ -311,6 +311,22 @@ def _check_labels(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_about(scene: Scene) -> Iterator[Finding]:
+    if scene.source.label_source == "heuristic" and scene.objects:
+        yield Finding(
+            level="note",
+            code="labels-heuristic",
+            text=f"the {len(scene.objects)} labels are guesses from shapes: nobody has said what "
+            "the things are",
+            remedy="correct labels.json, or do not compare goal results with labelled scenes",
+        )
+    for key, doubt in scene.source.settings.items():
+        if key.startswith("doubt_"):
+            yield Finding(
+                level="warning",
+                code=f"unsure-{key.removeprefix('doubt_')}",
+                text=str(doubt),
+                remedy="look at capture.png in the scene folder; if it is right, leave it so",
+            )
     if not scene.licence:
         yield Finding(
             level="note",

@@ -122,7 +122,8 @@ def save_scene(
             float(scene.source.settings.get(f"height_band_{end}") or 0.0) for end in ("low", "high")
         )
         save_occupancy(scene.grid, folder, {"generator": scene.source.kind}, z=(band[0], band[1]))
-        write_json(folder / LABEL_FILE, encode_labels(scene.objects))
+        guessed = scene.source.label_source == "heuristic"
+        write_json(folder / LABEL_FILE, encode_labels(scene.objects, heuristic=guessed))
         write_json(
             folder / STRUCTURE_FILE,
             encode_structure(scene.rooms, scene.walls, scene.openings, scene.objects),

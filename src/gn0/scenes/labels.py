@@ -41,12 +41,16 @@ class LabelRow(msgspec.Struct):
 
 
 class LabelRowOwn(msgspec.Struct, forbid_unknown_fields=True):
-    """One entry of our own `labels.json`: complete, with the room."""
+    """One entry of our own `labels.json`: complete, with the room.
+
+    `label_source` says "heuristic" where a program guessed; it is for people and ignored here.
+    """
 
     ins_id: str
     label: str
     bounding_box: list[Corner]
     room: str | None = None
+    label_source: str | None = None
 
 
 @dataclass(frozen=True)
@@ -108,10 +112,14 @@ def load_labels_foreign(path: Path) -> Labels:
     return Labels(tuple(objects), missing)
 
 
-def encode_labels(objects: tuple[SceneObject, ...]) -> list[dict[str, Any]]:
-    """The rows of our label file."""
+def encode_labels(
+    objects: tuple[SceneObject, ...], *, heuristic: bool = False
+) -> list[dict[str, Any]]:
+    """The rows of our label file, each marked where the labels are guesses."""
+    mark = {"label_source": "heuristic"} if heuristic else {}
     return [
         {
+            **mark,
             "ins_id": thing.id,
             "label": thing.category,
             "bounding_box": [

@@ -46,7 +46,9 @@ def render_capture(scene: Scene) -> Image.Image:
     lines = [
         part
         for line in evidence_lines(scene.source)
-        for part in textwrap.wrap(line.strip(), 190, subsequent_indent="      ")
+        for part in textwrap.wrap(
+            line.strip().replace("m²", "sq m"), 190, subsequent_indent="      "
+        )
     ]
     text = 21 * len(lines) + 16
     height = 64 + _SIDE + 36 + top.height + 40 + text + _GAP

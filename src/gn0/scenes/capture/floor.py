@@ -12,11 +12,13 @@ from gn0.geometry import F64
 from gn0.scenes.capture.gravity import SurfaceSample, column_cover, plane_axes, weighted_quantile
 from gn0.seeds import random_stream
 
-LEAST_COVER = 0.15  # of the columns of space: less is no floor but a base or a table top
+LEAST_COVER = 0.5  # of the columns of space: less is no floor but a base or a table top
+LEAST_SHARE = 0.25  # of all surface: with this, half the cover is enough (grounds with far views)
 MOST_UNDER = 0.25  # of the matter below: more is no floor but a storey or a shelf
 LEAN = 20.0  # degrees by which a floor may lean from the rough up
 LEAST_WALL = 0.30  # of the upright surface along two directions: less and walls give no yaw
-_TRIES = 200
+_TRIES = 1000
+_LOOKED_AT = 12_000  # points that judge a plane
 _CEILING = 0.30  # of the floor's area: the least that a ceiling has
 
 
@@ -43,13 +45,16 @@ class FloorPlane:
     @property
     def credible(self) -> bool:
         """Whether one would take it for a floor."""
-        return self.cover >= LEAST_COVER and self.under <= MOST_UNDER
+        wide = self.cover >= LEAST_COVER or (
+            self.cover >= LEAST_COVER / 2 and self.share >= LEAST_SHARE
+        )
+        return wide and self.under <= MOST_UNDER
 
 
 def fit_floor(sample: SurfaceSample, up: NDArray[np.floating]) -> FloorPlane:
     """The lowest large plane about level with `up`: RANSAC, then least squares on its points.
 
-    A plane is worth the surface in it less twice the matter below it; that is what makes it the
+    A plane is worth the surface in it less the matter below it; that is what makes it the
     lowest one. Points of surfaces that face elsewhere have no say.
     """
     rough = np.asarray(up, np.float64) / float(np.linalg.norm(up))
@@ -58,8 +63,8 @@ def fit_floor(sample: SurfaceSample, up: NDArray[np.floating]) -> FloorPlane:
     index = np.flatnonzero(facing)
     if len(index) < 3:
         index = np.arange(len(sample.points))
-    normal, offset = _ransac(sample, index, rough, step)
-    for width in (step, 0.5 * step, 0.25 * step):
+    normal, offset = _ransac(sample, index, rough, 2 * step)
+    for width in (2 * step, step, 0.5 * step, 0.25 * step):
         normal, offset, noise = _refit(sample, index, normal, offset, width)
     for _ in range(3):
         normal, offset, noise = _refit(sample, index, normal, offset, max(2.5 * noise, step / 40))
@@ -94,20 +99,20 @@ def _ransac(
     heights = weighted_quantile(
         sample.points[index] @ up, weight, tuple(np.linspace(0.002, 0.9, 100))
     )
-    planes = [(normals[i], float(normals[i] @ a[i])) for i in good]
-    planes += [(up, h) for h in heights]
-    few = slice(None, None, max(1, len(sample.points) // 10_000))
+    planes = np.concatenate([normals[good], np.tile(up, (len(heights), 1))])
+    offsets = np.concatenate([(normals[good] * a[good]).sum(axis=1), heights])
+    few = slice(None, None, max(1, len(sample.points) // _LOOKED_AT))
     points, mass = sample.points[few], sample.weight[few] / sample.weight[few].sum()
     usable = np.zeros(len(sample.points), bool)
     usable[index] = True
-    level = usable[few]
-    best, found = -np.inf, planes[-1]
-    for normal, offset in planes:
-        away = points @ normal - offset
-        worth = mass[(np.abs(away) <= step) & level].sum() - 2.0 * mass[away < -3 * step].sum()
-        if worth > best:
-            best, found = float(worth), (normal, offset)
-    return found
+    level = np.where(usable[few], mass, 0.0)
+    worth = np.empty(len(planes))
+    for start in range(0, len(planes), 64):
+        part = slice(start, start + 64)
+        away = planes[part] @ points.T - offsets[part, None]
+        worth[part] = (np.abs(away) <= step) @ level - (away < -3 * step) @ mass
+    best = int(np.argmax(worth))
+    return planes[best], float(offsets[best])
 
 
 def _refit(

@@ -12,6 +12,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.geometry import F64
 from gn0.scenes.capture.floor import (
+    LEAST_SHARE,
     LEAST_WALL,
     FloorPlane,
     find_ceiling,
@@ -105,6 +106,12 @@ def propose_pose(cloud: GaussianCloud, settings: CaptureSettings) -> CapturePose
         evidence["up"] = f"{name_direction(up)}, from {evidence['up']}"
         height = floor.height
         ceiling = find_ceiling(sample, floor)
+        if ceiling is None and floor.share < LEAST_SHARE:
+            doubts["floor"] = (
+                f"there is no ceiling, and only {floor.share:.0%} of the surface is floor: this "
+                "may be an object with its side taken for a floor; then give --up and "
+                "--floor bottom"
+            )
     else:
         if said == "bottom":
             height = weighted_quantile(sample.points @ up, sample.weight, (0.005,))[0]

@@ -15,6 +15,7 @@ from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
 from gn0.scenes.procedural.apartment import draft_apartment
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.finish import cover_draft, light_draft
+from gn0.scenes.procedural.refine import refine_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.storage import check_replaceable
 
@@ -32,6 +33,7 @@ class GenerateSettings(Config, frozen=True):
         density: Gaussians per square metre of floor.
         light: "normal", or "draft" for a bake that takes a third of the time.
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).
+        refine: fit the Gaussians to ray-traced pictures: sharper outlines, minutes of work.
     """
 
     kind: Literal["apartment"] = "apartment"
@@ -41,6 +43,7 @@ class GenerateSettings(Config, frozen=True):
     density: Annotated[float, msgspec.Meta(ge=1000, le=40000)] = 10_000.0
     light: Literal["normal", "draft"] = "normal"
     cloud_form: CloudForm = "exact"
+    refine: bool = False
 
 
 def floor_area(draft: SceneDraft) -> float:
@@ -67,8 +70,11 @@ def build_apartment(
     progress("furnishing", 1, 1)
     grid = build_occupancy(draft.mesh)
     shader = light_draft(draft, quality=settings.light, seed=settings.seed, progress=progress)
-    count = int(settings.density * floor_area(draft))
+    area = floor_area(draft)
+    count = int(settings.density * area)
     cloud = cover_draft(draft, shader, count, seed=settings.seed, progress=progress)
+    if settings.refine:
+        cloud = refine_draft(draft, shader, cloud, area=area, seed=settings.seed, progress=progress)
     corners = draft.mesh.vertices[np.unique(draft.mesh.faces)]
     return Scene(
         id=scene_id,
@@ -82,6 +88,7 @@ def build_apartment(
                 "style": settings.style,
                 "density": settings.density,
                 "light": settings.light,
+                "refine": settings.refine,
                 "height_band_low": BAND[0],
                 "height_band_high": BAND[1],
                 "resolution": RESOLUTION,

@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import os
 import shutil
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -47,6 +48,15 @@ def _claim_cache() -> str:
     return str(mine)
 
 
+def _is_writable(folder: str) -> bool:
+    """Whether files can be made there; Numba would else write beside the kernels' own source."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
 os.environ.setdefault("NUMBA_CACHE_DIR", _claim_cache())
 # idle OpenMP threads sleep: spinning ones take the cores from whoever shares the machine, and a
 # frame then costs three times its CPU time; the price is one wake-up a parallel loop
@@ -58,12 +68,39 @@ _config: Any = numba.config
 if not _config.CACHE_DIR:  # Numba was imported before us
     _config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
 
+_caching = _is_writable(str(_config.CACHE_DIR))
+
 prange = numba.prange
 
 
 def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """`numba.njit` with caching on and the GIL released by default."""
     settings = {"cache": True, "nogil": True, **options}
+    settings["cache"] = settings["cache"] and _caching
+    compiler = numba.njit(**settings)
     if function is not None:
-        return numba.njit(**settings)(function)
-    return numba.njit(**settings)
+        return _forgive(compiler(function))
+    return lambda kernel: _forgive(compiler(kernel))
+
+
+def _forgive(kernel: Any) -> Any:
+    """The kernel, whose cache may fail: a full disk or a damaged file costs compile time only."""
+    cache = getattr(kernel, "_cache", None)
+    load, save = getattr(cache, "load_overload", None), getattr(cache, "save_overload", None)
+    if cache is None or load is None or save is None:
+        return kernel
+
+    def load_or_not(*arguments: Any) -> Any:
+        try:
+            return load(*arguments)
+        except Exception:  # whatever half a file leads to
+            with contextlib.suppress(Exception):
+                cache.flush()
+            return None
+
+    def save_or_not(*arguments: Any) -> None:
+        with contextlib.suppress(Exception):
+            save(*arguments)
+
+    cache.load_overload, cache.save_overload = load_or_not, save_or_not
+    return kernel

@@ -8,7 +8,8 @@ from gn0.errors import ConfigError
 from gn0.figures.board import Figure
 
 _MODULES = (
-    "install", "gaussians", "maps", "render", "scenes", "capture", "procedural", "sim", "bench", "view",
+    "install", "gaussians", "maps", "render", "scenes", "capture", "procedural", "sim", "bench",
+    "view",
 )  # fmt: skip
 
 

@@ -4,11 +4,12 @@ Each picture adds evidence to the cells it speaks of:
 * a return inside the agent's height band is a hit: the cell is occupied;
 * a return below the band is floor: the cell is free, and so are the cells between two floor
   returns that follow each other in a column of the picture;
-* the space before the nearest hit of a direction was passed through: its cells are free;
-* a pixel without a return says nothing, and so does one that lies between two surfaces (at a
-  silhouette the expected depth is a mixture of both); the latter also ends what was passed.
-Hits outweigh passes, within a picture always and between pictures by their weights. Evidence is
-kept in integers, in the order of the pixels: the same pictures make the same map, bit for bit.
+* the space before the nearest hit of a direction was passed through: its cells are free. Where the
+  picture does not reach down to the floor, only as long as nothing has been seen in them;
+* a pixel without a return says nothing. One between two surfaces (at a silhouette the expected
+  depth is a mixture of both) is no hit either, but ends what was passed.
+Evidence is kept in integers, in the order of the pixels: the same pictures make the same map, bit
+for bit.
 """
 
 from __future__ import annotations
@@ -23,19 +24,25 @@ from gn0.geometry import F32, F64, U8
 from gn0.jit import njit
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
-HIT, FLOOR, PASSED = 5, -1, -1  # weights of one picture's evidence for a cell
+# weights of one picture's evidence for a cell. A hit counts once a place: from there the same
+# mistake would be made again with every turn of the head
+SURE, WEAK, FLOOR, PASSED = 8, 3, -1, -1
+SOLID = 4  # belief from which a cell is occupied: one sure hit, or weak ones from two places
 MOST, LEAST = 20, -10  # belief is kept within
 HITS_NEEDED = 2  # pixels of one picture in a cell until they count as a hit
-EDGE_DOWN = 0.04
-DOUBT = 0.02
-VEIL_DEPTH, VEIL = 0.6, 0.2
-RAMP, STEP, BEND = 0.08, 1.0, 0.1
 COLUMNS, ROWS = 480, 180  # pixels of a picture that are looked at, at most about so many
+RAMP = 0.08  # m beside a silhouette in which expected depth slides from one surface to the other
+STEP, BEND = 1.0, 0.1  # a surface steps less a metre aside, and bends less, as a share of its slope
+EDGE = 0.04  # share of its depth by which a surface may change from one row of pixels to the next
+DOUBT = 0.02  # a return so little above the band's foot, a metre of distance, may be floor
+VEIL, VEIL_DEPTH = 0.2, 0.6  # m beside, and behind, what is nearer than VEIL_DEPTH: see _find_veils
+LEVEL, GAP = 0.02, 0.2  # m: two returns of a column this level and near are one surface: fill it
 LAYER = 80  # mm: colours this near to the highest point of a cell are averaged
-_PASSED, _FLOOR, _COLOUR, _HIT = 1, 2, 4, 8  # flags of a cell in one picture; hits count upwards
-_HITS_FULL = 60_000
 _BELOW = -0.3  # m: a return deeper than this below the floor is outside the building
 _SINK = 0.01  # m: a hit is placed this far behind its surface, inside what it belongs to
+# flags of a cell in one picture; hits are counted above them
+_PASSED, _BLIND, _FLOOR, _COLOUR, _SURE, _HIT = 1, 2, 4, 8, 16, 32
+_HITS_FULL = 60_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +55,8 @@ class DepthFan:
         left: [C] of a column's rays, likewise.
         bins: [R, C] direction of each ray on the floor, as an index into `angles`.
         angles: [B] rad, left of straight ahead.
+        blind: distance [m] nearer than which no ray meets the band's foot.
+        focal: fx [px].
         height: of the camera above the floor [m].
         limits: (min, max) depth [m]; at or beyond them a pixel has no return.
         band: (low, high) of the agent's body above the floor [m].
@@ -62,6 +71,7 @@ class DepthFan:
     left: F64
     bins: NDArray[np.int32]
     angles: F64
+    blind: float
     focal: float
     height: float
     limits: tuple[float, float]
@@ -89,20 +99,24 @@ def build_fan(
 
     Args:
         size: (width, height) of the depth picture [px].
-        focal, centre: fx, fy and cx, cy [px].
+        focal: fx, fy [px].
+        centre: cx, cy [px].
         pitch: how far the camera looks up [rad].
         height: of the camera above the floor [m].
-        limits, band, cut: see `DepthFan`.
-        colour_size, colour_focal, colour_centre: the colour picture at the same place, which may
-            have another size and field of view.
+        limits: see `DepthFan`.
+        band: see `DepthFan`.
+        cut: see `DepthFan`.
+        colour_size: of the colour picture from the same place [px]; None if there is none.
+        colour_focal: its fx, fy [px].
+        colour_centre: its cx, cy [px].
     """
     width, tall = size
     cols = np.arange(0, width, max(1, math.ceil(width / COLUMNS)))
     rows = np.arange(0, tall, max(1, math.ceil(tall / ROWS)))
-    x = (cols + 0.5 - centre[0]) / focal[0]
-    y = (rows + 0.5 - centre[1]) / focal[1]
-    forward = math.cos(pitch) + y * math.sin(pitch)
-    up = math.sin(pitch) - y * math.cos(pitch)
+    x: F64 = ((cols + 0.5 - centre[0]) / focal[0]).astype(np.float64)
+    y: F64 = ((rows + 0.5 - centre[1]) / focal[1]).astype(np.float64)
+    forward: F64 = math.cos(pitch) + y * math.sin(pitch)
+    up: F64 = math.sin(pitch) - y * math.cos(pitch)
     angle = np.arctan2(-x[None, :], forward[:, None])
     spacing = math.atan((cols[1] - cols[0] if len(cols) > 1 else 1) / focal[0])
     first = angle.min()
@@ -118,9 +132,10 @@ def build_fan(
         cols=cols.astype(np.int64),
         forward=forward,
         up=up,
-        left=-x,
+        left=np.negative(x),
         bins=bins,
         angles=first + spacing * np.arange(int(bins.max()) + 1),
+        blind=_find_blind(float(height - band[0]), forward[-1], up[-1]),
         focal=float(focal[0]),
         height=float(height),
         limits=(float(limits[0]), float(limits[1])),
@@ -129,6 +144,11 @@ def build_fan(
         colour_rows=c_rows.astype(np.int64),
         colour_cols=c_cols.astype(np.int64),
     )
+
+
+def _find_blind(drop: float, forward: float, up: float) -> float:
+    """Distance [m] nearer than which the lowest ray is still more than the band's foot above it."""
+    return drop * forward / -up if up < 0 < forward else (math.inf if up >= 0 else 0.0)
 
 
 @njit(inline="always")
@@ -142,27 +162,30 @@ def _flag(marks, row, col, flag, box):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _is_mixture(depth, v, u, z, focal):  # type: ignore[no-untyped-def]
-    """Whether a pixel lies on the ramp between two surfaces rather than on one of them.
+def _trust(depth, v, u, z, focal):  # type: ignore[no-untyped-def]
+    """How far a pixel lies on a surface: 2 surely, 1 perhaps, 0 on the ramp between two of them.
 
     Splats are soft: across a silhouette the expected depth slides from one surface to the other
     over some `RAMP` metres. A surface goes on without a step on one side at least, or it is seen
     at a slant and its inverse depth has one slope near by and farther off.
     """
     wide = depth.shape[1]
-    slope = z * EDGE_DOWN
-    above, below = depth[max(v - 1, 0), u], depth[min(v + 1, depth.shape[0] - 1), u]
-    if min(abs(above - z), abs(below - z)) > slope:
-        return True
+    above = abs(depth[max(v - 1, 0), u] - z)
+    below = abs(depth[min(v + 1, depth.shape[0] - 1), u] - z)
+    if min(above, below) > EDGE * z:
+        return 0
     k = min(max(int(RAMP * focal / z), 1), 64)
     a, b = float(depth[v, max(u - k, 0)]), float(depth[v, min(u + k, wide - 1)])
-    if min(abs(a - z), abs(b - z)) <= STEP * RAMP:
-        return False
+    left, right = abs(a - z), abs(b - z)
+    if max(left, right) <= STEP * RAMP:
+        return 2
+    if min(left, right) <= STEP * RAMP:
+        return 1
     if u < 2 * k or u + 2 * k >= wide:
-        return True
+        return 0
     c, d = float(depth[v, u - 2 * k]), float(depth[v, u + 2 * k])
     inner, outer = 1.0 / b - 1.0 / a, 0.5 * (1.0 / d - 1.0 / c)
-    return abs(inner - outer) > BEND * abs(inner)
+    return 1 if abs(inner - outer) <= BEND * abs(inner) else 0
 
 
 @njit
@@ -204,14 +227,15 @@ def _scan(  # type: ignore[no-untyped-def]
     obstacle and farthest return of each direction. sums [H, W, 4]: red, green, blue, count.
     """
     tall, wide = marks.shape
-    last_range = np.zeros(len(fan_cols))  # of the floor return in the row above, 0 if it was none
+    last_range = np.zeros(len(fan_cols))  # of the return in the row above, 0 if there was none
+    last_rise = np.zeros(len(fan_cols))
     veil = _find_veils(depth, focal, fan_rows, fan_cols)
     for i in range(len(fan_rows)):
         v = fan_rows[i]
         for j in range(len(fan_cols)):
             u = fan_cols[j]
             z = float(depth[v, u])
-            floor_before = last_range[j]
+            before, level = last_range[j], last_rise[j]
             last_range[j] = 0.0
             if not z < limits[1]:
                 continue
@@ -219,10 +243,12 @@ def _scan(  # type: ignore[no-untyped-def]
             rise = height + z * up[i]
             reach = math.sqrt(lead * lead + side * side)
             b = bins[i, j]
-            mixture = rise >= band[0] and (
-                z > veil[j] or rise < band[0] + DOUBT * reach or _is_mixture(depth, v, u, z, focal)
-            )
-            if z <= limits[0] or mixture:
+            trust = 2
+            if rise >= band[0]:
+                trust = 0
+                if z <= veil[j] and rise >= band[0] + DOUBT * reach:
+                    trust = _trust(depth, v, u, z, focal)
+            if z <= limits[0] or trust == 0:
                 near[b] = min(near[b], reach)
                 continue
             if rise < _BELOW:
@@ -244,22 +270,23 @@ def _scan(  # type: ignore[no-untyped-def]
                 sink = 1.0 + _SINK / max(reach, _SINK)
                 lead, side = lead * sink, side * sink
             count = 1
-            if kind == _FLOOR:
-                last_range[j] = reach
-                gap = abs(floor_before - reach)
-                if floor_before > 0.0 and gap < 0.25 * reach:
-                    count = min(1 + int(gap * frame[2]), 64)
+            if kind != 0:
+                last_range[j], last_rise[j] = reach, rise
+                gap = abs(before - reach)
+                most = 0.25 * reach if kind == _FLOOR else GAP
+                if before > 0.0 and abs(level - rise) < LEVEL and gap < most:
+                    count = min(1 + int(gap * frame[2]), 64)  # one level surface: fill it
             r = g = bl = 0
             paint = coloured and rise < cut and rgb_rows[i] >= 0 and rgb_cols[j] >= 0
             if paint:
                 r = rgb[rgb_rows[i], rgb_cols[j], 0]
                 g = rgb[rgb_rows[i], rgb_cols[j], 1]
                 bl = rgb[rgb_rows[i], rgb_cols[j], 2]
-            millimetres = int(math.floor(min(rise, 30.0) * 1000.0))
-            for k in range(count):  # along the ray towards the floor return before
+            millimetres = math.floor(min(rise, 30.0) * 1000.0)
+            for k in range(count):  # along the ray towards the return before
                 scale = 1.0
                 if k > 0:
-                    scale = (reach + (floor_before - reach) * k / count) / reach
+                    scale = (reach + (before - reach) * k / count) / reach
                 x = pose[0] + scale * (lead * pose[2] - side * pose[3])
                 y = pose[1] + scale * (lead * pose[3] + side * pose[2])
                 col = math.floor((x - frame[0]) * frame[2])
@@ -269,6 +296,8 @@ def _scan(  # type: ignore[no-untyped-def]
                 if kind == _HIT:
                     if marks[row, col] < _HITS_FULL:
                         marks[row, col] += _HIT
+                    if trust == 2:
+                        marks[row, col] |= _SURE
                 elif kind == _FLOOR:
                     marks[row, col] |= _FLOOR
                 if paint:
@@ -286,8 +315,12 @@ def _scan(  # type: ignore[no-untyped-def]
 
 
 @njit
-def _pass(marks, box, frame, pose, angles, near, far, margin):  # type: ignore[no-untyped-def]
-    """Mark the cells from the camera to `margin` [m] before the nearest obstacle as passed."""
+def _pass(marks, box, frame, pose, angles, near, far, margin, blind):  # type: ignore[no-untyped-def]
+    """Mark the cells from the camera to `margin` [m] before the nearest obstacle as passed.
+
+    Nearer than `blind` [m] the picture does not reach down to the floor: something low may stand
+    there, and such a cell is believed free only while nothing has been seen in it.
+    """
     tall, wide = marks.shape
     u0, v0 = (pose[0] - frame[0]) * frame[2], (pose[1] - frame[1]) * frame[2]
     for b in range(len(angles)):
@@ -304,8 +337,9 @@ def _pass(marks, box, frame, pose, angles, near, far, margin):  # type: ignore[n
         next_x = ((col + 1 - u0) if dx > 0 else (u0 - col)) * per_x if dx != 0 else np.inf
         next_y = ((row + 1 - v0) if dy > 0 else (v0 - row)) * per_y if dy != 0 else np.inf
         while 0 <= row < tall and 0 <= col < wide:
-            _flag(marks, row, col, _PASSED, box)
-            if min(next_x, next_y) > limit:
+            leave = min(next_x, next_y)
+            _flag(marks, row, col, _PASSED if leave > blind * frame[2] else _BLIND, box)
+            if leave > limit:
                 break
             if next_x < next_y:
                 next_x += per_x
@@ -316,7 +350,7 @@ def _pass(marks, box, frame, pose, angles, near, far, margin):  # type: ignore[n
 
 
 @njit
-def _settle(marks, box, belief, cells):  # type: ignore[no-untyped-def]
+def _settle(marks, box, belief, seen_from, place, cells):  # type: ignore[no-untyped-def]
     """Turn the marks of one picture into belief and cells; colour flags stay for the painter."""
     for row in range(box[0], box[1] + 1):
         for col in range(box[2], box[3] + 1):
@@ -325,19 +359,21 @@ def _settle(marks, box, belief, cells):  # type: ignore[no-untyped-def]
                 continue
             marks[row, col] = mark & _COLOUR
             hits = mark // _HIT
-            old = belief[row, col]
+            old = new = belief[row, col]
             if hits >= HITS_NEEDED:
-                new = min(old + HIT, MOST)
+                if seen_from[row, col] != place:  # from one place the same mistake is made again
+                    new = min(old + (SURE if mark & _SURE else WEAK), MOST)
+                seen_from[row, col] = place
             elif hits > 0:
                 continue
             elif mark & _FLOOR:
                 new = max(old + FLOOR, LEAST)
             elif mark & _PASSED:
                 new = max(old + PASSED, LEAST)
-            else:
-                continue
+            elif mark & _BLIND:
+                new = min(old, -1) if old <= 0 else old
             belief[row, col] = new
-            if new > 0:
+            if new >= SOLID:
                 cells[row, col] = OCCUPIED
             elif new < 0:
                 cells[row, col] = FREE
@@ -363,9 +399,22 @@ def _paint(marks, box, cells, sums, greys, occupancy, bev):  # type: ignore[no-u
 
 @dataclass(frozen=True, eq=False)
 class ExploredState:
-    """A copy of everything an `ExploredMap` knows."""
+    """Everything an `ExploredMap` knows.
+
+    Attributes:
+        belief: [H, W] evidence, above 0 for occupied.
+        seen_from: [H, W] the place from which a cell was hit last.
+        place: how many places there were.
+        cells: [H, W] as in `OccupancyGrid`.
+        occupancy, bev: [H, W, 3] pictures, north up; bev is empty without colours.
+        top: [H, W] mm, the highest point seen below the cut.
+        sums: [H, W, 4] red, green, blue and count of the colours near it.
+        last: pose of the last picture.
+    """
 
     belief: NDArray[np.int8]
+    seen_from: NDArray[np.int32]
+    place: int
     cells: U8
     occupancy: U8
     bev: U8
@@ -375,8 +424,16 @@ class ExploredState:
 
     def copy(self) -> ExploredState:
         """An independent copy."""
-        arrays = {k: v.copy() for k, v in vars(self).items() if isinstance(v, np.ndarray)}
-        return replace(self, **arrays)
+        return replace(
+            self,
+            belief=self.belief.copy(),
+            seen_from=self.seen_from.copy(),
+            cells=self.cells.copy(),
+            occupancy=self.occupancy.copy(),
+            bev=self.bev.copy(),
+            top=self.top.copy(),
+            sums=self.sums.copy(),
+        )
 
 
 class ExploredMap:
@@ -403,6 +460,8 @@ class ExploredMap:
         layer = shape if self.coloured else (0, 0)
         self._state = ExploredState(
             belief=np.zeros(shape, np.int8),
+            seen_from=np.zeros(shape, np.int32),
+            place=0,
             cells=np.full(shape, UNKNOWN, np.uint8),
             occupancy=np.full((*shape, 3), self._greys[UNKNOWN], np.uint8),
             bev=np.full((*layer, 3), self._unseen, np.uint8),
@@ -460,7 +519,8 @@ class ExploredMap:
         state = self._state
         if state.last == (x, y, yaw):
             return
-        self._state = state = replace(state, last=(x, y, yaw))
+        moved = state.last is None or state.last[:2] != (x, y)
+        self._state = state = replace(state, last=(x, y, yaw), place=state.place + moved)
         height, width = self._grid.shape
         box = np.array([height, -1, width, -1], np.int64)
         pose = np.array([x, y, math.cos(yaw), math.sin(yaw)])
@@ -474,8 +534,8 @@ class ExploredMap:
             self._frame, pose, coloured, self._marks, box, near, far, state.top, state.sums,
         )  # fmt: skip
         margin = 0.5 * self._grid.resolution
-        _pass(self._marks, box, self._frame, pose, fan.angles, near, far, margin)
-        _settle(self._marks, box, state.belief, state.cells)
+        _pass(self._marks, box, self._frame, pose, fan.angles, near, far, margin, fan.blind)
+        _settle(self._marks, box, state.belief, state.seen_from, state.place, state.cells)
         self._repaint(box)
 
     def _repaint(self, box: NDArray[np.int64]) -> None:

@@ -21,6 +21,7 @@ from gn0.sim.sensors import GREY_OF_CELL, RED
 from gn0.sim.state import Action, Observation, Sensor
 
 LOOK_ROUND = 24  # turns in a circle
+REACHES = (0.3, 1.0)  # m: how far from the goal a way may end; the slim body is tried before that
 SKIPPED = 0.35  # m of the way ahead that is not looked at again: one stands there already
 
 
@@ -42,7 +43,7 @@ class PolicyExplorer:
         self,
         stop_distance: float = 0.25,
         radius: float = 0.20,
-        margins: tuple[float, ...] = (0.05, 0.0, -0.05, -0.10),
+        margins: tuple[float, ...] = (0.05, 0.0, -0.05, -0.10, -0.20),
         step: float = 0.25,
         turn_degrees: float = 15.0,
     ) -> None:
@@ -132,12 +133,10 @@ class PolicyExplorer:
         ahead = ahead[np.hypot(*(ahead - (pose.x, pose.y)).T) > SKIPPED]
         if not len(ahead):
             return False
-        cells = self._map(grid, min(self._margin, 0.0)).inflated.cells_of(ahead)
-        inside = ((cells >= 0) & (cells < np.array(grid.shape))).all(axis=1)
-        if not inside.all():
-            return True
         blocked = self._map(grid, min(self._margin, 0.0)).blocked
-        return bool(blocked[cells[:, 0], cells[:, 1]].any())
+        cells = grid.cells_of(ahead)
+        inside = ((cells >= 0) & (cells < np.array(grid.shape))).all(axis=1)
+        return not inside.all() or bool(blocked[cells[:, 0], cells[:, 1]].any())
 
     def _map(self, grid: OccupancyGrid, margin: float) -> NavigationMap:
         cells = grid.cells.copy()
@@ -150,16 +149,17 @@ class PolicyExplorer:
     def _plan(self, grid: OccupancyGrid, pose: Pose2D, goal: tuple[float, float]) -> None:
         """A way on the map as it is known now; none when even the slimmest body finds none."""
         self._planner, self._way = None, np.empty((0, 2))
-        for margin in self.margins:
-            way = find_way(self._map(grid, margin), (pose.x, pose.y), goal)
-            if way is None:
-                continue
-            self._margin = margin
-            self._way = densify_path(grid, way)
-            self._planner = ActionPlanner(
-                way, self.step, self.turn_degrees, self._map(grid, min(margin, 0.0))
-            )
-            return
+        maps: dict[float, NavigationMap] = {}
+        for reach in REACHES:
+            for margin in self.margins:
+                if margin not in maps:
+                    maps[margin] = self._map(grid, margin)
+                way = find_way(maps[margin], (pose.x, pose.y), goal, reach)
+                if way is not None:
+                    room = maps.get(min(margin, 0.0)) or self._map(grid, min(margin, 0.0))
+                    self._margin, self._way = margin, densify_path(grid, way)
+                    self._planner = ActionPlanner(way, self.step, self.turn_degrees, room)
+                    return
 
 
 class MapOrigin:
@@ -186,16 +186,20 @@ class MapOrigin:
 
 
 def find_way(
-    navigation: NavigationMap, start: tuple[float, float], goal: tuple[float, float]
+    navigation: NavigationMap,
+    start: tuple[float, float],
+    goal: tuple[float, float],
+    reach: float,
 ) -> F64 | None:
-    """A shortest polyline [N, 2] m between the free places nearest to both; None if there is none.
+    """A shortest polyline [N, 2] m from start to goal; None if there is none.
 
-    A goal whose surroundings are closed off is replaced by the nearest place that can be reached.
+    A start that is blocked on this map is replaced by the nearest free place, and the goal by the
+    nearest place within `reach` [m] that can be reached from there.
     """
     begin = navigation.nearest_free(*start, reach=1.0)
     if begin is None:
         return None
-    end = navigation.nearest_free(*goal, within=navigation.region_of(*begin), reach=1.0)
+    end = navigation.nearest_free(*goal, within=navigation.region_of(*begin), reach=reach)
     if end is None:
         return None
     way = navigation.plan(begin, end)

@@ -28,7 +28,9 @@ from gn0.testing.scenes import (
 )
 
 gn0.register_envs()
-EVERYTHING = ("rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector")
+EVERYTHING = (
+    "rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector", "goal_picture", "pose"
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -351,8 +353,9 @@ def assert_views(observation, infos, twins, by_id) -> None:
         np.testing.assert_array_equal(observation["rgb"][i], first.rgb)
 
 
-def test_all_sensors_equal_gymnasium_s_vector_of_single_environments() -> None:
-    settings = {"sensors": EVERYTHING, "preset": "vlnce", "max_steps": 3}
+@pytest.mark.parametrize("mode", ["prior", "explored"])
+def test_all_sensors_equal_gymnasium_s_vector_of_single_environments(mode: str) -> None:
+    settings = {"sensors": EVERYTHING, "preset": "vlnce", "max_steps": 3, "map_mode": mode}
     env = VectorEnv(2, **settings)
     twin = SyncVectorEnv([lambda: GoalNavEnv(**settings)] * 2, autoreset_mode="SameStep")
     assert env.observation_space == twin.observation_space
@@ -360,6 +363,25 @@ def test_all_sensors_equal_gymnasium_s_vector_of_single_environments() -> None:
     for action in (1, 2, 1, 1):  # the third is the last of its episode
         actions = np.array([action, 1])
         assert_same(env.step(actions), twin.step(actions))
+
+
+def test_what_is_drawn_for_the_map_alone_is_not_observed() -> None:
+    env = VectorEnv(2, sensors=("occupancy",), preset="vlnce", map_mode="explored", max_steps=2)
+    twin = SyncVectorEnv(
+        [
+            lambda: GoalNavEnv(
+                sensors=("occupancy",), preset="vlnce", map_mode="explored", max_steps=2
+            )
+        ]
+        * 2,
+        autoreset_mode="SameStep",
+    )
+    assert data_equivalence(env.reset(seed=4)[0], twin.reset(seed=4)[0], exact=True)
+    env.reset(options={"episode": 0, "reset_mask": np.array([True, False])})
+    env.reset(seed=4)
+    twin.reset(seed=4)
+    for action in (1, 3, 2):
+        assert_same(env.step(np.array([action, 1])), twin.step(np.array([action, 1])))
 
 
 def test_idle_scenes_are_let_go(rooms) -> None:

@@ -40,7 +40,6 @@ from gn0.sim.env import (
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import (
-    MAPS,
     SensorConfig,
     SensorSuite,
     check_map_mode,
@@ -71,7 +70,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         field_memory: bytes of distance fields kept.
         visible_sets: draw pictures from the splats visible near each place, not from all; see
             `gn0.render.visible`.
-        map_mode: "prior" or "none", see `GoalNavEnv`; the suite's, else prior.
+        map_mode: what bev and occupancy show, see `GoalNavEnv`; the suite's, else prior.
 
     Raises:
         ConfigError: an unknown sensor, preset, backend or render mode.
@@ -114,12 +113,6 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
-        self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
-        if self.map_mode == "explored" and self.sensors & MAPS:
-            raise ConfigError(
-                "map mode 'explored' is not offered to many environments at once",
-                remedy="use gymnasium.make, or make_vec(..., vectorization_mode='sync')",
-            )
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset)
         self._backend = VISIBLE if visible_sets else backend

@@ -139,6 +139,7 @@ def test_all_sensors_arrive_and_still_pictures_only_once() -> None:
         (2, [L]),
         (np.int64(3), [R]),
         ([1, Action.LEFT], [F, L]),
+        (["forward", "left"], [F, L]),
         (np.array([1, 2]), [F, L]),
         ([], [S]),
         (Displacement(0.25, 0.0, 0.0), [Displacement(0.25, 0.0, 0.0)]),

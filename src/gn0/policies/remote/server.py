@@ -297,7 +297,8 @@ def build_reply(said: Any, seen: Observation) -> dict[str, Any]:
         raise PolicyError(f"the policy said {said!r:.80}", remedy="return actions")
     if said and all(isinstance(row, list | tuple | np.ndarray) for row in said):
         return {"action_type": "nav_delta", "actions": [[float(v) for v in row] for row in said]}
-    return {"action_type": "discrete", "actions": [int(code) for code in said]}
+    words = [code if isinstance(code, str) else int(code) for code in said]
+    return {"action_type": "discrete", "actions": words}
 
 
 def serve(

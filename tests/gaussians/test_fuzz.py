@@ -11,7 +11,7 @@ from gn0.seeds import random_stream
 from gn0.testing.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
 
 
-@pytest.mark.parametrize("name", ["ply", "ply-packed"])
+@pytest.mark.parametrize("name", sorted(TARGETS))
 def test_ten_thousand_mutants(name, tmp_path):
     report = fuzz_reader(find_target(name), count=10_000, seed=2026)
     assert [f"{f.index}: {f.what}" for f in report.faults] == []
@@ -22,7 +22,7 @@ def test_ten_thousand_mutants(name, tmp_path):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["ply", "ply-packed"])
+@pytest.mark.parametrize("name", sorted(TARGETS))
 def test_a_million_mutants(name):
     report = fuzz_reader(find_target(name), count=1_000_000, seed=1)
     assert report.foreign == 0 and report.hangs == 0
@@ -60,4 +60,26 @@ def test_the_fuzzer_sees_faults(tmp_path):
 def test_command(capsys):
     assert main(["ply", "--count", "50"]) == 0
     assert "50 inputs" in capsys.readouterr().out
-    assert set(TARGETS) >= {"ply", "ply-packed"}
+    assert set(TARGETS) >= {"ply", "ply-packed", "splat", "ksplat", "spz", "sog", "gltf"}
+
+
+def test_files_beside_the_input_and_a_last_step(tmp_path):
+    """A target may have files beside its input, and repair every mutant."""
+
+    def read(path: Path) -> bytes:
+        assert (path.parent / "deep/beside").read_bytes() == b"sound"
+        return path.read_bytes()
+
+    def check(value: bytes) -> None:
+        assert value.endswith(b"!")
+
+    target = FuzzTarget(
+        "beside",
+        read,
+        {"a": b"text!"},
+        check,
+        beside={"deep/beside": b"sound"},
+        finish=lambda data, rng: data + b"!",
+    )
+    report = fuzz_reader(target, count=50, work=tmp_path)
+    assert report.accepted == 50 and not report.faults

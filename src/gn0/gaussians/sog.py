@@ -22,7 +22,7 @@ from gn0.gaussians.cloud_file import CloudBuilder, CloudFile, sigmoid
 from gn0.gaussians.cloud_source import REEXPORT, CloudSource, decode_json
 from gn0.gaussians.rotation import scatter_rotation
 from gn0.gaussians.sh import coefficient_count
-from gn0.gaussians.sog_planes import decode_picture, decode_plane
+from gn0.gaussians.sog_planes import decode_picture, decode_plane, most_pixels
 from gn0.gaussians.sog_zip import load_zip_directory, read_zip_entry
 from gn0.gaussians.splat import UNIT_OF_BYTE
 from gn0.geometry import F32, F64, U8
@@ -30,7 +30,7 @@ from gn0.storage import read_bytes, safe_join
 
 META_NAME = "meta.json"
 META_LIMIT = 1 << 21  # real ones have 1 to 60 kB
-_PLANE_LIMIT = 1 << 30
+_PLANE_EXTRA = 1 << 16  # bytes of headers and tables beside the pixels
 _PALETTE_ROW = 64
 _PALETTE_LIMIT = 65536
 _BLOCK = 1 << 15  # Gaussians
@@ -100,19 +100,19 @@ class SogFiles:
 
     Attributes:
         file: the bundle, or the meta.json, for messages.
-        load: bytes of a plane by its checked name.
+        load: bytes of a plane by its checked name, and the most bytes that it may have.
         size: bytes read so far.
     """
 
     file: Path
-    load: Callable[[str], bytes]
+    load: Callable[[str, int], bytes]
     size: int = field(default=0)
 
     def plane(self, names: list[str], index: int, part: str, need: int) -> U8:
         """Pixels [P, 4] of the `index`-th file of a part of the meta."""
-        return decode_plane(self.read(names, index, part), need, self.file, names[index])
+        return decode_plane(self.read(names, index, part, need), need, self.file, names[index])
 
-    def read(self, names: list[str], index: int, part: str) -> bytes:
+    def read(self, names: list[str], index: int, part: str, need: int) -> bytes:
         """Bytes of the `index`-th file of a part of the meta, its name checked."""
         if len(names) <= index:
             raise self.refuse(f"meta.json names {len(names)} files for {part}", f"{part}.files")
@@ -123,7 +123,7 @@ class SogFiles:
             safe_join(self.file.parent, name)
         except StorageError as error:
             raise self.refuse(f"plane {error.what}", f"{part}.files") from error
-        data = self.load(name)
+        data = self.load(name, 4 * most_pixels(need) + _PLANE_EXTRA)
         self.size += len(data)
         return data
 
@@ -163,11 +163,12 @@ def decode_sog_bundle(source: CloudSource) -> CloudFile:
         )
     folder = metas[0][: -len(META_NAME)]
 
-    def load(name: str) -> bytes:
+    def load(name: str, limit: int) -> bytes:
         entry = entries.get(folder + name)
         if entry is None:
             raise source.refuse("a plane is missing in the bundle", 0, field=name)
-        return read_zip_entry(source, entry, min(_PLANE_LIMIT, 2000 * source.size))
+        # WebP is packed already: deflate finds next to nothing in it, unless it is a bomb
+        return read_zip_entry(source, entry, min(limit, 16 * entry.packed + _PLANE_EXTRA))
 
     meta_entry = entries[metas[0]]
     meta = read_zip_entry(source, meta_entry, META_LIMIT)
@@ -183,7 +184,7 @@ def decode_sog_folder(source: CloudSource) -> CloudFile:
         StorageError: a plane cannot be read.
     """
 
-    def load(name: str) -> bytes:
+    def load(name: str, limit: int) -> bytes:
         path = safe_join(source.file.parent, name)
         if not path.is_file():
             raise FormatError(
@@ -193,7 +194,7 @@ def decode_sog_folder(source: CloudSource) -> CloudFile:
                 field=name,
                 remedy="copy the whole folder, not meta.json alone",
             )
-        return read_bytes(path, _PLANE_LIMIT)
+        return read_bytes(path, limit)
 
     if source.size > META_LIMIT:
         raise source.refuse(f"SOG meta.json has {source.size} bytes, far more than any real one")
@@ -367,7 +368,7 @@ def _unpack_rotation(codes: U8, start: int, files: SogFiles) -> F32:
 
 def _palette_v1(meta: _PaletteV1, files: SogFiles) -> tuple[F32, int]:
     """SH palette [P, K − 1, 3] of version 1, whose degree shows in the width of its picture."""
-    data = files.read(meta.files, 0, "shN")
+    data = files.read(meta.files, 0, "shN", _PALETTE_LIMIT * 15)
     picture = decode_picture(data, _PALETTE_ROW * 3, files.file, meta.files[0])
     degree = {_PALETTE_ROW * n: d for d, n in ((1, 3), (2, 8), (3, 15))}.get(picture.shape[1])
     if degree is None:
@@ -389,7 +390,7 @@ def _palette_v2(meta: _Palette, files: SogFiles) -> tuple[F32, int]:
         )
     per_entry = coefficient_count(meta.bands) - 1
     need = -(-meta.count // _PALETTE_ROW) * _PALETTE_ROW * per_entry
-    data = files.read(meta.files, 0, "shN")
+    data = files.read(meta.files, 0, "shN", need)
     width = _PALETTE_ROW * per_entry
     picture = decode_picture(data, need, files.file, meta.files[0], width)
     table = _codebook(meta.codebook, "shN", files)

@@ -50,6 +50,11 @@ def webp_size(data: bytes) -> tuple[int, int]:
     raise ValueError("is a WebP picture without pixels, or cut off")
 
 
+def most_pixels(need: int) -> int:
+    """More pixels than this no plane has that needs so many."""
+    return min(4 * need + _SLACK_PIXELS, _MOST_PIXELS)
+
+
 def decode_plane(data: bytes, need: int, file: Path, name: str) -> U8:
     """Pixels [P, 4] of a plane, row by row, P ≥ `need`.
 
@@ -79,7 +84,7 @@ def decode_picture(data: bytes, need: int, file: Path, name: str, width: int = 0
         raise refuse(f"is {w} pixels wide, not {width}")
     if w * h < need:
         raise refuse(f"has {w} x {h} pixels, fewer than the {need} needed")
-    if w * h > min(4 * need + _SLACK_PIXELS, _MOST_PIXELS):
+    if w * h > most_pixels(need):
         raise refuse(f"has {w} x {h} pixels, far more than the {need} needed")
     from PIL import Image  # here, so that reading a PLY does not load it
 

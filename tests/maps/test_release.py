@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import heapq
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,95 +11,15 @@ from hypothesis import strategies as st
 
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.release import MARGINS, DistanceMeter, ReleaseMap, ReleaseNavigation
+from gn0.testing.judge_release import JudgeRelease
 from gn0.testing.scenes import build_floor_plan
-
-Pixel = tuple[int, int]
-
-
-class SlowRelease:
-    """The description taken literally: sets of pixels, tuples on a heap, a search a question."""
-
-    def __init__(self, grid: OccupancyGrid) -> None:
-        self.h, self.w = grid.shape
-        self.s = grid.resolution
-        blocked = {
-            (self.w - 1 - c, r) for r in range(self.h) for c in range(self.w) if grid.cells[r, c]
-        }
-        self.free: dict[int, set[Pixel]] = {}
-        for m in MARGINS:
-            disc = [
-                (i, j) for i in range(-m, m + 1) for j in range(-m, m + 1) if i * i + j * j <= m * m
-            ]
-            grown = {(x + i, y + j) for x, y in blocked for i, j in disc}
-            self.free[m] = {(x, y) for x in range(self.w) for y in range(self.h)} - grown
-
-    def line(self, a: Pixel, b: Pixel) -> list[Pixel]:
-        (x, y), (x1, y1) = a, b
-        dx, dy = abs(x1 - x), abs(y1 - y)
-        sx, sy = (1 if x1 >= x else -1), (1 if y1 >= y else -1)
-        out = [(x, y)]
-        error = max(dx, dy) // 2
-        while (x, y) != (x1, y1):
-            if dx >= dy:
-                x, error = x + sx, error - dy
-                if error < 0:
-                    y, error = y + sy, error + dx
-            else:
-                y, error = y + sy, error - dx
-                if error < 0:
-                    x, error = x + sx, error + dy
-            out.append((x, y))
-        return out
-
-    def astar(self, start: Pixel, goal: Pixel, free: set[Pixel]) -> list[Pixel] | None:
-        cost, came = {start: 0.0}, {}
-        heap = [(math.dist(start, goal), start)]
-        while heap:
-            _, here = heapq.heappop(heap)
-            if here == goal:
-                path = [here]
-                while path[-1] in came:
-                    path.append(came[path[-1]])
-                return path[::-1]
-            for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
-                near = (here[0] + dx, here[1] + dy)
-                sides = {(near[0], here[1]), (here[0], near[1])} if dx and dy else set()
-                if near not in free or not sides <= free:
-                    continue
-                new = cost[here] + math.hypot(dx, dy)
-                if new < cost.get(near, math.inf):
-                    cost[near], came[near] = new, here
-                    heapq.heappush(heap, (new + math.dist(near, goal), near))
-        return None
-
-    def distance(self, start: Pixel, goal: Pixel) -> float:
-        if start == goal:
-            return 0.0
-        for m in MARGINS:
-            path = self.astar(start, goal, self.free[m])
-            if path is None:
-                continue
-            kept, here = [path[0]], 0
-            while here < len(path) - 1:
-                there = here + 1
-                for candidate in range(len(path) - 1, here, -1):
-                    if set(self.line(path[here], path[candidate])) <= self.free[MARGINS[0]]:
-                        there = candidate
-                        break
-                kept.append(path[there])
-                here = there
-            drawn = [kept[0]]
-            for a, b in pairwise(kept):
-                drawn += self.line(a, b)[1:]
-            return self.s * sum(math.dist(a, b) for a, b in pairwise(drawn))
-        return math.inf
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_distances_are_the_releases_own(seed: int) -> None:
     """Every value equals a literal search: no field, no pruning, no cache."""
     grid = build_floor_plan(seed, width=6.0, depth=4.5, clutter=5)
-    fast, slow = ReleaseMap(grid), SlowRelease(grid)
+    fast, slow = ReleaseMap(grid), JudgeRelease(grid)
     rng = np.random.default_rng(seed)
     free = sorted(slow.free[4])
     unequal_to_octile = 0
@@ -120,7 +38,7 @@ def test_the_four_grids_are_discs_in_pixels_and_the_edge_is_no_wall() -> None:
     cells = np.zeros((40, 50), np.uint8)
     cells[20, 30], cells[3, 3] = 1, 2
     grid = OccupancyGrid(cells, 0.05, (1.0, -2.0))
-    fast, slow = ReleaseMap(grid), SlowRelease(grid)
+    fast, slow = ReleaseMap(grid), JudgeRelease(grid)
     for m in MARGINS:
         free = {(x, y) for y, x in np.argwhere(fast.grids[m])}
         assert free == slow.free[m]
@@ -162,7 +80,7 @@ def test_moves_end_in_the_centre_of_the_last_free_pixel(
     x1, y1 = x + length * math.cos(yaw), y + length * math.sin(yaw)
     a, b = fast.pixel_of(x, y), fast.pixel_of(x1, y1)
     got = fast.move(x, y, x1, y1)
-    line = SlowRelease.line(SlowRelease.__new__(SlowRelease), a, b)
+    line = JudgeRelease.line(a, b)
     blocked = [i for i, p in enumerate(line) if not fast.is_passable(p)]
     if a == b or not blocked:
         assert got == (x1, y1, False)

@@ -49,6 +49,7 @@ def storage_error(error: OSError, path: Path | str, doing: str) -> StorageError:
         errno.ENOENT: "check that the path exists",
         errno.ENOTDIR: "part of the path is a file, not a folder",
         errno.EISDIR: "this is a folder, not a file",
+        errno.EIO: "the disk itself failed: check the disk, and use another --out meanwhile",
         errno.ENAMETOOLONG: "the name is too long for this file system",
     }
     reason = error.strerror or str(error)

@@ -20,7 +20,7 @@ from gn0.gaussians.files import load_cloud
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
 from gn0.seeds import random_stream
-from gn0.testing.fuzz import FuzzReport, find_target, fuzz_reader
+from gn0.testing.fuzz import TARGETS, FuzzReport, find_target, fuzz_reader
 from gn0.testing.memory import peak_memory_bytes
 from gn0.testing.splat_corpus import (
     DIALECTS,
@@ -65,7 +65,8 @@ def report_peak(path: str) -> None:
     sys.stdout.write(f"{decoded} {growth}")
 
 
-def _median_seconds(act: Callable[[], object], runs: int = 5) -> float:
+def median_seconds(act: Callable[[], object], runs: int = 5) -> float:
+    """Median wall time of a few runs [s]."""
     times = []
     for _ in range(runs):
         start = time.perf_counter()
@@ -89,10 +90,10 @@ def measure_reading(ctx: FigureContext) -> list[FigureRow]:
             path = ctx.work / f"flat-{degree}-{name.split()[0]}.ply"
             label = f"{name}, 1 M, SH {degree}"
             detail = f"standard flat, {COUNT} Gaussians, median of 5, one thread"
-            written = _median_seconds(partial(save, cloud, path), 3)
+            written = median_seconds(partial(save, cloud, path), 3)
             size = path.stat().st_size / 1e6
-            read = _median_seconds(partial(load_cloud, path))
-            floor = _median_seconds(partial(_read_whole, path))
+            read = median_seconds(partial(load_cloud, path))
+            floor = median_seconds(partial(_read_whole, path))
             rows.append(row_at_most(f"read {label}", read, 1.0, "s", f"{detail}; {size:.0f} MB"))
             rows.append(
                 FigureRow(
@@ -212,7 +213,7 @@ def _fuzz(name: str) -> FuzzReport:
 
 def measure_fuzz(ctx: FigureContext) -> list[FigureRow]:
     """A million mutants for each reader."""
-    names = ["ply", "ply-packed"]
+    names = sorted(TARGETS)
     rows = []
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         for name, report in zip(names, pool.map(_fuzz, names), strict=True):
@@ -235,5 +236,5 @@ FIGURES: list[Figure] = [
     Figure("gaussians.read", "Reading and writing splats", measure_reading, 1.0),
     Figure("gaussians.packed", "Compressed PLY against splat-transform", measure_packing, 0.2),
     Figure("gaussians.dialects", "Dialects, cuts and forged counts", measure_dialects, 0.2),
-    Figure("gaussians.fuzz", "A million mutants a reader", measure_fuzz, 6.0),
+    Figure("gaussians.fuzz", "A million mutants a reader", measure_fuzz, 30.0),
 ]

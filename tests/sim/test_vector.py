@@ -313,7 +313,7 @@ def test_pictures_of_a_scene_are_one_call_and_the_simulator_s_own(rooms) -> None
             agent=env.batch.agent,
         ).suite
 
-    env.batch._eyes._open_suite = open_suite
+    env.batch.eyes.open_suite = open_suite
     twins = {s.id: open_simulator(s, "n1", sensors=sensors, max_steps=4) for s in rooms}
     by_id = {episode.id + episode.scene_id: episode for episode in episodes}
     observation, infos = env.reset(seed=3, options={"episode": [0, 1, 2, 3, 4, 5]})
@@ -388,9 +388,9 @@ def test_idle_scenes_are_let_go(rooms) -> None:
     episodes = [e for s in rooms for e in build_point_episodes(s, NavigationMap(s.grid, 0.2), 1)]
     env = VectorEnv(2, rooms, episodes=episodes, sensors=("bev",), scenes_kept=0)
     env.reset(seed=0, options={"episode": [0, 0]})
-    assert list(env.batch._eyes._suites) == ["left"]
+    assert list(env.batch.eyes._suites) == ["left"]
     env.reset(options={"episode": [1, 1]})
-    assert list(env.batch._eyes._suites) == ["right"]
+    assert list(env.batch.eyes._suites) == ["right"]
 
 
 def test_render_gives_the_colour_pictures() -> None:

@@ -14,6 +14,8 @@ import numpy as np
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F64, quaternion_from_rotation, view_from_above, view_from_pose
+from gn0.maps.grid import OccupancyGrid
+from gn0.maps.inflate import inflate
 from gn0.render.camera import Camera
 from gn0.seeds import random_stream
 
@@ -153,6 +155,25 @@ def flat_views(count: int, seed: int = 7) -> F64:
         if not (inside.any() or in_wall):
             views.append(view_from_pose(x, y, EYE, yaw))
     return np.stack(views)
+
+
+def flat_floor(radius: float = 0.20, resolution: float = 0.05) -> OccupancyGrid:
+    """Where an agent can stand: free of walls and furniture, inflated by its radius [m]."""
+    shape = round(SIZE_Y / resolution), round(SIZE_X / resolution)
+    y, x = ((np.arange(n) + 0.5) * resolution for n in shape)
+    x, y = x[None, :], y[:, None]
+    solid = (x < resolution) | (x > SIZE_X - resolution)
+    solid = solid | (y < resolution) | (y > SIZE_Y - resolution)
+    doors: tuple[tuple[float, float], ...]
+    for at, doors in WALLS_X:
+        gap = np.any([(low < y) & (y < high) for low, high in doors], axis=0)
+        solid |= (np.abs(x - at) <= 0.05 + resolution / 2) & ~gap
+    for at, doors in WALLS_Y:
+        gap = np.any([(low < x) & (x < high) for low, high in doors], axis=0)
+        solid |= (np.abs(y - at) <= 0.05 + resolution / 2) & ~gap
+    for x0, x1, y0, y1, _ in flat_boxes():
+        solid |= (x0 < x) & (x < x1) & (y0 < y) & (y < y1)
+    return inflate(OccupancyGrid(solid.astype(np.uint8), resolution, (0.0, 0.0)), radius)
 
 
 def flat_camera(width: int, height: int) -> Camera:

@@ -10,6 +10,7 @@ import hashlib
 import json
 import logging
 import os
+import shutil
 import zlib
 from pathlib import Path
 
@@ -45,6 +46,10 @@ class VisibleFiles:
     def nbytes(self) -> int:
         """Bytes of this scene's sets on disk."""
         return sum(path.stat().st_size for path in self.folder.glob(f"*{_SUFFIX}"))
+
+    def clear(self) -> None:
+        """Remove this scene's sets."""
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     def path(self, cell: tuple[int, int]) -> Path:
         """The file of a cell (column, row)."""

@@ -99,14 +99,14 @@ class SimulatorBatch:
         )
         self._everyone = np.arange(count)
         self._rays = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
-        self._eyes: BatchEyes | None = None
+        self.eyes: BatchEyes | None = None
         if config.active & PICTURES:
             if open_suite is None:
                 raise SimError(
                     f"sensors {sorted(config.active & PICTURES)} need pictures",
                     remedy="use VectorEnv, or hand open_suite to SimulatorBatch",
                 )
-            self._eyes = BatchEyes(count, config, open_suite, scenes_kept, self.agent)
+            self.eyes = BatchEyes(count, config, open_suite, scenes_kept, self.agent)
 
     @property
     def sensors(self) -> frozenset[Sensor]:
@@ -123,8 +123,8 @@ class SimulatorBatch:
         table.prepare(chosen, self.state.episode)
         place_agents(which, chosen, self.state, table.maps.arrays, table.fields, table.arrays)
         table.touch(chosen)
-        if self._eyes is not None:
-            self._eyes.begin(which)
+        if self.eyes is not None:
+            self.eyes.begin(which)
 
     def step(self, actions: NDArray[np.integer]) -> BatchStep:
         """Take one action 0..3 each.
@@ -133,8 +133,8 @@ class SimulatorBatch:
             SimError: wrong shape or type, or an action that is none; then no agent has moved.
         """
         codes = check_actions(actions, self.count)
-        if self._eyes is not None:
-            self._eyes.keep_views()
+        if self.eyes is not None:
+            self.eyes.keep_views()
         step = BatchStep(
             np.empty(self.count), np.empty(self.count, np.bool_), np.empty(self.count, np.bool_)
         )
@@ -177,14 +177,19 @@ class SimulatorBatch:
             found["pose"] = self.poses(chosen)
         return found
 
+    def pose(self, agent: int) -> Pose2D:
+        """The pose of one agent."""
+        return Pose2D(*self.poses(np.array([agent]))[0].tolist())
+
     def goal_vector(self, agent: int) -> tuple[float, float]:
         """The goal (forward, left) [m] of one agent, in full precision."""
-        pose = Pose2D(*self.poses(np.array([agent]))[0].tolist())
-        return world_to_agent(pose, *self.table.episodes[int(self.state.episode[agent])].goal)
+        return world_to_agent(
+            self.pose(agent), *self.table.episodes[int(self.state.episode[agent])].goal
+        )
 
     def snapshot(self, which: NDArray[np.int64] | None = None) -> Snapshot | None:
         """What `draw` needs to know of agents `which` as they stand now; None without pictures."""
-        if self._eyes is None:
+        if self.eyes is None:
             return None
         chosen = self._everyone if which is None else which
         episodes = [self.table.episodes[n] for n in self.state.episode[chosen].tolist()]
@@ -193,15 +198,15 @@ class SimulatorBatch:
         if "goal_picture" in self.sensors:
             goals = np.array([goal_view(episode) for episode in episodes])
         scenes = [episode.scene_id for episode in episodes]
-        return self._eyes.snapshot(chosen, scenes, self.poses(chosen), starts, goals)
+        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), starts, goals)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of snapshots, arrays or lists [K, …] a sensor; see `BatchEyes.draw`.
 
         To be called after every `place` and `step`, the last snapshot being of all agents moved.
         """
-        assert self._eyes is not None
-        return self._eyes.draw(snapshots)
+        assert self.eyes is not None
+        return self.eyes.draw(snapshots)
 
 
 def check_actions(actions: Any, count: int) -> NDArray[np.int64]:

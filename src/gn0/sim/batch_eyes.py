@@ -82,7 +82,7 @@ class BatchEyes:
         self._kept = [Kept() for _ in range(count)]
         self._due = np.ones(count, np.bool_)
         self._spared = {"rgb", "depth"} - self._wanted  # drawn for others' sake
-        self._open_suite = open_suite
+        self.open_suite = open_suite
         self._scenes_kept = scenes_kept
         self._suites: OrderedDict[str, SensorSuite] = OrderedDict()
         self._histories = [History() for _ in range(count)] if "history" in self._wanted else []
@@ -143,7 +143,7 @@ class BatchEyes:
                 idle = [other for other in self._suites if other not in names]
                 while len(idle) > self._scenes_kept:  # let go before loading, not after
                     del self._suites[idle.pop(0)]
-                self._suites[name] = self._open_suite(name)
+                self._suites[name] = self.open_suite(name)
             self._suites.move_to_end(name)
 
     def _draw_eyes(self, snapshots: Sequence[Snapshot], found: list[dict[str, Any]]) -> None:

@@ -209,7 +209,7 @@ class SensorSuite:
         self.active = check_sensors(config.active)
         self._navigation = navigation
         self._camera_height = camera_height
-        self._renderer = renderer
+        self.renderer = renderer
         self._bev = bev
         self._ring = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
         self._pitch = float(np.radians(config.preset.pitch_degrees))
@@ -257,10 +257,10 @@ class SensorSuite:
         )
         rgb: U8 | None = None
         depth: F32 | None = None
-        assert self._renderer is not None
+        assert self.renderer is not None
         if want_rgb:
             both = want_depth and preset.depth == preset.rgb
-            result = self._renderer.render(
+            result = self.renderer.render(
                 preset.rgb,
                 views,
                 outputs=("rgb", "depth") if both else ("rgb",),
@@ -274,7 +274,7 @@ class SensorSuite:
             rgb = reduce_pictures(cast(U8, result.rgb), *preset.picture_size)
             depth = result.depth if both else None
         if want_depth and depth is None:
-            depth = self._renderer.render(preset.depth, views, outputs=("depth",)).depth
+            depth = self.renderer.render(preset.depth, views, outputs=("depth",)).depth
         if depth is not None:
             low, high = preset.depth_range
             depth = np.clip(depth, np.float32(low), np.float32(high))

@@ -63,13 +63,14 @@ def _serve_elsewhere(policy: str, sensors: list[str], actions: int = 1) -> Itera
         process.stdout.close()
 
 
-def _median_ms(act: Callable[[], object], times: int) -> float:
-    spent = []
+def _median_ms(times: int, *acts: Callable[[], object]) -> list[float]:
+    spent: list[list[float]] = [[] for _ in acts]
     for _ in range(times):
-        start = time.perf_counter()
-        act()
-        spent.append(time.perf_counter() - start)
-    return float(np.median(spent)) * 1e3
+        for act, seconds in zip(acts, spent, strict=True):
+            start = time.perf_counter()
+            act()
+            seconds.append(time.perf_counter() - start)
+    return [float(np.median(seconds)) * 1e3 for seconds in spent]
 
 
 def measure_round_trip(context: FigureContext) -> list[FigureRow]:
@@ -88,8 +89,6 @@ def measure_round_trip(context: FigureContext) -> list[FigureRow]:
         policy.reset("Go to the sofa in the living room.", rng)
         for _ in range(20):
             policy.act(seen)
-        ours = _median_ms(lambda: policy.act(seen), QUESTIONS)
-        policy.client.close()
         with connect(url, max_size=None, ping_interval=None) as channel:  # offers to deflate
             channel.recv()
 
@@ -97,9 +96,11 @@ def measure_round_trip(context: FigureContext) -> list[FigureRow]:
                 channel.send(encode_message(request))
                 decode_message(channel.recv())  # type: ignore[arg-type]
 
-            plain = _median_ms(ask, QUESTIONS)
+            # in turn, so that whatever else this machine does hits both alike
+            ours, plain = _median_ms(QUESTIONS, lambda: policy.act(seen), ask)
+        policy.client.close()
     message = encode_message(request)
-    coding = _median_ms(lambda: decode_message(encode_message(request)), QUESTIONS)
+    (coding,) = _median_ms(QUESTIONS, lambda: decode_message(encode_message(request)))
     detail = (
         f"one {WIDTH}×{HEIGHT} picture ({len(message) / 1e3:.0f} kB) a question over loopback, "
         f"server kit in another process, median of {QUESTIONS}"

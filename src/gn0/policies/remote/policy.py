@@ -194,7 +194,7 @@ class PolicyRemote:
             self._begin()
         payload: dict[str, Any] = {"endpoint": "infer"}
         if self._frames:
-            payload["images"] = self._frames[-1] if not self._queries else np.stack(self._frames)
+            payload["images"] = self._frames[-1] if not self._queries else _stack(self._frames)
         payload["instruction"] = self._instruction
         payload["session_id"] = self._session
         if self.send_pose and observation.pose is not None:
@@ -238,6 +238,11 @@ class PolicyRemote:
     def _count(self, what: str, times: int) -> None:
         if times:
             self._counts[what] = self._counts.get(what, 0) + int(times)
+
+
+def _stack(frames: list[U8]) -> U8:
+    """Pictures [T, H, W, 3]; one alone is not copied."""
+    return frames[0][None] if len(frames) == 1 else np.stack(frames)
 
 
 def pick_url(url: str, ports: str | int | Sequence[int]) -> str:

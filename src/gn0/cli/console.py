@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import Any, TextIO, cast
 
 from gn0.progress import Progress
 
@@ -28,6 +29,46 @@ def plain_text(text: str, *, lines: bool = False) -> str:
     """
     text = _OBEYED.sub(lambda m: m[0].encode("unicode_escape").decode(), text)
     return text if lines else text.replace("\n", "\\n")
+
+
+class PlainStream:
+    """A text stream on which names from data cannot command the terminal.
+
+    On a terminal the few sequences that colour text and draw progress bars pass; whatever else a
+    terminal would obey is spelled out: no name can set a title, fill a clipboard, hide a line or
+    turn the direction of what follows.
+    """
+
+    _drawing = re.compile(r"(\x1b\[[0-9;]*m|\x1b\[[0-9]*[AK]|\x1b\[\?25[lh]|\r|\t)")
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._terminal = stream.isatty()
+
+    def write(self, text: str) -> int:
+        """Write text, spelled out where need be."""
+        if _OBEYED.search(text):
+            allowed = self._drawing if self._terminal else re.compile("(\t)")
+            pieces = allowed.split(text)  # odd ones are what is allowed
+            pieces[::2] = [plain_text(piece, lines=True) for piece in pieces[::2]]
+            text = "".join(pieces)
+        return self._stream.write(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write several texts."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def plain_streams() -> Iterator[None]:
+    """Within the block, standard output and standard error are plain."""
+    out, err = PlainStream(sys.stdout), PlainStream(sys.stderr)
+    with redirect_stdout(cast("TextIO", out)), redirect_stderr(cast("TextIO", err)):
+        yield
 
 
 @contextmanager

@@ -74,13 +74,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not verb:
         return _no_verb(argv)
     module = import_module(f"gn0.cli.{VERBS[verb][0]}")
+    from gn0.cli.console import plain_streams, plain_text
     from gn0.errors import Gn0Error
 
     try:
         args = parse_arguments(module, verb, rest)
-        return int(module.run(args) or 0)
+        with plain_streams():
+            return int(module.run(args) or 0)
     except Gn0Error as error:
-        print(format_error(error), file=sys.stderr)
+        print(plain_text(format_error(error), lines=True), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\ngn0: stopped", file=sys.stderr)

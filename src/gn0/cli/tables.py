@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from gn0.cli.console import plain_text
+
 if TYPE_CHECKING:
     from gn0.bench.results import RunSummary
 
@@ -26,6 +28,7 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
     """A row a policy: means, their 95 % intervals below, and what did not run."""
     from rich import box
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", padding=(0, 1))
@@ -44,22 +47,26 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
                 f"{factor * value:.{decimals}f}" for value in (found.mean, found.low, found.high)
             )
             cells.append(f"{mean}\n[dim]{low}–{high}[/dim]")
-        table.add_row(summary.policy, f"{summary.valid}/{summary.expected}", *cells)
+        table.add_row(
+            escape(plain_text(summary.policy)), f"{summary.valid}/{summary.expected}", *cells
+        )
     Console(width=max(116, Console().width), highlight=False).print(table)
     for summary in summaries:
         if summary.release is not None:
             _print_release(summary)
     for summary in summaries:
         if summary.failed:
-            print(f"{summary.policy}: {len(summary.failed)} episodes did not run:")
+            policy = plain_text(summary.policy)
+            print(f"{policy}: {len(summary.failed)} episodes did not run:")
             for failure in summary.failed:
-                print(f"  {failure}")
+                print(f"  {plain_text(str(failure))}")
 
 
 def _print_release(summary: RunSummary) -> None:
     """The official harness's numbers beside ours, on the same trajectories."""
     from rich import box
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from gn0.bench.release import SIDE_BY_SIDE
@@ -67,7 +74,7 @@ def _print_release(summary: RunSummary) -> None:
     theirs = summary.release
     assert theirs is not None
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", padding=(0, 1))
-    table.add_column(f"{summary.policy}, same trajectories")
+    table.add_column(f"{escape(plain_text(summary.policy))}, same trajectories")
     table.add_column("gn0-release", justify="right")
     table.add_column("ours", justify="right")
     for key, title, ours, factor, unit in SIDE_BY_SIDE:

@@ -8,8 +8,8 @@ from gn0.errors import ConfigError
 from gn0.figures.board import Figure
 
 _MODULES = (
-    "install", "gaussians", "splat_formats", "maps", "render", "scenes", "capture", "procedural", "sim",
-    "vector", "bench", "policies", "missions", "view",
+    "install", "gaussians", "splat_formats", "maps", "render", "scenes", "capture", "procedural",
+    "sim", "vector", "bench", "policies", "missions", "view",
 )  # fmt: skip
 
 

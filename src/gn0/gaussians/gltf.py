@@ -36,7 +36,7 @@ FRAME = "as in the PLY it was made of, usually x right, y down, z forward (glTF:
 _TO_PLY = np.diag([-1.0, -1.0, 1.0, 1.0])
 _GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = b"glTF", b"JSON", b"BIN\0"
 _CHUNK_LIMIT = 1 << 25
-_TEXT_LIMIT = 1 << 28
+_TEXT_LIMIT = 1 << 30
 _INSTANCES = 16  # one set of splats may be placed so often before it looks like a bomb
 _BLOCK = 1 << 15  # Gaussians
 

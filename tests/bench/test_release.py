@@ -294,3 +294,11 @@ def test_order_is_by_row_number_as_text(flats_suite: Suite) -> None:
     assert [e.id for e in back.episodes] == [e.id for e in flats_suite.episodes]
     with pytest.raises(ConfigError, match="known: default, paper, gn0-release"):
         suite.with_profile("official")
+
+
+def test_the_docs_tell_every_difference() -> None:
+    """The table of docs/episodes.md is the table of the code."""
+    page = Path(__file__).resolve().parent.parent.parent / "docs" / "episodes.md"
+    text = page.read_text()
+    for what, default, theirs in DIFFERENCES:
+        assert f"| {what} | {default} | {theirs} |" in text, what

@@ -109,7 +109,7 @@ def crash_runs(
             progress("kills", parents + workers, kills)
             start += 1
             count = 1 + int(chance.integers(0, 3))
-            struck = 0
+            struck, sessions = 0, _sessions(out)
             process = _start(suite, out, count, start)
             if chance.integers(0, 4) == 0:  # while it still imports, checks scenes, starts workers
                 time.sleep(float(chance.uniform(0, 1.5)))
@@ -129,7 +129,8 @@ def crash_runs(
             process.wait()
             after = _results(out)
             forgotten += len(set(before) - set(after))
-            in_flight = max(in_flight, _cost(out) - count - struck)
+            if _sessions(out) > sessions:
+                in_flight = max(in_flight, _cost(out) - count - struck)
             before = after
         _start(suite, out, 2, start).wait(timeout=10 * PATIENCE)
         names = _results(out)
@@ -164,6 +165,10 @@ def _records(out: Path) -> list[dict[str, Any]]:
 def _results(out: Path) -> list[str]:
     """Episodes whose result is on disk; a cheap count while a run goes on."""
     return [r["result"]["episode"] for r in _records(out) if r["type"] == "result"]
+
+
+def _sessions(out: Path) -> int:
+    return sum(r["type"] == "session" for r in _records(out))
 
 
 def _cost(out: Path) -> int:

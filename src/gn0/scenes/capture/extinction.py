@@ -6,8 +6,8 @@ things differ from the usual rule (nearest point to the mean, tails to three sig
 
 * The least distance is exact. A large slanted disc misses voxels whose point nearest to its mean
   lies off its plane, and walls of a capture are rarely along the axes.
-* A Gaussian ends at `EDGE` sigma. Tails of many discs that end at one edge would add up to matter
-  beyond it, and close the row of cells before every cupboard.
+* A Gaussian ends where half of its density is left, which is where one sees it end. Tails of many
+  discs along one edge would add up to matter beyond it, and close the cells before a cupboard.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LARGEST = 1.0  # m: a standard deviation above this is sky or fog
 SOLID = math.log(2.0)  # sum at which 1 − exp(−sum) is one half
 VOXELS_MAX = 160_000_000
 _REACH = 2.0  # standard deviations
-EDGE = 1.34  # standard deviations: where a Gaussian has 0.41 of its density
+EDGE = math.sqrt(2 * math.log(2.0))  # standard deviations: where half of the density is left
 _THINNEST = 5e-4  # m
 _FAR = EDGE * LARGEST  # m: nothing reaches farther
 

@@ -152,8 +152,7 @@ def import_set(
     camera = settings.get("camera", camera or exporter.camera)
     agent: AgentSpec = settings.get("agent", find_preset(camera).agent)
     given = find_scenes(scenes)
-    counts = Counter(task.scene for task in episodes.tasks)
-    missing = {scene: counts[scene] for scene in episodes.scenes if scene not in given}
+    missing = {s: len(rows) for s, rows in sorted(episodes.rows.items()) if s not in given}
     present = [scene for scene in episodes.scenes if scene in given]
     loaded: list[Scene] = []
     checks: list[FrameCheck] = []
@@ -168,9 +167,7 @@ def import_set(
         checks.append(check_frame(episodes, exporter, scene.grid, scene_id, placement))
         navigation = NavigationMap(scene.grid, agent.radius)
         fits = 0
-        for task in episodes.tasks:
-            if task.scene != scene_id:
-                continue
+        for task in episodes.of_scene(scene_id):
             try:
                 episode = place_task(task, placement, agent, split)
             except EpisodeError as error:

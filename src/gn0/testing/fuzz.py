@@ -279,6 +279,9 @@ _MUTATIONS: tuple[Callable[..., None], ...] = (
 )  # fmt: skip
 
 TARGETS = {
+    "gn-matrix": "gn0.testing.set_corpus:gn_matrix_target",
+    "gn-matrix-json": "gn0.testing.set_corpus:json_folder_target",
+    "vlnce": "gn0.testing.set_corpus:vlnce_target",
     "ply": "gn0.testing.splat_corpus:ply_target",
     "ply-packed": "gn0.testing.splat_corpus:ply_packed_target",
     "splat": "gn0.testing.splat_targets:splat_target",

@@ -89,7 +89,7 @@ def check_frame(
     episodes: EpisodeSet, exporter: Exporter, grid: OccupancyGrid, scene: str, used: Placement
 ) -> FrameCheck:
     """How the tasks of one scene lie in its map, by every placement of the format."""
-    tasks = [task for task in episodes.tasks if task.scene == scene]
+    tasks = episodes.of_scene(scene)
     points = np.concatenate([task.points for task in tasks]) if tasks else np.zeros((0, 2))
     placements = {p.name: p for p in (*exporter.placements(grid), used)}
     return FrameCheck(
@@ -121,9 +121,7 @@ def _pixels(episodes: EpisodeSet, grid: OccupancyGrid, scene: str) -> float | No
     hits = total = 0
     columns = [table.column(f"path_raster_{kind}") for kind in
                ("world_x", "world_y", "pixel_x", "pixel_y")]  # fmt: skip
-    for row, task in enumerate(episodes.tasks):
-        if task.scene != scene:
-            continue
+    for row in episodes.rows.get(scene, []):
         wx, wy, px, py = (np.array(column[row].as_py(), np.float64) for column in columns)
         if not np.isfinite(wx + wy).all():
             total += len(wx)

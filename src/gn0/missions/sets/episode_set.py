@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -85,10 +86,22 @@ class EpisodeSet:
     native: Any
     notes: tuple[str, ...] = ()
 
+    @cached_property
+    def rows(self) -> dict[str, list[int]]:
+        """Places of the tasks of each scene."""
+        found: dict[str, list[int]] = {}
+        for row, task in enumerate(self.tasks):
+            found.setdefault(task.scene, []).append(row)
+        return found
+
     @property
     def scenes(self) -> tuple[str, ...]:
         """Scene ids, sorted."""
-        return tuple(sorted({task.scene for task in self.tasks}))
+        return tuple(sorted(self.rows))
+
+    def of_scene(self, scene: str) -> list[Task]:
+        """The tasks of a scene, in the file's order."""
+        return [self.tasks[row] for row in self.rows.get(scene, [])]
 
     def select(self, ids: Sequence[str]) -> EpisodeSet:
         """The set of these tasks only, in the file's order.

@@ -5,22 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gn0.maps.navigation import NavigationMap
-from gn0.render.bev import BevPicture, render_bev
 from gn0.render.camera import Camera
-from gn0.render.renderer import Renderer, build_renderer
 from gn0.scenes.scene import Scene
-from gn0.sim.open import CEILING_CUT
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.sensors import SensorConfig
-from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action
 from gn0.viewer.live_loop import LiveLoop
-from gn0.viewer.live_map import AGENT, MapAgent, bev_map, plan_map
+from gn0.viewer.live_map import AGENT, PICTURES, LiveMap, MapAgent, PictureKind, bev_map, plan_map
 from gn0.viewer.live_server import LiveServer
 from gn0.viewer.live_splats import build_live_splats
 from gn0.viewer.live_stage import (
@@ -33,9 +27,12 @@ from gn0.viewer.live_stage import (
     overview,
 )
 from gn0.viewer.live_text import plain
-from gn0.viewer.live_walk import PICTURES, AgentWalk, PictureKind
-from gn0.viewer.viewpoints import choose_viewpoints
 
+if TYPE_CHECKING:
+    from gn0.render.renderer import Renderer
+    from gn0.viewer.live_walk import AgentWalk
+
+CEILING_CUT = 2.3  # what lies higher hides rooms from above [m]
 CAMERAS = ("free", "the agent's eyes", "behind the agent")
 DETAILS = (30_000, 100_000, 300_000, 1_000_000)
 _ACTIONS = {"forward": Action.FORWARD, "left": Action.LEFT, "right": Action.RIGHT}
@@ -85,9 +82,8 @@ class SceneView:
         self.kind: PictureKind = "RGB"
         self.camera = CAMERAS[0]
         self.body: LiveBody | None = None
-        self.plan = plan_map(scene, PANEL)
+        self.plan: LiveMap
         self._renderer: Renderer | None = None
-        self._bev: BevPicture | None = None
         self._plan_on_floor = False
         self._woken, self._seen, self._since = False, False, 0.0
 
@@ -101,6 +97,8 @@ class SceneView:
         """Splats, labels and panel; then the agent, where it has room to stand."""
         self.stage.start_at(*overview(self.scene), OVERVIEW_FOV)
         self.show_splats()
+        self.server.flush()
+        self.plan = plan_map(self.scene, PANEL)
         self.stage.add_labels(self.scene, rooms=True, objects=False)
         self._build_panel()
         self.server.on_client_connect(lambda client: self.loop.post(partial(self._greet, client)))
@@ -208,6 +206,15 @@ class SceneView:
 
     def _wake_agent(self) -> None:
         """Map, renderer and BEV; the slow part, done when the splats are already on their way."""
+        # not needed for the first picture, and slow to import
+        from gn0.maps.navigation import NavigationMap
+        from gn0.render.bev import render_bev
+        from gn0.render.renderer import build_renderer
+        from gn0.sim.sensors import SensorConfig
+        from gn0.sim.simulator import Simulator
+        from gn0.viewer.live_walk import AgentWalk
+        from gn0.viewer.viewpoints import choose_viewpoints
+
         scene, preset = self.scene, self.preset
         navigation = NavigationMap(scene.grid, preset.agent.radius)
         if not navigation.inflated.free_area:
@@ -218,7 +225,7 @@ class SceneView:
             return
         self._renderer = build_renderer(scene.gaussians)
         bounds = np.array(scene.grid.bounds).reshape(2, 2)
-        self._bev = render_bev(
+        bev = render_bev(
             scene.cloud_hash or scene.gaussians.content_hash,
             self._renderer,
             bounds,
@@ -234,11 +241,11 @@ class SceneView:
                     active=frozenset({"rgb", "depth", "bev", "occupancy"}), preset=preset
                 ),
                 renderer=self._renderer,
-                bev=self._bev,
+                bev=bev,
                 max_steps=1_000_000,
             )
         )
-        self._bev_map = bev_map(self._bev)
+        self._bev_map = bev_map(bev)
         self.body = LiveBody(self.server, "/agent", preset.agent, AGENT)
         poses = choose_viewpoints(scene, 1, max(0.25, preset.agent.radius + 0.05))
         poses = [pose for pose in poses if self.walk.place(*pose)]

@@ -5,16 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from gn0.geometry import F64, U8, Pose2D
-from gn0.render.bev import BevPicture
 from gn0.scenes.scene import Scene
 from gn0.viewer.plan import plan_bounds, render_plan
 
+if TYPE_CHECKING:
+    from gn0.render.bev import BevPicture
+
+PictureKind = Literal["RGB", "depth", "BEV", "occupancy"]
+PICTURES: tuple[PictureKind, ...] = ("RGB", "depth", "BEV", "occupancy")
 AGENT = (214, 64, 40)
 REFERENCE, GOAL = (26, 28, 34), (34, 150, 84)
 _DOUBLE = 2  # drawn twice as large, then reduced

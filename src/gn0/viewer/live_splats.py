@@ -19,10 +19,10 @@ from gn0.geometry import F32, F64
 
 I64 = NDArray[np.int64]
 
-_LEVELS = 7  # halvings of the coarsest cell
+_LEVELS = 9  # halvings of the cube that holds the scene
 _FAR = 0.001  # share of splats on each side that may lie far out, e.g. a sky
 _EVEN = 0.004  # what area alone is worth, beside the variance of colour in 0..1
-_ROUGH = 0.03  # what a bent surface is worth beside a speckled one
+_ROUGH = 0.02  # what a bent surface is worth beside a speckled one
 _SPREAD = 3.7  # widening of a merged splat along its members' scatter: discs must overlap
 _FAINT = 0.02  # opacity below which a splat is left out
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -62,7 +62,7 @@ class LiveSplats:
 
 
 def build_live_splats(cloud: GaussianCloud, count: int) -> LiveSplats:
-    """At most about `count` splats that look like the cloud; deterministic.
+    """At most `count` splats that look like the cloud; deterministic.
 
     A cloud that has no more than `count` visible splats is passed on as it is.
     """
@@ -86,13 +86,13 @@ def _areas(scales: F32) -> F64:
 
 
 def _codes(means: F32) -> NDArray[np.uint64]:
-    """Morton codes [N], `_LEVELS` + 3 bits an axis, over cubes; far-out splats are clipped in."""
+    """Morton codes [N], `_LEVELS` bits an axis, over cubes; far-out splats are clipped in."""
     low, high = np.quantile(means, [_FAR, 1 - _FAR], axis=0)
     side = max(float((high - low).max()), 1e-6)
-    cells = 1 << (_LEVELS + 3)
+    cells = 1 << _LEVELS
     steps = np.clip((means - low) / side * cells, 0, cells - 1).astype(np.uint64)
     code = np.zeros(len(means), np.uint64)
-    for bit in range(_LEVELS + 3):
+    for bit in range(_LEVELS):
         for axis in range(3):
             found = (steps[:, axis] >> np.uint64(bit)) & np.uint64(1)
             code |= found << np.uint64(3 * bit + axis)
@@ -116,7 +116,7 @@ def _cut(
     errors: list[F64] = []
     rows = np.arange(len(codes), dtype=np.int64)
     for level in range(_LEVELS, -1, -1):
-        cells = codes[rows] >> np.uint64(3 * (_LEVELS + 3 - (level + 3)))
+        cells = codes[rows] >> np.uint64(3 * (_LEVELS - level))
         fresh = np.flatnonzero(np.concatenate([[True], cells[1:] != cells[:-1]]))
         sums = np.add.reduceat(sums, fresh, axis=0)
         rows = rows[fresh]
@@ -133,11 +133,12 @@ def _loss(sums: F64) -> F64:
     colour = sums[:, 1:4] / weight[:, None]
     speckle = np.maximum(sums[:, 4] / weight - (colour**2).sum(axis=1), 0)
     mean = sums[:, 5:8] / weight[:, None]
-    spread = np.zeros((len(sums), 3, 3))
-    for k, (a, b) in enumerate(_PAIRS):
-        spread[:, a, b] = spread[:, b, a] = sums[:, 8 + k] / weight - mean[:, a] * mean[:, b]
-    values = np.maximum(np.linalg.eigvalsh(spread), 0)
-    bent = values[:, 0] / np.maximum(values[:, 2], 1e-9)
+    # 27 det / trace³ of the covariance: 0 for a flat sheet, 1 for a ball
+    xx, xy, xz, yy, yz, zz = (
+        sums[:, 8 + k] / weight - mean[:, a] * mean[:, b] for k, (a, b) in enumerate(_PAIRS)
+    )
+    det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    bent = 27 * np.maximum(det, 0) / np.maximum(xx + yy + zz, 1e-9) ** 3
     return np.asarray(sums[:, 0] * (_EVEN + speckle + _ROUGH * bent))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -14,9 +13,8 @@ from gn0.missions.episode import Episode, MissionGoal
 from gn0.scenes.rooms import room_at
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action, Observation
+from gn0.viewer.live_map import PictureKind
 
-PictureKind = Literal["RGB", "depth", "BEV", "occupancy"]
-PICTURES: tuple[PictureKind, ...] = ("RGB", "depth", "BEV", "occupancy")
 WORDS = {
     Action.STOP: "stop",
     Action.FORWARD: "forward",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import itertools
 import json
 import os
 import re
@@ -151,6 +152,32 @@ HOSTILE = [
     "' onmouseover='document.documentElement.dataset.pwned=5' autofocus onfocus='x",
     '{{ 7*191 }}{% raw %}<iframe srcdoc="<script>parent.document.documentElement.dataset.pwned=6'
     '</script>">',
+    "<svg><script>document.documentElement.dataset.pwned='7'</script></svg>",
+    "<svg><animate onbegin=document.documentElement.dataset.pwned=8 attributeName=x dur=1s>",
+    "<math><mtext><style><img src=x onerror=document.documentElement.dataset.pwned=9></style>",
+    "<a href='javascript:document.documentElement.dataset.pwned=10' autofocus>x</a>",
+    "javascript:document.documentElement.dataset.pwned=11",
+    "data:text/html,<script>document.documentElement.dataset.pwned=12</script>",
+    "<base href='javascript:document.documentElement.dataset.pwned=13//'>",
+    "<meta http-equiv=refresh content='0;javascript:document.documentElement.dataset.pwned=14'>",
+    "<style>*{background:url(javascript:document.documentElement.dataset.pwned=15)}</style>",
+    "x}</style><style>body{display:none}#x{",
+    "expression(document.documentElement.dataset.pwned=16)",
+    "<details open ontoggle=document.documentElement.dataset.pwned=17><summary>x",
+    "<template><script>document.documentElement.dataset.pwned=18</script></template>",
+    "<noscript><p title='</noscript><img src=x onerror=document.documentElement.dataset.pwned=1>'>",
+    "<!--<img src='--><img src=x onerror=document.documentElement.dataset.pwned=20>'-->",
+    "]]><script>document.documentElement.dataset.pwned='21'</script><![CDATA[",
+    "<scr<script>ipt>document.documentElement.dataset.pwned='22'</scr</script>ipt>",
+    "\u003cscript\u003edocument.documentElement.dataset.pwned='23'\u003c/script\u003e",
+    "\\u003cimg src=x onerror=document.documentElement.dataset.pwned=24\\u003e",
+    "&lt;script&gt;document.documentElement.dataset.pwned=25&lt;/script&gt;",
+    "\u202etpircs\u202c<script>document.documentElement.dataset.pwned='26'</script>",
+    "${document.documentElement.dataset.pwned=27}`;document.documentElement.dataset.pwned=28;`",
+    "');document.documentElement.dataset.pwned=29;('",
+    "</video><video src=x onerror=document.documentElement.dataset.pwned=30 autoplay>",
+    "</title><textarea><object data='javascript:document.documentElement.dataset.pwned=31'>",
+    "\x1b]0;owned\x07\x1b[2J\x08\ufeff\u2028😀",
 ]
 
 
@@ -164,17 +191,21 @@ def hostile_page(
     episodes = [
         msgspec.structs.replace(
             e,
-            id=attack.replace("/", "∕"),
+            id=attack.replace("/", "∕").replace("\\", "⧵"),
             split=attack,
             mission=msgspec.structs.replace(e.mission, instruction=attack, category=attack),
         )
-        for e, attack in zip(own, HOSTILE, strict=True)
+        for e, attack in zip(itertools.cycle(own), HOSTILE, strict=False)
     ]
     suite = save_suite(
         root / "suite", [load_scene(flat_folder)], episodes, name=HOSTILE[3], version=HOSTILE[1],
         max_steps=60,
     )  # fmt: skip
     run_suite(suite, "random", root / "run")
+    summary = json.loads((root / "run" / "summary.json").read_text())
+    summary["policy"] = HOSTILE[0]  # whoever hands the folder on can write what they like
+    summary["protocol"] += [[attack, attack] for attack in HOSTILE]
+    (root / "run" / "summary.json").write_text(json.dumps(summary))
     return write_report(root / "run", videos=1)
 
 
@@ -185,7 +216,8 @@ def test_hostile_names_are_text(hostile_page: Path) -> None:
     assert not {"img", "iframe", "object", "embed", "base", "form", "link"} & {t for t, _ in tags}
     for _, attributes in tags:
         assert not any(name.startswith("on") for name in attributes)
-    assert "1337" not in text  # no template runs inside data
+    shown = re.sub(r"data:[^\"]+", "", text)
+    assert not re.search(r"(?<![\d.])1337(?![\d.])", shown), "no template runs inside data"
     assert html.escape(HOSTILE[0], quote=False).split("'")[0] in text
 
 
@@ -223,8 +255,10 @@ def test_hostile_names_run_no_script_even_without_the_content_policy(
     page = tmp_path / "page.html"
     page.write_text(text)
     dom = browse(page, tmp_path)
-    assert "6 of 6</output>" in dom, "our own script did run"
+    count = len(HOSTILE)
+    assert f"{count} of {count}</output>" in dom, "our own script did run"
     assert "data-pwned" not in dom
+    assert dom.count("<style") == 1, "and no style came in with the data"
 
 
 PROBE = """

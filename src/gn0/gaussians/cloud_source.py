@@ -55,7 +55,7 @@ class CloudSource:
         self.stream.seek(offset)
         parts, left = [], count
         while left:  # one read of an unbuffered file may give less
-            part = self.stream.read(min(left, 1 << 24))
+            part = self.stream.read(left)
             if not part:
                 raise self.refuse(f"file ended within {what}", offset, remedy=REFETCH)
             parts.append(part)

@@ -27,14 +27,16 @@ from gn0.gaussians.gltf_document import (
     find_rows,
     placed_meshes,
 )
-from gn0.gaussians.sh import MAX_DEGREE
+from gn0.gaussians.sh import MAX_DEGREE, sh_rotation
 from gn0.gaussians.transform import transform_cloud
-from gn0.geometry import F64
+from gn0.geometry import F32, F64
 
 EXTENSION = "KHR_gaussian_splatting"
 FRAME = "as in the PLY it was made of, usually x right, y down, z forward (glTF: x left, y up)"
 _TO_PLY = np.diag([-1.0, -1.0, 1.0, 1.0])
-_GLB_MAGIC, _JSON_CHUNK, _BIN_CHUNK = b"glTF", b"JSON", b"BIN\0"
+_SIGNS: F32 = np.diag(_TO_PLY)[:3].astype(np.float32)
+_SH_SIGNS: F32 = np.rint(np.diag(sh_rotation(_TO_PLY[:3, :3], MAX_DEGREE))).astype("f4")[:, None]
+_JSON_CHUNK, _BIN_CHUNK = b"JSON", b"BIN\0"
 _CHUNK_LIMIT = 1 << 25
 _TEXT_LIMIT = 1 << 30
 _INSTANCES = 16  # one set of splats may be placed so often before it looks like a bomb
@@ -317,11 +319,19 @@ def _put(
 
 def _place(cloud: GaussianCloud, matrix: F64, source: CloudSource) -> GaussianCloud:
     """A block of splats where its node puts it."""
+    if np.array_equal(matrix, _TO_PLY):  # no node in the way: nothing but signs
+        w, x, y, z = cloud.quats.T
+        return GaussianCloud(
+            cloud.means * _SIGNS,
+            np.stack([-z, -y, x, w], axis=1),
+            cloud.scales,
+            cloud.opacities,
+            cloud.sh * _SH_SIGNS[: cloud.sh.shape[1]],
+        )
     linear: F64 = matrix[:3, :3]
     scale = float(np.cbrt(np.linalg.det(linear)))
-    if not scale > 1e-30 or not np.allclose(
-        linear @ linear.T, np.eye(3) * scale**2, rtol=0, atol=1e-4 * scale**2
-    ):
+    rest = linear @ linear.T - np.eye(3) * scale**2
+    if not scale > 1e-30 or not (np.abs(rest) <= 1e-4 * scale**2).all():
         raise source.refuse(
             "a node mirrors, flattens or stretches its splats unevenly",
             field="nodes",

@@ -311,6 +311,54 @@ def test_a_hanging_policy_is_ended_soon_after_its_limit_and_shows_where_it_hung(
     assert "in misbehave" in about["episodes"][stuck[0].id]["traceback"]
 
 
+def test_a_policy_that_never_lets_go_of_the_interpreter_is_ended_too(
+    flats_suite: Suite, tmp_path: Path
+) -> None:
+    summary = run_odd(
+        flats_suite, tmp_path / "run", odd="grip", when="desk", max_episodes=6,
+        episode_time_limit=5.0,
+    )  # fmt: skip
+    stuck = [e for e in flats_suite.episodes[:6] if "desk" in e.instruction]
+    assert stuck and [r.episode for r in summary.failed] == [e.id for e in stuck]
+    assert summary.exit_code == 1 and summary.valid == 6 - len(stuck)
+    about = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert "in misbehave" in about["episodes"][stuck[0].id]["traceback"], "it shows where"
+
+
+def test_a_policy_that_eats_all_memory_costs_its_episodes_by_name(
+    flats_suite: Suite, tmp_path: Path
+) -> None:
+    summary = run_odd(flats_suite, tmp_path / "run", odd="gorge", when="desk", max_episodes=6)
+    stuck = {e.id for e in flats_suite.episodes[:6] if "desk" in e.instruction}
+    assert stuck and {r.episode for r in summary.failed} == stuck
+    for failure in summary.failed:
+        assert "MemoryError" in failure.reason or "was killed by SIG" in failure.reason
+    assert summary.valid == 6 - len(stuck)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_ctrl_c_ends_a_worker_that_never_lets_go_of_the_interpreter(
+    flats_suite: Suite, tmp_path: Path
+) -> None:
+    code = PARENT.replace('"pause": 0.001', '"odd": "grip", "when": ""').format(
+        plugin=str(PLUGIN), suite=str(flats_suite.folder), out=str(tmp_path / "run"), workers=2,
+        shuffle=1,
+    )  # fmt: skip
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stderr=subprocess.PIPE, start_new_session=True
+    )
+    until = time.monotonic() + 60
+    journal = tmp_path / "run" / "journal.jsonl"
+    while time.monotonic() < until and not (
+        journal.exists() and journal.read_bytes().count(b'"type": "lease"') == 2
+    ):
+        time.sleep(0.05)
+    workers = interrupt(process, tmp_path / "run", 0, 1.0, signal.SIGINT)
+    assert process.stderr is not None
+    process.stderr.close()
+    assert len(workers) == 2 and not wait_gone(workers, 5.0)
+
+
 def test_an_episode_that_breaks_once_gets_its_second_chance(
     flats_suite: Suite, unbroken: Path, tmp_path: Path
 ) -> None:

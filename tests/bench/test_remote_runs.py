@@ -166,6 +166,8 @@ def test_a_server_that_is_down_is_told_in_one_sentence(flats_suite: Suite, tmp_p
     with pytest.raises(PolicyError, match="no policy server at ws://127") as caught:
         ask(flats_suite, tmp_path, url, options={"connect_timeout": 0.5})
     assert "Traceback" not in str(caught.value) and "start it" in str(caught.value)
+    with serve_bare(walker) as other:  # a run that never began binds nobody to its address
+        assert ask(flats_suite, tmp_path, other, max_episodes=1).ok
 
 
 def test_a_server_that_dies_for_good_ends_the_run_which_goes_on_later(

@@ -148,10 +148,10 @@ def _in_frame(
     return out.reshape(h, w)
 
 
-def _flats(ctx: FigureContext) -> Iterator[tuple[int, str, Scene]]:
+def _flats(ctx: FigureContext, light: str = "normal") -> Iterator[tuple[int, str, Scene]]:
     for index, (seed, size) in enumerate(FLATS):
         ctx.progress("generating flats", index, len(FLATS))
-        settings = GenerateSettings(seed=seed, size=size)  # type: ignore[arg-type]
+        settings = GenerateSettings(seed=seed, size=size, light=light)  # type: ignore[arg-type]
         yield seed, size, build_apartment(settings, f"flat-{seed}")
 
 
@@ -255,7 +255,7 @@ def measure_frames(ctx: FigureContext) -> list[FigureRow]:
     total = {False: 0, True: 0}
     errors: list[FrameError] = []
     seconds: list[float] = []
-    for seed, _, scene in _flats(ctx):
+    for seed, _, scene in _flats(ctx, "draft"):
         for level in NOISE:
             cloud = bare(add_noise(scene.gaussians, level, seed))
             for name, axis in AXES.items():

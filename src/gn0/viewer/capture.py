@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 
 import numpy as np
@@ -195,10 +196,28 @@ def _map(scene: Scene, cloud: GaussianCloud) -> Image.Image:
     if isinstance(seed[0], (int, float)) and isinstance(seed[1], (int, float)):
         px, py = (seed[0] - x0) / step, (y1 - seed[1]) / step
         pen.ellipse((px - 6, py - 6, px + 6, py + 6), fill=(255, 255, 255), outline=INK, width=2)
+    _ticks(pen, image.size, (x0, y1), step)
     bar = 1.0 / step
     pen.line((12, image.height - 12, 12 + bar, image.height - 12), fill=INK, width=4)
     pen.text((16 + bar, image.height - 12), "1 m", font=font(14), fill=INK, anchor="lm")
     return image
+
+
+def _ticks(
+    pen: ImageDraw.ImageDraw, size: tuple[int, int], corner: tuple[float, float], step: float
+) -> None:
+    """Coordinates of the scene along the left and the top, for `--seed-point`."""
+    pace = next((p for p in (1, 2, 5, 10, 20, 50) if p / step >= 60), 100)
+    width, height = size
+    x0, y1 = corner
+    for value in range(math.ceil(x0 / pace) * pace, math.floor(x0 + width * step) + 1, pace):
+        px = (value - x0) / step
+        pen.line((px, 0, px, 6), fill=INK)
+        pen.text((px, 8), f"{value}", font=font(12), fill=INK, anchor="ma")
+    for value in range(math.ceil((y1 - height * step) / pace) * pace, math.floor(y1) + 1, pace):
+        py = (y1 - value) / step
+        pen.line((0, py, 6, py), fill=INK)
+        pen.text((9, py), f"{value}", font=font(12), fill=INK, anchor="lm")
 
 
 def _legend(pen: ImageDraw.ImageDraw, y: int) -> None:

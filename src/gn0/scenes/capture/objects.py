@@ -143,10 +143,12 @@ def _join(heights: NDArray[np.float64], body: NDArray[np.bool_]) -> NDArray[np.i
 
 
 def _category(mask: NDArray[np.bool_], top: float, filled: NDArray[np.float64], cell: float) -> str:
-    """A shape in words, from the height, the footprint and how hollow it is."""
+    """A shape in words, from the height, the footprint and how open its sides are."""
     sides = sorted(s * cell for s in mask.shape)
     area = float(mask.sum()) * cell**2
-    hollow = float(filled[mask].mean()) < 0.45
+    # scans see shells: what tells a table from a chest is whether its sides reach the floor
+    rim = mask & ~ndimage.binary_erosion(np.pad(mask, 1))[1:-1, 1:-1]
+    hollow = float(filled[rim].mean()) < 0.5
     if top <= 0.35:
         return "low object"
     if top <= 0.75 and sides[0] >= 1.2 and sides[1] >= 1.7:

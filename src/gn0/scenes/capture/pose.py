@@ -95,8 +95,7 @@ def propose_pose(cloud: GaussianCloud, settings: CaptureSettings) -> CapturePose
         evidence["floor"] = _floor_words(floor)
         if not floor.credible:
             raise SceneError(
-                f"no floor found: {evidence['floor']}",
-                where=f"up {name_direction(up)}",
+                f"no floor found with {name_direction(up)} up: the best is {evidence['floor']}",
                 remedy="an object on its own? `--floor bottom` puts it on flat ground; "
                 "wrong way up? give --up",
             )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gn0.errors import Gn0Error
+from gn0.errors import SceneError
 from gn0.gaussians.cloud_file import CloudFile
 from gn0.gaussians.files import load_cloud
 from gn0.geometry import quaternion_from_rotation
@@ -68,10 +68,8 @@ class SceneSourceCapture:
                 seed=told.seed_point,
                 ground=pose.ground,
             )
-        except Gn0Error as error:
-            if not error.where:
-                error.where = str(path)
-            raise
+        except SceneError as error:
+            raise SceneError(error.what, where=error.where or path, remedy=error.remedy) from None
         progress("finding things", 3, 4)
         labels = find_things(occupancy, settings.height_band, pose.walls)
         progress("finding things", 4, 4)

@@ -19,7 +19,7 @@ class Args(Config, frozen=True):
 
     Attributes:
         source: a splat file of any format, or the folder of an unbundled SOG.
-        out: the file to write: *.compressed.ply is packed (about 1 : 14 without SH), any other
+        out: the file to write: *.compressed.ply is packed to about a quarter, any other
             *.ply is plain.
         level: level of detail of a streamed SOG, 0 the finest.
         overwrite: replace the file if it exists.

@@ -197,6 +197,12 @@ CASES = {
                        d.update(scenes=[{"nodes": list(range(1000))}]))),
         "more than 16 copies",
     ),
+    "gltf, a million placements": (
+        glb(lambda d: (d.update(nodes=[{"mesh": 0}] * 1000),
+                       d.update(scenes=[{"nodes": list(range(1000))}]),
+                       d["meshes"][0].update(primitives=d["meshes"][0]["primitives"] * 1000))),
+        "more than 4096 primitives",
+    ),
     "gltf, web address": (
         glb(setting("buffers.0.uri", "https://example.org/a.bin")), "never fetched"
     ),
@@ -300,6 +306,10 @@ def test_streamed_sog_that_claims_twice(tmp_path):
         "used twice": {"tree": {"children": [{"lods": {"0": leaf}}, {"lods": {"0": leaf}}]}},
         "listed twice": {
             "filenames": ["0_0/meta.json"] * 2,
+            "tree": {"children": [{"lods": {"0": leaf}}, {"lods": {"0": leaf | {"file": 1}}}]},
+        },
+        "chunk is listed twice": {
+            "filenames": ["0_0/meta.json", "0_0/.//meta.json"],
             "tree": {"children": [{"lods": {"0": leaf}}, {"lods": {"0": leaf | {"file": 1}}}]},
         },
         "which has 10": {"tree": {"lods": {"0": leaf | {"offset": 9}}}},

@@ -11,7 +11,7 @@ back here, so that a cloud comes out as from the PLY it was made of.
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -40,6 +40,7 @@ _JSON_CHUNK, _BIN_CHUNK = b"JSON", b"BIN\0"
 _CHUNK_LIMIT = 1 << 25
 _TEXT_LIMIT = 1 << 30
 _INSTANCES = 16  # one set of splats may be placed so often before it looks like a bomb
+_PLACED_LIMIT = 4096  # primitives in a scene; real files have a handful
 _BLOCK = 1 << 15  # Gaussians
 
 
@@ -62,7 +63,6 @@ class _Splats:
     sh: tuple[GltfRows, ...]
     colours: GltfRows | None  # instead of SH
     matrix: F64
-    number: tuple[int, int]
 
     @property
     def degree(self) -> int:
@@ -182,12 +182,22 @@ def _find_splats(
 ) -> tuple[list[_Splats], list[str]]:
     """All placed splats, and notes on what is unusual about them."""
     placed: list[_Splats] = []
+    found: dict[tuple[int, int], _Splats] = {}
     others = 0
     notes: dict[str, None] = {}  # in order, each once
     for mesh, matrix in placed_meshes(document, source):
         for number, primitive in enumerate(document.meshes[mesh].primitives):
+            if len(placed) + others >= _PLACED_LIMIT:
+                raise source.refuse(
+                    f"the scene places more than {_PLACED_LIMIT} primitives",
+                    field="nodes",
+                    remedy="join its splats into one primitive",
+                )
             if EXTENSION not in primitive.extensions:
                 others += 1
+                continue
+            if (mesh, number) in found:
+                placed.append(replace(found[mesh, number], matrix=_TO_PLY @ matrix))
                 continue
             splatting = decode_json(
                 primitive.extensions[EXTENSION], _Splatting, source.file, EXTENSION
@@ -204,8 +214,8 @@ def _find_splats(
             if splatting.colorSpace != "srgb_rec709_display":
                 space = splatting.colorSpace[:40]
                 notes[f"colours are {space!r}, not sRGB, and were taken as they are"] = None
-            number_of = (mesh, number)
-            splats = _primitive(document, buffers, primitive, matrix, number_of, source)
+            splats = _primitive(document, buffers, primitive, matrix, source)
+            found[mesh, number] = splats
             if splats.colours is not None:
                 notes["no SH: colours were taken from COLOR_0"] = None
             placed.append(splats)
@@ -215,7 +225,7 @@ def _find_splats(
             field="meshes",
             remedy="pass a splat file; a mesh must first be sampled or trained",
         )
-    distinct = sum({splats.number: splats.means.count for splats in placed}.values())
+    distinct = sum(splats.means.count for splats in found.values())
     total = sum(splats.means.count for splats in placed)
     if total > _INSTANCES * distinct:
         raise source.refuse(
@@ -232,7 +242,6 @@ def _primitive(
     buffers: list[GltfBuffer],
     primitive: GltfPrimitive,
     matrix: F64,
-    number: tuple[int, int],
     source: CloudSource,
 ) -> _Splats:
     """The rows of one primitive, all of one length."""
@@ -269,7 +278,6 @@ def _primitive(
         sh=tuple(sh),
         colours=colours,
         matrix=_TO_PLY @ matrix,
-        number=number,
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -77,11 +78,14 @@ def decode_sog_streamed(source: CloudSource) -> CloudFile:
             f"more than the {source.limit_bytes} allowed here",
             remedy="choose a coarser level, or raise the limit",
         )
+    paths = {number: _chunk_path(source, index.filenames[number]) for number in parts}
+    if len({path.resolve() for path in paths.values()}) < len(paths):
+        raise source.refuse("the same chunk is listed twice", field="filenames")
     clouds: list[GaussianCloud] = []
     stored = dropped = degree = 0
     size = source.size
     for number, runs in sorted(parts.items()):
-        chunk = _load_chunk(source, index.filenames[number])
+        chunk = _load_chunk(source, paths[number])
         size += chunk.size
         stored += sum(part.count for part in runs)
         degree = max(degree, chunk.sh_degree)
@@ -128,9 +132,6 @@ def _parts_of_level(index: _Index, level: int, source: CloudSource) -> dict[int,
         parts.setdefault(part.file, []).append(part)
     if len(parts) > _CHUNKS_LIMIT:
         raise source.refuse(f"level {level} has {len(parts)} chunks", field="filenames")
-    used = [index.filenames[number] for number in parts]
-    if len(set(used)) < len(used):
-        raise source.refuse("the same chunk is listed twice", field="filenames")
     for number, runs in parts.items():
         runs.sort(key=lambda part: part.offset)
         if any(b.offset < a.offset + a.count for a, b in pairwise(runs)):
@@ -140,8 +141,8 @@ def _parts_of_level(index: _Index, level: int, source: CloudSource) -> dict[int,
     return parts
 
 
-def _load_chunk(source: CloudSource, name: str) -> CloudFile:
-    """The SOG folder of one chunk."""
+def _chunk_path(source: CloudSource, name: str) -> Path:
+    """The meta.json of one chunk, which is there and within the folder."""
     try:
         path = safe_join(source.file.parent, name)
     except StorageError as error:
@@ -154,6 +155,11 @@ def _load_chunk(source: CloudSource, name: str) -> CloudFile:
         )
     if path.name.lower().endswith(".sog"):
         raise source.refuse(f"chunk {name!r} is a bundle; streamed SOG has folders")
+    return path
+
+
+def _load_chunk(source: CloudSource, path: Path) -> CloudFile:
+    """The SOG folder of one chunk."""
     try:
         with path.open("rb", buffering=0) as stream:
             size = min(path.stat().st_size, META_LIMIT + 1)

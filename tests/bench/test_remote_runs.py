@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from gn0.bench import runner
+from gn0.bench.executors import next_worker
 from gn0.bench.results import RunSummary, load_results, load_summary
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite
@@ -81,6 +82,34 @@ def test_a_run_asks_a_server_and_says_so_on_its_card(flats_suite: Suite, tmp_pat
     assert card["policy"] == "remote" and card["the policy sees"] == "ranges"
     assert "no pose sent" in card["remote policy"] and "'test'" in card["remote policy"]
     assert all(b'"notes"' not in line for line in outputs(tmp_path / "one").values())
+
+
+def test_a_successor_takes_over_the_place_of_the_worker_it_replaces() -> None:
+    workers = {number: next_worker(number, {}) for number in (4,)}
+    for number in (5, 6):
+        workers[number] = next_worker(number, workers)
+    assert [worker.slot for worker in workers.values()] == [0, 1, 2]
+    del workers[5]
+    assert next_worker(7, workers).slot == 1
+
+
+def test_each_worker_asks_a_server_of_its_own(flats_suite: Suite, tmp_path: Path) -> None:
+    """One port a worker, as the released harness is run."""
+    asked: dict[int, int] = {0: 0, 1: 0}
+
+    def counted(which: int) -> Any:
+        def handle(connection: Any) -> None:
+            asked[which] += 1
+            walker(connection)
+
+        return handle
+
+    with serve_bare(counted(0)) as one, serve_bare(counted(1)) as two:
+        ports = [int(url.rpartition(":")[2]) for url in (one, two)]
+        summary = ask(
+            flats_suite, tmp_path, one, workers=2, max_episodes=6, options={"ports": ports}
+        )
+    assert summary.ok and asked == {0: 1, 1: 1}
 
 
 def test_what_was_odd_is_counted_in_results(flats_suite: Suite, tmp_path: Path) -> None:

@@ -121,6 +121,7 @@ class PolicyRemote:
         parts = [f"at most {self.action_num} actions of an answer are carried out"]
         parts.append(f"moves refer to the heading at {self.translation_frame}")
         parts.append("pose sent with each question" if self.send_pose else "no pose sent")
+        parts.append("the server is told the episode's id")
         if self.greeting.extended:
             named = f" of {self.greeting.name!r}" if self.greeting.name else ""
             parts.append(f"extension v1{named}")

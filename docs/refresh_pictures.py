@@ -42,11 +42,51 @@ def shoot(page: Path, out: Path, width: int, height: int) -> None:
         Image.open(png).convert("RGB").save(out, quality=88)
 
 
+def shoot_view(arguments: list[str], out: Path, keys: str, done: str) -> None:
+    """A picture of the live view after some keys, once the page says `done`."""
+    from gn0.figures.view import running_view
+    from gn0.testing.browser import find_browser, open_browser
+
+    if find_browser() is None:
+        sys.stderr.write(f"no Chromium here: {out} is kept as it was\n")
+        return
+    wait = 300.0
+    with (
+        open_browser(width=1320, height=800) as page,
+        running_view(*arguments, "--splats", "120000") as (url, _),
+    ):
+        page.navigate(url)
+        page.wait_for("window.gn0Frames > 0", wait=wait, what="splats drawn")
+        page.wait_for("/yaw|outcome/.test(document.body.innerText)", wait=wait, what="the page")
+        page.wait_for("document.querySelectorAll('img[src^=blob]').length >= 2", wait=wait)
+        for key in keys:
+            page.press(key, "Space" if key == " " else f"Key{key.upper()}")
+        page.wait_for(done, wait=wait, what=done)
+        if " " in keys:
+            page.press(" ", "Space", key_code=32)
+        page.evaluate(
+            "document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())"
+        )
+        frames = page.evaluate("window.gn0Frames")
+        page.wait_for(f"window.gn0Frames > {frames} + 3", wait=wait, what="more frames")
+        picture = Image.fromarray(page.screenshot())
+    picture.quantize(256, dither=Image.Dither.FLOYDSTEINBERG).save(out, optimize=True)
+
+
 def main(demo: Path, sheets: list[Path]) -> None:
     """Refresh everything."""
     for picture in sorted((demo / "pictures").glob("*.jpg")):
         shutil.copyfile(picture, PICTURES / picture.name)
     shoot(demo / "report.html", PICTURES / "report.jpg", 1300, 1250)
+    shoot_view(
+        [str(demo / "apartment")], PICTURES / "view.png", "iiijjiiii",
+        "/step 9/.test(document.body.innerText)",
+    )  # fmt: skip
+    shoot_view(
+        [str(demo / "runs" / name) for name in ("oracle", "wall_follower", "random")],
+        PICTURES / "replay.png", " ",
+        "[...document.querySelectorAll('input')].some(i => +i.value >= 24 && +i.value < 900)",
+    )  # fmt: skip
     for sheet in sheets:
         Image.open(sheet).convert("RGB").save(PICTURES / f"{sheet.stem}.jpg", quality=88)
 

@@ -87,6 +87,8 @@ def running_view(*arguments: str) -> Iterator[tuple[str, float]]:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
 
 
 def wait_for_picture(page: BrowserPage, wait: float = 120.0) -> None:

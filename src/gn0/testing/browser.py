@@ -175,7 +175,7 @@ class BrowserPage:
         return result["result"].get("value")
 
     def wait_for(self, condition: str, *, wait: float = WAIT_SECONDS, what: str = "") -> Any:
-        """Wait until a JavaScript expression is truthy, and return its value.
+        """Wait until a JavaScript expression, or its promise, is truthy; return its value.
 
         The page itself looks again after every 20 ms of its own time.
 
@@ -184,9 +184,9 @@ class BrowserPage:
         """
         script = f"""new Promise(done => {{
             const end = performance.now() + {1000 * wait:.0f};
-            const look = () => {{
+            const look = async () => {{
                 let value = null;
-                try {{ value = ({condition}); }} catch (error) {{ value = null; }}
+                try {{ value = await ({condition}); }} catch (error) {{ value = null; }}
                 if (value) done(value);
                 else if (performance.now() > end) done(null);
                 else setTimeout(look, 20);

@@ -277,7 +277,7 @@ class SceneView:
 
     def _floor_at(self, origin: Any, direction: Any) -> tuple[float, float] | None:
         """The floor point [m] that a ray meets first, going by the full cloud; None: no floor."""
-        if direction[2] >= -1e-6:
+        if direction[2] >= -1e-6 or origin[2] <= 0:
             return None
         floor = origin + direction * (-origin[2] / direction[2])
         spot = (float(floor[0]), float(floor[1]))

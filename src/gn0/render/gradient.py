@@ -23,6 +23,7 @@ F = np.float32
 SUM_H, SUM_HX, SUM_HY, SUM_HXX, SUM_HXY, SUM_HYY, SUM_RED = 0, 1, 2, 3, 4, 5, 6
 SUMS = 9
 _ROW = 5 * TILE  # transmittance, then colour (pass 1) or gradient (pass 2), then g·C still behind
+_CHECK = 16  # splats between looks for finished rows
 _ONE, _ZERO, _TWO = F(1.0), F(0.0), F(2.0)
 _CAP, _STOP = F(ALPHA_CAP), F(TRANSMITTANCE_STOP)
 
@@ -39,8 +40,10 @@ def sort_tiles(tile_rows, tile_keys, spare_rows, spare_keys, starts, indices, re
 
 
 @njit(error_model="numpy")
-def _blend(acc, y0, y1, q0, qx, qy, dy0, qk, log_o, red, green, blue):  # type: ignore[no-untyped-def]
+def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue):  # type: ignore[no-untyped-def]
     for r in range(y0, y1):
+        if (live >> r) & 1 == 0:
+            continue
         dy = dy0 + F(r)
         start = q0 + qy * dy
         k0 = log_o - qk * dy * dy
@@ -63,10 +66,12 @@ def _blend(acc, y0, y1, q0, qx, qy, dy0, qk, log_o, red, green, blue):  # type: 
 
 
 @njit(error_model="numpy")
-def _unblend(acc, y0, y1, q0, qx, qy, dx0, dy0, qk, log_o, red, green, blue, lanes):  # type: ignore[no-untyped-def]
+def _unblend(acc, y0, y1, live, q0, qx, qy, dx0, dy0, qk, log_o, red, green, blue, lanes):  # type: ignore[no-untyped-def]
     """Sums of one splat in a tile, one lane a column: `lanes` [SUMS * TILE]."""
     lanes[:] = _ZERO
     for r in range(y0, y1):
+        if (live >> r) & 1 == 0:
+            continue
         dy = dy0 + F(r)
         start = q0 + qy * dy
         k0 = log_o - qk * dy * dy
@@ -102,6 +107,19 @@ def _unblend(acc, y0, y1, q0, qx, qy, dx0, dy0, qk, log_o, red, green, blue, lan
             lanes[6 * TILE + j] += w * row[1 * TILE + j]
             lanes[7 * TILE + j] += w * row[2 * TILE + j]
             lanes[8 * TILE + j] += w * row[3 * TILE + j]
+
+
+@njit(error_model="numpy")
+def _still_live(acc, live, lines):  # type: ignore[no-untyped-def]
+    """The rows of `live` that have a pixel whose transmittance has not ended."""
+    for r in range(lines):
+        if (live >> r) & 1:
+            highest = -_ONE
+            for j in range(TILE):
+                highest = max(highest, acc[r * _ROW + j])
+            if highest < _ZERO:
+                live &= ~(1 << r)
+    return live
 
 
 @njit(error_model="numpy")
@@ -153,6 +171,8 @@ def sum_entries(  # type: ignore[no-untyped-def]
         for second in range(2):
             if second:
                 errors[t] = _turn_round(acc, x_px, y_px, columns, lines, target, scale)
+                sums[begin : begin + rows.shape[0]] = _ZERO
+            live = (1 << lines) - 1
             for first in range(0, rows.shape[0], BATCH):
                 size = min(BATCH, rows.shape[0] - first)
                 gather_batch(records, rows[first : first + size], x_px, y_px, o, reach)
@@ -163,14 +183,23 @@ def sum_entries(  # type: ignore[no-untyped-def]
                     log_o, q0 = o[5 * BATCH + b], qx * dx0
                     red, green, blue = o[6 * BATCH + b], o[7 * BATCH + b], o[8 * BATCH + b]
                     if not second:
-                        _blend(acc, y0, y1, q0, qx, qy, dy0, qk, log_o, red, green, blue)
-                        continue
-                    _unblend(acc, y0, y1, q0, qx, qy, dx0, dy0, qk, log_o, red, green, blue, lanes)
-                    for k in range(SUMS):
-                        value = _ZERO
-                        for j in range(TILE):
-                            value += lanes[k * TILE + j]
-                        sums[begin + first + b, k] = value
+                        _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue)
+                    else:
+                        _unblend(
+                            acc, y0, y1, live, q0, qx, qy, dx0, dy0, qk, log_o, red, green, blue,
+                            lanes,
+                        )  # fmt: skip
+                        for k in range(SUMS):
+                            value = _ZERO
+                            for j in range(TILE):
+                                value += lanes[k * TILE + j]
+                            sums[begin + first + b, k] = value
+                    if (b & (_CHECK - 1)) == _CHECK - 1:
+                        live = _still_live(acc, live, lines)
+                        if live == 0:
+                            break
+                if live == 0:
+                    break
 
 
 @njit(parallel=True)

@@ -13,7 +13,8 @@ from gn0.config import Config
 
 EXAMPLES = """  gn0 scene generate --kind apartment --seed 7 --out out/flat
   gn0 scene generate --seed 11 --size large --density 20000 --out out/sharp
-  gn0 scene generate --seed 3 --size small --density 5000 --light draft --out out/quick"""
+  gn0 scene generate --seed 3 --size small --density 5000 --light draft --out out/quick
+  gn0 scene generate --seed 7 --density 20000 --refine --out out/photo"""
 
 
 class Args(Config, frozen=True):
@@ -27,6 +28,8 @@ class Args(Config, frozen=True):
         style: taste of the furnishing; drawn from the seed by default.
         density: Gaussians per square metre of floor, 5000 fast to 20000 sharp.
         light: normal, or draft for a quicker bake.
+        refine: fit the Gaussians to ray-traced pictures; outlines come out sharper (about 5 dB), for
+            some minutes of work.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
     """
@@ -38,6 +41,7 @@ class Args(Config, frozen=True):
     style: Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"] | None = None
     density: Annotated[float, msgspec.Meta(ge=5000, le=20000)] = 10_000.0
     light: Literal["normal", "draft"] = "normal"
+    refine: bool = False
     packed: bool = False
     overwrite: bool = False
 
@@ -56,6 +60,7 @@ def run(args: Args) -> int:
         density=args.density,
         light=args.light,
         cloud_form="packed" if args.packed else "exact",
+        refine=args.refine,
     )
     with draw_progress() as progress:
         scene = generate_scene(settings, args.out, overwrite=args.overwrite, progress=progress)

@@ -1,0 +1,80 @@
+"""The overlay shows what it says: paths over the map, red where they leave the floor."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from PIL import Image
+
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import Episode
+from gn0.missions.goal import sample_goal_episodes
+from gn0.render.renderer import Renderer, build_renderer
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.scene import Scene
+from gn0.viewer.overlay import BLOCKED_PATH, GOAL, PATH, START, render_overlay, render_paths
+
+
+@pytest.fixture(scope="module")
+def room() -> Scene:
+    return build_example_scene()
+
+
+@pytest.fixture(scope="module")
+def renderer(room: Scene) -> Renderer:
+    return build_renderer(room.gaussians, "cpu")
+
+
+@pytest.fixture(scope="module")
+def episode(room: Scene) -> Episode:
+    return sample_goal_episodes(room, NavigationMap(room.grid), 1, 0, minimum_length=2.0)[0]
+
+
+def amount(picture: Image.Image, colour: tuple[int, int, int]) -> int:
+    near = np.abs(np.asarray(picture, np.int64) - colour).max(axis=2) < 12
+    return int(near.sum())
+
+
+def test_a_good_path_is_blue_from_start_to_goal(
+    room: Scene, renderer: Renderer, episode: Episode
+) -> None:
+    picture = render_overlay(room, [episode], renderer, width=700)
+    assert amount(picture, PATH) > 200 and amount(picture, BLOCKED_PATH) == 0
+    assert amount(picture, START) > 80 and amount(picture, GOAL) > 40
+
+
+def test_what_leaves_the_floor_is_red(room: Scene, renderer: Renderer, episode: Episode) -> None:
+    x0, y0, x1, _ = room.grid.bounds
+    through = msgspec.structs.replace(episode, path=((x0 - 0.2, y0 + 1.0), (x1 + 0.2, y0 + 1.0)))
+    picture = render_overlay(room, [through], renderer, width=700)
+    assert amount(picture, BLOCKED_PATH) > 50
+
+
+def test_the_same_episode_is_the_same_picture_and_rooms_can_be_left_out(
+    room: Scene, renderer: Renderer, episode: Episode
+) -> None:
+    first = render_overlay(room, [episode], renderer, width=600)
+    again = render_overlay(room, [episode], renderer, width=600)
+    bare = render_overlay(room, [episode], renderer, width=600, rooms=False)
+    assert first.tobytes() == again.tobytes()
+    assert (first.tobytes() != bare.tobytes()) == bool(room.rooms)
+
+
+def test_captions_grow_the_picture_whatever_they_hold(
+    room: Scene, renderer: Renderer, episode: Episode
+) -> None:
+    text = msgspec.structs.replace(episode.mission, instruction="走到 „sofa“ \x00 " + "word " * 80)
+    long = msgspec.structs.replace(episode, mission=text)
+    short = render_overlay(room, [episode], renderer, width=600)
+    tall = render_overlay(room, [long], renderer, width=600, caption=["a line more"])
+    assert tall.size[1] > short.size[1] and tall.size[0] == short.size[0]
+    many = render_overlay(room, [episode, long], renderer, width=600)
+    assert amount(many, PATH) > 100
+
+
+def test_paths_without_a_map() -> None:
+    straight = np.array([[0.0, 0.0], [3.0, 4.0]])
+    picture = render_paths([straight, straight + 1.0], width=300)
+    assert amount(picture, PATH) > 100 and max(picture.size) <= 301
+    assert render_paths([]).size[0] > 0 and render_paths([np.array([[1.0, 1.0]])]).size[0] > 0

@@ -7,6 +7,7 @@ for a length of time; every wait has a limit, so a page that hangs fails by name
 from __future__ import annotations
 
 import base64
+import contextlib
 import inspect
 import io
 import json
@@ -289,6 +290,9 @@ def open_browser(
                     page.call(f"{domain}.enable")
                 page.resize(width, height)
                 yield page
+                with contextlib.suppress(StorageError):
+                    page.call("Page.navigate", url="about:blank", wait=5.0)  # drops what it drew
+                    whole.call("Browser.close", wait=5.0)
         finally:
             process.terminate()
             try:

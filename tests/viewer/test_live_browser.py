@@ -1,0 +1,172 @@
+"""The live view in a real browser: what is clicked happens, what is hostile does not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gn0.bench.runner import run_suite
+from gn0.bench.suite import build_suite
+from gn0.figures.view import running_view
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import save_scene
+from gn0.testing.browser import BrowserPage, find_browser, open_browser
+from gn0.viewer.live_server import open_server
+from gn0.viewer.live_text import name_line, plain
+
+pytest.importorskip("viser")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.skipif(find_browser() is None, reason="no Chromium on this machine"),
+]
+HOSTILE = (
+    "<script>window.gn0Hacked=1</script>",
+    "<img src=x onerror=window.gn0Hacked=1>",
+    "<iframe srcdoc='<script>parent.gn0Hacked=1</script>'></iframe>",
+    "[click](javascript:window.gn0Hacked=1)",
+    '![x](x" onerror="window.gn0Hacked=1)',
+    "<svg onload=window.gn0Hacked=1></svg>",
+    "</div><style>*{display:none}</style>",
+    "{window.gn0Hacked=1} ~~gone~~ __under__ *star* `code` | cell | &lt;b&gt;",
+)
+BLOBS = """document.querySelectorAll('img[src^="blob:"]')"""
+PICTURE = f"""(async () => {{
+  let sum = 7;
+  for (const image of [...{BLOBS}]) {{
+    const bytes = new Uint8Array(await (await fetch(image.src)).arrayBuffer());
+    for (const byte of bytes) sum = (sum * 31 + byte) % 2147483647;
+  }}
+  return sum;
+}})()"""
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory) -> Path:
+    """A small scene whose objects and rooms have names with a purpose."""
+    folder = tmp_path_factory.mktemp("view") / "flat"
+    scene = build_example_scene(spacing=0.1)
+    objects = tuple(
+        replace_struct(thing, category=HOSTILE[i % len(HOSTILE)])
+        for i, thing in enumerate(scene.objects)
+    )
+    rooms = tuple(
+        replace_struct(room, type=HOSTILE[1 + i % 2]) for i, room in enumerate(scene.rooms)
+    )
+    save_scene(replace(scene, objects=objects, rooms=rooms), folder)
+    return folder
+
+
+def replace_struct(value, **changes):
+    import msgspec
+
+    return msgspec.structs.replace(value, **changes)
+
+
+@pytest.fixture(scope="module")
+def page():
+    with open_browser(width=720, height=480) as found:
+        yield found
+
+
+def press_button(page: BrowserPage, text: str) -> None:
+    """Click a button of the panel, where it is on the page."""
+    x, y = page.wait_for(
+        f"""(() => {{
+            const all = [...document.querySelectorAll('button')];
+            const one = all.find(b => b.textContent.trim() === {text!r});
+            if (!one) return null;
+            one.scrollIntoView({{block: 'center'}});
+            const box = one.getBoundingClientRect();
+            return [box.x + box.width / 2, box.y + box.height / 2];
+        }})()""",
+        what=f"a button {text!r}",
+    )
+    page.click(x, y)
+
+
+def words(page: BrowserPage) -> str:
+    return page.evaluate("document.body.innerText")
+
+
+def test_a_click_moves_the_agent(flat, page):
+    with running_view(str(flat), "--splats", "2000") as (url, _):
+        page.navigate(url)
+        page.wait_for("window.gn0Frames > 0", what="splats drawn")
+        page.wait_for("/step 0/.test(document.body.innerText)", what="the agent", wait=120)
+        page.wait_for(f"{BLOBS}.length >= 2", what="pictures")
+        before, picture = words(page), page.evaluate(PICTURE)
+        press_button(page, "left")
+        page.wait_for("/step 1: turn left/.test(document.body.innerText)")
+        page.wait_for(f"(async () => await {PICTURE} !== {picture})()")
+        yaw = [line for line in words(page).splitlines() if "yaw" in line]
+        assert yaw and yaw != [line for line in before.splitlines() if "yaw" in line]
+        page.press("i", "KeyI")
+        page.wait_for("/step 2: forward/.test(document.body.innerText)", what="the key")
+        for _ in range(40):
+            page.press("i", "KeyI")
+        page.wait_for("/Bump/.test(document.body.innerText)", what="a wall")
+        frames = page.evaluate("window.gn0Frames")
+        page.press("c", "KeyC")
+        page.wait_for(f"window.gn0Frames > {frames}", what="the agent's eyes drawn")
+        assert page.evaluate("window.gn0Hacked") is None
+        assert page.failures == [] and page.dialogs == []
+        # visitors come and go; the agent stays where it is
+        status = [line for line in words(page).splitlines() if "yaw" in line]
+        page.navigate("about:blank")
+        page.navigate(url)
+        page.wait_for("/yaw/.test(document.body.innerText)", what="the page again")
+        assert [line for line in words(page).splitlines() if "yaw" in line] == status
+
+
+def test_hostile_names_are_shown_and_do_not_run(page):
+    with open_server(port=0) as live:
+        gui = live.viser.gui
+        for text in HOSTILE:
+            gui.add_markdown("**name:** " + plain(text))
+            gui.add_dropdown(name_line(text, 30), [name_line(text), "b"])
+        for number, text in enumerate(HOSTILE):
+            live.viser.scene.add_label(f"/labels/{number}", name_line(text, 40))
+        page.navigate(live.url)
+        page.wait_for("document.body.innerText.includes('gn0Hacked')", what="the names")
+        page.wait_for(f"document.body.innerText.split('name:').length > {len(HOSTILE)}")
+        shown = " ".join(words(page).split())
+        for text in HOSTILE:
+            assert " ".join(text.split()) in shown
+        assert page.evaluate("window.gn0Hacked") is None
+        assert page.evaluate("document.querySelectorAll('iframe, svg[onload]').length") == 0
+        hrefs = page.evaluate("[...document.querySelectorAll('a')].map(a => a.href)")
+        assert not any(href.startswith("javascript:") for href in hrefs)
+        assert page.dialogs == []
+
+
+def test_a_replay_plays_to_its_end(flat, page, tmp_path):
+    suite = build_suite([flat], tmp_path / "suite", count=1, seed=1, max_steps=12)
+    folders = [tmp_path / "oracle", tmp_path / "random"]
+    for folder in folders:
+        run_suite(suite, folder.name, folder, workers=1)
+    with running_view(*map(str, folders), "--splats", "2000") as (url, _):
+        page.navigate(url)
+        page.wait_for("window.gn0Frames > 0", what="splats drawn")
+        page.wait_for("/outcome/.test(document.body.innerText)", what="the scores")
+        page.wait_for(f"{BLOBS}.length >= 2", what="pictures")
+        picture = page.evaluate(PICTURE)
+        page.press(" ", "Space", key_code=32)
+        page.wait_for("/Pause/.test(document.body.innerText)", what="playing")
+        page.wait_for("/Play/.test(document.body.innerText)", what="the end")
+        page.wait_for(f"(async () => await {PICTURE} !== {picture})()", what="other pictures")
+        assert page.failures == []
+        assert page.evaluate("window.gn0Hacked") is None
+
+
+def test_check_ends_by_itself_and_a_stranger_is_told_no(flat):
+    done = subprocess.run(
+        [sys.executable, "-m", "gn0", "view", str(flat), "--check", "--port", "0"],
+        capture_output=True, text=True, timeout=240,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "the page is ready" in done.stdout and "?secret=" in done.stdout

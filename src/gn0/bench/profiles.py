@@ -111,4 +111,3 @@ def profile_settings(profile: str) -> dict[str, Any]:
 def release_order(seed: int, episode_id: str) -> tuple[str, str]:
     """Sort key of the official harness: the row number, which an import keeps as seed, as text."""
     return str(seed), episode_id
-

@@ -237,7 +237,8 @@ class PoolRay:
                 where="--executor ray",
                 remedy="install the same gn0 on every machine",
             )
-        self._checked.add(number)
+        if there:  # a host too busy to answer is asked again at its next word
+            self._checked.add(number)
 
     def pids(self, worker: Worker) -> tuple[int, int]:
         """Process ids of a worker's host and of the worker itself, on their machine."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium
+import msgspec
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
@@ -14,7 +17,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
 from gn0.render.cpu import RendererCpu
 from gn0.sim.batch import SimulatorBatch
-from gn0.sim.batch_tables import turns_a_circle
+from gn0.sim.batch_tables import MAPS_KEPT, turns_a_circle
 from gn0.sim.env import ENVIRONMENTS, GoalNavEnv
 from gn0.sim.open import open_simulator
 from gn0.sim.sensors import SensorConfig, SensorSuite
@@ -286,8 +289,6 @@ class EyeCounting:
 def rooms():
     """The flat twice, as two scenes."""
     flat = build_room_scene()
-    from dataclasses import replace
-
     return [replace(flat, id=name) for name in ("left", "right")]
 
 
@@ -401,3 +402,39 @@ def test_render_gives_the_colour_pictures() -> None:
     first, second = env.render()
     assert first.shape == second.shape == (224, 224, 3)
     env.close()
+
+
+def test_hundreds_of_scenes_are_read_once_each_and_share_their_maps() -> None:
+    """Only scenes that are drawn are read; what is kept of a scene is a few bytes a cell."""
+    grid = build_floor_plan(4, width=4.0, depth=4.0, clutter=2)
+    scenes = {f"plan-{k}": build_map_scene(grid, f"plan-{k}") for k in range(200)}
+    some = build_point_episodes(scenes["plan-0"], NavigationMap(grid, 0.2), 2)
+    episodes = [replace_scene(e, name) for e in some for name in scenes]
+    loads: dict[str, int] = {}
+
+    def get(name: str):
+        loads[name] = loads.get(name, 0) + 1
+        return scenes[name]
+
+    batch = SimulatorBatch(
+        50, {name: (lambda n=name: get(n)) for name in scenes}, SensorConfig(), field_memory=2**20
+    )
+    numbers = batch.table.add(episodes)
+    assert not loads
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        batch.place(np.arange(50), rng.choice(numbers[:-2], 50))
+        batch.step(rng.integers(0, 4, 50))
+    assert len(loads) >= 198
+    assert set(loads.values()) == {1}
+    cells = len(loads) * grid.cells.size
+    packed = batch.table.maps.arrays
+    assert packed.blocked.nbytes + packed.compact.nbytes == 5 * cells
+    assert batch.table.fields.labels.nbytes <= 2**20
+    assert batch.table.fields_built > len(batch.table.episodes)  # dropped and built again
+    assert len(batch.table.maps._kept) == MAPS_KEPT
+
+
+def replace_scene(episode, name: str):
+    """The episode in another scene."""
+    return msgspec.structs.replace(episode, scene_id=name, id=f"{name}-{episode.id[-1]}")

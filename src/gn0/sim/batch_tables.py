@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from gn0.errors import EpisodeError, SceneError, SimError
 from gn0.geometry import F64, wrap_angle
 from gn0.maps.distance import GeodesicMap
+from gn0.maps.grid import OccupancyGrid
+from gn0.maps.inflate import inflate
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, check_episode
 from gn0.scenes.scene import Scene
@@ -27,7 +29,7 @@ from gn0.sim.collision import check_places
 from gn0.sim.kinematics import heading_yaw
 
 CIRCLE_LIMIT = 3600  # turns in a full circle
-MAPS_KEPT = 16  # navigation maps held beside their packed copies
+MAPS_KEPT = 32  # maps held with corners and regions, beside the packed copies of all
 
 
 def turns_a_circle(turn_degrees: float) -> int:
@@ -84,28 +86,45 @@ class MapTable:
         return list(self._index)
 
     def open(self, scene_id: str) -> tuple[NavigationMap, GeodesicMap]:
-        """The navigation map of a scene; the latest few are kept.
+        """The ground of a scene, inflated, and its corners; the latest few are kept.
 
         Raises:
             EpisodeError: no such scene here.
             SceneError: nothing is walkable for this agent.
         """
         if scene_id not in self._kept:
-            if scene_id not in self._scenes:
-                raise EpisodeError(f"scene {scene_id!r} is not here", remedy="open it with scene=")
-            scene = self._scenes[scene_id]()
-            navigation = NavigationMap(scene.grid, self._radius)
-            if not navigation.inflated.free_area:
-                raise SceneError(
-                    f"nothing is walkable for an agent of radius {self._radius:g} m",
-                    where=scene.path or scene.id,
-                    remedy="run `gn0 scene check`, or use a slimmer agent",
-                )
-            self._kept[scene_id] = (navigation, GeodesicMap(navigation.inflated))
+            if scene_id in self._index:
+                grid = self._unpack(self._index[scene_id])  # no need to read the scene again
+            else:
+                grid = self._load(scene_id)
+            ground = NavigationMap(grid, 0.0)  # is inflated already
+            self._kept[scene_id] = (ground, GeodesicMap(ground.inflated))
             while len(self._kept) > MAPS_KEPT:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(scene_id)
         return self._kept[scene_id]
+
+    def _load(self, scene_id: str) -> OccupancyGrid:
+        """The inflated map of a scene."""
+        if scene_id not in self._scenes:
+            raise EpisodeError(f"scene {scene_id!r} is not here", remedy="open it with scene=")
+        scene = self._scenes[scene_id]()
+        grid = inflate(scene.grid, self._radius)
+        if not grid.free_area:
+            raise SceneError(
+                f"nothing is walkable for an agent of radius {self._radius:g} m",
+                where=scene.path or scene.id,
+                remedy="run `gn0 scene check`, or use a slimmer agent",
+            )
+        return grid
+
+    def _unpack(self, index: int) -> OccupancyGrid:
+        arrays = self.arrays
+        height, width = arrays.shapes[index].tolist()
+        first = int(arrays.offsets[index])
+        x, y, resolution = arrays.frames[index].tolist()
+        blocked = arrays.blocked[first : first + height * width].reshape(height, width)
+        return OccupancyGrid(blocked.astype(np.uint8), resolution, (x, y))
 
     def index(self, scene_id: str) -> int:
         """The number of a scene, packed on the first call for it."""

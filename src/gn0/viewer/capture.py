@@ -216,8 +216,8 @@ def _ticks(
         pen.text((px, 8), f"{value}", font=font(12), fill=INK, anchor="ma")
     for value in range(math.ceil((y1 - height * step) / pace) * pace, math.floor(y1) + 1, pace):
         py = (y1 - value) / step
-        pen.line((0, py, 6, py), fill=INK)
-        pen.text((9, py), f"{value}", font=font(12), fill=INK, anchor="lm")
+        pen.line((0, py, 4, py), fill=INK)
+        pen.text((14, py), f"{value}", font=font(12), fill=INK, anchor="lm")
 
 
 def _legend(pen: ImageDraw.ImageDraw, y: int) -> None:

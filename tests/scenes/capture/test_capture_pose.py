@@ -71,6 +71,13 @@ def test_upright_metric_capture_keeps_its_bytes(flat):
     assert np.array_equal(pose.apply(flat).means[:, :2], flat.means[:, :2])
 
 
+def test_noise_is_read_off_the_floor(flat, shapes):
+    assert propose_pose(flat, CaptureSettings()).noise < 0.001
+    assert propose_pose(shapes.noisy(flat), CaptureSettings()).noise == pytest.approx(
+        0.006, rel=0.25
+    )
+
+
 def test_evidence_is_said_in_words(flat):
     pose = propose_pose(flat, CaptureSettings())
     assert "runner-up" in pose.evidence["up"] and "stand on" in pose.evidence["floor"]

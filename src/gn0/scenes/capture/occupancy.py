@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from gn0.geometry import F32
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.scenes.capture.discs import disc_normals
 from gn0.scenes.capture.extinction import SOLID, VoxelFrame, measure_extinction, solid_enough
+from gn0.scenes.capture.smooth import smooth_surfaces
 
 COMPONENT = 30  # voxels: smaller clumps float
 FLOOR_DEPTH = 0.15  # m below z = 0 that still count as floor
@@ -53,6 +54,7 @@ def build_capture_occupancy(
     *,
     resolution: float,
     band: tuple[float, float],
+    noise: float = 0.0,
     seed: tuple[float, float] | None = None,
     ground: bool = False,
 ) -> CaptureOccupancy:
@@ -62,12 +64,14 @@ def build_capture_occupancy(
         cloud: the Gaussians, metres, +z up, floor at z = 0.
         resolution: cell size [m].
         band: (low, high) [m] above the floor: what blocks.
+        noise: standard deviation [m] of the points of a surface about it, as the floor shows it.
         seed: (x, y) [m] on open floor; by default the roomiest place of the largest open region.
         ground: the floor is assumed to be everywhere, seen or not.
 
     Raises:
         SceneError: there is nothing to stand on, or the seed is not on open floor.
     """
+    cloud = replace(cloud, means=smooth_surfaces(cloud, noise))
     frame = voxel_frame(cloud, resolution, band, margin=GROUND_MARGIN if ground else 0.0)
     dense = measure_extinction(cloud, frame) > SOLID
     solid = drop_small(dense, COMPONENT)

@@ -69,6 +69,11 @@ class CapturePose:
     evidence: dict[str, str]
     doubts: dict[str, str]
 
+    @property
+    def noise(self) -> float:
+        """Standard deviation [m] of the floor's points about it; 0 when the floor was given."""
+        return 0.0 if self.floor is None else self.floor.noise * self.scale
+
     def apply(self, cloud: GaussianCloud) -> GaussianCloud:
         """The cloud in the scene's frame; what needs no turning keeps its bytes."""
         turned = None if np.array_equal(self.rotation, np.eye(3)) else self.rotation

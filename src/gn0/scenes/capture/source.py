@@ -65,6 +65,7 @@ class SceneSourceCapture:
                 cloud,
                 resolution=settings.resolution,
                 band=settings.height_band,
+                noise=pose.noise,
                 seed=told.seed_point,
                 ground=pose.ground,
             )
@@ -113,7 +114,8 @@ def describe_capture(
         out[f"evidence_{topic}"] = words
     out["evidence_map"] = (
         f"extinction over one half between {layers}; clumps under 30 voxels left out "
-        f"({occupancy.floating:,} voxels); flooded from ({occupancy.seed[0]:.2f}, "
+        f"({occupancy.floating:,} voxels); points stray {1000 * pose.noise:.1f} mm from their "
+        f"surface; flooded from ({occupancy.seed[0]:.2f}, "
         f"{occupancy.seed[1]:.2f}): {grid.free_area:.1f} m² free"
         + (f", {occupancy.left_out:.1f} m² of other open floor left out"
            if occupancy.left_out >= 0.5 else "")

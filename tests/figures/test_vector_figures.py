@@ -27,7 +27,8 @@ def test_the_flat_has_a_floor_to_stand_on() -> None:
     floor = flat_floor()
     assert 40 < floor.free_area < 110
     assert not floor.is_free(4.4, 5.0)
-    assert floor.is_free(4.4, 1.95), "a door"
+    assert not flat_floor(0.0).is_free(4.4, 5.0)
+    assert flat_floor(0.0).is_free(4.4, 1.95), "a door"
     views = figures._known_views(floor, 8)
     assert len(views) == 8
 

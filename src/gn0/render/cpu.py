@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 
@@ -74,13 +74,15 @@ class RendererCpu:
         self,
         camera: Camera,
         matrices: F64,
-        clouds: Sequence[PackedCloud],
+        clouds: Iterable[PackedCloud],
         *,
         extra: GaussianCloud | None = None,
         outputs: tuple[Output, ...] = OUTPUTS,  # type: ignore[assignment]
         background: tuple[float, float, float] | None = None,
     ) -> RenderResult:
-        """Render view v [4, 4] of `matrices` from `clouds[v]`, a part of this renderer's cloud.
+        """Render each view [4, 4] of `matrices` from its own of `clouds`, parts of the whole.
+
+        A part is asked for when its view is drawn, and let go of after.
 
         Raises:
             RenderError: an output is unknown, or a colour or a splat is not finite.
@@ -111,8 +113,8 @@ class RendererCpu:
             moving = []
             if extra is not None and len(extra):
                 moving.append((pack_cloud(extra, sort=False), self.size))
-            for v, matrix in enumerate(matrices):
-                lists = self.arrange(camera, matrix, [(clouds[v], 0), *moving])
+            for v, (matrix, cloud) in enumerate(zip(matrices, clouds, strict=True)):
+                lists = self.arrange(camera, matrix, [(cloud, 0), *moving])
                 start = time.perf_counter()
                 raster_tiles(
                     *lists,

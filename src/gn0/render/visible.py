@@ -155,7 +155,7 @@ class RendererVisible:
             RenderError: see `RendererCpu.render`.
         """
         matrices = check_views(views)
-        clouds = [self._cloud_for(camera, matrix) for matrix in matrices]
+        clouds = (self._cloud_for(camera, matrix) for matrix in matrices)
         return self.full.render_clouds(
             camera, matrices, clouds, extra=extra, outputs=outputs, background=background
         )

@@ -65,6 +65,6 @@ def test_too_little_memory_is_said_in_plain_words(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(cloud_file.np, "ones", full)
+    monkeypatch.setattr(cloud_file.np, "zeros", full)
     with pytest.raises(FormatError, match="more than this machine has"):
         load_cloud(tmp_path / "a.ply")

@@ -374,6 +374,7 @@ MEMORY = {
     "ksplat": lambda: build_ksplat(big(1), 1),
     "bad: spz gzip bomb": lambda: gzip.compress(SPZ + b"\0" * 200_000_000, 1),
     "bad: spz 4 zstd bomb": lambda: _zstd_bomb(),
+    "bad: spz 4 sizes": lambda: _forged_table(),
     "bad: zip bomb": lambda: bundle(
         planes={"scales.webp": b"\0" * 150_000_000}, method=zipfile.ZIP_DEFLATED
     ),
@@ -390,6 +391,12 @@ def _zstd_bomb() -> bytes:
     stream = pa.compress(bytes(200_000_000), codec="zstd", asbytes=True)
     old = struct.unpack_from("<Q", SPZ4, 32)[0]
     return put(SPZ4[:112], 32, "<Q", len(stream)) + stream + SPZ4[112 + old :]
+
+
+def _forged_table() -> bytes:
+    """A table of streams that promises 4 billion Gaussians from bytes that are not there."""
+    sizes = b"".join(struct.pack("<2Q", 1 << 40, n * 0xFFFFFFFF) for n in (9, 1, 3, 3, 4))
+    return put(SPZ4, 8, "<I", 0xFFFFFFFF)[:32] + sizes + SPZ4[112:]
 
 
 @pytest.mark.parametrize("case", MEMORY)

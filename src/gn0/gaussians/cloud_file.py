@@ -98,7 +98,7 @@ class CloudBuilder:
             self.scales = np.empty((count, 3), np.float32)
             self.opacities = np.empty(count, np.float32)
             self.sh = np.empty((count, k, 3), np.float32)
-            self.keep = np.ones(count, np.bool_)
+            self.bad = np.zeros(count, np.bool_)  # zeros cost no memory until they are written
         except MemoryError:
             raise FormatError(
                 f"{count} Gaussians take {need} bytes decoded, more than this machine has",
@@ -128,7 +128,7 @@ class CloudBuilder:
             wide = quats.astype(np.float64)  # so that no finite length overflows
             norm = np.sqrt(np.einsum("ij,ij->i", wide, wide))
             np.divide(wide, norm[:, None], out=self.quats[span], casting="unsafe")
-        self.keep[span] &= norm > 0
+        self.bad[span] |= ~(norm > 0)
         self._drop_non_finite(start, self.means[span], self.scales[span])
         self._drop_non_finite(start, self.opacities[span], norm, sh)
 
@@ -142,7 +142,7 @@ class CloudBuilder:
             finite = np.isfinite(block)
             if not finite.all():
                 rows = finite if finite.ndim == 1 else finite.all(axis=1)
-                self.keep[start : start + len(rows)] &= rows
+                self.bad[start : start + len(rows)] |= ~rows
 
     def build(self) -> tuple[GaussianCloud, int]:
         """The cloud of all finite Gaussians, and how many were dropped.
@@ -150,8 +150,8 @@ class CloudBuilder:
         Raises:
             FormatError: none is left.
         """
-        count = len(self.keep)
-        kept = int(np.count_nonzero(self.keep))
+        count = len(self.bad)
+        kept = count - int(np.count_nonzero(self.bad))
         if kept == 0:
             raise FormatError(
                 f"all {count} Gaussians hold NaN, infinite values or zero quaternions",
@@ -160,8 +160,9 @@ class CloudBuilder:
                 remedy="export the splats again",
             )
         if kept < count:  # one array at a time, so that memory stays near one cloud
+            keep = ~self.bad
             for name in ("means", "quats", "scales", "opacities", "sh"):
-                setattr(self, name, getattr(self, name)[self.keep])
+                setattr(self, name, getattr(self, name)[keep])
         cloud = GaussianCloud(self.means, self.quats, self.scales, self.opacities, self.sh)
         return cloud, count - kept
 

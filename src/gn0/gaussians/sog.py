@@ -411,8 +411,8 @@ def _palette(picture: U8, degree: int, table: F32, files: SogFiles) -> tuple[F32
 def _fill_sh(builder: CloudBuilder, palette: tuple[F32, int], labels: U8, files: SogFiles) -> None:
     """Copy the palette entry of each Gaussian."""
     values, count = palette
-    for start in range(0, len(builder.keep), _BLOCK):
-        block = labels[start : min(start + _BLOCK, len(builder.keep))]
+    for start in range(0, len(builder.bad), _BLOCK):
+        block = labels[start : min(start + _BLOCK, len(builder.bad))]
         index = block[:, 0] + block[:, 1].astype(np.intp) * 256
         if (index >= count).any():
             row = int(np.argmax(index >= count))

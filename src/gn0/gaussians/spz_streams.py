@@ -157,7 +157,8 @@ class ZstdStreams:
 
     def most(self) -> int:
         """What ZSTD can at best pack into streams of these sizes."""
-        return sum(min(raw, packed * ZSTD_RATIO) for packed, raw in self._table)
+        left = self.source.size - self._at
+        return sum(min(raw, min(packed, left) * ZSTD_RATIO) for packed, raw in self._table)
 
     def take(self, count: int, plane: str) -> U8:
         """The bytes of the next plane, all of them.

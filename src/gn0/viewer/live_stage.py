@@ -57,7 +57,7 @@ class LiveBody:
             self._line.remove()
             self._line = None
         if len(trail) > 1:
-            self._line = add_line(self._scene, f"{self._name}_trail", trail, self._colour, 0.03, 4)
+            self._line = add_line(self._scene, f"{self._name}_trail", trail, self._colour, 0.08, 4)
 
     def show(self, visible: bool) -> None:
         """Show or hide the body; the trail stays."""
@@ -197,10 +197,10 @@ class LiveStage:
                 "/task/goal", 0.07, 2.2, color=GOAL, opacity=0.85, position=(*goal, 1.1)
             ),
             scene.add_label("/task/name", "GOAL", position=(*goal, 2.3), anchor="bottom-center"),
-            add_line(scene, "/task/ring", ring, GOAL, 0.02, 2),
+            add_line(scene, "/task/ring", ring, GOAL, 0.06, 2),
         ]
         if len(path) > 1:
-            self._task.append(add_line(scene, "/task/path", path, REFERENCE, 0.02, 4))
+            self._task.append(add_line(scene, "/task/path", path, REFERENCE, 0.06, 4))
 
     def clear(self) -> None:
         """Empty the stage for another scene."""

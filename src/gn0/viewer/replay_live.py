@@ -29,7 +29,7 @@ from gn0.viewer.replay import Replay
 
 SPEEDS = ("1x", "2x", "4x", "8x", "16x")
 EYES_PANEL = 330  # width of the panel with the agents' pictures [px]
-VIEW_HEIGHT = 220  # px
+VIEW_HEIGHT = 208  # px
 _BAR = 24  # px: name and action over each picture
 KEYS = "**space** play · **J L** one step · **N B** next, last episode · **W A S D Q E** fly"
 
@@ -104,7 +104,7 @@ class ReplayView:
         live = build_live_splats(scene.gaussians, self.count)
         self.stage.show_splats(live, ceiling_cut(scene))
         self.stage.add_labels(scene, rooms=False, objects=False)
-        self._plan = plan_map(scene, PANEL)
+        self._plan = plan_map(scene, PANEL, 300)
         self._share = f"{len(live):,} of {len(scene.gaussians):,} splats"
 
     def _build_panels(self) -> None:
@@ -130,7 +130,7 @@ class ReplayView:
         hear(self.loop, camera.on_update, self._follow)
         self._scores = gui.add_markdown("")
         assert self._plan is not None
-        self._map = gui.add_image(self._plan.rgb, format="png", label="Plan")
+        self._map = gui.add_image(self._plan.rgb, format="png")
         with gui.add_folder("Protocol", expand_by_default=False):
             gui.add_markdown(self.replay.differences())
         with gui.add_folder("Layers", expand_by_default=False):

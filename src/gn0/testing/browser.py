@@ -188,19 +188,19 @@ class BrowserPage:
             const look = async () => {{
                 let value = null;
                 try {{ value = await ({condition}); }} catch (error) {{ value = null; }}
-                if (value) done(value);
+                if (value) done([value]);
                 else if (performance.now() > end) done(null);
                 else setTimeout(look, 20);
             }};
             look();
         }})"""
-        value = self.evaluate(script, wait=wait + 30.0)
-        if not value:
+        found = self.evaluate(script, wait=wait + 30.0)
+        if found is None:
             raise StorageError(
                 f"waited {wait:g} s in vain for {what or condition[:200]}",
                 remedy="look at page.screenshot(), page.console and page.failures",
             )
-        return value
+        return found[0]
 
     def screenshot(self) -> U8:
         """The page as a picture [H, W, 3]."""

@@ -224,7 +224,7 @@ class BrowserPage:
             key=key,
             code=code,
             windowsVirtualKeyCode=number,
-            **({"text": key} if len(key) == 1 else {}),
+            text=key if len(key) == 1 else "",
         )
 
     def release(self, key: str, code: str, *, key_code: int = 0) -> None:

@@ -17,7 +17,7 @@ from gn0.bench.intervals import Interval, bootstrap_interval
 from gn0.bench.metrics import METRICS, EpisodeMetrics
 from gn0.bench.release import ReleaseReport, ReleaseScore
 from gn0.config import decode_json, load_json
-from gn0.errors import BenchError
+from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
 from gn0.sim.state import MapMode, Trajectory
 from gn0.storage import read_bytes, write_bytes, write_json
@@ -234,7 +234,14 @@ def load_summary(run: Path | str) -> RunSummary:
         StorageError: no finished run there.
         FormatError: damaged.
     """
-    return load_json(Path(run) / SUMMARY, RunSummary)
+    path = Path(run) / SUMMARY
+    if not path.exists() and (Path(run) / "journal.jsonl").exists():
+        raise StorageError(
+            "the run there is not finished",
+            where=run,
+            remedy="give the same `gn0 bench run` command again; it goes on where it stopped",
+        )
+    return load_json(path, RunSummary)
 
 
 def save_run(

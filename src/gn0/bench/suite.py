@@ -417,7 +417,9 @@ def open_suite(path: Path | str, beside: Path | str | None = None) -> Suite:
         )
     if beside is None:
         raise BenchError(
-            "a scene folder needs a place for its sampled episodes", where=folder, remedy="give --out"
+            "a scene folder needs a place for its sampled episodes",
+            where=folder,
+            remedy="give --out",
         )
     scene = load_scene(folder)
     target = Path(beside) / "suite"

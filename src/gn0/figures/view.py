@@ -96,6 +96,16 @@ def wait_for_picture(page: BrowserPage, wait: float = 120.0) -> None:
     page.wait_for("window.gn0Colours >= 200", wait=wait, what="a picture of the scene")
 
 
+def confirm_picture(page: BrowserPage, tries: int = 20) -> None:
+    """Look at the page itself; it may be laying out its panels just then.
+
+    Raises:
+        BenchError: the canvas holds the scene and the page never shows it.
+    """
+    if not any(is_picture(page.screenshot()) for _ in range(tries)):
+        raise BenchError("the canvas shows the scene, the page does not", remedy="take a look")
+
+
 def turning_rate(page: BrowserPage, seconds: float) -> float:
     """Frames with splats drawn in a second while the camera turns; all work is finished first."""
     page.hold("ArrowRight", "ArrowRight", key_code=39)
@@ -142,8 +152,7 @@ def measure_view(context: FigureContext) -> list[FigureRow]:
             page.navigate(url)
             wait_for_picture(page)
             seconds = time.perf_counter() - start
-            if not is_picture(page.screenshot()):
-                raise BenchError("the canvas shows the scene, the page does not")
+            confirm_picture(page)
             page.wait_for("document.body.innerText.includes('yaw')", what="the agent", wait=120)
             if run:
                 first.append(seconds)

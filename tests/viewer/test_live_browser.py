@@ -17,6 +17,7 @@ from gn0.scenes.folder import save_scene
 from gn0.testing.browser import BrowserPage, find_browser, open_browser
 from gn0.viewer.live_server import open_server
 from gn0.viewer.live_text import name_line, plain
+from gn0.viewer.replay import load_replay
 
 pytest.importorskip("viser")
 pytestmark = [
@@ -149,14 +150,17 @@ def test_a_replay_plays_to_its_end(flat, page, tmp_path):
     folders = [tmp_path / "oracle", tmp_path / "random"]
     for folder in folders:
         run_suite(suite, folder.name, folder, workers=1)
+    replay = load_replay(folders)
+    last = replay.length(replay.episodes[0])
     with running_view(*map(str, folders), "--splats", "2000") as (url, _):
         page.navigate(url)
         page.wait_for("window.gn0Frames > 0", what="splats drawn")
         page.wait_for("/outcome/.test(document.body.innerText)", what="the scores")
         page.wait_for(f"{BLOBS}.length >= 2", what="pictures")
         picture = page.evaluate(PICTURE)
-        page.press(" ", "Space", key_code=32)
-        page.wait_for("/Pause/.test(document.body.innerText)", what="playing")
+        press_button(page, "Play")
+        values = "[...document.querySelectorAll('input')].map(input => input.value)"
+        page.wait_for(f"{values}.includes('{last}')", what="the last step")
         page.wait_for("/Play/.test(document.body.innerText)", what="the end")
         page.wait_for(f"(async () => await {PICTURE} !== {picture})()", what="other pictures")
         assert page.failures == []

@@ -80,7 +80,8 @@ def run(args: Args) -> int:
                 date=datetime.date.today().isoformat(),
                 version=__version__,
             )
-            board = load_board(board_file)
+            known = all_figures()  # what is no longer measured leaves the board
+            board = {k: v for k, v in load_board(board_file).items() if k in known}
             board[figure.id] = entry
             write_board(Path(args.out), board.values())
             for row in rows:

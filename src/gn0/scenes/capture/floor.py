@@ -64,8 +64,9 @@ def fit_floor(sample: SurfaceSample, up: NDArray[np.floating]) -> FloorPlane:
     if len(index) < 3:
         index = np.arange(len(sample.points))
     normal, offset = _ransac(sample, index, rough, 2 * step)
-    for width in (2 * step, step, 0.5 * step, 0.25 * step):
-        normal, offset, noise = _refit(sample, index, normal, offset, width)
+    # several times at each width: a plane narrowed too soon keeps the lean it was drawn with
+    for width in np.repeat([2 * step, step, 0.5 * step, 0.25 * step], 4):
+        normal, offset, noise = _refit(sample, index, normal, offset, float(width))
     for _ in range(3):
         normal, offset, noise = _refit(sample, index, normal, offset, max(2.5 * noise, step / 40))
     away = sample.points @ normal - offset

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, Protocol, Self
 
-from gn0.bench.messages import FromWorker, Open
+from gn0.bench.messages import FromWorker
 from gn0.errors import BenchError
 
 ExecutorName = Literal["process", "ray"]
@@ -102,25 +102,6 @@ class Pool(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
-
-
-def open_pool(
-    executor: ExecutorName, settings: Open, workers: int, *, ray_address: str = ""
-) -> Pool:
-    """The pool of an executor, not started yet.
-
-    Raises:
-        BenchError: unknown executor, or `ray` is not installed.
-    """
-    if executor == "process":
-        from gn0.bench.pool import PoolProcess
-
-        return PoolProcess(settings, workers)
-    if executor == "ray":
-        from gn0.bench.pool_ray import PoolRay
-
-        return PoolRay(settings, workers, address=ray_address)
-    raise BenchError(f"no executor {executor!r}", where="--executor", remedy="process or ray")
 
 
 def describe_end(returncode: int | None) -> str:

@@ -21,8 +21,9 @@ from typing import IO, Any
 
 import msgspec
 
-from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers, open_pool
+from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
+from gn0.bench.pools import open_pool
 from gn0.bench.protocol import code_version, config_hash, protocol_card
 from gn0.bench.release import report_release
 from gn0.bench.results import (

@@ -14,6 +14,7 @@ from gn0.geometry import F64, U8
 from gn0.storage import content_hash
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
+GREY_OF_CELL = np.array([255, 0, 127], np.uint8)  # free, occupied, unknown: as InteriorGS
 
 
 @dataclass(frozen=True, eq=False)

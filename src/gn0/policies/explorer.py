@@ -13,11 +13,11 @@ import math
 import numpy as np
 
 from gn0.geometry import F64, U8, Pose2D, agent_to_world
-from gn0.maps.grid import FREE, OCCUPIED, OccupancyGrid
+from gn0.maps.grid import FREE, GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.lattice import ActionPlanner
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.smooth import densify_path
-from gn0.sim.sensors import GREY_OF_CELL, RED
+from gn0.sim.sensors import RED
 from gn0.sim.state import Action, Observation, Sensor
 
 LOOK_ROUND = 24  # turns in a circle

@@ -11,11 +11,10 @@ import math
 
 from gn0.geometry import F32, U8, Pose2D
 from gn0.maps.explored import DepthFan, ExploredMap, ExploredState, build_fan
-from gn0.maps.grid import OccupancyGrid
+from gn0.maps.grid import GREY_OF_CELL, OccupancyGrid
 from gn0.missions.episode import AgentSpec
 from gn0.scenes.occupancy import BAND
 from gn0.sim.presets import CameraPreset
-from gn0.sim.sensors import GREY_OF_CELL
 
 UNSEEN = 127  # grey of the BEV where nothing has been seen
 

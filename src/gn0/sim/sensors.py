@@ -12,7 +12,7 @@ import numpy as np
 from gn0.config import Config
 from gn0.errors import ConfigError, SimError
 from gn0.geometry import F32, U8, Pose2D, view_from_pose, world_to_agent
-from gn0.maps.grid import OCCUPIED, OccupancyGrid
+from gn0.maps.grid import GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.sim.history import reduce_pictures
 from gn0.sim.presets import CameraPreset, find_preset
@@ -31,7 +31,6 @@ PICTURES = EYES | MAPS
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
 CEILING_CUT = 2.3  # m: the BEV leaves out what is above, so one looks into rooms
 GREEN, RED = (0, 255, 0), (255, 0, 0)
-GREY_OF_CELL = np.array([255, 0, 127], np.uint8)  # free, occupied, unknown: as InteriorGS
 
 
 class SensorConfig(Config, frozen=True):

@@ -31,8 +31,8 @@ lint: dev
 types: dev
 	$(BIN)/mypy
 
-test: dev lint types ## everything a change must pass (under 15 min on two cores)
-	$(BIN)/pytest -m 'not exhaustive' $(PYTEST_FLAGS)
+test: dev lint types ## everything a change must pass (under 20 min on two cores)
+	$(BIN)/pytest -m 'not exhaustive' --durations=25 $(PYTEST_FLAGS)
 
 figures: dev ## measure the whole board again (run it on a quiet machine)
 	$(BIN)/gn0 figures --all --out docs

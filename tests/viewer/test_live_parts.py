@@ -296,3 +296,17 @@ def test_without_viser_the_error_says_what_to_type(monkeypatch):
 def test_scenes_without_anything_get_a_plan(scene):
     bare = replace(scene, objects=(), rooms=(), walls=())
     assert plan_map(bare, 300).draw([]).shape[2] == 3
+
+
+def test_up_of_a_bare_file_is_proposed(capsys: pytest.CaptureFixture[str]) -> None:
+    """A flat that lies on its side is stood up; a file without surfaces keeps +z."""
+    from gn0.cli.view import find_up
+    from gn0.gaussians.transform import transform_cloud
+    from gn0.scenes.example import build_example_scene
+
+    cloud = build_example_scene().gaussians
+    to_minus_y = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    assert find_up(cloud) == "+z"
+    assert find_up(transform_cloud(cloud, rotation=to_minus_y)) == "-y"
+    assert "--up says otherwise" in capsys.readouterr().out
+    assert find_up(cloud.select(np.arange(5))) == "+z"

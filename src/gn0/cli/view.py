@@ -23,7 +23,7 @@ EXAMPLES = """  gn0 view out/flat
   gn0 view out/flat --splats 300000 --camera n1
   gn0 view out/demo/runs/oracle out/demo/runs/random
   gn0 view out/demo/apartment --results out/demo/runs/oracle
-  gn0 view capture.ply --up -y"""
+  gn0 view capture.ply --up=-y"""
 
 
 class Args(Config, frozen=True):
@@ -34,7 +34,8 @@ class Args(Config, frozen=True):
         results: run folders whose episodes are replayed in that scene.
         splats: how many splats the browser gets; 60,000 still move without a GPU.
         camera: eyes and body of the agent, a camera preset by name.
-        up: which axis of a splat file points up.
+        up: which axis of a splat file points up; auto proposes one.
+        level: level of detail of a streamed SOG, 0 the finest.
         host: address to listen on.
         port: port to listen on; the next free one when it is taken, 0 for any.
         allow_remote: allow a --host that other machines can reach.
@@ -46,7 +47,8 @@ class Args(Config, frozen=True):
     results: tuple[str, ...] = ()
     splats: Annotated[int, msgspec.Meta(ge=100, le=5_000_000)] = 60_000
     camera: str = "gn_bench"
-    up: Literal["+z", "-z", "+y", "-y", "+x", "-x"] = "+z"
+    up: Literal["auto", "+z", "-z", "+y", "-y", "+x", "-x"] = "auto"
+    level: int | None = None
     host: str = "127.0.0.1"
     port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8080
     allow_remote: bool = False
@@ -122,8 +124,24 @@ def find_view(args: Args) -> Any:
     from gn0.gaussians.files import load_cloud
     from gn0.viewer.live_file import FileView
 
-    file = load_cloud(first)
-    return partial(_file_view, FileView, first, file, args.splats, args.up)
+    file = load_cloud(first, level=args.level)
+    up = find_up(file.cloud) if args.up == "auto" else args.up
+    return partial(_file_view, FileView, first, file, args.splats, up)
+
+
+def find_up(cloud: Any) -> str:
+    """The axis of a bare cloud nearest to the proposed up, and say how sure that is."""
+    from gn0.errors import SceneError
+    from gn0.scenes.capture.gravity import propose_up, sample_surface
+
+    try:
+        best = propose_up(sample_surface(cloud))[0]
+    except SceneError:
+        return "+z"
+    axis = max(range(3), key=lambda k: abs(best.up[k]))
+    up = ("-" if best.up[axis] < 0 else "+") + "xyz"[axis]
+    print(f"up is taken for {up} ({best.share:.0%} sure); --up says otherwise", flush=True)
+    return up
 
 
 def _scene_view(

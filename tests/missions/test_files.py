@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -237,3 +239,17 @@ def test_missing_files_and_missing_grids_are_told(tmp_path: Path) -> None:
         bad = msgspec.structs.replace(goal(), start=(0.0, NAN, 0.0))
         save_episodes(tmp_path / "e.parquet", [bad], GRIDS)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads by /proc")
+def test_reading_leaves_no_thread_behind(saved: Path) -> None:
+    """A thread that lets go of our bytes while Python ends would abort the process."""
+    code = (
+        "import os, sys\n"
+        "import gn0.missions.files as files\n"
+        "before = len(os.listdir('/proc/self/task'))\n"
+        "files.load_episodes(sys.argv[1])\n"
+        "print(len(os.listdir('/proc/self/task')) - before)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(saved)], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip()) == (0, "0"), done.stderr

@@ -260,6 +260,7 @@ BROKEN = {
     "no map": [1],
     "no endpoint": {},
     "an unknown endpoint": {"endpoint": "shell", "command": "ls"},
+    "an endpoint that is an array": {"endpoint": np.zeros(3, np.float32)},
     "an endpoint that is no text": {"endpoint": ["infer"]},
     "an instruction that is no text": infer(instruction=5),
     "an endless instruction": infer(instruction="x" * 200_000),

@@ -228,6 +228,8 @@ class PolicySession:
         if not isinstance(request, dict):
             raise FormatError("is no map", where="request", remedy="send a map")
         endpoint = request.get("endpoint")
+        if not isinstance(endpoint, str):  # an array compares with a text cell by cell
+            endpoint = ""
         if endpoint == "reset":
             self._session = None
             return {"status": "ok"}

@@ -153,3 +153,14 @@ def test_placements_are_undone_and_turn_headings_with_points(
 def test_a_map_without_extent_is_refused() -> None:
     with pytest.raises(FormatError, match="pixels spans"):
         NavFrame(10, 10, (1.0, 0.0), (1.0, 5.0), (0.0, 0.0))
+
+
+def test_a_damaged_number_stays_one_and_is_refused_later() -> None:
+    """Signalling NaNs and infinities pass a placement without a warning; the episode is refused."""
+    bits = np.array([0x7FF0000000000001, 0x3FF0000000000000], np.uint64)
+    signalling = bits.view(np.float64).reshape(1, 2)
+    half_turn = Placement("half turn", (-1, -1), (1.0, 2.0))
+    for placement in (Placement(), half_turn):
+        assert np.isnan(placement.points(signalling)[0, 0])
+        assert np.isnan(placement.undo(signalling)[0, 0])
+        assert math.isnan(placement.yaw(math.inf))

@@ -136,15 +136,19 @@ class Placement:
     shift: tuple[float, float] = (0.0, 0.0)
 
     def points(self, points: ArrayLike) -> F64:
-        """World points [N, 2] m of file points [N, 2] m."""
-        return np.asarray(points, np.float64).reshape(-1, 2) * self.sign + self.shift
+        """World points [N, 2] m of file points [N, 2] m; what is not finite stays so."""
+        with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged file
+            return np.asarray(points, np.float64).reshape(-1, 2) * self.sign + self.shift
 
     def undo(self, points: ArrayLike) -> F64:
-        """File points [N, 2] m of world points [N, 2] m."""
-        return (np.asarray(points, np.float64).reshape(-1, 2) - self.shift) * self.sign
+        """File points [N, 2] m of world points [N, 2] m; what is not finite stays so."""
+        with np.errstate(invalid="ignore"):
+            return (np.asarray(points, np.float64).reshape(-1, 2) - self.shift) * self.sign
 
     def yaw(self, yaw: float) -> float:
         """World yaw [rad, −π..π) of a file's yaw [rad]."""
+        if not math.isfinite(yaw):
+            return math.nan
         if self.sign == (1, 1):
             return float(wrap_angle(yaw))
         return math.atan2(self.sign[1] * math.sin(yaw), self.sign[0] * math.cos(yaw))

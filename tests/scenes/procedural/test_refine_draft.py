@@ -1,0 +1,65 @@
+"""Refined apartments: photographs from where one can stand, and splats that come nearer to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gn0.render.camera import Camera
+from gn0.render.cpu import RendererCpu
+from gn0.render.renderer import RenderOptions
+from gn0.scenes.procedural import refine
+from gn0.scenes.procedural.apartment import draft_apartment
+from gn0.scenes.procedural.generate import GenerateSettings, build_apartment
+from gn0.scenes.procedural.refine import LENSES, place_views
+from gn0.scenes.rays import RayCaster
+
+
+def test_views_stand_free_and_are_repeatable() -> None:
+    draft = draft_apartment(3, size="small")
+    caster = RayCaster(draft.mesh)
+    views, lenses = place_views(draft, caster, 40, 5)
+    again, _ = place_views(draft, caster, 40, 5)
+    np.testing.assert_array_equal(views, again)
+    assert set(lenses) == set(range(len(LENSES)))
+    for view in views:
+        eye = -view[:3, :3].T @ view[:3, 3]
+        _, far, _ = caster.cast(
+            np.repeat(eye[None], 4, 0), np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0.0]])
+        )
+        assert far.min() >= refine.CLEARANCE
+
+
+@pytest.mark.slow
+def test_a_refined_apartment_is_nearer_to_its_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer photographs and steps than `--refine` takes: enough to see it go the right way."""
+    monkeypatch.setattr(refine, "VIEWS_PER_M2", 0.3)
+    monkeypatch.setattr(refine, "STEPS_PER_M2", 2.0)
+    taken = []
+    trace = refine.trace_picture
+
+    def watch(mesh, shader, intrinsics, size, view, rng, *, caster):  # type: ignore[no-untyped-def]
+        taken.append((size, view, trace(mesh, shader, intrinsics, size, view, rng, caster=caster)))
+        return taken[-1][2]
+
+    monkeypatch.setattr(refine, "trace_picture", watch)
+    settings = GenerateSettings(seed=3, size="small", density=5000, light="draft")
+    plain = build_apartment(settings, "plain").gaussians
+    fitted_scene = build_apartment(
+        GenerateSettings(seed=3, size="small", density=5000, light="draft", refine=True), "fitted"
+    )
+    fitted = fitted_scene.gaussians
+    assert fitted_scene.source.settings["refine"] is True
+    assert len(fitted) == len(plain) and len(taken) > 10
+
+    def error(cloud) -> float:  # type: ignore[no-untyped-def]
+        renderer = RendererCpu(cloud, RenderOptions(rgb_float=True))
+        total = []
+        for (width, height), view, picture in taken:
+            hfov = next(h for w, _, h in LENSES if w == width)
+            shown = renderer.render(Camera.from_hfov(width, height, hfov), view, outputs=("rgb",))
+            assert shown.rgb is not None
+            total.append(np.mean((np.clip(shown.rgb[0], 0, 1) - picture / 255.0) ** 2))
+        return float(np.mean(total))
+
+    assert error(fitted) < 0.8 * error(plain)

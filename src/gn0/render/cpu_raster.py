@@ -62,7 +62,7 @@ def exponential(p):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, first, lanes):  # type: ignore[no-untyped-def]
+def blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, first, lanes):  # type: ignore[no-untyped-def]
     """Blend one splat into `lanes` columns from `first` of rows y0 to y1 of a tile."""
     for r in range(y0, y1):
         if (live >> r) & 1 == 0:
@@ -157,11 +157,11 @@ def _blend_tile(records, rows, x_px, y_px, columns, lines, acc):  # type: ignore
             blue, z = gathered[8 * BATCH + b], gathered[9 * BATCH + b]
             q0 = qx * dx0
             if gathered[11 * BATCH + b] <= F(8.0):
-                _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
+                blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
             elif gathered[10 * BATCH + b] >= F(8.0):
-                _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
+                blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
             else:
-                _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16)
+                blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16)
             if (b & (_CHECK - 1)) == _CHECK - 1:
                 for r in range(lines):
                     if (live >> r) & 1:

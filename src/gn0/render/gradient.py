@@ -15,14 +15,16 @@ import numpy as np
 
 from gn0.jit import njit, prange
 from gn0.render.cpu_bin import sort_tile
-from gn0.render.cpu_raster import BATCH, LOG_MIN, TILE, exponential, gather_batch
+from gn0.render.cpu_raster import BATCH, LOG_MIN, TILE, blend, exponential, gather_batch
 from gn0.render.renderer import ALPHA_CAP, TRANSMITTANCE_STOP
 
 F = np.float32
 # sums of an entry over its pixels, h = dL/d(exponent), d = pixel - centre, w = weight, g = dL/dC
 SUM_H, SUM_HX, SUM_HY, SUM_HXX, SUM_HXY, SUM_HYY, SUM_RED = 0, 1, 2, 3, 4, 5, 6
 SUMS = 9
-_ROW = 5 * TILE  # transmittance, then colour (pass 1) or gradient (pass 2), then g·C still behind
+# as `blend` lays them out: transmittance, then colour (pass 1) or gradient (pass 2), then depth
+# (unused) or the g·C still behind
+_ROW = 5 * TILE
 _CHECK = 16  # splats between looks for finished rows
 _ONE, _ZERO, _TWO = F(1.0), F(0.0), F(2.0)
 _CAP, _STOP = F(ALPHA_CAP), F(TRANSMITTANCE_STOP)
@@ -37,32 +39,6 @@ def sort_tiles(tile_rows, tile_keys, spare_rows, spare_keys, starts, indices, re
             tile_keys[a:b], tile_rows[a:b], spare_keys[a:b], spare_rows[a:b], indices, records,
             ordered,
         )  # fmt: skip
-
-
-@njit(error_model="numpy")
-def _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue):  # type: ignore[no-untyped-def]
-    for r in range(y0, y1):
-        if (live >> r) & 1 == 0:
-            continue
-        dy = dy0 + F(r)
-        start = q0 + qy * dy
-        k0 = log_o - qk * dy * dy
-        row = acc[r * _ROW : (r + 1) * _ROW]
-        for j in range(TILE):
-            q = start + qx * F(j)
-            p = k0 - q * q
-            e = exponential(p)
-            e = min(e, _CAP)
-            e = e if p >= LOG_MIN else _ZERO
-            T = row[j]
-            w = e * T
-            after = T - w
-            keep = after > _STOP
-            w = w if keep else _ZERO
-            row[j] = after if keep else -abs(T)
-            row[1 * TILE + j] += w * red
-            row[2 * TILE + j] += w * green
-            row[3 * TILE + j] += w * blue
 
 
 @njit(error_model="numpy")
@@ -183,7 +159,10 @@ def sum_entries(  # type: ignore[no-untyped-def]
                     log_o, q0 = o[5 * BATCH + b], qx * dx0
                     red, green, blue = o[6 * BATCH + b], o[7 * BATCH + b], o[8 * BATCH + b]
                     if not second:
-                        _blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue)
+                        blend(
+                            acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue,
+                            _ZERO, 0, TILE,
+                        )  # fmt: skip
                     else:
                         _unblend(
                             acc, y0, y1, live, q0, qx, qy, dx0, dy0, qk, log_o, red, green, blue,

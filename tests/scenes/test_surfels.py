@@ -9,13 +9,14 @@ import trimesh
 
 from gn0.errors import SceneError
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.gaussians.film import decode_srgb, encode_srgb
 from gn0.geometry import rotation_from_quaternion, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
 from gn0.scenes.charts import build_charts
 from gn0.scenes.mesh import SceneMesh, join_meshes
-from gn0.scenes.shading import SurfaceSample, decode_srgb, encode_srgb
+from gn0.scenes.shading import SurfaceSample
 from gn0.scenes.surfels import build_surfels
 from gn0.scenes.truth import render_truth
 

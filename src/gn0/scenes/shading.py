@@ -39,20 +39,6 @@ class Shader(Protocol):
         ...
 
 
-def encode_srgb(linear: NDArray[np.floating]) -> F32:
-    """Display values 0..1 of linear light (IEC 61966-2-1), clipped."""
-    x = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
-    high = np.float32(1.055) * np.power(x, np.float32(1 / 2.4)) - np.float32(0.055)
-    return np.where(x <= 0.0031308, np.float32(12.92) * x, high).astype(np.float32)
-
-
-def decode_srgb(display: NDArray[np.floating]) -> F32:
-    """Linear light of display values 0..1 (IEC 61966-2-1)."""
-    x = np.clip(np.asarray(display, np.float32), 0.0, 1.0)
-    high = np.power((x + np.float32(0.055)) / np.float32(1.055), np.float32(2.4))
-    return np.where(x <= 0.04045, x / np.float32(12.92), high).astype(np.float32)
-
-
 class Surface(Protocol):
     """What a mesh's surface does with light, before any light: reflect and glow."""
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from gn0.gaussians.film import decode_srgb
 from gn0.geometry import F32
 from gn0.jit import njit, prange
 from gn0.scenes.mesh import SceneMesh
-from gn0.scenes.shading import decode_srgb
 
 _PIXELS_MAX = 64_000_000
 _SIDE = 1024  # textures are reduced to at most this many pixels a side

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from gn0.gaussians.film import develop_film
 from gn0.geometry import F32
 from gn0.scenes.mesh import SceneMesh
-from gn0.scenes.shading import Surface, SurfaceSample, encode_srgb
+from gn0.scenes.shading import Surface, SurfaceSample
 
 if TYPE_CHECKING:
     from gn0.scenes.bake import LightField
@@ -25,12 +26,11 @@ _CELL = 0.7  # of the map of local exposure [m]
 
 @dataclass(frozen=True, eq=False)
 class ToneCurve:
-    """Display = sRGB(filmic(gain · local(x) · radiance)), per channel.
+    """Display = sRGB(filmic(gain · local(x) · radiance)), per channel; see `develop_film`.
 
-    filmic(x) = x (a x + b) / (x (c x + d) + e), the rational fit of the ACES film curve by
-    K. Narkowicz (2015) with a lifted toe, so that dark corners keep detail. `local` is a very
-    smooth map of exposure in space: as an eye adapts to the room that it looks into (a base layer
-    as in Durand and Dorsey, SIGGRAPH 2002, but of the scene instead of one picture of it).
+    `local` is a very smooth map of exposure in space: as an eye adapts to the room that it looks
+    into (a base layer as in Durand and Dorsey, SIGGRAPH 2002, but of the scene instead of one
+    picture of it).
 
     Attributes:
         gain: of the three channels.
@@ -55,9 +55,7 @@ class ToneCurve:
 
     def display(self, exposed: NDArray[np.floating]) -> F32:
         """Display values 0..1 [M, 3] of exposed radiance [M, 3]."""
-        x = np.maximum(np.asarray(exposed, np.float32), 0)
-        y = x * (2.51 * x + 0.10) / (x * (2.43 * x + 0.59) + 0.14)
-        return encode_srgb(y)
+        return develop_film(exposed)
 
 
 def choose_exposure(light: LightField) -> ToneCurve:

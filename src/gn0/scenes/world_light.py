@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gn0.gaussians.film import encode_srgb
 from gn0.geometry import F32
 from gn0.maps.grid import OccupancyGrid
 from gn0.progress import Progress, no_progress
@@ -23,7 +24,7 @@ from gn0.scenes.rays import RayCaster
 from gn0.scenes.rooms import RoomMap
 from gn0.scenes.scene import SceneObject
 from gn0.scenes.sdf import SdfLight
-from gn0.scenes.shading import Shader, SurfaceSample, encode_srgb
+from gn0.scenes.shading import Shader, SurfaceSample
 from gn0.scenes.textures import Paint, TextureAlbedo
 from gn0.scenes.tone import BakedShader, choose_exposure
 from gn0.scenes.world_mesh import WorldMeshes

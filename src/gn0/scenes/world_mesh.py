@@ -11,12 +11,12 @@ import numpy as np
 import trimesh
 
 from gn0.errors import FormatError
+from gn0.gaussians.film import decode_srgb
 from gn0.geometry import F64
 from gn0.progress import Progress, no_progress
 from gn0.scenes.collada import ColladaPart, load_collada
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.sdf import SdfInstance, SdfPart, SdfWorld
-from gn0.scenes.shading import decode_srgb
 from gn0.scenes.textures import Paint, load_texture
 
 _SHELL = {"floor", "ground", "wall", "ceiling", "roof", "ground plane"}

@@ -14,7 +14,7 @@ from typing import Any
 VERBS: dict[str, tuple[str, str]] = {
     "demo": ("demo", "generate an apartment, run four policies through it, write the report"),
     "doctor": ("doctor", "what is installed here, which renderer would run, and why"),
-    "scene generate": ("scene_generate", "a furnished apartment from a seed"),
+    "scene generate": ("scene_generate", "a furnished building from a seed: homes, offices, halls"),
     "scene import": ("scene_import", "a splat file, InteriorGS folder or Gazebo world as a scene"),
     "scene check": ("scene_check", "say in plain words what is wrong with a scene"),
     "scene show": ("scene_show", "draw a sheet: plan, bird's-eye view, four views"),

@@ -1,4 +1,4 @@
-"""Generate a furnished apartment from a seed: plan, furniture, materials, baked light, splats.
+"""Generate a furnished building from a seed: plan, furniture, materials, baked light, splats.
 
 The same seed and settings give the same bytes.
 """
@@ -10,11 +10,19 @@ from typing import Annotated, Literal
 import msgspec
 
 from gn0.config import Config
+from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
 
-EXAMPLES = """  gn0 scene generate --kind apartment --seed 7 --out out/flat
+KIND_TABLE = "\n".join(
+    f"  {name:<12}{', '.join(f'{low}–{high}' for low, high in kind.areas):<28}{kind.about}"
+    for name, kind in KINDS.items()
+)
+EXAMPLES = f"""  gn0 scene generate --kind apartment --seed 7 --out out/flat
   gn0 scene generate --seed 11 --size large --density 20000 --out out/sharp
   gn0 scene generate --seed 3 --size small --density 5000 --light draft --out out/quick
-  gn0 scene generate --seed 7 --density 20000 --refine --out out/photo"""
+  gn0 scene generate --seed 7 --density 20000 --refine --out out/photo
+
+kinds, with the m² of floor of small, medium and large:
+{KIND_TABLE}"""
 
 
 class Args(Config, frozen=True):
@@ -22,11 +30,12 @@ class Args(Config, frozen=True):
 
     Attributes:
         out: the scene folder to write.
-        kind: of building.
+        kind: of building; listed above.
         seed: of everything drawn by chance.
-        size: small 46–62, medium 62–95, large 95–135 m² of floor.
+        size: of the building; the m² of each kind are listed above.
         style: taste of the furnishing; drawn from the seed by default.
-        density: Gaussians per square metre of floor, 5000 fast to 20000 sharp.
+        density: Gaussians per square metre of floor, 5000 fast to 20000 sharp; by default
+            10000 for homes, fewer for halls.
         light: normal, or draft for a quicker bake.
         refine: fit the Gaussians to ray-traced pictures: sharper by about 6 dB, for minutes more.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
@@ -34,11 +43,11 @@ class Args(Config, frozen=True):
     """
 
     out: str
-    kind: Literal["apartment"] = "apartment"
+    kind: KindName = "apartment"
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
-    size: Literal["small", "medium", "large"] = "medium"
-    style: Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"] | None = None
-    density: Annotated[float, msgspec.Meta(ge=5000, le=20000)] = 10_000.0
+    size: SizeName = "medium"
+    style: StyleName | None = None
+    density: Annotated[float, msgspec.Meta(ge=5000, le=20000)] | None = None
     light: Literal["normal", "draft"] = "normal"
     refine: bool = False
     packed: bool = False

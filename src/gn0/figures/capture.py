@@ -26,7 +26,7 @@ from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.scenes.capture.pose import propose_pose
 from gn0.scenes.capture.settings import CaptureSettings
-from gn0.scenes.procedural.generate import GenerateSettings, build_apartment
+from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.scene import Scene
 from gn0.scenes.sources import import_scene
 from gn0.seeds import random_stream
@@ -152,7 +152,7 @@ def _flats(ctx: FigureContext, light: str = "normal") -> Iterator[tuple[int, str
     for index, (seed, size) in enumerate(FLATS):
         ctx.progress("generating flats", index, len(FLATS))
         settings = GenerateSettings(seed=seed, size=size, light=light)  # type: ignore[arg-type]
-        yield seed, size, build_apartment(settings, f"flat-{seed}")
+        yield seed, size, build_generated(settings, f"flat-{seed}")
 
 
 def measure_maps(ctx: FigureContext) -> list[FigureRow]:

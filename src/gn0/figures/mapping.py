@@ -16,7 +16,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.missions.goal import sample_goal_episodes
 from gn0.plugins import get_plugin
-from gn0.scenes.procedural.generate import GenerateSettings, build_apartment
+from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.scene import Scene
 from gn0.scenes.sources import import_scene
 from gn0.sim.mapping import Mapper
@@ -42,7 +42,7 @@ class Walk:
 
 def build_flat(ctx: FigureContext) -> Scene:
     """The generator's default apartment of seed 7."""
-    return build_apartment(GenerateSettings(seed=7), "apartment-7", ctx.progress)
+    return build_generated(GenerateSettings(seed=7), "apartment-7", ctx.progress)
 
 
 def build_house(ctx: FigureContext) -> Scene:

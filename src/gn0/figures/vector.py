@@ -366,11 +366,11 @@ def measure_visible(ctx: FigureContext) -> list[FigureRow]:
 
 def measure_visible_scene(ctx: FigureContext) -> list[FigureRow]:
     """Visible sets in a generated flat, for three cameras of well-known benchmarks."""
-    from gn0.scenes.procedural.generate import GenerateSettings, build_apartment
+    from gn0.scenes.procedural.generate import GenerateSettings, build_generated
     from gn0.sim.presets import find_preset
 
     settings = GenerateSettings(seed=7, size="small", density=10_000, light="draft")
-    scene = build_apartment(settings, "figure", ctx.progress)
+    scene = build_generated(settings, "figure", ctx.progress)
     body = AgentSpec()
     navigation = NavigationMap(scene.grid, body.radius)
     free: NDArray[np.int64] = np.argwhere(navigation.regions == 0)

@@ -9,7 +9,7 @@ import pytest
 
 from gn0.errors import ConfigError, StorageError
 from gn0.scenes.folder import load_scene
-from gn0.scenes.procedural.generate import GenerateSettings, build_apartment, generate_scene
+from gn0.scenes.procedural.generate import GenerateSettings, build_generated, generate_scene
 
 QUICK = GenerateSettings(seed=5, size="small", density=2000, light="draft")
 
@@ -34,7 +34,7 @@ def test_a_seed_becomes_a_scene_folder(tmp_path: Path) -> None:
     assert again.grid.free_area > 0.3 * area
     with pytest.raises(StorageError, match="not empty"):
         generate_scene(QUICK, tmp_path / "flat")
-    twin = build_apartment(QUICK, "twin")
+    twin = build_generated(QUICK, "twin")
     assert twin.gaussians.content_hash == scene.gaussians.content_hash or np.array_equal(
         np.sort(twin.gaussians.means[:, 0]), np.sort(scene.gaussians.means[:, 0])
     )

@@ -10,7 +10,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
 from gn0.scenes.procedural import refine
 from gn0.scenes.procedural.apartment import draft_apartment
-from gn0.scenes.procedural.generate import GenerateSettings, build_apartment
+from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.procedural.refine import LENSES, place_views
 from gn0.scenes.rays import RayCaster
 
@@ -44,8 +44,8 @@ def test_a_refined_apartment_is_nearer_to_its_photographs(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(refine, "trace_picture", watch)
     settings = GenerateSettings(seed=3, size="small", density=5000, light="draft")
-    plain = build_apartment(settings, "plain").gaussians
-    fitted_scene = build_apartment(
+    plain = build_generated(settings, "plain").gaussians
+    fitted_scene = build_generated(
         GenerateSettings(seed=3, size="small", density=5000, light="draft", refine=True), "fitted"
     )
     fitted = fitted_scene.gaussians

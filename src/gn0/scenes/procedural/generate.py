@@ -12,35 +12,33 @@ from gn0.config import Config, check_config
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
-from gn0.scenes.procedural.apartment import draft_apartment
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.finish import cover_draft, light_draft
+from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
 from gn0.scenes.procedural.refine import refine_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.storage import check_replaceable
-
-GENERATOR = "apartment 1"  # change the number when the same seed would give another flat
 
 
 class GenerateSettings(Config, frozen=True):
     """What to generate.
 
     Attributes:
-        kind: of building; "apartment" is the only one so far.
+        kind: of building, one of `kinds.KINDS`.
         seed: of everything that is drawn by chance.
-        size: "small" 46–62 m², "medium" 62–95 m², "large" 95–135 m² of floor.
+        size: of the kind's three; `KINDS[kind].areas` says how many m² of floor.
         style: taste of the furnishing; drawn from the seed when None.
-        density: Gaussians per square metre of floor.
+        density: Gaussians per square metre of floor; the kind's own when None.
         light: "normal", or "draft" for a bake that takes a third of the time.
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).
         refine: fit the Gaussians to ray-traced pictures: sharper outlines, minutes of work.
     """
 
-    kind: Literal["apartment"] = "apartment"
+    kind: KindName = "apartment"
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
-    size: Literal["small", "medium", "large"] = "medium"
-    style: Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"] | None = None
-    density: Annotated[float, msgspec.Meta(ge=1000, le=40000)] = 10_000.0
+    size: SizeName = "medium"
+    style: StyleName | None = None
+    density: Annotated[float, msgspec.Meta(ge=1000, le=40000)] | None = None
     light: Literal["normal", "draft"] = "normal"
     cloud_form: CloudForm = "exact"
     refine: bool = False
@@ -55,23 +53,25 @@ def floor_area(draft: SceneDraft) -> float:
     return total
 
 
-def build_apartment(
+def build_generated(
     settings: GenerateSettings, scene_id: str, progress: Progress = no_progress
 ) -> Scene:
     """A generated scene in memory.
 
     Raises:
         ConfigError: a setting is out of range.
-        SceneError: no walkable flat was found.
+        SceneError: no walkable building was found.
     """
     settings = check_config(settings)
+    kind = KINDS[settings.kind]
+    density = kind.density if settings.density is None else settings.density
     progress("furnishing", 0, 1)
-    draft = draft_apartment(settings.seed, size=settings.size, style=settings.style)
+    draft = kind.draft(settings.seed, size=settings.size, style=settings.style)
     progress("furnishing", 1, 1)
     grid = build_occupancy(draft.mesh)
     shader = light_draft(draft, quality=settings.light, seed=settings.seed, progress=progress)
     area = floor_area(draft)
-    count = int(settings.density * area)
+    count = int(density * area)
     cloud = cover_draft(draft, shader, count, seed=settings.seed, progress=progress)
     if settings.refine:
         cloud = refine_draft(draft, shader, cloud, area=area, seed=settings.seed, progress=progress)
@@ -80,13 +80,13 @@ def build_apartment(
         id=scene_id,
         source=SceneSourceInfo(
             kind="procedural",
-            detail=GENERATOR,
+            detail=f"{settings.kind} {kind.version}",
             seed=settings.seed,
             settings={
                 "kind": settings.kind,
                 "size": settings.size,
                 "style": settings.style,
-                "density": settings.density,
+                "density": float(density),
                 "light": settings.light,
                 "refine": settings.refine,
                 "height_band_low": BAND[0],
@@ -124,12 +124,12 @@ def generate_scene(
     Raises:
         StorageError: `out` exists and is not empty, or cannot be written.
         ConfigError: a setting is out of range.
-        SceneError: no walkable flat was found, or the folder's name cannot be a scene's id.
+        SceneError: no walkable building was found, or the folder's name cannot be a scene's id.
     """
     out = Path(out)
     # said now, not after half a minute of work
     check_replaceable(out, overwrite=overwrite, marker="scene.json")
-    scene = build_apartment(settings, out.resolve().name, progress)
+    scene = build_generated(settings, out.resolve().name, progress)
     return save_scene(
         scene, out, cloud_form=settings.cloud_form, overwrite=overwrite, progress=progress
     )

@@ -1,0 +1,58 @@
+"""The kinds of building that can be generated, one row each.
+
+A kind is a function `draft_<kind>(seed, *, size, style) -> SceneDraft`; everything after the
+draft (occupancy, light, Gaussians, files) is the same for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Literal, get_args
+
+from gn0.scenes.procedural.draft import SceneDraft
+
+KindName = Literal["apartment",]
+SizeName = Literal["small", "medium", "large"]
+StyleName = Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"]
+
+
+@dataclass(frozen=True)
+class SceneKind:
+    """One kind of building.
+
+    Attributes:
+        drafter: "module:function" below `gn0.scenes.procedural`, imported when it is needed.
+        version: of the generator; one more when the same seed would give another building.
+        areas: least and greatest clear floor [m²] of the sizes small, medium and large.
+        density: Gaussians per m² of floor when nobody says otherwise: fewer for halls, where
+            there is more to cover and most of it is further away.
+        about: what it is, in a few words.
+    """
+
+    drafter: str
+    version: int
+    areas: tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+    density: float
+    about: str
+
+    @property
+    def draft(self) -> Callable[..., SceneDraft]:
+        """The function that furnishes one from a seed."""
+        module, name = self.drafter.split(":")
+        found: Callable[..., SceneDraft] = getattr(
+            import_module(f"gn0.scenes.procedural.{module}"), name
+        )
+        return found
+
+    def area_of(self, size: SizeName) -> tuple[int, int]:
+        """Least and greatest clear floor of a size [m²]."""
+        return self.areas[get_args(SizeName).index(size)]
+
+
+KINDS: dict[KindName, SceneKind] = {
+    "apartment": SceneKind(
+        "apartment:draft_apartment", 1, ((46, 62), (62, 95), (95, 135)), 10_000, "a furnished flat"
+    ),
+}

@@ -27,13 +27,16 @@ from gn0.missions.episode import (
 )
 from gn0.missions.files import (
     GN_MATRIX_COLUMNS,
+    LATER_COLUMNS,
     OUR_COLUMNS,
     cells_to_pixels,
+    episodes_digest_bytes,
     load_episodes,
     nav_to_world,
     save_episodes,
     world_to_nav,
 )
+from gn0.render.light import LightCondition
 
 GRID = OccupancyGrid(np.zeros((120, 200), np.uint8), 0.05, (-3.0, 1.5))  # x −3..7, y 1.5..7.5
 GRIDS = {"flat": GRID}
@@ -57,6 +60,18 @@ MIXED = [
     goal(1, mission=MissionInstruction(goal=(5.0, 6.0), instruction="Turn left, then „halt“. 走")),
     goal(2, mission=MissionFollow(goal=(5.0, 6.0), instruction="Follow her.", human="h1")),
     goal(3, id="of another name", split="train"),
+    goal(4, path_id="flat-p7", light=LightCondition(name="dusk", exposure=-1.2, kelvin=4100)),
+    goal(
+        5,
+        path_id="flat-p7",
+        mission=MissionInstruction(
+            goal=(5.0, 6.0),
+            instruction="Walk on.",
+            object_id="o7",
+            category="sofa",
+            style="detailed",
+        ),
+    ),
 ]
 
 
@@ -74,6 +89,31 @@ def test_what_is_written_is_read_back_exactly(saved: Path) -> None:
 def test_the_same_episodes_give_the_same_bytes(saved: Path, tmp_path: Path) -> None:
     save_episodes(tmp_path / "again.parquet", MIXED, GRIDS)
     assert (tmp_path / "again.parquet").read_bytes() == saved.read_bytes()
+
+
+def test_a_file_of_an_earlier_version_has_no_path_style_or_light(
+    saved: Path, tmp_path: Path
+) -> None:
+    table = pq.read_table(saved).drop_columns([name for name, *_ in LATER_COLUMNS])
+    pq.write_table(table, tmp_path / "earlier.parquet")
+    found = load_episodes(tmp_path / "earlier.parquet")
+    assert [e.id for e in found] == [e.id for e in MIXED]
+    assert all(e.path_id == "" and e.light is None for e in found)
+
+
+def test_light_that_is_no_condition_is_named_with_its_row(saved: Path, tmp_path: Path) -> None:
+    table = pq.read_table(saved)
+    column = pa.array(["", "", '{"exposure": "much"}', "", "", ""])
+    at = table.column_names.index("light")
+    pq.write_table(table.set_column(at, table.schema.field(at), column), tmp_path / "odd.parquet")
+    with pytest.raises(EpisodeError, match=r"row 3.*column 'light'"):
+        load_episodes(tmp_path / "odd.parquet")
+
+
+def test_what_says_nothing_leaves_the_digest_as_it_was() -> None:
+    plain = episodes_digest_bytes([goal(0)])
+    assert b"path_id" not in plain and b"light" not in plain
+    assert episodes_digest_bytes([goal(0, path_id="p")]) != plain
 
 
 finite = st.floats(-1e6, 1e6)
@@ -98,7 +138,8 @@ def test_any_finite_values_survive(
 def test_gn_matrix_columns_come_first_by_their_exact_names(saved: Path) -> None:
     table = pq.read_table(saved)
     names = [name for name, _ in GN_MATRIX_COLUMNS]
-    assert table.column_names == names + [name for name, _ in OUR_COLUMNS]
+    names += [name for name, _ in OUR_COLUMNS] + [name for name, *_ in LATER_COLUMNS]
+    assert table.column_names == names
     published = (
         "scene trajectory_id instruction grounded_instruction label_ins_id label_label "
         "label_goal_pixel_x label_goal_pixel_y start_world_x start_world_y start_facing_unit_dx "

@@ -8,6 +8,7 @@ import msgspec
 
 from gn0.errors import EpisodeError
 from gn0.geometry import Pose2D
+from gn0.render.light import LightCondition
 
 
 class MissionGoal(msgspec.Struct, frozen=True, kw_only=True, tag="goal"):
@@ -20,10 +21,21 @@ class MissionGoal(msgspec.Struct, frozen=True, kw_only=True, tag="goal"):
 
 
 class MissionInstruction(msgspec.Struct, frozen=True, kw_only=True, tag="instruction"):
-    """Follow a route instruction to goal (x, y) [m]."""
+    """Follow a route instruction to goal (x, y) [m].
+
+    Attributes:
+        goal: where the route ends [m].
+        instruction: the route in words.
+        object_id: what stands there, where known.
+        category: its category.
+        style: "detailed" or "benchmark" for generated texts, "" for others.
+    """
 
     goal: tuple[float, float]
     instruction: str
+    object_id: str = ""
+    category: str = ""
+    style: str = ""
 
 
 class MissionFollow(msgspec.Struct, frozen=True, kw_only=True, tag="follow"):
@@ -71,6 +83,8 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
         split: train, val, test, …
         seed: seed of everything random in this episode.
         agent: embodiment it was planned for.
+        path_id: the path it was made of: missions of one path share it; "" when not known.
+        light: how the scene is lit in this episode; None as it was made.
     """
 
     id: str
@@ -81,6 +95,8 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
     split: str = "test"
     seed: int = 0
     agent: AgentSpec = AgentSpec()
+    path_id: str = ""
+    light: LightCondition | None = None
 
     @property
     def start_pose(self) -> Pose2D:

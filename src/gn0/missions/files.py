@@ -32,6 +32,7 @@ from gn0.missions.episode import (
     check_episode,
 )
 from gn0.missions.paths import rasterise_path
+from gn0.render.light import LightCondition
 from gn0.storage import read_bytes, write_bytes
 
 SIZE_LIMIT = 2 * 2**30  # bytes of Parquet read at most, packed or unpacked
@@ -82,8 +83,17 @@ OUR_COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
     ("agent_forward_step", _REAL),
     ("agent_turn_degrees", _REAL),
 )
+# ours as well, but not in files of earlier versions: absent means the value in the third place
+LATER_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
+    ("path_id", _TEXT, ""),
+    ("style", _TEXT, ""),
+    ("light", _TEXT, ""),  # JSON of a LightCondition; "" as the scene was made
+)
 _SCHEMA = pa.schema(
-    [pa.field(name, kind, nullable=False) for name, kind in GN_MATRIX_COLUMNS + OUR_COLUMNS],
+    [
+        pa.field(name, kind, nullable=False)
+        for name, kind, *_ in (*GN_MATRIX_COLUMNS, *OUR_COLUMNS, *LATER_COLUMNS)
+    ],
     metadata={"gn0.episodes": "1", "gn0.frame": "*_3dgs_*: world frame, m, rad; others: GN-Matrix"},
 )
 
@@ -124,7 +134,7 @@ def save_episodes(
         StorageError: the file cannot be written.
     """
     check_unique(episodes)
-    rows: dict[str, list[Any]] = {name: [] for name, _ in GN_MATRIX_COLUMNS + OUR_COLUMNS}
+    rows: dict[str, list[Any]] = {name: [] for name in _SCHEMA.names}
     for episode in episodes:
         check_episode(episode)
         if episode.scene_id not in grids:
@@ -185,8 +195,8 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "trajectory_id": episode.id.removeprefix(prefix) or episode.id,
         "instruction": episode.instruction,
         "grounded_instruction": episode.instruction,
-        "label_ins_id": mission.object_id if isinstance(mission, MissionGoal) else "",
-        "label_label": mission.category if isinstance(mission, MissionGoal) else "",
+        "label_ins_id": "" if isinstance(mission, MissionFollow) else mission.object_id,
+        "label_label": "" if isinstance(mission, MissionFollow) else mission.category,
         "label_goal_pixel_x": int(goal_pixel[0]),
         "label_goal_pixel_y": int(goal_pixel[1]),
         "start_world_x": start[0],
@@ -216,6 +226,9 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "agent_camera_height": agent.camera_height,
         "agent_forward_step": agent.forward_step,
         "agent_turn_degrees": agent.turn_degrees,
+        "path_id": episode.path_id,
+        "style": mission.style if isinstance(mission, MissionInstruction) else "",
+        "light": "" if episode.light is None else msgspec.json.encode(episode.light).decode(),
     }
 
 
@@ -238,6 +251,9 @@ def load_episodes(
     ours = "episode_id" in table.column_names
     columns = GN_MATRIX_COLUMNS + OUR_COLUMNS if ours else GN_MATRIX_COLUMNS
     values = {name: read_column(table, name, kind, path) for name, kind in columns}
+    for name, kind, absent in LATER_COLUMNS if ours else ():
+        there = name in table.column_names
+        values[name] = read_column(table, name, kind, path) if there else [absent] * table.num_rows
     unknown = sorted(set(table.column_names) - set(values))
     if unknown and ours:
         raise FormatError("unknown column", file=path, field=unknown[0], remedy="remove it")
@@ -371,7 +387,13 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
             instruction=text,
         )
     elif kind == "instruction":
-        mission = MissionInstruction(goal=goal, instruction=text)
+        mission = MissionInstruction(
+            goal=goal,
+            instruction=text,
+            object_id=cells["label_ins_id"],
+            category=cells["label_label"],
+            style=cells["style"],
+        )
     elif kind == "follow":
         mission = MissionFollow(goal=goal, instruction=text, human=cells["human"])
     else:
@@ -398,7 +420,22 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
             forward_step=float(cells["agent_forward_step"]),
             turn_degrees=float(cells["agent_turn_degrees"]),
         ),
+        path_id=cells["path_id"],
+        light=_light(cells["light"]),
     )
+
+
+def _light(text: str) -> LightCondition | None:
+    if not text:
+        return None
+    try:
+        return msgspec.json.decode(text, type=LightCondition)
+    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+        raise EpisodeError(
+            f"light is not a light condition: {error}",
+            where="column 'light'",
+            remedy="leave it empty, or write the JSON of one",
+        ) from None
 
 
 def _gn_matrix_episode(
@@ -442,5 +479,24 @@ def _points(xs: Sequence[float], ys: Sequence[float]) -> tuple[tuple[float, floa
 
 
 def episodes_digest_bytes(episodes: Sequence[Episode]) -> bytes:
-    """The decoded values of episodes as canonical bytes, for hashing; not a file format."""
-    return msgspec.json.encode(list(episodes), order="deterministic")
+    """The decoded values of episodes as canonical bytes, for hashing; not a file format.
+
+    What episodes did not always have is left out where it says nothing, so that suites keep the
+    hash that they had.
+    """
+    plain = [msgspec.to_builtins(episode) for episode in episodes]
+    for value in plain:
+        mission = value["mission"]
+        for holder, names in ((value, _LATER), (mission, _LATER_OF_MISSION[mission["type"]])):
+            for name in names:
+                if not holder[name]:
+                    del holder[name]
+    return msgspec.json.encode(plain, order="deterministic")
+
+
+_LATER = ("path_id", "light")
+_LATER_OF_MISSION: dict[str, tuple[str, ...]] = {
+    "goal": (),
+    "instruction": ("object_id", "category", "style"),
+    "follow": (),
+}

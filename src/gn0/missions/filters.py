@@ -8,27 +8,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.config import Config
 from gn0.geometry import F64
 from gn0.jit import njit
-from gn0.missions.paths import resample_path
-from gn0.storage import content_hash
+from gn0.missions.similarity import KnownPaths, SimilaritySettings, path_signature
 
-
-class SimilaritySettings(Config, frozen=True):
-    """When two paths count as the same task (paper, Alg. 'Post-Generation … Filtering').
-
-    Attributes:
-        start_radius: only paths whose starts are this close are compared [m].
-        goal_radius: only paths whose goals are this close are compared [m].
-        frechet: a smaller discrete Fréchet distance means near-duplicate [m].
-        samples: points a path is resampled to before comparison.
-    """
-
-    start_radius: float = 1.0
-    goal_radius: float = 1.0
-    frechet: float = 0.75
-    samples: int = 48
+__all__ = ["PathFilter", "SimilaritySettings", "discrete_frechet", "path_signature"]
 
 
 @njit
@@ -63,18 +47,12 @@ def discrete_frechet(p: NDArray[np.floating], q: NDArray[np.floating]) -> float:
     )
 
 
-def path_signature(points: NDArray[np.floating]) -> str:
-    """Digest of a path [N, 2] rounded to millimetres: equal paths have equal signatures."""
-    return content_hash(np.round(np.asarray(points, np.float64) * 1000).astype(np.int64))
-
-
 class PathFilter:
     """Accepts paths one by one and refuses exact and near duplicates of those accepted."""
 
     def __init__(self, settings: SimilaritySettings | None = None) -> None:
         self.settings = settings or SimilaritySettings()
-        self._signatures: set[str] = set()
-        self._paths: list[F64] = []
+        self._known = KnownPaths(self.settings.samples)
 
     def relax(self, frechet: float) -> None:
         """Lower the near-duplicate threshold [m]; exact duplicates stay refused."""
@@ -82,18 +60,9 @@ class PathFilter:
 
     def accept(self, points: NDArray[np.floating]) -> bool:
         """Whether the path [N, 2] m is new; if so it is remembered."""
-        s = self.settings
-        signature = path_signature(points)
-        if signature in self._signatures:
+        if self._known.find_same(points) >= 0:
             return False
-        candidate = resample_path(points, s.samples)
-        for kept in self._paths:
-            if np.hypot(*(candidate[0] - kept[0])) > s.start_radius:
-                continue
-            if np.hypot(*(candidate[-1] - kept[-1])) > s.goal_radius:
-                continue
-            if discrete_frechet(candidate, kept) < s.frechet:
-                return False
-        self._signatures.add(signature)
-        self._paths.append(candidate)
+        if self._known.find_similar(points, self.settings) >= 0:
+            return False
+        self._known.add(points)
         return True

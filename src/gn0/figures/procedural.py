@@ -11,7 +11,8 @@ from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, ro
 from gn0.figures.surfels import FIGURES as SURFEL_FIGURES
 from gn0.maps.navigation import NavigationMap
 from gn0.scenes.occupancy import build_occupancy
-from gn0.scenes.procedural.apartment import AGENT_RADIUS, check_reach, draft_apartment
+from gn0.scenes.procedural.apartment import draft_apartment
+from gn0.scenes.procedural.building import AGENT_RADIUS, check_reach
 from gn0.scenes.procedural.generate import GenerateSettings, floor_area, generate_scene
 from gn0.scenes.procedural.plan import plan_apartment
 

@@ -13,7 +13,8 @@ import pytest
 from gn0.errors import Gn0Error, SceneError
 from gn0.maps.navigation import NavigationMap
 from gn0.scenes.occupancy import build_occupancy
-from gn0.scenes.procedural.apartment import AGENT_RADIUS, check_reach, draft_apartment
+from gn0.scenes.procedural.apartment import draft_apartment
+from gn0.scenes.procedural.building import AGENT_RADIUS, check_reach
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.materials import pattern_names
 from gn0.scenes.procedural.plan import SIZES, FloorPlan, plan_apartment

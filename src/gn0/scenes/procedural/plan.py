@@ -234,7 +234,7 @@ def _close_plan(rng: np.random.Generator, cells: list[Cell]) -> FloorPlan | None
     for name, *_ in cells:
         counts[name] = counts.get(name, 0) + 1
         ids.append(f"{name.replace(' ', '_')}_{counts[name]}")
-    walls = _build_walls(cells, ids)
+    walls = build_walls(cells, ids)
     rooms = []
     for (name, x0, y0, x1, y1), id in zip(cells, ids, strict=True):
         inset = {}
@@ -262,10 +262,10 @@ def _close_plan(rng: np.random.Generator, cells: list[Cell]) -> FloorPlan | None
     if doors is None:
         return None
     windows = _cut_windows(rng, plan)
-    return replace(plan, openings=tuple(_fit_opening(plan, o) for o in (*doors, *windows)))
+    return replace(plan, openings=tuple(fit_opening(plan, o) for o in (*doors, *windows)))
 
 
-def _fit_opening(plan: FloorPlan, opening: Opening) -> Opening:
+def fit_opening(plan: FloorPlan, opening: Opening) -> Opening:
     """The opening reaching exactly from one wall face to the other (walls differ in thickness)."""
     outer = opening.thickness / 2
     low, high = opening.at - outer, opening.at + outer
@@ -278,7 +278,7 @@ def _fit_opening(plan: FloorPlan, opening: Opening) -> Opening:
     return replace(opening, at=(low + high) / 2, thickness=high - low)
 
 
-def _build_walls(cells: list[Cell], ids: list[str]) -> list[Wall]:
+def build_walls(cells: list[Cell], ids: list[str]) -> list[Wall]:
     """Maximal wall pieces between one pair of neighbours (or a room and the outside)."""
     walls = []
     for axis in ("x", "y"):
@@ -310,7 +310,7 @@ def _build_walls(cells: list[Cell], ids: list[str]) -> list[Wall]:
     return walls
 
 
-def _clear_span(plan: FloorPlan, wall: Wall) -> tuple[float, float]:
+def clear_span(plan: FloorPlan, wall: Wall) -> tuple[float, float]:
     """The part of a wall that is clear of corners in both of its rooms."""
     low, high = wall.low, wall.high
     for id in wall.rooms:
@@ -330,7 +330,7 @@ def _cut_doors(rng: np.random.Generator, plan: FloorPlan) -> list[Opening] | Non
         a, b = wall.rooms
         if a is None or b is None:
             continue
-        low, high = _clear_span(plan, wall)
+        low, high = clear_span(plan, wall)
         if high - low < 1.25:
             continue
         pair = {types[a], types[b]}
@@ -351,7 +351,7 @@ def _cut_doors(rng: np.random.Generator, plan: FloorPlan) -> list[Opening] | Non
         a, b = wall.rooms
         if a is None or b is None or (a, b) not in wanted:
             continue
-        low, high = _clear_span(plan, wall)
+        low, high = clear_span(plan, wall)
         if high - low < 1.25:
             continue
         doors.append(_cut_door(rng, plan, wall, low, high, {types[a], types[b]}))
@@ -402,7 +402,7 @@ def _cut_door(
 def _cut_entrance(rng: np.random.Generator, plan: FloorPlan, hall: str) -> Opening | None:
     """The closed entrance door in an outer wall of the hall, its short end first."""
     walls = [w for w in plan.walls if hall in w.rooms and None in w.rooms]
-    spans = [(w, *_clear_span(plan, w)) for w in walls]
+    spans = [(w, *clear_span(plan, w)) for w in walls]
     spans = [s for s in spans if s[2] - s[1] > 1.15]
     if not spans:
         return None
@@ -430,7 +430,7 @@ def _cut_windows(rng: np.random.Generator, plan: FloorPlan) -> list[Opening]:
         room = plan.room(inside)
         if room.type in ("hallway", "storage"):
             continue
-        low, high = _clear_span(plan, wall)
+        low, high = clear_span(plan, wall)
         span = high - low
         if span < 1.2:
             continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -99,6 +100,7 @@ class RoomFinish:
     band: float = 0.0
     band_material: Material | None = None
     crown: bool = False
+    ceiling: Material = CEILING
 
 
 def build_room_shell(plan: FloorPlan, room: Room, finish: RoomFinish) -> list[Shape]:
@@ -107,7 +109,7 @@ def build_room_shell(plan: FloorPlan, room: Room, finish: RoomFinish) -> list[Sh
     x0, y0, wide, deep = room.x0 - e, room.y0 - e, room.width + 2 * e, room.depth + 2 * e
     out = [
         build_panel((x0, y0, 0), (wide, 0, 0), (0, deep, 0), finish.floor),
-        build_panel((x0 + wide, y0, plan.ceiling), (-wide, 0, 0), (0, deep, 0), CEILING),
+        build_panel((x0 + wide, y0, plan.ceiling), (-wide, 0, 0), (0, deep, 0), finish.ceiling),
     ]
     for name, side in room_sides(plan, room).items():
         wall = finish.walls[name]
@@ -187,7 +189,7 @@ def build_opening_shell(opening: Opening, finishes: dict[str, RoomFinish]) -> li
         build_panel((w / 2, t / 2, z), (0, -t, 0), (0, 0, h), lining),
         build_panel((w / 2, -t / 2, z + h), (-w, 0, 0), (0, t, 0), lining),
     ]
-    base = TRIM if opening.kind == "window" else finishes[inside].floor
+    base = TRIM if opening.bottom > 0 else finishes[inside].floor
     shapes.append(build_panel((-w / 2, -t / 2, z), (w, 0, 0), (0, t, 0), base).moved(z=0.0005))
     x, y, yaw = _opening_frame(opening)
     return [s.moved(x, y, 0, yaw) for s in shapes]
@@ -356,12 +358,39 @@ def choose_finish(
     return RoomFinish(walls, floor, crown=crown)
 
 
+def build_glazing(opening: Opening, material: Material) -> Placed:
+    """Frame of a window between two rooms, as one object "interior window".
+
+    It has no pane: splats of clean glass would only dim what is behind it.
+    """
+    w, t, bar = opening.width, opening.thickness + 0.02, 0.05
+    z0, h = opening.bottom, opening.top - opening.bottom
+    shapes = []
+    for z in (z0, z0 + h - bar):
+        shapes.append(build_box((w, t, bar), material, bevel=0.004, at=(0, 0, z)))
+    fields = max(1, round(w / 1.2))
+    for k in range(fields + 1):
+        x = -w / 2 + bar / 2 + (w - bar) * k / fields
+        thick = t if k in (0, fields) else 0.06
+        post = build_box((bar, thick, h - 2 * bar), material, bevel=0.004, at=(x, 0, z0 + bar))
+        shapes.append(post)
+    x, y, yaw = _opening_frame(opening)
+    return Placed(Item("interior window", tuple(shapes)), x, y, 0.0, yaw)
+
+
+Finisher = Callable[[Room, Palette, Material, np.random.Generator], RoomFinish]
+
+
 def add_shell(
-    assembly: Assembly, plan: FloorPlan, palette: Palette, rng: np.random.Generator
+    assembly: Assembly,
+    plan: FloorPlan,
+    palette: Palette,
+    rng: np.random.Generator,
+    finish: Finisher = choose_finish,
 ) -> dict[str, RoomFinish]:
     """Add the whole building, its doors and windows; returns the finish of each room."""
     floor = palette.floor(rng)
-    finishes = {r.id: choose_finish(r, palette, floor, rng) for r in plan.rooms}
+    finishes = {r.id: finish(r, palette, floor, rng) for r in plan.rooms}
     leaf = plain("door lacquer", "paint", "#f0eee9", contrast=0.05)
     if rng.random() < 0.4:
         leaf = palette.wood(rng, 0)
@@ -373,6 +402,8 @@ def add_shell(
         inside = opening.rooms[0] or opening.rooms[1]
         if opening.kind == "window":
             assembly.add_item(build_window(opening, rng, view + k), inside)
+        elif opening.kind == "glazing":
+            assembly.add_item(build_glazing(opening, palette.metal()), inside)
         elif opening.kind in ("door", "entrance"):
             front = palette.wood(rng, 0) if opening.kind == "entrance" else leaf
             assembly.add_item(

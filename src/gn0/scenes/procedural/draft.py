@@ -67,6 +67,18 @@ class Sun(Config, frozen=True):
     colour: Colour
 
 
+class Sky(Config, frozen=True):
+    """Light of the open sky on whatever sees it: linear radiance overhead and at the horizon.
+
+    `shown` is how much brighter the painted vault is seen than it lights the ground: film and eye
+    keep the blue of a sky that is four times darker than a sunlit wall.
+    """
+
+    zenith: Colour
+    horizon: Colour
+    shown: float = 1.0
+
+
 @dataclass(frozen=True, eq=False)
 class SceneDraft:
     """A furnished building before light: world frame, metres, floor at z = 0.
@@ -82,4 +94,5 @@ class SceneDraft:
     openings: tuple[SceneOpening, ...]
     lamps: tuple[Lamp, ...]
     sun: Sun | None
-    ceiling: float  # height of the ceiling [m]
+    ceiling: float  # height of the ceiling [m]; of the vault of heaven outdoors
+    sky: Sky | None = None  # outdoors: faces of the pattern "open_sky" are its vault

@@ -16,6 +16,8 @@ from gn0.geometry import F64
 from gn0.scenes.procedural import pictures
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.noise import cells, fade, fractal, random_cells, step, stripes
+from gn0.scenes.procedural.patterns_outdoor import OUTDOOR
+from gn0.scenes.procedural.prints import PRINTS
 
 Pattern = Callable[[Material, F64, F64, float], F64]
 PANEL = 0.8  # assumed width [m] of a panel whose uv run 0..1
@@ -50,8 +52,8 @@ def evaluate_materials(
         if not len(spots):
             continue
         u, v = uv[spots, 0].astype(np.float64), uv[spots, 1].astype(np.float64)
-        if material.pattern in pictures.PICTURES:
-            image = pictures.PICTURES[material.pattern](material, u, v, footprint / PANEL)
+        if material.pattern in PANELS:
+            image = PANELS[material.pattern](material, u, v, footprint / PANEL)
         elif material.pattern in PATTERNS:
             image = PATTERNS[material.pattern](material, u, v, footprint)
         else:
@@ -70,7 +72,7 @@ def evaluate_materials(
 
 def pattern_names() -> list[str]:
     """All known patterns, sorted."""
-    return sorted([*PATTERNS, *pictures.PICTURES])
+    return sorted([*PATTERNS, *PANELS])
 
 
 def _tint(m: Material, value: F64) -> F64:
@@ -381,4 +383,6 @@ PATTERNS: dict[str, Pattern] = {
     "cork": _cork,
     "food": _food,
     "lampshade": _lampshade,
+    **OUTDOOR,
 }
+PANELS: dict[str, Pattern] = {**pictures.PICTURES, **PRINTS}  # fill one panel, uv 0..1

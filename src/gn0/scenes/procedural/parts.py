@@ -12,6 +12,7 @@ import numpy as np
 from gn0.geometry import F64
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.procedural.draft import Lamp, Material
+from gn0.scenes.procedural.prints import PRINTS
 from gn0.scenes.procedural.shapes import Shape
 from gn0.scenes.scene import ObjectBox, SceneObject
 
@@ -19,6 +20,8 @@ WHOLE_PICTURE = frozenset(
     {
         *("picture_landscape", "picture_abstract", "picture_portrait", "screen", "sky"),
         *("rug_border", "rug_persian"),
+        *("facade_glass", "open_sky"),
+        *PRINTS,
     }
 )
 

@@ -129,3 +129,15 @@ class BenchError(Gn0Error):
     """A benchmark run cannot start, resume or finish."""
 
     code = "BENCH"
+
+
+class DataError(Gn0Error):
+    """A dataset cannot be built, read, rendered or repaired."""
+
+    code = "DATA"
+
+
+class JobError(Gn0Error):
+    """A unit of work broke, or its worker died or hung, more often than it is tried again."""
+
+    code = "JOB"

@@ -1,0 +1,1 @@
+"""GN-Matrix samples: poses, labels and hashes; pictures are a cache of them."""

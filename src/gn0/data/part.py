@@ -1,0 +1,183 @@
+"""One part of a dataset: its episodes walked, labelled, drawn and written. Runs in a worker.
+
+Answers depend on the payload and the files it names alone, and every file is written whole or not
+at all; so a part that was interrupted is simply made again, to the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from gn0.data.dataset import (
+    DATASET_FILE,
+    Dataset,
+    DatasetPart,
+    SkippedEpisode,
+    load_dataset_file,
+)
+from gn0.data.samples import EpisodeRows, digest_labels, encode_rows, encode_table
+from gn0.errors import DataError, EpisodeError, PlanError
+from gn0.geometry import F64
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import Episode
+from gn0.sim.collision import check_places
+from gn0.storage import safe_join, write_bytes
+
+
+class PartPlan(msgspec.Struct, frozen=True):
+    """What a worker is told: the dataset folder, the part's name, its scene and episodes."""
+
+    folder: str
+    name: str
+    scene: str
+    episodes: tuple[str, ...]
+
+
+def file_digest(data: bytes) -> str:
+    """Digest of a file's bytes."""
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _open(folder: str, stamp: int) -> Dataset:
+    path = Path(folder)
+    return Dataset(path, load_dataset_file(path))
+
+
+def open_building(folder: Path | str) -> Dataset:
+    """The dataset of a folder, its build ended or not; kept while dataset.json is unchanged."""
+    return _open(str(folder), (Path(folder) / DATASET_FILE).stat().st_mtime_ns)
+
+
+def build_part(payload: dict[str, Any]) -> dict[str, Any]:
+    """Walk and label the episodes of a part and write its sample table.
+
+    Raises:
+        BenchError: a scene changed.
+        StorageError: a file cannot be read or written.
+    """
+    plan = msgspec.convert(payload, PartPlan)
+    dataset = open_building(plan.folder)
+    blocks, skipped = collect_part(dataset, plan)
+    part = write_part(dataset, plan, blocks, skipped)
+    return {"part": msgspec.to_builtins(part)}
+
+
+def collect_part(
+    dataset: Dataset, plan: PartPlan
+) -> tuple[list[EpisodeRows], list[SkippedEpisode]]:
+    """The samples of a part's episodes, and the episodes that cannot be walked."""
+    navigation = dataset.navigation(plan.scene)
+    blocks: list[EpisodeRows] = []
+    skipped: list[SkippedEpisode] = []
+    for name in plan.episodes:
+        episode = dataset.episode(name)
+        try:
+            check_places(navigation, episode, dataset.about.agent.radius)
+            blocks.append(collect_expert(navigation, episode, dataset))
+        except (EpisodeError, PlanError) as error:
+            skipped.append(SkippedEpisode(id=name, reason=error.what))
+    return blocks, skipped
+
+
+def write_part(
+    dataset: Dataset,
+    plan: PartPlan,
+    blocks: Sequence[EpisodeRows],
+    skipped: Sequence[SkippedEpisode],
+) -> DatasetPart:
+    """Write a part's sample table, and say what is in it."""
+    data = encode_table(encode_rows(blocks))
+    part = DatasetPart(
+        name=plan.name,
+        scene=plan.scene,
+        episodes=tuple(block.episode_id for block in blocks),
+        rows=sum(map(len, blocks)),
+        labels=digest_labels(blocks),
+        file=file_digest(data),
+        size=len(data),
+        skipped=tuple(skipped),
+    )
+    write_bytes(safe_join(dataset.folder, part.path), data)
+    return part
+
+
+def collect_expert(navigation: NavigationMap, episode: Episode, dataset: Dataset) -> EpisodeRows:
+    """The exact planner's own walk, labelled along the way."""
+    poses, actions = _plan(navigation, episode)
+    count = len(actions)
+    ahead = np.zeros((count, 6), np.int8)
+    for k in range(6):
+        ahead[: max(count - k, 0), k] = actions[k:]
+    waypoints, valid = _waypoints(poses)
+    field = navigation.geodesic(episode.goal)
+    return EpisodeRows(
+        episode_id=episode.id,
+        poses=poses[:-1],
+        executed=actions,
+        actions=ahead,
+        waypoints=waypoints,
+        pixels=np.full((count, 13, 2), -1, np.int16),
+        valid=valid,
+        distance=field.distance(poses[:-1, :2]).astype(np.float32),
+        collided=np.zeros(count, bool),
+    )
+
+
+def _plan(navigation: NavigationMap, episode: Episode) -> tuple[F64, Any]:
+    from gn0.maps.pose_astar import plan_actions
+    from gn0.sim.kinematics import Heading, heading_cycle, step_forward
+
+    agent = episode.agent
+    heading = Heading(episode.start[2], 0, agent.turn_degrees)
+    plan = plan_actions(
+        navigation.geodesic(episode.goal), episode.start[:2], heading_cycle(heading),
+        tolerance=0.25 - 1e-3, step=agent.forward_step,
+    )  # fmt: skip
+    x, y = episode.start[:2]
+    poses = [(x, y, heading.yaw)]
+    for action in plan.tolist():
+        if action == 1:
+            x, y, _ = navigation.move(x, y, *step_forward(x, y, heading.yaw, agent.forward_step))
+        else:
+            heading = heading.turned(1 if action == 2 else -1)
+        poses.append((x, y, heading.yaw))
+    poses.append(poses[-1])
+    return np.array(poses), np.r_[plan, 0].astype(np.int8)
+
+
+def _waypoints(poses: F64) -> tuple[Any, Any]:
+    xy = poses[:, :2]
+    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T))]
+    out = np.zeros((len(poses) - 1, 13, 2), np.float32)
+    valid = np.zeros(len(out), np.int8)
+    for t in range(len(out)):
+        at = s[t] + 0.25 * np.arange(13)
+        inside = at <= s[-1] + 1e-9
+        at = np.minimum(at, at[inside][-1])
+        points = np.column_stack([np.interp(at, s, xy[:, k]) for k in range(2)]) - xy[t]
+        c, n = np.cos(poses[t, 2]), np.sin(poses[t, 2])
+        out[t] = points @ np.array([[c, -n], [n, c]])
+        valid[t] = inside.sum()
+    return out, valid
+
+
+def check_plan(plan: PartPlan, part: DatasetPart) -> None:
+    """Refuse a part that is not the planned one.
+
+    Raises:
+        DataError: it is of another scene, or of other episodes.
+    """
+    found = {*part.episodes, *(skipped.id for skipped in part.skipped)}
+    if part.scene != plan.scene or found != set(plan.episodes):
+        raise DataError(
+            f"part {part.name!r} holds other episodes than planned", where=plan.folder,
+            remedy="choose another --out",
+        )  # fmt: skip

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,19 +35,21 @@ NOT_A_GOAL = frozenset((
 
 @dataclass(frozen=True)
 class GoalTarget:
-    """An object one can go to.
+    """Something one can go to.
 
     Attributes:
-        object: the instance.
+        object: the instance; a room or a place stands here as a box of its own size.
         goal: centre (x, y) [m] of the nearest safe cell on the object's own side of the walls.
         region: connected region of that cell.
         instruction: what to tell the agent; never empty.
+        kind: an object, a room, or an unnamed place of a scene without labels.
     """
 
     object: SceneObject
     goal: tuple[float, float]
     region: int
     instruction: str
+    kind: Literal["object", "room", "place"] = "object"
 
 
 def points_in_polygon(points: NDArray[np.floating], polygon: NDArray[np.floating]) -> NDArray:
@@ -92,7 +96,7 @@ def room_of_object(item: SceneObject, rooms: tuple[SceneRoom, ...]) -> SceneRoom
     return None
 
 
-def _wall_cells(grid: OccupancyGrid, objects: tuple[SceneObject, ...]) -> NDArray[np.bool_]:
+def wall_cells(grid: OccupancyGrid, objects: tuple[SceneObject, ...]) -> NDArray[np.bool_]:
     """Blocked cells [H, W] that no goal-worthy object explains: taken for walls."""
     walls = grid.blocked.copy()
     for item in objects:
@@ -103,7 +107,7 @@ def _wall_cells(grid: OccupancyGrid, objects: tuple[SceneObject, ...]) -> NDArra
     return walls
 
 
-def _sees(grid: OccupancyGrid, walls: NDArray[np.bool_], a: F64, b: F64) -> bool:
+def sees(grid: OccupancyGrid, walls: NDArray[np.bool_], a: F64, b: F64) -> bool:
     """Whether the straight line a→b [m] meets no wall cell."""
     steps = int(np.hypot(*(b - a)) / grid.resolution * 2) + 2
     cells = grid.cells_of(a + (b - a) * np.linspace(0, 1, steps)[:, None])
@@ -113,12 +117,21 @@ def _sees(grid: OccupancyGrid, walls: NDArray[np.bool_], a: F64, b: F64) -> bool
 
 def is_goal_worthy(item: SceneObject) -> bool:
     """Whether one would send somebody to this object."""
+    return not why_no_goal(item)
+
+
+def why_no_goal(item: SceneObject) -> str:
+    """Why nobody is sent to this object; "" when one would be."""
     category = item.category.strip().lower()
-    if not category or category.replace(" ", "_") in NOT_A_GOAL:
-        return False
+    if not category:
+        return "no category"
+    if category.replace(" ", "_") in NOT_A_GOAL:
+        return "part of the building, or a label that says nothing"
     if max(item.box.size) < SMALLEST_GOAL:
-        return False
-    return item.box.centre[2] - item.box.size[2] / 2 <= LOWEST_OUT_OF_REACH
+        return "too small"
+    if item.box.centre[2] - item.box.size[2] / 2 > LOWEST_OUT_OF_REACH:
+        return "hangs out of reach"
+    return ""
 
 
 def find_standing_cell(
@@ -157,9 +170,9 @@ def find_standing_cell(
     index = np.flatnonzero(keep)
     order = index[np.lexsort((cells[index, 1], cells[index, 0], from_centre[index], away[index]))]
     if room is None and not scene.walls:
-        solid = walls if walls is not None else _wall_cells(navigation.grid, scene.objects)
+        solid = walls if walls is not None else wall_cells(navigation.grid, scene.objects)
         for i in order:
-            if _sees(navigation.grid, solid, points[i], centre):
+            if sees(navigation.grid, solid, points[i], centre):
                 return float(points[i, 0]), float(points[i, 1])
         return None
     return float(points[order[0], 0]), float(points[order[0], 1])
@@ -188,6 +201,9 @@ def _tell_tale_neighbour(scene: Scene, item: SceneObject, room: SceneRoom | None
     centre = np.array([item.box.centre[:2]])
     best: tuple[float, str] | None = None
     for other in scene.objects:
+        x, y = other.box.centre[0] - item.box.centre[0], other.box.centre[1] - item.box.centre[1]
+        if max(abs(x), abs(y)) > NEIGHBOUR_REACH + math.hypot(*other.box.size[:2]):
+            continue
         kind = _plain(other.category)
         if kind == name or not is_goal_worthy(other) or max(other.box.size) < SMALLEST_LANDMARK:
             continue
@@ -199,6 +215,7 @@ def _tell_tale_neighbour(scene: Scene, item: SceneObject, room: SceneRoom | None
     return best[1] if best else ""
 
 
+@functools.lru_cache(maxsize=4096)
 def _plain(text: str) -> str:
     """A label as words: "CoffeeTable_01" and "coffee_table" become "coffee table"."""
     words = "".join(
@@ -214,7 +231,7 @@ def build_targets(
     scene: Scene, navigation: NavigationMap, *, reach: float = REACH
 ) -> list[GoalTarget]:
     """All objects of a scene that one can walk up to, in the scene's order."""
-    walls = _wall_cells(navigation.grid, scene.objects)
+    walls = wall_cells(navigation.grid, scene.objects)
     targets = []
     for item in scene.objects:
         if not is_goal_worthy(item):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import msgspec
 
@@ -11,13 +12,51 @@ from gn0.geometry import Pose2D
 from gn0.render.light import LightCondition
 
 
+class GoalPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the picture of a goal is taken: kept instead of the picture, which it makes again.
+
+    Attributes:
+        kind: "view", what the agent would see on arrival; "crop", the target alone, cut out.
+        eye: camera (x, y, z) [m].
+        yaw: direction of view [rad].
+        pitch: how far it looks up [rad].
+        hfov: horizontal field of view [degrees], less than the agent's own for a crop; 0 is the
+            agent's own. Its picture has the size of the agent's pictures in any case.
+    """
+
+    kind: Literal["view", "crop"]
+    eye: tuple[float, float, float]
+    yaw: float
+    pitch: float = 0.0
+    hfov: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = (*self.eye, self.yaw, self.pitch, self.hfov)
+        if not all(map(math.isfinite, values)):
+            raise EpisodeError("goal picture holds NaN or infinity")
+        if not (abs(self.pitch) < math.pi / 2 and (self.hfov == 0 or 1 <= self.hfov <= 170)):
+            raise EpisodeError(
+                f"goal picture looks up {self.pitch} rad with a field of view of {self.hfov}°"
+            )
+
+
 class MissionGoal(msgspec.Struct, frozen=True, kw_only=True, tag="goal"):
-    """Go to a semantic target: goal (x, y) [m] snapped to walkable ground beside the object."""
+    """Go to a semantic target: goal (x, y) [m] snapped to walkable ground beside the object.
+
+    Attributes:
+        goal: where one stands to be there [m].
+        object_id: the target; a room's id where the goal is a room.
+        category: its category, or the type of the room.
+        instruction: never empty: "Go to the sofa in the living room."
+        picture: how the goal picture is taken; None takes it at the goal, looking in a direction
+            drawn by the episode's seed.
+    """
 
     goal: tuple[float, float]
     object_id: str
     category: str
-    instruction: str  # never empty: "Go to the sofa in the living room."
+    instruction: str
+    picture: GoalPicture | None = None
 
 
 class MissionInstruction(msgspec.Struct, frozen=True, kw_only=True, tag="instruction"):

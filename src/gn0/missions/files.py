@@ -25,6 +25,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import (
     AgentSpec,
     Episode,
+    GoalPicture,
     Mission,
     MissionFollow,
     MissionGoal,
@@ -88,6 +89,7 @@ LATER_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
     ("path_id", _TEXT, ""),
     ("style", _TEXT, ""),
     ("light", _TEXT, ""),  # JSON of a LightCondition; "" as the scene was made
+    ("goal_picture", _TEXT, ""),  # JSON of a GoalPicture; "" where none is recorded
 )
 _SCHEMA = pa.schema(
     [
@@ -229,6 +231,7 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "path_id": episode.path_id,
         "style": mission.style if isinstance(mission, MissionInstruction) else "",
         "light": "" if episode.light is None else msgspec.json.encode(episode.light).decode(),
+        "goal_picture": _encoded(mission.picture if isinstance(mission, MissionGoal) else None),
     }
 
 
@@ -385,6 +388,7 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
             object_id=cells["label_ins_id"],
             category=cells["label_label"],
             instruction=text,
+            picture=_goal_picture(cells["goal_picture"]),
         )
     elif kind == "instruction":
         mission = MissionInstruction(
@@ -434,6 +438,23 @@ def _light(text: str) -> LightCondition | None:
         raise EpisodeError(
             f"light is not a light condition: {error}",
             where="column 'light'",
+            remedy="leave it empty, or write the JSON of one",
+        ) from None
+
+
+def _encoded(picture: GoalPicture | None) -> str:
+    return "" if picture is None else msgspec.json.encode(picture).decode()
+
+
+def _goal_picture(text: str) -> GoalPicture | None:
+    if not text:
+        return None
+    try:
+        return msgspec.json.decode(text, type=GoalPicture)
+    except (msgspec.DecodeError, msgspec.ValidationError, EpisodeError) as error:
+        raise EpisodeError(
+            f"goal_picture is not a goal picture: {error}",
+            where="column 'goal_picture'",
             remedy="leave it empty, or write the JSON of one",
         ) from None
 
@@ -496,7 +517,7 @@ def episodes_digest_bytes(episodes: Sequence[Episode]) -> bytes:
 
 _LATER = ("path_id", "light")
 _LATER_OF_MISSION: dict[str, tuple[str, ...]] = {
-    "goal": (),
+    "goal": ("picture",),
     "instruction": ("object_id", "category", "style"),
     "follow": (),
 }

@@ -7,8 +7,6 @@ a result, is the same on each of them.
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
@@ -16,6 +14,7 @@ from typing import Any, Literal, Protocol, Self
 
 from gn0.bench.messages import FromWorker
 from gn0.errors import BenchError
+from gn0.jobs.process import Ended
 
 ExecutorName = Literal["process", "ray"]
 
@@ -53,14 +52,6 @@ class Heard:
 
     worker: int
     message: FromWorker | None
-
-
-@dataclass(frozen=True)
-class Ended:
-    """How a worker ended, in words, and the tail of what it wrote to stderr."""
-
-    how: str
-    last_words: str
 
 
 class Pool(Protocol):
@@ -102,25 +93,6 @@ class Pool(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
-
-
-def describe_end(returncode: int | None) -> str:
-    """How a process ended, in words."""
-    if returncode is None:
-        return "stopped answering"
-    if returncode < 0:
-        try:
-            return f"was killed by {signal.Signals(-returncode).name}"
-        except ValueError:
-            return f"was killed by signal {-returncode}"
-    return f"ended with exit code {returncode}"
-
-
-def count_cores() -> int:
-    """CPU cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def check_workers(workers: int) -> int:

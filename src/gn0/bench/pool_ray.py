@@ -17,23 +17,23 @@ import queue
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import msgspec
 
-from gn0.bench.executors import Ended, Heard, Worker, count_cores, next_worker
+from gn0.bench.executors import Heard, Worker, next_worker
 from gn0.bench.messages import FromWorker, Lease, Open
 from gn0.bench.parcel import pack_folder, unpack_scene
-from gn0.bench.pool import WorkerProcess, decode_line
+from gn0.bench.pool import decode_line
 from gn0.bench.protocol import code_version
 from gn0.errors import BenchError
+from gn0.jobs.cluster import import_ray, join_cluster
+from gn0.jobs.process import Ended, WorkerProcess, count_cores
 
 HEAR_SECONDS = 20.0  # how long one call waits for a worker to say something
 ANSWER_SECONDS = 2.0  # how long a host may take to answer a plain question
-OBJECT_STORE = 256 * 2**20  # bytes of the store of a cluster of this machine alone
 GONE = b"gone"  # a host's line when its worker process has ended
 
 
@@ -44,6 +44,7 @@ class WorkerHost:
         self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         given = [path for path in msgspec.json.decode(paths, type=list[str]) if Path(path).exists()]
         self._process = WorkerProcess(
+            "gn0.bench.worker",
             lambda line: self._lines.put(GONE if line is None else line.rstrip(b"\n")),
             threads,
             list(dict.fromkeys([*given, *sys.path])),
@@ -122,7 +123,7 @@ class PoolRay:
         self._next = 0
         self._ours = not self._ray.is_initialized()
         if self._ours:
-            self._join(address)
+            join_cluster(self._ray, workers, address)
         cores = int(self._ray.cluster_resources().get("CPU", 0))
         if cores < workers:
             self._leave()
@@ -134,22 +135,6 @@ class PoolRay:
         self._host = self._ray.remote(WorkerHost).options(
             num_cpus=1, max_restarts=0, max_concurrency=4
         )
-
-    def _join(self, address: str) -> None:
-        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-        if address:
-            options["address"] = address
-        else:
-            options |= {"num_cpus": self.size, "num_gpus": 0, "include_dashboard": False}
-            options |= {"object_store_memory": OBJECT_STORE}
-        try:
-            self._ray.init(**options)
-        except (ConnectionError, OSError, RuntimeError, ValueError, TimeoutError) as error:
-            raise BenchError(
-                f"Ray does not start or answer: {str(error).splitlines()[0] if str(error) else ''}",
-                where=f"--ray-address {address}" if address else "--executor ray",
-                remedy="check `ray status`, or leave out --ray-address to use this machine alone",
-            ) from error
 
     def start(self) -> Worker:
         """Start one worker and tell it which policy to build."""
@@ -286,40 +271,3 @@ class PoolRay:
     def _leave(self) -> None:
         if self._ours:
             self._ray.shutdown()
-
-
-def import_ray() -> Any:
-    """Ray, told not to phone home.
-
-    Raises:
-        BenchError: it is not installed.
-    """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    try:
-        import ray
-    except ImportError as error:
-        raise BenchError(
-            "Ray is not installed",
-            where="--executor ray",
-            remedy="pip install 'gn0[scale]', or use --executor process",
-        ) from error
-    return ray
-
-
-@contextlib.contextmanager
-def local_cluster(cpus: int) -> Iterator[None]:
-    """A Ray cluster of this machine alone for the length of a block, shared by the runs in it."""
-    ray = import_ray()
-    ray.init(
-        num_cpus=cpus,
-        num_gpus=0,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level="ERROR",
-        object_store_memory=OBJECT_STORE,
-    )
-    try:
-        yield
-    finally:
-        ray.shutdown()

@@ -7,22 +7,15 @@ worker ends too, in the middle of an episode if need be.
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import dataclasses
-import faulthandler
 import inspect
 import os
-import queue
-import signal
-import sys
-import threading
 import time
 import traceback
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -33,6 +26,7 @@ from gn0.bench.release import PolicyUnderRelease, score_release
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard
 from gn0.bench.suite import load_suite_scene
 from gn0.errors import ConfigError, EpisodeError, Gn0Error, PlanError
+from gn0.jobs.child import open_channel
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.release import ReleaseNavigation
 from gn0.plugins import get_plugin
@@ -203,36 +197,12 @@ def describe_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
-def _die_with_parent() -> None:
-    """Linux: be killed when the parent dies, even inside code that never lets go of the GIL."""
-    if sys.platform.startswith("linux"):
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL)  # 1 = PR_SET_PDEATHSIG
-
-
-def _listen(stream: IO[bytes], inbox: queue.SimpleQueue[bytes]) -> None:
-    for line in stream:
-        inbox.put(line)
-    os._exit(0)  # the parent is gone: nothing we could still say would be heard
-
-
 def main() -> int:
     """Serve leases until the parent closes stdin."""
-    _die_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when we end
-    if hasattr(signal, "SIGUSR1"):
-        faulthandler.register(signal.SIGUSR1, all_threads=True)
-    faulthandler.enable()
-    channel = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a policy prints must not look like a message
-    sys.stdout = sys.stderr
-    inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    source = os.fdopen(os.dup(0), "rb")
-    threading.Thread(target=_listen, args=(source, inbox), daemon=True).start()
+    inbox, say = open_channel()
 
     def send(message: Any) -> None:
-        channel.write(msgspec.json.encode(message) + b"\n")
-        channel.flush()
+        say(msgspec.json.encode(message))
 
     decoder = msgspec.json.Decoder(ToWorker)
     worker: EpisodeWorker | None = None

@@ -11,13 +11,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from gn0.bench.pool_ray import local_cluster
 from gn0.bench.replay import replay_run
 from gn0.bench.results import load_results
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite, build_suite
 from gn0.errors import StorageError
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0.jobs.cluster import local_cluster
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene

@@ -1,0 +1,76 @@
+"""Ray, where it is installed: a cluster of this machine, or one that is running."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from typing import Any
+
+from gn0.errors import BenchError
+
+OBJECT_STORE = 256 * 2**20  # bytes of the store of a cluster of this machine alone
+
+
+def import_ray() -> Any:
+    """Ray, told not to phone home.
+
+    Raises:
+        BenchError: it is not installed.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    try:
+        import ray
+    except ImportError as error:
+        raise BenchError(
+            "Ray is not installed",
+            where="--executor ray",
+            remedy="pip install 'gn0[scale]', or use --executor process",
+        ) from error
+    return ray
+
+
+@contextlib.contextmanager
+def local_cluster(cpus: int) -> Iterator[None]:
+    """A Ray cluster of this machine alone for the length of a block, shared by the runs in it."""
+    ray = import_ray()
+    ray.init(
+        num_cpus=cpus,
+        num_gpus=0,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="ERROR",
+        object_store_memory=OBJECT_STORE,
+    )
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def join_cluster(ray: Any, cpus: int, address: str = "") -> None:
+    """Connect to a running cluster, or start one of this machine alone with so many CPUs.
+
+    Args:
+        ray: the module.
+        cpus: of a cluster that is started here.
+        address: of a running one ("auto", or host:port); "" starts one.
+
+    Raises:
+        BenchError: no cluster answers.
+    """
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    if address:
+        options["address"] = address
+    else:
+        options |= {"num_cpus": cpus, "num_gpus": 0, "include_dashboard": False}
+        options |= {"object_store_memory": OBJECT_STORE}
+    try:
+        ray.init(**options)
+    except (ConnectionError, OSError, RuntimeError, ValueError, TimeoutError) as error:
+        raise BenchError(
+            f"Ray does not start or answer: {str(error).splitlines()[0] if str(error) else ''}",
+            where=f"--ray-address {address}" if address else "--executor ray",
+            remedy="check `ray status`, or leave out --ray-address to use this machine alone",
+        ) from error

@@ -1,0 +1,118 @@
+"""Units of work are done once each, whatever happens to the processes that do them."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gn0.errors import ConfigError, FormatError, JobError
+from gn0.jobs import run_jobs
+
+WORK = """
+import os, signal, sys, time
+from pathlib import Path
+from gn0.errors import FormatError
+
+def square(payload):
+    print("this is not a message")
+    return {"square": payload["n"] ** 2, "pid": os.getpid()}
+
+def fall_once(payload):
+    mark = Path(payload["mark"])
+    if payload["n"] == 2 and not mark.exists():
+        mark.write_text("")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"n": payload["n"]}
+
+def fall(payload):
+    sys.stderr.write("no room left for this\\n"); sys.stderr.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def hang(payload):
+    if payload["n"] == 1:
+        time.sleep(60)
+    return {}
+
+def refuse(payload):
+    raise FormatError("bad header", file="a.ply", offset=7, remedy="write it again")
+
+def stumble(payload):
+    return {}["nothing"]
+"""
+
+
+@pytest.fixture(autouse=True)
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gn0_test_work.py").write_text(WORK)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+
+def run(name: str, count: int = 5, **options: Any) -> dict[int, dict[str, Any]]:
+    found: dict[int, dict[str, Any]] = {}
+
+    def note(index: int, answer: dict[str, Any]) -> None:
+        assert index not in found
+        found[index] = answer
+
+    extra = options.pop("extra", {})
+    payloads = [{"n": n, **extra} for n in range(count)]
+    run_jobs(f"gn0_test_work:{name}", payloads, done=note, **options)
+    return found
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_each_unit_is_answered_once(workers: int) -> None:
+    found = run("square", workers=workers)
+    assert {i: a["square"] for i, a in found.items()} == {i: i * i for i in range(5)}
+    elsewhere = {a["pid"] for a in found.values()} - {os.getpid()}
+    assert len(elsewhere) == (0 if workers == 1 else 2)
+
+
+def test_a_worker_that_dies_takes_nothing_with_it(tmp_path: Path) -> None:
+    found = run("fall_once", workers=2, extra={"mark": str(tmp_path / "mark")})
+    assert sorted(a["n"] for a in found.values()) == [0, 1, 2, 3, 4]
+
+
+def test_a_unit_that_kills_two_workers_is_named_with_their_last_words() -> None:
+    names = [f"scene {i}" for i in range(5)]
+    with pytest.raises(JobError, match=r"worker of scene \d was killed by SIGKILL, 2 times") as e:
+        run("fall", workers=2, names=names)
+    assert "no room left for this" in str(e.value)
+
+
+def test_a_unit_that_hangs_is_given_up() -> None:
+    with pytest.raises(JobError, match=r"unit 1 hung"):
+        run("hang", workers=2, limit=1.5)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_errors_cross_the_border_as_they_are(workers: int) -> None:
+    with pytest.raises(FormatError, match=r"a.ply, byte 7: bad header \(write it again\)"):
+        run("refuse", workers=workers)
+    with pytest.raises(JobError, match=r"unit \d failed: KeyError: 'nothing'") as error:
+        run("stumble", workers=workers)
+    assert "gn0_test_work.py" in error.value.remedy
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ConfigError, match="0 workers"):
+        run("square", workers=0)
+    with pytest.raises(ConfigError, match="no executor 'slurm'"):
+        run("square", executor="slurm")
+    assert run("square", 0, workers=4) == {}
+
+
+@pytest.mark.slow
+def test_ray_gives_the_same_answers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'gn0[scale]'")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with warnings.catch_warnings():
+        # Ray's own files and sockets, closed when its processes end
+        warnings.simplefilter("ignore", ResourceWarning)
+        warnings.simplefilter("ignore", DeprecationWarning)
+        found = run("square", workers=2, executor="ray")
+    assert {i: a["square"] for i, a in found.items()} == {i: i * i for i in range(5)}

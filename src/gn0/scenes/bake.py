@@ -22,9 +22,10 @@ from gn0.progress import Progress, no_progress
 from gn0.scenes.charts import Charts, build_charts
 from gn0.scenes.lumels import Lumels, build_lumels
 from gn0.scenes.mesh import SceneMesh
-from gn0.scenes.procedural.draft import Lamp, Sun
+from gn0.scenes.procedural.draft import Lamp, Sky, Sun
 from gn0.scenes.rays import STACK, RayCaster, closest_hit
 from gn0.scenes.shading import Surface
+from gn0.scenes.sky import gather_sky
 from gn0.seeds import derive_seed
 
 _LIFT = 2e-3  # rays start this far above their surface [m]
@@ -92,6 +93,7 @@ def bake_light(
     lamps: Sequence[Lamp],
     sun: Sun | None = None,
     *,
+    sky: Sky | None = None,
     settings: BakeSettings | None = None,
     opaque: NDArray[np.bool_] | None = None,
     seed: int = 0,
@@ -105,6 +107,7 @@ def bake_light(
         surface: albedo and emission of the surfaces.
         lamps: light sources; none of them needs a surface of its own.
         sun: parallel light, stopped by whatever is opaque.
+        sky: light from all round above; the mesh must leave its vault out.
         settings: care taken.
         opaque: faces that stop light from lamps and sun [F]; panes and lampshades do not.
         seed: root of the sampling patterns.
@@ -130,6 +133,13 @@ def bake_light(
     table = _gather_table(coarse, caster, mesh, options.rays, derive_seed(seed, "bounce"))
     progress("light", 3, 4)
     straight = fine.lookup(direct, coarse.point, coarse.normal)
+    # the insides of cupboards and walls see nothing that is lit
+    open_share = (table >= 0).mean(axis=1)
+    from_sky = np.zeros_like(straight)
+    if sky is not None:
+        from_sky, share = gather_sky(coarse, blocker, sky, options.rays, derive_seed(seed, "sky"))
+        straight = straight + from_sky
+        open_share = np.minimum(open_share + share, 1.0)
     glow = np.asarray(emission, np.float32) if options.glow else np.zeros_like(straight)
     bounced = np.zeros_like(straight)
     for _ in range(options.bounces):
@@ -139,10 +149,9 @@ def bake_light(
         direct=fine,
         direct_value=direct,
         bounced=coarse,
-        bounced_value=_smooth(coarse, bounced),
+        bounced_value=_smooth(coarse, bounced if sky is None else bounced + from_sky),
         albedo=albedo,
-        # the insides of cupboards and walls see nothing that is lit
-        open_area=coarse.area * np.square((table >= 0).mean(axis=1)).astype(np.float32),
+        open_area=coarse.area * np.square(open_share).astype(np.float32),
     )
 
 

@@ -11,16 +11,29 @@ from gn0.scenes.bake import DRAFT, BakeSettings, bake_light
 from gn0.scenes.exposure import LEAST, weigh_views
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.surface import ProceduralSurface
+from gn0.scenes.shading import Shader
+from gn0.scenes.sky import OpenAirShader, find_vault
 from gn0.scenes.surfels import build_surfels
 from gn0.scenes.tone import BakedShader, choose_exposure
 
 DARK = 0.01  # of the median irradiance: less is not seen
+CAMERAS = 160  # that judge what is seen closely, up to 140 m² of floor
+CAMERAS_PER_M2 = 1.15  # in larger scenes: each sees eight metres far
 QUALITIES = {"normal": BakeSettings(), "draft": DRAFT}
+
+
+def floor_area(draft: SceneDraft) -> float:
+    """Clear floor area of all rooms [m²]."""
+    total = 0.0
+    for room in draft.rooms:
+        x, y = np.array(room.polygon).T
+        total += float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
+    return total
 
 
 def light_draft(
     draft: SceneDraft, *, quality: str = "normal", seed: int = 0, progress: Progress = no_progress
-) -> BakedShader:
+) -> BakedShader | OpenAirShader:
     """Bake a draft's light and expose it: the look of the finished scene.
 
     Args:
@@ -34,30 +47,42 @@ def light_draft(
     """
     if quality not in QUALITIES:
         raise ConfigError(f"no bake quality {quality!r}", remedy="known: " + ", ".join(QUALITIES))
-    surface = ProceduralSurface(draft.mesh, draft.materials)
+    vault = find_vault(draft.mesh, draft.materials)
+    mesh = draft.mesh.select(~vault) if draft.sky is not None else draft.mesh
+    surface = ProceduralSurface(mesh, draft.materials)
     light = bake_light(
-        draft.mesh,
+        mesh,
         surface,
         draft.lamps,
         draft.sun,
+        sky=draft.sky,
         settings=QUALITIES[quality],
         opaque=surface.opaque(),
         seed=seed,
         progress=progress,
     )
-    return BakedShader(draft.mesh, surface, light, choose_exposure(light))
+    baked = BakedShader(
+        draft.mesh,
+        ProceduralSurface(draft.mesh, draft.materials),
+        light,
+        choose_exposure(light),
+    )
+    if draft.sky is None:
+        return baked
+    return OpenAirShader(baked, vault, max(draft.sky.horizon) * draft.sky.shown)
 
 
 def cover_draft(
     draft: SceneDraft,
-    shader: BakedShader,
+    shader: Shader,
     count: int,
     *,
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> GaussianCloud:
     """At most `count` Gaussians that show a lit draft, labelled by object index."""
-    weight = weigh_views(draft.mesh, seed=seed)
+    cameras = max(CAMERAS, int(CAMERAS_PER_M2 * floor_area(draft)))
+    weight = weigh_views(draft.mesh, cameras=cameras, seed=seed)
     cloud = build_surfels(
         draft.mesh,
         shader,

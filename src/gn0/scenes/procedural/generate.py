@@ -12,8 +12,7 @@ from gn0.config import Config, check_config
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
-from gn0.scenes.procedural.draft import SceneDraft
-from gn0.scenes.procedural.finish import cover_draft, light_draft
+from gn0.scenes.procedural.finish import cover_draft, floor_area, light_draft
 from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
 from gn0.scenes.procedural.refine import refine_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo
@@ -42,15 +41,6 @@ class GenerateSettings(Config, frozen=True):
     light: Literal["normal", "draft"] = "normal"
     cloud_form: CloudForm = "exact"
     refine: bool = False
-
-
-def floor_area(draft: SceneDraft) -> float:
-    """Clear floor area of all rooms [m²]."""
-    total = 0.0
-    for room in draft.rooms:
-        x, y = np.array(room.polygon).T
-        total += float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
-    return total
 
 
 def build_generated(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -42,7 +43,7 @@ def _segments(letter: str) -> F64:
     out = []
     for line in _STROKES.get(letter, "").split():
         points = [(float(line[k]), float(line[k + 1])) for k in range(0, len(line), 2)]
-        out += [(*a, *b) for a, b in zip(points, points[1:], strict=False)]
+        out += [(*a, *b) for a, b in pairwise(points)]
     return np.array(out, np.float64).reshape(-1, 4)
 
 

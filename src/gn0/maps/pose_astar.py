@@ -24,7 +24,7 @@ from gn0.maps.distance import GeodesicField
 from gn0.maps.ray import trace_points
 
 FORWARD, LEFT, RIGHT = 1, 2, 3  # the codes of `gn0.sim.state.Action`
-SUBCELLS = 2  # merging bins along a cell's edge
+SUBCELLS = 2  # merging bins along a cell's edge, unless told otherwise
 NODES = 3_000_000  # poses looked at before the weight is raised
 WEIGHTS = (1.01, 1.05, 1.2, 2.0, 10.0)
 
@@ -195,6 +195,8 @@ def plan_actions(
     tolerance: float = 0.25,
     step: float = 0.25,
     turn_cost: float = 0.02,
+    weight: float = WEIGHTS[0],
+    subcells: int = SUBCELLS,
 ) -> NDArray[np.int8]:
     """A collision-free plan of actions to within `tolerance` of the goal, in line of sight of it.
 
@@ -208,6 +210,9 @@ def plan_actions(
         tolerance: distance to the goal at which the plan may end [m].
         step: length of FORWARD [m].
         turn_cost: price of a turn [m of travel]; above 0, so no plan wiggles.
+        weight: how much dearer than the cheapest the plan may be, 1 for not at all; what is looked
+            at, and so the time, shrinks quickly with it. Raised where no plan is found in time.
+        subcells: merging bins along a cell's edge: with fewer more poses count as one.
 
     Returns:
         int8 [T] of 1 FORWARD, 2 LEFT, 3 RIGHT; empty when the start is near enough.
@@ -220,12 +225,12 @@ def plan_actions(
     cosines = np.array([math.cos(yaw) for yaw in yaws])  # libm, as the simulator's own
     sines = np.array([math.sin(yaw) for yaw in yaws])
     if math.isfinite(field.distance_at(*start)):
-        for weight in WEIGHTS:
+        for bound in (weight, *(w for w in WEIGHTS if w > weight)):
             plan, found = _search(
                 grid.blocked, float(grid.origin[0]), float(grid.origin[1]), float(grid.resolution),
                 field.label, field.roots, field.parents, angles, cosines, sines,
                 float(start[0]), float(start[1]), *field.goal, float(tolerance), float(step),
-                float(turn_cost), weight, SUBCELLS, NODES,
+                float(turn_cost), float(bound), subcells, NODES,
             )  # fmt: skip
             if found:
                 return plan

@@ -1,0 +1,189 @@
+"""Kernels of labels: the way ahead of many states at once, and the tracking search of `mpc`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gn0.jit import njit
+from gn0.maps.lattice_states import project
+from gn0.maps.ray import is_blocked, trace_points
+
+FAR_POINTS = 256  # points of a way that are looked at; the first metres never need as many
+GOOD, UNREACHABLE, UNSEEN = 0, 1, 2  # how a state fared in `sample_ways`
+
+
+@njit
+def free_corners(blocked, origin_x, origin_y, resolution, roots, goal_x, goal_y):  # type: ignore[no-untyped-def]
+    """Where an agent passes each bend of a geodesic field [R, 2] m: the free cell beside it.
+
+    Exactly one of the four cells round a convex corner is blocked; the one opposite is taken. Row 0
+    is the goal.
+    """
+    out = np.empty((len(roots), 2))
+    out[0, 0], out[0, 1] = goal_x, goal_y
+    for r in range(1, len(roots)):
+        u, v = round(roots[r, 0]), round(roots[r, 1])
+        row, col = v, u
+        for k in range(4):
+            i, j = v - 1 + k // 2, u - 1 + k % 2
+            if is_blocked(blocked, i, j):
+                row, col = v - k // 2, u - k % 2
+                break
+        out[r, 0] = origin_x + (col + 0.5) * resolution
+        out[r, 1] = origin_y + (row + 0.5) * resolution
+    return out
+
+
+@njit
+def blocked_legs(blocked, origin_x, origin_y, resolution, places, parents):  # type: ignore[no-untyped-def]
+    """Which bends [R] cannot be left straight for the next one: Bresenham's line is truncated."""
+    out = np.zeros(len(places), np.bool_)
+    for r in range(1, len(places)):
+        p = parents[r]
+        if p >= 0:
+            out[r] = trace_points(
+                blocked, origin_x, origin_y, resolution,
+                places[r, 0], places[r, 1], places[p, 0], places[p, 1],
+            )[2]  # fmt: skip
+    return out
+
+
+@njit
+def _spread_points(points, count, blocked, frame, spacing, pose, out, slots):  # type: ignore[no-untyped-def]
+    """Shorten a way by lines of sight and lay points along it at equal arcs, in the agent's frame.
+
+    Returns how many points there are before the last is repeated.
+    """
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    out[0, 0] = out[0, 1] = 0.0
+    k, here, arc = 1, 0, 0.0
+    last_x, last_y = points[0, 0], points[0, 1]
+    while k < slots and here < count - 1:
+        ax, ay = points[here, 0], points[here, 1]
+        there = count - 1
+        while there > here + 1:
+            hit = trace_points(
+                blocked, frame[0], frame[1], frame[2], ax, ay, points[there, 0], points[there, 1]
+            )[2]
+            if not hit:
+                break
+            there -= 1
+        dx, dy = points[there, 0] - ax, points[there, 1] - ay
+        length = math.sqrt(dx * dx + dy * dy)
+        while k < slots and spacing * k <= arc + length + 1e-9 and length > 0:
+            t = min((spacing * k - arc) / length, 1.0)
+            x, y = ax + t * dx - pose[0], ay + t * dy - pose[1]
+            out[k, 0], out[k, 1] = cosine * x + sine * y, -sine * x + cosine * y
+            k += 1
+        arc += length
+        here = there
+        last_x, last_y = points[here, 0], points[here, 1]
+    if k < slots and arc - spacing * (k - 1) > 1e-6:  # the end itself, a shorter step away
+        x, y = last_x - pose[0], last_y - pose[1]
+        out[k, 0], out[k, 1] = cosine * x + sine * y, -sine * x + cosine * y
+        k += 1
+    for i in range(k, slots):
+        out[i] = out[k - 1]
+    return k
+
+
+@njit
+def spread_line(points, blocked, origin_x, origin_y, resolution, spacing, pose, out):  # type: ignore[no-untyped-def]
+    """`sample_ways` for one state whose way [N, 2] m is given; returns the number of points."""
+    frame = (origin_x, origin_y, resolution)
+    return _spread_points(points, len(points), blocked, frame, spacing, pose, out, len(out))
+
+
+@njit
+def sample_ways(  # type: ignore[no-untyped-def]
+    poses, blocked, origin_x, origin_y, resolution, label, parents, places, via_start, vias,
+    spacing, out, valid, status,
+):  # fmt: skip
+    """Points at equal arcs along the shortest drivable way from each pose to a field's goal.
+
+    Args (arrays): poses [N, 3]; the field's label and parents; places [R, 2] m of its bends, and
+    for each bend the points `vias[via_start[r]:via_start[r + 1]]` on the way to the next.
+    Writes out [N, K, 2] m in each agent's frame, valid [N], status [N].
+    """
+    height, width = blocked.shape
+    points = np.empty((FAR_POINTS, 2))
+    frame = (origin_x, origin_y, resolution)
+    for i in range(len(poses)):
+        x, y = poses[i, 0], poses[i, 1]
+        col = math.floor((x - origin_x) / resolution)
+        row = math.floor((y - origin_y) / resolution)
+        status[i], valid[i] = UNREACHABLE, 0
+        if row < 0 or col < 0 or row >= height or col >= width or label[row, col] < 0:
+            continue
+        r = label[row, col]
+        points[0, 0], points[0, 1] = x, y
+        count = 1
+        if trace_points(blocked, origin_x, origin_y, resolution, x, y, places[r, 0], places[r, 1])[
+            2
+        ]:
+            status[i] = UNSEEN
+            continue
+        while True:
+            if places[r, 0] != points[count - 1, 0] or places[r, 1] != points[count - 1, 1]:
+                points[count, 0], points[count, 1] = places[r, 0], places[r, 1]
+                count += 1
+            if r == 0 or count == FAR_POINTS:
+                break
+            for k in range(via_start[r], via_start[r + 1]):
+                if count < FAR_POINTS:
+                    points[count, 0], points[count, 1] = vias[k, 0], vias[k, 1]
+                    count += 1
+            if count == FAR_POINTS:
+                break
+            r = parents[r]
+        if r != 0 and count == FAR_POINTS:
+            status[i] = UNSEEN
+            continue
+        valid[i] = _spread_points(
+            points, count, blocked, frame, spacing, poses[i], out[i], out.shape[1]
+        )
+        status[i] = GOOD
+
+
+@njit
+def merge_tracking(  # type: ignore[no-untyped-def]
+    child, parent, action, places, free, cost, turns, points, arcs, end_radius, discount
+):
+    """Charge each free child γ^k·d² and keep the cheapest of equal states, the calmest among equals.
+
+    Returns kept indices, costs, turns, arcs and whether a state is at the end, [M] each.
+    """
+    n = len(child)
+    size = 16
+    while size < 2 * n + 2:
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    out = np.empty(n, np.int32)
+    new_cost, new_arc = np.empty(n), np.empty(n)
+    new_turns = np.zeros(n, np.int32)
+    done = np.zeros(n, np.bool_)
+    count = 0
+    for i in range(n):
+        if not free[i]:
+            continue
+        p, a = parent[i], action[i]
+        s, d = project(points, arcs, 0, len(points) - 1, places[i, 0], places[i, 1])
+        total = cost[p] if a == 0 else cost[p] + discount * d * d
+        turned = turns[p] + (1 if a > 1 else 0)
+        ex, ey = places[i, 0] - points[-1, 0], places[i, 1] - points[-1, 1]
+        finished = a == 0 or (a == 1 and ex * ex + ey * ey <= end_radius * end_radius)
+        key = child[i]
+        slot = ((key * 2654435761) ^ (key >> 29)) & (size - 1)
+        while table[slot] >= 0 and child[out[table[slot]]] != key:
+            slot = (slot + 1) & (size - 1)
+        k = table[slot]
+        if k < 0:
+            k = count
+            table[slot] = k
+            count += 1
+        elif total > new_cost[k] or (total == new_cost[k] and turned >= new_turns[k]):
+            continue
+        out[k], new_cost[k], new_turns[k], new_arc[k], done[k] = i, total, turned, s, finished
+    return out[:count], new_cost[:count], new_turns[:count], new_arc[:count], done[:count]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import SimError
 from gn0.geometry import F64, Pose2D, world_to_agent
-from gn0.missions.episode import AgentSpec
+from gn0.missions.episode import AgentSpec, GoalPicture
 from gn0.scenes.scene import Scene
 from gn0.sim.batch_eyes import BatchEyes, Snapshot
 from gn0.sim.batch_kernels import (
@@ -26,8 +26,9 @@ from gn0.sim.batch_kernels import (
     step_agents,
 )
 from gn0.sim.batch_tables import EpisodeTable, MapTable
+from gn0.sim.open import name_look
 from gn0.sim.sensors import PICTURES, SensorConfig
-from gn0.sim.simulator import goal_view
+from gn0.sim.simulator import goal_record, goal_view
 from gn0.sim.state import Sensor
 
 if TYPE_CHECKING:
@@ -195,10 +196,12 @@ class SimulatorBatch:
         episodes = [self.table.episodes[n] for n in self.state.episode[chosen].tolist()]
         starts = np.array([episode.start for episode in episodes])
         goals = starts  # not looked at
+        records: list[GoalPicture | None] = [None] * len(episodes)
         if "goal_picture" in self.sensors:
             goals = np.array([goal_view(episode) for episode in episodes])
-        scenes = [episode.scene_id for episode in episodes]
-        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), starts, goals)
+            records = [goal_record(episode) for episode in episodes]
+        scenes = [name_look(episode) for episode in episodes]
+        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), starts, goals, records)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of snapshots, arrays or lists [K, …] a sensor; see `BatchEyes.draw`.

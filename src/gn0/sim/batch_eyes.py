@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64, Pose2D
-from gn0.missions.episode import AgentSpec
+from gn0.missions.episode import AgentSpec, GoalPicture
 from gn0.sim.history import History
 from gn0.sim.mapping import Mapper
 from gn0.sim.sensors import EYES, MAPS, SensorConfig
@@ -37,7 +37,8 @@ class Snapshot:
         scenes: [K] ids of their scenes.
         poses: [K, 3] x, y [m], yaw [rad].
         starts: [K, 3] the same at their episodes' start.
-        goals: [K, 3] the same where their goal pictures are taken.
+        goals: [K, 3] the same where their goal pictures are taken, if no record says otherwise.
+        records: [K] how they are taken, where the episode says.
         kept: [K] what an agent has kept of its episode.
         due: [K] whether the agent's own map lacks what it sees now.
         mosaics: [K] history mosaics, when they carry that sensor.
@@ -48,6 +49,7 @@ class Snapshot:
     poses: F64
     starts: F64
     goals: F64
+    records: list[GoalPicture | None]
     kept: list[Kept]
     due: NDArray[np.bool_]
     mosaics: list[NDArray[np.uint8]]
@@ -109,7 +111,13 @@ class BatchEyes:
                 history.add(rgb)
 
     def snapshot(
-        self, which: NDArray[np.int64], scenes: list[str], poses: F64, starts: F64, goals: F64
+        self,
+        which: NDArray[np.int64],
+        scenes: list[str],
+        poses: F64,
+        starts: F64,
+        goals: F64,
+        records: list[GoalPicture | None],
     ) -> Snapshot:
         """Where agents `which` stand now, with what they have kept of their episodes."""
         due = self._due[which]
@@ -117,7 +125,7 @@ class BatchEyes:
         agents = which.tolist()
         mosaics = [self._histories[i].mosaic() for i in agents] if self._histories else []
         kept = [self._kept[i] for i in agents]
-        return Snapshot(which, scenes, poses, starts, goals, kept, due, mosaics)
+        return Snapshot(which, scenes, poses, starts, goals, records, kept, due, mosaics)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of each snapshot, an array [K, …] a sensor.
@@ -160,14 +168,14 @@ class BatchEyes:
         )
         goals: list[tuple[Kept, tuple[str, bytes]]] = []
         if "goal_picture" in self._wanted:
-            goals = [
-                (kept, (scene, goal.tobytes()))
-                for snapshot in snapshots
-                for kept, scene, goal in zip(
-                    snapshot.kept, snapshot.scenes, snapshot.goals, strict=True
-                )
-                if kept.goal_picture is None
-            ]
+            for snapshot in snapshots:
+                for kept, scene, goal, record in zip(
+                    snapshot.kept, snapshot.scenes, snapshot.goals, snapshot.records, strict=True
+                ):
+                    if kept.goal_picture is None and record is not None:
+                        kept.goal_picture = np.array(self._suites[scene].look_at_goal(record))
+                    elif kept.goal_picture is None:
+                        goals.append((kept, (scene, goal.tobytes())))
             missing |= dict.fromkeys(place for _, place in goals)
         drawn: dict[tuple[str, bytes], tuple[Any, Any]] = {}
         for scene in sorted({scene for scene, _ in missing}):

@@ -14,6 +14,8 @@ from gn0.errors import ConfigError, SimError
 from gn0.geometry import F32, U8, Pose2D, view_from_pose, world_to_agent
 from gn0.maps.grid import GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
+from gn0.missions.episode import GoalPicture
+from gn0.render.camera import Camera
 from gn0.sim.history import reduce_pictures
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.state import MapMode, Sensor
@@ -281,6 +283,23 @@ class SensorSuite:
         if rgb is not None:
             rgb.setflags(write=False)
         return rgb, depth
+
+    def look_at_goal(self, picture: GoalPicture) -> U8:
+        """The goal picture [H, W, 3] of an episode, as its record says."""
+        preset = self.config.preset
+        camera = preset.rgb
+        if picture.hfov:
+            camera = Camera.from_hfov(
+                camera.width, camera.height, picture.hfov, near=camera.near, far=camera.far
+            )
+        view = view_from_pose(*picture.eye, picture.yaw, picture.pitch)
+        assert self.renderer is not None
+        result = self.renderer.render(
+            camera, view[None], outputs=("rgb",), background=preset.background
+        )
+        rgb = reduce_pictures(cast(U8, result.rgb), *preset.picture_size)[0]
+        rgb.setflags(write=False)
+        return rgb
 
     def occupancy_picture(self, start: Pose2D, pose: Pose2D, own: U8 | None = None) -> U8:
         """The occupancy picture [H, W, 3] with the start in green, then the agent in red.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from gn0.errors import EpisodeError, SimError
 from gn0.geometry import F32, U8, Pose2D, wrap_angle
-from gn0.missions.episode import AgentSpec, Episode, check_episode
+from gn0.missions.episode import AgentSpec, Episode, GoalPicture, MissionGoal, check_episode
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.collision import check_finite, check_places, move_agent
@@ -331,9 +331,13 @@ class Simulator:
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""
         if self._goal_picture is None:
-            rgb, _ = self._suite.look(goal_view(self.episode), frozenset({"rgb"}))
-            assert rgb is not None
-            self._goal_picture = rgb
+            record = goal_record(self.episode)
+            if record is not None:
+                self._goal_picture = self._suite.look_at_goal(record)
+            else:
+                rgb, _ = self._suite.look(goal_view(self.episode), frozenset({"rgb"}))
+                assert rgb is not None
+                self._goal_picture = rgb
         return self._goal_picture
 
     def _keep_view(self) -> None:
@@ -377,8 +381,13 @@ class Simulator:
         )
 
 
+def goal_record(episode: Episode) -> GoalPicture | None:
+    """How an episode says that its goal picture is taken; None when it does not."""
+    return episode.mission.picture if isinstance(episode.mission, MissionGoal) else None
+
+
 def goal_view(episode: Episode) -> Pose2D:
-    """Where the goal picture of an episode is taken: at its goal, looking somewhere."""
+    """Where a goal picture without a record is taken: at the goal, looking somewhere."""
     yaw = random_stream(episode.seed, "goal picture", episode.id).uniform(-math.pi, math.pi)
     return Pose2D(*episode.goal, yaw)
 

@@ -81,8 +81,9 @@ class Observation:
         ranges: [R] float32 m, a planar lidar ring: ray k points at yaw + 2πk/R, the distance to
             the first blocked cell of the agent's inflated map.
         goal_vector: (forward, left) [m] to the goal, for policies that are told the place.
-        goal_picture: [H, W, 3] uint8, what the agent's camera sees from the goal, looking in a
-            direction drawn by the episode's seed.
+        goal_picture: [H, W, 3] uint8, the goal as the episode's record says it is shown (see
+            `gn0.missions.episode.GoalPicture`); without one, what the agent's camera sees from
+            the goal, looking in a direction drawn by the episode's seed.
         pose: (x, y) [m] and yaw [rad] in the scene's frame: perfect odometry from a known start.
         collided: whether the previous action was truncated (a bumper knows).
     """

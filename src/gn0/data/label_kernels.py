@@ -151,7 +151,7 @@ def sample_ways(  # type: ignore[no-untyped-def]
 def merge_tracking(  # type: ignore[no-untyped-def]
     child, parent, action, places, free, cost, turns, points, arcs, end_radius, discount
 ):
-    """Charge each free child γ^k·d² and keep the cheapest of equal states, the calmest among equals.
+    """Charge each free child γ^k·d² and keep the best of equal states, among equals the calmest.
 
     Returns kept indices, costs, turns, arcs and whether a state is at the end, [M] each.
     """

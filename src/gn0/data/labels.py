@@ -63,6 +63,10 @@ class LabelSettings(Config, frozen=True):
     discount: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.95
 
 
+EXACT = LabelSettings()
+DEFAULT_BODY = AgentSpec()
+
+
 @dataclass(frozen=True, eq=False)
 class Labels:
     """Labels of N states.
@@ -83,7 +87,7 @@ class Labels:
 
 
 def plan_expert(
-    navigation: NavigationMap, episode: Episode, settings: LabelSettings = LabelSettings()
+    navigation: NavigationMap, episode: Episode, settings: LabelSettings = EXACT
 ) -> tuple[F64, I8]:
     """The walk of the expert through an episode: the very actions of the policy `oracle`.
 
@@ -145,7 +149,7 @@ def label_along(
     episode: Episode,
     poses: NDArray[np.floating],
     actions: NDArray[np.integer],
-    settings: LabelSettings = LabelSettings(),
+    settings: LabelSettings = EXACT,
 ) -> Labels:
     """Labels along a walk that ends at the goal: what follows in it, and the way ahead.
 
@@ -181,7 +185,7 @@ def label_states(
     navigation: NavigationMap,
     goal: Episode | tuple[float, float],
     poses: NDArray[np.floating],
-    settings: LabelSettings = LabelSettings(),
+    settings: LabelSettings = EXACT,
     *,
     agent: AgentSpec | None = None,
 ) -> Labels:
@@ -197,7 +201,7 @@ def label_states(
     Raises:
         PlanError: a state is blocked or cut off; names the row.
     """
-    body = agent or (goal.agent if isinstance(goal, Episode) else AgentSpec())
+    body = agent or (goal.agent if isinstance(goal, Episode) else DEFAULT_BODY)
     field = navigation.geodesic(goal.goal if isinstance(goal, Episode) else goal)
     states = np.ascontiguousarray(poses, np.float64).reshape(-1, 3)
     waypoints, valid = sample_way_points(field, states)
@@ -215,8 +219,8 @@ def label_states(
 def plan_from(
     field: GeodesicField,
     state: NDArray[np.floating],
-    settings: LabelSettings = LabelSettings(),
-    agent: AgentSpec = AgentSpec(),
+    settings: LabelSettings = EXACT,
+    agent: AgentSpec = DEFAULT_BODY,
 ) -> I8:
     """The expert's plan [T] from one state x, y [m], yaw [rad], without the STOP at its end.
 

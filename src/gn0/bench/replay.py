@@ -195,7 +195,10 @@ def replay_run(
             continue
         episode = episodes[name]
         simulator = worker.open_scene(
-            home.scene_folder(episode.scene_id), episode.scene_id, home.scene_hash(episode.scene_id)
+            home.scene_folder(episode.scene_id),
+            episode.scene_id,
+            home.scene_hash(episode.scene_id),
+            episode.light,
         )
         policy.trace = data.traces[name]
         try:

@@ -24,6 +24,9 @@ class Schedule:
         self._scenes: dict[str, deque[Episode]] = {}
         for episode in ordered:
             self._scenes.setdefault(episode.scene_id, deque()).append(episode)
+        if shuffle_seed is None:  # episodes of one light follow each other: one renderer for all
+            for scene, queue in self._scenes.items():
+                self._scenes[scene] = deque(sorted(queue, key=lambda e: repr(e.light)))
 
     def __len__(self) -> int:
         return sum(map(len, self._scenes.values()))

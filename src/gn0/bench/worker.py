@@ -38,6 +38,8 @@ from gn0.sim.simulator import Simulator
 
 if TYPE_CHECKING:
     from gn0.missions.episode import Episode
+    from gn0.render.light import LightCondition
+    from gn0.scenes.scene import Scene
     from gn0.sim.state import Trajectory
 
 
@@ -57,6 +59,8 @@ class EpisodeWorker:
         self._release: ReleaseNavigation | None = None
         self._honest: NavigationMap | None = None
         self._hash = ""
+        self._light: LightCondition | None = None
+        self._scene: Scene | None = None
 
     @property
     def card(self) -> PolicyCard:
@@ -68,16 +72,24 @@ class EpisodeWorker:
             rows=self.policy.card_rows if isinstance(self.policy, PolicyNotes) else (),
         )
 
-    def open_scene(self, folder: Path, scene_id: str, expected_hash: str) -> Simulator:
-        """The simulator of a scene, loaded on the first call for it.
+    def open_scene(
+        self,
+        folder: Path,
+        scene_id: str,
+        expected_hash: str,
+        light: LightCondition | None = None,
+    ) -> Simulator:
+        """The simulator of a scene under a light, loaded on the first call for it.
 
         Raises:
             BenchError: it is not the scene of that hash.
             Gn0Error: it cannot be read or rendered.
         """
-        if self._simulator is None or self._hash != expected_hash:
-            self._simulator = None  # let go of the old scene before loading the next
-            scene = load_suite_scene(folder, scene_id, expected_hash)
+        if self._simulator is None or (self._hash, self._light) != (expected_hash, light):
+            if self._scene is None or self._hash != expected_hash:
+                self._simulator = self._scene = None  # let go before loading the next
+                self._scene = load_suite_scene(folder, scene_id, expected_hash)
+            scene = self._scene
             s = self.settings
             released = s.profile == RELEASE
             self._release = ReleaseNavigation(scene.grid, s.agent.radius) if released else None
@@ -90,9 +102,10 @@ class EpisodeWorker:
                 max_steps=s.max_steps,
                 map_mode=s.map_mode,
                 navigation=self._release,
+                light=light,
             )
             self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
-            self._hash = expected_hash
+            self._hash, self._light = expected_hash, light
         return self._simulator
 
     def run(self, simulator: Simulator, episode: Episode) -> tuple[EpisodeResult, EpisodeTrace]:
@@ -227,7 +240,9 @@ def main() -> int:
 def _serve(worker: EpisodeWorker, lease: Lease, send: Any) -> None:
     episode = lease.episode
     try:
-        simulator = worker.open_scene(Path(lease.folder), episode.scene_id, lease.hash)
+        simulator = worker.open_scene(
+            Path(lease.folder), episode.scene_id, lease.hash, episode.light
+        )
     except Exception as error:
         fatal = isinstance(error, Gn0Error)
         text = str(error) if fatal else describe_error(error)

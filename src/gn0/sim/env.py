@@ -33,7 +33,7 @@ from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.scenes.scene import Scene
 from gn0.sim.history import COLUMNS, ROWS, TILE_HEIGHT, TILE_WIDTH
-from gn0.sim.open import open_simulator
+from gn0.sim.open import name_look, open_simulator, split_look
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import SensorConfig, check_map_mode, check_sensors
 from gn0.sim.simulator import Simulator
@@ -124,7 +124,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         """
         super().reset(seed=seed)
         episode = self._choose((options or {}).get("episode"))
-        self._simulator = self._open(episode.scene_id)
+        self._simulator = self._open(name_look(episode))
         observation = self._simulator.reset(episode)
         self._distance = self._measure(self._simulator.pose)
         return self._pack(observation), self._info(False)
@@ -189,11 +189,12 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
             f"no episode {wanted!r}", remedy=f"give an id, an Episode or 0..{len(episodes) - 1}"
         )
 
-    def _open(self, scene_id: str) -> Simulator:
-        if scene_id not in self._simulators:
+    def _open(self, look: str) -> Simulator:
+        if look not in self._simulators:
+            scene_id, light = split_look(look)
             if scene_id not in self.tasks.scenes:
                 raise EpisodeError(f"scene {scene_id!r} is not here", remedy="open it with scene=")
-            self._simulators[scene_id] = open_simulator(
+            self._simulators[look] = open_simulator(
                 self.tasks.scenes[scene_id](),
                 self.tasks.preset,
                 self._backend,
@@ -201,11 +202,12 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
                 self.tasks.agent,
                 self.tasks.max_steps,
                 map_mode=self.map_mode,
+                light=light,
             )
-        self._simulators.move_to_end(scene_id)
+        self._simulators.move_to_end(look)
         while len(self._simulators) > SIMULATORS_KEPT:
             self._simulators.popitem(last=False)
-        return self._simulators[scene_id]
+        return self._simulators[look]
 
     def _measure(self, pose: Pose2D) -> float:
         assert self._simulator is not None

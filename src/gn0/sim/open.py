@@ -5,18 +5,42 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from gn0.config import check_config
 from gn0.errors import SceneError
 from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import AgentSpec
+from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.bev import BevPicture, render_bev
+from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.renderer import VISIBLE, Renderer, build_renderer, limit_to_visible
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import CEILING_CUT, EYES, MAPS, SensorConfig, check_map_mode, check_sensors
 from gn0.sim.simulator import Simulator
+from gn0.storage import content_hash
+
+
+def look_hash(scene: Scene, light: LightCondition | None = None) -> str:
+    """Digest of a scene's splats under a light: what its pictures are made of."""
+    plain = scene.cloud_hash or scene.gaussians.content_hash
+    if light is None or light.is_neutral:
+        return plain
+    return content_hash(plain, msgspec.json.encode(light))
+
+
+def name_look(episode: Episode) -> str:
+    """The scene of an episode and its light in one name: equal names, one renderer."""
+    if episode.light is None:
+        return episode.scene_id
+    return f"{episode.scene_id}\0{msgspec.json.encode(episode.light).decode()}"
+
+
+def split_look(name: str) -> tuple[str, LightCondition | None]:
+    """Scene id and light of a name that `name_look` made."""
+    scene_id, _, light = name.partition("\0")
+    return scene_id, msgspec.json.decode(light, type=LightCondition) if light else None
 
 
 def open_simulator(
@@ -30,6 +54,7 @@ def open_simulator(
     cut_height: float = CEILING_CUT,
     map_mode: str = "prior",
     navigation: NavigationMap | None = None,
+    light: LightCondition | None = None,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -46,6 +71,7 @@ def open_simulator(
         map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
             (explored), or nothing (none).
         navigation: the map that moves the agent; by default its radius decides.
+        light: how the scene is lit, in views and BEV alike; as it was made when None.
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -72,10 +98,11 @@ def open_simulator(
     renderer: Renderer | None = None
     bev: BevPicture | None = None
     if active & EYES or "bev" in active or explores:
-        renderer = build_renderer(scene.gaussians, "cpu" if backend == VISIBLE else backend)
+        cloud = scene.gaussians if light is None else relight_cloud(scene.gaussians, light)
+        renderer = build_renderer(cloud, "cpu" if backend == VISIBLE else backend)
     if "bev" in active and renderer is not None and not explores:
         bev = render_bev(
-            scene.cloud_hash or scene.gaussians.content_hash,
+            look_hash(scene, light),
             renderer,
             np.array(scene.grid.bounds).reshape(2, 2),
             scene.grid.resolution,

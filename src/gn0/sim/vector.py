@@ -37,7 +37,7 @@ from gn0.sim.env import (
     largest_map,
     text_space,
 )
-from gn0.sim.open import open_simulator
+from gn0.sim.open import open_simulator, split_look
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import (
     SensorConfig,
@@ -157,7 +157,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
             )
         )
 
-    def _open_suite(self, scene_id: str) -> SensorSuite:
+    def _open_suite(self, look: str) -> SensorSuite:
+        scene_id, light = split_look(look)
         return open_simulator(
             self.tasks.scenes[scene_id](),
             self.tasks.preset,
@@ -166,6 +167,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
             self.tasks.agent,
             self.tasks.max_steps,
             map_mode=self.map_mode,
+            light=light,
         ).suite
 
     def reset(

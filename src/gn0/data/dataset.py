@@ -67,6 +67,14 @@ class DatasetScene(Config, frozen=True):
     episodes: int
 
 
+class FileRecord(Config, frozen=True):
+    """A file: its path, its size in bytes, the digest of its bytes."""
+
+    path: str
+    size: int
+    digest: str
+
+
 class SkippedEpisode(Config, frozen=True):
     """An episode without samples, and why."""
 
@@ -114,6 +122,7 @@ class DatasetFile(Config, frozen=True):
         agent: the body that moved.
         settings: what the build was asked for.
         scenes: sorted by id.
+        files: the episodes and every file of the scenes, as they were laid out.
         parts: sorted by name; empty until the build is complete.
         complete: whether the build has ended.
         rendered: whether the pictures' hashes are known.
@@ -127,6 +136,7 @@ class DatasetFile(Config, frozen=True):
     agent: AgentSpec
     settings: BuildSettings
     scenes: tuple[DatasetScene, ...]
+    files: tuple[FileRecord, ...] = ()
     parts: tuple[DatasetPart, ...] = ()
     complete: bool = False
     rendered: bool = False

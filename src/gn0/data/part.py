@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from gn0.data.codec import encode_waypoints
 from gn0.data.dataset import (
     DATASET_FILE,
     Dataset,
@@ -22,9 +23,9 @@ from gn0.data.dataset import (
     SkippedEpisode,
     load_dataset_file,
 )
+from gn0.data.labels import label_along, plan_expert
 from gn0.data.samples import EpisodeRows, digest_labels, encode_rows, encode_table
 from gn0.errors import DataError, EpisodeError, PlanError
-from gn0.geometry import F64
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.sim.collision import check_places
@@ -110,63 +111,27 @@ def write_part(
 
 
 def collect_expert(navigation: NavigationMap, episode: Episode, dataset: Dataset) -> EpisodeRows:
-    """The exact planner's own walk, labelled along the way."""
-    poses, actions = _plan(navigation, episode)
-    count = len(actions)
-    ahead = np.zeros((count, 6), np.int8)
-    for k in range(6):
-        ahead[: max(count - k, 0), k] = actions[k:]
-    waypoints, valid = _waypoints(poses)
-    field = navigation.geodesic(episode.goal)
+    """The exact planner's own walk through an episode, labelled along the way.
+
+    Raises:
+        PlanError: the goal cannot be reached.
+    """
+    settings = dataset.about.settings
+    poses, actions = plan_expert(navigation, episode, settings.labels)
+    labels = label_along(navigation, episode, poses, actions, settings.labels)
+    frame = settings.tokens.of_grid(navigation.grid)
+    distance = navigation.geodesic(episode.goal).distance(poses[:-1, :2])
     return EpisodeRows(
         episode_id=episode.id,
         poses=poses[:-1],
         executed=actions,
-        actions=ahead,
-        waypoints=waypoints,
-        pixels=np.full((count, 13, 2), -1, np.int16),
-        valid=valid,
-        distance=field.distance(poses[:-1, :2]).astype(np.float32),
-        collided=np.zeros(count, bool),
+        actions=labels.actions6,
+        waypoints=labels.waypoints,
+        pixels=encode_waypoints(frame, labels.waypoints, poses[:-1]),
+        valid=labels.valid,
+        distance=distance.astype(np.float32),
+        collided=np.zeros(len(actions), bool),
     )
-
-
-def _plan(navigation: NavigationMap, episode: Episode) -> tuple[F64, Any]:
-    from gn0.maps.pose_astar import plan_actions
-    from gn0.sim.kinematics import Heading, heading_cycle, step_forward
-
-    agent = episode.agent
-    heading = Heading(episode.start[2], 0, agent.turn_degrees)
-    plan = plan_actions(
-        navigation.geodesic(episode.goal), episode.start[:2], heading_cycle(heading),
-        tolerance=0.25 - 1e-3, step=agent.forward_step,
-    )  # fmt: skip
-    x, y = episode.start[:2]
-    poses = [(x, y, heading.yaw)]
-    for action in plan.tolist():
-        if action == 1:
-            x, y, _ = navigation.move(x, y, *step_forward(x, y, heading.yaw, agent.forward_step))
-        else:
-            heading = heading.turned(1 if action == 2 else -1)
-        poses.append((x, y, heading.yaw))
-    poses.append(poses[-1])
-    return np.array(poses), np.r_[plan, 0].astype(np.int8)
-
-
-def _waypoints(poses: F64) -> tuple[Any, Any]:
-    xy = poses[:, :2]
-    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T))]
-    out = np.zeros((len(poses) - 1, 13, 2), np.float32)
-    valid = np.zeros(len(out), np.int8)
-    for t in range(len(out)):
-        at = s[t] + 0.25 * np.arange(13)
-        inside = at <= s[-1] + 1e-9
-        at = np.minimum(at, at[inside][-1])
-        points = np.column_stack([np.interp(at, s, xy[:, k]) for k in range(2)]) - xy[t]
-        c, n = np.cos(poses[t, 2]), np.sin(poses[t, 2])
-        out[t] = points @ np.array([[c, -n], [n, c]])
-        valid[t] = inside.sum()
-    return out, valid
 
 
 def check_plan(plan: PartPlan, part: DatasetPart) -> None:

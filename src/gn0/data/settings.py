@@ -7,10 +7,12 @@ from typing import Annotated, Literal
 import msgspec
 
 from gn0.config import Config
+from gn0.data.codec import AnyFrame, EgoFrame
+from gn0.data.labels import LabelSettings
+from gn0.maps.grid import OccupancyGrid
+from gn0.sim.sensors import MapFrame
 
 CacheLayout = Literal["webdataset", "lerobot", "none"]
-MapChoice = Literal["global", "ego"]
-LabelVariant = Literal["exact", "mpc"]
 PictureFormat = Literal["jpg", "png"]
 
 
@@ -37,6 +39,28 @@ class PictureSettings(Config, frozen=True):
     visible_sets: bool = False
 
 
+class TokenSettings(Config, frozen=True):
+    """What map tokens count over.
+
+    Attributes:
+        frame: the whole map picture (global), or a square around the agent (ego).
+        size: width and height of that square [px].
+        metres_per_pixel: its scale [m].
+        ahead: the share of it that lies before the agent.
+    """
+
+    frame: Literal["global", "ego"] = "global"
+    size: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 224
+    metres_per_pixel: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.05
+    ahead: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.5
+
+    def of_grid(self, grid: OccupancyGrid) -> AnyFrame:
+        """The frame in a scene."""
+        if self.frame == "global":
+            return MapFrame.of_grid(grid)
+        return EgoFrame(self.size, self.metres_per_pixel, self.ahead)
+
+
 class CollectSettings(Config, frozen=True):
     """How the steps of an episode come about.
 
@@ -58,17 +82,15 @@ class BuildSettings(Config, frozen=True):
     """What `gn0 data build` was asked for.
 
     Attributes:
-        map_frame: what map tokens count over: the whole map picture (global), or a square around
-            the agent (ego).
-        labels: next actions by the exact discrete planner (exact), or by the paper's discounted
-            tracking objective (mpc).
+        tokens: what map tokens count over.
+        labels: how the next actions and the way ahead are found.
         chunk: episodes a part: what one worker does at a time, and what one shard holds.
         pictures: see `PictureSettings`.
         collect: see `CollectSettings`.
     """
 
-    map_frame: MapChoice = "global"
-    labels: LabelVariant = "exact"
+    tokens: TokenSettings = TokenSettings()
+    labels: LabelSettings = LabelSettings()
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     pictures: PictureSettings = PictureSettings()
     collect: CollectSettings = CollectSettings()

@@ -1,0 +1,229 @@
+"""The cache of pictures: what every layout has in common.
+
+    pictures/<layout>/manifest.json   settings, and size and digest of every file
+    pictures/<layout>/…               the files of that layout
+
+A cache is made from poses and scenes alone, so it can be thrown away and made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+import numpy as np
+from PIL import Image
+
+from gn0.config import Config, decode_json
+from gn0.data.dataset import PICTURE_FOLDER, FileRecord
+from gn0.data.pictures import StepPictures
+from gn0.data.samples import EpisodeRows
+from gn0.data.settings import PictureSettings
+from gn0.errors import DataError, FormatError, StorageError
+from gn0.geometry import U8
+from gn0.missions.episode import Episode
+from gn0.storage import read_bytes, safe_join, write_atomic, write_json
+
+MANIFEST = "manifest.json"
+CACHE_LAYOUT = 1  # of the manifest and of the files it names
+_LIMIT = 2**30  # bytes of a manifest
+_PNG_LEVEL = 1  # zlib's quickest: half the time for a tenth more bytes
+
+
+class CacheManifest(Config, frozen=True):
+    """The content of `manifest.json`.
+
+    Attributes:
+        layout: version of this file's layout.
+        settings: how the pictures are kept.
+        files: every file of the cache but this one, sorted by path.
+    """
+
+    layout: int
+    settings: PictureSettings
+    files: tuple[FileRecord, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnStep:
+    """A sample with its pictures.
+
+    Attributes:
+        row: of its part's table, from 0.
+        step: of its episode, from 0.
+        block: the rows of its episode.
+        episode: the episode.
+        pictures: what it shows.
+        hashes: of the raw pixels, by name.
+        places: (row, column) of the start and of the agent in the map pictures.
+        base: the occupancy picture [H, W, 3] before dots are drawn, and its hash.
+        kept: encoded pictures, shared by samples that show the same.
+    """
+
+    row: int
+    step: int
+    block: EpisodeRows
+    episode: Episode
+    pictures: StepPictures
+    hashes: dict[str, str]
+    places: tuple[tuple[int, int], tuple[int, int]]
+    base: tuple[U8, str]
+    kept: dict[str, bytes] = field(default_factory=dict)
+
+    def encoded(self, name: str, settings: PictureSettings) -> bytes:
+        """A picture as the bytes of a file, encoded once."""
+        if name not in self.kept:
+            self.kept[name] = encode_picture(getattr(self.pictures, name), settings)
+        return self.kept[name]
+
+
+def encode_picture(rgb: U8, settings: PictureSettings) -> bytes:
+    """A picture [H, W, 3] as the bytes of a jpg (4:2:0) or png file."""
+    stream = io.BytesIO()
+    image = Image.fromarray(rgb)
+    if settings.format == "png":
+        image.save(stream, "PNG", compress_level=_PNG_LEVEL)
+    else:
+        image.save(stream, "JPEG", quality=settings.quality, subsampling=2)
+    return stream.getvalue()
+
+
+def encode_map(rgb: U8) -> bytes:
+    """A map picture [H, W, 3] as the bytes of a png file: once a scene and light, so small."""
+    stream = io.BytesIO()
+    Image.fromarray(rgb).save(stream, "PNG", compress_level=9)
+    return stream.getvalue()
+
+
+def decode_picture(data: bytes, file: Path | str, name: str) -> U8:
+    """A jpg or png picture as uint8 [H, W, 3].
+
+    Raises:
+        FormatError: it is damaged.
+    """
+    try:
+        with Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:
+            return np.asarray(image.convert("RGB"), np.uint8)
+    except Exception as error:  # Pillow raises whatever its decoders do
+        raise FormatError(
+            f"picture cannot be decoded: {error}", file=file, field=name,
+            remedy="run `gn0 data repair`",
+        ) from None  # fmt: skip
+
+
+def cache_folder(folder: Path, layout: str) -> Path:
+    """Folder of a cache layout in a dataset."""
+    return folder / PICTURE_FOLDER / layout
+
+
+def record_file(folder: Path, path: str, data: bytes) -> FileRecord:
+    """Size and digest of a file's bytes; `path` is relative to the cache `folder`."""
+    digest = hashlib.blake2b(data, digest_size=16).hexdigest()
+    return FileRecord(path=path, size=len(data), digest=digest)
+
+
+def write_recorded(
+    folder: Path, path: str, write: Callable[[Callable[[bytes], int]], None]
+) -> FileRecord:
+    """Write a file through `write(put)`, and say its size and digest.
+
+    Args:
+        folder: of the cache.
+        path: relative to it.
+        write: calls `put(data)` for each piece; that returns the offset after it.
+    """
+    digest, size = hashlib.blake2b(digest_size=16), 0
+
+    def pour(stream: IO[bytes]) -> None:
+        def put(data: bytes) -> int:
+            nonlocal size
+            stream.write(data)
+            digest.update(data)
+            size += len(data)
+            return size
+
+        write(put)
+
+    write_atomic(safe_join(folder, path), pour)
+    return FileRecord(path=path, size=size, digest=digest.hexdigest())
+
+
+def write_once(folder: Path, path: str, make: Callable[[], bytes]) -> FileRecord:
+    """Write a file that is named by its content, unless it is there already."""
+    target = safe_join(folder, path)
+    data = make()
+    record = record_file(folder, path, data)
+    if not (target.is_file() and target.stat().st_size == len(data)
+            and target.read_bytes() == data):  # fmt: skip
+        write_atomic(target, lambda stream: (stream.write(data), None)[1])
+    return record
+
+
+def save_manifest(
+    folder: Path, settings: PictureSettings, files: Iterator[FileRecord]
+) -> CacheManifest:
+    """Write the manifest of a cache, which makes it whole."""
+    by_path = {record.path: record for record in files}
+    manifest = CacheManifest(
+        layout=CACHE_LAYOUT,
+        settings=settings,
+        files=tuple(by_path[path] for path in sorted(by_path)),
+    )
+    target = cache_folder(folder, settings.layout) / MANIFEST
+    write_json(target, msgspec.to_builtins(manifest))
+    return manifest
+
+
+def load_manifest(folder: Path, layout: str) -> CacheManifest | None:
+    """The manifest of a cache; None where there is no whole cache of that layout.
+
+    Raises:
+        FormatError: it is damaged, or of another layout version.
+    """
+    path = cache_folder(folder, layout) / MANIFEST
+    if not path.is_file():
+        return None
+    data = read_bytes(path, _LIMIT)
+    found: Any = decode_json(data, dict, file=path).get("layout")
+    if found != CACHE_LAYOUT:
+        raise FormatError(
+            f"cache layout {found}, this version reads {CACHE_LAYOUT}", file=path, field="layout",
+            remedy="delete the folder and run `gn0 data render`",
+        )  # fmt: skip
+    return decode_json(data, CacheManifest, file=path)
+
+
+def check_cache_free(folder: Path, settings: PictureSettings) -> bool:
+    """Whether a cache of exactly these settings is there already, whole.
+
+    Raises:
+        DataError: one of other settings is.
+    """
+    manifest = load_manifest(folder, settings.layout)
+    if manifest is None:
+        return False
+    if manifest.settings != settings:
+        raise DataError(
+            f"there is a {settings.layout} cache of other settings",
+            where=cache_folder(folder, settings.layout),
+            remedy="give the same settings, or delete that folder",
+        )  # fmt: skip
+    return True
+
+
+def read_cached(folder: Path, layout: str, path: str) -> bytes:
+    """A file of a cache.
+
+    Raises:
+        StorageError: it is missing or unreadable.
+    """
+    target = safe_join(cache_folder(folder, layout), path)
+    try:
+        return read_bytes(target)
+    except StorageError as error:
+        raise StorageError(error.what, where=target, remedy="run `gn0 data repair`") from None

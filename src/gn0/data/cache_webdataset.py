@@ -1,0 +1,221 @@
+"""The cache as WebDataset shards: plain tar files that `webdataset` and `tar` read alike.
+
+    <part>.tar            members <key>.rgb.jpg, <key>.history.jpg, <key>.json, a key a sample
+    <part>.index.parquet  name, offset, size and digest of each member
+    maps/<hash>.png       each BEV and each bare occupancy picture once, named by its pixels
+
+The json of a sample holds its labels, its instruction and the names of its maps with the places
+of the two dots, so that a shard and `maps/` are all that training needs. Headers carry no time and
+no owner: the same samples are the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gn0.data.cache import (
+    DrawnStep,
+    cache_folder,
+    decode_picture,
+    encode_map,
+    read_cached,
+    write_once,
+    write_recorded,
+)
+from gn0.data.dataset import FileRecord
+from gn0.data.part import file_digest
+from gn0.data.settings import PictureSettings
+from gn0.errors import FormatError
+from gn0.geometry import U8
+from gn0.missions.files import read_table
+from gn0.sim.sensors import GREEN, RED, draw_disc
+
+LAYOUT = "webdataset"
+DISC_RADIUS = 3  # px; of `SensorConfig`
+_BLOCK = 512
+_INDEX = pa.schema(
+    [("name", pa.string()), ("offset", pa.int64()), ("size", pa.int64()), ("digest", pa.string())],
+    metadata={"gn0.shard": "1"},
+)
+
+
+def sample_key(part: str, row: int) -> str:
+    """Key of a sample in its shard: without dots, which end a key."""
+    return f"{part.replace('.', '_')}-{row:06d}"
+
+
+def write_shard(
+    dataset_folder: Path, part: str, steps: Iterable[DrawnStep], settings: PictureSettings
+) -> list[FileRecord]:
+    """Write the shard of a part, its index and its maps.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    folder = cache_folder(dataset_folder, LAYOUT)
+    index: dict[str, list[Any]] = {name: [] for name in _INDEX.names}
+    maps: dict[str, FileRecord] = {}
+
+    def pour(put: Callable[[bytes], int]) -> None:
+        def add(name: str, data: bytes) -> None:
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            offset = put(info.tobuf(tarfile.USTAR_FORMAT))
+            put(data + bytes(-len(data) % _BLOCK))
+            for column, value in zip(
+                _INDEX.names, (name, offset, len(data), file_digest(data)), strict=True
+            ):
+                index[column].append(value)
+
+        for step in steps:
+            key = sample_key(part, step.row)
+            add(f"{key}.rgb.{settings.format}", step.encoded("rgb", settings))
+            add(f"{key}.history.{settings.format}", step.encoded("history", settings))
+            if settings.maps == "every":
+                add(f"{key}.bev.{settings.format}", step.encoded("bev", settings))
+                add(f"{key}.occupancy.{settings.format}", step.encoded("occupancy", settings))
+            else:
+                for picture, name in (
+                    (step.pictures.bev, step.hashes["bev"]), step.base,
+                ):  # fmt: skip
+                    if name not in maps:
+                        maps[name] = write_once(
+                            folder, f"maps/{name}.png", lambda p=picture: encode_map(p)  # type: ignore[misc]
+                        )  # fmt: skip
+            add(f"{key}.json", describe_sample(step))
+        put(bytes(2 * _BLOCK))
+
+    shard = write_recorded(folder, f"{part}.tar", pour)
+    stream = io.BytesIO()
+    pq.write_table(pa.table(index, schema=_INDEX), stream, compression="zstd")
+    table = write_recorded(
+        folder, f"{part}.index.parquet", lambda put: (put(stream.getvalue()), None)[1]
+    )
+    return [shard, table, *maps.values()]
+
+
+def describe_sample(step: DrawnStep) -> bytes:
+    """The labels of a sample as JSON, in one line."""
+    block, t, episode = step.block, step.step, step.episode
+    start, current = step.places
+    fields = {
+        "episode_id": episode.id,
+        "step": t,
+        "scene": episode.scene_id,
+        "split": episode.split,
+        "mission": str(episode.mission.__struct_config__.tag),
+        "instruction": episode.instruction,
+        "pose": block.poses[t].tolist(),
+        "executed": int(block.executed[t]),
+        "actions": block.actions[t].tolist(),
+        "waypoints": [[round(float(v), 6) for v in point] for point in block.waypoints[t]],
+        "pixels": block.pixels[t].tolist(),
+        "valid": int(block.valid[t]),
+        "collided": bool(block.collided[t]),
+        "source": block.source,
+        "policy_actions": list(block.policy_actions[t]) if block.policy_actions else [],
+        "bev": f"maps/{step.hashes['bev']}.png",
+        "occupancy": {
+            "map": f"maps/{step.base[1]}.png",
+            "start": list(start),
+            "current": list(current),
+            "radius": DISC_RADIUS,
+        },
+        "hashes": step.hashes,
+    }
+    return json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def draw_dots(base: U8, start: tuple[int, int], current: tuple[int, int], radius: int) -> U8:
+    """The occupancy picture of a sample: the bare one with start in green, then agent in red."""
+    picture = base.copy()
+    draw_disc(picture, *start, radius, GREEN)
+    draw_disc(picture, *current, radius, RED)
+    return picture
+
+
+class ShardReader:
+    """Random access to the pictures of one shard.
+
+    Raises:
+        StorageError: shard or index are missing.
+        FormatError: the index is damaged.
+    """
+
+    def __init__(self, dataset_folder: Path, part: str, settings: PictureSettings) -> None:
+        self._folder = dataset_folder
+        self._part = part
+        self._settings = settings
+        self.path = cache_folder(dataset_folder, LAYOUT) / f"{part}.tar"
+        self._places = load_index(cache_folder(dataset_folder, LAYOUT) / f"{part}.index.parquet")
+        self._maps: dict[str, U8] = {}
+
+    def read(self, row: int, kind: str) -> bytes:
+        """The bytes of a member of a sample, of kind "json", "rgb.jpg" or the like.
+
+        Raises:
+            StorageError, FormatError: missing or cut short.
+        """
+        name = f"{sample_key(self._part, row)}.{kind}"
+        if name not in self._places:
+            raise FormatError(
+                "the shard has no such member", file=self.path, field=name,
+                remedy="run `gn0 data repair`",
+            )  # fmt: skip
+        offset, size, digest = self._places[name]
+        try:
+            with open(self.path, "rb") as stream:
+                stream.seek(offset)
+                data = stream.read(size)
+        except OSError as error:
+            raise FormatError(
+                f"cannot be read: {error.strerror}", file=self.path, remedy="run `gn0 data repair`"
+            ) from None
+        if file_digest(data) != digest:
+            raise FormatError(
+                "member is damaged", file=self.path, field=name, remedy="run `gn0 data repair`"
+            )
+        return data
+
+    def picture(self, row: int, name: str) -> U8:
+        """A picture of a sample: "rgb", "history", "bev" or "occupancy"."""
+        kind = self._settings.format
+        if name in ("rgb", "history") or self._settings.maps == "every":
+            return decode_picture(self.read(row, f"{name}.{kind}"), self.path, name)
+        about = json.loads(self.read(row, "json"))
+        if name == "bev":
+            return self._map(about["bev"])
+        places = about["occupancy"]
+        return draw_dots(
+            self._map(places["map"]), tuple(places["start"]), tuple(places["current"]),
+            places["radius"],
+        )  # fmt: skip
+
+    def _map(self, path: str) -> U8:
+        if path not in self._maps:
+            self._maps[path] = decode_picture(read_cached(self._folder, LAYOUT, path), path, "map")
+        return self._maps[path]
+
+
+def load_index(path: Path) -> dict[str, tuple[int, int, str]]:
+    """Offset, size and digest of each member of a shard, by name.
+
+    Raises:
+        StorageError: missing.
+        FormatError: damaged.
+    """
+    table = read_table(path)
+    if table.schema.names != _INDEX.names or table.schema.types != _INDEX.types:
+        raise FormatError("not the index of a shard", file=path, remedy="run `gn0 data repair`")
+    columns = [table.column(name).to_pylist() for name in _INDEX.names]
+    return {
+        name: (offset, size, digest) for name, offset, size, digest in zip(*columns, strict=True)
+    }

@@ -1,0 +1,101 @@
+"""Pictures of a dataset's episodes: from the cache where there is one, else drawn again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.data.cache import load_manifest
+from gn0.data.cache_lerobot import VIDEOS, read_video
+from gn0.data.cache_webdataset import ShardReader
+from gn0.data.dataset import Dataset
+from gn0.data.draw import Eyes
+from gn0.data.pictures import BATCH, draw_episode, map_picture
+from gn0.data.samples import EpisodeRows
+from gn0.errors import DataError
+from gn0.geometry import Pose2D
+from gn0.missions.episode import Episode
+
+FRAMES = ("rgb", "depth", "history", "bev", "occupancy")
+Frame = dict[str, NDArray[Any]]
+
+
+def read_frames(
+    dataset: Dataset, episode_id: str, sensors: frozenset[str], *, exact: bool = False
+) -> Iterator[Frame]:
+    """See `Dataset.frames`."""
+    unknown = sorted(sensors - set(FRAMES))
+    if unknown:
+        raise DataError(
+            f"no picture {unknown[0]!r} in a dataset", remedy="known: " + ", ".join(FRAMES)
+        )
+    rows, episode = dataset.rows(episode_id), dataset.episode(episode_id)
+    cached = {} if exact else _find_cached(dataset, rows, sensors - {"depth"})
+    return _join(dataset, episode, rows, sensors, cached)
+
+
+def _find_cached(
+    dataset: Dataset, rows: EpisodeRows, sensors: frozenset[str]
+) -> dict[str, Iterator[NDArray[Any]]]:
+    """Pictures by sensor, of those that a cache has."""
+    part = dataset.part_of(rows.episode_id)
+    first = 0
+    for block in dataset.part_rows(part):
+        if block.episode_id == rows.episode_id:
+            break
+        first += len(block)
+    span = (first, first + len(rows))
+    manifest = load_manifest(dataset.folder, "webdataset")
+    if manifest is not None:
+        reader = ShardReader(dataset.folder, part.name, manifest.settings)
+
+        def read(name: str) -> Iterator[NDArray[Any]]:
+            return (reader.picture(row, name) for row in range(*span))
+
+        return {name: read(name) for name in sensors}
+    if load_manifest(dataset.folder, "lerobot") is not None:
+        number = [own.name for own in dataset.about.parts].index(part.name)
+        return {
+            name: iter(read_video(dataset, number, name, span)) for name in sensors & set(VIDEOS)
+        }
+    return {}
+
+
+def _join(
+    dataset: Dataset,
+    episode: Episode,
+    rows: EpisodeRows,
+    sensors: frozenset[str],
+    cached: dict[str, Iterator[NDArray[Any]]],
+) -> Iterator[Frame]:
+    drawn = sensors - cached.keys()
+    sources = dict(cached)
+    if drawn:
+        eyes_of = Eyes(dataset, dataset.about.settings.pictures.visible_sets)
+        eyes = eyes_of.of(episode)
+        if drawn & {"rgb", "history"}:
+            pictures = draw_episode(eyes, episode, rows.poses)
+        else:
+            pictures = iter(())
+        start = Pose2D(*episode.start)
+        for begin in range(0, len(rows), BATCH):
+            poses = [Pose2D(*map(float, row)) for row in rows.poses[begin : begin + BATCH]]
+            depth = eyes.look_many(poses, frozenset({"depth"}))[1] if "depth" in drawn else None
+            for index, pose in enumerate(poses):
+                frame: Frame = {name: next(source) for name, source in sources.items()}
+                seen = next(pictures, None)
+                for name in drawn & {"rgb", "history"}:
+                    frame[name] = getattr(seen, name)
+                if depth is not None:
+                    frame["depth"] = np.asarray(depth[index])
+                if "bev" in drawn:
+                    frame["bev"] = map_picture(eyes)
+                if "occupancy" in drawn:
+                    frame["occupancy"] = eyes.occupancy_picture(start, pose)
+                yield frame
+        return
+    for _ in range(len(rows)):
+        yield {name: next(source) for name, source in sources.items()}

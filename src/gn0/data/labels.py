@@ -38,7 +38,6 @@ from gn0.sim.state import Action
 
 LabelVariant = Literal["exact", "mpc", "gn0-release"]
 ACTIONS_AHEAD = 6
-RELEASE_STOP = 1.0  # m as the crow flies
 ROUNDING = 1e-3  # m within the limit, so that no rounding in a metric can put a STOP outside it
 # plans from arbitrary states: at most 2 % dearer than the best, found four times as quickly
 STATE_WEIGHT, STATE_SUBCELLS = 1.02, 1
@@ -54,6 +53,7 @@ class LabelSettings(Config, frozen=True):
         turn_cost: price of a turn against travelled length [m].
         horizon: actions that `mpc` looks ahead.
         discount: γ of `mpc`.
+        release_stop: where `gn0-release` says STOP, as the crow flies [m].
     """
 
     variant: LabelVariant = "exact"
@@ -61,6 +61,7 @@ class LabelSettings(Config, frozen=True):
     turn_cost: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.02
     horizon: Annotated[int, msgspec.Meta(ge=6, le=14)] = 8
     discount: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.95
+    release_stop: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
 
 
 EXACT = LabelSettings()
@@ -171,7 +172,7 @@ def label_along(
     else:
         ahead = window_actions(np.asarray(actions, np.int8))
         if settings.variant == "gn0-release":
-            ahead = _stop_early(ahead, field.goal, states, episode.agent)
+            ahead = cut_at(ahead, field.goal, states, episode.agent, settings.release_stop)
     return Labels(ahead, waypoints, valid)
 
 
@@ -212,7 +213,7 @@ def label_states(
         plan = plan_from(field, state, settings, body)[:ACTIONS_AHEAD]
         ahead[i, : len(plan)] = plan
     if settings.variant == "gn0-release":
-        ahead = _stop_early(ahead, field.goal, states, body)
+        ahead = cut_at(ahead, field.goal, states, body, settings.release_stop)
     return Labels(ahead, waypoints, valid)
 
 
@@ -267,10 +268,6 @@ def cut_at(
         yaw += turn * ((out[:, k] == Action.LEFT) * 1.0 - (out[:, k] == Action.RIGHT) * 1.0)
         inside |= np.hypot(*(places - goal).T) <= radius
     return out
-
-
-def _stop_early(actions: I8, goal: tuple[float, float], states: F64, agent: AgentSpec) -> I8:
-    return cut_at(actions, goal, states, agent, RELEASE_STOP)
 
 
 def _track(

@@ -122,6 +122,17 @@ def sample_way_points(
     return out.astype(np.float32), valid
 
 
+def find_way(field: GeodesicField, place: NDArray[np.floating]) -> F64:
+    """The shortest drivable way [N, 2] m from a place to a field's goal, both included.
+
+    Raises:
+        PlanError: the place is blocked, off the map, or cut off from the goal.
+    """
+    at = np.asarray(place, np.float64)
+    sample_way_points(field, np.array([[at[0], at[1], 0.0]]), 1)  # refuses what cannot be reached
+    return smooth_path(field.grid, _winding_way(field, _find_bends(field), at))
+
+
 def _winding_way(field: GeodesicField, bends: _Bends, place: F64) -> F64:
     """The way [N, 2] m from a place that does not quite see its first bend."""
     grid = field.grid

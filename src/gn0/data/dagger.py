@@ -1,0 +1,326 @@
+"""DAgger: a policy drives, the expert says at every state what should have been done.
+
+Who acts is drawn anew at every step, as in Ross, Gordon and Bagnell (2011): the expert with
+probability β, else the policy. Whoever acts, the state is labelled with the expert's next six
+actions and the way ahead, and the policy's own answer stands beside them.
+
+Where the policy hovers near the goal without saying STOP a halting rule ends the episode:
+
+    paper (Eq. halting): a counter starts when the agent comes within the success distance, and
+        goes on while it stays there. After ten more steps the episode is cut off, and the label of
+        that last state is STOP.
+    gn0-release: the goal zone is a disc, as the crow flies, of a fifth of the path's length,
+        1 m to 3 m. After leaving it again the agent has ten more steps; the labels of these end
+        with STOP where they enter the zone.
+    none: the expert's label alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+
+from gn0.config import Config
+from gn0.data.labels import (
+    ACTIONS_AHEAD,
+    I8,
+    LabelSettings,
+    cut_at,
+    label_states,
+    plan_from,
+)
+from gn0.data.samples import NO_TOKEN, POINTS, EpisodeRows
+from gn0.data.ways import sample_way_points
+from gn0.errors import ConfigError, EpisodeError, PolicyError, SimError
+from gn0.geometry import F64, Pose2D, wrap_angle
+from gn0.maps.distance import GeodesicField
+from gn0.missions.episode import Episode, MissionFollow
+from gn0.seeds import random_stream
+from gn0.sim.kinematics import Heading
+from gn0.sim.policy import Policy, PolicyPrivileged, PolicySession
+from gn0.sim.simulator import Simulator, action_code
+from gn0.sim.state import Action, AnyAction, Displacement, Teleport
+
+Halting = Literal["paper", "gn0-release", "none"]
+Schedule = Literal["constant", "power", "first"]
+HALT_STEPS = 10
+ZONE_SHARE, ZONE_LEAST, ZONE_MOST = 0.2, 1.0, 3.0  # of the path's length; m
+_SAME = 1e-6  # m or rad between where a plan expects the agent and where it is
+
+
+class DaggerSettings(Config, frozen=True):
+    """How states are visited.
+
+    Attributes:
+        policy: name of the policy that drives.
+        options: its keyword arguments.
+        beta: probability that the expert acts, of each step.
+        schedule: how β changes from iteration to iteration: constant; power, β to the power of
+            iteration − 1; first, the expert alone in iteration 1 and the policy alone after it.
+        iteration: which one this is, from 1.
+        halting: see the module.
+        success_radius: walking distance to the goal that the halting rule of the paper means [m].
+        map_mode: what the maps shown to the policy hold.
+        max_steps: actions until an episode is cut off.
+        seed: of the draws of who acts.
+        plugins: modules to import first, for policies of others.
+    """
+
+    policy: str
+    options: dict[str, Any] = {}  # noqa: RUF012 (msgspec copies it)
+    beta: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.5
+    schedule: Schedule = "constant"
+    iteration: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
+    halting: Halting = "paper"
+    success_radius: Annotated[float, msgspec.Meta(gt=0, le=100)] = 3.0
+    map_mode: Literal["prior", "explored", "none"] = "prior"
+    max_steps: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 500
+    seed: int = 0
+    plugins: tuple[str, ...] = ()
+
+    @property
+    def expert_share(self) -> float:
+        """β of this iteration."""
+        if self.schedule == "power":
+            return float(self.beta ** (self.iteration - 1))
+        if self.schedule == "first":
+            return 1.0 if self.iteration == 1 else 0.0
+        return self.beta
+
+
+@dataclass(frozen=True)
+class _Visit:
+    """A state: where, what was done, what should have been, what the policy said."""
+
+    pose: Pose2D
+    executed: int
+    actions: tuple[int, ...]
+    said: int
+    collided: bool
+
+
+class _Expert:
+    """Labels one state after the other; goes on with its plan while the agent follows it."""
+
+    def __init__(self, simulator: Simulator, field: GeodesicField, labels: LabelSettings) -> None:
+        self._simulator = simulator
+        self._field = field
+        self._labels = labels
+        self._plan: list[int] = []
+        self._expected: tuple[float, float, float] | None = None
+
+    def actions(self) -> list[int]:
+        """The next actions from where the agent is: six, or fewer up to the STOP."""
+        pose, agent = self._simulator.pose, self._simulator.agent
+        if self._labels.variant == "mpc":
+            state = np.array([pose])
+            found = label_states(
+                self._simulator.navigation, self._field.goal, state, self._labels, agent=agent
+            )
+            return [int(code) for code in found.actions6[0]]
+        if self._expected is None or not _is_at(pose, self._expected):
+            self._plan = plan_from(self._field, np.array(pose), self._labels, agent).tolist()
+        self._expected = (pose.x, pose.y, pose.yaw)
+        return list(self._plan[:ACTIONS_AHEAD])
+
+    def follow(self, action: int) -> None:
+        """Note what the agent does next."""
+        if not self._plan or action != self._plan[0]:
+            self._expected = None
+            return
+        self._plan.pop(0)
+        agent = self._simulator.agent
+        x, y, yaw = self._simulator.pose
+        if action == Action.FORWARD:
+            x += agent.forward_step * math.cos(yaw)
+            y += agent.forward_step * math.sin(yaw)
+        else:
+            turned = Heading(yaw, 1 if action == Action.LEFT else -1, agent.turn_degrees)
+            yaw = turned.yaw
+        self._expected = (x, y, yaw)
+
+
+def _is_at(pose: Pose2D, place: tuple[float, float, float]) -> bool:
+    return (
+        abs(pose.x - place[0]) <= _SAME
+        and abs(pose.y - place[1]) <= _SAME
+        and abs(wrap_angle(pose.yaw - place[2])) <= _SAME
+    )
+
+
+class _Halt:
+    """Counts the steps near the goal by one of the rules."""
+
+    def __init__(self, rule: Halting, radius: float, field: GeodesicField, length: float) -> None:
+        self.rule = rule
+        self._radius = radius
+        self._field = field
+        self.zone = min(max(ZONE_SHARE * length, ZONE_LEAST), ZONE_MOST)
+        self._count: int | None = None  # steps since the counter began
+        self._entered = False
+
+    def look(self, pose: Pose2D) -> None:
+        """Note a state that the agent has come to."""
+        if self.rule == "paper":
+            inside = self._field.distance_at(pose.x, pose.y) <= self._radius
+            self._count = None if not inside else 0 if self._count is None else self._count + 1
+        elif self.rule == "gn0-release":
+            goal_x, goal_y = self._field.goal
+            inside = math.hypot(pose.x - goal_x, pose.y - goal_y) <= self.zone
+            if self._count is not None:
+                self._count += 1
+            elif self._entered and not inside:
+                self._count = 0
+            self._entered |= inside
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the episode is cut off here."""
+        return self._count is not None and self._count >= HALT_STEPS
+
+    @property
+    def overshot(self) -> bool:
+        """Whether the agent has left the goal zone of the release again."""
+        return self.rule == "gn0-release" and self._count is not None
+
+
+def collect_visited(
+    simulator: Simulator,
+    policy: Policy,
+    episode: Episode,
+    settings: DaggerSettings,
+    labels: LabelSettings,
+) -> EpisodeRows:
+    """Let the policy drive through an episode, and label every state that it comes to.
+
+    With β = 0 and no halting rule the trajectory is that of `sim.rollout.run_episode`. The policy
+    is asked at every state, also where the expert acts. Pixels are left out: the dataset knows its
+    map frame.
+
+    Raises:
+        PolicyError: the policy wants a sensor that is not carried, or answers with anything but a
+            discrete action.
+        EpisodeError: the episode does not fit the scene, or follows somebody who moves.
+        PlanError: the goal cannot be reached.
+    """
+    if isinstance(episode.mission, MissionFollow):
+        raise EpisodeError(
+            "a follow mission needs the track of the person",
+            where=f"episode {episode.id!r}",
+            remedy="label it with gn0.data.follow.label_follow",
+        )
+    missing = frozenset(policy.sensors) - simulator.sensors
+    if missing:
+        raise PolicyError(
+            f"policy {policy.name!r} reads {sorted(missing)}, which the agent does not carry",
+            remedy="open the simulator with sensors=policy.sensors",
+        )
+    observation = simulator.reset(episode, sensors=frozenset(policy.sensors))
+    policy.reset(
+        episode.instruction, random_stream(episode.seed, "policy", policy.name, episode.id)
+    )
+    if isinstance(policy, PolicySession):
+        policy.reset_session(episode.id)
+    if isinstance(policy, PolicyPrivileged):
+        policy.reset_privileged(simulator)
+    draws = random_stream(settings.seed, "dagger", settings.iteration, episode.id)
+    field = simulator.navigation.geodesic(episode.goal)
+    length = field.distance_at(episode.start[0], episode.start[1])
+    halt = _Halt(settings.halting, settings.success_radius, field, length)
+    expert = _Expert(simulator, field, labels)
+    visits: list[_Visit] = []
+    while True:
+        pose = simulator.pose
+        halt.look(pose)
+        ahead = np.zeros(ACTIONS_AHEAD, np.int8)
+        plan = expert.actions()
+        ahead[: len(plan)] = plan
+        ahead = _apply_rules(ahead, pose, simulator, field, labels, halt)
+        said = _ask(policy, policy.act(observation), episode)
+        expert_acts = draws.random() < settings.expert_share
+        action = int(ahead[0]) if expert_acts else said
+        if halt.is_due:
+            action = int(Action.STOP)
+        expert.follow(action)
+        result = simulator.step(action)
+        visits.append(_Visit(pose, action, tuple(ahead.tolist()), said, result.collided))
+        observation = result.observation
+        if result.terminated or result.truncated:
+            return _rows(episode, field, visits)
+
+
+def _apply_rules(
+    ahead: I8,
+    pose: Pose2D,
+    simulator: Simulator,
+    field: GeodesicField,
+    labels: LabelSettings,
+    halt: _Halt,
+) -> I8:
+    """The label of a state, after goal zone and halting rule."""
+    if halt.rule == "paper" and halt.is_due:
+        return np.zeros_like(ahead)
+    state: F64 = np.array([pose])
+    if labels.variant == "gn0-release":
+        ahead = cut_at(ahead[None], field.goal, state, simulator.agent, labels.release_stop)[0]
+    if halt.overshot:
+        ahead = cut_at(ahead[None], field.goal, state, simulator.agent, halt.zone)[0]
+    return ahead
+
+
+def _ask(policy: Policy, answer: AnyAction, episode: Episode) -> int:
+    """The code of a policy's answer."""
+    where = f"episode {episode.id!r}"
+    if isinstance(answer, Teleport | Displacement):
+        raise PolicyError(
+            f"policy {policy.name!r} answers with a {type(answer).__name__.lower()}",
+            where=where,
+            remedy="collect with a policy of STOP, FORWARD, LEFT and RIGHT",
+        )
+    try:
+        return action_code(answer)
+    except SimError as error:
+        raise PolicyError(
+            f"policy {policy.name!r} returned no valid action: {error.what}",
+            where=where,
+            remedy=error.remedy,
+        ) from error
+
+
+def _rows(episode: Episode, field: GeodesicField, visits: list[_Visit]) -> EpisodeRows:
+    poses = np.array([visit.pose for visit in visits], np.float64)
+    waypoints, valid = sample_way_points(field, poses)
+    count = len(visits)
+    return EpisodeRows(
+        episode_id=episode.id,
+        poses=poses,
+        executed=np.array([visit.executed for visit in visits], np.int8),
+        actions=np.array([visit.actions for visit in visits], np.int8),
+        waypoints=waypoints,
+        pixels=np.full((count, POINTS, 2), NO_TOKEN, np.int16),
+        valid=valid,
+        distance=field.distance(poses[:, :2]).astype(np.float32),
+        collided=np.array([visit.collided for visit in visits], bool),
+        source="dagger",
+        policy_actions=tuple((visit.said,) for visit in visits),
+    )
+
+
+def check_options(options: Mapping[str, Any], secrets: tuple[str, ...]) -> None:
+    """Refuse options that must not be written down: a dataset says how it was made.
+
+    Raises:
+        ConfigError: one is a secret by its name.
+    """
+    for name in options:
+        if any(word in name.lower() for word in secrets):
+            raise ConfigError(
+                f"policy option {name!r} would be written into dataset.json",
+                where="--policy-option",
+                remedy="hand secrets to the policy through the environment",
+            )

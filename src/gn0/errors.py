@@ -125,6 +125,12 @@ class PolicyError(Gn0Error):
     code = "POLICY"
 
 
+class LanguageError(Gn0Error):
+    """No instruction could be written: a language server failed, or its answer cannot be used."""
+
+    code = "LANGUAGE"
+
+
 class BenchError(Gn0Error):
     """A benchmark run cannot start, resume or finish."""
 

@@ -1,0 +1,1 @@
+"""Language of missions: routes put into words, by grammar or by a language model."""

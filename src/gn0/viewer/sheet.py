@@ -44,7 +44,7 @@ def render_sheet(
     poses = choose_viewpoints(scene, _VIEWS, renderer=renderer)
     plan = render_plan(scene, column, tall, keep_clear=[(p.x, p.y) for p in poses])
     sheet.paste(plan, (_GAP, _TITLE))
-    bev = _bev(scene, renderer, column, tall, cut_height)
+    bev = draw_bev(scene, renderer, column, tall, cut_height)
     sheet.paste(bev, (2 * _GAP + column, _TITLE))
     top = _TITLE + tall + _GAP
     views = render_views(renderer, poses, view_width, view_height)
@@ -91,9 +91,19 @@ def _short(text: str, length: int) -> str:
     return text if len(text) <= length else text[: length - 3].rstrip() + "..."
 
 
-def _bev(
-    scene: Scene, renderer: Renderer, width: int, height: int, cut_height: float | None
+def draw_bev(
+    scene: Scene,
+    renderer: Renderer,
+    width: int,
+    height: int,
+    cut_height: float | None = None,
+    *,
+    look: str = "",
 ) -> Image.Image:
+    """A scene from above, whole, in the middle of a picture of width x height [px].
+
+    `look` is the content hash of the splats of `renderer`, where they are not the scene's own.
+    """
     x0, y0, x1, y1 = plan_bounds(scene)
     scale = max((x1 - x0) / width, (y1 - y0) / height)  # metres a pixel
     x, y = (x0 + x1) / 2 - width * scale / 2, (y0 + y1) / 2 - height * scale / 2
@@ -103,7 +113,7 @@ def _bev(
         ceiling = scene.source.settings.get("ceiling")
         cut_height = min(max(float(ceiling or 2.4) - 0.4, 1.6), 2.2)
     picture = render_bev(
-        scene.cloud_hash or scene.gaussians.content_hash,
+        look or scene.cloud_hash or scene.gaussians.content_hash,
         renderer,
         bounds,
         scale,

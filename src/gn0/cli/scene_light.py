@@ -1,0 +1,100 @@
+"""See a scene in other light, and write a variant of it: brighter, warmer, at dusk, at night.
+
+Geometry, depth and meaning stay as they are. Every picture of an episode is made under the one
+condition that is recorded with it, the bird's-eye view as well.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 scene light out/flat
+  gn0 scene light out/flat --seed 3 --count 12 --out lights.jpg
+  gn0 scene light out/flat --mood dusk --write out/flat-dusk
+  gn0 scene light out/flat --mood custom --exposure -1 --kelvin 3200 --write out/flat-warm"""
+
+
+class Args(Config, frozen=True):
+    """The scene, the lights, and what to write.
+
+    Attributes:
+        folder: a scene folder.
+        out: contact sheet to write; default: NAME-light.jpg beside the scene.
+        seed: of the conditions.
+        count: conditions on the sheet.
+        mood: only this one; custom takes the numbers below.
+        exposure: stops brighter or darker.
+        kelvin: colour temperature of the light; 5500 leaves colours alone.
+        contrast: of light and shadow, where the scene keeps them.
+        saturation: of colours.
+        write: also write the first condition's scene as a folder of its own.
+        overwrite: replace that folder.
+    """
+
+    folder: Annotated[str, tyro.conf.Positional]
+    out: str = ""
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
+    count: Annotated[int, msgspec.Meta(ge=1, le=60)] = 6
+    mood: Literal[
+        "bright day", "overcast", "warm lamps", "cool tubes", "dusk", "night", "any", "custom"
+    ] = "any"
+    exposure: float = 0.0
+    kelvin: float = 5500.0
+    contrast: float = 1.0
+    saturation: float = 1.0
+    write: str = ""
+    overwrite: bool = False
+
+
+def run(args: Args) -> int:
+    """Draw the sheet, and write the variant that was asked for."""
+    from dataclasses import replace
+    from pathlib import Path
+
+    from gn0.cli.console import draw_progress
+    from gn0.cli.scene_import import print_scene
+    from gn0.config import check_config
+    from gn0.render.light import LightCondition, condition_names, draw_condition, relight_cloud
+    from gn0.scenes.folder import load_scene, save_scene
+    from gn0.storage import write_atomic
+    from gn0.viewer.light import render_light
+
+    folder = Path(args.folder)
+    scene = load_scene(folder)
+    moods = condition_names()
+    if args.mood == "custom":
+        numbers = {k: getattr(args, k) for k in ("exposure", "kelvin", "contrast", "saturation")}
+        conditions = [check_config(LightCondition(name="custom", **numbers))]
+    elif args.mood == "any":  # each mood comes before any comes again
+        conditions = [
+            draw_condition(args.seed, scene.id, k, mood=moods[k % len(moods)])
+            for k in range(args.count)
+        ]
+    else:
+        conditions = [draw_condition(args.seed, scene.id, 0, mood=args.mood)]
+    name = folder.resolve().name
+    out = Path(args.out) if args.out else folder.resolve().parent / f"{name}-light.jpg"
+    with draw_progress() as progress:
+        sheet = render_light(scene, conditions, progress=progress)
+        write_atomic(out, lambda stream: sheet.save(stream, "JPEG", quality=90))
+        if args.write:
+            lit = conditions[0]
+            settings = {**scene.source.settings, "lit": lit.name}
+            source = msgspec.structs.replace(scene.source, settings=settings)
+            variant = replace(
+                scene,
+                id=Path(args.write).resolve().name,
+                source=source,
+                load_cloud=lambda: relight_cloud(scene.gaussians, lit),
+                cloud_hash="",
+            )
+            written = save_scene(variant, args.write, overwrite=args.overwrite, progress=progress)
+    print(f"written to {out}")
+    if args.write:
+        print_scene(written, args.write)
+    return 0

@@ -1,0 +1,177 @@
+"""Make the scenes of a corpus, side by side, going on where an earlier run stopped."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from gn0 import __version__
+from gn0.config import check_config
+from gn0.errors import ConfigError, SceneError, StorageError
+from gn0.jobs import ExecutorName, run_jobs
+from gn0.progress import Progress, no_progress
+from gn0.scenes.corpus import (
+    CORPUS_FILE,
+    LAYOUT,
+    SCENE_FOLDER,
+    CorpusFile,
+    CorpusPart,
+    CorpusScene,
+    CorpusSpec,
+    plan_corpus,
+)
+from gn0.scenes.folder import load_scene, save_scene
+from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
+from gn0.scenes.sources import import_scene
+from gn0.storage import Journal, content_hash, write_json
+
+JOURNAL_FILE = "corpus.journal"
+_BUILD = "gn0.scenes.corpus_build:build_corpus_scene"
+
+
+def generate_corpus(
+    spec: CorpusSpec,
+    out: Path | str,
+    *,
+    base: Path | str = ".",
+    workers: int = 1,
+    executor: ExecutorName = "process",
+    ray_address: str = "",
+    progress: Progress = no_progress,
+) -> CorpusFile:
+    """Make every scene of a corpus; goes on where an earlier run of the same spec stopped.
+
+    The same spec gives the same bytes for any number of workers.
+
+    Args:
+        spec: what to make.
+        out: folder of the corpus.
+        base: what the paths of imports are relative to.
+        workers: scenes at a time.
+        executor: "process" or "ray".
+        ray_address: of a running cluster.
+        progress: progress sink.
+
+    Raises:
+        StorageError: `out` holds something else, or cannot be written.
+        ConfigError: `out` holds another corpus, or the spec contradicts itself.
+        SceneError, FormatError: a scene cannot be made; those before it are kept.
+    """
+    out = Path(out)
+    spec = check_config(spec)
+    plan = plan_corpus(spec)
+    digest = content_hash(msgspec.json.encode(spec, order="deterministic"))
+    journal = Journal(out / JOURNAL_FILE)
+    done = _read_journal(journal, out, digest)
+    todo = [item for item in plan if item[0].id not in done]
+    payloads = [_payload(scene, part, seed, out, Path(base)) for scene, part, seed in todo]
+    with journal:
+        if not journal.read():
+            journal.append({"corpus": digest})
+
+        def note(index: int, answer: dict[str, Any]) -> None:
+            done[todo[index][0].id] = answer
+            journal.append({"scene": todo[index][0].id, **answer})
+
+        run_jobs(
+            _BUILD,
+            payloads,
+            workers=workers,
+            executor=executor,
+            ray_address=ray_address,
+            names=[f"scene {scene.id}" for scene, _, _ in todo],
+            done=note,
+            what="scenes",
+            progress=progress,
+        )
+    about = CorpusFile(
+        layout=LAYOUT,
+        name=spec.name,
+        seed=spec.seed,
+        spec=digest,
+        scenes=tuple(msgspec.structs.replace(scene, **done[scene.id]) for scene, _, _ in plan),
+        software=f"gn0 {__version__}",
+    )
+    write_json(out / CORPUS_FILE, msgspec.to_builtins(about))
+    return about
+
+
+def _read_journal(journal: Journal, out: Path, digest: str) -> dict[str, dict[str, Any]]:
+    """What earlier runs of the same spec have made, by scene id."""
+    records = journal.read()
+    if not records:
+        if out.exists() and any(p.name != JOURNAL_FILE for p in out.iterdir()):
+            raise StorageError(
+                "the folder holds something else", where=out, remedy="choose another --out"
+            )
+        return {}
+    if records[0].get("corpus") != digest:
+        raise ConfigError(
+            "the folder holds another corpus",
+            where=out,
+            remedy="choose another --out, or give the spec that it was begun with",
+        )
+    found = {r.pop("scene"): r for r in (dict(record) for record in records[1:])}
+    return {id: r for id, r in found.items() if (out / SCENE_FOLDER / id / "scene.json").is_file()}
+
+
+def _payload(
+    scene: CorpusScene, part: CorpusPart, seed: int, out: Path, base: Path
+) -> dict[str, Any]:
+    path = ""
+    if part.path:
+        expanded = Path(os.path.expandvars(part.path)).expanduser()
+        path = str(expanded if expanded.is_absolute() else (base / expanded).resolve())
+    return {
+        "folder": str((out / scene.folder).resolve()),
+        "part": msgspec.to_builtins(part),
+        "path": path,
+        "seed": seed,
+    }
+
+
+def build_corpus_scene(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Make one scene into its folder (a unit of `run_jobs`) and say what is in it."""
+    part = msgspec.convert(payload["part"], CorpusPart)
+    folder = Path(payload["folder"])
+    source = Path(payload["path"])
+    if part.kind:
+        settings = msgspec.convert(
+            {
+                "kind": part.kind,
+                "seed": payload["seed"],
+                "size": part.size,
+                "style": part.style,
+                "density": part.density,
+                "light": part.light,
+                "refine": part.refine,
+                "cloud_form": "packed" if part.packed else "exact",
+            },
+            GenerateSettings,
+        )
+        scene = generate_scene(settings, folder, overwrite=True)
+    elif (source / "scene.json").is_file():
+        loaded = load_scene(source)
+        form: Literal["exact", "packed"] = "packed" if part.packed else "exact"
+        scene = save_scene(replace(loaded, id=folder.name), folder, cloud_form=form, overwrite=True)
+    else:
+        options: dict[str, Any] = {"height_band": part.height_band} if part.height_band else {}
+        options |= {"density": part.density} if part.density else {}
+        form = "packed" if part.packed else "exact"
+        scene = import_scene(source, folder, cloud_form=form, overwrite=True, **options)
+    if not scene.grid.free_area:
+        raise SceneError(
+            "nothing is walkable", where=f"scene {scene.id!r}", remedy="see `gn0 scene check`"
+        )
+    return {
+        "hash": scene.content_hash,
+        "area": round(scene.grid.free_area, 2),
+        "gaussians": len(scene.gaussians),
+        "objects": len(scene.objects),
+        "rooms": len(scene.rooms),
+    }

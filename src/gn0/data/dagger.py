@@ -20,12 +20,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import msgspec
 import numpy as np
 
-from gn0.config import Config
 from gn0.data.labels import (
     ACTIONS_AHEAD,
     I8,
@@ -35,6 +33,7 @@ from gn0.data.labels import (
     plan_from,
 )
 from gn0.data.samples import NO_TOKEN, POINTS, EpisodeRows
+from gn0.data.settings import DaggerSettings, Halting
 from gn0.data.ways import sample_way_points
 from gn0.errors import ConfigError, EpisodeError, PolicyError, SimError
 from gn0.geometry import F64, Pose2D, wrap_angle
@@ -46,51 +45,9 @@ from gn0.sim.policy import Policy, PolicyPrivileged, PolicySession
 from gn0.sim.simulator import Simulator, action_code
 from gn0.sim.state import Action, AnyAction, Displacement, Teleport
 
-Halting = Literal["paper", "gn0-release", "none"]
-Schedule = Literal["constant", "power", "first"]
 HALT_STEPS = 10
 ZONE_SHARE, ZONE_LEAST, ZONE_MOST = 0.2, 1.0, 3.0  # of the path's length; m
 _SAME = 1e-6  # m or rad between where a plan expects the agent and where it is
-
-
-class DaggerSettings(Config, frozen=True):
-    """How states are visited.
-
-    Attributes:
-        policy: name of the policy that drives.
-        options: its keyword arguments.
-        beta: probability that the expert acts, of each step.
-        schedule: how β changes from iteration to iteration: constant; power, β to the power of
-            iteration − 1; first, the expert alone in iteration 1 and the policy alone after it.
-        iteration: which one this is, from 1.
-        halting: see the module.
-        success_radius: walking distance to the goal that the halting rule of the paper means [m].
-        map_mode: what the maps shown to the policy hold.
-        max_steps: actions until an episode is cut off.
-        seed: of the draws of who acts.
-        plugins: modules to import first, for policies of others.
-    """
-
-    policy: str
-    options: dict[str, Any] = {}  # noqa: RUF012 (msgspec copies it)
-    beta: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.5
-    schedule: Schedule = "constant"
-    iteration: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
-    halting: Halting = "paper"
-    success_radius: Annotated[float, msgspec.Meta(gt=0, le=100)] = 3.0
-    map_mode: Literal["prior", "explored", "none"] = "prior"
-    max_steps: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 500
-    seed: int = 0
-    plugins: tuple[str, ...] = ()
-
-    @property
-    def expert_share(self) -> float:
-        """β of this iteration."""
-        if self.schedule == "power":
-            return float(self.beta ** (self.iteration - 1))
-        if self.schedule == "first":
-            return 1.0 if self.iteration == 1 else 0.0
-        return self.beta
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -14,6 +14,8 @@ from gn0.sim.sensors import MapFrame
 
 CacheLayout = Literal["webdataset", "lerobot", "none"]
 PictureFormat = Literal["jpg", "png"]
+Halting = Literal["paper", "gn0-release", "none"]
+Schedule = Literal["constant", "power", "first"]
 
 
 class PictureSettings(Config, frozen=True):
@@ -61,21 +63,44 @@ class TokenSettings(Config, frozen=True):
         return EgoFrame(self.size, self.metres_per_pixel, self.ahead)
 
 
-class CollectSettings(Config, frozen=True):
-    """How the steps of an episode come about.
+class DaggerSettings(Config, frozen=True):
+    """How states are visited.
 
     Attributes:
-        source: "expert" walks the exact planner's own plan; "dagger" lets a policy drive and
-            labels what it visits.
         policy: name of the policy that drives.
-        options: of the policy.
-        settings: of the collector.
+        options: its keyword arguments.
+        beta: probability that the expert acts, of each step.
+        schedule: how β changes from iteration to iteration: constant; power, β to the power of
+            iteration − 1; first, the expert alone in iteration 1 and the policy alone after it.
+        iteration: which one this is, from 1.
+        halting: what ends an episode near the goal, see `gn0.data.dagger`.
+        success_radius: walking distance to the goal that the halting rule of the paper means [m].
+        map_mode: what the maps shown to the policy hold.
+        max_steps: actions until an episode is cut off.
+        seed: of the draws of who acts.
+        plugins: modules to import first, for policies of others.
     """
 
-    source: Literal["expert", "dagger"] = "expert"
-    policy: str = ""
-    options: dict[str, str | int | float | bool | None] = {}  # noqa: RUF012 (msgspec copies it)
-    settings: dict[str, str | int | float | bool | None] = {}  # noqa: RUF012
+    policy: str
+    options: dict[str, Any] = {}  # noqa: RUF012 (msgspec copies it)
+    beta: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.5
+    schedule: Schedule = "constant"
+    iteration: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
+    halting: Halting = "paper"
+    success_radius: Annotated[float, msgspec.Meta(gt=0, le=100)] = 3.0
+    map_mode: Literal["prior", "explored", "none"] = "prior"
+    max_steps: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 500
+    seed: int = 0
+    plugins: tuple[str, ...] = ()
+
+    @property
+    def expert_share(self) -> float:
+        """β of this iteration."""
+        if self.schedule == "power":
+            return float(self.beta ** (self.iteration - 1))
+        if self.schedule == "first":
+            return 1.0 if self.iteration == 1 else 0.0
+        return self.beta
 
 
 class BuildSettings(Config, frozen=True):
@@ -86,11 +111,11 @@ class BuildSettings(Config, frozen=True):
         labels: how the next actions and the way ahead are found.
         chunk: episodes a part: what one worker does at a time, and what one shard holds.
         pictures: see `PictureSettings`.
-        collect: see `CollectSettings`.
+        dagger: how a policy drives; None for the expert's own walks.
     """
 
     tokens: TokenSettings = TokenSettings()
     labels: LabelSettings = LabelSettings()
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     pictures: PictureSettings = PictureSettings()
-    collect: CollectSettings = CollectSettings()
+    dagger: DaggerSettings | None = None

@@ -1,0 +1,92 @@
+"""The policy and the simulators of one process, which collects states for datasets."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import lru_cache
+from importlib import import_module
+
+import msgspec
+
+from gn0.bench.worker import build_policy
+from gn0.data.codec import encode_waypoints
+from gn0.data.dagger import collect_visited
+from gn0.data.dataset import Dataset
+from gn0.data.samples import EpisodeRows
+from gn0.data.settings import DaggerSettings
+from gn0.errors import DataError
+from gn0.missions.episode import Episode
+from gn0.sim.open import name_look, open_simulator
+from gn0.sim.policy import Policy
+from gn0.sim.sensors import check_map_mode
+from gn0.sim.simulator import Simulator
+
+
+@lru_cache(maxsize=1)
+def _open_policy(settings: bytes) -> Policy:
+    """The policy of encoded settings; kept, as it may hold weights or a connection."""
+    told = msgspec.json.decode(settings, type=DaggerSettings)
+    for module in told.plugins:
+        import_module(module)
+    policy = build_policy(told.policy, told.options)
+    check_map_mode(told.map_mode, policy.sensors)
+    return policy
+
+
+class Driver:
+    """Drives a policy through episodes of a dataset; the last scene and light are kept.
+
+    Args:
+        dataset: whose scenes, camera, agent and settings.
+
+    Raises:
+        ConfigError: no such policy, or it does not take these options.
+        DataError: the dataset's steps come from the expert alone.
+    """
+
+    def __init__(self, dataset: Dataset) -> None:
+        settings = dataset.about.settings.dagger
+        if settings is None:
+            raise DataError(
+                "no policy drives in this dataset",
+                where=dataset.folder,
+                remedy="collect one with `gn0 data dagger`",
+            )
+        self._dataset = dataset
+        self._settings = settings
+        self._policy = _open_policy(msgspec.json.encode(settings, order="deterministic"))
+        self._simulator: Simulator | None = None
+        self._look = ""
+
+    def collect(self, episode: Episode) -> EpisodeRows:
+        """The rows of an episode: every state the policy came to, labelled.
+
+        Raises:
+            PolicyError: the policy misbehaves.
+            EpisodeError, PlanError: the episode cannot be done.
+        """
+        about = self._dataset.about
+        simulator = self._simulator_of(episode)
+        rows = collect_visited(
+            simulator, self._policy, episode, self._settings, about.settings.labels
+        )
+        frame = about.settings.tokens.of_grid(simulator.navigation.grid)
+        return dataclasses.replace(rows, pixels=encode_waypoints(frame, rows.waypoints, rows.poses))
+
+    def _simulator_of(self, episode: Episode) -> Simulator:
+        look = name_look(episode)
+        if self._simulator is None or look != self._look:
+            self._simulator = None  # let go of the old scene first
+            about = self._dataset.about
+            self._simulator = open_simulator(
+                self._dataset.scene(episode.scene_id),
+                about.camera,
+                sensors=frozenset(self._policy.sensors),
+                agent=about.agent,
+                max_steps=self._settings.max_steps,
+                map_mode=self._settings.map_mode,
+                navigation=self._dataset.navigation(episode.scene_id),
+                light=episode.light,
+            )
+            self._look = look
+        return self._simulator

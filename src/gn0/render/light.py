@@ -55,7 +55,7 @@ class LightCondition(Config, frozen=True):
 
 # name: (exposure low, high), (kelvin low, high), (tint ±), (contrast low, high), (saturation …)
 _MOODS: dict[str, tuple[tuple[float, float], ...]] = {
-    "bright day": ((0.25, 0.7), (5200, 6000), (-0.03, 0.03), (0.95, 1.25), (1.0, 1.1)),
+    "bright day": ((0.15, 0.45), (5200, 6000), (-0.03, 0.03), (0.95, 1.25), (1.0, 1.1)),
     "overcast": ((-0.35, 0.1), (6300, 7600), (-0.03, 0.05), (0.45, 0.75), (0.8, 0.95)),
     "warm lamps": ((-0.5, 0.0), (2900, 3900), (-0.04, 0.04), (0.9, 1.2), (0.95, 1.1)),
     "cool tubes": ((-0.2, 0.3), (6200, 8200), (0.02, 0.12), (0.7, 1.0), (0.85, 1.0)),

@@ -137,6 +137,11 @@ def load_spec(path: Path | str) -> CorpusSpec:
 
 
 def check_spec(spec: CorpusSpec, path: Path | str = "") -> CorpusSpec:
+    """The spec itself, if it does not contradict itself.
+
+    Raises:
+        ConfigError: a part with no or two makes, an unknown kind, shares that do not sum to 1.
+    """
     for number, part in enumerate(spec.parts, 1):
         where = f"{path}, part {number}".lstrip(", ")
         if bool(part.kind) == bool(part.path):

@@ -1,0 +1,135 @@
+"""A corpus is its spec: the same scenes, splits and bytes, however it was made."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gn0.errors import ConfigError, FormatError, SceneError, StorageError
+from gn0.scenes.corpus import CorpusPart, CorpusSpec, load_corpus, load_spec, plan_corpus
+from gn0.scenes.corpus_build import JOURNAL_FILE, generate_corpus
+from gn0.scenes.folder import load_scene, save_scene
+from gn0.testing.scenes import build_room_scene
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("source") / "room"
+    save_scene(build_room_scene(), folder)
+    return folder
+
+
+def spec_of(source: Path, count: int = 3) -> CorpusSpec:
+    """`count` copies of one small scene: what is tested here is the corpus, not its scenes."""
+    parts = tuple(CorpusPart(path=str(source), name=f"room-{i}") for i in range(count))
+    return CorpusSpec(parts=parts, name="rooms", splits={"train": 0.6, "test": 0.4})
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != JOURNAL_FILE)
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+@pytest.fixture(scope="module")
+def whole(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole") / "corpus"
+    generate_corpus(spec_of(source), out)
+    return out
+
+
+def test_scenes_lie_where_the_corpus_says(whole: Path) -> None:
+    corpus = load_corpus(whole)
+    assert [s.id for s in corpus.scenes] == ["room-0", "room-1", "room-2"]
+    assert Counter(s.split for s in corpus.scenes) == {"train": 2, "test": 1}
+    for about in corpus.scenes:
+        scene = load_scene(whole / about.folder)
+        assert (scene.id, scene.content_hash) == (about.id, about.hash)
+        assert about.gaussians == len(scene.gaussians) and about.area > 1
+
+
+def test_two_workers_and_a_second_start_write_the_same_bytes(source: Path, whole: Path) -> None:
+    out = whole.parent / "stopped"
+    part = CorpusSpec(parts=spec_of(source).parts, name="rooms", splits={"train": 0.6, "test": 0.4})
+    generate_corpus(part, out, workers=2)
+    assert contents(out) == contents(whole)
+    # as if killed while the second scene was being written
+    lines = (out / JOURNAL_FILE).read_bytes().splitlines(keepends=True)
+    (out / JOURNAL_FILE).write_bytes(b"".join(lines[:2]) + lines[2][:9])
+    (out / "corpus.json").unlink()
+    kept = out / "scenes" / lines[1].decode().split('"scene": "')[1].split('"')[0]
+    before = os.stat(kept / "scene.json").st_mtime_ns
+    generate_corpus(part, out)
+    assert contents(out) == contents(whole)
+    assert os.stat(kept / "scene.json").st_mtime_ns == before  # not made again
+
+
+def test_another_corpus_or_something_else_is_not_written_into(source: Path, whole: Path) -> None:
+    with pytest.raises(ConfigError, match="holds another corpus"):
+        generate_corpus(spec_of(source, 2), whole)
+    other = whole.parent / "other"
+    other.mkdir()
+    (other / "thesis.tex").write_text("")
+    with pytest.raises(StorageError, match="holds something else"):
+        generate_corpus(spec_of(source), other)
+
+
+def test_a_scene_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    spec = CorpusSpec(parts=(CorpusPart(path=str(tmp_path / "nowhere.ply")),))
+    with pytest.raises((StorageError, SceneError), match=r"nowhere\.ply"):
+        generate_corpus(spec, tmp_path / "out")
+    assert not (tmp_path / "out" / "corpus.json").exists()
+
+
+@given(st.lists(st.integers(1, 12), min_size=1, max_size=4), st.integers(0, 10**6))
+@settings(deadline=None, max_examples=40)
+def test_splits_are_dealt_by_their_shares_and_kinds(counts: list[int], seed: int) -> None:
+    parts = tuple(CorpusPart(kind="apartment", count=n, name=f"k{i}") for i, n in enumerate(counts))
+    spec = CorpusSpec(parts=parts, seed=seed)
+    plan = plan_corpus(spec)
+    total = sum(counts)
+    found = Counter(scene.split for scene, _, _ in plan)
+    assert sum(found.values()) == total == len({scene.id for scene, _, _ in plan})
+    for name, share in spec.splits.items():
+        assert abs(found[name] - share * total) < 1
+    assert all(scene.split == "train" for scene, _, _ in plan if scene.val_seen)
+    assert plan == plan_corpus(spec)
+    assert len({seed for _, _, seed in plan}) == total
+
+
+def test_a_fixed_split_is_kept() -> None:
+    parts = (
+        CorpusPart(kind="apartment", count=4),
+        CorpusPart(kind="apartment", count=2, name="held", split="test"),
+    )
+    plan = plan_corpus(CorpusSpec(parts=parts, splits={"train": 1.0}))
+    assert {s.id for s, _, _ in plan if s.split == "test"} == {"held-001", "held-002"}
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "said"),
+    [
+        ("parts: [", FormatError, "not a corpus spec"),
+        ("parts: []", FormatError, "length >= 1"),
+        ("{parts: [{kind: castle}]}", ConfigError, "no kind of building 'castle'"),
+        ("{parts: [{kind: apartment, path: x}]}", ConfigError, "part 1.*not both"),
+        ("{parts: [{path: x, count: 2}]}", ConfigError, "an import is one scene"),
+        ("{parts: [{kind: apartment, colour: red}]}", FormatError, "colour"),
+        ("{parts: [{kind: apartment}], splits: {train: 0.5}}", ConfigError, "sum to 0.5"),
+        ("!!python/object/apply:os.system ['true']", FormatError, "not a corpus spec"),
+    ],
+)
+def test_a_bad_spec_is_told(tmp_path: Path, text: str, error: type[Exception], said: str) -> None:
+    (tmp_path / "spec.yaml").write_text(text)
+    with pytest.raises(error, match=said):
+        load_spec(tmp_path / "spec.yaml")
+
+
+def test_two_imports_of_one_name_are_told() -> None:
+    parts = (CorpusPart(path="a/house"), CorpusPart(path="b/house"))
+    with pytest.raises(ConfigError, match="two scenes are called 'house'"):
+        plan_corpus(CorpusSpec(parts=parts))

@@ -32,6 +32,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "drive a run's actions again: agrees to the byte, or where not",
     ),
     "bench suite": ("bench_suite", "build a suite of goal episodes from scene folders"),
+    "missions generate": ("missions_generate", "goals, paths and instructions in your scenes"),
     "missions import": ("missions_import", "GN-Matrix or VLN-CE episodes as a suite"),
     "missions export": ("missions_export", "a suite as GN-Matrix or VLN-CE episodes"),
     "missions show": ("missions_show", "draw episodes on the map on the bird's-eye view"),
@@ -39,7 +40,7 @@ VERBS: dict[str, tuple[str, str]] = {
 }
 GROUPS = {
     "scene": "make, import, check and look at scenes",
-    "missions": "bring and look at episodes",
+    "missions": "generate, bring and look at episodes",
     "bench": "run policies, compare and report",
 }
 EXAMPLES = """examples:

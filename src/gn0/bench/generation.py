@@ -1,0 +1,541 @@
+"""Generates missions over many scenes: in parallel, resumable, the same bytes every time.
+
+The output is a suite folder with three more files:
+
+    manifest.json           what was asked, how many candidates fell at which filter, hashes
+    paths.parquet           the path pool: a row a path
+    instructions.parquet    every text of every path
+
+The unit of work is a scene. A worker fills a folder of its own under `.work/` and renames it when
+it is whole: what is there is done. The parent puts the parts together and removes `.work/`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+import pyarrow.parquet as pq
+
+from gn0.bench.earlier import EarlierPaths, load_earlier, save_earlier
+from gn0.bench.scene_list import SceneEntry, list_scenes
+from gn0.bench.suite import (
+    EPISODE_FILE,
+    MAX_STEPS,
+    SCENE_FOLDER,
+    SUITE_FILE,
+    SUITE_VERSION,
+    Suite,
+    SuiteFile,
+    SuiteScene,
+    copy_folder,
+    load_suite,
+    load_suite_scene,
+)
+from gn0.config import Config, load_json
+from gn0.errors import BenchError, EpisodeError, StorageError
+from gn0.jobs import ExecutorName, run_jobs
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec
+from gn0.missions.files import read_table, save_episodes
+from gn0.missions.generate.judge import REASONS
+from gn0.missions.generate.missions import build_missions, count_missions
+from gn0.missions.generate.pool import load_paths, paths_table, save_table, texts_table
+from gn0.missions.generate.scene import SceneReport, generate_paths
+from gn0.missions.generate.settings import MissionSettings
+from gn0.missions.generate.texts import count_texts, write_path_texts
+from gn0.missions.language.providers import open_provider
+from gn0.progress import Progress, no_progress
+from gn0.sim.presets import find_preset
+from gn0.storage import (
+    TEMPORARY_PREFIX,
+    content_hash,
+    folder_atomic,
+    read_bytes,
+    storage_error,
+    write_atomic,
+    write_json,
+)
+
+MANIFEST, PATHS, TEXTS = "manifest.json", "paths.parquet", "instructions.parquet"
+WORK, REQUEST, PARTS, REPORT = ".work", "request.json", "parts", "report.json"
+LAYOUT = 1
+TABLES = (EPISODE_FILE, PATHS, TEXTS)
+
+
+class RequestScene(Config, frozen=True):
+    """A scene of a request."""
+
+    id: str
+    hash: str
+    split: str
+
+
+class GenerationRequest(Config, frozen=True):
+    """Everything that decides the bytes of a generation.
+
+    Attributes:
+        layout: version of these files.
+        software: who generates.
+        name: of the suite.
+        seed: root seed.
+        camera: camera preset by name.
+        agent: the body.
+        settings: counts and measures.
+        language_options: of the provider, without what is secret or of no effect on texts.
+        scenes: sorted by id.
+        earlier: digest of the paths of earlier runs; "" when there are none.
+    """
+
+    layout: int
+    software: str
+    name: str
+    seed: int
+    camera: str
+    agent: AgentSpec
+    settings: MissionSettings
+    language_options: dict[str, str]
+    scenes: tuple[RequestScene, ...]
+    earlier: str = ""
+
+
+class Manifest(Config, frozen=True):
+    """The content of `manifest.json`.
+
+    Attributes:
+        request: what was asked.
+        totals: sums over all scenes.
+        scenes: what became of each.
+        reasons: what the names of filters mean.
+        notes: what a reader should know.
+        suite: hash of the suite.
+        files: digest of the bytes of each table.
+    """
+
+    request: GenerationRequest
+    totals: Totals
+    scenes: tuple[SceneReport, ...]
+    reasons: dict[str, str]
+    notes: tuple[str, ...]
+    suite: str
+    files: dict[str, str]
+
+
+class Totals(Config, frozen=True):
+    """Sums over scenes, see `SceneReport`."""
+
+    scenes: int
+    asked: int
+    paths: int
+    candidates: int
+    fell: dict[str, int]
+    targets: int
+    targets_fell: dict[str, int]
+    unreachable: int
+    episodes: dict[str, int]
+    splits: dict[str, int]
+    texts: dict[str, int]
+    fallbacks: dict[str, int]
+
+
+def generate_missions(
+    scenes: Sequence[Path | str],
+    out: Path | str,
+    settings: MissionSettings | None = None,
+    *,
+    seed: int = 0,
+    split: str = "test",
+    name: str = "",
+    camera: str = "gn_bench",
+    against: Sequence[Path | str] = (),
+    language_options: Mapping[str, Any] | None = None,
+    workers: int = 1,
+    executor: ExecutorName = "process",
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> tuple[Suite, Manifest]:
+    """Generate missions in many scenes; an interrupted generation there goes on.
+
+    Args:
+        scenes: scene folders, folders of them, or folders of `gn0 scene corpus`, which say the
+            split of each scene.
+        out: the folder to write.
+        settings: counts and measures.
+        seed: root seed.
+        split: of scenes whose folder does not say it.
+        name: of the suite; by default the folder's name.
+        camera: camera preset by name; decides the body too.
+        against: earlier generations (or suites) whose paths are not to come again.
+        language_options: for the language provider.
+        workers: processes; never changes a byte.
+        executor: where the workers live; never changes a byte.
+        overwrite: replace an earlier generation that was another one.
+        progress: progress sink.
+
+    Raises:
+        StorageError: a scene is missing, or `out` holds something else or cannot be written.
+        BenchError: `out` holds another generation, or one is running there.
+        EpisodeError: no scene has a single path.
+        ConfigError: an unknown camera or language provider.
+    """
+    out = Path(out)
+    settings = settings or MissionSettings()
+    entries = list_scenes(scenes, split, progress)
+    options = dict(language_options or {})
+    open_provider(settings.language, **options)  # a wrong option is told before the work begins
+    earlier = load_earlier(against, {entry.id: entry.hash for entry in entries})
+    request = _describe(entries, out, settings, seed, name, camera, options, earlier)
+    if overwrite:
+        _clear(out, request)
+    manifest = _finished(out, request)
+    if manifest is not None:
+        return load_suite(out), manifest
+    with _work_folder(out, request) as work:
+        _run_units(work, entries, request, options, earlier, workers, executor, progress)
+        return _put_together(out, work, entries, request, earlier, progress)
+
+
+def _describe(
+    entries: Sequence[SceneEntry],
+    out: Path,
+    settings: MissionSettings,
+    seed: int,
+    name: str,
+    camera: str,
+    options: Mapping[str, Any],
+    earlier: EarlierPaths,
+) -> GenerationRequest:
+    from gn0 import __version__
+
+    return GenerationRequest(
+        layout=LAYOUT,
+        software=f"gn0 {__version__}",
+        name=name or out.resolve().name,
+        seed=int(seed),
+        camera=camera,
+        agent=find_preset(camera).agent,
+        settings=settings,
+        language_options={k: str(v) for k, v in sorted(options.items()) if k in _TELLING},
+        scenes=tuple(RequestScene(id=e.id, hash=e.hash, split=e.split) for e in entries),
+        earlier=earlier.digest,
+    )
+
+
+_TELLING = ("model", "folder", "landmarks")  # options that decide texts and are no secrets
+
+
+def _clear(out: Path, request: GenerationRequest) -> None:
+    """Remove an earlier generation that was another one."""
+    marks = (out / MANIFEST, out / WORK / REQUEST)
+    if not out.exists() or not any(out.iterdir()) or _request_in(out) == request:
+        return
+    if not any(mark.is_file() for mark in marks):
+        raise StorageError(
+            f"the folder holds something else: it has no {MANIFEST}, so it is not replaced",
+            where=out,
+            remedy="choose another --out",
+        )
+    shutil.rmtree(out)
+
+
+def _request_in(out: Path) -> GenerationRequest | None:
+    """What the generation in a folder was asked; None when none is there or it is of old."""
+    for path, read in ((out / MANIFEST, _request_of), (out / WORK / REQUEST, None)):
+        if path.is_file():
+            with contextlib.suppress(StorageError, msgspec.MsgspecError, ValueError, KeyError):
+                value = load_json(path, dict[str, Any])
+                value = read(value) if read is not None else value
+                return msgspec.convert(value, GenerationRequest)
+            return None
+    return None
+
+
+def _request_of(value: dict[str, Any]) -> Any:
+    return value["request"]
+
+
+def _finished(out: Path, request: GenerationRequest) -> Manifest | None:
+    """The manifest of this very generation, when it is done; None when there is work to do.
+
+    Raises:
+        BenchError: another generation is there.
+        StorageError: something else is.
+    """
+    if not out.exists() or not any(out.iterdir()):
+        return None
+    found = _request_in(out)
+    if found is None:
+        if (out / MANIFEST).is_file() or (out / WORK / REQUEST).is_file():
+            raise BenchError(
+                "holds a generation that this version cannot read",
+                where=out,
+                remedy="choose another --out, or pass --overwrite to replace it",
+            )
+        if set(os.listdir(out)) == {WORK}:
+            return None  # killed before it had written what was asked
+        raise StorageError(
+            "the output folder exists and is not empty", where=out, remedy="choose another --out"
+        )
+    if found != request:
+        raise BenchError(
+            f"holds another generation, which differs in {_differing(found, request)}",
+            where=out,
+            remedy="choose another --out, or pass --overwrite to replace it",
+        )
+    if not (out / MANIFEST).is_file():
+        return None
+    shutil.rmtree(out / WORK, ignore_errors=True)
+    return load_json(out / MANIFEST, Manifest)
+
+
+def _differing(found: GenerationRequest, request: GenerationRequest) -> str:
+    a, b = msgspec.to_builtins(found), msgspec.to_builtins(request)
+    a, b = {**a.pop("settings"), **a}, {**b.pop("settings"), **b}
+    return ", ".join(sorted(k for k in {*a, *b} if a.get(k) != b.get(k)))
+
+
+@contextlib.contextmanager
+def _work_folder(out: Path, request: GenerationRequest) -> Iterator[Path]:
+    """The folder of parts, locked for this process; the lock goes with it, however it ends."""
+    work = out / WORK
+    try:
+        (work / PARTS).mkdir(parents=True, exist_ok=True)
+        stream: IO[bytes] = open(work / "lock", "ab")  # noqa: SIM115
+    except OSError as error:
+        raise storage_error(error, work, "write the output folder") from error
+    with stream:
+        try:
+            import fcntl
+
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except ImportError:  # no such lock on this system
+            pass
+        except OSError:
+            raise BenchError(
+                "another generation is writing to this folder",
+                where=out,
+                remedy="wait for it, or choose another --out",
+            ) from None
+        for path in sorted(out.rglob(f"{TEMPORARY_PREFIX}*")):  # what a killed run left
+            with contextlib.suppress(OSError):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+        write_json(work / REQUEST, msgspec.to_builtins(request))
+        yield work
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def _part_name(entry: SceneEntry | RequestScene) -> str:
+    return content_hash(entry.id, entry.hash)[:16]
+
+
+def _run_units(
+    work: Path,
+    entries: Sequence[SceneEntry],
+    request: GenerationRequest,
+    options: Mapping[str, Any],
+    earlier: EarlierPaths,
+    workers: int,
+    executor: ExecutorName,
+    progress: Progress,
+) -> None:
+    """Every scene that has no part yet."""
+    todo = [e for e in entries if not (work / PARTS / _part_name(e) / REPORT).is_file()]
+    save_earlier(work, earlier, [entry.id for entry in todo])
+    payloads = [
+        {
+            "folder": str(entry.folder.resolve()),
+            "scene": entry.id,
+            "hash": entry.hash,
+            "split": entry.split,
+            "out": str((work / PARTS / _part_name(entry)).resolve()),
+            "earlier": str(earlier.file(work, entry.id).resolve())
+            if entry.id in earlier.paths
+            else "",
+            "request": msgspec.to_builtins(request),
+            "options": dict(options),
+        }
+        for entry in todo
+    ]
+    done = len(entries) - len(todo)
+    run_jobs(
+        "gn0.bench.generation:generate_scene",
+        payloads,
+        workers=workers,
+        executor=executor,
+        names=[entry.id for entry in todo],
+        what="scenes",
+        progress=lambda stage, now, _total: progress(stage, done + now, len(entries)),
+    )
+
+
+def generate_scene(payload: dict[str, Any]) -> dict[str, Any]:
+    """One unit of work: a scene's paths, texts and episodes in a folder of their own.
+
+    Raises:
+        BenchError: the scene changed under the generation.
+        StorageError, FormatError, SceneError: it cannot be read, or the part not written.
+    """
+    request = msgspec.convert(payload["request"], GenerationRequest)
+    settings, agent = request.settings, request.agent
+    scene = load_suite_scene(Path(payload["folder"]), payload["scene"], payload["hash"])
+    known = load_paths(payload["earlier"]) if payload["earlier"] else []
+    navigation = NavigationMap(scene.grid, agent.radius)
+    paths = generate_paths(
+        scene,
+        settings,
+        request.seed,
+        radius=agent.radius,
+        split=payload["split"],
+        earlier=[record.array for record in known],
+    )
+    provider = open_provider(settings.language, **payload["options"])
+    texts, fallbacks = write_path_texts(
+        scene, navigation, paths, settings, provider, request.seed, eye=agent.camera_height
+    )
+    episodes = build_missions(
+        scene,
+        navigation,
+        paths,
+        texts,
+        settings,
+        request.seed,
+        agent=agent,
+        camera=find_preset(request.camera).rgb,
+    )
+    report = msgspec.structs.replace(
+        paths.report,
+        episodes=count_missions(episodes),
+        texts=count_texts(texts),
+        fallbacks=fallbacks,
+    )
+    with folder_atomic(payload["out"]) as part:
+        save_episodes(part / EPISODE_FILE, episodes, {scene.id: scene.grid})
+        save_table(part / PATHS, paths_table(paths.records))
+        save_table(part / TEXTS, texts_table(texts))
+        write_json(part / REPORT, msgspec.to_builtins(report))
+    return {"scene": scene.id, "paths": report.paths}
+
+
+def _put_together(
+    out: Path,
+    work: Path,
+    entries: Sequence[SceneEntry],
+    request: GenerationRequest,
+    earlier: EarlierPaths,
+    progress: Progress,
+) -> tuple[Suite, Manifest]:
+    """The suite from its parts; `manifest.json` last, as the mark of completion."""
+    parts = [work / PARTS / _part_name(entry) for entry in entries]
+    reports = [load_json(part / REPORT, SceneReport) for part in parts]
+    if not any(report.paths for report in reports):
+        raise EpisodeError(
+            f"not a single path was accepted in {len(entries)} scenes: {_why_none(reports)}",
+            where=out,
+            remedy="lower --minimum-length, raise --attempts, or see `gn0 scene check`",
+        )
+    used = [(e, p) for e, p, r in zip(entries, parts, reports, strict=True) if r.paths]
+    for number, (entry, _) in enumerate(used):
+        progress("laying out scenes", number, len(used))
+        _link_scene(entry, out / SCENE_FOLDER)
+    for table in TABLES:
+        _join_tables(out / table, [part / table for _, part in used])
+    splits = Counter(read_table(out / EPISODE_FILE).column("split").to_pylist())
+    about = SuiteFile(
+        layout=SUITE_VERSION,
+        name=request.name,
+        version="1",
+        scenes=tuple(
+            SuiteScene(id=e.id, folder=f"{SCENE_FOLDER}/{e.id}", hash=e.hash) for e, _ in used
+        ),
+        camera=request.camera,
+        agent=request.agent,
+        episodes=sum(splits.values()),
+        max_steps=MAX_STEPS,
+    )
+    write_json(out / SUITE_FILE, msgspec.to_builtins(about))
+    suite = load_suite(out)
+    manifest = Manifest(
+        request=request,
+        totals=_add_up(reports, splits),
+        scenes=tuple(reports),
+        reasons=REASONS,
+        notes=tuple(_notes(reports, earlier)),
+        suite=suite.hash,
+        files={name: content_hash(read_bytes(out / name)) for name in TABLES},
+    )
+    write_json(out / MANIFEST, msgspec.to_builtins(manifest))
+    progress("laying out scenes", len(used), len(used))
+    return suite, manifest
+
+
+def _link_scene(entry: SceneEntry, scenes: Path) -> None:
+    """A scene's folder inside the suite: whole or not there."""
+    target = scenes / entry.id
+    if target.is_dir():
+        return
+    temporary = scenes / f"{TEMPORARY_PREFIX}{_part_name(entry)}"
+    try:
+        copy_folder(entry.folder, temporary)
+        os.replace(temporary, target)
+    except OSError as error:
+        raise storage_error(error, target, "copy the scene") from error
+
+
+def _join_tables(target: Path, parts: Sequence[Path]) -> None:
+    """Tables one after the other, a row group each, in one file."""
+    schema = read_table(parts[0]).schema
+
+    def write(stream: IO[bytes]) -> None:
+        with pq.ParquetWriter(stream, schema, compression="zstd", store_schema=True) as writer:
+            for part in parts:
+                writer.write_table(read_table(part))
+
+    write_atomic(target, write)
+
+
+def _add_up(reports: Sequence[SceneReport], splits: Mapping[str, int]) -> Totals:
+    def sums(field: str) -> dict[str, int]:
+        total: Counter[str] = Counter()
+        for report in reports:
+            total.update(getattr(report, field))
+        return dict(sorted(total.items()))
+
+    return Totals(
+        scenes=len(reports),
+        asked=sum(r.asked for r in reports),
+        paths=sum(r.paths for r in reports),
+        candidates=sum(r.candidates for r in reports),
+        fell=sums("fell"),
+        targets=sum(r.targets for r in reports),
+        targets_fell=sums("targets_fell"),
+        unreachable=sum(len(r.unreachable) for r in reports),
+        episodes=sums("episodes"),
+        splits=dict(sorted(splits.items())),
+        texts=sums("texts"),
+        fallbacks=sums("fallbacks"),
+    )
+
+
+def _notes(reports: Sequence[SceneReport], earlier: EarlierPaths) -> list[str]:
+    notes = [f"{report.scene}: {report.note}" for report in reports if report.note]
+    for report in reports:
+        if report.paths < report.asked:
+            notes.append(
+                f"{report.scene}: {report.paths} of {report.asked} paths: {report.ended} after "
+                f"{report.candidates} candidates for {report.targets} targets"
+            )
+    return notes + list(earlier.notes)
+
+
+def _why_none(reports: Sequence[SceneReport]) -> str:
+    fell: Counter[str] = Counter()
+    for report in reports:
+        fell.update({f"candidates {name}": n for name, n in report.fell.items()})
+        fell.update({f"targets: {name}": n for name, n in report.targets_fell.items()})
+    return ", ".join(f"{n} {name}" for name, n in fell.most_common(4)) or "there are no targets"

@@ -1,0 +1,198 @@
+"""Generate missions in scenes: goals, starts, paths, filters, pictures and words.
+
+Each accepted path becomes a goal mission (a goal picture and a short instruction) and route
+instructions in two styles; they share the path, so that policies can be compared on it. What was
+refused is counted, with the reason, in manifest.json. Stopped half-way, give the same command
+again: it goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+if TYPE_CHECKING:
+    from gn0.bench.generation import Manifest
+    from gn0.missions.generate.settings import MissionSettings
+
+EXAMPLES = """  gn0 missions generate out/flat out/house --per-scene 100 --out out/missions
+  gn0 missions generate out/corpus --workers 2 --lights 4 --out out/missions
+  gn0 missions generate out/flat --missions goal --against out/missions --seed 1 --out out/more
+  gn0 missions generate out/flat --spec measures.json --out out/strict"""
+
+OWN = ("per_scene", "goals", "starts", "planner", "minimum_length", "maximum_length", "attempts",
+       "goal_picture", "lights", "val_seen", "language", "safety_margin", "reach")  # fmt: skip
+
+
+class Args(Config, frozen=True):
+    """Scenes, counts and measures. What is not given comes from --spec, else from the defaults.
+
+    Attributes:
+        scenes: scene folders, folders of scene folders, or a folder of `gn0 scene corpus`.
+        out: the folder to write: a suite, with paths, texts and manifest.
+        seed: root seed; the same seed gives the same bytes.
+        per_scene: paths a scene (50).
+        missions: goal, instruction, or both with a comma between (both).
+        styles: of instructions: detailed, benchmark, or both (both).
+        goals: objects, rooms, or both (both).
+        starts: how starts are drawn (zones): against the density of paths over zones, far from
+            earlier starts, evenly (uniform), or auto.
+        planner: any-angle, or astar with lines of sight (any-angle).
+        minimum_length: shorter ways are refused [m] (3).
+        maximum_length: longer ways are refused [m] (200).
+        minimum_displacement: a way that ends nearer to where it began is refused [m] (1).
+        start_radius: only paths whose starts are this close are compared [m] (1).
+        goal_radius: only paths whose goals are this close are compared [m] (1).
+        frechet: a smaller Fréchet distance means the same task [m] (0.75).
+        safety_margin: obstacles grow by this beyond the agent's radius [m] (0.05).
+        reach: one stands this near to an object [m] (1.5).
+        attempts: candidates tried for each path asked for (40).
+        goal_picture: view on arrival, crop of the target, or the one or the other (mixed).
+        lights: conditions of light a scene, of which each path gets one (0: as it was made).
+        split: of scenes whose corpus does not say it.
+        val_seen: share of the paths of train scenes held out as split val_seen (0.1).
+        against: earlier generations or suites whose paths are not to come again.
+        language: who writes the texts: template, openai or replay (template).
+        language_options: of the language provider, as name=value.
+        spec: a JSON file of settings, in the words of manifest.json's request.settings.
+        camera: name of a camera preset.
+        name: of the suite; by default the folder's name.
+        workers: processes.
+        executor: processes of this machine, or a Ray cluster.
+        overwrite: replace another generation in --out.
+    """
+
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional]
+    out: str
+    seed: int = 0
+    per_scene: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    missions: str = ""
+    styles: str = ""
+    goals: Literal["objects", "rooms", "both"] | None = None
+    starts: Literal["auto", "zones", "far", "uniform"] | None = None
+    planner: Literal["any-angle", "astar"] | None = None
+    minimum_length: float | None = None
+    maximum_length: float | None = None
+    minimum_displacement: float | None = None
+    start_radius: float | None = None
+    goal_radius: float | None = None
+    frechet: float | None = None
+    safety_margin: float | None = None
+    reach: float | None = None
+    attempts: int | None = None
+    goal_picture: Literal["mixed", "view", "crop"] | None = None
+    lights: int | None = None
+    split: str = "test"
+    val_seen: float | None = None
+    against: tuple[str, ...] = ()
+    language: str | None = None
+    language_options: tuple[str, ...] = ()
+    spec: str = ""
+    camera: str = "gn_bench"
+    name: str = ""
+    workers: Annotated[int, msgspec.Meta(ge=1)] = 1
+    executor: Literal["process", "ray"] = "process"
+    overwrite: bool = False
+
+
+def read_settings(args: Args) -> MissionSettings:
+    """The settings of --spec with what the command line says put over them.
+
+    Raises:
+        ConfigError: a value is out of range; names the flag.
+        StorageError, FormatError: the spec cannot be read.
+    """
+    from gn0.config import load_json
+    from gn0.errors import ConfigError
+    from gn0.missions.generate.settings import MissionSettings
+
+    settings = load_json(args.spec, MissionSettings) if args.spec else MissionSettings()
+    plain: dict[str, Any] = msgspec.to_builtins(settings)
+    for name in (*OWN, "minimum_displacement"):
+        if getattr(args, name) is not None:
+            plain[name] = getattr(args, name)
+    for name in ("start_radius", "goal_radius", "frechet"):
+        if getattr(args, name) is not None:
+            plain["similarity"][name] = getattr(args, name)
+    for name in ("missions", "styles"):
+        if getattr(args, name):
+            plain[name] = [word.strip() for word in getattr(args, name).split(",")]
+    try:
+        return msgspec.convert(plain, MissionSettings)
+    except msgspec.ValidationError as error:
+        what, _, field = str(error).partition(" - at `$.")
+        name = field.rstrip("`").split("[")[0].split(".")[-1].replace("_", "-")
+        flag = f"--{name}" if name else "settings"
+        raise ConfigError(what, where=flag, remedy="see `gn0 missions generate --help`") from None
+
+
+def run(args: Args) -> int:
+    """Generate, write, and say what came out."""
+    from gn0.bench.generation import generate_missions
+    from gn0.cli.console import draw_progress
+    from gn0.errors import ConfigError
+
+    if not args.scenes:
+        raise ConfigError("no scene given", remedy="gn0 missions generate SCENE [SCENE ...]")
+    settings = read_settings(args)
+    options = {}
+    for option in args.language_options:
+        key, equals, value = option.partition("=")
+        if not equals:
+            raise ConfigError(
+                f"{option!r} is no option", where="--language-options", remedy="name=value"
+            )
+        options[key] = value
+    with draw_progress() as progress:
+        _, manifest = generate_missions(
+            args.scenes,
+            args.out,
+            settings,
+            seed=args.seed,
+            split=args.split,
+            name=args.name,
+            camera=args.camera,
+            against=args.against,
+            language_options=options,
+            workers=args.workers,
+            executor=args.executor,
+            overwrite=args.overwrite,
+            progress=progress,
+        )
+    print("\n".join(tell(manifest, Path(args.out))))
+    return 0
+
+
+def tell(manifest: Manifest, out: Path) -> list[str]:
+    """What a generation did, in lines."""
+    t = manifest.totals
+    fell = sorted(t.fell.items(), key=lambda item: -item[1])
+    missions = ", ".join(f"{n} {name}" for name, n in t.episodes.items())
+    splits = ", ".join(f"{n} {name}" for name, n in t.splits.items())
+    lines = [
+        f"{t.paths} of {t.asked} paths in {t.scenes} scenes, {sum(t.episodes.values())} episodes: "
+        f"{missions}",
+        f"splits: {splits}",
+        f"candidates: {t.candidates}; fell: "
+        + (", ".join(f"{n} {name}" for name, n in fell) or "none"),
+        f"goals: {t.targets} of {t.targets + sum(t.targets_fell.values())}; not: "
+        + (", ".join(f"{n} {why}" for why, n in t.targets_fell.items()) or "none"),
+        "texts: " + ", ".join(f"{n} {name}" for name, n in t.texts.items()),
+    ]
+    if t.fallbacks:
+        reasons = sorted(t.fallbacks.items(), key=lambda item: -item[1])
+        shown = "; ".join(f"{n}× {why[:100]}" for why, n in reasons[:3])
+        lines.append(f"fallbacks: {sum(t.fallbacks.values())}: {shown}")
+    lines += [f"note: {note}" for note in manifest.notes[:6]]
+    if len(manifest.notes) > 6:
+        lines.append(f"note: {len(manifest.notes) - 6} more in manifest.json")
+    lines += [
+        f"written to {out}; everything that fell is in {out / 'manifest.json'}",
+        f"next: gn0 missions show {out}, gn0 bench run {out} --policy oracle --out {out}-oracle",
+    ]
+    return lines

@@ -1,0 +1,1 @@
+"""From a scene to missions: targets, starts, paths, filters, goal pictures and texts."""

@@ -1,0 +1,160 @@
+"""How the picture of a goal is taken: on arrival, or of the target alone from where it shows well.
+
+Only the record is made here; whoever wants the picture renders it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F64, view_from_pose, wrap_angle
+from gn0.maps.grid import FREE
+from gn0.maps.ray import cast_rays
+from gn0.missions.episode import GoalPicture
+from gn0.missions.generate.settings import PictureKind
+from gn0.missions.targets import (
+    GoalTarget,
+    distance_to_footprint,
+    points_in_polygon,
+    room_of_object,
+    sees,
+)
+from gn0.render.camera import Camera
+from gn0.scenes.scene import ObjectBox, Scene
+
+if TYPE_CHECKING:
+    from gn0.maps.navigation import NavigationMap
+
+NEAREST, FARTHEST = 1.0, 4.5  # m from the target's footprint to the eye of a crop
+MARGIN = 1.15  # the crop is this much wider than the target
+LEAST_HFOV = 12.0  # degrees
+STEEPEST = math.radians(60.0)
+LOW = 1.0  # m: over what is lower one looks away
+TRIES = 40  # cells tried as the eye of a crop
+_DIRECTIONS = 72
+
+
+class GoalPhotographer:
+    """Chooses goal pictures in one scene.
+
+    Args:
+        scene: objects and rooms.
+        navigation: where a camera may stand.
+        camera: the agent's own.
+        height: of its eye [m].
+    """
+
+    def __init__(
+        self, scene: Scene, navigation: NavigationMap, camera: Camera, height: float
+    ) -> None:
+        self._scene = scene
+        self._navigation = navigation
+        self._camera = camera
+        self._height = height
+        self._tall = navigation.grid.blocked.copy()
+        for item in scene.objects:
+            if item.box.centre[2] + item.box.size[2] / 2 <= LOW:
+                self._clear(self._tall, item.box)
+
+    def choose(
+        self, target: GoalTarget, kind: PictureKind, rng: np.random.Generator
+    ) -> GoalPicture:
+        """How to take the picture of a target; a crop only where an object shows from afar."""
+        crop = kind == "crop" or (kind == "mixed" and rng.random() < 0.5)
+        if crop and target.kind == "object":
+            found = self._crop(target, rng)
+            if found is not None:
+                return found
+        return self._view(target)
+
+    def _view(self, target: GoalTarget) -> GoalPicture:
+        """From the goal: towards an object, else where one sees farthest."""
+        x, y = target.goal
+        eye = (x, y, self._height)
+        if target.kind == "object":
+            cx, cy, cz = target.object.box.centre
+            away = math.hypot(cx - x, cy - y)
+            yaw = wrap_angle(math.atan2(cy - y, cx - x)) if away > 1e-6 else 0.0
+            half = target.object.box.size[2] / 2
+            reach = max(away, 0.05)
+            low = math.atan2(cz - half - self._height, reach)
+            high = math.atan2(cz + half - self._height, reach)
+            view = math.radians(self._camera.vfov) / 2
+            pitch = 0.0
+            if low < -view or high > view:  # else it is in the picture as the agent stands
+                middle = math.atan2(cz - self._height, reach)
+                pitch = min(max(middle, -STEEPEST), STEEPEST)
+            return GoalPicture(kind="view", eye=eye, yaw=yaw, pitch=round(pitch, 6))
+        angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        ranges = np.minimum(cast_rays(self._navigation.grid, x, y, angles, 10.0), 8.0)
+        width = round(self._camera.hfov / 360 * _DIRECTIONS) // 2
+        wide = sum(np.roll(ranges, k) for k in range(-width, width + 1))
+        return GoalPicture(kind="view", eye=eye, yaw=wrap_angle(float(angles[np.argmax(wide)])))
+
+    def _crop(self, target: GoalTarget, rng: np.random.Generator) -> GoalPicture | None:
+        """From some metres away, the target filling the picture; None where it does not show."""
+        item = target.object
+        centre = np.array(item.box.centre[:2])
+        spots = self._spots(target)
+        if not len(spots):
+            return None
+        solid = self._tall.copy()
+        self._clear(solid, item.box)
+        order = rng.permutation(len(spots))[:TRIES]
+        best: tuple[float, F64] | None = None
+        for k in order:
+            if not sees(self._navigation.grid, solid, spots[k], centre):
+                continue
+            away = float(distance_to_footprint(spots[k][None], item)[0])
+            ideal = min(max(1.2 * max(item.box.size), NEAREST), FARTHEST)
+            if best is None or abs(away - ideal) < best[0]:
+                best = abs(away - ideal), spots[k]
+        if best is None:
+            return None
+        eye = (float(best[1][0]), float(best[1][1]), self._height)
+        cx, cy, cz = item.box.centre
+        yaw = wrap_angle(math.atan2(cy - eye[1], cx - eye[0]))
+        pitch = math.atan2(cz - eye[2], math.hypot(cx - eye[0], cy - eye[1]))
+        pitch = min(max(pitch, -STEEPEST), STEEPEST)
+        hfov = self._field_of(item.box, eye, yaw, pitch)
+        return GoalPicture(
+            kind="crop", eye=eye, yaw=yaw, pitch=round(pitch, 6), hfov=round(hfov, 3)
+        )
+
+    def _spots(self, target: GoalTarget) -> F64:
+        """Walkable cells [N, 2] m round a target, in its room where that is known."""
+        grid = self._navigation.inflated
+        corners = target.object.box.corners()[:, :2]
+        ends = np.array([corners.min(axis=0) - FARTHEST, corners.max(axis=0) + FARTHEST])
+        (r0, c0), (r1, c1) = np.clip(grid.cells_of(ends), 0, (grid.shape[0] - 1, grid.shape[1] - 1))
+        cells = np.argwhere(grid.cells[r0 : r1 + 1, c0 : c1 + 1] == FREE) + np.array([r0, c0])
+        points = grid.centres_of(cells)
+        away = distance_to_footprint(points, target.object)
+        keep = (away >= NEAREST) & (away <= FARTHEST)
+        room = room_of_object(target.object, self._scene.rooms)
+        if room is not None:
+            keep &= points_in_polygon(points, np.array(room.polygon))
+        return points[keep]
+
+    def _field_of(
+        self, box: ObjectBox, eye: tuple[float, float, float], yaw: float, pitch: float
+    ) -> float:
+        """Horizontal field of view [degrees] that holds a box, in the shape of the picture."""
+        view = view_from_pose(*eye, yaw, pitch)
+        seen = box.corners() @ view[:3, :3].T + view[:3, 3]
+        depth = np.maximum(seen[:, 2], 0.1)
+        aspect = self._camera.width / self._camera.height
+        half = max(np.abs(seen[:, 0] / depth).max(), np.abs(seen[:, 1] / depth).max() * aspect)
+        wide = math.degrees(2 * math.atan(float(half) * MARGIN))
+        return min(max(wide, LEAST_HFOV), self._camera.hfov)
+
+    def _clear(self, cells: NDArray[np.bool_], box: ObjectBox) -> None:
+        """Take a box off a mask of cells that block the view, with a cell's margin."""
+        grid = self._navigation.grid
+        low, high = box.corners()[:, :2].min(axis=0), box.corners()[:, :2].max(axis=0)
+        (r0, c0), (r1, c1) = grid.cell_of(low[0], low[1]), grid.cell_of(high[0], high[1])
+        cells[max(r0 - 1, 0) : max(r1 + 2, 0), max(c0 - 1, 0) : max(c1 + 2, 0)] = False

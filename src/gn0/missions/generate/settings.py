@@ -1,0 +1,93 @@
+"""What missions are generated, and by which measures."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from gn0.config import Config
+from gn0.errors import ConfigError
+from gn0.missions.similarity import SimilaritySettings
+
+Positive = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
+
+GoalKinds = Literal["objects", "rooms", "both"]
+StartMode = Literal["auto", "zones", "far", "uniform"]
+Planner = Literal["any-angle", "astar"]
+PictureKind = Literal["mixed", "view", "crop"]
+MissionKind = Literal["goal", "instruction"]
+RouteStyle = Literal["detailed", "benchmark"]
+
+
+class MissionSettings(Config, frozen=True):
+    """Counts and measures of one generation (paper, Alg. 1 to 3).
+
+    Attributes:
+        per_scene: paths to accept in a scene.
+        missions: what is made of each path.
+        styles: in which styles a path is told as a route instruction, an episode each.
+        goals: what one is sent to. In a scene with neither, unnamed places.
+        reach: an object's standing cell lies this near its footprint [m].
+        safety_margin: obstacles grow by this beyond the agent's radius [m].
+        smallest_component: connected regions of less safe ground hold no goal [m²].
+        starts: how starts are drawn: against the density of earlier paths over square zones, far
+            from earlier starts, evenly, or (auto) the first of these that has something to go by.
+        zone: side of a zone [m].
+        planner: exact any-angle paths, or A* over cells made straight by lines of sight.
+        minimum_length: shorter ways are refused [m].
+        maximum_length: longer ways are refused [m].
+        minimum_displacement: a way that ends nearer to where it began is refused [m].
+        similarity: when two paths are the same task.
+        keypoint_tolerance: largest distance of the path from its keypoints' polyline [m].
+        keypoint_spacing: longest gap between keypoints [m].
+        attempts: candidates tried for each path asked for, before a scene counts as used up.
+        goal_picture: what the pictures of goals show: the view on arrival, the target cut out, or
+            the one or the other.
+        lights: conditions of light drawn for each scene, of which each path gets one; 0 leaves
+            scenes as they were made.
+        val_seen: share of the paths of training scenes that are held out as split val_seen.
+        language: who writes the texts.
+    """
+
+    per_scene: Count = 50
+    missions: tuple[MissionKind, ...] = ("goal", "instruction")
+    styles: tuple[RouteStyle, ...] = ("detailed", "benchmark")
+    goals: GoalKinds = "both"
+    reach: Positive = 1.5
+    safety_margin: NotNegative = 0.05
+    smallest_component: NotNegative = 1.0
+    starts: StartMode = "zones"
+    zone: Positive = 1.0
+    planner: Planner = "any-angle"
+    minimum_length: NotNegative = 3.0
+    maximum_length: Positive = 200.0
+    minimum_displacement: NotNegative = 1.0
+    similarity: SimilaritySettings = SimilaritySettings()
+    keypoint_tolerance: Positive = 0.10
+    keypoint_spacing: Positive = 2.0
+    attempts: Count = 40
+    goal_picture: PictureKind = "mixed"
+    lights: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
+    val_seen: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.1
+    language: str = "template"
+
+    def __post_init__(self) -> None:
+        if not self.missions or len(set(self.missions)) != len(self.missions):
+            raise ConfigError("no missions, or one named twice", remedy="goal, instruction or both")
+        if "instruction" in self.missions and not self.styles:
+            raise ConfigError("instruction missions in no style", remedy="detailed, benchmark")
+        if len(set(self.styles)) != len(self.styles):
+            raise ConfigError("a style is named twice", remedy="name each once")
+        if self.minimum_length > self.maximum_length:
+            raise ConfigError(
+                f"minimum length {self.minimum_length:g} m is more than maximum length "
+                f"{self.maximum_length:g} m",
+                remedy="give a minimum below the maximum",
+            )
+        if not 2 <= self.similarity.samples <= 1000:
+            raise ConfigError(
+                f"paths of {self.similarity.samples} points", remedy="compare 2 to 1000 points"
+            )

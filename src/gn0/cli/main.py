@@ -36,11 +36,13 @@ VERBS: dict[str, tuple[str, str]] = {
     "missions import": ("missions_import", "GN-Matrix or VLN-CE episodes as a suite"),
     "missions export": ("missions_export", "a suite as GN-Matrix or VLN-CE episodes"),
     "missions show": ("missions_show", "draw episodes on the map on the bird's-eye view"),
+    "data dagger": ("data_dagger", "states that a policy visits, labelled by the expert"),
     "figures": ("figures", "measure the figures of merit and write the board"),
 }
 GROUPS = {
     "scene": "make, import, check and look at scenes",
     "missions": "generate, bring and look at episodes",
+    "data": "make samples for training, balance and check them",
     "bench": "run policies, compare and report",
 }
 EXAMPLES = """examples:

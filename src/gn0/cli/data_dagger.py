@@ -1,0 +1,117 @@
+"""Let a policy drive through a suite and label every state it visits with the expert's actions.
+
+DAgger collects where the policy really goes, mistakes included, and says what would have been right
+there. The result is a dataset like any other, whose samples also hold the policy's own answers. A
+collection that was stopped goes on when the same command is given again, and comes out the same
+bytes for any number of workers.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 data dagger out/suite --policy wall_follower --beta 0.5 --out out/dagger
+  gn0 data dagger out/suite --policy random --beta 0.8 --schedule power --iteration 3 --out out/d3
+  gn0 data dagger out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --beta 0 \\
+      --workers 2 --pictures webdataset --out out/mine
+  gn0 data dagger out/suite --policy straight --halting gn0-release --out out/official"""
+
+
+class Args(Config, frozen=True):
+    """What to collect and where to write.
+
+    Attributes:
+        suite: a suite folder, as `gn0 missions generate` and `gn0 bench suite` write.
+        out: the dataset folder; an interrupted collection there goes on.
+        policy: name of the policy that drives, as in `gn0 bench run`.
+        policy_option: an option of the policy as NAME=VALUE; may be given several times.
+        beta: probability at each step that the expert acts instead of the policy.
+        schedule: how beta changes with the iteration: constant; power, beta^(iteration-1); first,
+            the expert alone in iteration 1 and the policy alone after it.
+        iteration: number of this iteration, from 1.
+        halting: what ends an episode near the goal: paper, ten steps within the success distance
+            and then STOP; gn0-release, ten steps after leaving the goal zone; none.
+        labels: how actions are labelled: exact, mpc, or gn0-release; by default exact, and
+            gn0-release with that halting rule.
+        tokens: what map tokens count over: the whole map (global) or a square around the agent.
+        pictures: the cache of pictures: webdataset, lerobot, or none (`gn0 data render` makes one
+            later).
+        map_mode: what the maps shown to the policy hold; by default what the suite says.
+        max_steps: actions until an episode is cut off; by default what the suite says.
+        seed: of the draws of who acts.
+        chunk: episodes that a worker does at a time.
+        workers: processes; never changes a byte.
+        executor: where the workers live: on this machine, or on a Ray cluster.
+        plugin: modules to import first; they call `gn0.plugins.register` for policies of yours.
+    """
+
+    suite: Annotated[str, tyro.conf.Positional]
+    out: str
+    policy: str
+    policy_option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    beta: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.5
+    schedule: Literal["constant", "power", "first"] = "constant"
+    iteration: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
+    halting: Literal["paper", "gn0-release", "none"] = "paper"
+    labels: Literal["", "exact", "mpc", "gn0-release"] = ""
+    tokens: Literal["global", "ego"] = "global"
+    pictures: Literal["webdataset", "lerobot", "none"] = "none"
+    map_mode: Literal["prior", "explored", "none"] | None = None
+    max_steps: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
+    seed: int = 0
+    chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
+    workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
+    executor: Literal["process", "ray"] = "process"
+    plugin: tuple[str, ...] = ()
+
+
+def run(args: Args) -> int:
+    """Collect, and say what the policy did and what it should have done."""
+    from importlib import import_module
+
+    from gn0.bench.suite import load_suite
+    from gn0.cli.bench_run import read_options
+    from gn0.cli.console import draw_progress
+    from gn0.data.collect import build_dagger, describe_summary, sum_up
+    from gn0.data.labels import LabelSettings
+    from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
+
+    out = Path(args.out)
+    for module in args.plugin:
+        import_module(module)
+    with draw_progress() as progress:
+        suite = load_suite(args.suite)
+        settings = BuildSettings(
+            tokens=TokenSettings(frame=args.tokens),
+            labels=LabelSettings(
+                variant=args.labels or ("gn0-release" if args.halting == "gn0-release" else "exact")
+            ),
+            chunk=args.chunk,
+            pictures=PictureSettings(layout=args.pictures),
+            dagger=DaggerSettings(
+                policy=args.policy,
+                options=read_options(args.policy_option),
+                beta=args.beta,
+                schedule=args.schedule,
+                iteration=args.iteration,
+                halting=args.halting,
+                success_radius=suite.about.success_radius,
+                map_mode=args.map_mode or suite.map_mode,
+                max_steps=args.max_steps or suite.about.max_steps,
+                seed=args.seed,
+                plugins=args.plugin,
+            ),
+        )
+        dataset = build_dagger(
+            suite, out, settings, workers=args.workers, executor=args.executor, progress=progress
+        )
+    print(describe_summary(sum_up(dataset)))
+    print(f"dataset: {out}")
+    print(f"next:    gn0 data balance {out}    or train on it as it is")
+    return 0

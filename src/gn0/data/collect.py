@@ -1,0 +1,117 @@
+"""A dataset of states that a policy visits: built like any other, and summed up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from gn0.bench.runner import SECRETS
+from gn0.bench.suite import Suite
+from gn0.data.build import build_dataset
+from gn0.data.dagger import check_options
+from gn0.data.dataset import Dataset
+from gn0.data.samples import ACTIONS_AHEAD
+from gn0.data.settings import BuildSettings
+from gn0.errors import ConfigError
+from gn0.plugins import get_plugin
+from gn0.progress import Progress, no_progress
+from gn0.sim.state import Action
+
+
+class DaggerSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """What a collection holds.
+
+    Attributes:
+        episodes: that were driven.
+        skipped: that could not be.
+        states: visited and labelled.
+        agreed: of them, where the policy said the first action of the label.
+        collided: of them, where the action was cut short.
+        wrong_stops: of them, where the policy said STOP and the label did not.
+        missed_stops: of them, where the label said STOP and the policy did not.
+        arrived: episodes whose last state is within the success distance and ended with STOP.
+    """
+
+    episodes: int
+    skipped: int
+    states: int
+    agreed: int
+    collided: int
+    wrong_stops: int
+    missed_stops: int
+    arrived: int
+
+
+def build_dagger(
+    suite: Suite,
+    out: Path | str,
+    settings: BuildSettings,
+    *,
+    workers: int = 1,
+    executor: Literal["process", "ray"] = "process",
+    progress: Progress = no_progress,
+) -> Dataset:
+    """Collect a dataset with the policy of `settings.dagger`; see `build_dataset`.
+
+    Raises:
+        ConfigError: no policy is given, there is none of that name, or an option is a secret.
+        PolicyError: the policy misbehaves.
+        DataError, BenchError, StorageError: see `build_dataset`.
+    """
+    if settings.dagger is None:
+        raise ConfigError("no policy to drive", remedy="give BuildSettings(dagger=…)")
+    check_options(settings.dagger.options, SECRETS)
+    get_plugin("policy", settings.dagger.policy)
+    return build_dataset(
+        suite, out, settings, workers=workers, executor=executor, progress=progress
+    )
+
+
+def sum_up(dataset: Dataset) -> DaggerSummary:
+    """What a collection holds, counted."""
+    dagger = dataset.about.settings.dagger
+    radius = dagger.success_radius if dagger is not None else 3.0
+    counts = dict.fromkeys(("states", "agreed", "collided", "wrong", "missed", "arrived"), 0)
+    episodes = 0
+    for part in dataset.about.parts:
+        for rows in dataset.part_rows(part):
+            said = np.array([codes[0] for codes in rows.policy_actions], np.int8)
+            label = rows.actions[:, 0]
+            episodes += 1
+            counts["states"] += len(rows)
+            counts["agreed"] += int((said == label).sum())
+            counts["collided"] += int(rows.collided.sum())
+            counts["wrong"] += int(((said == Action.STOP) & (label != Action.STOP)).sum())
+            counts["missed"] += int(((said != Action.STOP) & (label == Action.STOP)).sum())
+            ended = rows.executed[-1] == Action.STOP
+            counts["arrived"] += bool(ended and rows.distance[-1] < radius)
+    return DaggerSummary(
+        episodes=episodes,
+        skipped=sum(len(part.skipped) for part in dataset.about.parts),
+        states=counts["states"],
+        agreed=counts["agreed"],
+        collided=counts["collided"],
+        wrong_stops=counts["wrong"],
+        missed_stops=counts["missed"],
+        arrived=counts["arrived"],
+    )
+
+
+def describe_summary(summary: DaggerSummary) -> str:
+    """A summary in a few lines of plain words."""
+    states = max(summary.states, 1)
+    lines = [
+        f"{summary.states:,} states of {summary.episodes:,} episodes, each labelled with "
+        f"{ACTIONS_AHEAD} actions and the next 3 m",
+        f"the policy said what the expert would do in {summary.agreed / states:.1%} of them, "
+        f"was cut short by an obstacle in {summary.collided / states:.1%}",
+        f"it said STOP too early in {summary.wrong_stops} states and missed it in "
+        f"{summary.missed_stops}; {summary.arrived} of {summary.episodes} episodes ended at "
+        "the goal",
+    ]
+    if summary.skipped:
+        lines.append(f"{summary.skipped} episodes could not be driven: see dataset.json")
+    return "\n".join(lines)

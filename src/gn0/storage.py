@@ -281,6 +281,12 @@ def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
     return digest.hexdigest()
 
 
+def journal_line(record: Any) -> bytes:
+    """A record as the line that a journal holds: JSON, its checksum, a line feed."""
+    body = json.dumps(record, sort_keys=True, allow_nan=False).encode()
+    return body + b"\t" + f"{zlib.crc32(body):08x}".encode() + b"\n"
+
+
 class Journal:
     """An append-only file of JSON lines, each with its own checksum and synced to disk.
 
@@ -327,8 +333,7 @@ class Journal:
                 if self._stream.tell() != whole:
                     self._stream.truncate(whole)
                     self._stream.seek(whole)
-            body = json.dumps(record, sort_keys=True, allow_nan=False).encode()
-            self._stream.write(body + b"\t" + f"{zlib.crc32(body):08x}".encode() + b"\n")
+            self._stream.write(journal_line(record))
             self._stream.flush()
             os.fsync(self._stream.fileno())
         except OSError as error:

@@ -6,17 +6,15 @@ the parent then names the part in the journal. What the journal names is done, w
 
 from __future__ import annotations
 
-import contextlib
-import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any
 
 import msgspec
 
 from gn0.bench.runner import check_room
-from gn0.bench.suite import EPISODE_FILE, Suite, copy_folder, load_suite
+from gn0.bench.suite import EPISODE_FILE, Suite, copy_folder, load_suite, load_suite_scene
+from gn0.data.cache import check_cache_free
 from gn0.data.dataset import (
     DATASET_FILE,
     DATASET_LAYOUT,
@@ -24,29 +22,28 @@ from gn0.data.dataset import (
     SCENE_FOLDER,
     Dataset,
     DatasetFile,
-    DatasetPart,
     DatasetScene,
+    FileRecord,
     SuiteOrigin,
     load_dataset_file,
     open_dataset,
 )
-from gn0.data.part import PartPlan, build_part, check_plan
+from gn0.data.folder import LOCK, lock_folder, read_done, run_parts, sweep, write_journal
+from gn0.data.part import PartDone, PartPlan, check_plan, file_digest
+from gn0.data.render import finish_cache
 from gn0.data.samples import SAMPLE_LAYOUT
 from gn0.data.settings import BuildSettings
 from gn0.errors import DataError
+from gn0.jobs import ExecutorName
 from gn0.progress import Progress, no_progress
 from gn0.storage import (
     TEMPORARY_PREFIX,
-    Journal,
     folder_atomic,
     read_bytes,
     safe_join,
-    storage_error,
     write_bytes,
     write_json,
 )
-
-ExecutorName = Literal["process", "ray"]
 
 
 def build_dataset(
@@ -56,6 +53,7 @@ def build_dataset(
     *,
     workers: int = 1,
     executor: ExecutorName = "process",
+    ray_address: str = "",
     progress: Progress = no_progress,
 ) -> Dataset:
     """Walk, label and draw the episodes of a suite; an interrupted build there goes on.
@@ -66,6 +64,7 @@ def build_dataset(
         settings: labels, pictures, parts.
         workers: processes; never changes a byte.
         executor: where the workers live; never changes a byte.
+        ray_address: of a running Ray cluster; "" starts one of this machine.
         progress: progress sink.
 
     Raises:
@@ -77,14 +76,29 @@ def build_dataset(
     out = Path(out)
     about = describe_dataset(suite, settings or BuildSettings())
     plans = plan_parts(suite, out, about.settings.chunk)
+    _check_target(out, about)
     check_room(out, len(suite.episodes))
     with lock_folder(out):
-        done = _resume(out, about)
-        if done is None:
+        found = _check_target(out, about)
+        sweep(out)
+        if found is not None and found.complete:
+            _write_parts_journal(out, found)
             return open_dataset(out)
-        _lay_out(out, suite, about, progress)
-        parts = _run(out, plans, done, workers, executor, progress)
-        _finish(out, about, [parts[plan.name] for plan in plans])
+        if found is None:
+            found = _lay_out(out, suite, about, progress)
+        done = read_done(out / JOURNAL)
+        parts = run_parts(
+            "build_part",
+            plans,
+            {name: made for name, made in done.items() if _is_there(out, made)},
+            out / JOURNAL,
+            workers=workers,
+            executor=executor,
+            ray_address=ray_address,
+            progress=progress,
+            check=check_plan,
+        )
+        _finish(out, found, [parts[plan.name] for plan in plans])
     return open_dataset(out)
 
 
@@ -117,87 +131,47 @@ def describe_dataset(suite: Suite, settings: BuildSettings) -> DatasetFile:
 
 
 def plan_parts(suite: Suite, out: Path, chunk: int) -> list[PartPlan]:
-    """The parts of a dataset, sorted by name: chunks of each scene's episodes.
+    """The parts of a dataset, in order: chunks of each scene's episodes.
 
-    Missions of one path and light follow each other, so that their pictures are drawn once.
+    Missions of one path follow each other, so that their pictures are drawn once.
     """
-    plans = []
+    plans: list[PartPlan] = []
     for scene in sorted(suite.about.scenes, key=lambda scene: scene.id):
         own = [episode for episode in suite.episodes if episode.scene_id == scene.id]
         own.sort(key=lambda episode: (episode.path_id, episode.id))
         for number, begin in enumerate(range(0, len(own), chunk)):
             names = tuple(episode.id for episode in own[begin : begin + chunk])
-            plans.append(PartPlan(str(out), f"{scene.id}-{number:04d}", scene.id, names))
+            name = f"{scene.id}-{number:04d}"
+            plans.append(PartPlan(str(out), name, len(plans), scene.id, names))
     return plans
 
 
-@contextlib.contextmanager
-def lock_folder(folder: Path) -> Iterator[None]:
-    """One writer at a time in a dataset; the lock goes with the process, however it ends.
-
-    Raises:
-        DataError: somebody else is writing there.
-        StorageError: the folder cannot be written.
-    """
-    try:
-        import fcntl
-    except ImportError:  # no such lock on this system
-        yield
-        return
-    path = folder / ".lock"
-    try:
-        stream: IO[bytes] = open(path, "ab")  # noqa: SIM115
-    except OSError as error:
-        raise storage_error(error, path, "lock the dataset folder") from error
-    with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise DataError(
-                "another run is writing to this folder", where=folder,
-                remedy="wait for it, or choose another --out",
-            ) from None  # fmt: skip
-        try:
-            yield
-        finally:
-            with contextlib.suppress(OSError):
-                path.unlink()
-
-
-def sweep(folder: Path) -> None:
-    """Remove what a killed run left half-written; call it with the folder locked."""
-    for path in sorted(folder.rglob(f"{TEMPORARY_PREFIX}*")):
-        with contextlib.suppress(OSError):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-
-def _resume(out: Path, about: DatasetFile) -> dict[str, DatasetPart] | None:
-    """Parts that are done already; None when all is.
+def _check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
+    """The description that is in the folder; None where there is none yet.
 
     Raises:
         DataError: the folder holds something else.
     """
     if not (out / DATASET_FILE).is_file():
-        others = sorted(p.name for p in out.iterdir() if p.name not in (".lock", SCENE_FOLDER))
-        others = [name for name in others if not name.startswith(TEMPORARY_PREFIX)]
-        if others:
+        ours = {LOCK, SCENE_FOLDER, EPISODE_FILE, ".gn0-probe"}
+        names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+        others = [n for n in names if n not in ours and not n.startswith(TEMPORARY_PREFIX)]
+        if others or (SCENE_FOLDER in names and LOCK not in names):
             raise DataError(
-                f"the folder is not empty and holds no dataset: {others[0]}", where=out,
+                f"the folder is not empty and holds no dataset: {(others or names)[0]}",
+                where=out,
                 remedy="choose another --out",
-            )  # fmt: skip
-        return {}
+            )
+        return None
     found = load_dataset_file(out)
-    started = msgspec.structs.replace(found, parts=(), complete=False, rendered=False)
+    started = msgspec.structs.replace(found, files=(), parts=(), complete=False, rendered=False)
     if started != about:
         raise DataError(
-            f"the folder holds another dataset: {_difference(started, about)}", where=out,
+            f"the folder holds another dataset: {_difference(started, about)}",
+            where=out,
             remedy="choose another --out, or delete that folder",
-        )  # fmt: skip
-    if found.complete:
-        return None
-    sweep(out)
-    parts = [msgspec.convert(r["part"], DatasetPart) for r in Journal(out / JOURNAL).read()]
-    return {part.name: part for part in parts if safe_join(out, part.path).is_file()}
+        )
+    return found
 
 
 def _difference(found: Any, wanted: Any) -> str:
@@ -214,72 +188,58 @@ def _difference(found: Any, wanted: Any) -> str:
     return "it differs"
 
 
-def _lay_out(out: Path, suite: Suite, about: DatasetFile, progress: Progress) -> None:
+def _lay_out(out: Path, suite: Suite, about: DatasetFile, progress: Progress) -> DatasetFile:
     """Scenes, episodes, and the description that makes the folder ours."""
-    if (out / DATASET_FILE).is_file():
-        return
+    records = []
     for number, scene in enumerate(about.scenes):
         progress("scenes", number, len(about.scenes))
+        source = suite.scene_folder(scene.id)
+        load_suite_scene(source, scene.id, scene.hash)  # not the one of the episodes: say it now
         target = safe_join(out, scene.folder)
         if target.exists():  # of a build that was killed before it could say what it is
             shutil.rmtree(target)
         with folder_atomic(target) as folder:
             folder.rmdir()
-            copy_folder(suite.scene_folder(scene.id), folder)
+            copy_folder(source, folder)
+        for path in sorted(target.rglob("*")):
+            if path.is_file():
+                records.append(record_path(out, path))
     progress("scenes", len(about.scenes), len(about.scenes))
     write_bytes(out / EPISODE_FILE, read_bytes(suite.folder / EPISODE_FILE))
-    write_json(out / DATASET_FILE, msgspec.to_builtins(about))
+    records.append(record_path(out, out / EPISODE_FILE))
+    found = msgspec.structs.replace(about, files=tuple(sorted(records, key=lambda r: r.path)))
+    write_json(out / DATASET_FILE, msgspec.to_builtins(found))
+    return found
 
 
-def _run(
-    out: Path,
-    plans: Sequence[PartPlan],
-    done: Mapping[str, DatasetPart],
-    workers: int,
-    executor: ExecutorName,
-    progress: Progress,
-) -> dict[str, DatasetPart]:
-    parts = dict(done)
-    left = [plan for plan in plans if plan.name not in parts]
-    with Journal(out / JOURNAL) as journal:
-
-        def take(index: int, answer: dict[str, Any]) -> None:
-            part = msgspec.convert(answer["part"], DatasetPart)
-            check_plan(left[index], part)
-            journal.append(answer)
-            parts[part.name] = part
-            progress("parts", len(parts), len(plans))
-
-        progress("parts", len(parts), len(plans))
-        run_parts("build_part", left, take, workers=workers, executor=executor)
-    return parts
+def record_path(root: Path, path: Path) -> FileRecord:
+    """Size and digest of a file, its path relative to `root`."""
+    data = read_bytes(path)
+    relative = path.relative_to(root).as_posix()
+    return FileRecord(path=relative, size=len(data), digest=file_digest(data))
 
 
-def run_parts(
-    function: str,
-    plans: Sequence[PartPlan],
-    take: Callable[[int, dict[str, Any]], None],
-    *,
-    workers: int,
-    executor: ExecutorName,
-) -> None:
-    """Run a function of `gn0.data.part` on each plan, in workers or here."""
-    for index, plan in enumerate(plans):
-        take(index, build_part(msgspec.to_builtins(plan)))
+def _is_there(out: Path, made: PartDone) -> bool:
+    """Whether the sample table that a journal names is still there, whole."""
+    path = safe_join(out, made.part.path)
+    return path.is_file() and path.stat().st_size == made.part.size
 
 
-def _finish(out: Path, about: DatasetFile, parts: Sequence[DatasetPart]) -> None:
-    """Write what was made, and the journal in the order of the parts."""
-    whole = msgspec.structs.replace(about, parts=tuple(parts), complete=True)
-    temporary = out / f"{TEMPORARY_PREFIX}journal"
-    with contextlib.suppress(FileNotFoundError):
-        temporary.unlink()
-    journal = Journal(temporary)
-    for part in parts:
-        journal.append({"part": msgspec.to_builtins(part)})
-    journal.close()
-    try:
-        os.replace(temporary, out / JOURNAL)
-    except OSError as error:
-        raise storage_error(error, out / JOURNAL, "write") from error
+def _finish(out: Path, about: DatasetFile, parts: list[PartDone]) -> None:
+    """Write the cache's last files, and say that the dataset is whole."""
+    pictures = about.settings.pictures
+    whole = msgspec.structs.replace(
+        about,
+        parts=tuple(made.part for made in parts),
+        complete=True,
+        rendered=pictures.layout != "none",
+    )
+    if pictures.layout != "none" and not check_cache_free(out, pictures):
+        finish_cache(Dataset(out, whole), pictures, parts)
     write_json(out / DATASET_FILE, msgspec.to_builtins(whole))
+    _write_parts_journal(out, whole)
+
+
+def _write_parts_journal(out: Path, about: DatasetFile) -> None:
+    """The journal of a whole dataset: its parts, in order, whatever the order they were made in."""
+    write_journal(out / JOURNAL, [{"part": msgspec.to_builtins(part)} for part in about.parts])

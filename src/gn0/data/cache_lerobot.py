@@ -172,14 +172,7 @@ def write_videos(
         named.setdefault(step.episode.id, [step.hashes["bev"], step.base[1]])
     records = list(maps.values())
     for name, writer in writers.items():
-        data = writer.finish()
-        records.append(
-            write_recorded(
-                folder,
-                file_path(VIDEOS[name], number),
-                lambda put, d=data: (put(d), None)[1],  # type: ignore[misc]
-            )  # fmt: skip
-        )
+        records.append(_put(folder, file_path(VIDEOS[name], number), writer.finish()))
     notes = {
         "sums": {name: sums[name].values() for name in VIDEOS},
         "places": places,

@@ -172,11 +172,12 @@ class Dataset:
     Attributes:
         folder: where it lives.
         about: its `dataset.json`.
+        kept: what was read last.
     """
 
     folder: Path
     about: DatasetFile
-    _kept: dict[str, Any] = field(default_factory=dict, repr=False)
+    kept: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
     def episodes(self) -> tuple[Episode, ...]:
@@ -241,15 +242,15 @@ class Dataset:
         Raises:
             StorageError, FormatError: missing or damaged.
         """
-        if self._kept.get("part") != part.name:
+        if self.kept.get("part") != part.name:
             table = load_sample_table(safe_join(self.folder, part.path))
             if table.num_rows != part.rows:
                 raise FormatError(
                     f"{table.num_rows} rows, dataset.json says {part.rows}",
                     file=self.folder / part.path, remedy="run `gn0 data repair`",
                 )  # fmt: skip
-            self._kept.update({"part": part.name, "table": table, "rows": None})
-        found: pa.Table = self._kept["table"]
+            self.kept.update({"part": part.name, "table": table, "rows": None})
+        found: pa.Table = self.kept["table"]
         return found
 
     def part_rows(self, part: DatasetPart) -> list[EpisodeRows]:
@@ -259,9 +260,9 @@ class Dataset:
             StorageError, FormatError: missing or damaged.
         """
         table = self.part_table(part)
-        if self._kept["rows"] is None:
-            self._kept["rows"] = list(decode_rows(table))
-        found: list[EpisodeRows] = self._kept["rows"]
+        if self.kept["rows"] is None:
+            self.kept["rows"] = list(decode_rows(table))
+        found: list[EpisodeRows] = self.kept["rows"]
         return found
 
     def sample_tables(self) -> Iterator[pa.Table]:
@@ -327,19 +328,19 @@ class Dataset:
             StorageError, FormatError: it cannot be read.
         """
         about = self.about_scene(scene_id)
-        if self._kept.get("scene_id") != scene_id:
+        if self.kept.get("scene_id") != scene_id:
             folder = safe_join(self.folder, about.folder)
             scene = load_suite_scene(folder, about.id, about.hash)
-            self._kept.update({"scene_id": scene_id, "scene": scene, "navigation": None})
-        found: Scene = self._kept["scene"]
+            self.kept.update({"scene_id": scene_id, "scene": scene, "navigation": None})
+        found: Scene = self.kept["scene"]
         return found
 
     def navigation(self, scene_id: str) -> NavigationMap:
         """The map of a scene, inflated for the dataset's agent."""
         scene = self.scene(scene_id)
-        if self._kept["navigation"] is None:
-            self._kept["navigation"] = NavigationMap(scene.grid, self.about.agent.radius)
-        found: NavigationMap = self._kept["navigation"]
+        if self.kept["navigation"] is None:
+            self.kept["navigation"] = NavigationMap(scene.grid, self.about.agent.radius)
+        found: NavigationMap = self.kept["navigation"]
         return found
 
     def frames(

@@ -58,6 +58,14 @@ class Eyes:
         return self._suite
 
 
+def eyes_of(dataset: Dataset, visible_sets: bool) -> Eyes:
+    """The eyes of a dataset, kept with it: the next part is mostly of the same scene."""
+    kept = dataset.kept.get("eyes")
+    if not isinstance(kept, Eyes) or kept.visible_sets != visible_sets:
+        kept = dataset.kept["eyes"] = Eyes(dataset, visible_sets)
+    return kept
+
+
 def bare_map(eyes: SensorSuite) -> tuple[U8, str]:
     """The occupancy picture of a scene before dots are drawn, and its hash."""
     picture = paint_grid(eyes.grid, eyes.map_frame)
@@ -78,7 +86,7 @@ class PartDrawer:
     ) -> None:
         self._dataset = dataset
         self._blocks = blocks
-        self._eyes = Eyes(dataset, settings.visible_sets)
+        self._eyes = eyes_of(dataset, settings.visible_sets)
         self._hashes: list[dict[str, list[str]]] = []
         self.files: list[FileRecord] = []
 

@@ -12,7 +12,7 @@ from gn0.data.cache import load_manifest
 from gn0.data.cache_lerobot import VIDEOS, read_video
 from gn0.data.cache_webdataset import ShardReader
 from gn0.data.dataset import Dataset
-from gn0.data.draw import Eyes
+from gn0.data.draw import eyes_of
 from gn0.data.pictures import BATCH, draw_episode, map_picture
 from gn0.data.samples import EpisodeRows
 from gn0.errors import DataError
@@ -74,8 +74,7 @@ def _join(
     drawn = sensors - cached.keys()
     sources = dict(cached)
     if drawn:
-        eyes_of = Eyes(dataset, dataset.about.settings.pictures.visible_sets)
-        eyes = eyes_of.of(episode)
+        eyes = eyes_of(dataset, dataset.about.settings.pictures.visible_sets).of(episode)
         if drawn & {"rgb", "history"}:
             pictures = draw_episode(eyes, episode, rows.poses)
         else:

@@ -20,11 +20,13 @@ from gn0.data.dataset import (
     DATASET_FILE,
     Dataset,
     DatasetPart,
+    FileRecord,
     SkippedEpisode,
     load_dataset_file,
 )
 from gn0.data.labels import label_along, plan_expert
 from gn0.data.samples import EpisodeRows, digest_labels, encode_rows, encode_table
+from gn0.data.settings import PictureSettings
 from gn0.errors import DataError, EpisodeError, PlanError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
@@ -33,12 +35,37 @@ from gn0.storage import safe_join, write_bytes
 
 
 class PartPlan(msgspec.Struct, frozen=True):
-    """What a worker is told: the dataset folder, the part's name, its scene and episodes."""
+    """What a worker is told.
+
+    Attributes:
+        folder: of the dataset.
+        name: of the part.
+        number: of the part, from 0 over all scenes.
+        scene: its scene.
+        episodes: its episodes.
+        pictures: the cache to make; None takes what the build was asked for.
+    """
 
     folder: str
     name: str
+    number: int
     scene: str
     episodes: tuple[str, ...]
+    pictures: PictureSettings | None = None
+
+
+class PartDone(msgspec.Struct, frozen=True):
+    """What a worker has made: a line of the journal.
+
+    Attributes:
+        part: the sample table.
+        files: of the cache, with paths relative to it.
+        notes: what the cache's last step must know of the part.
+    """
+
+    part: DatasetPart
+    files: tuple[FileRecord, ...] = ()
+    notes: dict[str, Any] = {}
 
 
 def file_digest(data: bytes) -> str:
@@ -58,7 +85,7 @@ def open_building(folder: Path | str) -> Dataset:
 
 
 def build_part(payload: dict[str, Any]) -> dict[str, Any]:
-    """Walk and label the episodes of a part and write its sample table.
+    """Walk, label and draw the episodes of a part; write its sample table and its shard.
 
     Raises:
         BenchError: a scene changed.
@@ -67,8 +94,55 @@ def build_part(payload: dict[str, Any]) -> dict[str, Any]:
     plan = msgspec.convert(payload, PartPlan)
     dataset = open_building(plan.folder)
     blocks, skipped = collect_part(dataset, plan)
+    blocks, files, notes = draw_part(dataset, plan, blocks)
     part = write_part(dataset, plan, blocks, skipped)
-    return {"part": msgspec.to_builtins(part)}
+    answer: dict[str, Any] = msgspec.to_builtins(PartDone(part, tuple(files), notes))
+    return answer
+
+
+def render_part(payload: dict[str, Any]) -> dict[str, Any]:
+    """Draw a part again from its sample table: poses in, pictures out.
+
+    The hashes that the table has are checked; where it has none, it gets them.
+
+    Raises:
+        DataError: a picture is drawn otherwise than its hash says.
+        StorageError, FormatError: the table is missing or damaged.
+    """
+    plan = msgspec.convert(payload, PartPlan)
+    dataset = open_building(plan.folder)
+    known = next(part for part in dataset.about.parts if part.name == plan.name)
+    blocks = dataset.part_rows(known)
+    drawn, files, notes = draw_part(dataset, plan, blocks)
+    part = known
+    if not all(block.rendered for block in blocks):
+        part = write_part(dataset, plan, drawn, known.skipped)
+    answer: dict[str, Any] = msgspec.to_builtins(PartDone(part, tuple(files), notes))
+    return answer
+
+
+def draw_part(
+    dataset: Dataset, plan: PartPlan, blocks: Sequence[EpisodeRows]
+) -> tuple[list[EpisodeRows], list[FileRecord], dict[str, Any]]:
+    """Draw the pictures of a part into its cache.
+
+    Returns:
+        The rows with hashes, the files of the cache, and notes for its last step.
+    """
+    settings = plan.pictures or dataset.about.settings.pictures
+    if settings.layout == "none":
+        return list(blocks), [], {}
+    from gn0.data.cache_lerobot import write_videos  # labels alone need neither
+    from gn0.data.cache_webdataset import write_shard
+    from gn0.data.draw import PartDrawer
+
+    drawer = PartDrawer(dataset, blocks, settings)
+    notes: dict[str, Any] = {}
+    if settings.layout == "lerobot":
+        files, notes = write_videos(dataset, plan.number, drawer.steps(), settings)
+    else:
+        files = write_shard(dataset.folder, plan.name, drawer.steps(), settings)
+    return drawer.hashed_blocks(), files, notes
 
 
 def collect_part(
@@ -76,13 +150,22 @@ def collect_part(
 ) -> tuple[list[EpisodeRows], list[SkippedEpisode]]:
     """The samples of a part's episodes, and the episodes that cannot be walked."""
     navigation = dataset.navigation(plan.scene)
+    driver = None
+    if dataset.about.settings.dagger is not None:
+        from gn0.data.driver import Driver  # the expert needs no simulator
+
+        driver = Driver(dataset)
     blocks: list[EpisodeRows] = []
     skipped: list[SkippedEpisode] = []
     for name in plan.episodes:
         episode = dataset.episode(name)
         try:
             check_places(navigation, episode, dataset.about.agent.radius)
-            blocks.append(collect_expert(navigation, episode, dataset))
+            blocks.append(
+                collect_expert(navigation, episode, dataset)
+                if driver is None
+                else driver.collect(episode)
+            )
         except (EpisodeError, PlanError) as error:
             skipped.append(SkippedEpisode(id=name, reason=error.what))
     return blocks, skipped
@@ -134,15 +217,17 @@ def collect_expert(navigation: NavigationMap, episode: Episode, dataset: Dataset
     )
 
 
-def check_plan(plan: PartPlan, part: DatasetPart) -> None:
+def check_plan(plan: PartPlan, made: PartDone) -> None:
     """Refuse a part that is not the planned one.
 
     Raises:
         DataError: it is of another scene, or of other episodes.
     """
+    part = made.part
     found = {*part.episodes, *(skipped.id for skipped in part.skipped)}
     if part.scene != plan.scene or found != set(plan.episodes):
         raise DataError(
-            f"part {part.name!r} holds other episodes than planned", where=plan.folder,
+            f"part {part.name!r} holds other episodes than planned",
+            where=plan.folder,
             remedy="choose another --out",
-        )  # fmt: skip
+        )

@@ -1,0 +1,130 @@
+"""A dataset folder while it is written: one writer, a journal, nothing half-written left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+
+from gn0.data.part import PartDone, PartPlan
+from gn0.errors import DataError
+from gn0.jobs import ExecutorName, run_jobs
+from gn0.progress import Progress
+from gn0.storage import (
+    TEMPORARY_PREFIX,
+    Journal,
+    journal_line,
+    read_bytes,
+    storage_error,
+    write_bytes,
+)
+
+LOCK = ".lock"
+
+
+@contextlib.contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """One writer at a time in a dataset; the lock goes with the process, however it ends.
+
+    Raises:
+        DataError: somebody else is writing there.
+        StorageError: the folder cannot be written.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such lock on this system
+        yield
+        return
+    path = folder / LOCK
+    try:
+        stream: IO[bytes] = open(path, "ab")  # noqa: SIM115
+    except OSError as error:
+        raise storage_error(error, path, "lock the dataset folder") from error
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise DataError(
+                "another run is writing to this folder",
+                where=folder,
+                remedy="wait for it, or choose another --out",
+            ) from None
+        yield
+
+
+def sweep(folder: Path) -> None:
+    """Remove what a killed run left half-written; call it with the folder locked."""
+    for path in sorted(folder.rglob(f"{TEMPORARY_PREFIX}*")):
+        with contextlib.suppress(OSError):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def write_journal(path: Path, records: Sequence[Any]) -> None:
+    """Replace a journal by these records, unless it holds exactly them.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    data = b"".join(map(journal_line, records))
+    if not (path.is_file() and read_bytes(path) == data):
+        write_bytes(path, data)
+
+
+def run_parts(
+    function: str,
+    plans: Sequence[PartPlan],
+    done: Mapping[str, PartDone],
+    journal_path: Path,
+    *,
+    workers: int,
+    executor: ExecutorName,
+    ray_address: str,
+    progress: Progress,
+    check: Callable[[PartPlan, PartDone], None],
+) -> dict[str, PartDone]:
+    """Run a function of `gn0.data.part` on each plan that is not done; the journal hears of each.
+
+    Raises:
+        Gn0Error: what a part raised.
+    """
+    parts = {plan.name: done[plan.name] for plan in plans if plan.name in done}
+    left = [plan for plan in plans if plan.name not in parts]
+    with Journal(journal_path) as journal:
+
+        def take(index: int, answer: dict[str, Any]) -> None:
+            made = msgspec.convert(answer, PartDone)
+            check(left[index], made)
+            journal.append(answer)
+            parts[made.part.name] = made
+            progress("parts", len(parts), len(plans))
+
+        progress("parts", len(parts), len(plans))
+        run_jobs(
+            f"gn0.data.part:{function}",
+            [msgspec.to_builtins(plan) for plan in left],
+            workers=workers,
+            executor=executor,
+            ray_address=ray_address,
+            names=[f"part {plan.name}" for plan in left],
+            done=take,
+        )
+    return parts
+
+
+def read_done(path: Path) -> dict[str, PartDone]:
+    """Parts that a journal names, by name; the last word counts.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    found = {}
+    for record in Journal(path).read():
+        if isinstance(record, dict) and "part" in record:
+            with contextlib.suppress(msgspec.ValidationError):
+                made = msgspec.convert(record, PartDone)
+                found[made.part.name] = made
+    return found

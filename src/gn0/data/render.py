@@ -1,0 +1,185 @@
+"""Makes the cache of pictures, or makes it again: poses and scenes in, the same bytes out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+
+from gn0.data.cache import (
+    CacheManifest,
+    cache_folder,
+    check_cache_free,
+    load_manifest,
+    save_manifest,
+)
+from gn0.data.dataset import DATASET_FILE, JOURNAL, Dataset, open_dataset
+from gn0.data.folder import lock_folder, read_done, run_parts, sweep, write_journal
+from gn0.data.part import PartDone, PartPlan
+from gn0.data.settings import PictureSettings
+from gn0.errors import DataError
+from gn0.jobs import ExecutorName
+from gn0.progress import Progress, no_progress
+from gn0.storage import Journal, safe_join, write_json
+
+
+def render_dataset(
+    path: Path | str,
+    settings: PictureSettings | None = None,
+    *,
+    workers: int = 1,
+    executor: ExecutorName = "process",
+    ray_address: str = "",
+    progress: Progress = no_progress,
+) -> CacheManifest:
+    """Draw the pictures of a dataset into a cache; an interrupted run goes on.
+
+    Every picture is checked against the hash in its row; a dataset of poses and labels alone gets
+    its hashes now.
+
+    Args:
+        path: the dataset folder.
+        settings: of the cache; by default what the dataset was built with.
+        workers: processes; never changes a byte.
+        executor: where the workers live; never changes a byte.
+        ray_address: of a running Ray cluster; "" starts one of this machine.
+        progress: progress sink.
+
+    Raises:
+        DataError: another cache of that layout is there, a picture is drawn otherwise than its
+            hash says, or a run is writing there.
+        StorageError: the folder cannot be written, or the disk is full.
+    """
+    dataset = open_dataset(path)
+    wanted = choose_cache(dataset, settings)
+    out = dataset.folder
+    with lock_folder(out):
+        sweep(out)
+        if check_cache_free(out, wanted) and (there := load_manifest(out, wanted.layout)):
+            return there
+        journal = cache_folder(out, wanted.layout) / JOURNAL
+        _begin_journal(journal, wanted)
+        parts = run_parts(
+            "render_part",
+            plan_rendering(dataset, wanted),
+            _still_there(out, wanted, read_done(journal)),
+            journal,
+            workers=workers,
+            executor=executor,
+            ray_address=ray_address,
+            progress=progress,
+            check=check_rendered,
+        )
+        made = [parts[part.name] for part in dataset.about.parts]
+        if not dataset.about.rendered:
+            about = msgspec.structs.replace(
+                dataset.about, parts=tuple(m.part for m in made), rendered=True
+            )
+            dataset = Dataset(out, about)
+        manifest = finish_cache(dataset, wanted, made)
+        write_json(out / DATASET_FILE, msgspec.to_builtins(dataset.about))
+        write_journal(
+            out / JOURNAL, [{"part": msgspec.to_builtins(p)} for p in dataset.about.parts]
+        )
+    return manifest
+
+
+def choose_cache(dataset: Dataset, settings: PictureSettings | None) -> PictureSettings:
+    """The cache that is meant: as the dataset was built, unless told otherwise.
+
+    Raises:
+        DataError: no layout, or pictures drawn in another way than the hashes say.
+    """
+    built = dataset.about.settings.pictures
+    wanted = settings or built
+    if wanted.layout == "none":
+        if settings is not None:
+            raise DataError(
+                "layout none has no pictures", where="--layout", remedy="webdataset or lerobot"
+            )
+        wanted = msgspec.structs.replace(built, layout="webdataset")
+    if wanted.visible_sets != built.visible_sets:
+        ways = ("exactly", "from visible sets")
+        raise DataError(
+            f"the dataset was made to be drawn {ways[built.visible_sets]}",
+            where=dataset.folder,
+            remedy="leave --visible-sets as it was, or build another dataset",
+        )
+    return wanted
+
+
+def plan_rendering(
+    dataset: Dataset, settings: PictureSettings, names: Sequence[str] | None = None
+) -> list[PartPlan]:
+    """Plans to draw all parts again, or those named."""
+    return [
+        PartPlan(str(dataset.folder), part.name, number, part.scene, part.episodes, settings)
+        for number, part in enumerate(dataset.about.parts)
+        if names is None or part.name in names
+    ]
+
+
+def check_rendered(plan: PartPlan, made: PartDone) -> None:
+    """Refuse a part that is not the planned one.
+
+    Raises:
+        DataError: it has other episodes.
+    """
+    if made.part.name != plan.name or made.part.episodes != plan.episodes:
+        raise DataError(
+            f"part {made.part.name!r} holds other episodes than planned",
+            where=plan.folder,
+            remedy="delete the cache and render it again",
+        )
+
+
+def finish_cache(
+    dataset: Dataset, settings: PictureSettings, parts: Sequence[PartDone]
+) -> CacheManifest:
+    """Write what a cache needs beside its parts' files, its journal, and its manifest."""
+    files = [record for made in parts for record in made.files]
+    if settings.layout == "lerobot":
+        from gn0.data.cache_lerobot import write_tables
+
+        files += write_tables(dataset, {made.part.name: made.notes for made in parts}, settings)
+    journal = cache_folder(dataset.folder, settings.layout) / JOURNAL
+    write_journal(
+        journal,
+        [{"settings": msgspec.to_builtins(settings)}, *(msgspec.to_builtins(m) for m in parts)],
+    )
+    return save_manifest(dataset.folder, settings, iter(files))
+
+
+def _begin_journal(path: Path, settings: PictureSettings) -> None:
+    """Make the journal this cache's own.
+
+    Raises:
+        DataError: it belongs to a cache of other settings.
+    """
+    journal = Journal(path)
+    first = next(iter(journal.read()), None)
+    ours = {"settings": msgspec.to_builtins(settings)}
+    if first is None:
+        journal.append(ours)
+        journal.close()
+    elif first != ours:
+        raise DataError(
+            "a cache of other settings was begun there",
+            where=path.parent,
+            remedy="give the same settings, or delete that folder",
+        )
+
+
+def _still_there(
+    out: Path, settings: PictureSettings, done: Mapping[str, PartDone]
+) -> dict[str, PartDone]:
+    """Those parts of a journal whose files are still there, whole."""
+    folder = cache_folder(out, settings.layout)
+    found = {}
+    for name, made in done.items():
+        paths = [(safe_join(folder, record.path), record.size) for record in made.files]
+        paths.append((safe_join(out, made.part.path), made.part.size))
+        if all(path.is_file() and path.stat().st_size == size for path, size in paths):
+            found[name] = made
+    return found

@@ -157,16 +157,17 @@ class Building:
             mesh=mesh,
             materials=materials,
             objects=tuple(assembly.objects),
-            rooms=tuple(_scene_room(room) for room in plan.rooms),
-            walls=_list_walls(plan),
-            openings=_list_openings(plan),
+            rooms=tuple(scene_room(room) for room in plan.rooms),
+            walls=list_walls(plan),
+            openings=list_openings(plan),
             lamps=tuple(assembly.lamps),
             sun=_draw_sun(random_stream(self.seed, self.kind, "sun"), plan, sunlit),
             ceiling=plan.ceiling,
         )
 
 
-def _scene_room(room: Room) -> SceneRoom:
+def scene_room(room: Room) -> SceneRoom:
+    """A rectangular room as scenes record it."""
     corners = ((room.x0, room.y0), (room.x1, room.y0), (room.x1, room.y1), (room.x0, room.y1))
     return SceneRoom(
         id=room.id,
@@ -175,7 +176,8 @@ def _scene_room(room: Room) -> SceneRoom:
     )
 
 
-def _list_walls(plan: FloorPlan) -> tuple[SceneWall, ...]:
+def list_walls(plan: FloorPlan) -> tuple[SceneWall, ...]:
+    """The plan's walls as scenes record them."""
     walls = []
     for w in plan.walls:
         a, b = ((w.low, w.at), (w.high, w.at)) if w.axis == "x" else ((w.at, w.low), (w.at, w.high))
@@ -190,7 +192,8 @@ def _list_walls(plan: FloorPlan) -> tuple[SceneWall, ...]:
     return tuple(walls)
 
 
-def _list_openings(plan: FloorPlan) -> tuple[SceneOpening, ...]:
+def list_openings(plan: FloorPlan) -> tuple[SceneOpening, ...]:
+    """The plan's doors and windows as scenes record them."""
     openings = []
     for o in plan.openings:
         ends = [(t, o.at) if o.axis == "x" else (o.at, t) for t in (o.low, o.high)]

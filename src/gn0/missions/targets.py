@@ -141,17 +141,20 @@ def find_standing_cell(
     *,
     reach: float = REACH,
     walls: NDArray[np.bool_] | None = None,
+    allowed: NDArray[np.bool_] | None = None,
 ) -> tuple[float, float] | None:
     """The safe cell (x, y) [m] nearest to an object on its own side of the walls, or None.
 
     Paper, Alg. 'Goal Target Construction and Safe Goal Snapping' (FindNearestSafe). Rooms decide
     the side where they are known, else wall segments, else blocked cells that are no object.
+    `allowed` [H, W] narrows the choice of safe cells, as to those of one component.
     """
     grid = navigation.inflated
     corners = item.box.corners()[:, :2]
     rows_cols = grid.cells_of(np.array([corners.min(axis=0) - reach, corners.max(axis=0) + reach]))
     (r0, c0), (r1, c1) = np.clip(rows_cols, 0, (grid.shape[0] - 1, grid.shape[1] - 1))
-    block = grid.cells[r0 : r1 + 1, c0 : c1 + 1] == FREE
+    window = slice(r0, r1 + 1), slice(c0, c1 + 1)
+    block = grid.cells[window] == FREE if allowed is None else allowed[window]
     cells = np.argwhere(block) + np.array([r0, c0])
     if not len(cells):
         return None

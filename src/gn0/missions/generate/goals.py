@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.maps.grid import FREE
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.targets import (
     GoalTarget,
@@ -68,17 +67,15 @@ def build_pool(scene: Scene, safe: NavigationMap, settings: MissionSettings) -> 
     lost: list[str] = []
     found: list[GoalTarget] = []
 
-    def offer(item: SceneObject, goal: tuple[float, float] | None, kind: str) -> None:
-        if goal is None:
-            fell[NO_CELL] += 1
-            lost.append(item.id)
-            return
-        region = safe.region_of(*goal)
-        if region < 0 or safe.region_areas[region] < settings.smallest_component:
-            fell[SMALL_COMPONENT] += 1
-            lost.append(item.id)
-            return
-        found.append(GoalTarget(item, goal, region, "", kind))  # type: ignore[arg-type]
+    large = np.flatnonzero(safe.region_areas >= settings.smallest_component)
+    allowed = np.isin(safe.regions, large)
+
+    def lose(item: SceneObject, why: str) -> None:
+        fell[why] += 1
+        lost.append(item.id)
+
+    def offer(item: SceneObject, goal: tuple[float, float], kind: str) -> None:
+        found.append(GoalTarget(item, goal, safe.region_of(*goal), "", kind))  # type: ignore[arg-type]
 
     considered = 0
     if settings.goals != "rooms":
@@ -89,8 +86,15 @@ def build_pool(scene: Scene, safe: NavigationMap, settings: MissionSettings) -> 
             if why:
                 fell[why] += 1
                 continue
-            goal = find_standing_cell(scene, safe, item, reach=settings.reach, walls=walls)
-            offer(item, goal, "object")
+            goal = find_standing_cell(
+                scene, safe, item, reach=settings.reach, walls=walls, allowed=allowed
+            )
+            if goal is not None:
+                offer(item, goal, "object")
+            elif find_standing_cell(scene, safe, item, reach=settings.reach, walls=walls):
+                lose(item, SMALL_COMPONENT)
+            else:
+                lose(item, NO_CELL)
     if settings.goals != "objects":
         kinds = Counter(room.type.strip().lower() for room in scene.rooms)
         for room in scene.rooms:
@@ -101,7 +105,11 @@ def build_pool(scene: Scene, safe: NavigationMap, settings: MissionSettings) -> 
             elif kinds[kind] > 1:
                 fell["one of several rooms of its type"] += 1
             else:
-                offer(room_box(room), find_room_middle(safe, room), "room")
+                middle = find_room_middle(safe, room, allowed)
+                if middle is not None:
+                    offer(room_box(room), middle, "room")
+                else:
+                    lose(room_box(room), NO_CELL)
     if found or considered:
         return TargetPool(tuple(found), considered, dict(sorted(fell.items())), tuple(lost))
     places = build_places(safe, settings.smallest_component)
@@ -121,8 +129,10 @@ def room_box(room: SceneRoom) -> SceneObject:
     return SceneObject(id=room.id, category=room.type.strip().lower(), box=box, room=room.id)
 
 
-def find_room_middle(safe: NavigationMap, room: SceneRoom) -> tuple[float, float] | None:
-    """The safe cell (x, y) [m] of a room that is farthest from everything; None without one.
+def find_room_middle(
+    safe: NavigationMap, room: SceneRoom, allowed: NDArray[np.bool_]
+) -> tuple[float, float] | None:
+    """The allowed cell (x, y) [m] of a room that is farthest from everything; None without one.
 
     It lies in the component that holds most of the room.
     """
@@ -130,7 +140,7 @@ def find_room_middle(safe: NavigationMap, room: SceneRoom) -> tuple[float, float
     grid = safe.inflated
     ends = grid.cells_of(np.array([polygon.min(axis=0), polygon.max(axis=0)]))
     (r0, c0), (r1, c1) = np.clip(ends, 0, (grid.shape[0] - 1, grid.shape[1] - 1))
-    cells = np.argwhere(grid.cells[r0 : r1 + 1, c0 : c1 + 1] == FREE) + np.array([r0, c0])
+    cells = np.argwhere(allowed[r0 : r1 + 1, c0 : c1 + 1]) + np.array([r0, c0])
     cells = cells[points_in_polygon(grid.centres_of(cells), polygon)]
     if not len(cells):
         return None

@@ -19,6 +19,7 @@ from gn0.missions.generate.settings import PictureKind
 from gn0.missions.targets import (
     GoalTarget,
     distance_to_footprint,
+    is_goal_worthy,
     points_in_polygon,
     room_of_object,
     sees,
@@ -72,7 +73,7 @@ class GoalPhotographer:
         return self._view(target)
 
     def _view(self, target: GoalTarget) -> GoalPicture:
-        """From the goal: towards an object, else where one sees farthest."""
+        """From the goal: towards an object, a room's furniture, or where one sees farthest."""
         x, y = target.goal
         eye = (x, y, self._height)
         if target.kind == "object":
@@ -91,9 +92,23 @@ class GoalPhotographer:
             return GoalPicture(kind="view", eye=eye, yaw=yaw, pitch=round(pitch, 6))
         angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         ranges = np.minimum(cast_rays(self._navigation.grid, x, y, angles, 10.0), 8.0)
+        interest = ranges + self._furniture(target)
         width = round(self._camera.hfov / 360 * _DIRECTIONS) // 2
-        wide = sum(np.roll(ranges, k) for k in range(-width, width + 1))
+        wide = sum(np.roll(interest, k) for k in range(-width, width + 1))
         return GoalPicture(kind="view", eye=eye, yaw=wrap_angle(float(angles[np.argmax(wide)])))
+
+    def _furniture(self, target: GoalTarget) -> F64:
+        """How much of a room's furniture lies in each direction [_DIRECTIONS] from its middle."""
+        found = np.zeros(_DIRECTIONS)
+        if target.kind != "room":
+            return found
+        for item in self._scene.objects:
+            if item.room == target.object.id and is_goal_worthy(item):
+                dx = item.box.centre[0] - target.goal[0]
+                dy = item.box.centre[1] - target.goal[1]
+                at = math.atan2(dy, dx) / (2 * math.pi) * _DIRECTIONS
+                found[round(at) % _DIRECTIONS] += 100.0 * min(max(item.box.size), 2.0)
+        return found
 
     def _crop(self, target: GoalTarget, rng: np.random.Generator) -> GoalPicture | None:
         """From some metres away, the target filling the picture; None where it does not show."""

@@ -62,7 +62,7 @@ class _Visit:
 
 
 class _Expert:
-    """Labels one state after the other; goes on with its plan while the agent follows it."""
+    """Labels one state after the other, and goes on with its plan while the agent follows it."""
 
     def __init__(self, simulator: Simulator, field: GeodesicField, labels: LabelSettings) -> None:
         self._simulator = simulator
@@ -71,19 +71,27 @@ class _Expert:
         self._plan: list[int] = []
         self._expected: tuple[float, float, float] | None = None
 
+    @property
+    def action(self) -> int:
+        """What the expert itself does here: the next of its plan."""
+        return self._plan[0] if self._plan else int(Action.STOP)
+
     def actions(self) -> list[int]:
-        """The next actions from where the agent is: six, or fewer up to the STOP."""
+        """The label of where the agent is: six actions, or fewer up to the STOP."""
         pose, agent = self._simulator.pose, self._simulator.agent
-        if self._labels.variant == "mpc":
-            state = np.array([pose])
-            found = label_states(
-                self._simulator.navigation, self._field.goal, state, self._labels, agent=agent
-            )
-            return [int(code) for code in found.actions6[0]]
-        if self._expected is None or not _is_at(pose, self._expected):
-            self._plan = plan_from(self._field, np.array(pose), self._labels, agent).tolist()
+        astray = self._expected is None or not _is_at(pose, self._expected)
         self._expected = (pose.x, pose.y, pose.yaw)
-        return list(self._plan[:ACTIONS_AHEAD])
+        state = np.array([pose])
+        if self._labels.variant != "mpc":
+            if astray:
+                self._plan = plan_from(self._field, state[0], self._labels, agent).tolist()
+            return self._plan[:ACTIONS_AHEAD]
+        navigation, goal = self._simulator.navigation, self._field.goal
+        labels = label_states(navigation, goal, state, self._labels, agent=agent)
+        label = [int(code) for code in labels.actions6[0]]
+        if astray or not self._plan:  # a plan is carried out to its end: planned anew at every
+            self._plan = [code for code in label if code]  # step it may turn to and fro for ever
+        return label
 
     def follow(self, action: int) -> None:
         """Note what the agent does next."""
@@ -97,8 +105,7 @@ class _Expert:
             x += agent.forward_step * math.cos(yaw)
             y += agent.forward_step * math.sin(yaw)
         else:
-            turned = Heading(yaw, 1 if action == Action.LEFT else -1, agent.turn_degrees)
-            yaw = turned.yaw
+            yaw = Heading(yaw, 1 if action == Action.LEFT else -1, agent.turn_degrees).yaw
         self._expected = (x, y, yaw)
 
 
@@ -200,8 +207,8 @@ def collect_visited(
         ahead = _apply_rules(ahead, pose, simulator, field, labels, halt)
         said = _ask(policy, policy.act(observation), episode)
         expert_acts = draws.random() < settings.expert_share
-        action = int(ahead[0]) if expert_acts else said
-        if halt.is_due:
+        action = expert.action if expert_acts else said
+        if halt.is_due or (expert_acts and ahead[0] == Action.STOP):
             action = int(Action.STOP)
         expert.follow(action)
         result = simulator.step(action)

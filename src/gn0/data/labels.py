@@ -32,6 +32,7 @@ from gn0.geometry import F32, F64, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.pose_astar import plan_actions
+from gn0.maps.ray import is_line_free
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.sim.kinematics import Heading, heading_cycle, step_forward
 from gn0.sim.state import Action
@@ -245,7 +246,7 @@ def is_arrived(field: GeodesicField, x: float, y: float, stop_distance: float) -
     near = stop_distance - ROUNDING
     if math.hypot(x - field.goal[0], y - field.goal[1]) > near or field.distance_at(x, y) > near:
         return False
-    return len(plan_actions(field, (x, y), (0.0,), tolerance=near)) == 0
+    return is_line_free(field.grid, (x, y), field.goal)
 
 
 def cut_at(

@@ -33,20 +33,31 @@ class TextProvider(Protocol):
 
 
 def open_provider(name: str, **options: Any) -> TextProvider:
-    """A provider by name: "template", "openai" or "replay".
+    """A provider by name.
+
+    Args:
+        name: "template"; "openai" (options: `gn0.missions.language.chat.ChatSettings`); or
+            "replay" (`path` of recorded answers, and `model` where several were recorded).
+        options: of that provider.
 
     Raises:
-        ConfigError: no such provider, or an option it does not know.
+        ConfigError: no such provider, an option it does not know, or one out of range.
+        FormatError: a recording is damaged.
+        StorageError: a recording cannot be read.
     """
+    from gn0.missions.language.models import ProviderOpenai, ProviderReplay
     from gn0.missions.language.template import ProviderTemplate
 
-    kinds: dict[str, Any] = {"template": ProviderTemplate}
+    kinds: dict[str, Any] = {
+        "template": ProviderTemplate,
+        "openai": ProviderOpenai,
+        "replay": ProviderReplay,
+    }
     if name not in kinds:
         raise ConfigError(f"no language provider {name!r}", remedy="known: " + ", ".join(PROVIDERS))
     try:
         provider: TextProvider = kinds[name](**options)
     except TypeError as error:
-        raise ConfigError(
-            f"provider {name!r}: {error}", remedy="see docs/instructions.md for its options"
-        ) from None
+        text = str(error).replace("()", "").replace(".__init__", "")
+        raise ConfigError(f"provider {name!r}: {text}", remedy="see docs/instructions.md") from None
     return provider

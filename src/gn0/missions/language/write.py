@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -12,6 +13,20 @@ from gn0.missions.language.route import STYLES, InstructionText, RouteDescriptio
 from gn0.missions.language.template import ProviderTemplate
 from gn0.progress import Progress, no_progress
 
+_KINDS = (
+    (r"check: turns are", "turns"),
+    (r"unknown landmark", "landmark"),
+    (r"the target .* named", "target"),
+    (r"is not on the (?:left|right)", "side"),
+    (r"it tells a|it counts in|no distance of the route", "distance"),
+    (r": check: ", "form"),
+    (r"the budget of", "budget"),
+    (r"was given up", "server given up"),
+    (r"the answer (?:is not|has not)", "answer"),
+    (r"was not recorded", "not recorded"),
+    (r"no answer within", "timeout"),
+    (r"the server answered 429", "busy"),
+)
 _TRIES = 8  # seeds the grammar may take until its own text passes
 
 
@@ -64,6 +79,17 @@ def write_texts_many(
             out.append(texts)
             progress("writing instructions", len(out), len(todo))
     return out
+
+
+def fallback_kind(fallback: str) -> str:
+    """What sort of failure a `fallback` tells of, for counting; "" for none.
+
+    One of turns, landmark, target, side, distance, form (the check), answer (not as asked),
+    timeout, busy, server, server given up, budget, not recorded.
+    """
+    if not fallback:
+        return ""
+    return next((kind for pattern, kind in _KINDS if re.search(pattern, fallback)), "server")
 
 
 def _write(

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 from gn0.scenes.procedural.draft import SceneDraft
 
-KindName = Literal["apartment",]
+KindName = Literal["apartment", "residence", "office"]
 SizeName = Literal["small", "medium", "large"]
 StyleName = Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"]
 
@@ -55,4 +55,18 @@ KINDS: dict[KindName, SceneKind] = {
     "apartment": SceneKind(
         "apartment:draft_apartment", 1, ((46, 62), (62, 95), (95, 135)), 10_000, "a furnished flat"
     ),
+    "residence": SceneKind(
+        "residence:draft_residence",
+        1,
+        ((112, 134), (134, 166), (166, 215)),
+        10_000,
+        "a large home: several bedrooms and baths, dining room, study, laundry",
+    ),  # fmt: skip
+    "office": SceneKind(
+        "office:draft_office",
+        1,
+        ((205, 300), (325, 425), (460, 590)),
+        6_000,
+        "an open-plan office with meeting rooms, reception, kitchen",
+    ),  # fmt: skip
 }

@@ -19,7 +19,7 @@ from gn0.scenes.scene import ObjectBox, SceneObject
 WHOLE_PICTURE = frozenset(
     {
         *("picture_landscape", "picture_abstract", "picture_portrait", "screen", "sky"),
-        *("rug_border", "rug_persian"),
+        *("rug_border", "rug_persian", "scribbles"),
         *("facade_glass", "open_sky"),
         *PRINTS,
     }

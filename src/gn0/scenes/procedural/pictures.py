@@ -220,6 +220,33 @@ def _sky(m: Material, u: F64, v: F64, fp: float) -> F64:
     return _over(image, green, step(crown - v, 0.02 + fp))
 
 
+def _scribbles(m: Material, u: F64, v: F64, fp: float) -> F64:
+    """Handwriting and a sketch of boxes on a board of `colour`; ink of `colour2`, and a red."""
+    rng = random_stream(m.seed, "scribbles")
+    ratio, soft = max(m.scale, 0.3), 0.008 + fp
+    x = u * ratio
+    smear = fractal(x * 2.1, v * 2.1, m.seed, octaves=3)
+    image = np.asarray(m.colour) * (1 - 0.05 * smear)[:, None]
+    ink = np.array([m.colour2, (0.45, 0.04, 0.03)])
+    half = 0.5 + 0.08 * rng.random()
+    rows = int(rng.integers(6, 9))
+    row = np.floor(v * rows)
+    wiggle = 0.16 * fractal(x * 30, row * 3.7, m.seed + 1, octaves=2)
+    long = half * (0.35 + 0.55 * random_cells(row + 0.5, np.zeros(1), m.seed + 2))
+    gap = random_cells(x * 7 + row * 0.37, row + 0.5, m.seed + 3) > 0.2
+    line = step(0.13 - np.abs(v * rows % 1.0 - 0.5 - wiggle), soft * rows)
+    there = (u > 0.06) & (u < long) & gap & (row > 0) & (row < rows - 1)
+    image = _over(image, ink[0], m.contrast * line * there)
+    for k in range(4):
+        w, h = rng.uniform(0.09, 0.15) * ratio, rng.uniform(0.08, 0.16)
+        cx = ratio * (half + 0.08 + (0.84 - half) * (k % 2 + 0.5) / 2)
+        cy = 0.27 + 0.42 * (k // 2) + rng.uniform(-0.05, 0.05)
+        edge = np.maximum(np.abs(x - cx) - w / 2, np.abs(v - cy) - h / 2)
+        box = step(0.009 - np.abs(edge), soft)
+        image = _over(image, ink[int(rng.integers(2))], m.contrast * box)
+    return image
+
+
 PICTURES: dict[str, Callable[[Material, F64, F64, float], F64]] = {
     "picture_landscape": _landscape,
     "picture_abstract": _abstract,
@@ -228,4 +255,5 @@ PICTURES: dict[str, Callable[[Material, F64, F64, float], F64]] = {
     "rug_border": _rug_border,
     "rug_persian": _rug_persian,
     "sky": _sky,
+    "scribbles": _scribbles,
 }

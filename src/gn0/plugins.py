@@ -11,7 +11,16 @@ from typing import Any, Literal
 
 from gn0.errors import ConfigError
 
-Kind = Literal["scene_source", "renderer", "refiner", "mission", "policy", "metric", "exporter"]
+Kind = Literal[
+    "scene_source",
+    "renderer",
+    "refiner",
+    "mission",
+    "policy",
+    "metric",
+    "exporter",
+    "dataset_exporter",
+]
 
 _BUILTIN: dict[str, dict[str, str]] = {
     "scene_source": {
@@ -35,6 +44,20 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "gn-matrix": "gn0.missions.sets.gn_matrix:ExporterGnMatrix",
         "gn-matrix-json": "gn0.missions.sets.gn_matrix_json:ExporterGnMatrixJson",
         "vlnce": "gn0.missions.sets.vlnce:ExporterVlnce",
+    },
+    "dataset_exporter": {
+        "gn-matrix": "gn0.export.gn_matrix:ExporterGnMatrixParquet",
+        "gn-matrix-json": "gn0.export.gn_matrix:ExporterGnMatrixFolder",
+        "interndata-n1": "gn0.export.interndata:ExporterInternData",
+        "lerobot-v3": "gn0.export.lerobot3:ExporterLeRobot3",
+        "navdp": "gn0.export.navdp:ExporterNavDp",
+        "navid": "gn0.export.navid:ExporterNaVid",
+        "navila": "gn0.export.navila:ExporterNaVila",
+        "streamvln": "gn0.export.streamvln:ExporterStreamVln",
+        "uninavid": "gn0.export.navid:ExporterUniNaVid",
+        "vln-pe": "gn0.export.vlnpe:ExporterVlnPe",
+        "vlnce-r2r": "gn0.export.vlnce:ExporterVlnceR2R",
+        "vlnce-rxr": "gn0.export.vlnce:ExporterVlnceRxR",
     },
 }
 _registered: dict[tuple[str, str], Any] = {}

@@ -1,0 +1,186 @@
+"""Videos of exports: VP9 in MP4, cut and joined without encoding again.
+
+Frames are encoded without looking ahead, so the first k packets of a clip are the clip of its first
+k frames: a model that is shown "all frames so far" gets a file for each step, and each frame is
+encoded once. Joined clips keep their packets too.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from gn0.errors import FormatError, RenderError, StorageError
+from gn0.geometry import U8
+
+CODEC = "libvpx-vp9"
+QUALITY = 30  # crf
+KEY_EVERY = 10  # frames between pictures that stand alone: seeks stay short
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """An encoded clip: packets that can be cut short and joined.
+
+    Attributes:
+        mp4: the whole of it.
+        frames: how many.
+        fps: frames a second.
+    """
+
+    mp4: bytes
+    frames: int
+    fps: int
+
+
+def encode_frames(frames: Iterable[U8], fps: int) -> Clip:
+    """Encode pictures [H, W, 3] of one even size; the same pixels give the same bytes.
+
+    Raises:
+        RenderError: this PyAV was built without VP9, or the pictures are of odd or changing size.
+    """
+    import av
+
+    stream, count = io.BytesIO(), 0
+    options = {
+        "crf": str(QUALITY), "b": "0", "deadline": "realtime", "cpu-used": "7", "row-mt": "0",
+        "lag-in-frames": "0", "auto-alt-ref": "0", "g": str(KEY_EVERY),
+    }  # fmt: skip
+    try:
+        with av.open(stream, "w", format="mp4") as container:
+            video: Any = None
+            for picture in frames:
+                height, width = picture.shape[:2]
+                if video is None:
+                    video = container.add_stream(CODEC, rate=fps, options=options)
+                    video.width, video.height, video.pix_fmt = width, height, "yuv420p"
+                    video.thread_count = 1
+                frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+                frame.pts, frame.time_base = count, Fraction(1, fps)
+                container.mux(video.encode(frame))
+                count += 1
+            if video is None:
+                raise RenderError("a clip of no frames")
+            container.mux(video.encode())
+    except (av.codec.codec.UnknownCodecError, ValueError) as error:
+        raise RenderError(
+            f"cannot encode VP9: {error}", remedy="install PyAV from PyPI, which brings libvpx"
+        ) from None
+    return Clip(stream.getvalue(), count, fps)
+
+
+def cut_clip(clip: Clip, frames: int) -> bytes:
+    """The MP4 of a clip's first frames: its first packets, as they are."""
+    if frames >= clip.frames:
+        return clip.mp4
+    return join_clips([clip.mp4], clip.fps, [frames])
+
+
+def join_clips(clips: Sequence[bytes], fps: int, take: Sequence[int] | None = None) -> bytes:
+    """One MP4 of clips one after another; packets are copied, times run on without a gap.
+
+    Args:
+        clips: MP4 files of one size and codec.
+        fps: frames a second of all of them.
+        take: frames to take of each; all by default.
+    """
+    import av
+
+    stream, done = io.BytesIO(), 0
+    with av.open(stream, "w", format="mp4") as out:
+        target: Any = None
+        for number, data in enumerate(clips):
+            with av.open(io.BytesIO(data), "r") as clip:
+                source = clip.streams.video[0]
+                if target is None:
+                    target = out.add_stream_from_template(source)
+                    target.time_base = Fraction(1, fps)
+                taken = 0
+                for packet in clip.demux(source):
+                    if packet.dts is None or (take is not None and taken >= take[number]):
+                        continue
+                    packet.stream = target
+                    packet.time_base = Fraction(1, fps)
+                    packet.pts = packet.dts = done + taken
+                    packet.duration = 1
+                    out.mux(packet)
+                    taken += 1
+                done += taken
+    return stream.getvalue()
+
+
+@dataclass(frozen=True)
+class ClipFacts:
+    """What a video file holds: frames, frames a second, size [px], codec name."""
+
+    frames: int
+    fps: float
+    width: int
+    height: int
+    codec: str
+
+
+def read_clip(path: Path | str, first: int = 0, count: int | None = None) -> list[U8]:
+    """Decoded frames [H, W, 3] of a video, in order.
+
+    Raises:
+        StorageError, FormatError: missing, or not a whole video.
+    """
+    import av
+
+    found: list[U8] = []
+    with _reading(path) as container:
+        try:
+            for number, frame in enumerate(container.decode(video=0)):
+                if count is not None and number >= first + count:
+                    break
+                if number >= first:
+                    found.append(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8))
+        except (av.error.FFmpegError, ValueError) as error:
+            raise FormatError(f"cannot decode: {error}", file=path) from None
+    return found
+
+
+def inspect_clip(path: Path | str) -> ClipFacts:
+    """What a video holds, every packet counted and its times checked.
+
+    Raises:
+        StorageError, FormatError: missing, not a whole video, or frames at uneven times.
+    """
+    import av
+
+    with _reading(path) as container:
+        try:
+            stream = container.streams.video[0]
+            fps = float(stream.average_rate or 0)
+            times = sorted(
+                float(p.pts * p.time_base)
+                for p in container.demux(stream)
+                if p.pts is not None and p.size and p.time_base is not None
+            )
+            facts = ClipFacts(
+                len(times), fps, stream.width, stream.height, stream.codec_context.name
+            )
+        except (av.error.FFmpegError, ValueError, IndexError) as error:
+            raise FormatError(f"not a whole video: {error}", file=path) from None
+    steps = np.diff(times)
+    if fps <= 0 or (len(steps) and np.abs(steps - 1 / fps).max() > 1e-4):
+        raise FormatError("frames do not come at even times", file=path, remedy="export it again")
+    return facts
+
+
+def _reading(path: Path | str) -> Any:
+    import av
+
+    if not Path(path).is_file():
+        raise StorageError("the video is missing", where=path, remedy="export it again")
+    try:
+        return cast(Any, av.open(str(path)))
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise FormatError(f"not a video: {error}", file=path, remedy="export it again") from None

@@ -1,0 +1,151 @@
+"""The protocol of a dataset exporter, its settings, and the registry's door.
+
+An exporter writes one trip at a time and then what belongs to the whole; `gn0.export.session`
+drives it, keeps the journal, and can go on after a crash.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Protocol, runtime_checkable
+
+import msgspec
+
+from gn0.config import Config
+from gn0.export.trips import ExportSource, Recovered, Trip
+from gn0.geometry import F64
+from gn0.plugins import get_plugin, plugin_names
+from gn0.sim.presets import CameraPreset, find_preset
+
+Record = dict[str, Any]  # what an exporter remembers of a trip: JSON, kept in the journal
+
+
+class ExportSettings(Config, frozen=True):
+    """How to export; an exporter ignores what its format has no use for.
+
+    Attributes:
+        camera: preset to render again through; "" means the dataset's own pictures.
+        split: only episodes of this split; "" means all.
+        limit: at most so many episodes; 0 means all.
+        quality: of JPEG pictures, 1 to 100.
+        fps: frames a second in videos; 0 means the format's own.
+        every: a sample at every so-many-th decision (NaVid, Uni-NaVid, NaVILA).
+        spacing: metres between frames of a NavDP trajectory; 0 means the dataset's own poses.
+        views: camera presets of an InternData-N1 export.
+        name: name of the data in ids and paths of the format.
+    """
+
+    camera: str = ""
+    split: str = ""
+    limit: Annotated[int, msgspec.Meta(ge=0)] = 0
+    quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 92
+    fps: Annotated[int, msgspec.Meta(ge=0, le=240)] = 0
+    every: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1
+    spacing: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0625
+    views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
+    name: str = "gn0"
+
+    def preset(self, source: ExportSource) -> CameraPreset:
+        """The camera of the export."""
+        return find_preset(self.camera) if self.camera else source.preset
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a trip stands in an export.
+
+    Attributes:
+        number: 0-based, over all.
+        first_frame: frames of all trips before it.
+        scene_number: 0-based, among the trips of its scene.
+        scene_first_frame: frames of the trips of its scene before it.
+    """
+
+    number: int
+    first_frame: int
+    scene_number: int
+    scene_first_frame: int
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What an exporter works with.
+
+    Attributes:
+        source: the dataset.
+        settings: how to export.
+        folder: the folder to fill.
+    """
+
+    source: ExportSource
+    settings: ExportSettings
+    folder: Path
+
+
+@runtime_checkable
+class DatasetExporter(Protocol):
+    """Writes and reads one training format; run `gn0.testing.check_dataset_exporter` on yours.
+
+    Attributes:
+        name: plug-in name.
+        title: one line for people.
+        reader: the program that reads it, and the command or class that does.
+        frame: coordinate frame and units of what is in it.
+        pictures: whether pictures are written: those of DAgger walks and of experts alike.
+        dagger: whether walks of a policy may be exported, labelled by the expert.
+    """
+
+    name: str
+    title: str
+    reader: str
+    frame: str
+    pictures: bool
+    dagger: bool
+
+    def why_not(self, trip: Trip, settings: ExportSettings) -> str:
+        """Why the format cannot hold a trip, in a few words that can be counted; "" if it can."""
+        ...
+
+    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
+        """Poses [K, 3] whose pictures the export holds; the trip's own in most formats."""
+        ...
+
+    def write(self, trip: Trip, place: Place, job: Job) -> Record:
+        """Write what belongs to one trip, each file atomically; called again after a crash."""
+        ...
+
+    def finish(self, records: Sequence[Record], job: Job) -> None:
+        """Write what belongs to the whole, from what `write` remembered, in order."""
+        ...
+
+    def check(self, folder: Path) -> list[str]:
+        """Faults of an export of this format, in words; empty when the reader can take it.
+
+        Never raises for what is wrong with the files.
+        """
+        ...
+
+    def load(self, folder: Path) -> list[Recovered]:
+        """Read an export back.
+
+        Raises:
+            StorageError, FormatError: missing or damaged; names the file and the field.
+        """
+        ...
+
+
+def get_dataset_exporter(name: str) -> DatasetExporter:
+    """The exporter of that name.
+
+    Raises:
+        ConfigError: no such exporter; lists those that exist.
+    """
+    exporter: DatasetExporter = get_plugin("dataset_exporter", name)()
+    return exporter
+
+
+def dataset_exporter_names() -> list[str]:
+    """Names of all formats, sorted."""
+    return plugin_names("dataset_exporter")

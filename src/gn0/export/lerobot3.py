@@ -1,0 +1,564 @@
+"""LeRobot v3.0: episodes put together in larger tables and videos.
+
+`data/chunk-000/file-000.parquet` holds the frames of many episodes, `videos/<camera>/…` their
+pictures joined without encoding again, `meta/episodes/…` where each begins. Actions are the motion
+to the next frame in the agent's frame; the discrete action and the next six stand beside it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from gn0.errors import FormatError
+from gn0.export.clips import encode_frames, inspect_clip, join_clips, read_clip
+from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.faults import Faults, load_typed
+from gn0.export.lerobot21 import column_stats, index_columns
+from gn0.export.trips import RGB, Frame, Recovered, Trip
+from gn0.geometry import F64, U8
+from gn0.missions.files import read_table
+from gn0.storage import read_bytes, write_bytes, write_json
+
+VERSION = "v3.0"
+CAMERA = "observation.images.front"
+FPS = 10
+DATA_MB, VIDEO_MB = 100, 200  # a file is closed before it grows over this
+PARTS = "parts"  # of episodes, until they are put together
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+EPISODES, TASKS = "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"
+FILES_A_CHUNK = 1000
+_FEATURES: dict[str, tuple[str, list[int], list[str] | None]] = {
+    "observation.state": ("float32", [3], ["x", "y", "yaw"]),
+    "action": ("float32", [3], ["forward", "left", "yaw"]),
+    "label.discrete": ("int64", [1], None),
+    "label.ahead": ("int64", [6], None),
+    "next.done": ("bool", [1], None),
+    "timestamp": ("float32", [1], None),
+    "frame_index": ("int64", [1], None),
+    "episode_index": ("int64", [1], None),
+    "index": ("int64", [1], None),
+    "task_index": ("int64", [1], None),
+}
+LABELS = ("observation.state", "action", "label.discrete", "label.ahead", "next.done")
+_ARROW = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+
+
+class Info(msgspec.Struct):
+    """What we read of `info.json`."""
+
+    codebase_version: str
+    total_episodes: int
+    total_frames: int
+    total_tasks: int
+    fps: int
+    data_path: str
+    video_path: str
+    features: dict[str, dict[str, Any]]
+    splits: dict[str, str]
+
+
+@dataclass(frozen=True)
+class EpisodeRow:
+    """What we read of a row of `meta/episodes`."""
+
+    index: int
+    tasks: list[str]
+    length: int
+    first: int
+    data: tuple[int, int]
+    video: tuple[int, int]
+    begin: float
+    end: float
+    id: str
+    scene: str
+
+
+class ExporterLeRobot3:
+    """See the module."""
+
+    name = "lerobot-v3"
+    title = "LeRobot dataset v3.0"
+    reader = "LeRobot ≥ 0.4: `LeRobotDataset(repo_id, root=DIR)`"
+    frame = (
+        "state: world of the scene, z up, x, y [m] and yaw [rad]; action: motion to the next frame "
+        "in the agent's frame, forward and left [m], yaw [rad]"
+    )
+    pictures = True
+    dagger = True
+
+    def why_not(self, trip: Trip, settings: ExportSettings) -> str:
+        """It takes every walk."""
+        return ""
+
+    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
+        """The trip's own."""
+        return trip.poses
+
+    def write(self, trip: Trip, place: Place, job: Job) -> Record:
+        """A clip and the statistics of an episode."""
+        fps = job.settings.fps or FPS
+        sums = _PictureSums()
+        preset = job.settings.preset(job.source)
+        seen = job.source.frames(trip, preset, RGB)
+        clip = encode_frames((sums.add(f.rgb) for f in seen if f.rgb is not None), fps)
+        write_bytes(_part(job.folder, place.number, "mp4"), clip.mp4)
+        columns = _columns(trip)
+        table = _encode_table(columns, LABELS)
+        write_bytes(_part(job.folder, place.number, "parquet"), _parquet(table))
+        stats = column_stats({k: v for k, v in columns.items() if v.dtype.kind in "fi"})
+        return {
+            "number": place.number,
+            "split": trip.episode.split,
+            "id": trip.episode.id,
+            "scene": trip.episode.scene_id,
+            "task": trip.episode.instruction,
+            "size": list(preset.picture_size),
+            "length": trip.frames,
+            "sizes": [table.nbytes, len(clip.mp4)],
+            "stats": {**stats, CAMERA: sums.stats()},
+        }
+
+    def finish(self, records: Sequence[Record], job: Job) -> None:
+        """Tables, videos and meta; the parts go."""
+        folder, fps = job.folder, job.settings.fps or FPS
+        tasks = {task: n for n, task in enumerate(dict.fromkeys(r["task"] for r in records))}
+        first = np.r_[0, np.cumsum([record["length"] for record in records])].tolist()
+        data = _divide([record["sizes"][0] for record in records], DATA_MB)
+        for file, rows in enumerate(data):
+            chunk, number = divmod(file, FILES_A_CHUNK)
+            joined = pa.concat_tables(
+                _numbered(folder, records[n], fps, n, first[n], tasks) for n in rows
+            ).combine_chunks()
+            path = folder / DATA_PATH.format(chunk_index=chunk, file_index=number)
+            write_bytes(path, _parquet(joined))
+        video = _divide([record["sizes"][1] for record in records], VIDEO_MB)
+        for file, rows in enumerate(video):
+            chunk, number = divmod(file, FILES_A_CHUNK)
+            clips = [read_bytes(_part(folder, records[n]["number"], "mp4")) for n in rows]
+            path = folder / VIDEO_PATH.format(
+                video_key=CAMERA, chunk_index=chunk, file_index=number
+            )
+            write_bytes(path, join_clips(clips, fps))
+        rows_of = _episode_rows(records, data, video, fps)
+        write_bytes(folder / EPISODES, _parquet(pa.Table.from_pylist(rows_of)))
+        write_bytes(folder / TASKS, _parquet(_tasks_table(list(tasks))))
+        write_json(folder / "meta/stats.json", _join_stats([r["stats"] for r in records]))
+        write_json(folder / "meta/info.json", _info(records, len(tasks), fps))
+        shutil.rmtree(folder / PARTS, ignore_errors=True)
+
+    def check(self, folder: Path) -> list[str]:
+        """Everything that LeRobot's own loader takes for granted."""
+        faults = Faults()
+        with faults.guard():
+            info = load_typed(folder / "meta/info.json", Info)
+            rows = _load_rows(folder)
+            _check_info(info, rows, folder, faults)
+            _check_tasks(info, rows, folder, faults)
+            _check_data(info, rows, folder, faults)
+            _check_videos(info, rows, folder, faults)
+            load_typed(folder / "meta/stats.json", dict[str, dict[str, Any]])
+        return faults.told()
+
+    def load(self, folder: Path) -> list[Recovered]:
+        """Read it back."""
+        info = load_typed(folder / "meta/info.json", Info)
+        return [_recover(row, info, folder) for row in _load_rows(folder)]
+
+
+class _PictureSums:
+    """Exact sums of pixels, for the statistics of pictures in 0..1."""
+
+    def __init__(self) -> None:
+        self.pixels = 0
+        self.frames = 0
+        self.sum = np.zeros(3, np.int64)
+        self.squares = np.zeros(3, np.int64)
+        self.least = np.full(3, 255, np.int64)
+        self.most = np.zeros(3, np.int64)
+
+    def add(self, rgb: U8) -> U8:
+        flat = rgb.reshape(-1, 3)
+        wide = flat.astype(np.int64)
+        self.sum += wide.sum(axis=0)
+        self.squares += (wide * wide).sum(axis=0)
+        self.least = np.minimum(self.least, flat.min(axis=0))
+        self.most = np.maximum(self.most, flat.max(axis=0))
+        self.pixels += len(flat)
+        self.frames += 1
+        return rgb
+
+    def stats(self) -> dict[str, Any]:
+        mean = self.sum / self.pixels / 255.0
+        spread = np.sqrt(np.maximum(self.squares / self.pixels / 255.0**2 - mean**2, 0.0))
+        values = {"min": self.least / 255.0, "max": self.most / 255.0, "mean": mean, "std": spread}
+        found: dict[str, Any] = {k: v.reshape(3, 1, 1).tolist() for k, v in values.items()}
+        return {**found, "count": [self.frames]}
+
+
+def _part(folder: Path, number: int, kind: str) -> Path:
+    return folder / PARTS / f"{number:06d}.{kind}"
+
+
+def _columns(trip: Trip) -> dict[str, NDArray[Any]]:
+    poses = trip.poses
+    step = np.diff(poses, axis=0, append=poses[-1:])
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    motion = np.column_stack(
+        [
+            c * step[:, 0] + s * step[:, 1],
+            -s * step[:, 0] + c * step[:, 1],
+            np.angle(np.exp(1j * step[:, 2])),
+        ]
+    )
+    ahead = np.zeros((trip.frames, 6), np.int64)
+    width = min(6, trip.ahead.shape[1])
+    ahead[:, :width] = trip.ahead[:, :width]
+    return {
+        "observation.state": poses.astype(np.float32),
+        "action": motion.astype(np.float32),
+        "label.discrete": np.array([*trip.moves, 0], np.int64),
+        "label.ahead": ahead,
+        "next.done": np.arange(trip.frames) == trip.frames - 1,
+    }
+
+
+def _encode_table(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> pa.Table:
+    arrays = []
+    for name in names:
+        kind, shape, _ = _FEATURES[name]
+        flat = pa.array(columns[name].reshape(-1), _ARROW[kind])
+        arrays.append(flat if shape == [1] else pa.FixedSizeListArray.from_arrays(flat, shape[0]))
+    return pa.Table.from_arrays(arrays, names=list(names))
+
+
+def _numbered(
+    folder: Path, record: Record, fps: int, number: int, first: int, tasks: Mapping[str, int]
+) -> pa.Table:
+    """The table of an episode with the columns that count."""
+    labels = read_table(_part(folder, record["number"], "parquet"))
+    counted = index_columns(record["length"], fps, number, first, tasks[record["task"]])
+    table = _encode_table(counted, list(counted))
+    for name in reversed(LABELS):
+        table = table.add_column(0, name, labels.column(name))
+    return table
+
+
+def _parquet(table: pa.Table) -> bytes:
+    stream = io.BytesIO()
+    pq.write_table(table, stream, compression="snappy", use_dictionary=True)
+    return stream.getvalue()
+
+
+def _divide(sizes: Sequence[int], megabytes: int) -> list[list[int]]:
+    """Items in files, in order: a file is closed before it grows over a size."""
+    files: list[list[int]] = []
+    total = 0
+    for number, size in enumerate(sizes):
+        if not files or total + size > megabytes * 2**20:
+            files.append([])
+            total = 0
+        files[-1].append(number)
+        total += size
+    return files
+
+
+def _episode_rows(
+    records: Sequence[Record], data: list[list[int]], video: list[list[int]], fps: int
+) -> list[dict[str, Any]]:
+    data_of = {n: file for file, rows in enumerate(data) for n in rows}
+    video_of = {n: file for file, rows in enumerate(video) for n in rows}
+    done, first, rows = dict.fromkeys(range(len(video)), 0), 0, []
+    for number, record in enumerate(records):
+        length = record["length"]
+        file = video_of[number]
+        row: dict[str, Any] = {
+            "episode_index": number,
+            "tasks": [record["task"]],
+            "length": length,
+            "data/chunk_index": data_of[number] // FILES_A_CHUNK,
+            "data/file_index": data_of[number] % FILES_A_CHUNK,
+            "dataset_from_index": first,
+            "dataset_to_index": first + length,
+            f"videos/{CAMERA}/chunk_index": file // FILES_A_CHUNK,
+            f"videos/{CAMERA}/file_index": file % FILES_A_CHUNK,
+            f"videos/{CAMERA}/from_timestamp": done[file] / fps,
+            f"videos/{CAMERA}/to_timestamp": (done[file] + length) / fps,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+            "gn0_id": record["id"],
+            "gn0_scene": record["scene"],
+        }
+        for name, stats in record["stats"].items():
+            row |= {f"stats/{name}/{key}": value for key, value in stats.items()}
+        rows.append(row)
+        done[file] += length
+        first += length
+    return rows
+
+
+def _tasks_table(tasks: list[str]) -> pa.Table:
+    """Tasks as pandas writes a frame whose index is the text: readers look texts up by it."""
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
+    described = {
+        "index_columns": ["task"],
+        "column_indexes": [
+            {
+                "name": None, "field_name": None, "pandas_type": "unicode", "numpy_type": "object",
+                "metadata": {"encoding": "UTF-8"},
+            }
+        ],
+        "columns": [
+            {
+                "name": "task_index", "field_name": "task_index", "pandas_type": "int64",
+                "numpy_type": "int64", "metadata": None,
+            },
+            {
+                "name": "task", "field_name": "task", "pandas_type": "unicode",
+                "numpy_type": "object", "metadata": None,
+            },
+        ],
+        "creator": {"library": "pyarrow", "version": "0"},
+        "pandas_version": "2.0.0",
+    }  # fmt: skip
+    return table.replace_schema_metadata({"pandas": json.dumps(described)})
+
+
+def _join_stats(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Statistics of all frames from those of each episode."""
+    found: dict[str, Any] = {}
+    for name in parts[0]:
+        own = [part[name] for part in parts]
+        counts = np.array([s["count"][0] for s in own], np.float64)
+        means = np.array([s["mean"] for s in own])
+        weights = (counts / counts.sum()).reshape(-1, *[1] * (means.ndim - 1))
+        mean = (weights * means).sum(axis=0)
+        spread = (weights * (np.array([s["std"] for s in own]) ** 2 + (means - mean) ** 2)).sum(0)
+        found[name] = {
+            "min": np.array([s["min"] for s in own]).min(axis=0).tolist(),
+            "max": np.array([s["max"] for s in own]).max(axis=0).tolist(),
+            "mean": mean.tolist(),
+            "std": np.sqrt(spread).tolist(),
+            "count": [int(counts.sum())],
+        }
+    return found
+
+
+def _info(records: Sequence[Record], tasks: int, fps: int) -> dict[str, Any]:
+    width, height = records[0]["size"]
+    features: dict[str, Any] = {
+        CAMERA: {
+            "dtype": "video",
+            "shape": [height, width, 3],
+            "names": ["height", "width", "channels"],
+            "info": {
+                "video.height": height,
+                "video.width": width,
+                "video.codec": "vp9",
+                "video.pix_fmt": "yuv420p",
+                "video.is_depth_map": False,
+                "video.fps": fps,
+                "video.channels": 3,
+                "has_audio": False,
+            },
+        }
+    }
+    for name, (kind, shape, names) in _FEATURES.items():
+        features[name] = {"dtype": kind, "shape": shape, "names": names}
+    splits: dict[str, str] = {}
+    for split in dict.fromkeys(r["split"] for r in records):
+        own = [n for n, r in enumerate(records) if r["split"] == split]
+        splits[split] = f"{own[0]}:{own[-1] + 1}"
+    return {
+        "codebase_version": VERSION,
+        "robot_type": "gn0",
+        "total_episodes": len(records),
+        "total_frames": sum(r["length"] for r in records),
+        "total_tasks": tasks,
+        "chunks_size": FILES_A_CHUNK,
+        "data_files_size_in_mb": DATA_MB,
+        "video_files_size_in_mb": VIDEO_MB,
+        "fps": fps,
+        "splits": splits,
+        "data_path": DATA_PATH,
+        "video_path": VIDEO_PATH,
+        "features": features,
+    }
+
+
+def _load_rows(folder: Path) -> list[EpisodeRow]:
+    path = folder / EPISODES
+    table = read_table(path)
+    video = f"videos/{CAMERA}"
+    kinds: dict[str, type | tuple[type, ...]] = {
+        "episode_index": int, "tasks": list, "length": int, "dataset_from_index": int,
+        "dataset_to_index": int, "data/chunk_index": int, "data/file_index": int,
+        f"{video}/chunk_index": int, f"{video}/file_index": int,
+        f"{video}/from_timestamp": float, f"{video}/to_timestamp": float,
+        "meta/episodes/chunk_index": int, "meta/episodes/file_index": int,
+        "gn0_id": str, "gn0_scene": str,
+    }  # fmt: skip
+    missing = [name for name in kinds if name not in table.column_names]
+    if missing:
+        raise FormatError(
+            "column is missing", file=path, field=missing[0], remedy="export it again"
+        )
+    rows = []
+    for number, row in enumerate(table.select(list(kinds)).to_pylist()):
+        for name, kind in kinds.items():
+            if not isinstance(row[name], kind):
+                raise FormatError(f"row {number + 1} is {row[name]!r:.40}", file=path, field=name)
+        if not row["tasks"] or not all(isinstance(task, str) for task in row["tasks"]):
+            raise FormatError(f"row {number + 1} has no task", file=path, field="tasks")
+        rows.append(
+            EpisodeRow(
+                row["episode_index"], row["tasks"], row["length"], row["dataset_from_index"],
+                (row["data/chunk_index"], row["data/file_index"]),
+                (row[f"{video}/chunk_index"], row[f"{video}/file_index"]),
+                row[f"{video}/from_timestamp"], row[f"{video}/to_timestamp"],
+                row["gn0_id"], row["gn0_scene"],
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _check_info(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults) -> None:
+    where = folder / "meta/info.json"
+    frames = sum(row.length for row in rows)
+    told = (info.codebase_version, info.total_episodes, info.total_frames)
+    faults.expect(
+        told == (VERSION, len(rows), frames), f"{where} says {told}, found {len(rows)}, {frames}"
+    )
+    faults.expect(
+        (info.data_path, info.video_path) == (DATA_PATH, VIDEO_PATH), f"{where}: other paths"
+    )
+    wanted = [CAMERA, *_FEATURES]
+    faults.expect(list(info.features) == wanted, f"{where}: features are {list(info.features)}")
+    first = 0
+    for number, row in enumerate(rows):
+        faults.expect(
+            row.index == number and row.first == first,
+            f"{folder / EPISODES}: row {number + 1} does not count on",
+        )
+        first += row.length
+    spans = sorted(info.splits.values(), key=lambda span: int(span.split(":")[0] or 0)
+                   if span.split(":")[0].isdigit() else -1)  # fmt: skip
+    ends = ["0", *(span.split(":")[-1] for span in spans)]
+    good = [span.split(":")[0] for span in spans] == ends[:-1] and ends[-1] == str(len(rows))
+    faults.expect(good, f"{where}: splits do not cover 0 to {len(rows)}")
+
+
+def _check_tasks(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults) -> None:
+    table = read_table(folder / TASKS)
+    pandas = (table.schema.metadata or {}).get(b"pandas", b"")
+    faults.expect(
+        set(table.column_names) == {"task", "task_index"}
+        and b'"index_columns": ["task"]' in pandas,
+        f"{folder / TASKS}: not a table of pandas whose index is the task",
+    )
+    if set(table.column_names) == {"task", "task_index"}:
+        texts = table.column("task").to_pylist()
+        faults.expect(
+            len(texts) == info.total_tasks
+            and table.column("task_index").to_pylist() == list(range(len(texts))),
+            f"{folder / TASKS}: tasks are missing or out of order",
+        )
+        faults.expect(
+            {task for row in rows for task in row.tasks} <= set(texts),
+            f"{folder / TASKS}: an episode's task is missing",
+        )
+
+
+def _data(folder: Path, file: tuple[int, int]) -> pa.Table:
+    path = folder / DATA_PATH.format(chunk_index=file[0], file_index=file[1])
+    table = read_table(path)
+    for name, (kind, shape, _) in _FEATURES.items():
+        wanted = _ARROW[kind] if shape == [1] else pa.list_(_ARROW[kind], shape[0])
+        if name not in table.column_names or table.schema.field(name).type != wanted:
+            raise FormatError(f"column is missing or not {wanted}", file=path, field=name)
+        if table.column(name).null_count:
+            raise FormatError("a cell is null", file=path, field=name)
+    return table
+
+
+def _check_data(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults) -> None:
+    for file in dict.fromkeys(row.data for row in rows):
+        own = [row for row in rows if row.data == file]
+        table = _data(folder, file)
+        where = folder / DATA_PATH.format(chunk_index=file[0], file_index=file[1])
+        wanted = np.concatenate([np.full(row.length, row.index) for row in own])
+        found = np.asarray(table.column("episode_index").to_numpy())
+        if not faults.expect(
+            np.array_equal(found, wanted), f"{where}: not the frames that meta/episodes names"
+        ):
+            continue
+        frames = np.concatenate([np.arange(row.length) for row in own])
+        times = np.asarray(table.column("timestamp").to_numpy(), np.float64)
+        faults.expect(
+            np.array_equal(table.column("frame_index").to_numpy(), frames)
+            and bool((np.abs(times - frames / info.fps) < 1e-4).all()),
+            f"{where}: frame_index or timestamp does not count on",
+        )
+        faults.expect(
+            np.array_equal(table.column("index").to_numpy(), np.arange(len(found)) + own[0].first),
+            f"{where}: index does not count on",
+        )
+
+
+def _check_videos(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults) -> None:
+    shape = info.features.get(CAMERA, {}).get("shape")
+    for file in dict.fromkeys(row.video for row in rows):
+        own = [row for row in rows if row.video == file]
+        path = folder / VIDEO_PATH.format(video_key=CAMERA, chunk_index=file[0], file_index=file[1])
+        facts = inspect_clip(path)
+        faults.expect(
+            facts.frames == sum(row.length for row in own),
+            f"{path}: {facts.frames} frames for {sum(row.length for row in own)} in the tables",
+        )
+        faults.expect(
+            abs(facts.fps - info.fps) < 1e-6 and [facts.height, facts.width, 3] == shape,
+            f"{path}: {facts.width}x{facts.height} at {facts.fps:g}, info.json says otherwise",
+        )
+        done = 0
+        for row in own:
+            off = abs(row.begin - done / info.fps) + abs(row.end - (done + row.length) / info.fps)
+            faults.expect(off < 1e-6, f"{folder / EPISODES}: times of episode {row.index} are off")
+            done += row.length
+
+
+def _recover(row: EpisodeRow, info: Info, folder: Path) -> Recovered:
+    table = _data(folder, row.data)
+    mask = np.asarray(table.column("episode_index").to_numpy()) == row.index
+    if int(mask.sum()) != row.length or row.length < 1 or info.fps < 1:
+        raise FormatError(f"frames of episode {row.index} are missing", file=folder)
+    own = table.filter(pa.array(mask))
+    state = own.column("observation.state").combine_chunks()
+    actions = np.asarray(own.column("label.discrete").to_numpy())
+    path = folder / VIDEO_PATH.format(
+        video_key=CAMERA, chunk_index=row.video[0], file_index=row.video[1]
+    )
+    first = round(row.begin * info.fps)
+    flat = state.flatten() if isinstance(state, pa.Array) else pa.concat_arrays(
+        [chunk.flatten() for chunk in state.chunks]
+    )  # fmt: skip
+    return Recovered(
+        id=row.id,
+        scene=row.scene,
+        instruction=row.tasks[0],
+        frames=row.length,
+        moves=tuple(int(a) for a in actions[:-1]),
+        poses=np.asarray(flat.to_numpy(), np.float64).reshape(-1, 3),
+        picture=lambda pose: Frame(read_clip(path, first + pose, 1)[0], None),
+    )

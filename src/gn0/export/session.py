@@ -1,0 +1,287 @@
+"""Drives an exporter over a dataset: plans, writes, goes on after a crash, and leaves a card.
+
+The folder holds `export.json` from the first moment, and `journal.jsonl` until all is written. A
+folder of another dataset, format or setting is refused; the same command again goes on where it
+stopped. What the journal names was written whole.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gn0.config import Config, load_json
+from gn0.errors import DataError, FormatError, StorageError
+from gn0.export.card import write_card
+from gn0.export.exporter import (
+    DatasetExporter,
+    ExportSettings,
+    Job,
+    Place,
+    Record,
+    get_dataset_exporter,
+)
+from gn0.export.trips import ExportSource, Trip
+from gn0.progress import Progress, no_progress
+from gn0.storage import Journal, content_hash, write_json
+
+EXPORT_FILE, JOURNAL = "export.json", "journal.jsonl"
+EXPORT_LAYOUT = 1
+
+
+class ExportFile(Config, frozen=True):
+    """The content of `export.json`.
+
+    Attributes:
+        layout: version of this file's layout.
+        format: exporter name.
+        dataset: name of the dataset.
+        digest: of the dataset and the settings.
+        settings: how it was exported.
+        written, frames: how many episodes and frames.
+        skipped: why episodes were left out, and how many.
+        notes: what the exporter counted beside that.
+        splits: episodes of each split.
+        complete: whether all of it is there.
+    """
+
+    layout: int
+    format: str
+    dataset: str
+    digest: str
+    settings: ExportSettings
+    written: int = 0
+    frames: int = 0
+    skipped: dict[str, int] = {}  # noqa: RUF012 (msgspec copies it)
+    notes: dict[str, int] = {}  # noqa: RUF012
+    splits: dict[str, int] = {}  # noqa: RUF012
+    complete: bool = False
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A trip that will be written, and where it stands."""
+
+    id: str
+    split: str
+    place: Place
+    frames: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will be written, in order, and why the rest will not."""
+
+    trips: tuple[Planned, ...]
+    skipped: dict[str, int]
+
+    @property
+    def frames(self) -> int:
+        """Frames of all trips."""
+        return sum(trip.frames for trip in self.trips)
+
+
+def plan_export(exporter: DatasetExporter, job: Job, progress: Progress = no_progress) -> Plan:
+    """Choose and number the trips; split by split, in the dataset's order within each."""
+    kept: list[tuple[str, str, str, int]] = []
+    skipped: Counter[str] = Counter()
+    for done, trip in enumerate(job.source.trips()):
+        progress("reading", done, 0)
+        why = _why_not(exporter, trip, job.settings)
+        if why:
+            skipped[why] += 1
+            continue
+        episode = trip.episode
+        frames = len(exporter.poses(trip, job.settings)) if exporter.pictures else 0
+        kept.append((episode.split, episode.scene_id, episode.id, frames))
+    kept.sort(key=lambda item: item[0])  # stable: the dataset's order within a split
+    limit = job.settings.limit
+    if limit and len(kept) > limit:
+        skipped[f"beyond the limit of {limit} episodes"] = len(kept) - limit
+        kept = kept[:limit]
+    trips, total = [], 0
+    in_scene: dict[str, tuple[int, int]] = {}
+    for number, (split, scene, name, frames) in enumerate(kept):
+        scene_number, scene_first = in_scene.get(scene, (0, 0))
+        trips.append(Planned(name, split, Place(number, total, scene_number, scene_first), frames))
+        in_scene[scene] = scene_number + 1, scene_first + frames
+        total += frames
+    return Plan(tuple(trips), dict(sorted(skipped.items())))
+
+
+def _why_not(exporter: DatasetExporter, trip: Trip, settings: ExportSettings) -> str:
+    if settings.split and trip.episode.split != settings.split:
+        return f"not of the split {settings.split!r}"
+    if trip.source == "dagger" and not exporter.dagger:
+        return "a walk of a policy, not of the expert"
+    return exporter.why_not(trip, settings)
+
+
+def run_export(
+    source: ExportSource,
+    format: str | DatasetExporter,
+    out: Path | str,
+    settings: ExportSettings | None = None,
+    *,
+    progress: Progress = no_progress,
+) -> ExportFile:
+    """Write a dataset in a format; the same call again goes on after a crash.
+
+    Args:
+        source: the dataset.
+        format: exporter, or its name.
+        out: the folder to write.
+        settings: how to export.
+        progress: progress sink.
+
+    Returns:
+        What was written, and what was not and why.
+
+    Raises:
+        ConfigError: no such format or camera.
+        StorageError: `out` holds something else, or cannot be written.
+        DataError: nothing is left to write.
+    """
+    exporter = get_dataset_exporter(format) if isinstance(format, str) else format
+    settings = settings or ExportSettings()
+    folder = Path(out)
+    job = Job(source, settings, folder)
+    settings.preset(source)
+    about = ExportFile(
+        layout=EXPORT_LAYOUT,
+        format=exporter.name,
+        dataset=source.name,
+        digest=content_hash(
+            source.digest, exporter.name, msgspec.json.encode(settings, order="deterministic")
+        ),
+        settings=settings,
+    )
+    earlier = _claim(folder, about)
+    if earlier is not None and earlier.complete:
+        return earlier
+    plan = plan_export(exporter, job, progress)
+    if not plan.trips:
+        raise DataError(
+            "no episode is left to write" + _told(plan.skipped),
+            where=source.name,
+            remedy="choose another --split or --limit, or another format",
+        )
+    write_json(folder / EXPORT_FILE, msgspec.to_builtins(about))
+    records = _write_trips(exporter, job, plan, progress)
+    exporter.finish(records, job)
+    notes: Counter[str] = Counter()
+    for record in records:
+        notes.update(record.get("notes", {}))
+    done = msgspec.structs.replace(
+        about,
+        written=len(plan.trips),
+        frames=plan.frames,
+        skipped=plan.skipped,
+        notes=dict(sorted(notes.items())),
+        splits=dict(sorted(Counter(trip.split for trip in plan.trips).items())),
+        complete=True,
+    )
+    write_card(folder, exporter, source, done)
+    write_json(folder / EXPORT_FILE, msgspec.to_builtins(done))
+    (folder / JOURNAL).unlink(missing_ok=True)
+    return done
+
+
+def _told(skipped: dict[str, int]) -> str:
+    return "".join(f"; {count} × {why}" for why, count in skipped.items())
+
+
+def _claim(folder: Path, about: ExportFile) -> ExportFile | None:
+    """The earlier run in this folder, if it is this very export; None for an empty place."""
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return None
+    if not (folder / EXPORT_FILE).is_file():
+        raise StorageError(
+            f"the folder is not empty and holds no export: it has no {EXPORT_FILE}",
+            where=folder,
+            remedy="choose another --out",
+        )
+    earlier = load_export_file(folder)
+    if earlier.digest != about.digest or earlier.format != about.format:
+        raise StorageError(
+            f"the folder holds another export: {earlier.format} of {earlier.dataset!r}, with other "
+            "data or settings",
+            where=folder,
+            remedy="choose another --out",
+        )
+    return earlier
+
+
+def load_export_file(folder: Path | str) -> ExportFile:
+    """`export.json` of an export.
+
+    Raises:
+        StorageError: missing or unreadable.
+        FormatError: damaged, or of another layout.
+    """
+    path = Path(folder) / EXPORT_FILE
+    about = load_json(path, ExportFile)
+    if about.layout != EXPORT_LAYOUT:
+        raise FormatError(
+            f"layout {about.layout}, this version reads {EXPORT_LAYOUT}",
+            file=path,
+            remedy="export again",
+        )
+    return about
+
+
+def _write_trips(
+    exporter: DatasetExporter, job: Job, plan: Plan, progress: Progress
+) -> list[Record]:
+    """Write what the journal does not name yet; the records of all, in order."""
+    known = _journalled(job.folder / JOURNAL, plan)
+    records: list[Record] = []
+    with Journal(job.folder / JOURNAL) as journal:
+        for done, (planned, trip) in enumerate(_matched(job.source, plan, known)):
+            progress("episodes", done, len(plan.trips))
+            record = known.get(planned.place.number)
+            if record is None:
+                if trip is None:
+                    raise DataError(
+                        f"episode {planned.id!r} is no longer there",
+                        where=job.source.name,
+                        remedy="export to another folder",
+                    )
+                record = exporter.write(trip, planned.place, job)
+                journal.append({"id": planned.id, "number": planned.place.number, "of": record})
+            records.append(record)
+    progress("episodes", len(plan.trips), len(plan.trips))
+    return records
+
+
+def _journalled(path: Path, plan: Plan) -> dict[int, Record]:
+    known: dict[int, Any] = {}
+    for line in Journal(path).read():
+        number = line["number"]
+        if number >= len(plan.trips) or plan.trips[number].id != line["id"]:
+            raise StorageError(
+                "the journal names an episode that this export does not have",
+                where=path,
+                remedy="delete the folder and export again",
+            )
+        known[number] = line["of"]
+    return known
+
+
+def _matched(
+    source: ExportSource, plan: Plan, known: dict[int, Record]
+) -> Iterator[tuple[Planned, Trip | None]]:
+    """The planned trips in order with their values, those already written without."""
+    splits = [trip.split for trip in plan.trips]
+    for split in dict.fromkeys(splits):
+        wanted = {t.id: t for t in plan.trips if t.split == split}
+        missing = {t.id for t in wanted.values() if t.place.number not in known}
+        trips: Iterator[Trip] = iter(source.trips()) if missing else iter(())
+        found = (t for t in trips if t.episode.id in missing and t.episode.split == split)
+        for planned in wanted.values():
+            yield planned, next(found, None) if planned.id in missing else None

@@ -1,0 +1,314 @@
+"""VLN-CE: `{split}/{split}.json.gz` with its ground truth, in the style of R2R or of RxR.
+
+Positions are in Habitat's y-up frame with the floor at 0. R2R style has the tokens of every
+instruction, padded to 200, and one vocabulary for all splits; RxR style has languages and
+annotators. Missions of one path share a `trajectory_id`. Ground truth: every place a FORWARD led
+to (turns repeat none), and the actions with the STOP at the end. The loader refuses keys it does
+not know, so our ids are kept beside the files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from gn0.errors import FormatError
+from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.faults import Faults, load_typed
+from gn0.export.names import load_names, name_of, save_names
+from gn0.export.schema import Shape, describe_shape, shape_differences
+from gn0.export.trips import FORWARD, LEFT, RIGHT, Recovered, Trip
+from gn0.geometry import F64
+from gn0.missions.episode import Episode
+from gn0.missions.frames import habitat_rotation, habitat_to_world, world_to_habitat
+from gn0.missions.sets.episode_set import EpisodeSet, Task
+from gn0.missions.sets.json_file import load_exact, save_exact
+from gn0.missions.sets.vlnce import TOKENS, ExporterVlnce, VlnceFile
+from gn0.sim.kinematics import heading_yaw
+from gn0.storage import safe_join, write_bytes
+
+ABOUT = "gn0_vlnce.json"
+MAPS = ("word2idx_dict", "stoi", "truth")
+_PLACE: Shape = ["float"]
+_RECORD: Shape = {
+    "episode_id": "int",
+    "trajectory_id": "int",
+    "scene_id": "str",
+    "start_position": _PLACE,
+    "start_rotation": ["float|int"],
+    "info": {"geodesic_distance": "float"},
+    "goals": [{"position": _PLACE, "radius": "float"}],
+    "instruction": {"instruction_text": "str", "instruction_tokens": ["int"]},
+    "reference_path": [_PLACE],
+}
+R2R_SHAPE: Shape = {
+    "episodes": [_RECORD],
+    "instruction_vocab": {
+        "word_list": ["str"],
+        "word2idx_dict": {"*": "int"},
+        "stoi": {"*": "int"},
+        "itos": ["str"],
+        "num_vocab": "int",
+        "UNK_INDEX": "int",
+        "PAD_INDEX": "int",
+    },
+}
+RXR_SHAPE: Shape = {
+    "episodes": [
+        {
+            **_RECORD,
+            "instruction": {
+                "instruction_id": "str",
+                "instruction_text": "str",
+                "language": "str",
+                "annotator_id": "str",
+                "edit_distance": "float",
+                "timed_instruction": [None],
+            },
+        }
+    ]
+}
+TRUTH_SHAPE: Shape = {"*": {"locations": [_PLACE], "forward_steps": "int", "actions": ["int"]}}
+LANGUAGE, ANNOTATOR = "en-US", "gn0"
+
+
+class About(msgspec.Struct):
+    """What the files have no place for: turn of an action [degrees], styles, splits."""
+
+    turn_degrees: float
+    splits: list[str]
+    role: str = ""
+
+
+def remember(trip: Trip) -> Record:
+    """What a record keeps of a trip for VLN-CE files."""
+    kept = np.r_[True, trip.moves == FORWARD]
+    return {
+        "episode": msgspec.to_builtins(trip.episode),
+        "locations": trip.poses[kept, :2].tolist(),
+        "actions": trip.actions,
+        "gn0": name_of(trip),
+    }
+
+
+class ExporterVlnceR2R:
+    """VLN-CE in the style of R2R; see the module."""
+
+    name = "vlnce-r2r"
+    title = "VLN-CE episodes and ground truth, R2R style"
+    reader = (
+        "VLN-CE and its descendants: dataset type VLN-CE-v1, `DATA_PATH` {split}/{split}.json.gz"
+    )
+    frame = "Habitat: x right, y up, z back [m], floor at y = 0; rotations (x, y, z, w)"
+    pictures = False
+    dagger = False
+    role = ""
+
+    def why_not(self, trip: Trip, settings: ExportSettings) -> str:
+        """Ground truth ends with STOP."""
+        return "" if trip.stopped else "it did not end with STOP"
+
+    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
+        """The trip's own."""
+        return trip.poses
+
+    def write(self, trip: Trip, place: Place, job: Job) -> Record:
+        """Nothing yet: the files hold all episodes of a split."""
+        return remember(trip)
+
+    def finish(self, records: Sequence[Record], job: Job) -> None:
+        """All files."""
+        write_splits(records, job, job.folder, self.role)
+        save_names(job.folder, records)
+
+    def check(self, folder: Path) -> list[str]:
+        """Shape, tokens, vocabulary and ground truth, as the loader and its metrics use them."""
+        faults = Faults()
+        check_splits(folder, faults)
+        return faults.told()
+
+    def load(self, folder: Path) -> list[Recovered]:
+        """Read it back, poses from the ground truth."""
+        about = load_typed(folder / ABOUT, About)
+        found: list[tuple[int, Recovered]] = []
+        for split in about.splits:
+            episodes = _load_split(folder, split, about.role)
+            for number, task in enumerate(episodes.tasks):
+                found.append((int(task.id), _recover(episodes, number, about, folder)))
+        found.sort(key=lambda pair: pair[0])
+        names = load_names(folder, len(found))
+        return [recovered.named(name.id) for name, (_, recovered) in zip(names, found, strict=True)]
+
+
+class ExporterVlnceRxR(ExporterVlnceR2R):
+    """VLN-CE in the style of RxR; see the module."""
+
+    name = "vlnce-rxr"
+    title = "VLN-CE episodes and ground truth, RxR style"
+    reader = (
+        "VLN-CE: dataset type RxR-VLN-CE-v1, `DATA_PATH` {split}/{split}_{role}.json.gz, role "
+        "guide, language en-US"
+    )
+    role = "guide"
+
+
+def instruction_tokens(episodes: Sequence[Mapping[str, Any]]) -> list[list[int]]:
+    """Tokens of each episode's instruction, by the vocabulary of all of them, padded to 200."""
+    built = _build([msgspec.convert(e, Episode) for e in episodes])
+    return [r["instruction"]["instruction_tokens"] for r in built.native.document["episodes"]]
+
+
+def _build(episodes: Sequence[Episode]) -> EpisodeSet:
+    return ExporterVlnce().build(episodes, {}, "gn0")
+
+
+def write_splits(records: Sequence[Record], job: Job, folder: Path, role: str = "") -> None:
+    """Write the files of every split, and what they have no place for.
+
+    Raises:
+        StorageError: a file cannot be written.
+    """
+    episodes = [msgspec.convert(record["episode"], Episode) for record in records]
+    built = _build(episodes)
+    document, truth = built.native.document, {}
+    paths: dict[tuple[str, str], int] = {}
+    for number, (entry, episode, record) in enumerate(
+        zip(document["episodes"], episodes, records, strict=True), 1
+    ):
+        way = (episode.scene_id, episode.path_id or f"\0{episode.id}")
+        entry["trajectory_id"] = paths.setdefault(way, len(paths) + 1)
+        _, sine, _, cosine = habitat_rotation(episode.start[2])
+        entry["start_rotation"] = [0, sine, 0, cosine]  # as the real files have it
+        if role:
+            entry["instruction"] = {
+                "instruction_id": str(number),
+                "instruction_text": episode.instruction,
+                "language": LANGUAGE,
+                "annotator_id": ANNOTATOR,
+                "edit_distance": 0.0,
+                "timed_instruction": [],
+            }
+        flat = np.array(record["locations"], np.float64).reshape(-1, 2)
+        lifted = world_to_habitat(np.column_stack([flat, np.zeros(len(flat))])) + 0.0
+        truth[str(number)] = {
+            "locations": lifted.tolist(),
+            "forward_steps": record["actions"].count(FORWARD),
+            "actions": record["actions"],
+        }
+    if role:
+        del document["instruction_vocab"]
+    splits = list(dict.fromkeys(episode.split for episode in episodes))
+    for split in splits:
+        rows = [n for n, episode in enumerate(episodes) if episode.split == split]
+        part: VlnceFile = ExporterVlnce().take(VlnceFile(document, truth), rows)
+        path = split_path(folder, split, role)
+        save_exact(path, part.document)
+        save_exact(path.with_name(path.name.replace(".json.gz", "_gt.json.gz")), part.truth)
+    about = About(episodes[0].agent.turn_degrees, splits, role)
+    write_bytes(folder / ABOUT, msgspec.json.encode(about) + b"\n")
+
+
+def split_path(folder: Path, split: str, role: str = "") -> Path:
+    """The file of a split."""
+    return safe_join(folder, f"{split}/{split}{f'_{role}' if role else ''}.json.gz")
+
+
+def _load_split(folder: Path, split: str, role: str) -> EpisodeSet:
+    return ExporterVlnce().load(split_path(folder, split, role))
+
+
+def check_splits(folder: Path, faults: Faults) -> None:
+    """Note what is wrong with the files of all splits."""
+    with faults.guard():
+        about = load_typed(folder / ABOUT, About)
+        faults.expect(bool(about.splits), f"{folder / ABOUT}: no splits")
+        vocabularies = set()
+        for split in about.splits:
+            with faults.guard():
+                vocabularies.add(_check_split(split_path(folder, split, about.role), about, faults))
+        faults.expect(len(vocabularies) <= 1, f"{folder}: splits with different vocabularies")
+
+
+def _check_split(path: Path, about: About, faults: Faults) -> str:
+    ExporterVlnce().load(path)
+    document = load_exact(path)
+    wanted = RXR_SHAPE if about.role else R2R_SHAPE
+    for wrong in shape_differences(describe_shape(document, MAPS), wanted):
+        faults.add(f"{path}: {wrong.lstrip('.')}")
+    truth_file = path.with_name(path.name.replace(".json.gz", "_gt.json.gz"))
+    truth = load_exact(truth_file)
+    for wrong in shape_differences(describe_shape({"truth": truth}, MAPS)["truth"], TRUTH_SHAPE):
+        faults.add(f"{truth_file}: {wrong.lstrip('.')}")
+    if faults.found:
+        return ""
+    words: dict[str, Any] = document.get("instruction_vocab", {"word_list": []})
+    size = len(words["word_list"])
+    if not about.role:
+        index = {word: number for number, word in enumerate(words["word_list"])}
+        faults.expect(
+            words["itos"] == words["word_list"] and words["num_vocab"] == size
+            and words["stoi"] == words["word2idx_dict"] == index
+            and 0 <= words["PAD_INDEX"] < size and 0 <= words["UNK_INDEX"] < size,
+            f"{path}: the lists of instruction_vocab do not agree",
+        )  # fmt: skip
+    for entry in document["episodes"]:
+        _check_entry(path, entry, truth, size, about, faults)
+    return "\n".join(words["word_list"])
+
+
+def _check_entry(
+    path: Path, entry: Any, truth: Any, words: int, about: About, faults: Faults
+) -> None:
+    where = f"{path}, episode {entry['episode_id']}"
+    if not about.role:
+        tokens = entry["instruction"]["instruction_tokens"]
+        text = [token for token in tokens if token]
+        faults.expect(
+            len(tokens) == TOKENS and text == tokens[: len(text)] and bool(text)
+            and all(0 < token < words for token in text),
+            f"{where}: instruction_tokens are not words and then zeros, {TOKENS} in all",
+        )  # fmt: skip
+    gt = truth.get(str(entry["episode_id"]))
+    if not faults.expect(gt is not None, f"{where}: no ground truth"):
+        return
+    actions, places = gt["actions"], gt["locations"]
+    faults.expect(
+        actions[-1:] == [0] and all(a in (1, 2, 3) for a in actions[:-1]),
+        f"{where}: ground-truth actions are not 1, 2, 3 with a STOP at the end",
+    )
+    faults.expect(
+        gt["forward_steps"] == actions.count(FORWARD) == len(places) - 1,
+        f"{where}: {len(places)} locations for {actions.count(FORWARD)} forward actions",
+    )
+    faults.expect(
+        bool(places) and np.allclose(places[0], entry["start_position"], rtol=0, atol=1e-6),
+        f"{where}: the ground truth does not begin at the start",
+    )
+
+
+def _recover(episodes: EpisodeSet, number: int, about: About, folder: Path) -> Recovered:
+    task: Task = episodes.tasks[number]
+    truth = (episodes.native.truth or {}).get(task.id)
+    if truth is None or task.goal is None:
+        raise FormatError(f"episode {task.id} has no ground truth or no goal", file=folder)
+    moves = [int(a) for a in truth["actions"] if a != 0]
+    places = habitat_to_world(truth["locations"])[:, :2]
+    ahead = np.r_[0, np.cumsum([move == FORWARD for move in moves], dtype=np.int64)]
+    turns = np.r_[0, np.cumsum([{LEFT: 1, RIGHT: -1}.get(m, 0) for m in moves], dtype=np.int64)]
+    if len(places) != ahead[-1] + 1:
+        raise FormatError(f"episode {task.id}: locations do not fit its actions", file=folder)
+    yaws = [heading_yaw(task.start[2], int(t), about.turn_degrees) for t in turns]
+    return Recovered(
+        id=task.id,
+        scene=task.scene,
+        instruction=task.instruction,
+        moves=tuple(moves),
+        poses=np.column_stack([places[ahead], yaws]),
+        start=np.array([task.start]),
+        goal=np.array([[*task.goal, 0.0]]),
+        path=np.array([[x, y, 0.0] for x, y in task.path]).reshape(-1, 3),
+    )

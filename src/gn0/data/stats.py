@@ -214,11 +214,10 @@ def spread_of(values: Sequence[float], bins: int = 24, *, whole: bool = False) -
         )  # fmt: skip
     top = float(v.max())
     if whole:
-        width = max(1, math.ceil((top + 1) / bins))
-        edges = np.arange(0, top + width + 1, width, dtype=np.float64)
+        width = float(max(1, math.ceil((top + 1) / bins)))
     else:
         width = _round_width((top or 1.0) / bins)
-        edges = np.arange(math.floor(top / width) + 2) * width
+    edges = width * np.arange(math.floor(top / width) + 2)
     counts, _ = np.histogram(v, edges)
     low, median, high = (float(q) for q in np.quantile(v, (0.05, 0.5, 0.95)))
     return Spread(

@@ -149,7 +149,7 @@ def draw_histogram(title: str, spread: Spread, unit: str, *, whole: bool = False
     return Chart(title, tuple(bars), marks, words)
 
 
-def draw_coverage(coverage: Coverage, side: int = 260) -> bytes:
+def draw_coverage(coverage: Coverage, side: int = 420) -> bytes:
     """Where samples lie, as PNG: ground pale, the more samples the darker; north (+y) up."""
     ground = coverage.ground[..., None]
     paper, floor = np.array((0.96, 0.955, 0.94)), np.array((0.86, 0.87, 0.89))

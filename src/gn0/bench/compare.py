@@ -20,8 +20,8 @@ from scipy import special
 
 from gn0.bench.intervals import LEVEL, bootstrap_means
 from gn0.bench.metrics import METRICS, MetricInfo
-from gn0.bench.results import RunSummary, load_results, load_summary
-from gn0.errors import BenchError
+from gn0.bench.pairing import Pair, pair_episodes, pair_paths
+from gn0.bench.results import load_results, load_summary
 from gn0.geometry import F64
 from gn0.seeds import random_stream
 
@@ -41,7 +41,7 @@ class Comparison:
         difference: a − b.
         low, high: its 95 % interval.
         verdict: see the module.
-        episodes: how many pairs.
+        episodes: how many pairs, of episodes or of paths.
         chance: how often equal policies would differ as much (sign-flip test, two-sided).
         wins: pairs in which A has the higher value.
         losses: pairs in which B has it.
@@ -85,27 +85,38 @@ def compare_runs(
         BenchError: different suites, or no episode scored by both.
         StorageError, FormatError: a run is missing or damaged.
     """
-    first, second = load_summary(a), load_summary(b)
-    same_task = first.task_hash and first.task_hash == second.task_hash
-    if first.suite_hash != second.suite_hash and not same_task:
-        raise BenchError(
-            f"ran suite {second.suite!r} ({second.suite_hash}), {a} ran {first.suite!r} "
-            f"({first.suite_hash}); they differ in {_differing(first, second)}",
-            where=b,
-            remedy="compare runs of one suite; they may differ in map mode, in nothing else",
-        )
-    scored_a = {r.episode: r for r in load_results(a) if r.metrics is not None}
-    scored_b = {r.episode: r for r in load_results(b) if r.metrics is not None}
-    shared = sorted(scored_a.keys() & scored_b.keys())
-    if not shared:
-        raise BenchError("no episode was scored by both runs", where=b, remedy="run them again")
-    names = [scored_a[name].scene for name in shared]
+    return compare_pairs(pair_episodes(a, b), seed=seed, unit=unit)
+
+
+def compare_paths(
+    a: Path | str,
+    b: Path | str,
+    *,
+    mission_a: str = "",
+    mission_b: str = "",
+    seed: int = 0,
+    unit: Unit = "auto",
+) -> list[Comparison]:
+    """Compare two runs, or two missions of one run, on the paths that both scored.
+
+    So goal missions stand against instructions under matched geometry; see `pair_paths`.
+
+    Raises:
+        BenchError: nothing to pair, or runs that measure differently.
+        StorageError, FormatError: a run is missing or damaged.
+    """
+    return compare_pairs(pair_paths(a, b, mission_a, mission_b), seed=seed, unit=unit)
+
+
+def compare_pairs(pairs: Sequence[Pair], *, seed: int = 0, unit: Unit = "auto") -> list[Comparison]:
+    """Compare what was scored pair by pair, metric by metric; see `compare_runs`."""
+    names = [pair.scene for pair in pairs]
     whole = unit == "scene" or (unit == "auto" and len(set(names)) >= FEW_SCENES)
     scenes = names if whole and len(set(names)) >= 2 else None
     rows = []
     for info in METRICS:
-        x = np.array([float(getattr(scored_a[n].metrics, info.field)) for n in shared])
-        y = np.array([float(getattr(scored_b[n].metrics, info.field)) for n in shared])
+        means = np.array([pair.means(info.field) for pair in pairs])
+        x, y = means[:, 0], means[:, 1]
         low, high = paired_interval(x - y, scenes, seed=seed, name=info.key)
         chance = sign_flip_chance(x - y, scenes, seed=seed, name=info.key)
         rows.append(
@@ -117,7 +128,7 @@ def compare_runs(
                 low=low,
                 high=high,
                 verdict=judge_difference(info, low, high, chance),
-                episodes=len(shared),
+                episodes=len(pairs),
                 chance=chance,
                 wins=int((x > y).sum()),
                 losses=int((x < y).sum()),
@@ -187,14 +198,6 @@ def name_pairing(a: Path | str, b: Path | str) -> str:
         f"{len(scored_a & scored_b)} episodes were scored by both; left out: "
         f"{len(scored_a - scored_b)} that only A scored, {len(scored_b - scored_a)} that only B did"
     )
-
-
-def _differing(first: RunSummary, second: RunSummary) -> str:
-    """Rows of two protocol cards that differ, by name; the task, not the policy."""
-    of_policy = {"suite", "policy", "the policy sees", "code"}
-    a, b = dict(first.protocol), dict(second.protocol)
-    names = [k for k in {**a, **b} if k not in of_policy and a.get(k) != b.get(k)]
-    return ", ".join(names) or "scenes or episodes"
 
 
 def name_difference(a: Path | str, b: Path | str) -> str:

@@ -44,6 +44,8 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         reason: why it is invalid or failed.
         release: the official harness's score; under profile gn0-release only.
         notes: what the policy says was odd, counted; absent when nothing was.
+        path: id of the path that the episode was made of, where it has one and was scored.
+        mission: its mission where it has a path: "goal", "instruction/detailed", …
     """
 
     episode: str
@@ -54,6 +56,8 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     reason: str = ""
     release: ReleaseScore | None = None
     notes: dict[str, int] | msgspec.UnsetType = msgspec.UNSET
+    path: str | msgspec.UnsetType = msgspec.UNSET
+    mission: str | msgspec.UnsetType = msgspec.UNSET
 
     def __str__(self) -> str:
         return f"{self.episode}: {self.status}: {self.reason}" if self.reason else self.episode

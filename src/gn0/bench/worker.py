@@ -29,6 +29,7 @@ from gn0.errors import ConfigError, EpisodeError, Gn0Error, PlanError
 from gn0.jobs.child import open_channel
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.release import ReleaseNavigation
+from gn0.missions.episode import mission_name
 from gn0.plugins import get_plugin
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged
@@ -194,6 +195,8 @@ def score(
         status="valid",
         stopped=trajectory.stopped,
         metrics=metrics,
+        path=episode.path_id or msgspec.UNSET,
+        mission=mission_name(episode.mission) if episode.path_id else msgspec.UNSET,
     )
     return result, EpisodeTrace.of(episode.id, trajectory)
 

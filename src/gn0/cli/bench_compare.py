@@ -1,4 +1,9 @@
-"""Is run A better than run B, worse, or can nobody tell? Paired bootstrap over their episodes."""
+"""Compare two runs of a suite: is A better than B, worse, or can nobody tell?
+
+Runs of suites that `gn0 missions generate` wrote can be paired by path as well: missions of one
+path have the same start, goal and way, so goal and instruction missions can be held against each
+other, in two runs or in one.
+"""
 
 from __future__ import annotations
 
@@ -8,34 +13,62 @@ import tyro
 
 from gn0.config import Config
 
-EXAMPLES = """  gn0 bench compare out/walls out/random
-  gn0 bench compare out/walls out/random --unit episode"""
+EXAMPLES = """  gn0 bench compare out/oracle out/random
+  gn0 bench compare out/walls out/random --unit episode
+  gn0 bench compare out/run --paired-by path --mission-a goal --mission-b instruction"""
 
 
 class Args(Config, frozen=True):
-    """Two runs of the same suite.
+    """Two runs of the same suite, or of the same paths.
 
     Attributes:
         a: first run folder.
-        b: second run folder.
+        b: second run folder; the first once more, when two of its missions are compared.
         unit: what is resampled: scenes, episodes, or scenes where there are at least six.
+        paired_by: the same episode, or the same path.
+        mission_a: with --paired-by path, only these episodes of A: goal, instruction,
+            instruction/detailed or instruction/benchmark.
+        mission_b: the same of B.
     """
 
     a: Annotated[str, tyro.conf.Positional]
-    b: Annotated[str, tyro.conf.Positional]
+    b: Annotated[str, tyro.conf.Positional] = ""
     unit: Literal["auto", "scene", "episode"] = "auto"
+    paired_by: Literal["episode", "path"] = "episode"
+    mission_a: str = ""
+    mission_b: str = ""
 
 
 def run(args: Args) -> int:
     """Print a line a metric."""
-    from gn0.bench.compare import compare_runs, name_difference, name_pairing
+    from gn0.bench.compare import compare_paths, compare_runs, name_difference, name_pairing
+    from gn0.bench.pairing import tell_paths
+    from gn0.errors import ConfigError
 
-    rows = compare_runs(args.a, args.b, unit=args.unit)
-    for note in (name_difference(args.a, args.b), name_pairing(args.a, args.b)):
+    b = args.b or args.a
+    missions = (args.mission_a, args.mission_b)
+    if args.paired_by == "path":
+        rows = compare_paths(
+            args.a, b, mission_a=args.mission_a, mission_b=args.mission_b, unit=args.unit
+        )
+        notes = tell_paths(args.a, b, *missions)
+        for side, mission, folder in (("A", args.mission_a, args.a), ("B", args.mission_b, b)):
+            print(f"{side}: {folder}" + (f", {mission} missions" if mission else ""))
+        pairs = "paths"
+    else:
+        if any(missions) or not args.b:
+            raise ConfigError(
+                "one run, or missions, without --paired-by path",
+                remedy="give two runs, or add --paired-by path",
+            )
+        rows = compare_runs(args.a, b, unit=args.unit)
+        notes = [name_difference(args.a, b), name_pairing(args.a, b)]
+        pairs = "episodes"
+    for note in notes:
         if note:
             print(f"note: {note}")
-    about = "scenes like these" if rows[0].unit == "scene" else "these scenes, other episodes"
-    print(f"{rows[0].episodes} pairs of episodes; n : m counts the pairs that A and B lead;")
+    about = "scenes like these" if rows[0].unit == "scene" else f"these scenes, other {pairs}"
+    print(f"{rows[0].episodes} pairs of {pairs}; n : m counts the pairs that A and B lead;")
     print(f"intervals of 95 %; a verdict holds for {about}")
     for row in rows:
         print(row)

@@ -88,6 +88,13 @@ class MissionFollow(msgspec.Struct, frozen=True, kw_only=True, tag="follow"):
 Mission = MissionGoal | MissionInstruction | MissionFollow
 
 
+def mission_name(mission: Mission) -> str:
+    """A mission's kind, with the style of a route instruction: "goal", "instruction/detailed"."""
+    kind = str(mission.__struct_config__.tag)
+    style = mission.style if isinstance(mission, MissionInstruction) else ""
+    return f"{kind}/{style}" if style else kind
+
+
 class AgentSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An embodiment: what collides, where the eye is, how far an action goes.
 

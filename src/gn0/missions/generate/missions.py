@@ -13,6 +13,7 @@ from gn0.missions.episode import (
     MissionGoal,
     MissionInstruction,
     check_episode,
+    mission_name,
 )
 from gn0.missions.generate.goals import PLACE_TEXT
 from gn0.missions.generate.pictures import GoalPhotographer
@@ -131,13 +132,6 @@ def count_missions(episodes: Sequence[Episode]) -> dict[str, int]:
     """How many episodes of each mission, instructions by style."""
     counts = Counter(mission_name(episode.mission) for episode in episodes)
     return dict(sorted(counts.items()))
-
-
-def mission_name(mission: Mission) -> str:
-    """A mission's kind, with the style of a route instruction: "goal", "instruction/detailed"."""
-    kind = str(mission.__struct_config__.tag)
-    style = mission.style if isinstance(mission, MissionInstruction) else ""
-    return f"{kind}/{style}" if style else kind
 
 
 def place_text(record: PathRecord) -> PathText:

@@ -28,7 +28,15 @@ from gn0.data.dataset import (
     load_dataset_file,
     open_dataset,
 )
-from gn0.data.folder import LOCK, lock_folder, read_done, run_parts, sweep, write_journal
+from gn0.data.folder import (
+    LOCK,
+    lock_folder,
+    parts_journal,
+    read_done,
+    run_parts,
+    sweep,
+    write_journal,
+)
 from gn0.data.part import PartDone, PartPlan, check_plan, file_digest
 from gn0.data.render import finish_cache
 from gn0.data.samples import SAMPLE_LAYOUT
@@ -82,7 +90,7 @@ def build_dataset(
         found = _check_target(out, about)
         sweep(out)
         if found is not None and found.complete:
-            _write_parts_journal(out, found)
+            write_journal(out / JOURNAL, parts_journal(found))
             return open_dataset(out)
         if found is None:
             found = _lay_out(out, suite, about, progress)
@@ -237,9 +245,4 @@ def _finish(out: Path, about: DatasetFile, parts: list[PartDone]) -> None:
     if pictures.layout != "none" and not check_cache_free(out, pictures):
         finish_cache(Dataset(out, whole), pictures, parts)
     write_json(out / DATASET_FILE, msgspec.to_builtins(whole))
-    _write_parts_journal(out, whole)
-
-
-def _write_parts_journal(out: Path, about: DatasetFile) -> None:
-    """The journal of a whole dataset: its parts, in order, whatever the order they were made in."""
-    write_journal(out / JOURNAL, [{"part": msgspec.to_builtins(part)} for part in about.parts])
+    write_journal(out / JOURNAL, parts_journal(whole))

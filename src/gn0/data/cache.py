@@ -121,8 +121,8 @@ def cache_folder(folder: Path, layout: str) -> Path:
     return folder / PICTURE_FOLDER / layout
 
 
-def record_file(folder: Path, path: str, data: bytes) -> FileRecord:
-    """Size and digest of a file's bytes; `path` is relative to the cache `folder`."""
+def record_file(path: str, data: bytes) -> FileRecord:
+    """Size and digest of a file's bytes; `path` is relative to the cache."""
     digest = hashlib.blake2b(data, digest_size=16).hexdigest()
     return FileRecord(path=path, size=len(data), digest=digest)
 
@@ -157,7 +157,7 @@ def write_once(folder: Path, path: str, make: Callable[[], bytes]) -> FileRecord
     """Write a file that is named by its content, unless it is there already."""
     target = safe_join(folder, path)
     data = make()
-    record = record_file(folder, path, data)
+    record = record_file(path, data)
     if not (target.is_file() and target.stat().st_size == len(data)
             and target.read_bytes() == data):  # fmt: skip
         write_atomic(target, lambda stream: (stream.write(data), None)[1])

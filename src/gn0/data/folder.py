@@ -10,6 +10,7 @@ from typing import IO, Any
 
 import msgspec
 
+from gn0.data.dataset import DatasetFile
 from gn0.data.part import PartDone, PartPlan
 from gn0.errors import DataError
 from gn0.jobs import ExecutorName, run_jobs
@@ -63,15 +64,19 @@ def sweep(folder: Path) -> None:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-def write_journal(path: Path, records: Sequence[Any]) -> None:
-    """Replace a journal by these records, unless it holds exactly them.
+def write_journal(path: Path, data: bytes) -> None:
+    """Replace a journal by these lines, unless it holds exactly them.
 
     Raises:
         StorageError: it cannot be written.
     """
-    data = b"".join(map(journal_line, records))
     if not (path.is_file() and read_bytes(path) == data):
         write_bytes(path, data)
+
+
+def parts_journal(about: DatasetFile) -> bytes:
+    """The journal of a whole dataset: its parts in order, whatever order they were made in."""
+    return b"".join(journal_line({"part": msgspec.to_builtins(part)}) for part in about.parts)
 
 
 def run_parts(

@@ -12,16 +12,24 @@ from gn0.data.cache import (
     cache_folder,
     check_cache_free,
     load_manifest,
+    record_file,
     save_manifest,
 )
 from gn0.data.dataset import DATASET_FILE, JOURNAL, Dataset, open_dataset
-from gn0.data.folder import lock_folder, read_done, run_parts, sweep, write_journal
+from gn0.data.folder import (
+    lock_folder,
+    parts_journal,
+    read_done,
+    run_parts,
+    sweep,
+    write_journal,
+)
 from gn0.data.part import PartDone, PartPlan
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
 from gn0.jobs import ExecutorName
 from gn0.progress import Progress, no_progress
-from gn0.storage import Journal, safe_join, write_json
+from gn0.storage import Journal, journal_line, safe_join, write_json
 
 
 def render_dataset(
@@ -79,9 +87,7 @@ def render_dataset(
             dataset = Dataset(out, about)
         manifest = finish_cache(dataset, wanted, made)
         write_json(out / DATASET_FILE, msgspec.to_builtins(dataset.about))
-        write_journal(
-            out / JOURNAL, [{"part": msgspec.to_builtins(p)} for p in dataset.about.parts]
-        )
+        write_journal(out / JOURNAL, parts_journal(dataset.about))
     return manifest
 
 
@@ -143,11 +149,11 @@ def finish_cache(
         from gn0.data.cache_lerobot import write_tables
 
         files += write_tables(dataset, {made.part.name: made.notes for made in parts}, settings)
-    journal = cache_folder(dataset.folder, settings.layout) / JOURNAL
-    write_journal(
-        journal,
-        [{"settings": msgspec.to_builtins(settings)}, *(msgspec.to_builtins(m) for m in parts)],
-    )
+    folder = cache_folder(dataset.folder, settings.layout)
+    lines = [{"settings": msgspec.to_builtins(settings)}, *map(msgspec.to_builtins, parts)]
+    journal = b"".join(map(journal_line, lines))
+    write_journal(folder / JOURNAL, journal)
+    files.append(record_file(JOURNAL, journal))
     return save_manifest(dataset.folder, settings, iter(files))
 
 

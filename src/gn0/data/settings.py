@@ -9,6 +9,7 @@ import msgspec
 from gn0.config import Config
 from gn0.data.codec import AnyFrame, EgoFrame
 from gn0.data.labels import LabelSettings
+from gn0.errors import ConfigError
 from gn0.maps.grid import OccupancyGrid
 from gn0.sim.sensors import MapFrame
 
@@ -39,6 +40,14 @@ class PictureSettings(Config, frozen=True):
     maps: Literal["once", "every"] = "once"
     crf: Annotated[int, msgspec.Meta(ge=0, le=63)] = 30
     visible_sets: bool = False
+
+    def __post_init__(self) -> None:
+        if self.layout == "lerobot" and self.maps == "every":
+            raise ConfigError(
+                "a LeRobot feature has one size, and maps have that of their scene",
+                where="--maps every",
+                remedy="keep maps once, or use layout webdataset",
+            )
 
 
 class TokenSettings(Config, frozen=True):

@@ -1,0 +1,102 @@
+"""Build a dataset: walk the episodes of a suite with the expert, label and draw every step.
+
+The dataset is poses, labels and hashes; pictures are a cache beside them that `gn0 data render`
+makes again, bit for bit. The same episodes give the same bytes for any number of workers, and a
+build that was stopped goes on when the same command is given again.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 data build out/suite --out out/data
+  gn0 data build out/suite --workers 2 --layout lerobot --out out/data
+  gn0 data build out/suite --layout none --out out/labels
+  gn0 data build out/suite --labels mpc --tokens ego --out out/ego
+  gn0 data build out/suite --executor ray --ray-address auto --workers 16 --out out/data"""
+
+
+class Args(Config, frozen=True):
+    """Episodes in, a dataset out.
+
+    Attributes:
+        episodes: a suite folder, as `gn0 missions generate` and `gn0 bench suite` write.
+        out: the dataset folder; an interrupted build there goes on.
+        layout: how pictures are kept: tar shards (webdataset), Parquet and MP4 (lerobot), or not
+            at all (none): poses and labels only, drawn later by `gn0 data render`.
+        format: of single pictures: jpg, or png for the very pixels.
+        quality: of jpg.
+        maps: BEV and occupancy picture once a scene and light, or in every sample.
+        visible_sets: draw from the splats that show near each place: quicker, and nearly the same
+            pictures; part of the dataset's identity.
+        labels: next actions by the exact planner (exact), the paper's tracking objective (mpc), or
+            as the official release labels (gn0-release).
+        tokens: what map tokens count over: the whole map, or a square around the agent.
+        chunk: episodes a part, which is what a worker does at a time and what a shard holds.
+        workers: processes; never changes a byte.
+        executor: where the workers live: on this machine, or on a Ray cluster.
+        ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
+    """
+
+    episodes: Annotated[str, tyro.conf.Positional]
+    out: str
+    layout: Literal["webdataset", "lerobot", "none"] = "webdataset"
+    format: Literal["jpg", "png"] = "jpg"
+    quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 90
+    maps: Literal["once", "every"] = "once"
+    visible_sets: bool = False
+    labels: Literal["exact", "mpc", "gn0-release"] = "exact"
+    tokens: Literal["global", "ego"] = "global"
+    chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
+    workers: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
+    executor: Literal["process", "ray"] = "process"
+    ray_address: str = ""
+
+
+def run(args: Args) -> int:
+    """Build, and say what came out."""
+    from gn0.cli.console import draw_progress
+    from gn0.data.build import build_dataset
+    from gn0.data.labels import LabelSettings
+    from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
+
+    settings = BuildSettings(
+        tokens=TokenSettings(frame=args.tokens),
+        labels=LabelSettings(variant=args.labels),
+        chunk=args.chunk,
+        pictures=PictureSettings(
+            layout=args.layout,
+            format=args.format,
+            quality=args.quality,
+            maps=args.maps,
+            visible_sets=args.visible_sets,
+        ),
+    )
+    with draw_progress() as progress:
+        dataset = build_dataset(
+            args.episodes,
+            args.out,
+            settings,
+            workers=args.workers,
+            executor=args.executor,
+            ray_address=args.ray_address,
+            progress=progress,
+        )
+    about = dataset.about
+    skipped = [own for part in about.parts for own in part.skipped]
+    episodes = len(dataset.sampled)
+    print(
+        f"{about.rows} samples of {episodes} episodes in {len(about.scenes)} scenes, "
+        f"written to {args.out}"
+    )
+    for own in skipped[:5]:
+        print(f"skipped {own.id}: {own.reason}")
+    if skipped:
+        print(f"{len(skipped)} of {episodes + len(skipped)} episodes skipped; all in dataset.json")
+    print(f"look at it: gn0 data show {args.out} --out {args.out.rstrip('/')}.png")
+    return 0

@@ -1,0 +1,131 @@
+"""A sample sheet: a few steps of an episode as a person can judge them, labels drawn in."""
+
+from __future__ import annotations
+
+import textwrap
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from gn0.data.dataset import Dataset
+from gn0.data.samples import EpisodeRows
+from gn0.errors import DataError
+from gn0.geometry import F64, U8
+from gn0.sim.sensors import MapFrame
+
+HEIGHT = 240  # px of every picture
+GAP, HEAD, FOOT = 8, 62, 42
+WORDS = ("STOP", "FWD", "LEFT", "RIGHT")
+INK, PAPER, SOFT = (20, 22, 26), (255, 255, 255), (100, 104, 112)
+WAY, AGENT, ENDED = (0, 114, 178), (213, 94, 0), (160, 164, 172)
+_CROP = 5.0  # m of map shown around the agent
+
+
+def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.Image:
+    """Steps of an episode, one a line: view, history, BEV and occupancy with waypoints.
+
+    Args:
+        dataset: a dataset.
+        episode_id: by default the episode of the first samples.
+        steps: how many, evenly spread, the first and the last included.
+
+    Raises:
+        DataError: the dataset has no samples, or no such episode.
+    """
+    if not dataset.sampled:
+        raise DataError(
+            "the dataset has no samples", where=dataset.folder, remedy="see skipped in dataset.json"
+        )
+    rows = dataset.rows(episode_id or dataset.sampled[0])
+    episode = dataset.episode(rows.episode_id)
+    chosen = sorted({round(t) for t in np.linspace(0, len(rows) - 1, max(steps, 1))})
+    frame = MapFrame.of_grid(dataset.navigation(episode.scene_id).grid)
+    lines = []
+    for t, pictures in enumerate(
+        dataset.frames(rows.episode_id, ("rgb", "history", "bev", "occupancy"))
+    ):
+        if t in chosen:
+            lines.append(_draw_line(pictures, rows, t, frame))
+    width = max(line.width for line in lines)
+    sheet = Image.new("RGB", (width + 2 * GAP, HEAD + sum(line.height for line in lines)), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    light = f" · light: {episode.light.name}" if episode.light is not None else ""
+    title = f"{episode.id} · {episode.scene_id} · {episode.split}{light} · {len(rows)} steps"
+    draw.text((GAP, 8), title, SOFT, ImageFont.load_default(13))
+    words = textwrap.shorten(episode.instruction, max(40, width // 9), placeholder=" …")
+    draw.text((GAP, 30), words, INK, ImageFont.load_default(18))
+    top = HEAD
+    for line in lines:
+        sheet.paste(line, (GAP, top))
+        top += line.height
+    return sheet
+
+
+def _draw_line(pictures: dict[str, U8], rows: EpisodeRows, t: int, frame: MapFrame) -> Image.Image:
+    tiles = [_fit(Image.fromarray(pictures["rgb"])), _fit(Image.fromarray(pictures["history"]))]
+    points = _world_points(rows, t)
+    for name in ("bev", "occupancy"):
+        tiles.append(_draw_map(pictures[name], rows, t, points, frame))
+    width = sum(tile.width for tile in tiles) + GAP * (len(tiles) - 1)
+    line = Image.new("RGB", (width, HEIGHT + FOOT), PAPER)
+    x = 0
+    for tile in tiles:
+        line.paste(tile, (x, 0))
+        x += tile.width + GAP
+    draw = ImageDraw.Draw(line)
+    ahead = " ".join(WORDS[code] for code in rows.actions[t].tolist())
+    text = (
+        f"step {t} · next six: {ahead} · {int(rows.valid[t])} of 13 points · "
+        f"{float(rows.distance[t]):.2f} m to go"
+    )
+    if rows.policy_actions:
+        said = " ".join(WORDS[code] for code in rows.policy_actions[t])
+        text += f" · policy said {said}"
+    draw.text((0, HEIGHT + 6), text, INK, ImageFont.load_default(14))
+    return line
+
+
+def _fit(image: Image.Image) -> Image.Image:
+    return image.resize((round(image.width * HEIGHT / image.height), HEIGHT), Image.Resampling.BOX)
+
+
+def _world_points(rows: EpisodeRows, t: int) -> F64:
+    """The waypoints of a step [13, 2] m in the world."""
+    x, y, yaw = map(float, rows.poses[t])
+    c, s = np.cos(yaw), np.sin(yaw)
+    way = rows.waypoints[t].astype(np.float64)
+    return np.column_stack([x + c * way[:, 0] - s * way[:, 1], y + s * way[:, 0] + c * way[:, 1]])
+
+
+def _draw_map(picture: U8, rows: EpisodeRows, t: int, points: F64, frame: MapFrame) -> Image.Image:
+    """The map around the agent, enlarged, with the way ahead and where the agent looks."""
+    x, y, yaw = map(float, rows.poses[t])
+    reach = round(_CROP / frame.metres_per_pixel)
+    row, column = frame.pixel_of(x, y)
+    top, left = row - reach, column - reach
+    padded = np.full((2 * reach, 2 * reach, 3), 235, np.uint8)
+    r0, c0 = max(top, 0), max(left, 0)
+    r1, c1 = min(top + 2 * reach, frame.height), min(left + 2 * reach, frame.width)
+    padded[r0 - top : r1 - top, c0 - left : c1 - left] = picture[r0:r1, c0:c1]
+    scale = HEIGHT / (2 * reach)
+    image = Image.fromarray(padded).resize((HEIGHT, HEIGHT), Image.Resampling.NEAREST)
+    draw = ImageDraw.Draw(image)
+
+    def place(px: float, py: float) -> tuple[float, float]:
+        u = (px - frame.x_min) / frame.metres_per_pixel - left
+        v = frame.height - (py - frame.y_min) / frame.metres_per_pixel - top
+        return u * scale, v * scale
+
+    spots = [place(*point) for point in points]
+    draw.line(spots, fill=WAY, width=2)
+    for index, (u, v) in enumerate(spots):
+        colour = WAY if index < int(rows.valid[t]) else ENDED
+        draw.ellipse((u - 2.5, v - 2.5, u + 2.5, v + 2.5), fill=colour)
+    u, v = place(x, y)
+    turn = -yaw + np.array([0.0, 2.5, -2.5])
+    corners = [
+        (u + r * float(np.cos(a)), v + r * float(np.sin(a)))
+        for a, r in zip(turn, (10, 7, 7), strict=True)
+    ]
+    draw.polygon(corners, fill=AGENT, outline=PAPER)
+    return image

@@ -18,7 +18,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import msgspec
 import pyarrow.parquet as pq
@@ -70,11 +70,12 @@ TABLES = (EPISODE_FILE, PATHS, TEXTS)
 
 
 class RequestScene(Config, frozen=True):
-    """A scene of a request."""
+    """A scene of a request; `val_seen`: some of its paths are held out as that split."""
 
     id: str
     hash: str
     split: str
+    val_seen: bool = False
 
 
 class GenerationRequest(Config, frozen=True):
@@ -103,6 +104,14 @@ class GenerationRequest(Config, frozen=True):
     language_options: dict[str, str]
     scenes: tuple[RequestScene, ...]
     earlier: str = ""
+
+
+class Workforce(NamedTuple):
+    """Who works: how many processes, and where; of no effect on what is made."""
+
+    workers: int = 1
+    executor: ExecutorName = "process"
+    ray_address: str = ""
 
 
 class Manifest(Config, frozen=True):
@@ -157,6 +166,7 @@ def generate_missions(
     language_options: Mapping[str, Any] | None = None,
     workers: int = 1,
     executor: ExecutorName = "process",
+    ray_address: str = "",
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> tuple[Suite, Manifest]:
@@ -175,6 +185,7 @@ def generate_missions(
         language_options: for the language provider.
         workers: processes; never changes a byte.
         executor: where the workers live; never changes a byte.
+        ray_address: of a running Ray cluster.
         overwrite: replace an earlier generation that was another one.
         progress: progress sink.
 
@@ -197,7 +208,8 @@ def generate_missions(
     if manifest is not None:
         return load_suite(out), manifest
     with _work_folder(out, request) as work:
-        _run_units(work, entries, request, options, earlier, workers, executor, progress)
+        where = Workforce(workers, executor, ray_address)
+        _run_units(work, entries, request, options, earlier, where, progress)
         return _put_together(out, work, entries, request, earlier, progress)
 
 
@@ -222,7 +234,9 @@ def _describe(
         agent=find_preset(camera).agent,
         settings=settings,
         language_options={k: str(v) for k, v in sorted(options.items()) if k in _TELLING},
-        scenes=tuple(RequestScene(id=e.id, hash=e.hash, split=e.split) for e in entries),
+        scenes=tuple(
+            RequestScene(id=e.id, hash=e.hash, split=e.split, val_seen=e.val_seen) for e in entries
+        ),
         earlier=earlier.digest,
     )
 
@@ -340,11 +354,11 @@ def _run_units(
     request: GenerationRequest,
     options: Mapping[str, Any],
     earlier: EarlierPaths,
-    workers: int,
-    executor: ExecutorName,
+    where: Workforce,
     progress: Progress,
 ) -> None:
     """Every scene that has no part yet."""
+    settings = request.settings
     todo = [e for e in entries if not (work / PARTS / _part_name(e) / REPORT).is_file()]
     save_earlier(work, earlier, [entry.id for entry in todo])
     payloads = [
@@ -353,6 +367,7 @@ def _run_units(
             "scene": entry.id,
             "hash": entry.hash,
             "split": entry.split,
+            "held_out": settings.val_seen if entry.val_seen else 0.0,
             "out": str((work / PARTS / _part_name(entry)).resolve()),
             "earlier": str(earlier.file(work, entry.id).resolve())
             if entry.id in earlier.paths
@@ -366,8 +381,9 @@ def _run_units(
     run_jobs(
         "gn0.bench.generation:generate_scene",
         payloads,
-        workers=workers,
-        executor=executor,
+        workers=where.workers,
+        executor=where.executor,
+        ray_address=where.ray_address,
         names=[entry.id for entry in todo],
         what="scenes",
         progress=lambda stage, now, _total: progress(stage, done + now, len(entries)),
@@ -392,6 +408,7 @@ def generate_scene(payload: dict[str, Any]) -> dict[str, Any]:
         request.seed,
         radius=agent.radius,
         split=payload["split"],
+        held_out=payload["held_out"],
         earlier=[record.array for record in known],
     )
     provider = open_provider(settings.language, **payload["options"])
@@ -434,6 +451,7 @@ def _put_together(
     parts = [work / PARTS / _part_name(entry) for entry in entries]
     reports = [load_json(part / REPORT, SceneReport) for part in parts]
     if not any(report.paths for report in reports):
+        shutil.rmtree(work, ignore_errors=True)  # another try has other settings
         raise EpisodeError(
             f"not a single path was accepted in {len(entries)} scenes: {_why_none(reports)}",
             where=out,

@@ -6,37 +6,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
-from gn0.config import load_json
 from gn0.errors import SceneError
 from gn0.progress import Progress, no_progress
+from gn0.scenes.corpus import CORPUS_FILE, load_corpus
 from gn0.scenes.folder import load_scene
 from gn0.storage import safe_join
-
-CORPUS_FILE = "corpus.json"
-
-
-class _CorpusScene(msgspec.Struct, frozen=True):
-    id: str
-    folder: str
-    split: str
-
-
-class _CorpusView(msgspec.Struct, frozen=True):
-    """The part of `corpus.json` that is needed here."""
-
-    scenes: tuple[_CorpusScene, ...]
 
 
 @dataclass(frozen=True)
 class SceneEntry:
-    """A scene on disk: id, folder, content hash, split."""
+    """A scene on disk.
+
+    Attributes:
+        id: of the scene.
+        folder: where it lies.
+        hash: its content hash.
+        split: train, val_unseen, test, …
+        val_seen: some of its paths are held out as split val_seen.
+    """
 
     id: str
     folder: Path
     hash: str
     split: str
+    val_seen: bool = False
 
 
 def list_scenes(
@@ -53,13 +46,16 @@ def list_scenes(
         SceneError: a folder holds no scene, or two scenes share an id.
         StorageError, FormatError: a scene or `corpus.json` cannot be read.
     """
-    folders: list[tuple[Path, str]] = []
+    folders: list[tuple[Path, str, bool]] = []
+    holds_out = split == "train"
     for given in map(Path, paths):
         if (given / CORPUS_FILE).is_file():
-            about = load_json(given / CORPUS_FILE, _CorpusView)
-            folders += [(safe_join(given, s.folder), s.split) for s in about.scenes]
+            folders += [
+                (safe_join(given, scene.folder), scene.split, scene.val_seen)
+                for scene in load_corpus(given).scenes
+            ]
         elif (given / "scene.json").is_file():
-            folders.append((given, split))
+            folders.append((given, split, holds_out))
         else:
             below = sorted(p.parent for p in given.glob("*/scene.json"))
             if not below:
@@ -69,9 +65,9 @@ def list_scenes(
                     remedy="make one with `gn0 scene generate`, `gn0 scene import` or "
                     "`gn0 scene corpus`",
                 )
-            folders += [(folder, split) for folder in below]
+            folders += [(folder, split, holds_out) for folder in below]
     found: dict[str, SceneEntry] = {}
-    for number, (folder, part) in enumerate(folders):
+    for number, (folder, part, seen) in enumerate(folders):
         progress("reading scenes", number, len(folders))
         scene = load_scene(folder)
         if scene.id in found and found[scene.id].folder.resolve() != folder.resolve():
@@ -80,6 +76,6 @@ def list_scenes(
                 where=folder,
                 remedy=f"the other is {found[scene.id].folder}",
             )
-        found[scene.id] = SceneEntry(scene.id, folder, scene.content_hash, part)
+        found[scene.id] = SceneEntry(scene.id, folder, scene.content_hash, part, seen)
     progress("reading scenes", len(folders), len(folders))
     return [found[name] for name in sorted(found)]

@@ -23,8 +23,15 @@ if TYPE_CHECKING:
 EXAMPLES = """  gn0 missions generate out/flat out/house --per-scene 100 --out out/missions
   gn0 missions generate out/corpus --workers 2 --lights 4 --out out/missions
   gn0 missions generate out/flat --missions goal --against out/missions --seed 1 --out out/more
-  gn0 missions generate out/flat --spec measures.json --out out/strict"""
+  gn0 missions generate out/flat --spec measures.yaml --out out/strict"""
 
+
+def _optional(metavar: str) -> Any:
+    """A flag that has no default of its own."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
+
+
+_Int, _Float = _optional("INT"), _optional("FLOAT")
 OWN = ("per_scene", "goals", "starts", "planner", "minimum_length", "maximum_length", "attempts",
        "goal_picture", "lights", "val_seen", "language", "safety_margin", "reach")  # fmt: skip
 
@@ -55,48 +62,56 @@ class Args(Config, frozen=True):
         goal_picture: view on arrival, crop of the target, or the one or the other (mixed).
         lights: conditions of light a scene, of which each path gets one (0: as it was made).
         split: of scenes whose corpus does not say it.
-        val_seen: share of the paths of train scenes held out as split val_seen (0.1).
+        val_seen: share of the paths of training scenes held out as split val_seen (0.1).
         against: earlier generations or suites whose paths are not to come again.
         language: who writes the texts: template, openai or replay (template).
         language_options: of the language provider, as name=value.
-        spec: a JSON file of settings, in the words of manifest.json's request.settings.
+        spec: a YAML or JSON file of settings, in the words of request.settings in manifest.json.
         camera: name of a camera preset.
         name: of the suite; by default the folder's name.
         workers: processes.
         executor: processes of this machine, or a Ray cluster.
+        ray_address: of a running Ray cluster.
         overwrite: replace another generation in --out.
     """
 
     scenes: Annotated[tuple[str, ...], tyro.conf.Positional]
     out: str
     seed: int = 0
-    per_scene: Annotated[int, msgspec.Meta(ge=1)] | None = None
-    missions: str = ""
-    styles: str = ""
-    goals: Literal["objects", "rooms", "both"] | None = None
-    starts: Literal["auto", "zones", "far", "uniform"] | None = None
-    planner: Literal["any-angle", "astar"] | None = None
-    minimum_length: float | None = None
-    maximum_length: float | None = None
-    minimum_displacement: float | None = None
-    start_radius: float | None = None
-    goal_radius: float | None = None
-    frechet: float | None = None
-    safety_margin: float | None = None
-    reach: float | None = None
-    attempts: int | None = None
-    goal_picture: Literal["mixed", "view", "crop"] | None = None
-    lights: int | None = None
+    per_scene: Annotated[int | None, _Int] = None
+    missions: Annotated[str, _optional("KINDS")] = ""
+    styles: Annotated[str, _optional("STYLES")] = ""
+    goals: Annotated[
+        Literal["objects", "rooms", "both"] | None, _optional("{objects,rooms,both}")
+    ] = None
+    starts: Annotated[
+        Literal["auto", "zones", "far", "uniform"] | None, _optional("{auto,zones,far,uniform}")
+    ] = None
+    planner: Annotated[Literal["any-angle", "astar"] | None, _optional("{any-angle,astar}")] = None
+    minimum_length: Annotated[float | None, _Float] = None
+    maximum_length: Annotated[float | None, _Float] = None
+    minimum_displacement: Annotated[float | None, _Float] = None
+    start_radius: Annotated[float | None, _Float] = None
+    goal_radius: Annotated[float | None, _Float] = None
+    frechet: Annotated[float | None, _Float] = None
+    safety_margin: Annotated[float | None, _Float] = None
+    reach: Annotated[float | None, _Float] = None
+    attempts: Annotated[int | None, _Int] = None
+    goal_picture: Annotated[
+        Literal["mixed", "view", "crop"] | None, _optional("{mixed,view,crop}")
+    ] = None
+    lights: Annotated[int | None, _Int] = None
     split: str = "test"
-    val_seen: float | None = None
+    val_seen: Annotated[float | None, _Float] = None
     against: tuple[str, ...] = ()
-    language: str | None = None
+    language: Annotated[str | None, _optional("NAME")] = None
     language_options: tuple[str, ...] = ()
     spec: str = ""
     camera: str = "gn_bench"
     name: str = ""
     workers: Annotated[int, msgspec.Meta(ge=1)] = 1
     executor: Literal["process", "ray"] = "process"
+    ray_address: str = ""
     overwrite: bool = False
 
 
@@ -107,11 +122,10 @@ def read_settings(args: Args) -> MissionSettings:
         ConfigError: a value is out of range; names the flag.
         StorageError, FormatError: the spec cannot be read.
     """
-    from gn0.config import load_json
     from gn0.errors import ConfigError
-    from gn0.missions.generate.settings import MissionSettings
+    from gn0.missions.generate.settings import MissionSettings, load_settings
 
-    settings = load_json(args.spec, MissionSettings) if args.spec else MissionSettings()
+    settings = load_settings(args.spec) if args.spec else MissionSettings()
     plain: dict[str, Any] = msgspec.to_builtins(settings)
     for name in (*OWN, "minimum_displacement"):
         if getattr(args, name) is not None:
@@ -161,6 +175,7 @@ def run(args: Args) -> int:
             language_options=options,
             workers=args.workers,
             executor=args.executor,
+            ray_address=args.ray_address,
             overwrite=args.overwrite,
             progress=progress,
         )

@@ -102,6 +102,7 @@ def generate_paths(
     *,
     radius: float,
     split: str = "test",
+    held_out: float = 0.0,
     earlier: Sequence[NDArray[np.floating]] = (),
     progress: Progress = no_progress,
 ) -> ScenePaths:
@@ -115,7 +116,8 @@ def generate_paths(
         settings: counts and measures.
         seed: root seed.
         radius: of the agent [m].
-        split: of the scene; `val_seen` is held out of split train.
+        split: of the scene.
+        held_out: share of its paths that are held out as split val_seen.
         earlier: paths [N, 2] m of earlier runs in this scene.
         progress: progress sink.
     """
@@ -129,7 +131,7 @@ def generate_paths(
     fell = dict(pool.fell)
     if hopeless:
         fell[TOO_NEAR] = len(hopeless)
-    records = _records(scene, found, settings, seed, split)
+    records = _records(scene, found, seed, split, held_out)
     report = SceneReport(
         scene=scene.id,
         hash=scene.content_hash,
@@ -217,7 +219,7 @@ def _try_target(
 
 
 def _records(
-    scene: Scene, found: Sequence[Candidate], settings: MissionSettings, seed: int, split: str
+    scene: Scene, found: Sequence[Candidate], seed: int, split: str, share: float
 ) -> tuple[PathRecord, ...]:
     base = plain_name(scene.id)
     held_out = random_stream(seed, "held-out paths", scene.id).random(len(found))
@@ -225,13 +227,12 @@ def _records(
     for number, candidate in enumerate(found):
         target = candidate.target
         room = room_of_object(target.object, scene.rooms)
-        held = split == "train" and held_out[number] < settings.val_seen
         records.append(
             PathRecord(
                 path_id=name_path(base, number, scene.content_hash, candidate.points),
                 scene_id=scene.id,
                 scene_hash=scene.content_hash,
-                split="val_seen" if held else split,
+                split="val_seen" if held_out[number] < share else split,
                 target_id=target.object.id,
                 target_kind=target.kind,
                 category=target.object.category,

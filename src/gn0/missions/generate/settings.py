@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
+import yaml
 
 from gn0.config import Config
-from gn0.errors import ConfigError
+from gn0.errors import ConfigError, FormatError
 from gn0.missions.similarity import SimilaritySettings
+from gn0.storage import read_bytes
 
 Positive = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
@@ -48,7 +51,8 @@ class MissionSettings(Config, frozen=True):
             the one or the other.
         lights: conditions of light drawn for each scene, of which each path gets one; 0 leaves
             scenes as they were made.
-        val_seen: share of the paths of training scenes that are held out as split val_seen.
+        val_seen: share of the paths held out as split val_seen, in training scenes that a corpus
+            has chosen for it, and in all training scenes outside a corpus.
         language: who writes the texts.
     """
 
@@ -91,3 +95,25 @@ class MissionSettings(Config, frozen=True):
             raise ConfigError(
                 f"paths of {self.similarity.samples} points", remedy="compare 2 to 1000 points"
             )
+
+
+_SPEC_LIMIT = 2**20  # bytes
+
+
+def load_settings(path: Path | str) -> MissionSettings:
+    """Read settings, YAML or JSON; what is not given has its default.
+
+    Raises:
+        StorageError: missing, unreadable or too large.
+        FormatError: not YAML, or a field is unknown or of the wrong type.
+        ConfigError: the settings contradict themselves.
+    """
+    data = read_bytes(path, _SPEC_LIMIT)
+    try:
+        plain = yaml.safe_load(data.decode("utf-8"))
+        return msgspec.convert({} if plain is None else plain, MissionSettings)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        text = " ".join(str(error).split())
+        raise FormatError(
+            f"not settings of missions: {text:.200}", file=path, remedy="see docs: missions"
+        ) from None

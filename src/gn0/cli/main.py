@@ -36,6 +36,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "missions import": ("missions_import", "GN-Matrix or VLN-CE episodes as a suite"),
     "missions export": ("missions_export", "a suite as GN-Matrix or VLN-CE episodes"),
     "missions show": ("missions_show", "draw episodes on the map on the bird's-eye view"),
+    "missions describe": ("missions_describe", "routes in words: steps, landmarks, texts, checks"),
     "data build": ("data_build", "walk, label and draw the episodes of a suite: a dataset"),
     "data render": ("data_render", "draw the pictures of a dataset again, bit for bit"),
     "data show": ("data_show", "draw a sample sheet: pictures, waypoints, actions"),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 FINE = 0.1  # m between points of the path as it is examined
 LOOK_EVERY = 1.0  # m between views on a straight
 LOOKS_MOST = 12  # views a straight
+AHEAD_FREE = 1.3  # m ahead of a turn; less is the end of a hallway
 GAZE = 1.0  # m: one looks to where the path will be
 
 
@@ -41,7 +42,7 @@ def describe_route(
 
     Args:
         scene: the scene.
-        navigation: its map; its raw grid decides what "free" means, nothing is planned here.
+        navigation: its map; says where a hallway ends, nothing is planned here.
         path: the route [N, 2] m, start first.
         start_yaw: heading at the start [rad].
         target: the object or room it leads to; None where nothing there has a name.
@@ -76,7 +77,7 @@ def describe_route(
     fine = np.linspace(0.0, total, steps)
     spacing = total / (steps - 1) if total > 0 else FINE
     points = point_at(p, lengths, fine)
-    rooms = surroundings.rooms_along(points, spacing)
+    points_room = surroundings.rooms_along(points, spacing)
     found: list[list[Candidate]] = []
     segments: list[RouteSegment] = []
     for i, (stretch, (a, b)) in enumerate(zip(stretches, spans, strict=True)):
@@ -86,8 +87,13 @@ def describe_route(
         if stretch.turn is not None:
             approach = rows[i - 1][-4:] if i > 0 else np.zeros(0, np.int64)
             pose = poses[rows[i][0]]
-            found.append(finder.at_turn(approach, int(rows[i][0]), pose[:2], float(pose[2])))
-            room = rooms[min(round(a / spacing), len(rooms) - 1)]
+            here = int(np.clip(round(a / spacing), 0, len(points_room) - 1))
+            around = points_room[max(0, here - 5) : here + 11]
+            found.append(
+                finder.at_turn(approach, int(rows[i][0]), pose[:2], float(pose[2]), around)
+            )
+            room = points_room[here]
+            before = poses[rows[i - 1][-1], 2] if i > 0 else float(start_yaw)
             segments.append(
                 RouteSegment(
                     turn=stretch.turn,
@@ -95,13 +101,15 @@ def describe_route(
                     start=start,
                     end=end,
                     inside=surroundings.room_names[room] if room >= 0 else "",
+                    blocked_ahead=i > 0 and _is_blocked(navigation, pose[:2], before),
                 )
             )
             continue
         seen = np.r_[rows[i - 1][-1:], rows[i]] if i > 0 else rows[i]
         at = np.r_[[0.0] if i > 0 else [], _stops(a, b) - a]
-        found.append(finder.on_straight(seen, at, points[inside], spacing))
-        segments.append(_straight(surroundings, rooms, points, inside, a, b, start, end, spacing))
+        part, where = points[inside], points_room[inside]
+        found.append(finder.on_straight(seen, at, part, where, spacing))
+        segments.append(_straight(surroundings, where, part, b - a, start, end, spacing))
     chosen = choose(found)
     names = {n for n in surroundings.names if n and n not in NO_LANDMARK}
     kinds = [n for n in surroundings.room_names if n]
@@ -181,20 +189,18 @@ def _straight(
     surroundings: Surroundings,
     rooms: NDArray[np.int64],
     points: F64,
-    inside: NDArray[np.bool_],
-    a: float,
-    b: float,
+    distance: float,
     start: tuple[float, float],
     end: tuple[float, float],
     spacing: float,
 ) -> RouteSegment:
-    here = rooms[inside]
-    changes = np.flatnonzero(np.diff(here)) + 1
-    order = here[np.r_[0, changes]]
+    changes = np.flatnonzero(np.diff(rooms)) + 1
+    order = rooms[np.r_[0, changes]]
     names = [surroundings.room_names[r] if r >= 0 else "" for r in order]
     moved = len(order) > 1
+    doors = surroundings.find_doors(points)
     return RouteSegment(
-        distance=round(b - a, 2),
+        distance=round(distance, 2),
         start=start,
         end=end,
         leaves=names[0] if moved else "",
@@ -202,8 +208,16 @@ def _straight(
         crosses=tuple(n for n in names[1:-1] if n),
         inside=names[0],
         enters_after=round(float(changes[-1]) * spacing, 2) if moved else 0.0,
-        doors=surroundings.count_doors(points[inside]),
+        doors=len(doors),
+        door_after=round(float(doors[0]) * spacing, 2) if len(doors) else 0.0,
     )
+
+
+def _is_blocked(navigation: NavigationMap, point: F64, yaw: float) -> bool:
+    """Whether one who went straight on would soon stand before something."""
+    x, y = float(point[0]), float(point[1])
+    ahead = (x + AHEAD_FREE * np.cos(yaw), y + AHEAD_FREE * np.sin(yaw))
+    return navigation.is_free(x, y) and navigation.move(x, y, float(ahead[0]), float(ahead[1]))[2]
 
 
 def _describe_target(

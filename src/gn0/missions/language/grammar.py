@@ -64,20 +64,31 @@ PHRASES: dict[str, tuple[str, ...]] = {
         "once you are at {lm}, turn {side}", "turn {side} when you get to {lm}",
         "turn {side} next to {lm}", "at {lm}, take a {side}", "on reaching {lm}, go {side}",
         "take a {side} when you come to {lm}", "beside {lm}, make a {side}",
-        "as soon as you are next to {lm}, turn {side}", "head {side} at {lm}",
+        "as soon as you are next to {lm}, turn {side}", "head to the {side} at {lm}",
         "at {lm}, go {side}", "once beside {lm}, take a {side} turn",
     ),
     "turn facing": (
         "turn {side} towards {lm}", "turn {side} to face {lm}",
         "turn {side} until {lm} {is} in front of you", "turn {side} so that {lm} {is} ahead of you",
         "make a {side} and face {lm}", "turn {side}, in the direction of {lm}",
-        "head {side} towards {lm}", "take a {side} towards {lm}",
+        "head to the {side}, towards {lm}", "take a {side} towards {lm}",
         "turn {side} and look for {lm} ahead", "turn to your {side} until you face {lm}",
         "turn {side} until you see {lm} straight ahead", "make a {side} turn towards {lm}",
     ),
+    "turn end": (
+        "at the end of {mid}, turn {side}", "turn {side} at the end of {mid}",
+        "when {mid} ends, turn {side}", "take a {side} at the end of {mid}",
+        "once you reach the end of {mid}, go {side}", "make a {side} where {mid} ends",
+    ),
+    "turn door": (
+        "turn {side} through the doorway", "take a {side} through the door",
+        "turn {side} and go through the doorway", "turn to the {side} and use the doorway",
+        "make a {side} and pass through the door", "turn {side} to go through the door",
+    ),
     "turn into": (
-        "turn {side} into {room}", "take a {side} into {room}", "go {side} into {room}",
-        "make a {side} into {room}", "turn {side} and enter {room}", "head {side} into {room}",
+        "turn {side} into {room}", "take a {side} into {room}", "go to the {side} into {room}",
+        "make a {side} into {room}", "turn {side} and enter {room}",
+        "head to the {side} and into {room}",
         "turn {side} and step into {room}", "turn {side} and walk into {room}",
         "make a {side} turn into {room}", "turn {side} to enter {room}",
         "take a {side} and go into {room}", "turn {side} to get into {room}",
@@ -106,7 +117,7 @@ PHRASES: dict[str, tuple[str, ...]] = {
     "through": (
         "walk through {mid}", "go across {mid}", "cross {mid}", "continue through {mid}",
         "make your way across {mid}", "walk straight through {mid}", "keep going through {mid}",
-        "walk across {mid}",
+        "walk across {mid}", "pass straight through {mid}",
     ),
     "along": (
         "walk down {mid}", "go along {mid}", "follow {mid}", "continue down {mid}",
@@ -179,7 +190,7 @@ PHRASES: dict[str, tuple[str, ...]] = {
     "far enter": (
         "go straight for {n} into {room}", "walk {n} straight ahead into {room}",
         "continue straight for {n} and enter {room}", "walk forward for {n} into {room}",
-        "move forward {n} until you are in {room}", "keep going straight for {n} into {room}",
+        "move forward {n} until you are in {room}", "walk {n} forward into {room}",
     ),
     "far leave enter": (
         "walk {n}, leaving {left} for {room}", "go straight for {n} from {left} into {room}",
@@ -188,12 +199,13 @@ PHRASES: dict[str, tuple[str, ...]] = {
     ),
     "far through": (
         "go straight for {n} through {mid}", "walk {n} across {mid}",
-        "walk forward for {n} through {mid}", "continue straight for {n} through {mid}",
+        "go straight through {mid} for {n}", "walk forward for {n} through {mid}",
+        "continue straight for {n} through {mid}",
         "move forward {n} across {mid}",
     ),
     "far along": (
         "go straight for {n} down {mid}", "walk {n} along {mid}",
-        "walk forward for {n} down {mid}", "follow {mid} for {n}", "continue down {mid} for {n}",
+        "walk forward for {n} down {mid}", "walk down {mid} for {n}", "follow {mid} for {n}",
     ),
     # arrivals
     "arrive": (

@@ -80,11 +80,10 @@ class LandmarkFinder:
         s, name = self._s, self._s.names[index]
         best = int(rows[np.argmax(self._share[rows, index])])
         share = float(self._share[best, index])
-        alike = [i for i, n in enumerate(s.names) if n == name]
-        in_sight = sum(self._share[rows, i].max() >= SEEN / 2 for i in alike)
-        room = int(s.room_of[index])
-        in_room = s.in_room[room, name]
-        unique = bool(in_room == 1 and in_sight == 1)
+        alike = s.rivals[index]
+        in_sight = sum(bool(self._share[rows, i].max() >= SEEN / 2) for i in alike)
+        in_room = sum(bool(s.room_of[i] == s.room_of[index]) for i in alike)
+        unique = in_room == 1 and in_sight == 1
         worth = float(s.weight[index]) * min(share / 0.03, 2.0) ** 0.4
         worth *= 1.6 if len(alike) == 1 else 1.15 if unique else 0.3
         landmark = Landmark(
@@ -100,7 +99,12 @@ class LandmarkFinder:
         return Candidate(landmark, worth)
 
     def on_straight(
-        self, rows: NDArray[np.integer], at: F64, points: F64, spacing: float
+        self,
+        rows: NDArray[np.integer],
+        at: F64,
+        points: F64,
+        rooms: NDArray[np.int64],
+        spacing: float,
     ) -> list[Candidate]:
         """What a straight goes past or leads to.
 
@@ -108,6 +112,7 @@ class LandmarkFinder:
             rows: the poses on it, in order.
             at: arc length of those poses from the straight's start [m].
             points: its points [K, 2] m, evenly spaced.
+            rooms: index of the room at each point [K].
             spacing: between them [m].
         """
         if len(points) < 3:
@@ -122,6 +127,8 @@ class LandmarkFinder:
             rim = max(1, round(0.5 / spacing))
             centre = np.array(self._s.scene.objects[index].box.centre[:2]) - points
             bearing = _bearing(ahead, centre)
+            if not self._same_room(index, rooms[[k, -1]]):
+                continue
             if rim <= k < len(points) - rim and away[k] <= BESIDE:
                 cross = ahead[k, 0] * offset[k, 1] - ahead[k, 1] * offset[k, 0]
                 before = rows[(at <= k * spacing + 0.25) & (self._share[rows, index] >= SEEN)]
@@ -147,8 +154,18 @@ class LandmarkFinder:
                 out.append(best)
         return out
 
+    def _same_room(self, index: int, rooms: NDArray[np.int64]) -> bool:
+        """Whether an object is in one of these rooms; what is seen through a door is not."""
+        room = self._s.room_of[index]
+        return bool(room < 0 or (rooms < 0).all() or (rooms == room).any())
+
     def at_turn(
-        self, approach: NDArray[np.integer], after: int, point: F64, yaw: float
+        self,
+        approach: NDArray[np.integer],
+        after: int,
+        point: F64,
+        yaw: float,
+        rooms: NDArray[np.int64],
     ) -> list[Candidate]:
         """What a turn happens beside, and what it turns one towards.
 
@@ -157,12 +174,13 @@ class LandmarkFinder:
             after: the pose in the turn with the new heading.
             point: where the turn is (x, y) [m].
             yaw: heading after it [rad].
+            rooms: index of the room that the turn is in, and of those just before and after [K].
         """
         out: list[Candidate] = []
         here = np.asarray(point, np.float64).reshape(1, 2)
         for index in self._seen(approach).tolist():
             away = float(np.hypot(*footprint_offsets(self._s, index, here)[0]))
-            if away <= AT_TURN:
+            if away <= AT_TURN and self._same_room(index, rooms):
                 found = self._make(index, "at", approach, away)
                 if found.landmark.unique:
                     out.append(Candidate(found.landmark, found.worth * (1.2 - 0.25 * away)))

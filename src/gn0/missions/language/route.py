@@ -56,6 +56,8 @@ class RouteSegment(Config, frozen=True):
         inside: type of the room it stays in or begins in; "" when unknown.
         enters_after: way from the segment's start to where it enters that room [m].
         doors: doorways it goes through.
+        door_after: way from the segment's start to the first of them [m].
+        blocked_ahead: of a turn: who went straight on would soon stand before an obstacle.
         landmarks: what can be said of it, best first.
     """
 
@@ -70,6 +72,8 @@ class RouteSegment(Config, frozen=True):
     inside: str = ""
     enters_after: float = 0.0
     doors: int = 0
+    door_after: float = 0.0
+    blocked_ahead: bool = False
     landmarks: tuple[Landmark, ...] = ()
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
-from gn0.missions.language.words import NO_LANDMARK, distinctness, plain_name
+from gn0.missions.language.words import NO_LANDMARK, distinctness, kin_of, plain_name
 from gn0.missions.targets import points_in_polygon, room_of_object
 from gn0.scenes.scene import Scene, SceneObject
 
@@ -35,7 +35,7 @@ class Surroundings:
         room_of: index of each object's room [N], −1 unknown.
         room_names: type of each room as it is said, "" when it says nothing.
         in_room: how many objects of one name a room holds, by (room, name).
-        in_scene: how many the scene holds, by name.
+        rivals: indices of the objects that each may be confused with, itself included.
         doors: doorways [D, 2, 2] m, end points seen from above.
     """
 
@@ -46,7 +46,7 @@ class Surroundings:
     room_of: NDArray[np.int64]
     room_names: tuple[str, ...]
     in_room: Counter[tuple[int, str]]
-    in_scene: Counter[str]
+    rivals: tuple[tuple[int, ...], ...]
     doors: F64
 
     def rooms_at(self, points: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -72,14 +72,14 @@ class Surroundings:
                 found[a:b] = found[a - 1]
         return found
 
-    def count_doors(self, path: F64) -> int:
-        """Doorways that a path [N, 2] m goes through."""
+    def find_doors(self, path: F64) -> NDArray[np.int64]:
+        """Where a path [N, 2] m goes through a doorway: indices of its points, in order."""
         if not len(self.doors) or len(path) < 2:
-            return 0
+            return np.zeros(0, np.int64)
         a, b = path[:-1, None], path[1:, None]
         p, q = self.doors[None, :, 0], self.doors[None, :, 1]
         hits = (_side(p, q, a) * _side(p, q, b) <= 0) & (_side(a, b, p) * _side(a, b, q) < 0)
-        return int(hits.any(axis=0).sum())
+        return np.sort(np.argmax(hits, axis=0)[hits.any(axis=0)])
 
 
 def _side(o: F64, u: F64, v: F64) -> F64:
@@ -100,6 +100,19 @@ def surroundings_of(scene: Scene) -> Surroundings:
         with _lock:
             _kept[scene] = found
     return found
+
+
+def _rivals(scene: Scene, names: tuple[str, ...]) -> tuple[tuple[int, ...], ...]:
+    """Objects that share a name, a kindred name, or the last words of one.
+
+    A coffee table is one of the tables, though a table is no coffee table.
+    """
+    groups: dict[str, list[int]] = {}
+    for index, name in enumerate(names):
+        tails = {name[k:] for k in range(len(name)) if k == 0 or name[k - 1] == " "}
+        for key in {kin_of(tail) for tail in tails}:
+            groups.setdefault(key, []).append(index)
+    return tuple(tuple(groups[kin_of(name)]) for name in names)
 
 
 def is_landmark(item: SceneObject) -> bool:
@@ -137,6 +150,6 @@ def _gather(scene: Scene) -> Surroundings:
         room_of=room_of,
         room_names=tuple("" if n in NO_ROOM_NAMES else n for n in kept),
         in_room=Counter((int(r), n) for r, n in zip(room_of, names, strict=True)),
-        in_scene=Counter(names),
+        rivals=_rivals(scene, names),
         doors=np.array(doors, np.float64).reshape(-1, 2, 2),
     )

@@ -30,6 +30,7 @@ SHORT = 1.2  # m: a shorter straight between two turns needs no clause
 LONG = 4.0  # m: a straight that goes through a room rather than on
 SOON = 1.6  # m after a turn: one turns into the room
 LANDMARKS_MOST = 6  # in one text
+_ONGOING = ("continue", "keep going", "keep walking", "carry on", "move on", "go on", "walk on")
 NARROW_ROOMS = frozenset(("hallway", "corridor", "hall", "aisle", "passage", "path", "alley"))
 
 
@@ -48,6 +49,8 @@ class _Text:
     def add(self, kind: str, **slots: str) -> None:
         """Add a clause of a kind."""
         usable = phrases(kind, self.held_out)
+        if not self.clauses:  # nobody keeps going who has not begun
+            usable = tuple(p for p in usable if not p.startswith(_ONGOING)) or usable
         phrase = usable[int(self.rng.integers(len(usable)))]
         self.skeleton.append(phrase)
         self.clauses.append(phrase.format_map(slots))
@@ -155,7 +158,7 @@ def _slots(landmark: Landmark) -> dict[str, str]:
 
 
 def _write_turn(text: _Text, segment: RouteSegment, after: RouteSegment | None) -> bool:
-    """Write a turn; whether it told of the room that the next straight enters."""
+    """Write a turn; whether it told where the next straight goes in."""
     if segment.turn == "around":
         landmark = _take(text, segment, "facing")
         if landmark is not None:
@@ -165,14 +168,20 @@ def _write_turn(text: _Text, segment: RouteSegment, after: RouteSegment | None) 
         return False
     side = str(segment.turn)
     soon = after is not None and after.enters and after.enters_after <= SOON and not after.crosses
-    if soon and after is not None and text.chance(0.6):
+    if soon and after is not None and after.enters != text.route.target.name and text.chance(0.6):
         text.add("turn into", side=side, room=_room(text, after.enters))
         return True
+    if segment.blocked_ahead and segment.inside in NARROW_ROOMS and text.chance(0.5):
+        text.add("turn end", side=side, mid=definite(segment.inside))
+        return False
     landmark = _take(text, segment, "at", "facing")
     if landmark is not None:
         kind = "turn at" if landmark.relation == "at" else "turn facing"
         text.add(kind, side=side, **_slots(landmark))
         return False
+    if after is not None and after.doors == 1 and after.door_after <= SOON and not soon:
+        text.add("turn door", side=side)
+        return True
     if abs(segment.angle) < SOFT and text.chance(0.6):
         text.add("turn soft", side=side)
     elif abs(segment.angle) > SHARP and text.chance(0.6):
@@ -215,9 +224,11 @@ def _write_straight(text: _Text, s: RouteSegment, entered: bool, *, last: bool) 
         text.add("leave", left=definite(s.leaves))
     elif s.inside and s.inside == text.route.target.name and text.route.target.region:
         text.add("go far" if far else "go", **n)
-    elif s.inside and not s.leaves and s.distance >= LONG and text.chance(0.7):
-        kind = "along" if s.inside in NARROW_ROOMS else "through"
-        text.add(f"far {kind}" if far else kind, **n, mid=definite(s.inside))
+    elif (here := s.enters if entered and s.enters else s.inside if not s.leaves else "") and (
+        s.distance >= LONG and here != text.route.target.name and text.chance(0.7)
+    ):
+        kind = "along" if here in NARROW_ROOMS else "through"
+        text.add(f"far {kind}" if far else kind, **n, mid=definite(here))
     else:
         text.add("go far" if far else "go", **n)
 

@@ -53,6 +53,14 @@ _DISTINCT = {
     "pallet": 0.8, "floor lamp": 0.9, "lamp": 0.7, "table lamp": 0.6, "bucket": 0.5, "sink": 0.7,
     "kettle": 0.2, "monitor": 0.5, "laptop": 0.4, "chair": 0.8, "plant": 0.8,
 }  # fmt: skip
+_KIN = {
+    "couch": "sofa", "television": "tv", "screen": "tv", "monitor": "tv", "bookshelf": "shelf",
+    "bookcase": "shelf", "rack": "shelf", "shelving": "shelf", "shelf unit": "shelf",
+    "refrigerator": "fridge", "freezer": "fridge", "cupboard": "cabinet", "wardrobe": "cabinet",
+    "closet": "cabinet", "bin": "trash can", "waste bin": "trash can", "potted plant": "plant",
+    "flowerpot": "plant", "painting": "picture", "poster": "picture", "photo frame": "picture",
+    "photo": "picture", "stool": "chair", "bedside table": "nightstand", "dresser": "sideboard",
+}  # fmt: skip
 # words for things and rooms that people and language models use; with a scene's own names they
 # are what a text must not mention when the route does not
 COMMON_NAMES = frozenset((
@@ -148,6 +156,11 @@ def definite(name: str) -> str:
 def distinctness(name: str) -> float:
     """How well a kind of thing serves as a landmark; 1 for most."""
     return _DISTINCT.get(name, 1.0)
+
+
+def kin_of(name: str) -> str:
+    """The name under which a thing may be confused with others: a couch is a sofa."""
+    return _KIN.get(name, name)
 
 
 def name_pattern(names: list[str] | tuple[str, ...]) -> re.Pattern[str]:

@@ -1,7 +1,8 @@
 """Draw an episode: its path on the occupancy map on the bird's-eye view, with its instruction.
 
-Without an episode: all paths of each scene, a picture a scene. A foreign set whose scenes are not
-here is told in numbers, and its paths are drawn on white.
+A goal that is told by a picture is shown with its picture. Without an episode: all paths of each
+scene, a picture a scene, or with --coverage how many of them pass through each spot. A foreign
+set whose scenes are not here is told in numbers, and its paths are drawn on white.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ if TYPE_CHECKING:
 
     from gn0.bench.suite import Suite
     from gn0.missions.episode import Episode
+    from gn0.scenes.scene import Scene
 
 EXAMPLES = """  gn0 missions show out/suite
   gn0 missions show out/suite flat_0003 --out flat_0003.png
+  gn0 missions show out/missions --coverage --out out/coverage
   gn0 missions show val_seen.json.gz"""
 
 
@@ -32,12 +35,16 @@ class Args(Config, frozen=True):
         episode: id of an episode; by default all of them, a picture a scene.
         out: the PNG to write, or a folder for several; by default beside the suite.
         no_rooms: leave out the outlines of rooms.
+        coverage: show how many paths pass through each spot, instead of the paths.
+        split: only episodes of this split.
     """
 
     path: Annotated[str, tyro.conf.Positional]
     episode: Annotated[str, tyro.conf.Positional] = ""
     out: str = ""
     no_rooms: bool = False
+    coverage: bool = False
+    split: str = ""
 
 
 def run(args: Args) -> int:
@@ -50,24 +57,66 @@ def run(args: Args) -> int:
 
 
 def draw_episode(
-    suite: Suite, episode: Episode | None, scene_id: str = "", rooms: bool = True
+    suite: Suite,
+    episode: Episode | None,
+    scene_id: str = "",
+    rooms: bool = True,
+    coverage: bool = False,
+    split: str = "",
 ) -> Image.Image:
-    """The overlay of one episode, or of all of a scene."""
+    """The overlay of one episode, with its goal picture, or of all of a scene."""
     from gn0.bench.suite import load_suite_scene
+    from gn0.missions.episode import MissionGoal
     from gn0.render.renderer import build_renderer
     from gn0.viewer.overlay import render_overlay
 
     name = episode.scene_id if episode is not None else scene_id
     scene = load_suite_scene(suite.scene_folder(name), name, suite.scene_hash(name))
     chosen = [episode] if episode else [e for e in suite.episodes if e.scene_id == name]
+    chosen = [e for e in chosen if not split or e.split == split]
     inside = [scene.grid.is_free(x, y) for e in chosen for x, y in (e.start[:2], *e.path, e.goal)]
     words = (
         f"{sum(inside) / max(len(inside), 1):.1%} of {len(inside)} points on free cells   ·   "
         "green: start, star: goal, red: not on free cells"
     )
-    return render_overlay(
-        scene, chosen, build_renderer(scene.gaussians), rooms=rooms, caption=[words]
+    picture = render_overlay(
+        scene,
+        chosen,
+        build_renderer(scene.gaussians),
+        rooms=rooms,
+        caption=[words],
+        coverage=coverage,
     )
+    if episode is not None and isinstance(episode.mission, MissionGoal) and episode.mission.picture:
+        return _beside(picture, look_at_goal(suite, scene, episode))
+    return picture
+
+
+def look_at_goal(suite: Suite, scene: Scene, episode: Episode) -> Image.Image:
+    """The goal picture of an episode, as the agent is shown it."""
+    from PIL import Image
+
+    from gn0.sim.open import open_simulator
+
+    simulator = open_simulator(
+        scene, suite.about.camera, sensors=("goal_picture",), agent=suite.about.agent
+    )
+    picture = simulator.reset(episode).goal_picture
+    assert picture is not None
+    return Image.fromarray(picture)
+
+
+def _beside(left: Image.Image, right: Image.Image) -> Image.Image:
+    """Two pictures next to each other, the right one half as wide."""
+    from PIL import Image
+
+    width = left.width // 2
+    small = right.resize((width, round(right.height * width / right.width)))
+    size = (left.width + width, max(left.height, small.height))
+    both = Image.new("RGB", size, left.getpixel((0, left.height - 1)))
+    both.paste(left, (0, 0))
+    both.paste(small, (left.width, 0))
+    return both
 
 
 def _show_suite(args: Args) -> int:
@@ -101,7 +150,9 @@ def _show_suite(args: Args) -> int:
     with draw_progress() as progress:
         for done, (episode, scene, path) in enumerate(jobs):
             progress("drawing", done, len(jobs))
-            picture = draw_episode(suite, known.get(episode), scene, not args.no_rooms)
+            picture = draw_episode(
+                suite, known.get(episode), scene, not args.no_rooms, args.coverage, args.split
+            )
             write_atomic(path, lambda stream, p=picture: p.save(stream, "PNG"))  # type: ignore[misc]
         progress("drawing", len(jobs), len(jobs))
     for _, _, path in jobs:

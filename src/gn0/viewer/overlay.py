@@ -17,6 +17,7 @@ from gn0.missions.episode import Episode
 from gn0.render.bev import render_bev
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
+from gn0.viewer.coverage import count_paths, covered_share, tint_coverage
 from gn0.viewer.plan import INK, MUTED, PAPER, font, plan_bounds
 
 PATH = (18, 92, 214)
@@ -37,6 +38,7 @@ def render_overlay(
     rooms: bool = True,
     caption: Sequence[str] = (),
     cut_height: float = 2.0,
+    coverage: bool = False,
 ) -> Image.Image:
     """Episodes of one scene over its map and BEV; what of a path is not on free cells is red.
 
@@ -48,6 +50,7 @@ def render_overlay(
         rooms: draw the outlines of rooms.
         caption: more lines of text below the instruction.
         cut_height: what lies higher [m] is left out of the BEV.
+        coverage: show how many paths pass through each spot, instead of the paths.
     """
     x0, y0, x1, y1 = plan_bounds(scene)
     width = max(600, min(width, round(width * (x1 - x0) / (y1 - y0))))  # no tower of a picture
@@ -76,7 +79,16 @@ def render_overlay(
             outline = place(np.array(room.polygon))
             pen.line([*outline, outline[0]], fill=(255, 255, 255, 255), width=2 * _SCALE)
     single = len(episodes) == 1
-    for episode in episodes:
+    distinct = {(e.start, e.path, e.goal): e for e in episodes}.values()  # missions share paths
+    if coverage:
+        paths = [np.array([e.start[:2], *e.path, e.goal], np.float64) for e in distinct]
+        counts = count_paths(scene.grid, paths)
+        picture.alpha_composite(tint_coverage(counts, scene.grid, size, (x0, y0, x1, y1)))
+        caption = [
+            f"{covered_share(counts):.0%} of the free ground is passed, a spot by up to "
+            f"{int(counts.max())} paths: blue few, red many, pale none",
+        ]
+    for episode in () if coverage else distinct:
         _draw_episode(pen, scene, episode, place, bold=single)
     lines = [*_caption(episodes), *caption]
     text = Image.new("RGB", (width, height + 2 * _GAP + _LINE * len(_wrap(lines, width))), PAPER)
@@ -154,7 +166,11 @@ def _caption(episodes: Sequence[Episode]) -> list[str]:
     if len(episodes) == 1:
         episode = episodes[0]
         return [f"{episode.id}: “{episode.instruction.strip()}”"]
-    return [f"{len(episodes)} episodes of {episodes[0].scene_id}" if episodes else "no episode"]
+    if not episodes:
+        return ["no episode"]
+    paths = len({(e.start, e.path, e.goal) for e in episodes})
+    along = f" along {paths} paths" if paths < len(episodes) else ""
+    return [f"{len(episodes)} episodes of {episodes[0].scene_id}{along}"]
 
 
 def _wrap(lines: Sequence[str], width: int) -> list[str]:

@@ -102,6 +102,12 @@ def build_smoke_detector() -> Item:
     return Item("smoke detector", (build_lathe(rz, WHITE, segments=16),))
 
 
+def build_sprinkler() -> Item:
+    """A sprinkler head under the ceiling at z = 0."""
+    rz = [(0, -0.05), (0.018, -0.048), (0.006, -0.04), (0.008, -0.012), (0.035, -0.008), (0.035, 0)]
+    return Item("sprinkler", (build_lathe(rz, CHROME, segments=10),))
+
+
 def build_socket(double: bool = True) -> Item:
     """One or two power sockets; wall at y = 0, middle at z = 0."""
     width = 0.152 if double else 0.081

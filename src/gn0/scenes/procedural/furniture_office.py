@@ -15,7 +15,6 @@ from gn0.scenes.procedural.shapes import (
     build_box,
     build_cylinder,
     build_extrusion,
-    build_lathe,
     build_panel,
     build_rod,
     build_tube,
@@ -26,10 +25,22 @@ BINDERS = ("#26282c", "#26282c", "#3a5f9a", "#9a2f2f", "#3f7a4c", "#d8b23a", "#8
 DESK_HEIGHT = 0.73
 
 
+def without_underside(shape: Shape) -> Shape:
+    """A board without its lower face.
+
+    Discs show on both sides: the dark ones below a thin board would shine through its lit top.
+    """
+    p = shape.vertices[shape.faces]
+    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    keep = normal[:, 2] > -0.9 * np.linalg.norm(normal, axis=1)
+    return Shape(shape.vertices, shape.faces[keep], shape.uv[keep], shape.material)
+
+
 def build_work_desk(top: Material, metal: Material, width: float, depth: float) -> Item:
     """A desk of an open-plan office: a board on two steel frames; the user sits towards −y."""
     h = DESK_HEIGHT
-    shapes = [build_box((width, depth, 0.025), top, bevel=0.004, at=(0, 0, h - 0.025))]
+    board = build_box((width, depth, 0.025), top, bevel=0.004, at=(0, 0, h - 0.025))
+    shapes = [without_underside(board)]
     for sx in (-1, 1):
         x = sx * (width / 2 - 0.05)
         shapes += [
@@ -54,6 +65,18 @@ def build_divider(cloth: Material, width: float) -> Item:
             ),
         ),
     )
+
+
+def build_cable_tray(width: float) -> Item:
+    """A tray of wire under the back edge of a desk; its rim is at z = 0.13."""
+    wire = plain("wire", "metal", "#3a3c40", contrast=0.1)
+    long = width - 0.3
+    shapes = [
+        build_box((long, 0.12, 0.008), wire, at=(0, 0, 0)),
+        build_box((long, 0.006, 0.1), wire, at=(0, -0.06, 0)),
+        build_box((0.5, 0.06, 0.045), WHITE, bevel=0.006, at=(0.05, 0, 0.009)),
+    ]
+    return Item("cable tray", tuple(shapes))
 
 
 def build_pedestal(front: Material) -> Item:
@@ -97,143 +120,6 @@ def build_phone() -> Item:
     return Item("telephone", tuple(shapes))
 
 
-def build_pen_holder(rng: np.random.Generator) -> Item:
-    """A pot of pens."""
-    body = plain("pen pot", "plastic", str(rng.choice(BINDERS)), contrast=0.1)
-    rz = [(0, 0), (0.038, 0), (0.038, 0.1), (0.034, 0.1), (0.034, 0.01), (0, 0.01)]
-    shapes: list[Shape] = [build_lathe(rz, body, segments=14)]
-    for _ in range(int(rng.integers(3, 7))):
-        a, lean = float(rng.uniform(0, 6.28)), float(rng.uniform(0.01, 0.04))
-        tip = (lean * math.cos(a), lean * math.sin(a))
-        ink = plain("pen", "plastic", str(rng.choice(["#23427a", "#1c1c1e", "#b3201d", "#e0b32e"])))
-        shapes.append(
-            build_rod(
-                (0, 0, 0.012), (tip[0], tip[1], float(rng.uniform(0.13, 0.16))), 0.004, ink, sides=5
-            )
-        )
-    return Item("pen holder", tuple(shapes))
-
-
-def build_notebook(rng: np.random.Generator) -> Item:
-    """A closed notebook with a pen on it."""
-    cover = plain("cover", "leather", str(rng.choice(BINDERS)), contrast=0.2)
-    w, d = (0.15, 0.21) if rng.random() < 0.6 else (0.21, 0.297)
-    return Item(
-        "notebook",
-        (
-            build_box((w, d, 0.014), cover, bevel=0.002),
-            build_box((w - 0.006, d - 0.006, 0.008), PAPER, at=(0.003, 0, 0.003)),
-            build_rod((w * 0.3, -0.06, 0.018), (w * 0.3, 0.07, 0.018), 0.004, BLACK, sides=5),
-        ),
-    )
-
-
-def build_papers(rng: np.random.Generator) -> Item:
-    """A few printed sheets, not quite aligned, category "paper"."""
-    shapes = []
-    for k in range(int(rng.integers(2, 5))):
-        print_ = plain("print", "paper", "#f3f2ee", contrast=0.5, seed=int(rng.integers(9)))
-        sheet = build_box((0.21, 0.297, 0.002), print_, at=(0, 0, 0.0022 * k))
-        shapes.append(sheet.moved(*rng.uniform(-0.01, 0.01, 2), 0.0, float(rng.uniform(-0.2, 0.2))))
-    return Item("paper", tuple(shapes))
-
-
-def build_tray(rng: np.random.Generator) -> Item:
-    """Stacked letter trays with papers, category "paper tray"."""
-    body = plain(
-        "tray", "plastic", str(rng.choice(["#2b2d31", "#c9cbcd", "#7fa3b8"])), contrast=0.1
-    )
-    shapes: list[Shape] = []
-    for k in range(int(rng.integers(2, 4))):
-        z = 0.075 * k
-        shapes.append(build_box((0.25, 0.33, 0.006), body, at=(0, 0, z)))
-        shapes += [build_box((0.006, 0.33, 0.06), body, at=(sx * 0.125, 0, z)) for sx in (-1, 1)]
-        shapes.append(build_box((0.25, 0.006, 0.06), body, at=(0, 0.162, z)))
-        shapes.append(
-            build_box((0.21, 0.29, float(rng.uniform(0.005, 0.03))), PAPER, at=(0, 0, z + 0.006))
-        )
-    return Item("paper tray", tuple(shapes))
-
-
-def build_sticky_notes(rng: np.random.Generator) -> Item:
-    """A block of sticky notes."""
-    code = str(rng.choice(["#f2e04a", "#f08fb0", "#8fd0a0", "#8fc0ee"]))
-    return Item(
-        "sticky notes",
-        (build_box((0.076, 0.076, 0.02), plain("note", "paper", code, contrast=0.05)),),
-    )
-
-
-def build_headphones(rng: np.random.Generator) -> Item:
-    """Headphones lying on a desk."""
-    a = np.linspace(0, math.pi, 9)
-    bow = np.stack([0.08 * np.cos(a), 0.09 * np.sin(a), np.full(9, 0.02)], 1)
-    dark = BLACK if rng.random() < 0.7 else WHITE
-    cups = [
-        build_cylinder(0.036, 0.035, dark, bevel=0.008, segments=14).moved(sx * 0.08, -0.01, 0.0)
-        for sx in (-1, 1)
-    ]
-    return Item("headphones", (build_tube(bow, 0.009, dark, sides=6), *cups))
-
-
-def build_calendar(rng: np.random.Generator) -> Item:
-    """A desk calendar standing like a tent."""
-    paper = plain("calendar", "paper", "#f4f2ec", contrast=0.5, seed=int(rng.integers(9)))
-    back = plain("card", "paper", str(rng.choice(BINDERS)), contrast=0.05)
-    sheet = build_box((0.2, 0.006, 0.15), paper).tilted("x", -0.3).moved(0, -0.035, 0.0)
-    other = build_box((0.2, 0.006, 0.15), back).tilted("x", 0.3).moved(0, 0.055, 0.0)
-    return Item("calendar", (sheet, other))
-
-
-def build_tissue_box(rng: np.random.Generator) -> Item:
-    """A box of paper handkerchiefs."""
-    code = str(rng.choice(["#7fa3b8", "#c9a0a8", "#a8b88a", "#d8cbb4"]))
-    return Item(
-        "tissue box",
-        (
-            build_box((0.23, 0.115, 0.07), plain("card", "paper", code, contrast=0.15)),
-            build_box((0.07, 0.012, 0.045), PAPER, bevel=0.005, at=(0, 0, 0.068)).tilted("y", 0.15),
-        ),
-    )
-
-
-def build_flask(rng: np.random.Generator) -> Item:
-    """A drinking bottle, category "bottle"."""
-    code = str(rng.choice(["#2f6f8c", "#c94f3c", "#3d3f44", "#6f9a6a", "#d8d9da"]))
-    body = plain("flask", "metal", code, contrast=0.15)
-    rz = [
-        (0, 0),
-        (0.034, 0),
-        (0.036, 0.01),
-        (0.036, 0.17),
-        (0.024, 0.2),
-        (0.024, 0.205),
-        (0, 0.205),
-    ]
-    cap = build_cylinder(0.026, 0.03, BLACK, at=(0, 0, 0.203), segments=12)
-    return Item("bottle", (build_lathe(rz, body, segments=16), cap))
-
-
-def build_stapler(rng: np.random.Generator) -> Item:
-    """A stapler."""
-    body = plain("stapler", "plastic", str(rng.choice(BINDERS[1:5])), contrast=0.1)
-    return Item(
-        "stapler",
-        (
-            build_box((0.035, 0.14, 0.014), BLACK, bevel=0.004),
-            build_box((0.03, 0.135, 0.022), body, bevel=0.008).tilted("x", 0.12).moved(z=0.026),
-        ),
-    )
-
-
-def build_mouse_pad(rng: np.random.Generator) -> Item:
-    """A mouse pad."""
-    cloth = plain(
-        "pad", "fabric", str(rng.choice(["#26282c", "#33465a", "#7a7d80"])), contrast=0.15
-    )
-    return Item("mouse pad", (build_box((0.24, 0.2, 0.004), cloth),))
-
-
 def build_binder(rng: np.random.Generator, thick: float | None = None) -> Item:
     """A lever-arch file standing upright, its back towards −y."""
     t = (0.075 if rng.random() < 0.6 else 0.05) if thick is None else thick
@@ -267,7 +153,7 @@ def build_file_shelf(rng: np.random.Generator, palette: Palette, width: float, r
         if rng.random() < 0.12:
             free.append(Support(x + 0.1, end - 0.1, -0.08, 0.06, z, gap - t - 0.03))
             continue
-        fill = x + (end - x) * float(rng.uniform(0.75, 1.0))
+        fill = x + (end - x) * float(rng.uniform(0.85, 1.0))
         while True:
             item = build_binder(rng)
             wide = item.size[0] + 0.002
@@ -333,7 +219,7 @@ def build_meeting_table(
     if rng.random() < 0.35:
         wood = plain("laminate", "plastic", str(rng.choice(["#eceae5", "#d8d5ce"])), contrast=0.06)
     outline = rounded_outline(length, deep, 0.12 if rng.random() < 0.5 else deep * 0.45, 6)
-    shapes = [build_extrusion(outline, 0.03, wood, at=(0, 0, 0.71))]
+    shapes = [without_underside(build_extrusion(outline, 0.03, wood, at=(0, 0, 0.71)))]
     for sx in (-1, 1):
         x = sx * length * 0.3
         shapes.append(build_box((0.12, 0.4, 0.69), metal, bevel=0.01, at=(x, 0, 0.02)))
@@ -457,8 +343,12 @@ def build_reception_desk(rng: np.random.Generator, palette: Palette, width: floa
     shapes = [
         build_box((width, 0.08, 1.06), wood, bevel=0.006, at=(0, -d / 2 + 0.04, 0.03)),
         build_box((width - 0.06, 0.06, 0.03), BLACK, at=(0, -d / 2 + 0.05, 0)),
-        build_box((width + 0.06, 0.34, 0.035), body, bevel=0.006, at=(0, -d / 2 + 0.15, 1.09)),
-        build_box((width - 0.1, 0.66, 0.03), body, bevel=0.004, at=(0, 0.1, 0.71)),
+        without_underside(
+            build_box((width + 0.06, 0.34, 0.035), body, bevel=0.006, at=(0, -d / 2 + 0.15, 1.09))
+        ),
+        without_underside(
+            build_box((width - 0.1, 0.66, 0.03), body, bevel=0.004, at=(0, 0.1, 0.71))
+        ),
     ]
     for sx in (-1, 1):
         shapes.append(

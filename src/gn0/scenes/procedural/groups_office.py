@@ -10,17 +10,21 @@ import numpy as np
 
 from gn0.scenes.procedural import furniture_clutter as clutter
 from gn0.scenes.procedural import furniture_decor as decor
-from gn0.scenes.procedural import furniture_fixtures as fix
+from gn0.scenes.procedural import furniture_light as light
 from gn0.scenes.procedural import furniture_office as office
 from gn0.scenes.procedural import furniture_seats as seats
 from gn0.scenes.procedural import furniture_storage as storage
 from gn0.scenes.procedural import furniture_tables as tables
+from gn0.scenes.procedural import furniture_tools as tools
 from gn0.scenes.procedural.draft import Material
-from gn0.scenes.procedural.layout import RoomLayout, dress, footprint
+from gn0.scenes.procedural.groups import stand_at
+from gn0.scenes.procedural.layout import RoomLayout, dress, footprint, overlaps
 from gn0.scenes.procedural.palette import Palette, plain
-from gn0.scenes.procedural.parts import Item, Placed, Support
+from gn0.scenes.procedural.parts import Item, Placed
+from gn0.scenes.procedural.shapes import build_box, build_panel
+from gn0.scenes.procedural.shell import SIDES
 
-CHAIR_OUT = 0.62  # m of floor that a drawn-up chair takes behind its desk
+CHAIR_OUT = 0.58  # m of floor that a drawn-up chair takes behind its desk
 
 
 @dataclass(frozen=True)
@@ -73,23 +77,40 @@ def draw_chair(taste: OfficeTaste, palette: Palette) -> Item:
 Maker = Callable[[np.random.Generator, Palette], Item]
 # what lies on a desk: how likely, x and y of its middle in halves of the desk, how far it strays
 _LOOSE: tuple[tuple[float, float, float, float, Maker], ...] = (
-    (0.75, 0.78, 0.55, 0.03, lambda r, p: office.build_phone()),
-    (0.8, -0.6, 0.5, 0.05, lambda r, p: office.build_pen_holder(r)),
-    (0.75, 0.58, -0.05, 0.05, clutter.build_cup),
-    (0.75, -0.62, -0.35, 0.06, lambda r, p: office.build_notebook(r)),
-    (0.65, -0.78, 0.1, 0.03, lambda r, p: office.build_papers(r)),
-    (0.5, -0.82, 0.62, 0.02, lambda r, p: office.build_tray(r)),
-    (0.6, 0.42, 0.62, 0.03, lambda r, p: office.build_sticky_notes(r)),
-    (0.45, 0.66, -0.45, 0.05, lambda r, p: office.build_headphones(r)),
-    (0.4, -0.45, 0.72, 0.03, lambda r, p: office.build_calendar(r)),
-    (0.3, 0.88, 0.05, 0.02, lambda r, p: office.build_tissue_box(r)),
-    (0.45, 0.5, 0.3, 0.04, lambda r, p: office.build_flask(r)),
-    (0.35, -0.42, 0.35, 0.04, lambda r, p: office.build_stapler(r)),
-    (0.35, 0.62, 0.78, 0.02, decor.build_photo),
-    (0.3, -0.88, -0.6, 0.03, lambda r, p: storage.build_book_stack(r, int(r.integers(1, 4)))),
-    (0.22, 0.86, 0.7, 0.02, lambda r, p: decor.build_plant(r, p, 0.22)),
+    (0.9, 0.78, 0.55, 0.03, lambda r, p: office.build_phone()),
+    (0.85, -0.6, 0.5, 0.05, lambda r, p: tools.build_pen_holder(r)),
+    (0.85, 0.58, -0.05, 0.05, clutter.build_cup),
+    (0.8, -0.62, -0.35, 0.06, lambda r, p: tools.build_notebook(r)),
+    (0.75, -0.78, 0.1, 0.03, lambda r, p: tools.build_papers(r)),
+    (0.5, -0.82, 0.62, 0.02, lambda r, p: tools.build_tray(r)),
+    (0.65, 0.42, 0.62, 0.03, lambda r, p: tools.build_sticky_notes(r)),
+    (0.5, 0.66, -0.45, 0.05, lambda r, p: tools.build_headphones(r)),
+    (0.45, -0.45, 0.72, 0.03, lambda r, p: tools.build_calendar(r)),
+    (0.35, 0.88, 0.05, 0.02, lambda r, p: tools.build_tissue_box(r)),
+    (0.5, 0.5, 0.3, 0.04, lambda r, p: tools.build_flask(r)),
+    (0.4, -0.42, 0.35, 0.04, lambda r, p: tools.build_stapler(r)),
+    (0.45, 0.62, 0.78, 0.02, decor.build_photo),
+    (0.35, -0.88, -0.6, 0.03, lambda r, p: storage.build_book_stack(r, int(r.integers(1, 4)))),
+    (0.3, 0.86, 0.7, 0.02, lambda r, p: decor.build_plant(r, p, 0.22)),
     (0.25, 0.82, -0.3, 0.03, lambda r, p: clutter.build_glass(r, p)),
+    (0.4, -0.85, 0.75, 0.02, lambda r, p: _unlit_lamp(r, p)),
+    (0.5, 0.3, 0.85, 0.02, lambda r, p: tools.build_dock()),
+    (0.4, 0.7, 0.2, 0.05, lambda r, p: tools.build_calculator(r)),
+    (0.4, -0.3, 0.6, 0.04, lambda r, p: tools.build_hole_punch(r)),
+    (0.45, -0.7, 0.3, 0.05, lambda r, p: tools.build_tape(r)),
 )
+
+
+def _unlit_lamp(rng: np.random.Generator, palette: Palette) -> Item:
+    """A desk lamp that is switched off, as by day."""
+    lamp = light.build_desk_lamp(rng, palette, kelvin=3500.0)
+    return Item(lamp.category, tuple(s.painted(_off(s.material)) for s in lamp.shapes))
+
+
+def _off(material: Material) -> Material:
+    fields = {f: getattr(material, f) for f in material.__struct_fields__}
+    pattern = "plastic" if material.pattern == "lampshade" else material.pattern
+    return Material(**(fields | {"emission": (0.0, 0.0, 0.0), "pattern": pattern}))
 
 
 def build_work_place(rng: np.random.Generator, palette: Palette, taste: OfficeTaste) -> Item:
@@ -113,25 +134,29 @@ def build_work_place(rng: np.random.Generator, palette: Palette, taste: OfficeTa
         parts.append(Placed(clutter.build_laptop(rng, palette), shift, 0.0, h))
     if kind < 0.85:
         parts.append(Placed(clutter.build_keyboard(rng), shift, -d * 0.2, h, _stray(rng, 0.05)))
-        parts.append(Placed(office.build_mouse_pad(rng), shift + 0.36, -d * 0.2, h))
+        parts.append(Placed(tools.build_mouse_pad(rng), shift + 0.36, -d * 0.2, h))
         parts.append(Placed(clutter.build_mouse(rng), shift + 0.36, -d * 0.19, h + 0.004))
-    used = [_reach(p) for p in parts]
+    used = [footprint(p) for p in parts]
     for chance, x, y, stray, maker in _LOOSE:
         if rng.random() > chance:
             continue
         thing = maker(rng, palette)
-        at = Placed(
-            thing,
-            float(x * w / 2 + _stray(rng, stray)),
-            float(y * d / 2 + _stray(rng, stray)),
-            h,
-            _stray(rng, 0.25),
-        )
-        rect = footprint(at)
-        inside = -w / 2 < rect[0] and rect[2] < w / 2 and -d / 2 < rect[1] and rect[3] < d / 2
-        if inside and not any(_meet(rect, other) for other in used):
-            used.append(rect)
-            parts.append(at)
+        for attempt in range(9):
+            if attempt:  # where it usually lies is taken
+                x, y = _stray(rng, 0.92), _stray(rng, 0.85)
+            at = Placed(
+                thing,
+                float(x * w / 2 + _stray(rng, stray)),
+                float(y * d / 2 + _stray(rng, stray)),
+                h,
+                _stray(rng, 0.15),
+            )
+            rect = footprint(at)
+            inside = -w / 2 < rect[0] and rect[2] < w / 2 and -d / 2 < rect[1] and rect[3] < d / 2
+            if inside and not any(overlaps(rect, other) for other in used):
+                used.append(rect)
+                parts.append(at)
+                break
     hand = float(rng.choice([-1, 1]))
     if rng.random() < 0.75:
         parts.append(Placed(office.build_pedestal(taste.front), hand * (w / 2 - 0.3), 0.06))
@@ -139,19 +164,15 @@ def build_work_place(rng: np.random.Generator, palette: Palette, taste: OfficeTa
         parts.append(Placed(office.build_tower(), -hand * (w / 2 - 0.2), 0.1))
     elif rng.random() < 0.6:
         parts.append(Placed(clutter.build_bin(rng, palette), -hand * (w / 2 - 0.25), 0.15))
+    if rng.random() < 0.35:
+        bag = tools.build_bag(rng)
+        parts.append(Placed(bag, hand * (w / 2 - 0.66), -0.05, 0.0, _stray(rng, 0.4)))
+    parts.append(Placed(office.build_cable_tray(w), 0.0, d * 0.36, h - 0.16))
     return desk.with_parts(parts)
 
 
 def _stray(rng: np.random.Generator, reach: float) -> float:
     return float(rng.uniform(-reach, reach))
-
-
-def _reach(placed: Placed) -> tuple[float, float, float, float]:
-    return footprint(placed)
-
-
-def _meet(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def place_islands(layout: RoomLayout, taste: OfficeTaste, *, share: float = 1.0) -> int:
@@ -169,17 +190,17 @@ def place_islands(layout: RoomLayout, taste: OfficeTaste, *, share: float = 1.0)
     long, deep = (room.width, room.depth) if along_x else (room.depth, room.width)
     low, high = _clear_band(layout, along_x, deep)
     w, d = taste.width, taste.depth
-    aisle = float(rng.uniform(0.95, 1.25))
+    aisle = float(rng.uniform(0.85, 1.15))
     pitch = 2 * d + 2 * CHAIR_OUT + aisle
-    columns = int((long - 1.0) / pitch)
+    first_end, last_end = _clear_band(layout, not along_x, long, bare=0.45, window=0.45)
+    columns = int((last_end - first_end + aisle) / pitch)
     usable = high - low
     row = max(int(usable / w), 1)
     groups = [row]
-    if row >= 5 or (row == 4 and rng.random() < 0.5):
-        cross = 1.2  # an aisle through the middle
-        row = int((usable - cross) / w)
+    if row >= 5 and int((usable - 1.2) / w) >= 4:  # an aisle through the middle
+        row = int((usable - 1.2) / w)
         groups = [row - row // 2, row // 2]
-    start = (long - columns * pitch + aisle) / 2 + CHAIR_OUT + d
+    start = (first_end + last_end - columns * pitch + aisle) / 2 + CHAIR_OUT + d
     done = 0
     first = bool(rng.random() < 0.5)
     built = max(1, round(columns * share))
@@ -196,14 +217,16 @@ def place_islands(layout: RoomLayout, taste: OfficeTaste, *, share: float = 1.0)
     return done
 
 
-def _clear_band(layout: RoomLayout, along_x: bool, deep: float) -> tuple[float, float]:
+def _clear_band(
+    layout: RoomLayout, along_x: bool, deep: float, *, bare: float = 1.15, window: float = 0.9
+) -> tuple[float, float]:
     """The stretch across a hall that is free of doors: lanes stay along walls that have any."""
     names = ("south", "north") if along_x else ("west", "east")
     margin = []
     for name in names:
         doors = sum(o[2] <= 0 for o in layout.sides[name].openings)
         windows = sum(o[4].kind == "window" for o in layout.sides[name].openings)
-        margin.append(1.75 if doors else (0.9 if windows else 1.15))
+        margin.append(1.75 if doors else (window if windows else bare))
     return margin[0], deep - margin[1]
 
 
@@ -235,6 +258,10 @@ def _place_island(
                 group.append((seat, True))
         if divider is not None:
             group.append((put(divider, at, along, 0.0), False))
+    if rng.random() < 0.75:  # files at the end of the island that is nearer to the lane
+        ends = (v - 0.24, v + size * taste.width + 0.24)
+        low = build_low_shelf(rng, palette, taste, 1.2 if taste.depth < 0.79 else 1.6)
+        group.append((put(low, at, ends[int(rng.integers(2))], math.pi / 2), True))
     rects = [footprint(p) for p, solid in group if solid]
     clear = (
         max(min(q[0] for q in rects), room.x0),
@@ -311,7 +338,7 @@ def _lay_seat(
     if rng.random() < laptops:
         out.append(Placed(clutter.build_laptop(rng, palette), x, y + s * 0.03, 0.74, face))
     elif rng.random() < 0.8:
-        pad = office.build_notebook(rng) if rng.random() < 0.6 else office.build_papers(rng)
+        pad = tools.build_notebook(rng) if rng.random() < 0.6 else tools.build_papers(rng)
         out.append(Placed(pad, x, y, 0.74, face + _stray(rng, 0.15)))
     if rng.random() < 0.7:
         thing = (
@@ -333,22 +360,66 @@ def build_wall_screen(rng: np.random.Generator, width: float) -> Item:
         fields |= {"emission": (0.4, 0.42, 0.46)}
     shown = Material(**(fields | {"scale": 1.778, "seed": int(rng.integers(99))}))
     dark = plain("bezel", "plastic", "#17181a", contrast=0.05)
-    return Item(
-        "tv",
-        (
-            fix.build_box(
-                (width + 0.03, 0.05, h + 0.03), dark, bevel=0.006, at=(0, -0.03, -h / 2 - 0.015)
-            ),
-            fix.build_panel(
-                (-width / 2, -0.0565, -h / 2), (width, 0, 0), (0, 0, h), shown, fit=True
-            ),
+    bar = 0.022
+    shapes = [
+        build_panel((-width / 2, -0.045, -h / 2), (width, 0, 0), (0, 0, h), shown, fit=True),
+        *(
+            build_box((width + 2 * bar, 0.05, bar), dark, at=(0, -0.03, z))
+            for z in (-h / 2 - bar, h / 2)
         ),
-    )
+        *(
+            build_box((bar, 0.05, h), dark, at=(sx * (width + bar) / 2, -0.03, -h / 2))
+            for sx in (-1, 1)
+        ),
+    ]
+    return Item("tv", tuple(shapes))
 
 
-def build_low_shelf(rng: np.random.Generator, palette: Palette, taste: OfficeTaste) -> Item:
+def place_lounge(layout: RoomLayout, count: int = 2, *, chairs: int = 1) -> bool:
+    """A sofa at a wall with a coffee table before it and armchairs across, on a rug at times."""
+    rng, palette = layout.rng, layout.palette
+    sofa = seats.build_sofa(rng, palette, seats=count)
+    table = dress(tables.build_coffee_table(rng, palette), "coffee table", rng, palette, count=4)
+    low, high = sofa.full_extent()
+    wide, deep = float(high[0] - low[0]), float(high[1] - low[1])
+    t_low, t_high = table.full_extent()
+    t_deep = float(t_high[1] - t_low[1])
+    reach = deep + 0.38 + t_deep
+    for name in rng.permutation(list(SIDES)):
+        side = layout.sides[str(name)]
+        for a, b in sorted(layout.intervals(side, reach, 0.9), key=lambda g: g[0] - g[1]):
+            if b - a < wide + 0.1:
+                continue
+            for t in (a + wide / 2 + 0.05, b - wide / 2 - 0.05, (a + b) / 2):
+                group = [
+                    (layout.against_wall(side, sofa, t, 0.05), True),
+                    (stand_at(side, t, deep + 0.4 + t_deep / 2, table), True),
+                ]
+                clear = layout.strip(side, t - wide / 2, t + wide / 2, reach)
+                if not layout.place_free(group, clear):
+                    continue
+                if rng.random() < 0.6:
+                    rug = tables.build_rug(rng, palette, wide * 0.95, 1.3)
+                    layout.placed.append(stand_at(side, t, deep + 0.45, rug))
+                for k in range(chairs):
+                    chair = seats.build_sofa(rng, palette, seats=1)
+                    turn = math.pi + _stray(rng, 0.25)
+                    at = stand_at(
+                        side, t + (k - (chairs - 1) / 2) * 0.95, reach + 0.75, chair, turn
+                    )
+                    rect = footprint(at)
+                    if layout.is_clear(rect) and layout.is_passable([rect]):
+                        layout.add(at)
+                return True
+    return False
+
+
+def build_low_shelf(
+    rng: np.random.Generator, palette: Palette, taste: OfficeTaste, width: float | None = None
+) -> Item:
     """A low cabinet with plants, files and trays on it."""
-    cabinet = office.build_low_cabinet(rng, taste.front, float(rng.choice([0.8, 1.2, 1.6])))
+    wide = float(rng.choice([0.8, 1.2, 1.6])) if width is None else width
+    cabinet = office.build_low_cabinet(rng, taste.front, wide)
     top = cabinet.supports[0]
     parts = []
     x = top.x0
@@ -366,7 +437,7 @@ def build_low_shelf(rng: np.random.Generator, palette: Palette, taste: OfficeTas
         if kind < 0.6:
             item = decor.build_plant(rng, palette, float(rng.uniform(0.25, 0.4)))
         elif kind < 0.75:
-            item = office.build_tray(rng)
+            item = tools.build_tray(rng)
         elif kind < 0.88:
             item = storage.build_storage_box(rng, palette)
         else:
@@ -379,9 +450,3 @@ def build_low_shelf(rng: np.random.Generator, palette: Palette, taste: OfficeTas
         parts.append(Placed(item, x - float(low[0]), 0.0, top.z))
         x += wide + 0.05
     return cabinet.with_parts(parts)
-
-
-def spread(support: Support, count: int) -> list[float]:
-    """`count` evenly spaced places along a support [m]."""
-    span = support.x1 - support.x0
-    return [support.x0 + span * (k + 0.5) / count for k in range(count)]

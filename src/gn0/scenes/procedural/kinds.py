@@ -61,12 +61,12 @@ KINDS: dict[KindName, SceneKind] = {
         ((112, 134), (134, 166), (166, 215)),
         10_000,
         "a large home: several bedrooms and baths, dining room, study, laundry",
-    ),  # fmt: skip
+    ),
     "office": SceneKind(
         "office:draft_office",
         1,
         ((205, 300), (325, 425), (460, 590)),
         6_000,
         "an open-plan office with meeting rooms, reception, kitchen",
-    ),  # fmt: skip
+    ),
 }

@@ -16,7 +16,7 @@ from gn0.scenes.procedural import furniture_kitchen as kitchen
 from gn0.scenes.procedural import furniture_office as office
 from gn0.scenes.procedural import furniture_seats as seats
 from gn0.scenes.procedural import furniture_storage as storage
-from gn0.scenes.procedural import furniture_tables as tables
+from gn0.scenes.procedural import furniture_tools as tools
 from gn0.scenes.procedural import groups_office as groups
 from gn0.scenes.procedural.groups import (
     hang_over,
@@ -58,6 +58,8 @@ class OfficeRooms:
         room = layout.room
         across = max(1, round(room.width * vents / 5.0)), max(1, round(room.depth * vents / 5.0))
         fit.put_in_grid(layout, fix.build_vent(), *across, 0.85)
+        spray = max(1, round(room.width / 3.0)), max(1, round(room.depth / 3.0))
+        fit.put_in_grid(layout, fix.build_sprinkler(), *spray, -0.6)
         fit.fit_fixtures(layout)
 
     def furnish_hall(self, layout: RoomLayout) -> None:
@@ -65,24 +67,18 @@ class OfficeRooms:
         rng, palette = layout.rng, layout.palette
         dress_office_windows(layout)
         groups.place_islands(layout, self.taste, share=0.92)
-        corner = dress(
-            tables.build_coffee_table(rng, palette), "coffee table", rng, palette, count=4
-        )
-        if layout.place_on_wall(
-            seats.build_sofa(rng, palette, seats=2), prefer="corner", front=1.0
-        ):
-            layout.place_on_wall(corner, prefer="any", gap=1.2, reach=False)
-            layout.place_on_wall(seats.build_sofa(rng, palette, seats=1), prefer="any", gap=0.05)
+        groups.place_lounge(layout, int(rng.integers(2, 4)))
         copier = office.build_copier(rng)
         if layout.place_on_wall(copier, prefer="any", front=0.5) is not None:
             layout.place_on_wall(clutter.build_bin(rng, palette), prefer="any", reach=False)
-        for _ in range(round(layout.room.area / 28)):
+        for _ in range(round(layout.room.area / 22)):
             layout.place_on_wall(groups.build_file_wall(rng, palette), prefer="any")
         for _ in range(round(layout.room.area / 40)):
             layout.place_on_wall(groups.build_low_shelf(rng, palette, self.taste), prefer="any")
         code = str(rng.choice(["#c9ccce", "#5f7a8c", "#8a9a7c", "#e1e0db"]))
-        lockers = office.build_lockers(rng, code, int(rng.integers(3, 6)), 2)
-        layout.place_on_wall(lockers, prefer="any", front=0.4)
+        for _ in range(2):
+            lockers = office.build_lockers(rng, code, int(rng.integers(3, 6)), 2)
+            layout.place_on_wall(lockers, prefer="any", front=0.4)
         layout.place_on_wall(office.build_coat_stand(rng, palette), prefer="any", reach=False)
         layout.place_on_wall(office.build_flip_chart(rng), prefer="any", gap=0.1, reach=False)
         layout.place_on_wall(fix.build_cooler(rng), prefer="any", reach=False)
@@ -101,15 +97,9 @@ class OfficeRooms:
         rng, palette = layout.rng, layout.palette
         dress_office_windows(layout)
         self._place_counter(layout)
-        sofa = seats.build_sofa(rng, palette, seats=2)
-        layout.place_on_wall(sofa, prefer="any", gap=0.05, front=0.6)
-        table = dress(
-            tables.build_coffee_table(rng, palette), "coffee table", rng, palette, count=4
-        )
-        layout.place_on_wall(table, prefer="any", gap=0.9, reach=False)
-        for _ in range(2):
-            chair = seats.build_sofa(rng, palette, seats=1)
-            layout.place_on_wall(chair, prefer="any", gap=0.05, front=0.4)
+        groups.place_lounge(layout, int(rng.integers(2, 4)))
+        chair = seats.build_sofa(rng, palette, seats=1)
+        layout.place_on_wall(chair, prefer="any", gap=0.05, front=0.4)
         layout.place_on_wall(office.build_coat_stand(rng, palette), prefer="corner", reach=False)
         stand = storage.build_umbrella_stand(rng, palette)
         layout.place_on_wall(stand, prefer="corner", reach=False)
@@ -130,8 +120,8 @@ class OfficeRooms:
             Placed(clutter.build_keyboard(rng), -0.3, 0.3, work.z, math.pi),
             Placed(clutter.build_mouse(rng), -0.65, 0.3, work.z),
             Placed(office.build_phone(), 0.35, 0.2, work.z, math.pi),
-            Placed(office.build_papers(rng), 0.7, 0.25, work.z),
-            Placed(office.build_pen_holder(rng), bar.x0 + 0.1, -0.28, bar.z),
+            Placed(tools.build_papers(rng), 0.7, 0.25, work.z),
+            Placed(tools.build_pen_holder(rng), bar.x0 + 0.1, -0.28, bar.z),
             Placed(decor.build_vase(rng, palette, flowers=True), bar.x1 - 0.1, -0.28, bar.z),
             Placed(clutter.build_magazines(rng, palette), 0.15, -0.28, bar.z),
         ]
@@ -217,14 +207,14 @@ class OfficeRooms:
         for _ in range(2):
             stock: list[Item] = [office.build_paper_pack(rng) for _ in range(14)]
             stock += [storage.build_storage_box(rng, palette) for _ in range(4)]
-            stock += [office.build_tray(rng) for _ in range(2)]
+            stock += [tools.build_tray(rng) for _ in range(2)]
             rack = home.build_utility_shelf(rng, float(rng.uniform(0.8, 1.0)))
             rack = dress(rack, "shelf", rng, palette, count=0, first=stock, turn=0.06)
             layout.place_on_wall(rack, prefer="corner")
         table = office.build_work_desk(self.taste.top, self.taste.frame, 1.2, 0.6)
-        tools: list[Item] = [office.build_tray(rng), office.build_stapler(rng)]
-        tools += [office.build_papers(rng) for _ in range(2)] + [office.build_pen_holder(rng)]
-        table = dress(table, "desk", rng, palette, count=1, first=tools)
+        small: list[Item] = [tools.build_tray(rng), tools.build_stapler(rng)]
+        small += [tools.build_papers(rng) for _ in range(2)] + [tools.build_pen_holder(rng)]
+        table = dress(table, "desk", rng, palette, count=1, first=small)
         layout.place_on_wall(table, prefer="any")
         layout.place_on_wall(groups.build_file_wall(rng, palette), prefer="corner")
         for _ in range(2):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from gn0.geometry import Pose2D, wrap_angle
+from gn0.geometry import Pose2D
 from gn0.missions.language.route import Landmark, RouteDescription, RouteSegment
 from gn0.render.bev import render_bev
 from gn0.render.renderer import Renderer
@@ -18,7 +19,7 @@ from gn0.viewer.plan import INK, PAPER, font
 from gn0.viewer.sheet import render_views
 
 _GAP = 12
-_CAPTION = 26
+_CAPTION = 38
 _MARGIN = 1.2  # m round the route
 _MARK = (206, 66, 52)
 _VIEWS_MOST = 8
@@ -32,7 +33,6 @@ def render_route(
     start_yaw: float,
     *,
     height: int = 520,
-    columns: int = 3,
     cut_height: float = 2.0,
 ) -> Image.Image:
     """A route from above with its numbered steps and landmarks, beside the views on the way.
@@ -44,14 +44,13 @@ def render_route(
         path: its points [N, 2] m.
         start_yaw: heading at the start [rad].
         height: of the picture [px]; its width follows.
-        columns: views side by side.
         cut_height: what lies higher [m] is left out of the BEV.
     """
     p = np.asarray(path, np.float64).reshape(-1, 2)
     above = _draw_above(scene, renderer, route, p, start_yaw, height, cut_height)
-    stops = _stops(route, p, start_yaw)
-    rows = 2 if len(stops) > columns else 1
-    columns = max(1, math.ceil(len(stops) / rows))
+    stops = _stops(scene, route, p, start_yaw)
+    columns = max(1, math.ceil(len(stops) / 2))
+    rows = math.ceil(len(stops) / columns)
     tall = (height - (rows - 1) * _GAP) // rows - _CAPTION
     wide = min(round(tall * 4 / 3), 420)
     tall = round(wide * 3 / 4)
@@ -63,9 +62,9 @@ def render_route(
         left = above.width + _GAP + (number % columns) * (wide + _GAP)
         top = (number // columns) * (tall + _CAPTION + _GAP)
         sheet.paste(view, (left, top + _CAPTION))
-        letters = max(12, int(wide / 7.6))
-        text = words if len(words) <= letters else words[: letters - 1] + "…"
-        pen.text((left, top + _CAPTION / 2), text, font=font(14), fill=INK, anchor="lm")
+        lines = textwrap.wrap(words, max(16, int(wide / 6.6)), max_lines=2, placeholder=" …")
+        for line, text in enumerate(lines):
+            pen.text((left, top + 10 + 17 * line), text, font=font(13), fill=INK, anchor="lm")
     return sheet
 
 
@@ -78,7 +77,7 @@ def segment_words(segment: RouteSegment) -> str:
         rooms = [segment.inside, *segment.crosses, segment.enters]
         told = list(dict.fromkeys(r for r in rooms if r))
         if told:
-            words += f", {' → '.join(told)}"
+            words += f", {' to '.join(told)}"
     return words + (f", {landmark_words(segment.landmarks[0])}" if segment.landmarks else "")
 
 
@@ -89,7 +88,7 @@ def landmark_words(landmark: Landmark) -> str:
 
 
 def _stops(
-    route: RouteDescription, path: NDArray[np.float64], start_yaw: float
+    scene: Scene, route: RouteDescription, path: NDArray[np.float64], start_yaw: float
 ) -> list[tuple[Pose2D, str]]:
     """Where one looks, and what is said there: each straight at its start, and the arrival."""
     out: list[tuple[Pose2D, str]] = []
@@ -107,21 +106,23 @@ def _stops(
         yaw = float(np.arctan2(d[1], d[0])) if np.hypot(*d) > 1e-6 else start_yaw
         out.append((Pose2D(*segment.start, yaw), " · ".join(words)))
         words = []
-    end = _arrival(route, path, start_yaw)
+    end = _arrival(scene, route, path, start_yaw)
     if len(out) >= _VIEWS_MOST:
         out = out[: _VIEWS_MOST - 1]
     out.append((end, f"arrival: {route.target.name}"))
     return out
 
 
-def _arrival(route: RouteDescription, path: NDArray[np.float64], start_yaw: float) -> Pose2D:
-    """At the end of the path, turned to the target where its side is known."""
-    if len(path) < 2:
-        return Pose2D(float(path[0, 0]), float(path[0, 1]), start_yaw)
-    d = path[-1] - path[-2]
-    yaw = math.atan2(d[1], d[0])
-    yaw += {"left": math.pi / 2, "right": -math.pi / 2}.get(route.target.side, 0.0)
-    return Pose2D(float(path[-1, 0]), float(path[-1, 1]), wrap_angle(yaw))
+def _arrival(
+    scene: Scene, route: RouteDescription, path: NDArray[np.float64], start_yaw: float
+) -> Pose2D:
+    """At the end of the path, turned to the target."""
+    x, y = path[-1].tolist()
+    there = [t.box.centre for t in scene.objects if t.id == route.target.object_id]
+    if there:
+        return Pose2D(x, y, math.atan2(there[0][1] - y, there[0][0] - x))
+    d = path[-1] - path[-2] if len(path) > 1 else np.zeros(2)
+    return Pose2D(x, y, math.atan2(d[1], d[0]) if d.any() else start_yaw)
 
 
 def _draw_above(
@@ -141,8 +142,7 @@ def _draw_above(
     low = np.concatenate(around).min(axis=0) - _MARGIN
     high = np.concatenate(around).max(axis=0) + _MARGIN
     middle, span = (low + high) / 2, np.maximum(high - low, 4.0)
-    span[0] = min(max(span[0], 0.6 * span[1]), 1.7 * span[1])
-    span[1] = max(span[1], span[0] / 1.7)
+    span = np.maximum(span, (0.6 * span[1], span[0] / 1.7))
     scale = float(span[1]) / height  # metres a pixel
     width = round(float(span[0]) / scale)
     x0, y0 = middle - np.array([width, height]) * scale / 2

@@ -83,12 +83,12 @@ def describe_route(
     for i, (stretch, (a, b)) in enumerate(zip(stretches, spans, strict=True)):
         ends = point_at(p, lengths, [a, b])
         start, end = _pair(ends[0]), _pair(ends[1])
-        inside = (fine >= a - spacing) & (fine <= b + spacing)
+        inside = (fine >= a - spacing / 2) & (fine <= b + spacing / 2)
         if stretch.turn is not None:
             approach = rows[i - 1][-4:] if i > 0 else np.zeros(0, np.int64)
             pose = poses[rows[i][0]]
             here = int(np.clip(round(a / spacing), 0, len(points_room) - 1))
-            around = points_room[max(0, here - 5) : here + 11]
+            around = points_room[here : here + 9]
             found.append(
                 finder.at_turn(approach, int(rows[i][0]), pose[:2], float(pose[2]), around)
             )

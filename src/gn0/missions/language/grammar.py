@@ -238,6 +238,7 @@ PHRASES: dict[str, tuple[str, ...]] = {
 
 # what joins clauses and sentences; no skeletons of their own
 JOINTS = (" and ", ", then ", " and then ")
+PLAIN_JOINTS = (", then ", ", and then ")
 LAST_JOINTS = (", and ", ", and then ", ", then ", " and ")
 MIDDLE_JOINTS = (", ", ", then ", ", ")
 OPENINGS = ("Then ", "Next, ", "After that, ", "From there, ", "Now ", "")

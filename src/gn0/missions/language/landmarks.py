@@ -174,7 +174,7 @@ class LandmarkFinder:
             after: the pose in the turn with the new heading.
             point: where the turn is (x, y) [m].
             yaw: heading after it [rad].
-            rooms: index of the room that the turn is in, and of those just before and after [K].
+            rooms: index of the room that the turn is in, and of those just after it [K].
         """
         out: list[Candidate] = []
         here = np.asarray(point, np.float64).reshape(1, 2)

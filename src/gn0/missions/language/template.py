@@ -12,6 +12,7 @@ from gn0.missions.language.grammar import (
     LAST_JOINTS,
     MIDDLE_JOINTS,
     OPENINGS,
+    PLAIN_JOINTS,
     SECOND_OPENINGS,
     phrases,
 )
@@ -212,6 +213,9 @@ def _write_straight(text: _Text, s: RouteSegment, entered: bool, *, last: bool) 
         else:
             text.add("enter", **room)
         return
+    if s.crosses and not entered and not far:
+        text.add("through", mid=definite(s.crosses[-1]))
+        return
     if s.distance < SHORT and not (last and not text.clauses):
         return
     landmark = _take(text, s, "past", "towards")
@@ -255,11 +259,14 @@ def _sentence(text: _Text, clauses: Sequence[str]) -> str:
     if len(clauses) == 1:
         return clauses[0]
     if len(clauses) == 2:
-        return clauses[0] + _pick(text, JOINTS) + clauses[1]
+        # two "and" in a row would hide which belongs to which
+        joints = PLAIN_JOINTS if " and " in clauses[0] + clauses[1] else JOINTS
+        return clauses[0] + _pick(text, joints) + clauses[1]
     out = clauses[0]
     for clause in clauses[1:-1]:
         out += _pick(text, MIDDLE_JOINTS) + clause
-    return out + _pick(text, LAST_JOINTS) + clauses[-1]
+    last = PLAIN_JOINTS if " and " in clauses[-2] + clauses[-1] else LAST_JOINTS
+    return out + _pick(text, last) + clauses[-1]
 
 
 def _finish(sentences: Sequence[str]) -> str:

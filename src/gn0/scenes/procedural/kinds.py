@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 from gn0.scenes.procedural.draft import SceneDraft
 
-KindName = Literal["apartment", "residence", "office"]
+KindName = Literal["apartment", "residence", "office", "supermarket", "warehouse"]
 SizeName = Literal["small", "medium", "large"]
 StyleName = Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"]
 
@@ -68,5 +68,19 @@ KINDS: dict[KindName, SceneKind] = {
         ((205, 300), (325, 425), (460, 590)),
         6_000,
         "an open-plan office with meeting rooms, reception, kitchen",
+    ),
+    "supermarket": SceneKind(
+        "supermarket:draft_supermarket",
+        1,
+        ((235, 310), (335, 430), (450, 570)),
+        6_000,
+        "aisles of stocked shelves, fresh food, freezers, checkouts, a store room",
+    ),
+    "warehouse": SceneKind(
+        "warehouse:draft_warehouse",
+        1,
+        ((295, 395), (425, 565), (615, 805)),
+        5_000,
+        "pallet racks, packing area, loading docks, a glazed office",
     ),
 }

@@ -8,10 +8,66 @@ import numpy as np
 
 from gn0.jit import njit
 from gn0.maps.lattice_states import project
-from gn0.maps.ray import is_blocked, trace_points
+from gn0.maps.ray import is_blocked
 
 FAR_POINTS = 256  # points of a way that are looked at; the first metres never need as many
 GOOD, UNREACHABLE, UNSEEN = 0, 1, 2  # how a state fared in `sample_ways`
+
+
+@njit
+def is_clear(blocked, origin_x, origin_y, resolution, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
+    """Whether no point of a straight line lies in a blocked cell.
+
+    Stricter than a move of the simulator, whose Bresenham line may leave out a cell that the
+    straight line just touches: a waypoint may be anywhere on its line.
+    """
+    u, v = (x0 - origin_x) / resolution, (y0 - origin_y) / resolution
+    du, dv = (x1 - origin_x) / resolution - u, (y1 - origin_y) / resolution - v
+    col, row = math.floor(u), math.floor(v)
+    last_col, last_row = math.floor(u + du), math.floor(v + dv)
+    if is_blocked(blocked, row, col) or is_blocked(blocked, last_row, last_col):
+        return False
+    right, up = (1 if du > 0 else -1), (1 if dv > 0 else -1)
+    per_col = abs(1.0 / du) if du != 0 else np.inf
+    per_row = abs(1.0 / dv) if dv != 0 else np.inf
+    next_col = ((col + 1 - u) if du > 0 else (u - col)) * per_col if du != 0 else np.inf
+    next_row = ((row + 1 - v) if dv > 0 else (v - row)) * per_row if dv != 0 else np.inf
+    for _ in range(abs(last_col - col) + abs(last_row - row) + 2):
+        if col == last_col and row == last_row:
+            return True
+        if abs(next_col - next_row) < 1e-9:  # through a corner: all that meet there
+            if is_blocked(blocked, row, col + right) or is_blocked(blocked, row + up, col):
+                return False
+            col, row = col + right, row + up
+            next_col, next_row = next_col + per_col, next_row + per_row
+        elif next_col < next_row:
+            col += right
+            next_col += per_col
+        else:
+            row += up
+            next_row += per_row
+        if is_blocked(blocked, row, col):
+            return False
+    return True
+
+
+@njit
+def shorten_way(blocked, origin_x, origin_y, resolution, points):  # type: ignore[no-untyped-def]
+    """Indices [M] of the points that a way keeps: from each the farthest that is in clear sight."""
+    kept = np.empty(len(points), np.int64)
+    kept[0] = 0
+    count, here = 1, 0
+    while here < len(points) - 1:
+        there = len(points) - 1
+        while there > here + 1 and not is_clear(
+            blocked, origin_x, origin_y, resolution,
+            points[here, 0], points[here, 1], points[there, 0], points[there, 1],
+        ):  # fmt: skip
+            there -= 1
+        kept[count] = there
+        count += 1
+        here = there
+    return kept[:count]
 
 
 @njit
@@ -38,15 +94,15 @@ def free_corners(blocked, origin_x, origin_y, resolution, roots, goal_x, goal_y)
 
 @njit
 def blocked_legs(blocked, origin_x, origin_y, resolution, places, parents):  # type: ignore[no-untyped-def]
-    """Which bends [R] cannot be left straight for the next one: Bresenham's line is truncated."""
+    """Which bends [R] cannot be left straight for the next one."""
     out = np.zeros(len(places), np.bool_)
     for r in range(1, len(places)):
         p = parents[r]
         if p >= 0:
-            out[r] = trace_points(
+            out[r] = not is_clear(
                 blocked, origin_x, origin_y, resolution,
                 places[r, 0], places[r, 1], places[p, 0], places[p, 1],
-            )[2]  # fmt: skip
+            )  # fmt: skip
     return out
 
 
@@ -63,12 +119,9 @@ def _spread_points(points, count, blocked, frame, spacing, pose, out, slots):  #
     while k < slots and here < count - 1:
         ax, ay = points[here, 0], points[here, 1]
         there = count - 1
-        while there > here + 1:
-            hit = trace_points(
-                blocked, frame[0], frame[1], frame[2], ax, ay, points[there, 0], points[there, 1]
-            )[2]
-            if not hit:
-                break
+        while there > here + 1 and not is_clear(
+            blocked, frame[0], frame[1], frame[2], ax, ay, points[there, 0], points[there, 1]
+        ):
             there -= 1
         dx, dy = points[there, 0] - ax, points[there, 1] - ay
         length = math.sqrt(dx * dx + dy * dy)
@@ -120,9 +173,7 @@ def sample_ways(  # type: ignore[no-untyped-def]
         r = label[row, col]
         points[0, 0], points[0, 1] = x, y
         count = 1
-        if trace_points(blocked, origin_x, origin_y, resolution, x, y, places[r, 0], places[r, 1])[
-            2
-        ]:
+        if not is_clear(blocked, origin_x, origin_y, resolution, x, y, places[r, 0], places[r, 1]):
             status[i] = UNSEEN
             continue
         while True:

@@ -15,13 +15,13 @@ Variants:
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from gn0.config import Config
@@ -32,7 +32,7 @@ from gn0.geometry import F32, F64, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.pose_astar import plan_actions
-from gn0.maps.ray import is_line_free
+from gn0.maps.ray import is_line_free, trace_move
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.sim.kinematics import Heading, heading_cycle, step_forward
 from gn0.sim.state import Action
@@ -42,6 +42,7 @@ ACTIONS_AHEAD = 6
 ROUNDING = 1e-3  # m within the limit, so that no rounding in a metric can put a STOP outside it
 # plans from arbitrary states: at most 2 % dearer than the best, found four times as quickly
 STATE_WEIGHT, STATE_SUBCELLS = 1.02, 1
+ESCAPE_STEPS = 6  # steps, cut short or not, that may lead out of a nook
 I8 = NDArray[np.int8]
 
 
@@ -179,8 +180,10 @@ def label_along(
 
 def window_actions(actions: NDArray[np.integer]) -> I8:
     """The six actions from each step on [T, 6], filled up with STOP."""
-    padded = np.append(np.asarray(actions, np.int8), np.zeros(ACTIONS_AHEAD - 1, np.int8))
-    return sliding_window_view(padded, ACTIONS_AHEAD)[: len(actions)].copy()
+    out = np.zeros((len(actions), ACTIONS_AHEAD), np.int8)
+    for k in range(min(ACTIONS_AHEAD, len(actions))):
+        out[: len(actions) - k, k] = actions[k:]
+    return out
 
 
 def label_states(
@@ -211,7 +214,10 @@ def label_states(
         return Labels(_track(field, body, states, waypoints, valid, settings), waypoints, valid)
     ahead = np.zeros((len(states), ACTIONS_AHEAD), np.int8)
     for i, state in enumerate(states):
-        plan = plan_from(field, state, settings, body)[:ACTIONS_AHEAD]
+        try:
+            plan = plan_from(field, state, settings, body)[:ACTIONS_AHEAD]
+        except PlanError as error:
+            raise PlanError(error.what, where=f"state {i}", remedy=error.remedy) from None
         ahead[i, : len(plan)] = plan
     if settings.variant == "gn0-release":
         ahead = cut_at(ahead, field.goal, states, body, settings.release_stop)
@@ -226,18 +232,70 @@ def plan_from(
 ) -> I8:
     """The expert's plan [T] from one state x, y [m], yaw [rad], without the STOP at its end.
 
+    Where whole steps do not lead out of a nook (an agent gets there by steps cut short), the plan
+    begins with the fewest steps that may be cut short, too.
+
     Raises:
         PlanError: no plan exists.
     """
+    x, y, yaw = (float(v) for v in state)
+    try:
+        return _plan_whole(field, x, y, yaw, settings, agent)
+    except PlanError:
+        if not math.isfinite(field.distance_at(x, y)):
+            raise
+        return _escape(field, x, y, yaw, settings, agent)
+
+
+def _plan_whole(
+    field: GeodesicField, x: float, y: float, yaw: float, settings: LabelSettings, agent: AgentSpec
+) -> I8:
     return plan_actions(
         field,
-        (float(state[0]), float(state[1])),
-        heading_cycle(Heading(wrap_angle(float(state[2])), 0, agent.turn_degrees)),
+        (x, y),
+        heading_cycle(Heading(wrap_angle(yaw), 0, agent.turn_degrees)),
         tolerance=settings.stop_distance - ROUNDING,
         step=agent.forward_step,
         turn_cost=settings.turn_cost,
         weight=STATE_WEIGHT,
         subcells=STATE_SUBCELLS,
+    )
+
+
+def _escape(
+    field: GeodesicField, x: float, y: float, yaw: float, settings: LabelSettings, agent: AgentSpec
+) -> I8:
+    """A plan that bumps its way out of a nook: breadth first over steps, nearest the goal first."""
+    grid = field.grid
+    heading = Heading(wrap_angle(yaw), 0, agent.turn_degrees)
+    circle = len(heading_cycle(heading))
+    turns = sorted(range(-(circle // 2), circle - circle // 2), key=lambda k: (abs(k), k))
+    layer: list[tuple[float, float, int, list[int]]] = [(x, y, 0, [])]
+    seen = {grid.cell_of(x, y)}
+    for _ in range(ESCAPE_STEPS):
+        reached: list[tuple[float, float, int, list[int]]] = []
+        for px, py, turned, plan in layer:
+            for k in turns:
+                here = heading.turned(turned + k)
+                target = step_forward(px, py, here.yaw, agent.forward_step)
+                qx, qy, _ = trace_move(grid, (px, py), target)
+                if grid.cell_of(qx, qy) in seen:
+                    continue
+                seen.add(grid.cell_of(qx, qy))
+                code = Action.LEFT if k > 0 else Action.RIGHT
+                steps = [*plan, *[int(code)] * abs(k), int(Action.FORWARD)]
+                reached.append((qx, qy, turned + k, steps))
+        reached.sort(key=lambda state: (field.distance_at(state[0], state[1]), len(state[3])))
+        for qx, qy, turned, plan in reached:
+            with contextlib.suppress(PlanError):
+                yaw = heading.turned(turned).yaw
+                rest = _plan_whole(field, qx, qy, yaw, settings, agent)
+                return np.append(np.array(plan, np.int8), rest)
+        layer = reached
+    raise PlanError(
+        f"no actions lead from ({x:g}, {y:g}) to within {settings.stop_distance:g} m of "
+        f"{field.goal}",
+        remedy="label states that the agent can come to, or give it smaller steps",
     )
 
 

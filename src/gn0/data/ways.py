@@ -1,8 +1,9 @@
 """The way ahead of a state: points at equal arcs along the shortest drivable path to a goal.
 
 Of one geodesic field every way is a chain of the same bends, so the bends are moved off their
-obstacles once a field, and what is left a state is a walk down the chain. It is the path that
-`GeodesicField.path` gives, for hundreds of thousands of states a second.
+obstacles once a field, and what is left a state is a walk down the chain: the path that
+`GeodesicField.path` gives, for hundreds of thousands of states a second. One rule is stricter: no
+point of it lies in a blocked cell, where a move of the simulator may touch a cell's corner.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from gn0.data.label_kernels import (
     blocked_legs,
     free_corners,
     sample_ways,
+    shorten_way,
     spread_line,
 )
 from gn0.errors import PlanError
@@ -27,7 +29,6 @@ from gn0.geometry import F32, F64
 from gn0.maps.astar import PlannerAstar
 from gn0.maps.distance import GeodesicField
 from gn0.maps.grid import OccupancyGrid
-from gn0.maps.smooth import smooth_path
 
 POINTS = 13  # where the agent is, and twelve more
 SPACING = 0.25  # m of arc length between them
@@ -57,7 +58,13 @@ def _detour(grid: OccupancyGrid, start: F64, end: F64) -> F64:
     if planner is None:
         planner = _planner_of[grid] = PlannerAstar(grid)
     cells = planner.plan(grid.cell_of(*start), grid.cell_of(*end)).cells
-    return smooth_path(grid, np.vstack([start, grid.centres_of(cells)[1:-1], end]))
+    return _shorten(grid, np.vstack([start, grid.centres_of(cells)[1:-1], end]))
+
+
+def _shorten(grid: OccupancyGrid, points: F64) -> F64:
+    kept: NDArray[np.int64] = shorten_way(*_frame(grid), np.ascontiguousarray(points))
+    out: F64 = points[kept]
+    return out
 
 
 def _find_bends(field: GeodesicField) -> _Bends:
@@ -109,7 +116,7 @@ def sample_way_points(
         np.where(finite[:, None], p, np.inf), *frame, field.label, field.parents, bends.places,
         bends.via_start, bends.vias, SPACING, out, valid, status,
     )  # fmt: skip
-    lost = np.flatnonzero((status == UNREACHABLE) | ~finite)
+    lost = np.flatnonzero(np.logical_or(status == UNREACHABLE, ~finite))
     if len(lost):
         raise PlanError(
             f"no way from ({p[lost[0], 0]:g}, {p[lost[0], 1]:g}) m to the goal {field.goal}",
@@ -130,7 +137,7 @@ def find_way(field: GeodesicField, place: NDArray[np.floating]) -> F64:
     """
     at = np.asarray(place, np.float64)
     sample_way_points(field, np.array([[at[0], at[1], 0.0]]), 1)  # refuses what cannot be reached
-    return smooth_path(field.grid, _winding_way(field, _find_bends(field), at))
+    return _shorten(field.grid, _winding_way(field, _find_bends(field), at))
 
 
 def _winding_way(field: GeodesicField, bends: _Bends, place: F64) -> F64:

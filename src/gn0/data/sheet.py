@@ -14,11 +14,12 @@ from gn0.geometry import F64, U8
 from gn0.sim.sensors import MapFrame
 
 HEIGHT = 240  # px of every picture
-GAP, HEAD, FOOT = 8, 62, 42
+GAP, HEAD, FOOT = 8, 62, 52
 WORDS = ("STOP", "FWD", "LEFT", "RIGHT")
 INK, PAPER, SOFT = (20, 22, 26), (255, 255, 255), (100, 104, 112)
 WAY, AGENT, ENDED = (0, 114, 178), (213, 94, 0), (160, 164, 172)
-_CROP = 5.0  # m of map shown around the agent
+REACH = 4.0  # m of map shown around the agent
+CAPTIONS = ("view", "history: the last 16 views", "BEV, the next 3 m", "occupancy, the next 3 m")
 
 
 def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.Image:
@@ -65,7 +66,8 @@ def _draw_line(pictures: dict[str, U8], rows: EpisodeRows, t: int, frame: MapFra
     tiles = [_fit(Image.fromarray(pictures["rgb"])), _fit(Image.fromarray(pictures["history"]))]
     points = _world_points(rows, t)
     for name in ("bev", "occupancy"):
-        tiles.append(_draw_map(pictures[name], rows, t, points, frame))
+        arrow = name == "bev"  # the occupancy picture has its own dots
+        tiles.append(_draw_map(pictures[name], rows, t, points, frame, arrow=arrow))
     width = sum(tile.width for tile in tiles) + GAP * (len(tiles) - 1)
     line = Image.new("RGB", (width, HEIGHT + FOOT), PAPER)
     x = 0
@@ -73,6 +75,10 @@ def _draw_line(pictures: dict[str, U8], rows: EpisodeRows, t: int, frame: MapFra
         line.paste(tile, (x, 0))
         x += tile.width + GAP
     draw = ImageDraw.Draw(line)
+    x = 0
+    for tile, caption in zip(tiles, CAPTIONS, strict=True):
+        draw.text((x, HEIGHT + 4), caption, SOFT, ImageFont.load_default(12))
+        x += tile.width + GAP
     ahead = " ".join(WORDS[code] for code in rows.actions[t].tolist())
     text = (
         f"step {t} · next six: {ahead} · {int(rows.valid[t])} of 13 points · "
@@ -81,7 +87,7 @@ def _draw_line(pictures: dict[str, U8], rows: EpisodeRows, t: int, frame: MapFra
     if rows.policy_actions:
         said = " ".join(WORDS[code] for code in rows.policy_actions[t])
         text += f" · policy said {said}"
-    draw.text((0, HEIGHT + 6), text, INK, ImageFont.load_default(14))
+    draw.text((0, HEIGHT + 20), text, INK, ImageFont.load_default(14))
     return line
 
 
@@ -97,17 +103,19 @@ def _world_points(rows: EpisodeRows, t: int) -> F64:
     return np.column_stack([x + c * way[:, 0] - s * way[:, 1], y + s * way[:, 0] + c * way[:, 1]])
 
 
-def _draw_map(picture: U8, rows: EpisodeRows, t: int, points: F64, frame: MapFrame) -> Image.Image:
+def _draw_map(
+    picture: U8, rows: EpisodeRows, t: int, points: F64, frame: MapFrame, *, arrow: bool
+) -> Image.Image:
     """The map around the agent, enlarged, with the way ahead and where the agent looks."""
     x, y, yaw = map(float, rows.poses[t])
-    reach = round(_CROP / frame.metres_per_pixel)
+    side = min(round(2 * REACH / frame.metres_per_pixel), max(frame.height, frame.width))
     row, column = frame.pixel_of(x, y)
-    top, left = row - reach, column - reach
-    padded = np.full((2 * reach, 2 * reach, 3), 235, np.uint8)
+    top, left = _window(row, side, frame.height), _window(column, side, frame.width)
+    padded = np.full((side, side, 3), 235, np.uint8)
     r0, c0 = max(top, 0), max(left, 0)
-    r1, c1 = min(top + 2 * reach, frame.height), min(left + 2 * reach, frame.width)
+    r1, c1 = min(top + side, frame.height), min(left + side, frame.width)
     padded[r0 - top : r1 - top, c0 - left : c1 - left] = picture[r0:r1, c0:c1]
-    scale = HEIGHT / (2 * reach)
+    scale = HEIGHT / side
     image = Image.fromarray(padded).resize((HEIGHT, HEIGHT), Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(image)
 
@@ -117,15 +125,23 @@ def _draw_map(picture: U8, rows: EpisodeRows, t: int, points: F64, frame: MapFra
         return u * scale, v * scale
 
     spots = [place(*point) for point in points]
-    draw.line(spots, fill=WAY, width=2)
-    for index, (u, v) in enumerate(spots):
+    draw.line(spots[1:], fill=WAY, width=2)
+    for index, (u, v) in list(enumerate(spots))[1:]:
         colour = WAY if index < int(rows.valid[t]) else ENDED
         draw.ellipse((u - 2.5, v - 2.5, u + 2.5, v + 2.5), fill=colour)
-    u, v = place(x, y)
-    turn = -yaw + np.array([0.0, 2.5, -2.5])
-    corners = [
-        (u + r * float(np.cos(a)), v + r * float(np.sin(a)))
-        for a, r in zip(turn, (10, 7, 7), strict=True)
-    ]
-    draw.polygon(corners, fill=AGENT, outline=PAPER)
+    if arrow:
+        u, v = place(x, y)
+        turn = -yaw + np.array([0.0, 2.5, -2.5])
+        corners = [
+            (u + r * float(np.cos(a)), v + r * float(np.sin(a)))
+            for a, r in zip(turn, (10, 7, 7), strict=True)
+        ]
+        draw.polygon(corners, fill=AGENT, outline=PAPER)
     return image
+
+
+def _window(middle: int, side: int, size: int) -> int:
+    """Where a window [px] begins that holds the middle and stays on the picture if it can."""
+    if size <= side:
+        return (size - side) // 2
+    return min(max(middle - side // 2, 0), size - side)

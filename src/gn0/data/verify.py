@@ -125,17 +125,16 @@ def verify_dataset(
             Damage("cache", f"{PICTURE_FOLDER}/{layout}/{MANIFEST}", fault, layout=layout)
         )
     total = sum(claim.record.size for claim in expected.claims)
-    done = 0
     with ThreadPoolExecutor(workers or count_cores()) as pool:
         answers = pool.map(lambda claim: _look(dataset.folder, claim), expected.claims)
-        for claim, fault in zip(expected.claims, answers, strict=True):
-            done += claim.record.size
-            progress("megabytes", done // 2**20, total // 2**20)
+        for number, (claim, fault) in enumerate(zip(expected.claims, answers, strict=True), 1):
+            progress("files", number, len(expected.claims))
             if fault:
                 unread.append((claim, fault))
     for claim, fault in unread:
         rows: tuple[str, ...] = ()
-        if fault == CHANGED and not any(c.kind == "source" for c, _ in unread):
+        sources = any(other.kind == "source" for other, _ in unread)
+        if fault != MISSING and not (claim.kind == "samples" and sources):
             rows = tuple(find_rows(dataset, claim))
         damages.append(Damage(claim.kind, claim.path, fault, rows, claim.part, claim.layout))
     drawn = 0

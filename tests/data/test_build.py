@@ -1,0 +1,259 @@
+"""A build gives the same bytes however it is run, and refuses what is not its own."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import tarfile
+
+import msgspec
+import numpy as np
+import pytest
+
+from gn0.bench.suite import save_suite
+from gn0.data.build import build_dataset
+from gn0.data.dataset import DATASET_FILE, JOURNAL, load_dataset_file, open_dataset
+from gn0.data.folder import lock_folder
+from gn0.data.labels import label_states
+from gn0.data.render import render_dataset
+from gn0.data.samples import ACTIONS_AHEAD
+from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
+from gn0.errors import BenchError, ConfigError, DataError, FormatError, StorageError
+from gn0.geometry import Pose2D, agent_to_world
+from gn0.scenes.folder import load_scene
+
+
+def test_two_workers_write_the_bytes_of_one(
+    data_suite, settings_of, webdataset, tmp_path, files_of
+) -> None:
+    build_dataset(data_suite, tmp_path / "two", settings_of(), workers=2)
+    assert files_of(tmp_path / "two") == files_of(webdataset.folder)
+
+
+def test_labels_first_and_pictures_later_is_the_same(labels_only, webdataset, copy_of, files_of):
+    folder = copy_of(labels_only)
+    render_dataset(folder)
+    one, other = files_of(folder), files_of(webdataset.folder)
+    told = [json.loads(files.pop(DATASET_FILE)) for files in (one, other)]
+    assert one == other
+    assert told[0]["settings"].pop("pictures")["layout"] == "none"
+    assert told[1]["settings"].pop("pictures")["layout"] == "webdataset"
+    assert told[0] == told[1]
+
+
+def test_a_second_layout_stands_beside_the_first(lerobot, webdataset, copy_of, files_of) -> None:
+    folder = copy_of(webdataset)
+    render_dataset(folder, PictureSettings(layout="lerobot"))
+    ours = {k: v for k, v in files_of(folder).items() if k.startswith("pictures/lerobot")}
+    theirs = {k: v for k, v in files_of(lerobot.folder).items() if k.startswith("pictures/")}
+    assert ours == theirs
+    assert (folder / "pictures" / "webdataset" / "manifest.json").is_file()
+
+
+def test_the_same_command_again_changes_nothing(
+    data_suite, settings_of, webdataset, copy_of, files_of
+):
+    folder = copy_of(webdataset)
+    build_dataset(data_suite, folder, settings_of())
+    render_dataset(folder)
+    assert files_of(folder) == files_of(webdataset.folder)
+
+
+@pytest.mark.parametrize("ended_after", [0, 1])
+def test_a_build_that_stopped_goes_on(
+    data_suite, settings_of, webdataset, tmp_path, files_of, monkeypatch, ended_after
+) -> None:
+    from gn0.data import part
+
+    write_part, written = part.write_part, []
+
+    def write(*args):
+        if len(written) == ended_after:
+            raise StorageError("the power went")
+        written.append(write_part(*args))
+        return written[-1]
+
+    monkeypatch.setattr(part, "write_part", write)
+    with pytest.raises(StorageError, match="the power went"):
+        build_dataset(data_suite, tmp_path / "d", settings_of())
+    monkeypatch.undo()
+    with pytest.raises(DataError, match="has not ended") as caught:
+        open_dataset(tmp_path / "d")
+    assert "same `gn0 data build` command" in caught.value.remedy
+    (tmp_path / "d" / "samples").mkdir(exist_ok=True)
+    (tmp_path / "d" / "samples" / ".gn0-tmp-half").write_bytes(b"half")
+    build_dataset(data_suite, tmp_path / "d", settings_of())
+    assert files_of(tmp_path / "d") == files_of(webdataset.folder)
+
+
+def test_rows_say_what_the_walk_was(labels_only, data_suite) -> None:
+    for name in labels_only.sampled:
+        rollout = labels_only.rollout(name)
+        rows = rollout.rows
+        assert rows.executed[-1] == 0 and (rows.executed[:-1] > 0).all()
+        assert tuple(rows.poses[0]) == rollout.episode.start
+        assert rows.distance[-1] <= 0.25 and not rows.collided.any()
+        padded = np.append(rows.executed, np.zeros(ACTIONS_AHEAD, np.int8))
+        for step in range(len(rows)):
+            assert rows.actions[step].tolist() == padded[step : step + ACTIONS_AHEAD].tolist()
+        navigation = labels_only.navigation(rollout.episode.scene_id)
+        again = label_states(navigation, rollout.episode, rows.poses)
+        np.testing.assert_array_equal(rows.waypoints, again.waypoints)
+        x, y = agent_to_world(Pose2D(*rows.poses[-1]), *rows.waypoints[-1, -1].astype(float))
+        assert math.dist((x, y), rollout.episode.goal) < 1e-3
+
+
+def test_every_episode_is_counted(data_suite, settings_of, tmp_path) -> None:
+    """One whose goal lies in a wall is named with the reason, not dropped."""
+    scene = load_scene(data_suite.scene_folder("example-flat"))
+    bad = msgspec.structs.replace(
+        data_suite.episodes[0],
+        id="in-the-wall",
+        mission=msgspec.structs.replace(data_suite.episodes[0].mission, goal=(0.0, 0.0)),
+    )
+    suite = save_suite(
+        tmp_path / "suite", [scene], [*data_suite.episodes, bad], name="w", keep_unfit=True
+    )
+    dataset = build_dataset(suite, tmp_path / "d", settings_of("none"))
+    skipped = [own for part in dataset.about.parts for own in part.skipped]
+    assert [own.id for own in skipped] == ["in-the-wall"]
+    assert "goal" in skipped[0].reason
+    assert len(dataset.sampled) + len(skipped) == len(suite.episodes)
+    with pytest.raises(DataError, match="has no samples: goal"):
+        dataset.rows("in-the-wall")
+    with pytest.raises(DataError, match="no episode 'nobody'"):
+        dataset.rows("nobody")
+
+
+def test_a_folder_of_another_run_is_refused(data_suite, settings_of, labels_only, tmp_path) -> None:
+    with pytest.raises(DataError, match=r"another dataset: settings\.chunk is 3 there and 8 here"):
+        build_dataset(data_suite, labels_only.folder, BuildSettings())
+    other = settings_of("none")
+    other = msgspec.structs.replace(other, tokens=TokenSettings(frame="ego"))
+    with pytest.raises(DataError, match=r"tokens\.frame is 'global' there and 'ego' here"):
+        build_dataset(data_suite, labels_only.folder, other)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("Dear")
+    with pytest.raises(DataError, match=r"holds no dataset: letter\.txt"):
+        build_dataset(data_suite, tmp_path / "full", settings_of("none"))
+    assert (tmp_path / "full" / "letter.txt").read_text() == "Dear"
+    (tmp_path / "mine" / "scenes").mkdir(parents=True)
+    with pytest.raises(DataError, match="holds no dataset: scenes"):
+        build_dataset(data_suite, tmp_path / "mine", settings_of("none"))
+
+
+def test_two_runs_do_not_write_into_one_folder(data_suite, settings_of, tmp_path) -> None:
+    (tmp_path / "d").mkdir()
+    with lock_folder(tmp_path / "d"), pytest.raises(DataError, match="another run is writing"):
+        build_dataset(data_suite, tmp_path / "d", settings_of("none"))
+
+
+def test_a_changed_scene_is_not_sampled(data_suite, settings_of, tmp_path) -> None:
+    scene = load_scene(data_suite.scene_folder("example-flat"))
+    suite = save_suite(tmp_path / "s", [scene], data_suite.episodes, name="w")
+    labels = suite.folder / "scenes" / "example-flat" / "labels.json"
+    text = labels.read_text()
+    labels.unlink()  # it is a hard link
+    labels.write_text(text.replace("sofa", "settee"))
+    with pytest.raises(BenchError, match="is not the 'example-flat' that this suite"):
+        build_dataset(suite, tmp_path / "d", settings_of("none"))
+    labels.unlink()
+    with pytest.raises(StorageError, match=r"labels\.json is missing"):
+        build_dataset(suite, tmp_path / "d2", settings_of("none"))
+
+
+@pytest.mark.parametrize("field", ["layout", "samples"])
+@pytest.mark.parametrize(("value", "remedy"), [(0, "build the dataset again"), (2, "newer gn0")])
+def test_a_dataset_of_another_schema_says_what_to_do(labels_only, tmp_path, field, value, remedy):
+    about = json.loads((labels_only.folder / DATASET_FILE).read_text())
+    about[field] = value
+    (tmp_path / DATASET_FILE).write_text(json.dumps(about))
+    with pytest.raises(FormatError, match=f"layout {value}, this version reads 1") as caught:
+        open_dataset(tmp_path)
+    assert remedy in caught.value.remedy and caught.value.field == field
+
+
+def test_what_is_no_dataset_is_refused(tmp_path) -> None:
+    with pytest.raises(StorageError, match=r"has no dataset\.json") as caught:
+        open_dataset(tmp_path)
+    assert "gn0 data build" in caught.value.remedy
+    (tmp_path / DATASET_FILE).write_text("{")
+    with pytest.raises(FormatError, match="not valid JSON"):
+        open_dataset(tmp_path)
+    (tmp_path / DATASET_FILE).write_text('{"layout": "one"}')
+    with pytest.raises(FormatError, match="no layout version"):
+        open_dataset(tmp_path)
+
+
+def test_lerobot_has_no_room_for_maps_of_all_sizes() -> None:
+    with pytest.raises(ConfigError, match="one size"):
+        PictureSettings(layout="lerobot", maps="every")
+
+
+def test_a_full_disk_ends_the_build_cleanly(
+    data_suite, settings_of, webdataset, tmp_path, files_of, monkeypatch
+) -> None:
+    import errno
+
+    from gn0.data import cache
+
+    def full(path, write):
+        raise StorageError(
+            "cannot write: No space left on device", where=path, remedy="the disk is full"
+        ) from OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr(cache, "write_atomic", full)
+    with pytest.raises(StorageError, match="No space left"):
+        build_dataset(data_suite, tmp_path / "d", settings_of())
+    monkeypatch.undo()
+    build_dataset(data_suite, tmp_path / "d", settings_of())
+    assert files_of(tmp_path / "d") == files_of(webdataset.folder)
+
+
+def test_shards_are_plain_tar_with_one_key_a_sample(webdataset) -> None:
+    """What the readers of WebDataset need: grouped keys, known endings; and no time, no owner."""
+    row = 0
+    for part in webdataset.about.parts:
+        path = webdataset.folder / "pictures" / "webdataset" / f"{part.name}.tar"
+        groups: dict[str, list[str]] = {}
+        with tarfile.open(path) as shard:
+            for member in shard:
+                assert (member.mtime, member.uid, member.uname) == (0, 0, "")
+                key, _, ending = member.name.partition(".")
+                assert not groups or key == next(reversed(groups)) or key not in groups
+                groups.setdefault(key, []).append(ending)
+                if ending == "json":
+                    stream = shard.extractfile(member)
+                    assert stream is not None
+                    about = json.load(io.TextIOWrapper(stream, "utf-8"))
+        assert len(groups) == part.rows
+        assert set(map(tuple, groups.values())) == {("rgb.jpg", "history.jpg", "json")}
+        rows = webdataset.rows(about["episode_id"])
+        assert about["actions"] == rows.actions[about["step"]].tolist()
+        assert about["pixels"] == rows.pixels[about["step"]].tolist()
+        assert (path.parent / about["bev"]).is_file()
+        assert (path.parent / about["occupancy"]["map"]).is_file()
+        row += part.rows
+    assert row == webdataset.about.rows
+
+
+def test_png_and_maps_in_every_sample_are_the_very_pixels(data_suite, settings_of, tmp_path):
+    settings = settings_of("webdataset", format="png", maps="every")
+    dataset = build_dataset(data_suite, tmp_path / "d", settings)
+    name = dataset.sampled[0]
+    kinds = ("rgb", "history", "bev", "occupancy")
+    for one, other in zip(
+        dataset.frames(name, kinds), dataset.frames(name, kinds, exact=True), strict=True
+    ):
+        for kind in kinds:
+            np.testing.assert_array_equal(one[kind], other[kind])
+
+
+def test_the_journal_names_the_parts_in_order(webdataset) -> None:
+    from gn0.storage import Journal
+
+    records = Journal(webdataset.folder / JOURNAL).read()
+    about = load_dataset_file(webdataset.folder)
+    assert [r["part"]["name"] for r in records] == [part.name for part in about.parts]
+    assert about.complete and about.rendered and about.rows == sum(p.rows for p in about.parts)

@@ -42,6 +42,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data show": ("data_show", "draw a sample sheet: pictures, waypoints, actions"),
     "data verify": ("data_verify", "read every byte again and name what is damaged"),
     "data repair": ("data_repair", "make what is damaged again, byte for byte"),
+    "data balance": ("data_balance", "draw the actions of a dataset in the paper's shares"),
     "data dagger": ("data_dagger", "states that a policy visits, labelled by the expert"),
     "figures": ("figures", "measure the figures of merit and write the board"),
 }

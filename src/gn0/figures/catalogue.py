@@ -9,7 +9,7 @@ from gn0.figures.board import Figure
 
 _MODULES = (
     "install", "gaussians", "splat_formats", "maps", "render", "scenes", "capture", "procedural",
-    "sim", "mapping", "vector", "bench", "policies", "missions", "view", "trust",
+    "sim", "mapping", "vector", "bench", "policies", "missions", "samples", "view", "trust",
 )  # fmt: skip
 
 

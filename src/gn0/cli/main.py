@@ -44,6 +44,8 @@ VERBS: dict[str, tuple[str, str]] = {
     "data repair": ("data_repair", "make what is damaged again, byte for byte"),
     "data balance": ("data_balance", "draw the actions of a dataset in the paper's shares"),
     "data dagger": ("data_dagger", "states that a policy visits, labelled by the expert"),
+    "export": ("export", "a dataset for VLN-CE, LeRobot, NaVid, StreamVLN, NavDP and others"),
+    "export check": ("export_check", "all that an export's reader takes for granted"),
     "figures": ("figures", "measure the figures of merit and write the board"),
 }
 GROUPS = {

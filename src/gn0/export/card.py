@@ -23,7 +23,6 @@ def write_card(
     Raises:
         StorageError: it cannot be written.
     """
-    preset = about.settings.preset(source)
     rows = [
         ("format", exporter.title),
         ("read by", exporter.reader),
@@ -32,15 +31,16 @@ def write_card(
         ("frame", exporter.frame),
     ]
     if exporter.pictures:
-        width, height = preset.picture_size
-        rows += [
-            ("frames", f"{about.frames:,}"),
-            (
-                "camera",
-                f"{preset.name}: {width}×{height}, horizontal field of view "
-                f"{preset.rgb.hfov:.2f}°, vertical {preset.rgb.vfov:.2f}°",
-            ),
-        ]
+        rows.append(("frames", f"{about.frames:,} for each camera"))
+        for preset in exporter.cameras(source, about.settings):
+            width, height = preset.picture_size
+            rows.append(
+                (
+                    "camera",
+                    f"{preset.name}: {width}×{height}, horizontal field of view "
+                    f"{preset.rgb.hfov:.2f}°, vertical {preset.rgb.vfov:.2f}°",
+                )
+            )
     lines = [
         f"# {source.name}, as {exporter.title}",
         "",
@@ -63,7 +63,7 @@ def write_card(
         f"| {_cell(card.id)} | {_cell(card.source)} | {_cell(card.licence or 'not stated')} |"
         for _, card in sorted(source.scenes.items())
     ]
-    lines += ["", "Check it with", "", f"    gn0 export check {exporter.name} {folder.name}", ""]
+    lines += ["", "Check it with", "", f"    gn0 export check {folder.name}", ""]
     write_text(folder / CARD, "\n".join(lines))
 
 

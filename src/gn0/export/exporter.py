@@ -7,13 +7,14 @@ drives it, keeps the journal, and can go on after a crash.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Protocol, runtime_checkable
 
 import msgspec
 
 from gn0.config import Config
+from gn0.export.shelf import Shelf
 from gn0.export.trips import ExportSource, Recovered, Trip
 from gn0.geometry import F64
 from gn0.plugins import get_plugin, plugin_names
@@ -77,11 +78,29 @@ class Job:
         source: the dataset.
         settings: how to export.
         folder: the folder to fill.
+        shelf: where `write` puts the files of a trip.
     """
 
     source: ExportSource
     settings: ExportSettings
     folder: Path
+    shelf: Shelf = field(default_factory=Shelf)
+
+
+class OwnPoses:
+    """What most formats have in common: a picture a pose, through one camera."""
+
+    pictures = True
+    dagger = False
+    has_splits = False
+
+    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
+        """The trip's own."""
+        return trip.poses
+
+    def cameras(self, source: ExportSource, settings: ExportSettings) -> tuple[CameraPreset, ...]:
+        """The dataset's own, or the one asked for."""
+        return (settings.preset(source),)
 
 
 @runtime_checkable
@@ -95,6 +114,7 @@ class DatasetExporter(Protocol):
         frame: coordinate frame and units of what is in it.
         pictures: whether pictures are written: those of DAgger walks and of experts alike.
         dagger: whether walks of a policy may be exported, labelled by the expert.
+        has_splits: whether the format itself keeps splits apart.
     """
 
     name: str
@@ -103,6 +123,7 @@ class DatasetExporter(Protocol):
     frame: str
     pictures: bool
     dagger: bool
+    has_splits: bool
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """Why the format cannot hold a trip, in a few words that can be counted; "" if it can."""
@@ -112,8 +133,12 @@ class DatasetExporter(Protocol):
         """Poses [K, 3] whose pictures the export holds; the trip's own in most formats."""
         ...
 
+    def cameras(self, source: ExportSource, settings: ExportSettings) -> tuple[CameraPreset, ...]:
+        """Cameras that the pictures are seen through; `Recovered.picture` reads the first."""
+        ...
+
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
-        """Write what belongs to one trip, each file atomically; called again after a crash."""
+        """Write what belongs to one trip through `job.shelf`; called again after a crash."""
         ...
 
     def finish(self, records: Sequence[Record], job: Job) -> None:

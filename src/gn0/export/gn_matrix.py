@@ -15,11 +15,10 @@ import msgspec
 import numpy as np
 
 from gn0.errors import FormatError
-from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import load_names, name_of, save_names
 from gn0.export.trips import Recovered, Trip
-from gn0.geometry import F64
 from gn0.missions.episode import Episode
 from gn0.missions.frames import NavFrame, Placement
 from gn0.missions.sets.episode_set import EpisodeSet, Exporter, get_exporter
@@ -35,7 +34,7 @@ class About(msgspec.Struct):
     shifts: dict[str, tuple[float, float]]
 
 
-class ExporterGnMatrixParquet:
+class ExporterGnMatrixParquet(OwnPoses):
     """See the module."""
 
     name = "gn-matrix"
@@ -43,16 +42,12 @@ class ExporterGnMatrixParquet:
     reader = "GN-Bench: `data/datasets/GN_Matrix/…/*.parquet` beside the scene folders"
     frame = "GN-Matrix nav frame: world − (lower + upper) of each map [m]; pixels of occupancy.png"
     pictures = False
-    dagger = False
+    has_splits = True
     episodes_format, suffix = "gn-matrix", ".parquet"
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """It takes every episode."""
         return ""
-
-    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
-        """The trip's own."""
-        return trip.poses
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """Nothing yet: a file holds all episodes of a split."""

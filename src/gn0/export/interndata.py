@@ -27,7 +27,7 @@ from gn0.export.cameras import (
     project,
     to_start_frame,
 )
-from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.lerobot21 import (
     MetaEpisode,
@@ -42,8 +42,8 @@ from gn0.export.lerobot21 import (
     write_meta,
 )
 from gn0.export.names import Name, load_names, name_of, save_names
-from gn0.export.pictures import load_depth, load_picture, picture_size, save_depth, save_jpeg
-from gn0.export.trips import RGBD, Frame, Recovered, Trip
+from gn0.export.pictures import encode_depth, encode_jpeg, load_depth, load_picture, picture_size
+from gn0.export.trips import RGBD, ExportSource, Frame, Recovered, Trip
 from gn0.geometry import F32, F64
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.storage import safe_join, write_bytes
@@ -69,7 +69,7 @@ def view_name(preset: CameraPreset, height: float) -> str:
     return f"{round(height * 100)}cm_{round(-preset.pitch_degrees)}deg"
 
 
-class ExporterInternData:
+class ExporterInternData(OwnPoses):
     """See the module."""
 
     name = "interndata-n1"
@@ -82,8 +82,6 @@ class ExporterInternData:
         "poses: camera in the frame of the first step, x forward, y left, z up [m], OpenCV camera "
         "axes; goals: pixels (x, y); depth: PNG in mm"
     )
-    pictures = True
-    dagger = False
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """Its loader's own limit."""
@@ -93,9 +91,11 @@ class ExporterInternData:
             return f"its instruction holds {SEPARATOR}"
         return "" if trip.frames >= FEWEST else f"fewer than {FEWEST} frames: the loader skips it"
 
-    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
-        """The trip's own."""
-        return trip.poses
+    def cameras(self, source: ExportSource, settings: ExportSettings) -> tuple[CameraPreset, ...]:
+        """Those of `--views`."""
+        if not settings.views:
+            raise ConfigError("no camera", where="--views", remedy="for example n1_125cm_0deg")
+        return tuple(find_preset(name) for name in settings.views)
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """Pictures and table of an episode."""
@@ -106,7 +106,7 @@ class ExporterInternData:
             "action": np.array([-1, *trip.moves], np.int64),
         }
         views, seen = [], 0
-        for view in _views(job.settings):
+        for view in self.cameras(job.source, job.settings):
             height = camera_height(view, job.source.preset, trip.episode.agent)
             name = view_name(view, height)
             views.append(name)
@@ -115,9 +115,9 @@ class ExporterInternData:
                 assert frame.rgb is not None and frame.depth is not None
                 stem = f"episode_{index:06d}_{number}"
                 colour = videos / f"observation.images.rgb.{name}/{stem}.jpg"
-                save_jpeg(colour, frame.rgb, job.settings.quality)
+                job.shelf.put(colour, encode_jpeg(frame.rgb, job.settings.quality))
                 grey = videos / f"observation.images.depth.{name}/{stem}.png"
-                save_depth(grey, frame.depth, MILLIMETRE)
+                job.shelf.put(grey, encode_depth(frame.depth, MILLIMETRE))
                 depths.append(frame.depth)
             pitch = math.radians(view.pitch_degrees)
             goals, ahead = find_pixel_goals(trip.poses, depths, view, height)
@@ -128,7 +128,7 @@ class ExporterInternData:
         columns |= index_columns(
             length, job.settings.fps or FPS, index, place.scene_first_frame, index
         )
-        write_bytes(episode_path(folder, index), encode_columns(columns))
+        job.shelf.put(episode_path(folder, index), encode_columns(columns))
         return {
             "gn0": name_of(trip),
             "scene": trip.episode.scene_id,
@@ -211,12 +211,6 @@ def find_pixel_goals(
             last = int(good[-1])
             goals[now], ahead[now] = chosen[last], last + 1
     return goals, ahead
-
-
-def _views(settings: ExportSettings) -> list[CameraPreset]:
-    if not settings.views:
-        raise ConfigError("no camera", where="--views", remedy="for example n1_125cm_0deg")
-    return [find_preset(name) for name in settings.views]
 
 
 def _scene_folder(root: Path, name: str, scene: str) -> Path:

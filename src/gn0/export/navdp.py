@@ -22,7 +22,7 @@ from scipy.ndimage import binary_dilation
 
 from gn0.errors import FormatError
 from gn0.export.cameras import camera_height, from_mounted, intrinsics, mount, mounted_poses
-from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_lines
 from gn0.export.lerobot21 import (
     MetaEpisode,
@@ -37,7 +37,7 @@ from gn0.export.lerobot21 import (
     write_meta,
 )
 from gn0.export.names import load_names, name_of, save_names
-from gn0.export.pictures import load_depth, load_picture, picture_size, save_depth, save_jpeg
+from gn0.export.pictures import encode_depth, encode_jpeg, load_depth, load_picture, picture_size
 from gn0.export.trips import RGBD, Frame, Recovered, Trip
 from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid
@@ -73,7 +73,7 @@ class StatsLine(msgspec.Struct):
     image_index: Range
 
 
-class ExporterNavDp:
+class ExporterNavDp(OwnPoses):
     """See the module."""
 
     name = "navdp"
@@ -84,8 +84,6 @@ class ExporterNavDp:
         "camera_extrinsic = camera to body (x right, y forward, z up); depth: PNG in 0.1 mm, "
         "6.5535 m and more alike"
     )
-    pictures = True
-    dagger = False
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """A way too short for its loader."""
@@ -111,10 +109,13 @@ class ExporterNavDp:
         for number, frame in enumerate(frames):
             assert frame.rgb is not None and frame.depth is not None
             stem = f"episode_{index:06d}_{number:06d}"
-            save_jpeg(folder / RGB_FOLDER / f"{stem}.jpg", frame.rgb, settings.quality)
-            save_depth(folder / DEPTH_FOLDER / f"{stem}.png", frame.depth, DEPTH_UNIT)
-        own = source.preset if not settings.spacing else preset
-        height = camera_height(preset, own, trip.episode.agent)
+            job.shelf.put(
+                folder / RGB_FOLDER / f"{stem}.jpg", encode_jpeg(frame.rgb, settings.quality)
+            )
+            job.shelf.put(
+                folder / DEPTH_FOLDER / f"{stem}.png", encode_depth(frame.depth, DEPTH_UNIT)
+            )
+        height = camera_height(preset, source.preset, trip.episode.agent)
         pitch = math.radians(preset.pitch_degrees)
         count = len(poses)
         columns: dict[str, NDArray[Any]] = {
@@ -123,7 +124,7 @@ class ExporterNavDp:
             "action": mounted_poses(poses, height, pitch),
         }
         columns |= index_columns(count, settings.fps or FPS, index, place.scene_first_frame, index)
-        write_bytes(episode_path(folder, index, CHUNK), encode_columns(columns))
+        job.shelf.put(episode_path(folder, index, CHUNK), encode_columns(columns))
         return {
             "gn0": name_of(trip),
             "scene": trip.episode.scene_id,

@@ -17,7 +17,7 @@ import msgspec
 
 from gn0.errors import FormatError
 from gn0.export.clips import cut_clip, encode_frames, inspect_clip, read_clip
-from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import load_names, name_of, save_names
 from gn0.export.trips import FORWARD, LEFT, RGB, RIGHT, Frame, Recovered, Trip
@@ -65,12 +65,10 @@ class Talk(msgspec.Struct):
     conversations: list[Turn]
 
 
-class _Conversations:
+class _Conversations(OwnPoses):
     """What both formats share: clips, entries, checks."""
 
     name = ""
-    pictures = True
-    dagger = False
     asks = ""
     answer = _WORDS
 
@@ -105,7 +103,7 @@ class _Conversations:
         talks = []
         for frames, answer in asked:
             video = f"{VIDEOS}/{place.number:06d}_{frames - 1}.mp4"
-            write_bytes(safe_join(job.folder, video), cut_clip(clip, frames))
+            job.shelf.put(safe_join(job.folder, video), cut_clip(clip, frames))
             question = QUESTION.format(episode.instruction) + self.asks
             talks.append(
                 {
@@ -121,7 +119,7 @@ class _Conversations:
 
     def finish(self, records: Sequence[Record], job: Job) -> None:
         """`annotations.json`."""
-        talks = [talk for record in records for talk in record["talks"]]
+        talks = [msgspec.convert(talk, Talk) for record in records for talk in record["talks"]]
         write_bytes(job.folder / ANNOTATIONS, msgspec.json.encode(talks))
         save_names(job.folder, records)
 

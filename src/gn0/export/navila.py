@@ -14,13 +14,12 @@ from pathlib import Path
 import msgspec
 
 from gn0.errors import FormatError
-from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import Name, load_names, name_of, save_names
-from gn0.export.pictures import load_picture, picture_size, save_jpeg
+from gn0.export.pictures import encode_jpeg, load_picture, picture_size
 from gn0.export.trips import FORWARD, LEFT, RGB, RIGHT, Frame, Recovered, Trip
 from gn0.export.words import merge_amounts
-from gn0.geometry import F64
 from gn0.storage import safe_join, write_bytes
 
 ANNOTATIONS, FRAMES = "annotations.json", "train"
@@ -40,7 +39,7 @@ class Question(msgspec.Struct):
     a: str
 
 
-class ExporterNaVila:
+class ExporterNaVila(OwnPoses):
     """See the module."""
 
     name = "navila"
@@ -49,8 +48,6 @@ class ExporterNaVila:
         "NaVILA, training: a VLN dataset with `data_path` annotations.json and `image_path` train"
     )
     frame = "no coordinates: pictures and amounts in cm and degrees"
-    pictures = True
-    dagger = False
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """Other steps than its amounts are made of."""
@@ -59,17 +56,15 @@ class ExporterNaVila:
             return "steps that its amounts (25, 50, 75 cm; 15, 30, 45°) cannot say"
         return "" if trip.stopped else "it did not end with STOP"
 
-    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
-        """The trip's own."""
-        return trip.poses
-
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """The pictures of an episode."""
         folder = job.folder / FRAMES / f"{place.number:06d}"
         preset = job.settings.preset(job.source)
         for number, frame in enumerate(job.source.frames(trip, preset, RGB)):
             assert frame.rgb is not None
-            save_jpeg(folder / f"frame_{number:04d}.jpg", frame.rgb, job.settings.quality)
+            job.shelf.put(
+                folder / f"frame_{number:04d}.jpg", encode_jpeg(frame.rgb, job.settings.quality)
+            )
         episode = trip.episode
         decisions = merge_amounts(trip.moves.tolist(), STEP, TURN)
         asked = [d for n, d in enumerate(decisions) if n % job.settings.every == 0 or

@@ -13,33 +13,27 @@ from PIL import Image
 
 from gn0.errors import FormatError
 from gn0.geometry import F32, U8
-from gn0.storage import read_bytes, write_atomic, write_bytes
+from gn0.storage import read_bytes, write_atomic
 
 PICTURE_LIMIT = 64 * 2**20  # bytes of one picture file
 _PIXELS = 64 * 2**20  # of one picture
 
 
-def save_jpeg(path: Path, rgb: U8, quality: int) -> None:
-    """Write a picture [H, W, 3]; the same pixels give the same bytes.
-
-    Raises:
-        StorageError: the file cannot be written.
-    """
+def encode_jpeg(rgb: U8, quality: int) -> bytes:
+    """A picture [H, W, 3] as JPEG; the same pixels give the same bytes."""
     stream = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(rgb)).save(stream, "JPEG", quality=quality)
-    write_bytes(path, stream.getvalue())
+    return stream.getvalue()
 
 
-def save_depth(path: Path, depth: F32, unit: float) -> None:
-    """Write depth [H, W] m as a 16-bit grey PNG in steps of `unit` m, cut off at 65535 steps.
-
-    Raises:
-        StorageError: the file cannot be written.
-    """
+def encode_depth(depth: F32, unit: float) -> bytes:
+    """Depth [H, W] m as a 16-bit grey PNG in steps of `unit` m, cut off at 65535 steps."""
     steps = np.rint(np.asarray(depth, np.float64) / unit)
     stream = io.BytesIO()
-    Image.fromarray(np.clip(steps, 0, 65535).astype(np.uint16)).save(stream, "PNG")
-    write_bytes(path, stream.getvalue())
+    Image.fromarray(np.clip(steps, 0, 65535).astype(np.uint16)).save(
+        stream, "PNG", compress_level=3
+    )
+    return stream.getvalue()
 
 
 def load_picture(path: Path) -> U8:

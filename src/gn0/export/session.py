@@ -7,6 +7,7 @@ stopped. What the journal names was written whole.
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import Any
 import msgspec
 
 from gn0.config import Config, load_json
-from gn0.errors import DataError, FormatError, StorageError
+from gn0.errors import DataError, FormatError, Gn0Error, StorageError
 from gn0.export.card import write_card
 from gn0.export.exporter import (
     DatasetExporter,
@@ -28,7 +29,7 @@ from gn0.export.exporter import (
 )
 from gn0.export.trips import ExportSource, Trip
 from gn0.progress import Progress, no_progress
-from gn0.storage import Journal, content_hash, write_json
+from gn0.storage import TEMPORARY_PREFIX, Journal, content_hash, write_json
 
 EXPORT_FILE, JOURNAL = "export.json", "journal.jsonl"
 EXPORT_LAYOUT = 1
@@ -151,7 +152,7 @@ def run_export(
     settings = settings or ExportSettings()
     folder = Path(out)
     job = Job(source, settings, folder)
-    settings.preset(source)
+    exporter.cameras(source, settings)  # an unknown camera is told before anything is written
     about = ExportFile(
         layout=EXPORT_LAYOUT,
         format=exporter.name,
@@ -162,8 +163,11 @@ def run_export(
         settings=settings,
     )
     earlier = _claim(folder, about)
-    if earlier is not None and earlier.complete:
-        return earlier
+    if earlier is not None:
+        if earlier.complete:
+            return earlier
+        for left in folder.rglob(f"{TEMPORARY_PREFIX}*"):
+            left.unlink(missing_ok=True)
     plan = plan_export(exporter, job, progress)
     if not plan.trips:
         raise DataError(
@@ -252,11 +256,18 @@ def _write_trips(
                         where=job.source.name,
                         remedy="export to another folder",
                     )
-                record = exporter.write(trip, planned.place, job)
+                record = _as_journalled(exporter.write(trip, planned.place, job))
+                job.shelf.sync()
                 journal.append({"id": planned.id, "number": planned.place.number, "of": record})
             records.append(record)
     progress("episodes", len(plan.trips), len(plan.trips))
     return records
+
+
+def _as_journalled(record: Record) -> Record:
+    """A record as the journal would give it back: the same after a crash and without one."""
+    found: Record = json.loads(json.dumps(record, sort_keys=True, allow_nan=False))
+    return found
 
 
 def _journalled(path: Path, plan: Plan) -> dict[int, Record]:
@@ -285,3 +296,37 @@ def _matched(
         found = (t for t in trips if t.episode.id in missing and t.episode.split == split)
         for planned in wanted.values():
             yield planned, next(found, None) if planned.id in missing else None
+
+
+def check_export(folder: Path | str, format: str = "") -> list[str]:
+    """Faults of an export, in words: what its reader would stumble over, and what is missing.
+
+    Args:
+        folder: an export.
+        format: exporter name; by default what `export.json` says. With a name, a folder that
+            somebody else wrote is checked as well.
+
+    Raises:
+        ConfigError: no such format.
+        StorageError: no such folder, or no export and no format given.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise StorageError("no such folder", where=folder, remedy="check the path")
+    about = None
+    if not format or (folder / EXPORT_FILE).is_file():
+        about = load_export_file(folder)
+    exporter = get_dataset_exporter(format or (about.format if about else ""))
+    faults = exporter.check(folder)
+    if about is None or about.format != exporter.name:
+        return faults
+    if not about.complete:
+        faults.append("the export has not ended: give the same `gn0 export` command again")
+    try:
+        found = len(exporter.load(folder))
+        if found != about.written:
+            faults.append(f"{found} episodes, export.json says {about.written}")
+    except Gn0Error as error:
+        if str(error) not in faults:
+            faults.append(str(error))
+    return faults

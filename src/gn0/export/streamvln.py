@@ -13,12 +13,11 @@ from pathlib import Path
 import msgspec
 
 from gn0.errors import FormatError
-from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import Name, load_names, name_of, save_names
-from gn0.export.pictures import load_picture, picture_size, save_jpeg
+from gn0.export.pictures import encode_jpeg, load_picture, picture_size
 from gn0.export.trips import RGB, Frame, Recovered, Trip
-from gn0.geometry import F64
 from gn0.storage import safe_join, write_bytes
 
 ANNOTATIONS = "annotations.json"
@@ -35,15 +34,13 @@ class Annotation(msgspec.Struct):
     actions: list[int]
 
 
-class ExporterStreamVln:
+class ExporterStreamVln(OwnPoses):
     """See the module."""
 
     name = "streamvln"
     title = "StreamVLN trajectory data"
     reader = "StreamVLN, training: its VLN action dataset, `video_folder` set to this folder"
     frame = "no coordinates: pictures and actions (0.25 m forward, 15° turns)"
-    pictures = True
-    dagger = False
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """Its loader's own limits, and an agent of other steps."""
@@ -55,10 +52,6 @@ class ExporterStreamVln:
             return f"fewer than {FEWEST_ACTIONS} actions: the loader ignores it"
         return ""
 
-    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
-        """The trip's own."""
-        return trip.poses
-
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """The pictures of an episode."""
         episode = trip.episode
@@ -67,7 +60,9 @@ class ExporterStreamVln:
         preset = job.settings.preset(job.source)
         for number, frame in enumerate(job.source.frames(trip, preset, RGB), 1):
             assert frame.rgb is not None
-            save_jpeg(folder / "rgb" / f"{number:03d}.jpg", frame.rgb, job.settings.quality)
+            job.shelf.put(
+                folder / "rgb" / f"{number:03d}.jpg", encode_jpeg(frame.rgb, job.settings.quality)
+            )
         return {
             "id": place.number,
             "video": video,

@@ -17,12 +17,11 @@ import msgspec
 import numpy as np
 
 from gn0.errors import FormatError
-from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import load_names, name_of, save_names
 from gn0.export.schema import Shape, describe_shape, shape_differences
 from gn0.export.trips import FORWARD, LEFT, RIGHT, Recovered, Trip
-from gn0.geometry import F64
 from gn0.missions.episode import Episode
 from gn0.missions.frames import habitat_rotation, habitat_to_world, world_to_habitat
 from gn0.missions.sets.episode_set import EpisodeSet, Task
@@ -95,7 +94,7 @@ def remember(trip: Trip) -> Record:
     }
 
 
-class ExporterVlnceR2R:
+class ExporterVlnceR2R(OwnPoses):
     """VLN-CE in the style of R2R; see the module."""
 
     name = "vlnce-r2r"
@@ -105,16 +104,12 @@ class ExporterVlnceR2R:
     )
     frame = "Habitat: x right, y up, z back [m], floor at y = 0; rotations (x, y, z, w)"
     pictures = False
-    dagger = False
+    has_splits = True
     role = ""
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """Ground truth ends with STOP."""
         return "" if trip.stopped else "it did not end with STOP"
-
-    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
-        """The trip's own."""
-        return trip.poses
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """Nothing yet: the files hold all episodes of a split."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import FormatError
 from gn0.export.cameras import camera_height
-from gn0.export.exporter import ExportSettings, Job, Place, Record
+from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_lines
 from gn0.export.lerobot21 import (
     MetaEpisode,
@@ -41,7 +41,7 @@ from gn0.export.pictures import load_stack, save_stack
 from gn0.export.trips import RGBD, Frame, Recovered, Trip
 from gn0.export.vlnce import TOKENS, check_splits, instruction_tokens, remember, write_splits
 from gn0.geometry import F32, F64, U8, quaternion_from_rotation
-from gn0.storage import safe_join, write_bytes
+from gn0.storage import safe_join
 
 ROOT, RAW = "traj_data", "raw_data"
 FPS = 30
@@ -72,7 +72,7 @@ class PeEpisode(msgspec.Struct):
     fail_reason: str
 
 
-class ExporterVlnPe:
+class ExporterVlnPe(OwnPoses):
     """See the module."""
 
     name = "vln-pe"
@@ -85,16 +85,10 @@ class ExporterVlnPe:
         "world of the scene, z up [m], yaw [rad]; quaternions (w, x, y, z), body axes x forward, "
         "z up; depth float32 [m]; raw_data in Habitat's frame"
     )
-    pictures = True
-    dagger = False
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """A walk that never stopped has no finish status of theirs."""
         return "" if trip.stopped else "it did not end with STOP"
-
-    def poses(self, trip: Trip, settings: ExportSettings) -> F64:
-        """The trip's own."""
-        return trip.poses
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """Stacks and table of a trajectory."""
@@ -117,7 +111,7 @@ class ExporterVlnPe:
         height = camera_height(preset, source.preset, trip.episode.agent)
         columns = _columns(trip, height, math.radians(preset.pitch_degrees))
         columns |= index_columns(trip.frames, settings.fps or FPS, 0, 0, 0)
-        write_bytes(episode_path(folder, 0), encode_columns(columns))
+        job.shelf.put(episode_path(folder, 0), encode_columns(columns))
         return {
             **remember(trip),
             "gn0": name_of(trip),

@@ -1,0 +1,74 @@
+"""Write a dataset in a format that others train with, measure with, or look at.
+
+Formats: gn-matrix, gn-matrix-json, vlnce-r2r, vlnce-rxr (episodes); vln-pe, interndata-n1, navdp,
+lerobot-v3, navid, uninavid, streamvln, navila (with pictures). Stopped runs go on with the same
+command. What a format cannot hold is left out, counted and told.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import tyro
+
+from gn0.export.exporter import ExportSettings
+
+EXAMPLES = """  gn0 export vlnce-r2r out/data --out out/vlnce
+  gn0 export streamvln out/data --out out/streamvln --camera streamvln --split train
+  gn0 export navdp out/data --out out/navdp --limit 50
+  gn0 export lerobot-v3 out/data --out out/lerobot --fps 5
+  gn0 export check out/vlnce"""
+
+
+class Args(ExportSettings, frozen=True):
+    """The format, the dataset, the place, and what to write.
+
+    Attributes:
+        format: name of the format.
+        dataset: a folder that `gn0 data build` wrote.
+        out: the folder to write.
+        exact: render pictures again, also where the dataset's cache has them.
+        camera: preset to render again through; by default the dataset's own pictures.
+        split: only episodes of this split.
+        limit: at most so many episodes; 0 means all.
+        quality: of JPEG pictures, 1 to 100.
+        fps: frames a second in videos and time stamps; by default the format's own.
+        every: a question at every so-many-th decision (navid, uninavid, navila).
+        spacing: metres between frames of a navdp trajectory; 0 means the dataset's own poses.
+        views: camera presets of an interndata-n1 export.
+        name: name of the data in ids and paths of the format.
+    """
+
+    format: Annotated[str, tyro.conf.Positional]
+    dataset: Annotated[str, tyro.conf.Positional]
+    out: str
+    exact: bool = False
+
+
+def run(args: Args) -> int:
+    """Export, and say what was written and what was not."""
+    from gn0.cli.console import draw_progress
+    from gn0.export.exporter import get_dataset_exporter
+    from gn0.export.session import run_export
+    from gn0.export.source import open_source
+
+    exporter = get_dataset_exporter(args.format)
+    settings = ExportSettings(**{k: getattr(args, k) for k in ExportSettings.__struct_fields__})
+    with draw_progress() as progress:
+        source = open_source(args.dataset, exact=args.exact)
+        done = run_export(source, exporter, args.out, settings, progress=progress)
+    splits = ", ".join(f"{split} {count:,}" for split, count in done.splits.items())
+    frames = f", {done.frames:,} frames" if done.frames else ""
+    print(f"{done.written:,} episodes ({splits}){frames}: {args.out}")
+    for why, count in done.skipped.items():
+        print(f"left out: {count:,} × {why}")
+    for what, count in done.notes.items():
+        print(f"counted: {count:,} × {what}")
+    if len(done.splits) > 1 and not exporter.has_splits:
+        print(
+            "note: this format keeps splits apart by no means of its own; give --split to export "
+            "one at a time"
+        )
+    print(f"read by: {exporter.reader}")
+    print(f"next: gn0 export check {args.out}")
+    return 0

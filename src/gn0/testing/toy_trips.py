@@ -1,0 +1,154 @@
+"""Trips for tests of exporters: planned in a floor plan, seen by eyes that need no splats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+
+import numpy as np
+from msgspec.structs import replace
+
+from gn0.data.labels import plan_expert
+from gn0.export.trips import STOP, ExportSource, Frame, SceneCard, Sensors, Trip
+from gn0.geometry import F32, F64, U8, view_from_pose
+from gn0.maps.grid import OccupancyGrid
+from gn0.maps.navigation import NavigationMap
+from gn0.maps.ray import cast_rays
+from gn0.missions.episode import Episode, MissionInstruction
+from gn0.render.camera import Camera
+from gn0.seeds import random_stream
+from gn0.sim.presets import CameraPreset
+from gn0.storage import content_hash
+from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
+
+TOY_CAMERA = CameraPreset(
+    name="toy",
+    rgb=Camera.from_hfov(96, 72, 90.0),
+    depth=Camera.from_hfov(48, 36, 90.0),
+)
+RING = 720  # rays around the eye
+REACH = 10.0  # m
+
+
+class ToyEyes:
+    """Sees walls and floor of a map, coloured by where they stand."""
+
+    def __init__(self, grids: dict[str, OccupancyGrid]) -> None:
+        self._grids = grids
+
+    def frames(self, trip: Trip, sensors: Sensors) -> Iterator[Frame]:
+        """Through the toy camera, at the agent's height."""
+        camera = replace(TOY_CAMERA, agent=trip.episode.agent)
+        return self.look(trip, trip.poses, camera, sensors)
+
+    def look(
+        self, trip: Trip, poses: F64, preset: CameraPreset, sensors: Sensors
+    ) -> Iterator[Frame]:
+        """Through any camera."""
+        blocked = self._grids[trip.episode.scene_id]
+        height = preset.agent.camera_height
+        for x, y, yaw in poses:
+            view = view_from_pose(x, y, height, yaw, np.radians(preset.pitch_degrees))
+            angles = 2 * np.pi * np.arange(RING) / RING
+            ring = cast_rays(blocked, float(x), float(y), angles, REACH)
+            rgb = depth = None
+            if "rgb" in sensors:
+                rgb = _colour(_depth(preset.rgb, view, height, ring))
+                width, tall = preset.picture_size
+                rgb = rgb[:tall, :width]
+            if "depth" in sensors:
+                depth = _depth(preset.depth, view, height, ring)
+            yield Frame(rgb, depth)
+
+
+def _depth(camera: Camera, view: F64, height: float, ring: F32) -> F32:
+    block = max(1, camera.width // 96)  # large pictures are seen in blocks
+    u, v = np.meshgrid(
+        (np.arange(camera.width // block) + 0.5) * block,
+        (np.arange(camera.height // block) + 0.5) * block,
+    )
+    local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)])
+    turned = view[:3, :3].T
+    rays = [sum(turned[i, j] * local[j] for j in range(3)) for i in range(3)]
+    level = np.hypot(rays[0], rays[1])
+    turn = np.rint(np.arctan2(rays[1], rays[0]) / (2 * np.pi) * RING).astype(np.int64) % RING
+    wall = ring[turn] / np.maximum(level, 1e-6)
+    floor = np.where(rays[2] < -1e-6, -height / np.minimum(rays[2], -1e-6), np.inf)
+    seen = np.clip(np.minimum(wall, floor), 0.0, REACH).astype(np.float32)
+    large = seen.repeat(block, 0).repeat(block, 1)
+    rest = (camera.height - large.shape[0], camera.width - large.shape[1])
+    return np.pad(large, ((0, rest[0]), (0, rest[1])), "edge")
+
+
+def _colour(depth: F32) -> U8:
+    far = depth / REACH
+    return (np.stack([1 - far, 0.5 + 0.4 * np.sin(4 * far), far], -1) * 255).astype(np.uint8)
+
+
+def build_toy_trips(
+    count: int = 3, seed: int = 0, scenes: int = 2
+) -> tuple[list[Trip], dict[str, OccupancyGrid]]:
+    """Trips in small floor plans: two splits, two missions on the first path of each plan."""
+    trips: list[Trip] = []
+    grids: dict[str, OccupancyGrid] = {}
+    for number in range(scenes):
+        name = f"plan-{number}"
+        grid = build_floor_plan(seed + number + 1, width=5.0, depth=4.0, clutter=2)
+        grids[name] = grid
+        navigation = NavigationMap(grid)
+        episodes = build_point_episodes(
+            build_map_scene(grid, name), navigation, max(count - 1, 1), seed=seed, minimum=1.0
+        )
+        pair = replace(
+            episodes[0],
+            id=f"{episodes[0].id}-again",
+            mission=MissionInstruction(
+                goal=episodes[0].goal, instruction='Go on, "past" the post; stop at the wall – là.'
+            ),
+        )
+        for episode in [*episodes, pair][:count]:
+            split = "train" if number == 0 else "test"
+            path = f"path-{episode.id.removesuffix('-again')}"
+            own = replace(episode, split=split, path_id=path)
+            trips.append(_walk(own, navigation))
+    return trips, grids
+
+
+def _walk(episode: Episode, navigation: NavigationMap) -> Trip:
+    poses, actions = plan_expert(navigation, episode)
+    count = len(actions)
+    assert count and actions[-1] == STOP
+    ahead = np.zeros((count, 6), np.int8)
+    for row in range(count):
+        ahead[row, : min(6, count - row)] = actions[row : row + 6]
+    return Trip(
+        episode=episode,
+        poses=np.asarray(poses[:count], np.float64),
+        moves=np.asarray(actions[:-1], np.int8),
+        ahead=ahead,
+    )
+
+
+def build_toy_source(trips: Sequence[Trip], grids: dict[str, OccupancyGrid]) -> ExportSource:
+    """A dataset of these trips."""
+    return ExportSource(
+        name="toy",
+        digest=content_hash(*(repr(t.episode) + repr(t.moves.tolist()) for t in trips)),
+        preset=replace(TOY_CAMERA, agent=trips[0].episode.agent),
+        scenes={name: SceneCard(name, "toy", "CC0-1.0", "0" * 32) for name in grids},
+        trips=lambda: iter(trips),
+        grid=grids.__getitem__,
+        eyes=ToyEyes(grids),
+    )
+
+
+@cache
+def toy_source(count: int = 3, seed: int = 0) -> ExportSource:
+    """The same source for all who ask; nothing in it changes."""
+    return build_toy_source(*build_toy_trips(count, seed))
+
+
+def random_moves(seed: int, count: int) -> list[int]:
+    """Moves drawn from 1, 2, 3."""
+    rng = random_stream(seed, "toy moves")
+    return [int(move) for move in rng.integers(1, 4, count)]

@@ -11,7 +11,6 @@ from typing import Annotated
 
 import tyro
 
-from gn0.export.exporter import ExportSettings
 
 EXAMPLES = """  gn0 export vlnce-r2r out/data --out out/vlnce
   gn0 export streamvln out/data --out out/streamvln --camera streamvln --split train
@@ -20,14 +19,13 @@ EXAMPLES = """  gn0 export vlnce-r2r out/data --out out/vlnce
   gn0 export check out/vlnce"""
 
 
-class Args(ExportSettings, frozen=True):
+class Args(Config, frozen=True):
     """The format, the dataset, the place, and what to write.
 
     Attributes:
         format: name of the format.
         dataset: a folder that `gn0 data build` wrote.
         out: the folder to write.
-        exact: render pictures again, also where the dataset's cache has them.
         camera: preset to render again through; by default the dataset's own pictures.
         split: only episodes of this split.
         limit: at most so many episodes; 0 means all.
@@ -37,23 +35,35 @@ class Args(ExportSettings, frozen=True):
         spacing: metres between frames of a navdp trajectory; 0 means the dataset's own poses.
         views: camera presets of an interndata-n1 export.
         name: name of the data in ids and paths of the format.
+        exact: render pictures again, also where the dataset's cache has them.
     """
 
     format: Annotated[str, tyro.conf.Positional]
     dataset: Annotated[str, tyro.conf.Positional]
     out: str
+    camera: str = ""
+    split: str = ""
+    limit: int = 0
+    quality: int = 92
+    fps: int = 0
+    every: int = 1
+    spacing: float = 0.0625
+    views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
+    name: str = "gn0"
     exact: bool = False
 
 
 def run(args: Args) -> int:
     """Export, and say what was written and what was not."""
     from gn0.cli.console import draw_progress
-    from gn0.export.exporter import get_dataset_exporter
+    from gn0.config import check_config
+    from gn0.export.exporter import ExportSettings, get_dataset_exporter
     from gn0.export.session import run_export
     from gn0.export.source import open_source
 
     exporter = get_dataset_exporter(args.format)
-    settings = ExportSettings(**{k: getattr(args, k) for k in ExportSettings.__struct_fields__})
+    fields = {name: getattr(args, name) for name in ExportSettings.__struct_fields__}
+    settings = check_config(ExportSettings(**fields))
     with draw_progress() as progress:
         source = open_source(args.dataset, exact=args.exact)
         done = run_export(source, exporter, args.out, settings, progress=progress)

@@ -15,12 +15,13 @@ _CLEARANCE = 0.22  # of a camera to everything round it [m]
 LEAST = 0.3  # weight of what no camera sees: maps are drawn from above, too
 
 
-def weigh_views(mesh: SceneMesh, *, cameras: int = 160, seed: int = 0) -> F64:
+def weigh_views(mesh: SceneMesh, *, cameras: int = 160, sight: float = 8.0, seed: int = 0) -> F64:
     """Weight of each face for the fineness of its sampling [F], about 1 in the mean.
 
     Cameras stand at random free places. A face weighs by the cube root of the mean of
     cos / distance² over the cameras that see it: the share of a picture that it fills. (The cube
     root, because that is how the best spacing of surfels depends on the weight of an error.)
+    Cameras see `sight` [m] far.
     """
     caster = RayCaster(mesh)
     eyes = _free_places(mesh, caster, cameras, seed)
@@ -36,8 +37,9 @@ def weigh_views(mesh: SceneMesh, *, cameras: int = 160, seed: int = 0) -> F64:
         bary = rng.dirichlet((1.0, 1.0, 1.0), len(mesh)) if k else np.full((len(mesh), 3), 1 / 3)
         point = np.einsum("fk,fki->fi", bary, corners) if k else middle
         share += _seen_share(
-            point, mesh.normals(), eyes[k::4].copy(), caster.boxes, caster.links, caster.corners
-        )
+            point, mesh.normals(), eyes[k::4].copy(), caster.boxes, caster.links, caster.corners,
+            float(sight) ** 2,
+        )  # fmt: skip
     weight = np.cbrt(share / 4)
     mean = np.average(weight, weights=areas)
     return np.maximum(weight / max(mean, 1e-9), LEAST)
@@ -64,7 +66,7 @@ def _free_places(mesh: SceneMesh, caster: RayCaster, count: int, seed: int) -> F
 
 
 @njit(parallel=True, error_model="numpy")
-def _seen_share(point, normal, eyes, boxes, links, corners):  # type: ignore[no-untyped-def]
+def _seen_share(point, normal, eyes, boxes, links, corners, farthest):  # type: ignore[no-untyped-def]
     """Mean of cos / distance² over the eyes that see each point from its front [N]."""
     out = np.zeros(len(point))
     for i in prange(len(point)):
@@ -75,7 +77,7 @@ def _seen_share(point, normal, eyes, boxes, links, corners):  # type: ignore[no-
             dx, dy, dz = eyes[e, 0] - ox, eyes[e, 1] - oy, eyes[e, 2] - oz
             d2 = dx * dx + dy * dy + dz * dz
             cosine = dx * nx + dy * ny + dz * nz
-            if cosine <= 0.0 or d2 > 64.0:
+            if cosine <= 0.0 or d2 > farthest:
                 continue
             hit, _, _, _ = closest_hit(
                 boxes, links, corners, ox, oy, oz, dx, dy, dz, 1.0, True, stack

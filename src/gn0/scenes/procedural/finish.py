@@ -18,7 +18,9 @@ from gn0.scenes.tone import BakedShader, choose_exposure
 
 DARK = 0.01  # of the median irradiance: less is not seen
 CAMERAS = 160  # that judge what is seen closely, up to 140 m² of floor
-CAMERAS_PER_M2 = 1.15  # in larger scenes: each sees eight metres far
+CAMERAS_PER_M2 = 1.15  # in larger halls: each sees `SIGHT` far
+SIGHT = 8.0  # m
+SIGHT_OUTDOORS = 45.0  # m: walls all round a yard are in the pictures
 QUALITIES = {"normal": BakeSettings(), "draft": DRAFT}
 
 
@@ -81,8 +83,10 @@ def cover_draft(
     progress: Progress = no_progress,
 ) -> GaussianCloud:
     """At most `count` Gaussians that show a lit draft, labelled by object index."""
-    cameras = max(CAMERAS, int(CAMERAS_PER_M2 * floor_area(draft)))
-    weight = weigh_views(draft.mesh, cameras=cameras, seed=seed)
+    cameras, sight = max(CAMERAS, int(CAMERAS_PER_M2 * floor_area(draft))), SIGHT
+    if draft.sky is not None:
+        cameras, sight = CAMERAS, SIGHT_OUTDOORS
+    weight = weigh_views(draft.mesh, cameras=cameras, sight=sight, seed=seed)
     cloud = build_surfels(
         draft.mesh,
         shader,

@@ -40,6 +40,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data build": ("data_build", "walk, label and draw the episodes of a suite: a dataset"),
     "data render": ("data_render", "draw the pictures of a dataset again, bit for bit"),
     "data show": ("data_show", "draw a sample sheet: pictures, waypoints, actions"),
+    "data stats": ("data_stats", "one page on paths, turns, actions, words, goals, scenes"),
     "data verify": ("data_verify", "read every byte again and name what is damaged"),
     "data repair": ("data_repair", "make what is damaged again, byte for byte"),
     "data balance": ("data_balance", "draw the actions of a dataset in the paper's shares"),

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import tyro
 
+from gn0.config import Config
 
 EXAMPLES = """  gn0 export vlnce-r2r out/data --out out/vlnce
   gn0 export streamvln out/data --out out/streamvln --camera streamvln --split train

@@ -29,7 +29,8 @@ NOT_A_GOAL = frozenset((
     "doorframe", "window", "windows", "beam", "column", "baseboard", "skirting", "stairs", "other",
     "others", "unknown", "object", "misc", "void", "background", "room", "building", "house",
     "ground", "ground_plane", "ceiling_lamp", "ceiling_light", "chandelier", "downlight", "handle",
-    "switch", "socket",
+    "switch", "socket", "sky", "facade", "grass", "lawn", "path", "paving", "rooflight", "air_vent",
+    "smoke_detector", "drain_grate", "balcony",
 ))  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 from gn0.scenes.procedural.draft import SceneDraft
 
-KindName = Literal["apartment", "residence", "office", "supermarket", "warehouse"]
+KindName = Literal["apartment", "residence", "office", "corridor", "supermarket", "warehouse"]
 SizeName = Literal["small", "medium", "large"]
 StyleName = Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"]
 
@@ -68,6 +68,13 @@ KINDS: dict[KindName, SceneKind] = {
         ((205, 300), (325, 425), (460, 590)),
         6_000,
         "an open-plan office with meeting rooms, reception, kitchen",
+    ),
+    "corridor": SceneKind(
+        "corridor:draft_corridor",
+        1,
+        ((130, 210), (225, 330), (350, 480)),
+        7_000,
+        "corridors of a hotel, school or hospital with rooms along them",
     ),
     "supermarket": SceneKind(
         "supermarket:draft_supermarket",

@@ -136,7 +136,8 @@ def close_cells(
         if None not in wall.rooms or inside is None:
             continue
         low, high = clear_span(plan, wall)
-        if wall.rooms == front.rooms and wall.axis == front.axis and wall.at == front.at:
+        here = wall.axis == front.axis and wall.at == front.at
+        if here and low <= front.low and front.high <= high:
             # windows beside the entrance, on its longer side
             if front.low - low > high - front.high:
                 high = front.low - 0.3

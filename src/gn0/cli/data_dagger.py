@@ -73,8 +73,6 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Collect, and say what the policy did and what it should have done."""
-    from importlib import import_module
-
     from gn0.bench.suite import load_suite
     from gn0.cli.bench_run import read_options
     from gn0.cli.console import draw_progress
@@ -83,8 +81,6 @@ def run(args: Args) -> int:
     from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
 
     out = Path(args.out)
-    for module in args.plugin:
-        import_module(module)
     with draw_progress() as progress:
         suite = load_suite(args.suite)
         settings = BuildSettings(

@@ -13,6 +13,7 @@ from gn0.bench.suite import Suite
 from gn0.data.build import build_dataset
 from gn0.data.dagger import check_options
 from gn0.data.dataset import Dataset
+from gn0.data.driver import import_plugins
 from gn0.data.samples import ACTIONS_AHEAD
 from gn0.data.settings import BuildSettings
 from gn0.errors import ConfigError
@@ -64,6 +65,7 @@ def build_dagger(
     if settings.dagger is None:
         raise ConfigError("no policy to drive", remedy="give BuildSettings(dagger=…)")
     check_options(settings.dagger.options, SECRETS)
+    import_plugins(settings.dagger.plugins)
     get_plugin("policy", settings.dagger.policy)
     return build_dataset(
         suite, out, settings, workers=workers, executor=executor, progress=progress

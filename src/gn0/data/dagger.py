@@ -35,7 +35,7 @@ from gn0.data.labels import (
 from gn0.data.samples import NO_TOKEN, POINTS, EpisodeRows
 from gn0.data.settings import DaggerSettings, Halting
 from gn0.data.ways import sample_way_points
-from gn0.errors import ConfigError, EpisodeError, PolicyError, SimError
+from gn0.errors import ConfigError, EpisodeError, Gn0Error, PolicyError, SimError
 from gn0.geometry import F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.missions.episode import Episode, MissionFollow
@@ -43,7 +43,7 @@ from gn0.seeds import random_stream
 from gn0.sim.kinematics import Heading
 from gn0.sim.policy import Policy, PolicyPrivileged, PolicySession
 from gn0.sim.simulator import Simulator, action_code
-from gn0.sim.state import Action, AnyAction, Displacement, Teleport
+from gn0.sim.state import Action, Displacement, Observation, Teleport
 
 HALT_STEPS = 10
 ZONE_SHARE, ZONE_LEAST, ZONE_MOST = 0.2, 1.0, 3.0  # of the path's length; m
@@ -205,7 +205,7 @@ def collect_visited(
         plan = expert.actions()
         ahead[: len(plan)] = plan
         ahead = _apply_rules(ahead, pose, simulator, field, labels, halt)
-        said = _ask(policy, policy.act(observation), episode)
+        said = _ask(policy, observation, episode)
         expert_acts = draws.random() < settings.expert_share
         action = expert.action if expert_acts else said
         if halt.is_due or (expert_acts and ahead[0] == Action.STOP):
@@ -237,9 +237,20 @@ def _apply_rules(
     return ahead
 
 
-def _ask(policy: Policy, answer: AnyAction, episode: Episode) -> int:
-    """The code of a policy's answer."""
-    where = f"episode {episode.id!r}"
+def _ask(policy: Policy, observation: Observation, episode: Episode) -> int:
+    """The code of what a policy answers."""
+    where = f"episode {episode.id!r}, step {observation.step}"
+    try:
+        answer = policy.act(observation)
+    except Gn0Error:
+        raise
+    except Exception as error:  # whatever a policy of others does
+        lines = str(error).splitlines() or [""]
+        raise PolicyError(
+            f"policy {policy.name!r}: act failed: {type(error).__name__}: {lines[0]}",
+            where=where,
+            remedy="run the same command again once it is mended: what is done is kept",
+        ) from error
     if isinstance(answer, Teleport | Displacement):
         raise PolicyError(
             f"policy {policy.name!r} answers with a {type(answer).__name__.lower()}",

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib import import_module
 
 import msgspec
 
-from gn0.bench.worker import build_policy
+from gn0.bench.worker import build_policy, describe_error
 from gn0.data.codec import encode_waypoints
 from gn0.data.dagger import collect_visited
 from gn0.data.dataset import Dataset
 from gn0.data.samples import EpisodeRows
 from gn0.data.settings import DaggerSettings
-from gn0.errors import DataError
+from gn0.errors import ConfigError, DataError, Gn0Error, PolicyError
 from gn0.missions.episode import Episode
 from gn0.sim.open import name_look, open_simulator
 from gn0.sim.policy import Policy
@@ -22,13 +23,39 @@ from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
 
 
+def import_plugins(modules: Sequence[str]) -> None:
+    """Import modules that register policies.
+
+    Raises:
+        ConfigError: one cannot be imported; names it.
+    """
+    for module in modules:
+        try:
+            import_module(module)
+        except Gn0Error:
+            raise
+        except Exception as error:  # whatever a module of others does
+            raise ConfigError(
+                f"module {module!r} cannot be imported: {describe_error(error)}",
+                where="--plugin",
+                remedy="install it, or put its folder on PYTHONPATH",
+            ) from error
+
+
 @lru_cache(maxsize=1)
 def _open_policy(settings: bytes) -> Policy:
     """The policy of encoded settings; kept, as it may hold weights or a connection."""
     told = msgspec.json.decode(settings, type=DaggerSettings)
-    for module in told.plugins:
-        import_module(module)
-    policy = build_policy(told.policy, told.options)
+    import_plugins(told.plugins)
+    try:
+        policy = build_policy(told.policy, told.options)
+    except Gn0Error:
+        raise
+    except Exception as error:  # whatever a policy of others does
+        raise PolicyError(
+            f"policy {told.policy!r} cannot be built: {describe_error(error)}",
+            remedy="check its options, or run it alone to see where it fails",
+        ) from error
     check_map_mode(told.map_mode, policy.sensors)
     return policy
 
@@ -41,6 +68,7 @@ class Driver:
 
     Raises:
         ConfigError: no such policy, or it does not take these options.
+        PolicyError: it cannot be built.
         DataError: the dataset's steps come from the expert alone.
     """
 

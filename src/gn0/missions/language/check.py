@@ -24,8 +24,8 @@ _SIDE_WORD = re.compile(r"\b(left|right)(?:[- ]hand)?\b", re.IGNORECASE)
 _BESIDE = re.compile(r"\b(?:on|at|along|down|from) (?:your|the|its|my)(?: \w+)? $")
 _TO_SIDE = re.compile(r"\bto (?:your|the|my|its)(?: \w+)? $")
 _TURNING_TO = re.compile(
-    r"\b(?:turn\w*|veer\w*|bear\w*|curv\w*|angl\w*|head\w*|drift\w*|swing\w*|go|going|step\w*|"
-    r"pivot\w*|rotat\w*|mov\w*|cut\w*|look\w*)(?: \w+){0,2} to (?:your|the|my|its)(?: \w+)? $"
+    r"\b(?:turn\w*(?: \w+)?|veer\w*|bear\w*|curv\w*|angl\w*|head\w*|drift\w*|swing\w*|go|going|"
+    r"step\w*|pivot\w*|rotat\w*|mov\w*|cut\w*|look\w*)(?: \w+){0,2} to (?:your|the|my|its)(?: \w+)? $"
 )
 _HAVE_LEFT = re.compile(r"\b(?:have|has|had|having|you've|you|just|being) $")
 _TURN_BEFORE = re.compile(
@@ -106,18 +106,15 @@ def _check_form(text: str, route: RouteDescription, style: Style) -> list[str]:
 
 
 @lru_cache(maxsize=256)
-def _known_names(
-    vocabulary: tuple[str, ...], own: tuple[str, ...]
-) -> tuple[re.Pattern[str], dict[str, str]]:
-    names = sorted({*vocabulary, *own, *COMMON_NAMES} - {""})
+def _known_names(names: frozenset[str]) -> tuple[re.Pattern[str], dict[str, str]]:
     forms = {plural_of(name): name for name in names} | {name: name for name in names}
-    return name_pattern(names), forms
+    return name_pattern(sorted(names)), forms
 
 
 def find_mentions(plain: str, route: RouteDescription) -> list[Mention]:
     """Every name of an object or room in a lower-case text, longest names first."""
-    own = tuple(sorted(_allowed(route, "detailed")))
-    pattern, forms = _known_names(route.vocabulary, own)
+    names = COMMON_NAMES | _allowed(route, "detailed") | set(route.vocabulary)
+    pattern, forms = _known_names(names)
     out = []
     for hit in pattern.finditer(plain):
         form = " ".join(hit.group().replace("-", " ").split())

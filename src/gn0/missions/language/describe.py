@@ -111,7 +111,7 @@ def describe_route(
         found.append(finder.on_straight(seen, at, part, where, spacing))
         segments.append(_straight(surroundings, where, part, b - a, start, end, spacing))
     chosen = choose(found)
-    names = {n for n in surroundings.names if n and n not in NO_LANDMARK}
+    names = {n for n in surroundings.by_name if n and n not in NO_LANDMARK}
     kinds = [n for n in surroundings.room_names if n]
     return RouteDescription(
         scene_id=scene.id,
@@ -292,7 +292,7 @@ def _clash(a: str, b: str) -> bool:
 
 
 def _refused(surroundings: Surroundings, goal: RouteTarget) -> frozenset[str]:
-    return frozenset(n for n in surroundings.names if _clash(n, goal.name) or n == goal.near)
+    return frozenset(n for n in surroundings.by_name if _clash(n, goal.name) or n == goal.near)
 
 
 def _pair(point: F64) -> tuple[float, float]:

@@ -59,9 +59,9 @@ class LandmarkFinder:
         self._s = surroundings
         self._poses = poses
         self._share = views.share
-        self._usable = surroundings.usable & np.array(
-            [n not in refused for n in surroundings.names], np.bool_
-        )
+        self._usable = surroundings.usable.copy()
+        for name in refused:
+            self._usable[surroundings.by_name[name]] = False
 
     def _seen(self, rows: NDArray[np.integer]) -> NDArray[np.int64]:
         if not len(rows):
@@ -81,8 +81,8 @@ class LandmarkFinder:
         best = int(rows[np.argmax(self._share[rows, index])])
         share = float(self._share[best, index])
         alike = s.rivals[index]
-        in_sight = sum(bool(self._share[rows, i].max() >= SEEN / 2) for i in alike)
-        in_room = sum(bool(s.room_of[i] == s.room_of[index]) for i in alike)
+        in_sight = np.count_nonzero(self._share[np.ix_(rows, alike)].max(axis=0) >= SEEN / 2)
+        in_room = np.count_nonzero(s.room_of[alike] == s.room_of[index])
         unique = in_room == 1 and in_sight == 1
         worth = float(s.weight[index]) * min(share / 0.03, 2.0) ** 0.4
         worth *= 1.6 if len(alike) == 1 else 1.15 if unique else 0.3

@@ -35,6 +35,7 @@ class Surroundings:
         room_of: index of each object's room [N], −1 unknown.
         room_names: type of each room as it is said, "" when it says nothing.
         in_room: how many objects of one name a room holds, by (room, name).
+        by_name: indices of the objects of each name.
         rivals: indices of the objects that each may be confused with, itself included.
         doors: doorways [D, 2, 2] m, end points seen from above.
     """
@@ -46,7 +47,8 @@ class Surroundings:
     room_of: NDArray[np.int64]
     room_names: tuple[str, ...]
     in_room: Counter[tuple[int, str]]
-    rivals: tuple[tuple[int, ...], ...]
+    by_name: dict[str, NDArray[np.int64]]
+    rivals: tuple[NDArray[np.int64], ...]
     doors: F64
 
     def rooms_at(self, points: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -102,7 +104,7 @@ def surroundings_of(scene: Scene) -> Surroundings:
     return found
 
 
-def _rivals(scene: Scene, names: tuple[str, ...]) -> tuple[tuple[int, ...], ...]:
+def _rivals(names: tuple[str, ...]) -> tuple[NDArray[np.int64], ...]:
     """Objects that share a name, a kindred name, or the last words of one.
 
     A coffee table is one of the tables, though a table is no coffee table.
@@ -112,13 +114,19 @@ def _rivals(scene: Scene, names: tuple[str, ...]) -> tuple[tuple[int, ...], ...]
         tails = {name[k:] for k in range(len(name)) if k == 0 or name[k - 1] == " "}
         for key in {kin_of(tail) for tail in tails}:
             groups.setdefault(key, []).append(index)
-    return tuple(tuple(groups[kin_of(name)]) for name in names)
+    arrays = {key: np.array(group, np.int64) for key, group in groups.items()}
+    return tuple(arrays[kin_of(name)] for name in names)
 
 
 def is_landmark(item: SceneObject) -> bool:
     """Whether an object is the kind of thing that one tells a way by."""
     name = plain_name(item.category)
-    if not name or name in NO_LANDMARK or max(item.box.size) < LARGE_ENOUGH:
+    if (
+        not name
+        or name in NO_LANDMARK
+        or name.split(" ")[-1] in NO_LANDMARK
+        or max(item.box.size) < LARGE_ENOUGH
+    ):
         return False
     bottom = item.box.centre[2] - item.box.size[2] / 2
     top = item.box.centre[2] + item.box.size[2] / 2
@@ -132,6 +140,7 @@ def _gather(scene: Scene) -> Surroundings:
     room_of = np.array([-1 if r is None else index_of[r.id] for r in rooms], np.int64)
     sizes = np.array([max(o.box.size) for o in scene.objects])
     kinds = np.array([distinctness(n) for n in names])
+    every = np.array(names, np.str_)
     doors = []
     for opening in scene.openings:
         if opening.kind.upper() == "WINDOW":
@@ -150,6 +159,7 @@ def _gather(scene: Scene) -> Surroundings:
         room_of=room_of,
         room_names=tuple("" if n in NO_ROOM_NAMES else n for n in kept),
         in_room=Counter((int(r), n) for r, n in zip(room_of, names, strict=True)),
-        rivals=_rivals(scene, names),
+        by_name={n: np.flatnonzero(every == n) for n in sorted(set(names))},
+        rivals=_rivals(names),
         doors=np.array(doors, np.float64).reshape(-1, 2, 2),
     )

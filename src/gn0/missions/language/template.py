@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 
 from gn0.missions.language.grammar import (
@@ -131,7 +132,7 @@ def _room(text: _Text, name: str) -> str:
 
 
 def _write_steps(text: _Text) -> None:
-    segments = text.route.segments
+    segments = [_without_room(s, text.route.target.name) for s in text.route.segments]
     entered = False
     for i, segment in enumerate(segments):
         following = segments[i + 1] if i + 1 < len(segments) else None
@@ -140,6 +141,17 @@ def _write_steps(text: _Text) -> None:
         else:
             _write_straight(text, segment, entered, last=following is None)
             entered = False
+
+
+def _without_room(segment: RouteSegment, name: str) -> RouteSegment:
+    """A segment that does not tell of the room that is the target: that one is named at the end."""
+    return msgspec.structs.replace(
+        segment,
+        inside="" if segment.inside == name else segment.inside,
+        leaves="" if segment.leaves == name else segment.leaves,
+        enters="" if segment.enters == name else segment.enters,
+        crosses=tuple(room for room in segment.crosses if room != name),
+    )
 
 
 def _take(text: _Text, segment: RouteSegment, *relations: str) -> Landmark | None:
@@ -169,7 +181,7 @@ def _write_turn(text: _Text, segment: RouteSegment, after: RouteSegment | None) 
         return False
     side = str(segment.turn)
     soon = after is not None and after.enters and after.enters_after <= SOON and not after.crosses
-    if soon and after is not None and after.enters != text.route.target.name and text.chance(0.6):
+    if soon and after is not None and text.chance(0.6):
         text.add("turn into", side=side, room=_room(text, after.enters))
         return True
     if segment.blocked_ahead and segment.inside in NARROW_ROOMS and text.chance(0.5):
@@ -197,7 +209,7 @@ def _write_straight(text: _Text, s: RouteSegment, entered: bool, *, last: bool) 
     n = {"n": distance_phrase(s.distance)} if far else {}
     enters = s.enters if not entered else ""
     # areas for moves: a room that is entered comes before a thing that is passed
-    if enters and enters != text.route.target.name:
+    if enters:
         room = {"room": _room(text, enters)}
         left = {"left": definite(s.leaves)} if s.leaves and s.leaves != enters else {}
         if s.crosses and s.crosses[0] not in (enters, s.leaves):
@@ -226,10 +238,8 @@ def _write_straight(text: _Text, s: RouteSegment, entered: bool, *, last: bool) 
         text.add("door")
     elif s.leaves and not entered and not far:
         text.add("leave", left=definite(s.leaves))
-    elif s.inside and s.inside == text.route.target.name and text.route.target.region:
-        text.add("go far" if far else "go", **n)
     elif (here := s.enters if entered and s.enters else s.inside if not s.leaves else "") and (
-        s.distance >= LONG and here != text.route.target.name and text.chance(0.7)
+        s.distance >= LONG and text.chance(0.7)
     ):
         kind = "along" if here in NARROW_ROOMS else "through"
         text.add(f"far {kind}" if far else kind, **n, mid=definite(here))

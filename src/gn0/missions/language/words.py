@@ -20,8 +20,9 @@ _IRREGULAR = {
     "shelf": "shelves", "bookshelf": "bookshelves", "knife": "knives", "leaf": "leaves",
     "person": "people", "man": "men", "woman": "women", "child": "children", "box": "boxes",
 }  # fmt: skip
+_DIRECTIONS = frozenset(("left", "right", "slightly", "slight"))  # no part of a name
 _VOWEL = re.compile(r"[aeiou]|h(?:our|onest|eir)", re.IGNORECASE)
-_NO_VOWEL = re.compile(r"u(?:ni|s[ei]|tensil|tili|rn\b|ke)|eu|one\b", re.IGNORECASE)
+_NO_VOWEL = re.compile(r"u(?:ni|s[ei]|tensil|tili|ku|ri)|eu|one(?:\b|-)", re.IGNORECASE)
 _LETTERS_AN = "aefhilmnorsx"  # letters whose names begin with a vowel: "an LED", "a UV lamp"
 
 # parts of a building and labels that say nothing about a place
@@ -102,6 +103,7 @@ def plain_name(text: str) -> str:
     parts = words.replace(" - ", " ").split()
     while len(parts) > 1 and parts[-1].isdigit():
         parts.pop()
+    parts = [part for part in parts if part.lower() not in _DIRECTIONS]
     name = " ".join(parts)[:48].strip(" -'").lower()
     return {"tv monitor": "tv", "multi person sofa": "sofa"}.get(name, name)
 

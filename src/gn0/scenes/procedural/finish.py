@@ -95,7 +95,7 @@ def cover_draft(
         seed=seed,
         oriented=True,
         unseen=weight <= LEAST,
-        label_of_instance=np.arange(len(draft.objects)),
+        label_of_instance=np.arange(max(len(draft.objects), 1)),
         progress=progress,
     )
     return _drop_unlit(cloud)

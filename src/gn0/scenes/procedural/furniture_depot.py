@@ -31,7 +31,7 @@ YELLOW = plain("machine yellow", "metal", "#e9b01c", contrast=0.12)
 RUBBER = plain("rubber", "plastic", "#1d1d1f", contrast=0.15)
 RED = plain("signal red", "plastic", "#c0181e", contrast=0.06)
 PALLET = (1.2, 0.8, 0.144)  # m
-_BROWNS = ("#b08755", "#a67c4a", "#bd966a", "#9c7344", "#c4a076")
+_BROWNS = ("#9a7448", "#8f6a3f", "#a8845a", "#84603a", "#ad8b62")
 
 
 def card_material(rng: np.random.Generator, ratio: float) -> Material:

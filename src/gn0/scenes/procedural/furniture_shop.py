@@ -157,7 +157,7 @@ def build_shelf_run(
     for j, z in enumerate(levels):
         deep = SHELF_DEPTH if j == 0 else SHELF_DEPTH - 0.07
         head = (levels[j + 1] if j + 1 < len(levels) else height + 0.12) - z - 0.06
-        shapes.append(build_box((width - 0.02, deep, 0.03), metal, at=(0, -deep / 2, z - 0.03)))
+        shapes.append(build_box((width - 0.062, deep, 0.03), metal, at=(0, -deep / 2, z - 0.03)))
         rail = Material(
             name="price rail",
             pattern="price_rail",
@@ -168,7 +168,11 @@ def build_shelf_run(
             detail=0.8,
         )
         front = build_panel(
-            (-width / 2, -deep - 0.002, z - 0.04), (width, 0, 0), (0, 0, 0.042), rail, fit=True
+            (-width / 2 + 0.03, -deep - 0.002, z - 0.04),
+            (width - 0.06, 0, 0),
+            (0, 0, 0.042),
+            rail,
+            fit=True,
         )
         shapes.append(front)
         for b in range(bays):
@@ -501,19 +505,34 @@ def build_trolley_row(rng: np.random.Generator, count: int) -> Item:
 
 
 def build_basket_stack(rng: np.random.Generator) -> Item:
-    """Hand baskets in a stack."""
-    red = plain("basket", "plastic", str(rng.choice(["#b3242c", "#2a5fa8", "#2f7a3c"])))
-    shapes = [build_box((0.46, 0.34, 0.04), STEEL)]
-    count = int(rng.integers(5, 10))
+    """Hand baskets in one another: rims, and the open basket on top."""
+    colour = str(rng.choice(["#b3242c", "#2a5fa8", "#2f7a3c"]))
+    paint = plain("basket", "plastic", colour, contrast=0.1)
+    dark = plain("basket gap", "plastic", "#1f2022", contrast=0.1)
+    shapes = [build_box((0.48, 0.36, 0.05), STEEL, bevel=0.01)]
+    count = int(rng.integers(4, 9))
+    w, d, t = 0.46, 0.32, 0.015
     for k in range(count):
-        z = 0.04 + 0.05 * k
-        rim = build_box((0.44, 0.3, 0.045), red, at=(0, 0, z), bevel=0.008)
-        shapes.append(rim.moved(float(rng.normal(0, 0.006)), 0, 0, float(rng.normal(0, 0.03))))
-    z = 0.04 + 0.05 * count
-    for sx in (-1, 1):
-        shapes.append(build_box((0.02, 0.3, 0.2), red, at=(sx * 0.21, 0, z)))
-    for sy in (-1, 1):
-        shapes.append(build_box((0.42, 0.02, 0.2), red, at=(0, sy * 0.14, z)))
+        z, dx, yaw = 0.05 + 0.055 * k, float(rng.normal(0, 0.006)), float(rng.normal(0, 0.03))
+        shapes.append(build_box((w - 0.05, d - 0.05, 0.035), dark, at=(dx, 0, z)))
+        shapes.append(
+            build_box((w, d, 0.022), paint, at=(0, 0, z + 0.034), bevel=0.006).moved(dx, 0, 0, yaw)
+        )
+    low = 0.05 + 0.055 * count
+    for k in range(4):  # bars of the top basket, with gaps between
+        z = low + 0.05 * k
+        for sy in (-1, 1):
+            shapes.append(build_box((w, t, 0.028), paint, at=(0, sy * (d - t) / 2, z)))
+        for sx in (-1, 1):
+            shapes.append(build_box((t, d - 2 * t, 0.028), paint, at=(sx * (w - t) / 2, 0, z)))
+    for sx in (-1, 0, 1):
+        for sy in (-1, 1):
+            shapes.append(
+                build_box((0.03, t, 0.19), paint, at=(sx * (w / 2 - 0.04), sy * (d - t) / 2, low))
+            )
+    path = [(-0.2, 0, low + 0.17), (-0.1, -0.08, low + 0.27), (0.1, -0.08, low + 0.27),
+            (0.2, 0, low + 0.17)]  # fmt: skip
+    shapes.append(build_tube(path, 0.009, BLACK, sides=5))
     return Item("shopping basket", tuple(shapes))
 
 

@@ -13,7 +13,9 @@ from typing import Literal, get_args
 
 from gn0.scenes.procedural.draft import SceneDraft
 
-KindName = Literal["apartment", "residence", "office", "corridor", "supermarket", "warehouse"]
+KindName = Literal[
+    "apartment", "residence", "office", "corridor", "supermarket", "warehouse", "courtyard"
+]
 SizeName = Literal["small", "medium", "large"]
 StyleName = Literal["scandinavian", "warm wood", "dark modern", "colourful", "classic"]
 
@@ -89,5 +91,12 @@ KINDS: dict[KindName, SceneKind] = {
         ((295, 395), (425, 565), (615, 805)),
         5_000,
         "pallet racks, packing area, loading docks, a glazed office",
+    ),
+    "courtyard": SceneKind(
+        "courtyard:draft_courtyard",
+        1,
+        ((295, 395), (425, 585), (645, 855)),
+        6_000,
+        "outdoors: paths, lawns, trees and a fountain between house fronts, under the sky",
     ),
 }

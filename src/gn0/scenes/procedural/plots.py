@@ -110,13 +110,14 @@ class Plot:
         margin: float = 0.75,
         turn: Sequence[float] = (0.0,),
         jitter: float = 0.0,
-        z: float = 0.0,
+        foot: float | None = None,
         tries: int = 24,
     ) -> int:
         """Put up to `count` items at random free places of a rectangle; how many found one.
 
         `margin` is the clear way round each [m], `turn` the yaws to choose from, `jitter` their
-        random spread [rad].
+        random spread [rad]. A `foot` [m] is half the width of what covers the floor when the rest
+        is overhead, as with trees.
         """
         done = 0
         for _ in range(count):
@@ -128,6 +129,8 @@ class Plot:
                     self.rng.normal(0, jitter) * (jitter > 0)
                 )
                 origin = footprint(Placed(item, 0, 0, 0, yaw))
+                if foot is not None:
+                    origin = (-foot, -foot, foot, foot)
                 x0, x1 = within[0] - origin[0], within[2] - origin[2]
                 y0, y1 = within[1] - origin[1], within[3] - origin[3]
                 if x1 < x0 or y1 < y0:
@@ -135,7 +138,8 @@ class Plot:
                 x, y = float(self.rng.uniform(x0, x1)), float(self.rng.uniform(y0, y1))
                 rect = (origin[0] + x, origin[1] + y, origin[2] + x, origin[3] + y)
                 if self.is_free(rect, margin):
-                    self.put(item, x, y, yaw, z=z)
+                    self.put(item, x, y, yaw, solid=False)
+                    self.taken.append(rect)
                     done += 1
                     break
         return done

@@ -169,10 +169,10 @@ def _draw(seed: int, house: Depot, palette: Palette, attempt: int, effort: float
 def _add_shell(plot: Plot, house: Depot, palette: Palette, rng: np.random.Generator) -> None:
     """Slab, sheet-metal walls on a concrete base, roof with beams, columns, windows."""
     w, d, top = house.width, house.depth, house.plan.ceiling
-    slab = plain("slab", "concrete", "#a5a29b", second="#8b8882", contrast=0.45, detail=0.6)
-    sheet = plain("wall sheet", "corrugated", str(rng.choice(["#c4c9cc", "#b9c4c9", "#cfccc2"])),
+    slab = plain("slab", "concrete", "#86847e", second="#6d6b66", contrast=0.5, detail=0.6)
+    sheet = plain("wall sheet", "corrugated", str(rng.choice(["#a3a9ad", "#98a5ac", "#b0ada3"])),
                   scale=0.33, contrast=0.28, detail=0.3)  # fmt: skip
-    base = plain("wall base", "concrete", "#b4b1aa", second="#98958e", contrast=0.35, detail=0.4)
+    base = plain("wall base", "concrete", "#98958e", second="#7c7973", contrast=0.35, detail=0.4)
     roof = plain("roof sheet", "corrugated", "#d2d4d4", scale=0.4, contrast=0.25, detail=0.2)
     finish = RoomFinish(dict.fromkeys(SIDES, sheet), slab, 1.3, base, ceiling=roof)
     hall = house.plan.rooms[0]
@@ -222,18 +222,18 @@ def _line(x0: float, y0: float, x1: float, y1: float, material: Material) -> Sha
 
 def _paint_floor(plot: Plot, house: Depot) -> None:
     """Yellow lines along racks and docks, a green walkway, hatched ground before the doors."""
-    slab = "#9d9a93"
+    slab = "#7d7b75"
     yellow = plain("yellow line", "line_paint", "#e3b01a", second=slab, contrast=0.75, detail=0.7)
     white = plain("white line", "line_paint", "#dcdad2", second=slab, contrast=0.75, detail=0.7)
-    green = plain("walkway", "line_paint", "#3f7f56", second=slab, contrast=0.7, detail=0.7)
-    hatch = plain("hatching", "hazard", "#d9aa1c", second="#8d8a84", scale=0.5, contrast=0.6,
+    green = plain("walkway", "line_paint", "#3a7550", second=slab, contrast=0.4, detail=0.7)
+    hatch = plain("hatching", "hazard", "#d9aa1c", second="#74726d", scale=0.5, contrast=0.6,
                   detail=0.8)  # fmt: skip
     w = house.width
     y1 = YARD + 0.25 + house.bays * BAY
     shapes = []
     for x, zone in house.rows:
-        side = next(z for z in house.zones if z.id == zone)
-        inward = 1.0 if x < (side.x0 + side.x1) / 2 else -1.0
+        aisle = next(z for z in house.zones if z.id == zone)
+        inward = 1.0 if x < (aisle.x0 + aisle.x1) / 2 else -1.0
         at = x + inward * 0.68
         shapes.append(_line(at - 0.04, YARD + 0.2, at + 0.04, y1, yellow))
     ox = OFFICE[0]
@@ -257,12 +257,11 @@ def _fill_racks(plot: Plot, house: Depot) -> None:
     for x, zone in house.rows:
         rack = depot.build_rack(rng, house.bays, levels=levels, height=5.2 if three else 4.6)
         plot.put(rack, x, YARD + 0.25 + house.bays * BAY / 2, math.pi / 2, zone=zone)
-    names = [z for z in house.zones if z.type == "rack aisle"]
-    for k, zone in enumerate(names):
+    for k, aisle in enumerate(z for z in house.zones if z.type == "rack aisle"):
         sign = build_sign(f"AISLE {k + 1}", 1.5, 0.5, "#1f4f9c", "#f2f0e6",
                           drop=house.plan.ceiling - 0.85 - 4.1)  # fmt: skip
-        x = (zone.x0 + zone.x1) / 2
-        plot.put(sign, x, YARD + 0.1, 0.0, z=3.6, solid=False, zone=zone.id)
+        x = (aisle.x0 + aisle.x1) / 2
+        plot.put(sign, x, YARD + 0.1, 0.0, z=3.6, solid=False, zone=aisle.id)
 
 
 def _equip_docks(plot: Plot, house: Depot) -> None:

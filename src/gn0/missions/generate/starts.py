@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.missions.generate.settings import StartMode
+from gn0.missions.paths import densify_path
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
@@ -82,7 +83,7 @@ class StartSampler:
 
     def visit(self, path: NDArray[np.floating]) -> None:
         """A path [N, 2] m was accepted: its zones are denser now, its start is used."""
-        p = np.asarray(path, np.float64).reshape(-1, 2)
+        p = densify_path(path, self._zone / 4)
         self._visits[np.unique(self._zones_of(p))] += 1
         self._starts.append((float(p[0, 0]), float(p[0, 1])))
 

@@ -7,7 +7,7 @@ import unicodedata
 from dataclasses import dataclass
 from functools import lru_cache
 
-from gn0.missions.language.route import RouteDescription, Style
+from gn0.missions.language.route import NOWHERE, RouteDescription, Style
 from gn0.missions.language.words import COMMON_NAMES, name_pattern, plural_of
 
 LANDMARKS_MOST = 6  # distinct ones in one text
@@ -25,7 +25,8 @@ _BESIDE = re.compile(r"\b(?:on|at|along|down|from) (?:your|the|its|my)(?: \w+)? 
 _TO_SIDE = re.compile(r"\bto (?:your|the|my|its)(?: \w+)? $")
 _TURNING_TO = re.compile(
     r"\b(?:turn\w*(?: \w+)?|veer\w*|bear\w*|curv\w*|angl\w*|head\w*|drift\w*|swing\w*|go|going|"
-    r"step\w*|pivot\w*|rotat\w*|mov\w*|cut\w*|look\w*)(?: \w+){0,2} to (?:your|the|my|its)(?: \w+)? $"
+    r"step\w*|pivot\w*|rotat\w*|mov\w*|cut\w*|look\w*)(?: \w+){0,2} "
+    r"to (?:your|the|my|its)(?: \w+)? $"
 )
 _HAVE_LEFT = re.compile(r"\b(?:have|has|had|having|you've|you|just|being) $")
 _TURN_BEFORE = re.compile(
@@ -180,7 +181,7 @@ def _check_target(
     style: Style,
 ) -> list[str]:
     target = route.target
-    if target.name in ("destination",):
+    if target.name == NOWHERE:
         own = [Mention(h.start(), h.end(), target.name) for h in
                re.finditer(rf"\b{target.name}\b", plain)]  # fmt: skip
     else:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gn0.errors import EpisodeError
 from gn0.geometry import F64, wrap_angle
 from gn0.missions.language.landmarks import Candidate, LandmarkFinder, choose, footprint_offsets
-from gn0.missions.language.route import RouteDescription, RouteSegment, RouteTarget
+from gn0.missions.language.route import NOWHERE, RouteDescription, RouteSegment, RouteTarget
 from gn0.missions.language.segments import Stretch, arc_lengths, point_at, split_path
 from gn0.missions.language.sight import EYE, look, sight_of
 from gn0.missions.language.surroundings import NO_ROOM_NAMES, Surroundings, surroundings_of
@@ -227,12 +227,12 @@ def _describe_target(
     yaw: float,
 ) -> RouteTarget:
     if target is None:
-        return RouteTarget(object_id="", name="destination", region=True)
+        return RouteTarget(object_id="", name=NOWHERE, region=True)
     if isinstance(target, SceneRoom):
         name = plain_name(target.type)
         alike = surroundings.room_names.count(name)
         if name in NO_ROOM_NAMES:
-            return RouteTarget(object_id=target.id, name="destination", region=True)
+            return RouteTarget(object_id=target.id, name=NOWHERE, region=True)
         return RouteTarget(object_id=target.id, name=name, unique=alike <= 1, region=True)
     name = plain_name(target.category) or "object"
     scene = surroundings.scene

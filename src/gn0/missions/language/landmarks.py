@@ -123,7 +123,8 @@ class LandmarkFinder:
         for index in self._seen(rows).tolist():
             offset = footprint_offsets(self._s, index, points)
             away = np.hypot(*offset.T)
-            k = int(np.argmin(away))
+            nearest = np.flatnonzero(away <= away.min() + 0.05)
+            k = int(nearest[len(nearest) // 2])  # beside the middle of what is long
             rim = max(1, round(0.5 / spacing))
             centre = np.array(self._s.scene.objects[index].box.centre[:2]) - points
             bearing = _bearing(ahead, centre)

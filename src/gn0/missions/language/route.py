@@ -10,6 +10,7 @@ from gn0.config import Config
 
 Style = Literal["base", "detailed", "benchmark"]
 STYLES: tuple[Style, ...] = ("base", "detailed", "benchmark")
+NOWHERE = "destination"  # name of a target that has none
 Turn = Literal["left", "right", "around"]
 Relation = Literal["past", "towards", "at", "facing"]
 

@@ -16,6 +16,7 @@ TOLERANCE = 0.25  # m: wiggles of the path below this are no bends
 TURN_LEAST = 30.0  # degrees: less is straight on
 AROUND_LEAST = 135.0  # degrees at the start: more is turning around
 TOGETHER = 1.2  # m between two bends that are one turn
+SHIFT = 0.6  # m: one who goes on this far to a side of the old line has not turned
 AT_START = 0.4  # m of way in which one still turns on the spot
 SHARPEST = 125.0  # degrees: bends that add up to more stay two turns
 DRIFT = 45.0  # degrees of small bends that add up to a turn
@@ -133,7 +134,8 @@ def _join(bends: list[Bend]) -> list[Bend]:
             weak = min(abs(last.angle), abs(bend.angle)) < TURN_LEAST
             # one who turned on the spot at the start has done that turn
             fits = abs(total) <= SHARPEST or gap < 0.3
-            shift = not same and gap < 0.6
+            lesser = min(abs(last.angle), abs(bend.angle), 90.0)
+            shift = not same and gap * np.sin(np.radians(lesser)) < SHIFT
             # at the start a bend some steps away is another one: one walks up to it first
             near = gap <= (TOGETHER if last.end > 0.0 else AT_START)
             if near and fits and (same or weak or shift):

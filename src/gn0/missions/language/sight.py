@@ -140,15 +140,15 @@ def _label_boxes(
     for index in order:
         box = scene.objects[index].box
         corners = box.corners()
-        low = np.floor((corners.min(axis=0) - origin) / size).astype(np.int64)
-        high = np.ceil((corners.max(axis=0) - origin) / size).astype(np.int64)
+        low = np.floor((corners.min(axis=0) - origin) / size).astype(np.int64) - 1
+        high = np.ceil((corners.max(axis=0) - origin) / size).astype(np.int64) + 1
         low, high = np.clip(low, 0, shape), np.clip(high, 0, shape)
         if (high <= low).any():
             continue
         x, y, z = (origin[k] + (np.arange(low[k], high[k]) + 0.5) * size for k in range(3))
         c, s = np.cos(box.yaw), np.sin(box.yaw)
         dx, dy = x[None, :] - box.centre[0], y[:, None] - box.centre[1]
-        slack = size / 2
+        slack = 0.9 * size  # a surface may fill the voxels on either side of it
         flat = (np.abs(dx * c + dy * s) <= box.size[0] / 2 + slack) & (
             np.abs(dy * c - dx * s) <= box.size[1] / 2 + slack
         )

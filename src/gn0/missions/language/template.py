@@ -18,6 +18,7 @@ from gn0.missions.language.grammar import (
     phrases,
 )
 from gn0.missions.language.route import (
+    NOWHERE,
     Landmark,
     RouteDescription,
     RouteSegment,
@@ -115,7 +116,7 @@ def _write_base(text: _Text) -> None:
     target = text.route.target
     name = target_phrase(target, route=False)
     if target.region:
-        text.add("base region", target=name)
+        text.add("base" if target.name == NOWHERE else "base region", target=name)
     elif target.room and text.chance(0.35):
         room = _room(text, target.room)
         any_one = target_phrase(target, route=False) if target.near else indefinite(target.name)
@@ -251,7 +252,7 @@ def _write_arrival(text: _Text) -> None:
     target = text.route.target
     slots = {"target": target_phrase(target, route=True)}
     if target.region:
-        text.add("arrive nowhere" if target.name == "destination" else "arrive region", **slots)
+        text.add("arrive nowhere" if target.name == NOWHERE else "arrive region", **slots)
     elif target.side in ("left", "right") and text.chance(0.4):
         text.add("arrive side", at=target.side, **slots)
     elif target.side == "ahead" and text.chance(0.4):

@@ -37,7 +37,7 @@ class Args(Config, frozen=True):
         density: Gaussians per square metre of floor, 5000 fast to 20000 sharp; by default
             10000 for homes, fewer for halls.
         light: normal, or draft for a quicker bake.
-        refine: fit the Gaussians to ray-traced pictures: sharper by about 6 dB, for minutes more.
+        refine: fit the Gaussians to ray-traced pictures: sharper by about 8 dB, for minutes more.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
     """

@@ -119,6 +119,6 @@ FIGURES = [
         id="procedural.psnr",
         title="Surfels against ray tracing",
         measure=measure_psnr,
-        minutes=25.0,
+        minutes=30.0,
     )
 ]

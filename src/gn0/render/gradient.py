@@ -26,7 +26,8 @@ SUMS = 9
 # (unused) or the g·C still behind
 _ROW = 5 * TILE
 _CHECK = 16  # splats between looks for finished rows
-_ONE, _ZERO, _TWO = F(1.0), F(0.0), F(2.0)
+_ONE, _ZERO, _HALF, _TWO = F(1.0), F(0.0), F(0.5), F(2.0)
+_CLEAR = F(0.02)  # transmittance below this is no gap: blending ends before it is zero
 _CAP, _STOP = F(ALPHA_CAP), F(TRANSMITTANCE_STOP)
 
 
@@ -99,8 +100,13 @@ def _still_live(acc, live, lines):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _turn_round(acc, x_px, y_px, columns, lines, target, scale):  # type: ignore[no-untyped-def]
-    """Colours become gradients of scale · Σ (C − target)²; returns the squared error."""
+def _turn_round(acc, x_px, y_px, columns, lines, target, scale, closed):  # type: ignore[no-untyped-def]
+    """Colours become gradients of scale · Σ (C − target)²; returns the squared error.
+
+    When `closed`, what shows through a gap counts in the gradient as the colour least like the
+    target: black behind bright pixels, white behind dark ones, channel by channel. Pixels whose
+    target is black show no surface, and black is behind them.
+    """
     total = 0.0
     for r in range(TILE):
         for j in range(TILE):
@@ -111,10 +117,18 @@ def _turn_round(acc, x_px, y_px, columns, lines, target, scale):  # type: ignore
                 acc[at] = -_ONE
                 continue
             behind = _ZERO
+            pixel = target[y_px + r, x_px + j]
+            through = abs(acc[at])
+            gap = through if closed and through > _CLEAR else _ZERO
+            gap = gap if pixel[0] | pixel[1] | pixel[2] else _ZERO
             for c in range(3):
                 colour = acc[at + (1 + c) * TILE]
-                off = colour - F(target[y_px + r, x_px + j, c]) * F(1.0 / 255.0)
+                wanted = F(pixel[c]) * F(1.0 / 255.0)
+                off = colour - wanted
                 total += np.float64(off) * np.float64(off)
+                if wanted < _HALF:
+                    colour += gap
+                    off += gap
                 acc[at + (1 + c) * TILE] = _TWO * off * scale
                 behind += _TWO * off * scale * colour
             acc[at + 4 * TILE] = behind
@@ -124,12 +138,13 @@ def _turn_round(acc, x_px, y_px, columns, lines, target, scale):  # type: ignore
 
 @njit(parallel=True, error_model="numpy")
 def sum_entries(  # type: ignore[no-untyped-def]
-    records, tile_rows, starts, row_order, tiles_x, width, height, target, scale, sums, errors
-):
+    records, tile_rows, starts, row_order, tiles_x, width, height, target, scale, closed, sums,
+    errors,
+):  # fmt: skip
     """Gradient sums of every (tile, splat) entry of a picture against `target` [H, W, 3] uint8.
 
-    Lists must be sorted. Black background. Fills `sums` [entries, SUMS] and the squared error of
-    each tile, `errors` [tiles].
+    Lists must be sorted. The background is black, or when `closed` an error, see `_turn_round`.
+    Fills `sums` [entries, SUMS] and the squared error of each tile before black, `errors` [tiles].
     """
     for step in prange(row_order.shape[0] * tiles_x):
         tile_y, tile_x = row_order[step // tiles_x], step % tiles_x
@@ -146,7 +161,7 @@ def sum_entries(  # type: ignore[no-untyped-def]
         lanes = np.zeros(SUMS * TILE, np.float32)
         for second in range(2):
             if second:
-                errors[t] = _turn_round(acc, x_px, y_px, columns, lines, target, scale)
+                errors[t] = _turn_round(acc, x_px, y_px, columns, lines, target, scale, closed)
                 sums[begin : begin + rows.shape[0]] = _ZERO
             live = (1 << lines) - 1
             for first in range(0, rows.shape[0], BATCH):

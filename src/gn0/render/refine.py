@@ -51,7 +51,7 @@ class RefineSettings(Config, frozen=True):
     """
 
     steps: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 2000
-    move: float = 0.1
+    move: float = 0.2
     shape: float = 0.1
     opacity: float = 0.2
     colour: float = 0.02
@@ -66,6 +66,7 @@ def refine_cloud(
     *,
     steps: int | None = None,
     settings: RefineSettings | None = None,
+    closed: bool = False,
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> GaussianCloud:
@@ -81,6 +82,8 @@ def refine_cloud(
         picture: uint8 [H, W, 3] display colours of view v, before a black background.
         steps: pictures looked at; as in `settings` when None.
         settings: steps and rates.
+        closed: whether whatever is not black in the pictures is solid. Gaps between splats then
+            count as errors even where a surface is about as dark as the background.
         seed: of the order of the pictures.
         progress: progress sink.
 
@@ -99,7 +102,7 @@ def refine_cloud(
         )
     if not len(cloud) or not total:
         return cloud
-    fit = _Fit(cloud, settings)
+    fit = _Fit(cloud, settings, closed)
     order = random_stream(seed, "refine order")
     queue: list[int] = []
     for step in range(total):
@@ -123,9 +126,11 @@ def refine_cloud(
 class _Fit:
     """Parameters, their moments and the renderer that shows them."""
 
-    def __init__(self, cloud: GaussianCloud, settings: RefineSettings) -> None:
+    def __init__(
+        self, cloud: GaussianCloud, settings: RefineSettings, closed: bool = False
+    ) -> None:
         cloud = cloud.select(morton_order(cloud.means))  # the order of the packed chunks
-        self.start = cloud
+        self.start, self.closed = cloud, closed
         n = len(cloud)
         axes = rotation_from_quaternion(cloud.quats).transpose(0, 2, 1)
         self.frame = np.ascontiguousarray(axes.reshape(n, 9), np.float32)
@@ -177,7 +182,7 @@ class _Fit:
         sum_entries(
             *(records, rows, starts, spread_rows(-(-camera.height // 16))),
             *(-(-camera.width // 16), camera.width, camera.height, target, _SCALE),
-            *(self.sums, errors),
+            *(self.closed, self.sums, errors),
         )
         sum_rows(rows, entries, self.sums, _PARTS, self.rows[:count])
         descend(

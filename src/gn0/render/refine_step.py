@@ -21,7 +21,8 @@ PARAMETERS = 11
 THIRD = 2  # the thin axis
 _LOG_MIN = F(math.log(ALPHA_MIN))
 _ZERO, _ONE, _TWO = F(0.0), F(1.0), F(2.0)
-_FAST, _SLOW = F(0.9), F(0.99)  # decay of Adam's first and second moment
+# decay of Adam's first and second moment: short, because a splat is seen only now and then
+_FAST, _SLOW = F(0.6), F(0.9)
 _TINY = F(1e-12)
 _LOGIT_LOW, _LOGIT_HIGH = F(-5.0), F(7.0)
 

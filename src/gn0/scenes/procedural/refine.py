@@ -20,8 +20,8 @@ from gn0.scenes.shading import Shader
 from gn0.scenes.truth import trace_picture
 from gn0.seeds import random_stream
 
-VIEWS_PER_M2 = 6.5
-STEPS_PER_M2 = 50.0
+VIEWS_PER_M2 = 10.0
+STEPS_PER_M2 = 70.0
 CLEARANCE = 0.35  # of a camera to everything at its height [m]
 LENSES = ((640, 480, 79.0), (480, 360, 86.07))  # width, height, hfov: what policies look through
 _SECOND_LENS = 0.25  # share of views through it
@@ -106,6 +106,7 @@ def refine_draft(
         views=np.stack(views),
         picture=partial(_pick, pictures),
         steps=math.ceil(STEPS_PER_M2 * area),
+        closed=True,
         seed=seed,
         progress=progress,
     )

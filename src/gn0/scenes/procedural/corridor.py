@@ -45,7 +45,6 @@ class Theme:
         width: of the corridor [m].
         depth: of side rooms [m].
         rooms: (type, width [m], how often) of side rooms.
-        niche: what a widening of the corridor is called.
     """
 
     name: str
@@ -85,7 +84,7 @@ THEMES = (
         ),
     ),
 )
-NICHE_DEPTH = 1.9  # m
+DEPTHS = {"niche": 1.9, "toilet": 2.5, "linen room": 3.1, "office": 4.0}  # m, else the theme's
 NEEDED = {
     "hotel room": {"bed"},
     "classroom": {"school desk", "blackboard"},
@@ -152,7 +151,7 @@ def _draw_plan(
             side, _, high, wall = strips[k]
             name = str(rng.choice(names, p=odds / odds.sum()))
             wide = round(widths[name] * float(rng.uniform(0.92, 1.1)), 2)
-            depth = NICHE_DEPTH if name == "niche" else round(deep, 2)
+            depth = DEPTHS.get(name, round(deep, 2))
             if rng.random() < 0.22:  # a piece of bare wall, for a window or a closed door
                 cursor[k] += float(rng.uniform(1.6, 2.8))
             start = round(cursor[k], 2)

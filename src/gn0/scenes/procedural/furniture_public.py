@@ -8,6 +8,7 @@ import numpy as np
 
 from gn0.scenes.procedural.draft import Lamp, Material
 from gn0.scenes.procedural.furniture_light import glow, lamp_light
+from gn0.scenes.procedural.furniture_office import without_underside
 from gn0.scenes.procedural.furniture_storage import build_towel_stack
 from gn0.scenes.procedural.palette import BLACK, CHROME, GREY, LINEN, STEEL, WHITE, Palette, plain
 from gn0.scenes.procedural.parts import Item, Placed, Support
@@ -195,7 +196,8 @@ def build_trolley(rng: np.random.Generator, palette: Palette) -> Item:
 def build_pupil_desk(wood: Material, frame: Material) -> Item:
     """A school table for two on steel legs, category "school desk"."""
     w, d, h = 1.3, 0.52, 0.72
-    shapes = [build_box((w, d, 0.024), wood, bevel=0.006, at=(0, 0, h - 0.024))]
+    board = build_box((w, d, 0.024), wood, bevel=0.006, at=(0, 0, h - 0.024))
+    shapes = [without_underside(board)]
     shapes += [
         build_rod(
             (sx * (w / 2 - 0.06), sy * (d / 2 - 0.05), 0),

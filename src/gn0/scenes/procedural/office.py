@@ -26,7 +26,7 @@ from gn0.seeds import random_stream
 SIZES = {"small": (205.0, 300.0), "medium": (325.0, 425.0), "large": (460.0, 590.0)}  # m²
 HALL_DEPTH = {"small": (7.2, 8.2), "medium": (9.4, 10.6), "large": (10.6, 12.4)}  # m
 WIDTHS = {
-    "reception": 6.0,
+    "reception": 7.0,
     "meeting room": 5.0,
     "office": 3.5,
     "print room": 2.9,

@@ -138,18 +138,20 @@ class CorridorRooms:
     def _light_corridor(self, layout: RoomLayout) -> None:
         room = layout.room
         long = max(room.width, room.depth)
+        wide = room.width >= room.depth
+
+        def put(item: Item, count: int, shift: float, yaw: float = 0.0) -> None:
+            columns, rows = (count, 1) if wide else (1, count)
+            fit.put_in_grid(layout, item, columns, rows, shift, yaw)
+
         count = max(1, round(long / 2.8))
-        grid = (count, 1) if room.width >= room.depth else (1, count)
         if self.theme == "hotel":
             item = fix.build_panel_lamp(self.kelvin, 0.55 * room.area / count, 0.26, 0.26)
         else:
             item = fix.build_panel_lamp(self.kelvin, 0.75 * room.area / count, 1.2, 0.3)
-        yaw = 0.0 if room.width >= room.depth else math.pi / 2
-        fit.put_in_grid(layout, item, *grid, 0.0, yaw)
-        vents = max(1, count // 3)
-        fit.put_in_grid(layout, fix.build_vent(0.4), *(vents if v > 1 else 1 for v in grid), 0.55)
-        spray = max(1, round(long / 3.5))
-        fit.put_in_grid(layout, fix.build_sprinkler(), *(spray if v > 1 else 1 for v in grid), -0.5)
+        put(item, count, 0.0, 0.0 if wide else math.pi / 2)
+        put(fix.build_vent(0.4), max(1, count // 3), 0.55)
+        put(fix.build_sprinkler(), max(1, round(long / 3.5)), -0.5)
 
     def _mark_doors(self, layout: RoomLayout) -> None:
         """A number or a name beside each door of the corridor."""

@@ -95,9 +95,11 @@ class OfficeRooms:
     def furnish_reception(self, layout: RoomLayout) -> None:
         """A counter before the company's name, seats for those who wait, plants."""
         rng, palette = layout.rng, layout.palette
-        dress_office_windows(layout)
+        dress_office_windows(layout, radiators=False)
         self._place_counter(layout)
-        groups.place_lounge(layout, int(rng.integers(2, 4)))
+        if not groups.place_lounge(layout, int(rng.integers(2, 4))):
+            sofa = seats.build_sofa(rng, palette, seats=2)
+            layout.place_on_wall(sofa, prefer="any", gap=0.05)
         chair = seats.build_sofa(rng, palette, seats=1)
         layout.place_on_wall(chair, prefer="any", gap=0.05, front=0.4)
         layout.place_on_wall(office.build_coat_stand(rng, palette), prefer="corner", reach=False)
@@ -112,7 +114,7 @@ class OfficeRooms:
     def _place_counter(self, layout: RoomLayout) -> None:
         """The reception desk with its back to the longest bare wall, room to sit behind it."""
         rng, palette = layout.rng, layout.palette
-        width = float(rng.uniform(1.9, 2.5))
+        width = float(rng.uniform(1.7, 2.4))
         desk = office.build_reception_desk(rng, palette, width)
         bar, work = desk.supports
         parts = [
@@ -127,22 +129,22 @@ class OfficeRooms:
         ]
         desk = desk.with_parts(parts)
         chair = groups.draw_chair(self.taste, palette)
-        sides = sorted(layout.sides.values(), key=lambda s: -s.length)
-        for side in sides:
-            gaps = sorted(layout.intervals(side, 1.9, 2.0), key=lambda g: g[0] - g[1])
-            for a, b in gaps:
-                if b - a < width + 1.0:
-                    continue
-                t = a + width / 2 + 0.15 if rng.random() < 0.5 else b - width / 2 - 0.15
-                at = stand_at(side, t, 1.45, desk)
-                seat = stand_at(side, t + 0.2, 0.62, chair, math.pi + float(rng.normal(0, 0.3)))
-                clear = layout.strip(side, t - width / 2, t + width / 2, 1.9)
-                if layout.place_free([(at, True), (seat, True)], clear):
-                    sign = fix.build_sign(
-                        self.company, min(width * 0.8, 1.8), 0.4, ground="#f0eee9", ink="#2a3540"
-                    )
-                    layout.hang(side, sign, t, 1.9)
-                    return
+        spots = []
+        for high in (2.0, 0.8):  # a bare wall behind it, or else one with windows
+            for side in layout.sides.values():
+                free = layout.intervals(side, 1.9, high)
+                spots += [(high < 1, a - b, side, a, b) for a, b in free if b - a > width + 0.9]
+        for _, _, side, a, b in sorted(spots, key=lambda g: (g[0], g[1])):
+            t = a + width / 2 + 0.15 if rng.random() < 0.5 else b - width / 2 - 0.15
+            at = stand_at(side, t, 1.45, desk)
+            seat = stand_at(side, t + 0.2, 0.62, chair, math.pi + float(rng.normal(0, 0.3)))
+            clear = layout.strip(side, t - width / 2, t + width / 2, 1.9)
+            if layout.place_free([(at, True), (seat, True)], clear):
+                sign = fix.build_sign(
+                    self.company, min(width * 0.8, 1.8), 0.4, ground="#f0eee9", ink="#2a3540"
+                )
+                layout.hang(side, sign, t, 1.9)
+                return
 
     def furnish_meeting(self, layout: RoomLayout) -> None:
         """A table with chairs, a screen, whiteboards, a sideboard."""
@@ -278,7 +280,7 @@ def furnish_washroom(layout: RoomLayout) -> None:
     layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
 
 
-def dress_office_windows(layout: RoomLayout) -> None:
+def dress_office_windows(layout: RoomLayout, *, radiators: bool = True) -> None:
     """Roller blinds, partly down, and a radiator under each window with a parapet."""
     rng, palette = layout.rng, layout.palette
     for side in layout.sides.values():
@@ -289,7 +291,7 @@ def dress_office_windows(layout: RoomLayout) -> None:
             blind = decor.build_blind(rng, palette, width + 0.06, top - bottom)
             layout.placed.append(Placed(blind, *side.point(middle, 0.005), top + 0.06, side.yaw))
             layout.hung[side.name].append((a - 0.1, bottom, b + 0.1, top + 0.1))
-            if bottom > 0.7 and width > 1.0:
+            if radiators and bottom > 0.7 and width > 1.0:
                 radiator = decor.build_radiator(rng, min(width - 0.3, 1.4))
                 at = stand_at(side, middle, 0.0, radiator)
                 if layout.is_clear(groups.footprint(at)):

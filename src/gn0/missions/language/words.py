@@ -51,7 +51,7 @@ _DISTINCT = {
     "radiator": 0.4, "curtain": 0.5, "blind": 0.3, "mirror": 0.7, "vase": 0.4, "hood": 0.4,
     "range hood": 0.5, "air conditioner": 0.5, "coat": 0.6, "bin": 0.6, "trash can": 0.7,
     "basket": 0.5, "clock": 0.4, "toy": 0.4, "ball": 0.4, "umbrella stand": 0.6, "box": 0.5,
-    "pallet": 0.8, "floor lamp": 0.9, "lamp": 0.7, "table lamp": 0.6, "bucket": 0.5, "sink": 0.7,
+    "pallet": 0.8, "shopping basket": 0.4, "shopping trolley": 0.6, "office chair": 0.6, "floor lamp": 0.9, "lamp": 0.7, "table lamp": 0.6, "bucket": 0.5, "sink": 0.7,
     "kettle": 0.2, "monitor": 0.5, "laptop": 0.4, "chair": 0.8, "plant": 0.8,
 }  # fmt: skip
 _KIN = {

@@ -9,7 +9,7 @@ from gn0.figures.board import Figure
 
 _MODULES = (
     "install", "gaussians", "splat_formats", "maps", "render", "scenes", "capture", "procedural",
-    "sim", "mapping", "vector", "bench", "policies", "missions", "generate", "language",
+    "scene_kinds", "sim", "mapping", "vector", "bench", "policies", "missions", "generate", "language",
     "samples", "labels", "view", "trust",
 )  # fmt: skip
 

@@ -346,10 +346,9 @@ def _read_balance(folder: Path) -> dict[str, float]:
     path = folder / BALANCE_FILE
     if not path.is_file():
         return {}
-    plain: dict[str, Any] = load_json(path, dict)
-    after = plain.get("after", {})
-    shares = {name: after.get(name, after.get(name.upper())) for name in ACTION_NAMES}
-    return {n: float(v) for n, v in shares.items() if isinstance(v, int | float)}
+    after = load_json(path, dict[str, Any]).get("after", {})
+    shares = {name: after.get(name.upper(), {}).get("percent") for name in ACTION_NAMES}
+    return {name: float(share) for name, share in shares.items() if share is not None}
 
 
 def _read_candidates(folder: Path) -> dict[str, int]:

@@ -269,8 +269,8 @@ def _check_episode(folder: Path, index: int, views: Sequence[str], faults: Fault
         videos = folder / f"videos/chunk-{index // 1000:03d}"
         for number in range(len(action)):
             stem = f"episode_{index:06d}_{number}"
-            sizes.add(picture_size(videos / f"observation.images.rgb.{view}/{stem}.jpg"))
-            load_depth(videos / f"observation.images.depth.{view}/{stem}.png", MILLIMETRE)
+            sizes.add(picture_size(safe_join(videos, f"observation.images.rgb.{view}/{stem}.jpg")))
+            load_depth(safe_join(videos, f"observation.images.depth.{view}/{stem}.png"), MILLIMETRE)
         if faults.expect(len(sizes) == 1, f"{path}: pictures of several sizes, or none"):
             (size,) = sizes
             outside = ~none & ~((goal >= 0) & (goal < size)).all(axis=1)
@@ -287,8 +287,10 @@ def _recover(name: Name, folder: Path, index: int, start: F64, view: str) -> Rec
     def picture(pose: int) -> Frame:
         stem = f"episode_{index:06d}_{pose}"
         return Frame(
-            load_picture(videos / f"observation.images.rgb.{view}/{stem}.jpg"),
-            load_depth(videos / f"observation.images.depth.{view}/{stem}.png", MILLIMETRE),
+            load_picture(safe_join(videos, f"observation.images.rgb.{view}/{stem}.jpg")),
+            load_depth(
+                safe_join(videos, f"observation.images.depth.{view}/{stem}.png"), MILLIMETRE
+            ),
         )
 
     return Recovered(

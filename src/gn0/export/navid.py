@@ -201,13 +201,16 @@ class ExporterNaVid(_Conversations):
         return [(d.pose + 1, f"The next action is {d.answer}.") for d in found], {}
 
     def moves(self, labels: Sequence[tuple[int, str]]) -> tuple[int, ...] | None:
-        """What the answers say, as often as there are frames in between."""
+        """What the answers say; None where some were not asked, or of steps other than ours."""
         found: list[int] = []
         for (begin, answer), (end, _) in pairwise(labels):
             match = _AMOUNT.fullmatch(answer)
             if match is None or match[4]:
                 return None
             move = FORWARD if match[1] else {"left": LEFT, "right": RIGHT}[match[2]]
+            amount = float(match[1]) / 25 if match[1] else float(match[3]) / 15
+            if abs(amount - (end - begin)) > 1e-6:
+                return None
             found += [move] * (end - begin)
         return tuple(found)
 

@@ -145,7 +145,7 @@ def _recover(video: str, group: list[Question], name: Name, folder: Path) -> Rec
             break
         assert moves is not None
         moves += [move] * count
-    at = folder / FRAMES / video
+    at = safe_join(folder / FRAMES, video)
     return Recovered(
         id=name.id,
         scene=name.scene,

@@ -61,6 +61,8 @@ def _kind(shape: Shape) -> str:
 
 def shape_differences(found: Shape, wanted: Shape, where: str = "") -> list[str]:
     """In what a shape differs from the one wanted, by place, in words."""
+    if found is None or wanted is None:
+        return []  # what is empty is of any shape
     if isinstance(found, dict) and isinstance(wanted, dict):
         wrong = [f"{where}.{name}: missing" for name in wanted if name not in found]
         wrong += [f"{where}.{name}: unknown" for name in found if name not in wanted]
@@ -71,7 +73,5 @@ def shape_differences(found: Shape, wanted: Shape, where: str = "") -> list[str]
             wrong = [f"{where}: keys in another order: {', '.join(found)}"]
         return wrong
     if isinstance(found, list) and isinstance(wanted, list):
-        if found[0] is None or wanted[0] is None:
-            return []  # an empty list is of any shape
         return shape_differences(found[0], wanted[0], f"{where}[]")
     return [] if found == wanted else [f"{where}: {found}, expected {wanted}"]

@@ -133,6 +133,8 @@ class ExporterVlnceR2R(OwnPoses):
         for split in about.splits:
             episodes = _load_split(folder, split, about.role)
             for number, task in enumerate(episodes.tasks):
+                if not task.id.isdecimal():
+                    raise FormatError(f"episode_id {task.id!r:.40}", file=folder / split)
                 found.append((int(task.id), _recover(episodes, number, about, folder)))
         found.sort(key=lambda pair: pair[0])
         names = load_names(folder, len(found))
@@ -225,7 +227,10 @@ def check_splits(folder: Path, faults: Faults) -> None:
         for split in about.splits:
             with faults.guard():
                 vocabularies.add(_check_split(split_path(folder, split, about.role), about, faults))
-        faults.expect(len(vocabularies) <= 1, f"{folder}: splits with different vocabularies")
+        faults.expect(
+            len(vocabularies - {""}) <= 1 or bool(faults.found),
+            f"{folder}: splits with different vocabularies",
+        )
 
 
 def _check_split(path: Path, about: About, faults: Faults) -> str:

@@ -8,15 +8,14 @@ from functools import cache
 import numpy as np
 from msgspec.structs import replace
 
-from gn0.data.labels import plan_expert
-from gn0.export.trips import STOP, ExportSource, Frame, SceneCard, Sensors, Trip
+from gn0.data.labels import plan_expert, window_actions
+from gn0.export.trips import ExportSource, Frame, SceneCard, Sensors, Trip
 from gn0.geometry import F32, F64, U8, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import cast_rays
 from gn0.missions.episode import Episode, MissionInstruction
 from gn0.render.camera import Camera
-from gn0.seeds import random_stream
 from gn0.sim.presets import CameraPreset
 from gn0.storage import content_hash
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
@@ -86,9 +85,16 @@ def _colour(depth: F32) -> U8:
 
 
 def build_toy_trips(
-    count: int = 3, seed: int = 0, scenes: int = 2
+    count: int = 3, seed: int = 0, scenes: int = 2, longest: int = 0
 ) -> tuple[list[Trip], dict[str, OccupancyGrid]]:
-    """Trips in small floor plans: two splits, two missions on the first path of each plan."""
+    """Trips in small floor plans: two splits, two missions on the first path of each plan.
+
+    Args:
+        count: trips a plan.
+        seed: of plans and episodes.
+        scenes: how many plans.
+        longest: only the last so many poses of each trip; 0 means all.
+    """
     trips: list[Trip] = []
     grids: dict[str, OccupancyGrid] = {}
     for number in range(scenes):
@@ -110,23 +116,28 @@ def build_toy_trips(
             split = "train" if number == 0 else "test"
             path = f"path-{episode.id.removesuffix('-again')}"
             own = replace(episode, split=split, path_id=path)
-            trips.append(_walk(own, navigation))
+            trip = _walk(own, navigation)
+            trips.append(_end_of(trip, longest) if 0 < longest < trip.frames else trip)
     return trips, grids
 
 
 def _walk(episode: Episode, navigation: NavigationMap) -> Trip:
     poses, actions = plan_expert(navigation, episode)
-    count = len(actions)
-    assert count and actions[-1] == STOP
-    ahead = np.zeros((count, 6), np.int8)
-    for row in range(count):
-        ahead[row, : min(6, count - row)] = actions[row : row + 6]
     return Trip(
         episode=episode,
-        poses=np.asarray(poses[:count], np.float64),
+        poses=np.asarray(poses[: len(actions)], np.float64),
         moves=np.asarray(actions[:-1], np.int8),
-        ahead=ahead,
+        ahead=window_actions(actions),
     )
+
+
+def _end_of(trip: Trip, frames: int) -> Trip:
+    x, y, yaw = map(float, trip.poses[-frames])
+    episode = replace(trip.episode, start=(x, y, yaw), path=((x, y), trip.episode.goal))
+    return Trip(
+        episode, trip.poses[-frames:], trip.moves[len(trip.moves) - frames + 1 :],
+        trip.ahead[-frames:],
+    )  # fmt: skip
 
 
 def build_toy_source(trips: Sequence[Trip], grids: dict[str, OccupancyGrid]) -> ExportSource:
@@ -143,12 +154,6 @@ def build_toy_source(trips: Sequence[Trip], grids: dict[str, OccupancyGrid]) -> 
 
 
 @cache
-def toy_source(count: int = 3, seed: int = 0) -> ExportSource:
+def toy_source(count: int = 3, seed: int = 0, longest: int = 0) -> ExportSource:
     """The same source for all who ask; nothing in it changes."""
-    return build_toy_source(*build_toy_trips(count, seed))
-
-
-def random_moves(seed: int, count: int) -> list[int]:
-    """Moves drawn from 1, 2, 3."""
-    rng = random_stream(seed, "toy moves")
-    return [int(move) for move in rng.integers(1, 4, count)]
+    return build_toy_source(*build_toy_trips(count, seed, longest=longest))

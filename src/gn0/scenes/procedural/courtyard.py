@@ -146,9 +146,9 @@ def _draw_light(rng: np.random.Generator) -> tuple[Sky, Sun]:
     x, y, z = (round(v, 6) for v in way)
     warm = float(rng.uniform(0.0, 1.0))
     sun = Sun(
-        direction=(x, y, z), colour=(7.4, round(6.9 - 0.5 * warm, 3), round(5.9 - 0.9 * warm, 3))
+        direction=(x, y, z), colour=(5.2, round(4.9 - 0.35 * warm, 3), round(4.3 - 0.6 * warm, 3))
     )
-    return Sky(zenith=(0.36, 0.47, 0.72), horizon=(0.62, 0.68, 0.78), shown=2.6), sun
+    return Sky(zenith=(0.36, 0.47, 0.72), horizon=(0.62, 0.68, 0.78), shown=1.9), sun
 
 
 def _floor(room: Room, material: Material, z: float = 0.0) -> Shape:
@@ -179,9 +179,7 @@ def _lay_ground(plot: Plot, yard: Yard, rng: np.random.Generator) -> None:
         "playground": chips,
     }  # fmt: skip
     shell = [_floor(zone, ground[zone.type]) for zone in yard.zones]
-    w, d, b = yard.width, yard.depth, BEYOND + 2.0
-    field = Room("field", "field", -b, -b, w + b, d + b)
-    shell.append(_floor(field, grass, OUTSIDE))
+    shell += _ground_beyond(yard, grass)
     edge, high = KERB
     stone = plain("kerb", "concrete", "#a8a296", second="#8a8478", contrast=0.4, detail=0.4)
     tufts = []
@@ -207,6 +205,18 @@ def _lay_ground(plot: Plot, yard: Yard, rng: np.random.Generator) -> None:
         blade = plain("blades", "leaf", "#6a8a38", second="#3f5f22", contrast=0.4, detail=0.6)
         shell.append(planting.build_grass_tufts(rng, np.concatenate(tufts), blade))
     plot.assembly.add_shell(*shell)
+
+
+def _ground_beyond(yard: Yard, grass: Material) -> list[Shape]:
+    """Grass behind the garden wall, below the yard: one sees it but cannot stand there."""
+    w, d, b = yard.width, yard.depth, BEYOND + 3.0
+    strip = {
+        "south": (-b, -b, w + b, 0.05), "north": (-b, d - 0.05, w + b, d + b),
+        "west": (-b, -b, 0.05, d + b), "east": (w - 0.05, -b, w + b, d + b),
+    }.get(yard.open_side)  # fmt: skip
+    if strip is None:
+        return []
+    return [_floor(Room("field", "field", *strip), grass, OUTSIDE)]
 
 
 def _build_fronts(plot: Plot, yard: Yard, rng: np.random.Generator) -> None:

@@ -23,7 +23,7 @@ from gn0.scenes.procedural.shapes import (
 from gn0.scenes.procedural.shapes_soft import join_shapes
 
 BRICKS = (("#9a543c", "#b5ada0"), ("#a86b4a", "#c2baa8"), ("#7c4436", "#a39a8e"))
-RENDERS = ("#d9c9a3", "#cbb08a", "#d3cfc4", "#c98f6b", "#b9c0b4", "#e0d4b8", "#a9b3b8", "#c4a58c")
+RENDERS = ("#c4b48f", "#b89d78", "#b8b4a9", "#b57f5d", "#a3ab9e", "#c8bb9c", "#929ca2", "#ae907a")
 TRIMS = ("#ece8dc", "#d8d2c2", "#8a8478")
 DOORS = ("#3f5a4a", "#6a2f2a", "#2f4a6a", "#5a4632", "#3a3d42")
 

@@ -10,7 +10,14 @@ import numpy as np
 
 from gn0.scenes.procedural.draft import Lamp, Material
 from gn0.scenes.procedural.furniture_light import glow, lamp_light
-from gn0.scenes.procedural.goods import BRANDS, SHELF_GOODS, Product, build_facing, tile_shape
+from gn0.scenes.procedural.goods import (
+    BRANDS,
+    SHELF_GOODS,
+    Product,
+    build_facing,
+    seen_part,
+    tile_shape,
+)
 from gn0.scenes.procedural.palette import BLACK, CHROME, GREY, STEEL, WHITE, linear_colour, plain
 from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.shapes import (
@@ -250,7 +257,7 @@ def build_flat_goods(rng: np.random.Generator, product: Product, w: float, d: fl
         turn, dx = float(rng.normal(0, 0.04)), float(rng.normal(0, 0.006))
         box = build_box((w, d, t), side)
         keep = box.vertices[box.faces][..., 2].max(axis=1) > 1e-3
-        box = Shape(box.vertices, box.faces[keep], box.uv[keep], side)
+        box = seen_part(box, keep)
         shapes.append(box.moved(dx, 0, k * t, turn))
         if k == layers - 1:
             top = build_panel((-w / 2, -d / 2, t + 1e-3), (w, 0, 0), (0, d, 0), face, fit=True)
@@ -342,7 +349,7 @@ def build_produce_crate(rng: np.random.Generator, kind: int, width: float, depth
         skin = plain(name, "food", colour, contrast=0.45, detail=0.7, seed=int(rng.integers(3)))
         ball = build_ball(radius, skin, segments=7 if radius < 0.06 else 9, squash=squash)
         keep = ball.vertices[ball.faces][..., 2].max(axis=1) > -0.1 * radius
-        ball = Shape(ball.vertices, ball.faces[keep], ball.uv[keep], skin)
+        ball = seen_part(ball, keep)
         shapes.append(tile_shape(ball, mine))
     return Item(name, tuple(shapes))
 

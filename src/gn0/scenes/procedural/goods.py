@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.scenes.procedural.draft import Material
@@ -72,6 +73,14 @@ def build_facing(rng: np.random.Generator, product: Product, width: float, head:
             spots.append((x, float(rng.uniform(0.004, 0.022)), layer * (h + 0.001)))
     shapes = FORMS[product.form](rng, product, (w, d, h), np.array(spots))
     return Item(product.category, tuple(shapes))
+
+
+def seen_part(shape: Shape, keep: NDArray[np.bool_]) -> Shape:
+    """The faces selected by `keep` [F], and their vertices only."""
+    used, faces = np.unique(shape.faces[keep], return_inverse=True)
+    return Shape(
+        shape.vertices[used], faces.reshape(-1, 3).astype(np.int32), shape.uv[keep], shape.material
+    )
 
 
 def tile_shape(shape: Shape, spots: F64) -> Shape:
@@ -193,8 +202,7 @@ def _round_goods(
     middle = spots + np.array([0.0, radius, 0.0])
     whole = turn_shape(profile, material)
     front = whole.vertices[whole.faces][..., 1].mean(axis=1) < 0.4 * radius
-    seen = Shape(whole.vertices, whole.faces[front], whole.uv[front], material)
-    return tile_shape(seen, middle)
+    return tile_shape(seen_part(whole, front), middle)
 
 
 def _behind(spots: F64, width: float, depth: float, height: float, material: Material) -> Shape:
@@ -346,8 +354,9 @@ def _loaves(
     )  # fmt: skip
     loaf = build_ball(0.5, crust, at=(0, 0, 0.0), segments=8)
     keep = loaf.vertices[loaf.faces][..., 2].max(axis=1) > -0.1
-    loaf = Shape(loaf.vertices, loaf.faces[keep], loaf.uv[keep], crust).stretched(w, d, 1.6 * h)
-    return [tile_shape(loaf, spots + np.array([0.0, d / 2, 0.1 * h]))]
+    loaf = seen_part(loaf, keep).stretched(w, d, 1.6 * h)
+    foot = -float(loaf.vertices[:, 2].min())
+    return [tile_shape(loaf, spots + np.array([0.0, d / 2, foot]))]
 
 
 Maker = Callable[[np.random.Generator, Product, tuple[float, float, float], F64], list[Shape]]

@@ -26,7 +26,7 @@ STONE = plain("stone", "concrete", "#b3ab9c", second="#8f887a", contrast=0.5, de
 IRON = plain("wrought iron", "metal", "#2b2f33", contrast=0.15)
 TEAK = plain("teak", "wood", "#8c6238", second="#6b4826", scale=0.08, contrast=0.55, detail=0.7)
 GREENS = (
-    ("#3f6a2a", "#1f3d16"), ("#557a2e", "#2c4a1a"), ("#4a6f38", "#263f20"), ("#6f8a34", "#3a5220"),
+    ("#4b6636", "#24381c"), ("#5a7038", "#2e421f"), ("#4c6640", "#253a24"), ("#6c7f40", "#384a24"),
 )  # fmt: skip
 PETALS = ("#d9304a", "#f0c02a", "#e88ab0", "#f2efe6", "#8a4fb0", "#e8742a", "#c2185b")
 
@@ -39,25 +39,37 @@ def foliage(rng: np.random.Generator, *, scale: float = 0.1) -> Material:
 
 
 def build_sprigs(
-    rng: np.random.Generator, points: F64, size: float, material: Material, *, upright: float = 0.0
+    rng: np.random.Generator,
+    points: F64,
+    size: float,
+    material: Material,
+    *,
+    upright: float = 0.0,
+    outward: F64 | None = None,
 ) -> Shape:
-    """A small bent leaf, two triangles each way, at each point [N, 3]; random directions."""
+    """A small bent leaf of two triangles at each point [N, 3], in random directions.
+
+    Its lit side looks along `outward` [N, 3], or up: a leaf shows that side's light on both.
+    """
     n = len(points)
     way = rng.normal(size=(n, 3))
     way[:, 2] = np.abs(way[:, 2]) * (1 - upright) + 2.0 * upright
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     side = np.cross(way, rng.normal(size=(n, 3)))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
+    face = np.array([[0.0, 0.0, 1.0]]) if outward is None else outward
+    inward = (np.cross(side, way) * face).sum(axis=1) > 0
+    side[inward] *= -1.0
     long = size * rng.uniform(0.7, 1.3, (n, 1))
-    droop = np.cross(side, way) * long * 0.25
+    droop = np.cross(way, side) * long * 0.25
     middle = points + way * long * 0.5 + droop * 0.5
     tip = points + way * long - droop * 0.3
     half = side * long * 0.28
     v = np.stack([points, middle - half, tip, middle + half], 1).reshape(-1, 3)
     base = 4 * np.arange(n)[:, None]
     f = np.concatenate([base + np.array([0, 1, 2]), base + np.array([0, 2, 3])])
-    uv = np.tile(np.array([[0, 0], [0.05, 0.05], [0.1, 0], [0.05, -0.05]]), (n, 1))[f]
-    return make_shape(v, f, uv, material)
+    corner = np.array([[0, 0], [0.05, 0.05], [0.1, 0], [0.05, -0.05]])
+    return make_shape(v, f, np.tile(corner, (n, 1))[f], material)
 
 
 def build_blob(
@@ -81,7 +93,7 @@ def _crown(
 ) -> list[Shape]:  # fmt: skip
     """A crown: lumps of leaves round a point, with single leaves standing out of them."""
     wide, tall = spread
-    lumps, points = [], []
+    lumps, points, outs = [], [], []
     for k in range(count):
         a = 2.39996 * k + float(rng.uniform(0, 0.6))
         t = (k + 0.5) / count
@@ -92,8 +104,9 @@ def _crown(
         lumps.append(build_blob(rng, r, material).moved(*at))
         d = rng.normal(size=(sprigs // count, 3))
         d /= np.linalg.norm(d, axis=1, keepdims=True)
-        points.append(at + d * r * np.array([1, 1, 0.8]) * rng.uniform(0.85, 1.12, (len(d), 1)))
-    leaves = build_sprigs(rng, np.concatenate(points), leaf, second)
+        points.append(at + d * r * np.array([1, 1, 0.8]) * rng.uniform(0.82, 1.16, (len(d), 1)))
+        outs.append(d + np.array([0, 0, 0.6]))
+    leaves = build_sprigs(rng, np.concatenate(points), leaf, second, outward=np.concatenate(outs))
     return [join_shapes(lumps), leaves]
 
 
@@ -129,7 +142,7 @@ def build_tree(rng: np.random.Generator, kind: int | None = None) -> Item:
     if kind == 3:
         second = plain("blossom", "food", str(rng.choice(["#e9b7c8", "#f2e6e4", "#d98aa8"])),
                        contrast=0.3, detail=0.5)  # fmt: skip
-    shapes += _crown(rng, middle, (wide, tall), 11, green, second, leaf=0.17, sprigs=900)
+    shapes += _crown(rng, middle, (wide, tall), 11, green, second, leaf=0.24, sprigs=1900)
     return Item("tree", tuple(shapes))
 
 
@@ -137,14 +150,14 @@ def build_bush(rng: np.random.Generator, radius: float = 0.45) -> Item:
     """A round bush, some in flower."""
     green = foliage(rng)
     ball = build_blob(rng, radius, green, squash=0.85).moved(0, 0, radius * 0.7)
-    d = rng.normal(size=(120, 3))
+    d = rng.normal(size=(220, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     d[:, 2] = np.abs(d[:, 2])
     second = foliage(rng, scale=0.05)
     if rng.random() < 0.4:
         second = plain("flowers", "food", str(rng.choice(PETALS)), contrast=0.3, detail=0.5)
     points = d * radius * (1, 1, 0.85) + (0, 0, radius * 0.7)
-    return Item("bush", (ball, build_sprigs(rng, points, 0.09, second)))
+    return Item("bush", (ball, build_sprigs(rng, points, 0.1, second, outward=d)))
 
 
 def build_hedge(rng: np.random.Generator, length: float, high: float, thick: float = 0.5) -> Item:
@@ -162,9 +175,9 @@ def build_hedge(rng: np.random.Generator, length: float, high: float, thick: flo
     y = np.where(side == 0, rng.uniform(-thick / 2, thick / 2, count),
                  np.where(side == 1, -thick / 2, thick / 2))  # fmt: skip
     z = np.where(side == 0, high, rng.uniform(0.03, high, count))
-    leaves = build_sprigs(
-        rng, np.stack([x, y * 0.97, z * 0.98], 1), 0.055, foliage(rng, scale=0.04)
-    )
+    outward = np.stack([0 * x, np.sign(y) * (side > 0), 0.3 + 1.0 * (side == 0)], 1)
+    points = np.stack([x, y * 0.97, z * 0.98], 1)
+    leaves = build_sprigs(rng, points, 0.06, foliage(rng, scale=0.04), outward=outward)
     return Item("hedge", (Shape(v, body.faces, body.uv, green), leaves))
 
 

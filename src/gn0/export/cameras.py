@@ -6,9 +6,13 @@ of the agent on the floor; a camera stands `height` above it and looks up by `pi
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 
-from gn0.geometry import F64, view_from_pose
+from gn0.geometry import F64
 from gn0.missions.episode import AgentSpec
 from gn0.sim.presets import CameraPreset
 
@@ -26,55 +30,73 @@ def camera_height(preset: CameraPreset, own: CameraPreset, agent: AgentSpec) -> 
     return agent.camera_height if preset == own else preset.agent.camera_height
 
 
+def cos_sin(angles: Iterable[float]) -> tuple[F64, F64]:
+    """Cosines and sines [N], the same on every machine: numpy's own depend on the processor."""
+    values = [float(angle) for angle in angles]
+    return np.array([math.cos(v) for v in values]), np.array([math.sin(v) for v in values])
+
+
 def camera_poses(poses: F64, height: float, pitch: float) -> F64:
     """Camera-to-world matrices [N, 4, 4], OpenCV axes, of agent poses [N, 3]."""
-    views = [view_from_pose(x, y, height, yaw, pitch) for x, y, yaw in poses]
-    return np.asarray(np.linalg.inv(np.array(views).reshape(-1, 4, 4)), np.float64)
+    c, s = cos_sin(poses[:, 2])
+    p, q = math.cos(pitch), math.sin(pitch)
+    right, down = (s, -c, 0.0), (c * q, s * q, -p)
+    return _matrices(poses, height, (right, down, (c * p, s * p, q)))
 
 
-def start_frame(x: float, y: float, yaw: float) -> F64:
-    """Frame-to-world matrix [4, 4] of a frame on the floor: x forward, y left, z up."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+def _matrices(poses: F64, height: float, axes: tuple[tuple[Any, Any, Any], ...]) -> F64:
+    found = np.zeros((len(poses), 4, 4))
+    for column, axis in enumerate(axes):
+        for row, values in enumerate(axis):
+            found[:, row, column] = values
+    found[:, :2, 3], found[:, 2, 3], found[:, 3, 3] = poses[:, :2], height, 1.0
+    return found + 0.0  # no -0.0
 
 
 def to_start_frame(poses: F64, height: float, pitch: float) -> F64:
-    """Camera-to-start-frame matrices [N, 4, 4]: the frame of the first pose, OpenCV axes."""
-    return np.linalg.inv(start_frame(*poses[0])) @ camera_poses(poses, height, pitch)
+    """Camera-to-start-frame matrices [N, 4, 4], OpenCV axes.
+
+    The frame is on the floor under the first pose: x forward, y left, z up.
+    """
+    x, y, yaw = map(float, poses[0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    dx, dy = poses[:, 0] - x, poses[:, 1] - y
+    local = np.column_stack([c * dx + s * dy, c * dy - s * dx, poses[:, 2] - yaw])
+    return camera_poses(local, height, pitch)
 
 
 def from_start_frame(matrices: F64, start: F64) -> F64:
     """Agent poses [N, 3] of camera-to-start-frame matrices, given the pose of the start [3]."""
-    world = start_frame(*start) @ matrices
-    forward = world[:, :3, 2]
-    return np.column_stack([world[:, :2, 3], np.arctan2(forward[:, 1], forward[:, 0])])
+    x, y, yaw = map(float, start)
+    c, s = math.cos(yaw), math.sin(yaw)
+    ahead, left = matrices[:, 0, 3], matrices[:, 1, 3]
+    turn = np.arctan2(matrices[:, 1, 2], matrices[:, 0, 2]) + yaw
+    return np.column_stack([x + c * ahead - s * left, y + s * ahead + c * left, turn])
 
 
-# Blender's camera axes (x right, y up, z back) from a base with x right, y forward, z up
 def mount(height: float, pitch: float) -> F64:
-    """Camera-to-base matrix [4, 4] of NavDP: a base of x right, y forward, z up."""
-    c, s = np.cos(pitch), np.sin(pitch)
+    """Camera-to-base matrix [4, 4] of NavDP.
+
+    Blender's camera (x right, y up, z back) on a base of x right, y forward, z up.
+    """
+    c, s = math.cos(pitch), math.sin(pitch)
     found = np.eye(4)
     found[:3, :3] = np.column_stack([(1, 0, 0), (0, -s, c), (0, -c, -s)])
     found[2, 3] = height
-    return found
+    return found + 0.0
 
 
 def mounted_poses(poses: F64, height: float, pitch: float) -> F64:
     """Camera-to-world matrices [N, 4, 4] of NavDP: Blender's camera axes, world z up."""
-    bases = np.zeros((len(poses), 4, 4))
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    bases[:, 0, 0], bases[:, 1, 0] = s, -c  # right
-    bases[:, 0, 1], bases[:, 1, 1] = c, s  # forward
-    bases[:, 2, 2] = bases[:, 3, 3] = 1.0
-    bases[:, :2, 3] = poses[:, :2]
-    return bases @ mount(height, pitch)
+    c, s = cos_sin(poses[:, 2])
+    p, q = math.cos(pitch), math.sin(pitch)
+    return _matrices(poses, height, ((s, -c, 0.0), (-c * q, -s * q, p), (-c * p, -s * p, -q)))
 
 
 def from_mounted(matrices: F64, extrinsic: F64) -> F64:
     """Agent poses [N, 3] of NavDP's camera matrices and mount."""
-    base = matrices @ np.linalg.inv(extrinsic)
-    return np.column_stack([base[:, :2, 3], np.arctan2(base[:, 1, 1], base[:, 0, 1])])
+    forward = matrices[:, :3, :3] @ extrinsic[:3, :3].T[:, 1]
+    return np.column_stack([matrices[:, :2, 3], np.arctan2(forward[:, 1], forward[:, 0])])
 
 
 def project(points: F64, matrix: F64, k: F64) -> tuple[F64, F64]:

@@ -22,12 +22,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from gn0.errors import FormatError
+from gn0.export.cameras import cos_sin
 from gn0.export.clips import encode_frames, inspect_clip, join_clips, read_clip
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.lerobot21 import column_stats, index_columns
 from gn0.export.trips import RGB, Frame, Recovered, Trip
-from gn0.geometry import U8
+from gn0.geometry import U8, wrap_angle
 from gn0.missions.files import read_table
 from gn0.storage import read_bytes, write_bytes, write_json
 
@@ -211,12 +212,12 @@ def _part(folder: Path, number: int, kind: str) -> Path:
 def _columns(trip: Trip) -> dict[str, NDArray[Any]]:
     poses = trip.poses
     step = np.diff(poses, axis=0, append=poses[-1:])
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    c, s = cos_sin(poses[:, 2])
     motion = np.column_stack(
         [
             c * step[:, 0] + s * step[:, 1],
             -s * step[:, 0] + c * step[:, 1],
-            np.angle(np.exp(1j * step[:, 2])),
+            [wrap_angle(float(turn)) for turn in step[:, 2]],
         ]
     )
     ahead = np.zeros((trip.frames, 6), np.int64)

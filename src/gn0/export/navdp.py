@@ -218,7 +218,7 @@ def trace_way(poses: F64, spacing: float) -> F64:
     ahead = _sample(points, along, np.minimum(at + LOOK_AHEAD, along[-1])) - here
     ahead[-1] = points[-1] - points[-2]
     near = np.hypot(*ahead.T) < 1e-6  # a way that comes back to where it was
-    yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
+    yaw = np.array([math.atan2(y, x) for x, y in ahead.tolist()])
     for number in np.flatnonzero(near).tolist():
         yaw[number] = yaw[number - 1] if number else poses[0, 2]
     return np.column_stack([here, yaw])

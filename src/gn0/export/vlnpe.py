@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import FormatError
-from gn0.export.cameras import camera_height
+from gn0.export.cameras import camera_height, cos_sin
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_lines
 from gn0.export.lerobot21 import (
@@ -190,7 +190,7 @@ def _columns(trip: Trip, height: float, pitch: float) -> dict[str, NDArray[Any]]
 
 def _orientations(yaws: F64, pitch: float) -> F64:
     """(w, x, y, z) [N, 4] of body axes turned by yaw and then up by pitch."""
-    c, s, p, q = np.cos(yaws), np.sin(yaws), math.cos(pitch), math.sin(pitch)
+    (c, s), p, q = cos_sin(yaws), math.cos(pitch), math.sin(pitch)
     turns = np.zeros((len(yaws), 3, 3))
     turns[:, :, 0] = np.column_stack([c * p, s * p, np.full(len(yaws), q)])
     turns[:, :, 1] = np.column_stack([-s, c, np.zeros(len(yaws))])

@@ -20,6 +20,8 @@ EXAMPLES = f"""  gn0 scene generate --kind apartment --seed 7 --out out/flat
   gn0 scene generate --seed 11 --size large --density 20000 --out out/sharp
   gn0 scene generate --seed 3 --size small --density 5000 --light draft --out out/quick
   gn0 scene generate --seed 7 --density 20000 --refine --out out/photo
+  gn0 scene generate --kind office --seed 1 --light draft --out out/office
+  gn0 scene generate --kind corridor --seed 4 --size large --packed --out out/school
 
 kinds, with the m² of floor of small, medium and large:
 {KIND_TABLE}"""

@@ -10,7 +10,7 @@ from gn0.figures.board import Figure
 _MODULES = (
     "install", "gaussians", "splat_formats", "maps", "render", "scenes", "capture", "procedural",
     "scene_kinds", "sim", "mapping", "vector", "bench", "policies", "missions", "generate",
-    "language", "samples", "labels", "view", "trust",
+    "language", "samples", "labels", "export", "view", "trust",
 )  # fmt: skip
 
 

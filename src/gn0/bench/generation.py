@@ -24,6 +24,7 @@ import msgspec
 import pyarrow.parquet as pq
 
 from gn0.bench.earlier import EarlierPaths, load_earlier, save_earlier
+from gn0.bench.protocol import code_version
 from gn0.bench.scene_list import SceneEntry, list_scenes
 from gn0.bench.suite import (
     EPISODE_FILE,
@@ -67,6 +68,11 @@ MANIFEST, PATHS, TEXTS = "manifest.json", "paths.parquet", "instructions.parquet
 WORK, REQUEST, PARTS, REPORT = ".work", "request.json", "parts", "report.json"
 LAYOUT = 1
 TABLES = (EPISODE_FILE, PATHS, TEXTS)
+# what decides the bytes: half a generation is not gone on with by other code
+_DECIDING = (
+    "geometry.py", "seeds.py", "maps", "missions", "render/light.py", "sim/presets.py",
+    "bench/generation.py",
+)  # fmt: skip
 
 
 class RequestScene(Config, frozen=True):
@@ -83,7 +89,7 @@ class GenerationRequest(Config, frozen=True):
 
     Attributes:
         layout: version of these files.
-        software: who generates.
+        software: version, and digest of the source that decides what is made.
         name: of the suite.
         seed: root seed.
         camera: camera preset by name.
@@ -223,17 +229,19 @@ def _describe(
     options: Mapping[str, Any],
     earlier: EarlierPaths,
 ) -> GenerationRequest:
-    from gn0 import __version__
-
     return GenerationRequest(
         layout=LAYOUT,
-        software=f"gn0 {__version__}",
+        software=f"gn0 {code_version(_DECIDING)}",
         name=name or out.resolve().name,
         seed=int(seed),
         camera=camera,
         agent=find_preset(camera).agent,
         settings=settings,
-        language_options={k: str(v) for k, v in sorted(options.items()) if k in _TELLING},
+        language_options={
+            k: Path(str(v)).name if k == "path" else str(v)
+            for k, v in sorted(options.items())
+            if k in _TELLING
+        },
         scenes=tuple(
             RequestScene(id=e.id, hash=e.hash, split=e.split, val_seen=e.val_seen) for e in entries
         ),
@@ -241,7 +249,8 @@ def _describe(
     )
 
 
-_TELLING = ("model", "folder", "landmarks")  # options that decide texts and are no secrets
+# options of a language provider that decide its texts, and are no secrets
+_TELLING = ("model", "temperature", "seed", "answer_tokens", "path")
 
 
 def _clear(out: Path, request: GenerationRequest) -> None:
@@ -296,6 +305,8 @@ def _finished(out: Path, request: GenerationRequest) -> Manifest | None:
         raise StorageError(
             "the output folder exists and is not empty", where=out, remedy="choose another --out"
         )
+    if (out / MANIFEST).is_file():  # what is done stays done, also for later versions
+        found = msgspec.structs.replace(found, software=request.software)
     if found != request:
         raise BenchError(
             f"holds another generation, which differs in {_differing(found, request)}",

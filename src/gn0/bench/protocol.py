@@ -27,11 +27,14 @@ _DECIDING = (
 
 
 @cache
-def code_version() -> str:
-    """The package's version and a digest of the source that decides results."""
+def code_version(deciding: tuple[str, ...] = _DECIDING) -> str:
+    """The package's version and a digest of the source that decides results.
+
+    `deciding`: the files and folders of the package that do.
+    """
     root = Path(gn0.__file__).parent
     digest = hashlib.blake2b(digest_size=6)
-    for name in _DECIDING:
+    for name in deciding:
         path = root / name
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0")

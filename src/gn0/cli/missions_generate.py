@@ -8,6 +8,7 @@ again: it goes on where it stopped.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -65,7 +66,8 @@ class Args(Config, frozen=True):
         val_seen: share of the paths of training scenes held out as split val_seen (0.1).
         against: earlier generations or suites whose paths are not to come again.
         language: who writes the texts: template, openai or replay (template).
-        language_options: of the language provider, as name=value.
+        language_options: of the language provider, as name=value: model=… base_url=… for openai,
+            path=… for replay.
         spec: a YAML or JSON file of settings, in the words of request.settings in manifest.json.
         camera: name of a camera preset.
         name: of the suite; by default the folder's name.
@@ -145,6 +147,30 @@ def read_settings(args: Args) -> MissionSettings:
         raise ConfigError(what, where=flag, remedy="see `gn0 missions generate --help`") from None
 
 
+def read_options(given: Sequence[str]) -> dict[str, Any]:
+    """Options of a language provider from name=value: numbers as numbers, else text.
+
+    Raises:
+        ConfigError: one is not of that form.
+    """
+    import contextlib
+
+    from gn0.errors import ConfigError
+
+    options: dict[str, Any] = {}
+    for option in given:
+        key, equals, value = option.partition("=")
+        if not equals or not key:
+            raise ConfigError(
+                f"{option!r} is no option", where="--language-options", remedy="name=value"
+            )
+        options[key] = value
+        for kind in (float, int):
+            with contextlib.suppress(ValueError):
+                options[key] = kind(value)
+    return options
+
+
 def run(args: Args) -> int:
     """Generate, write, and say what came out."""
     from gn0.bench.generation import generate_missions
@@ -153,15 +179,7 @@ def run(args: Args) -> int:
 
     if not args.scenes:
         raise ConfigError("no scene given", remedy="gn0 missions generate SCENE [SCENE ...]")
-    settings = read_settings(args)
-    options = {}
-    for option in args.language_options:
-        key, equals, value = option.partition("=")
-        if not equals:
-            raise ConfigError(
-                f"{option!r} is no option", where="--language-options", remedy="name=value"
-            )
-        options[key] = value
+    settings, options = read_settings(args), read_options(args.language_options)
     with draw_progress() as progress:
         _, manifest = generate_missions(
             args.scenes,

@@ -22,9 +22,12 @@ from gn0.testing.crash import child_processes
 SCENES, PATHS = 6, 12
 PATIENCE = 120.0  # s until a generation that does not end is given up on
 
+# the code version is pinned: an edit of the package during the trial must not look like a crash
 _PARENT = """
 import sys
+from gn0.bench import generation
 from gn0.bench.generation import generate_missions
+generation.code_version = lambda names: "trial"
 from gn0.missions.generate.settings import MissionSettings
 scenes, out, workers, paths = sys.argv[1:]
 settings = MissionSettings(per_scene=int(paths), minimum_length=2.0, lights=2)
@@ -43,6 +46,7 @@ class GenerationCrashes:
         same: how many of them are byte for byte the unbroken one.
         forgotten: scenes that were done before a kill and not after it.
         leftovers: temporary files and work folders in finished generations.
+        differing: files of finished generations that are not those of the unbroken one.
     """
 
     parents: int
@@ -51,6 +55,7 @@ class GenerationCrashes:
     same: int
     forgotten: int
     leftovers: int
+    differing: tuple[str, ...] = ()
 
     @property
     def kills(self) -> int:
@@ -100,6 +105,7 @@ def crash_generations(
     expected = folder_digest(unbroken)
     chance = random_stream(seed, "crash generations")
     parents = workers = runs = same = forgotten = leftovers = 0
+    differing: list[str] = []
     while parents + workers < kills:
         out = work / f"run{runs}"
         runs += 1
@@ -127,9 +133,12 @@ def crash_generations(
             if (out / WORK).is_dir():
                 forgotten += len(before - _done(out))
         _start(home, out, 2, paths).wait(timeout=PATIENCE)
-        same += folder_digest(out) == expected
+        found = folder_digest(out)
+        wrong = [k for k in {**expected, **found} if expected.get(k) != found.get(k)]
+        differing += [f"{out.name}/{name}" for name in wrong]
+        same += not wrong
         leftovers += (out / WORK).exists() + len(list(out.rglob(f"{TEMPORARY_PREFIX}*")))
-    return GenerationCrashes(parents, workers, runs, same, forgotten, leftovers)
+    return GenerationCrashes(parents, workers, runs, same, forgotten, leftovers, tuple(differing))
 
 
 def _start(scenes: Path, out: Path, workers: int, paths: int) -> subprocess.Popen[bytes]:

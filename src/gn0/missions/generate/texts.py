@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -110,7 +111,7 @@ def _tell(
     for record, answer in zip(records, answers, strict=True):
         for style, text in answer.items():
             if text.fallback:
-                fallbacks[text.fallback] += 1
+                fallbacks[kind_of_reason(text.fallback)] += 1
             found.setdefault(record.path_id, {})[style] = PathText(
                 path_id=record.path_id,
                 style=style,
@@ -120,6 +121,12 @@ def _tell(
                 fallback=text.fallback,
             )
     return found
+
+
+def kind_of_reason(why: str) -> str:
+    """A reason without what is particular to one text, so that like reasons count together."""
+    first = why.split("; ")[0]
+    return re.sub(r"'[^']*'|\"[^\"]*\"|“[^”]*”|\d+(\.\d+)?", "…", first)[:160]
 
 
 def _named(scene: Scene, target: GoalTarget) -> SceneObject | SceneRoom | None:

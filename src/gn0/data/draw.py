@@ -20,7 +20,7 @@ from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
 from gn0.storage import content_hash
 
-KEPT_STEPS = 128  # of the last walk, in case the next episode is a mission of the same path
+KEPT_STEPS = 256  # longer walks are drawn again for each mission of their path
 
 
 @dataclass(eq=False)
@@ -106,30 +106,31 @@ class PartDrawer:
         row = 0
         self._hashes = []
         base: tuple[str, tuple[U8, str]] | None = None
-        last: tuple[Episode, EpisodeRows, list[DrawnStep]] | None = None
-        for block in self._blocks:
-            episode = self._dataset.episode(block.episode_id)
+        kept: list[DrawnStep] = []
+        episodes = [self._dataset.episode(block.episode_id) for block in self._blocks]
+        for number, (episode, block) in enumerate(zip(episodes, self._blocks, strict=True)):
             own: dict[str, list[str]] = {name: [] for name in PICTURES}
             self._hashes.append(own)
-            drawn: list[DrawnStep] = []
-            if last is not None and _alike(last[0], last[1], episode, block):
-                source: Iterator[DrawnStep] = iter(last[2])
+            if kept:
+                source: Iterator[DrawnStep] = iter(kept)
             else:
                 eyes = self._eyes.of(episode)
                 if base is None or base[0] != episode.scene_id:
                     base = (episode.scene_id, bare_map(eyes))
                 source = self._draw(eyes, episode, block, base[1])
+            again = len(block) <= KEPT_STEPS and number + 1 < len(episodes)
+            again = again and _alike(episode, block, episodes[number + 1], self._blocks[number + 1])
+            kept = []
             for t, step in enumerate(source):
                 mine = replace(step, row=row, step=t, block=block, episode=episode)
                 for name in PICTURES:
                     own[name].append(mine.hashes[name])
                 if self._check:
                     _check(mine)
-                if len(block) <= KEPT_STEPS:
-                    drawn.append(mine)
+                if again:
+                    kept.append(mine)
                 yield mine
                 row += 1
-            last = (episode, block, drawn) if len(drawn) == len(block) else None
 
     def _draw(
         self, eyes: SensorSuite, episode: Episode, block: EpisodeRows, base: tuple[U8, str]

@@ -43,7 +43,9 @@ def _apartment(work: Path) -> tuple[Suite, str]:
     folder = work / "apartment"
     if not (folder / "suite" / "suite.json").is_file():
         area = floor_area(KINDS["apartment"].draft(7, size="medium", style=None))
-        settings = GenerateSettings(kind="apartment", seed=7, density=GAUSSIANS / area)
+        settings = GenerateSettings(
+            kind="apartment", seed=7, density=GAUSSIANS / area, light="draft"
+        )
         save_scene(build_generated(settings, "apartment"), folder / "scene")
         build_suite([folder / "scene"], folder / "suite", EPISODES, 0, minimum_length=5.0)
     suite = load_suite(folder / "suite")

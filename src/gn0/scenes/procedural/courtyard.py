@@ -14,6 +14,7 @@ from gn0.scenes.procedural.building import choose_palette
 from gn0.scenes.procedural.draft import Material, SceneDraft, Sky, Sun
 from gn0.scenes.procedural.furniture_clutter import build_ball_toy
 from gn0.scenes.procedural.furniture_depot import build_wheelie_bin
+from gn0.scenes.procedural.furniture_fixtures import build_notice_board
 from gn0.scenes.procedural.layout import Rect
 from gn0.scenes.procedural.palette import Palette, linear_colour, plain
 from gn0.scenes.procedural.plan import FloorPlan, Room, Wall
@@ -148,7 +149,7 @@ def _draw_light(rng: np.random.Generator) -> tuple[Sky, Sun]:
     sun = Sun(
         direction=(x, y, z), colour=(5.2, round(4.9 - 0.35 * warm, 3), round(4.3 - 0.6 * warm, 3))
     )
-    return Sky(zenith=(0.36, 0.47, 0.72), horizon=(0.62, 0.68, 0.78), shown=1.9), sun
+    return Sky(zenith=(0.36, 0.47, 0.72), horizon=(0.62, 0.68, 0.78), shown=1.7), sun
 
 
 def _floor(room: Room, material: Material, z: float = 0.0) -> Shape:
@@ -262,6 +263,7 @@ def _build_fronts(plot: Plot, yard: Yard, rng: np.random.Generator) -> None:
                         number += 2
                         hang(facades.build_front_door(taste, rng, number), t, 0.0)
                         hang(garden.build_doormat(rng), t, 0.002, 0.36)
+                        hang(facades.build_wall_lantern(), t - 1.05, 1.9)
                         hang(garden.build_mailboxes(rng, 6), t + 1.45, 1.0, 0.005)
                         c, s = math.cos(yaw), math.sin(yaw)
                         dx, dy = x + c * t, y + s * t
@@ -294,7 +296,7 @@ def _raise_vault(plot: Plot, yard: Yard, rng: np.random.Generator) -> None:
     heaven = Material(
         name="sky",
         pattern=VAULT,
-        colour=linear_colour("#4f86c9"),
+        colour=linear_colour("#3f78bf"),
         colour2=linear_colour("#c9dcea"),
         contrast=round(float(rng.uniform(0.1, 0.5)), 2),
         seed=int(rng.integers(1000)),
@@ -503,6 +505,16 @@ def _fill_walks(plot: Plot, yard: Yard, palette: Palette) -> None:
     quarter = (0.0, math.pi / 2, math.pi, -math.pi / 2)
     plot.scatter(lambda: garden.build_bicycle(rng), 2, whole, margin=0.5, turn=quarter, jitter=0.4)
     plot.scatter(lambda: garden.build_litter_bin(rng), 2, whole, margin=0.5)
+    plot.scatter(garden.build_hydrant, 1, whole, margin=0.5)
+    plot.scatter(garden.build_watering_can, 1, whole, margin=0.4, turn=quarter, jitter=0.5)
+    board = build_notice_board(rng, palette)
+    spot = {
+        "south": (w * 0.32, 0.03, math.pi),
+        "north": (w * 0.68, d - 0.03, 0.0),
+        "west": (0.03, d * 0.32, math.pi / 2),
+        "east": (w - 0.03, d * 0.68, -math.pi / 2),
+    }[wall]
+    plot.put(board, *spot, z=1.55, solid=False, zone=f"{wall}_walk")
     if yard.depth > 20 and rng.random() < 0.6:
         long = yard.quarters[0][0].depth * 0.8
         y = (RING + yard.depth / 2 - ARM / 2) / 2

@@ -221,9 +221,21 @@ def build_front_door(taste: FacadeTaste, rng: np.random.Generator, number: int) 
     shapes.append(
         build_panel((w / 2 + 0.42, -0.02, 1.7), (0.24, 0, 0), (0, 0, 0.24), plate, fit=True)
     )
-    lantern = plain("lantern glass", "plastic", "#ece8da", contrast=0.05)
-    shapes.append(build_cylinder(0.07, 0.22, lantern, at=(-w / 2 - 0.5, -0.14, 2.0), segments=6))
     return Item("door", tuple(shapes))
+
+
+def build_wall_lantern() -> Item:
+    """A lantern on a bracket, unlit by day; the wall's plane at y = 0, its foot at z = 0."""
+    pale = plain("lantern glass", "plastic", "#ece8da", contrast=0.05)
+    return Item(
+        "wall lamp",
+        (
+            build_cylinder(0.07, 0.22, pale, at=(0, -0.16, 0.02), segments=6, top_radius=0.1),
+            build_cylinder(0.12, 0.1, IRON, at=(0, -0.16, 0.24), segments=6, top_radius=0.02),
+            build_rod((0, 0, 0.36), (0, -0.16, 0.34), 0.014, IRON, sides=5),
+            build_box((0.1, 0.02, 0.24), IRON, at=(0, -0.01, 0.2)),
+        ),
+    )
 
 
 def build_archway(taste: FacadeTaste, rng: np.random.Generator) -> Item:

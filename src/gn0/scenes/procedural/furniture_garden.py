@@ -516,3 +516,15 @@ def build_hose(rng: np.random.Generator) -> Item:
             build_box((0.1, 0.12, 0.12), STEEL, at=(0, -0.06, 0.25)),
         ),
     )
+
+
+def build_hydrant() -> Item:
+    """A fire hydrant."""
+    red = plain("hydrant", "metal", "#b3241e", contrast=0.15)
+    rz = [(0.14, 0), (0.14, 0.05), (0.1, 0.07), (0.1, 0.5), (0.13, 0.52), (0.13, 0.56), (0.1, 0.58),
+          (0.08, 0.68), (0, 0.72)]  # fmt: skip
+    shapes = [build_lathe(rz, red, segments=14)]
+    for sx in (-1, 1):
+        stub = build_cylinder(0.05, 0.08, STEEL, segments=10).tilted("y", sx * math.pi / 2)
+        shapes.append(stub.moved(sx * 0.09, 0, 0.4))
+    return Item("fire hydrant", tuple(shapes))

@@ -1,0 +1,103 @@
+"""`gn0 missions generate` as one types it: what is given wins, what is wrong is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gn0.cli.main import main
+from gn0.cli.missions_generate import Args, read_options, read_settings
+from gn0.errors import ConfigError
+from gn0.missions.generate.settings import MissionSettings
+from gn0.scenes.folder import save_scene
+from gn0.testing.scenes import build_room_scene
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("home") / "flat"
+    save_scene(build_room_scene(), folder)
+    return folder
+
+
+def args(**given) -> Args:
+    return Args(scenes=("x",), out="y", **given)
+
+
+def test_nothing_given_means_the_defaults() -> None:
+    assert read_settings(args()) == MissionSettings()
+
+
+def test_what_is_given_wins_over_the_spec(tmp_path: Path) -> None:
+    spec = tmp_path / "measures.yaml"
+    spec.write_text("per_scene: 9\nlights: 4\nsimilarity: {frechet: 0.4, goal_radius: 0.5}\n")
+    read = read_settings(
+        args(spec=str(spec), per_scene=3, frechet=0.2, missions="goal", styles="benchmark")
+    )
+    assert (read.per_scene, read.lights, read.missions) == (3, 4, ("goal",))
+    assert (read.similarity.frechet, read.similarity.goal_radius) == (0.2, 0.5)
+    assert read.styles == ("benchmark",)
+
+
+@pytest.mark.parametrize(
+    ("given", "flag"),
+    [
+        ({"per_scene": 0}, "--per-scene"),
+        ({"minimum_length": -1.0}, "--minimum-length"),
+        ({"missions": "goal,follow"}, "--missions"),
+        ({"val_seen": 2.0}, "--val-seen"),
+    ],
+)
+def test_a_value_out_of_range_is_named_by_its_flag(given: dict, flag: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read_settings(args(**given))
+    assert caught.value.where == flag
+
+
+def test_options_are_numbers_where_they_are() -> None:
+    assert read_options(["model=m-7", "retries=2", "temperature=0.5", "base_url=http://x/v1"]) == {
+        "model": "m-7", "retries": 2, "temperature": 0.5, "base_url": "http://x/v1",
+    }  # fmt: skip
+    for wrong in ("model", "=x"):
+        with pytest.raises(ConfigError, match="is no option"):
+            read_options([wrong])
+
+
+def test_generate_show_and_compare(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "missions"
+    command = ["missions", "generate", str(home), "--per-scene", "4", "--minimum-length", "2.5"]
+    assert main([*command, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "4 of 4 paths in 1 scenes, 12 episodes" in said and "candidates:" in said
+    assert main([*command, "--seed", "1", "--out", str(out)]) == 2
+    assert "differs in seed" in capsys.readouterr().err
+    run = tmp_path / "run"
+    play = ["bench", "run", str(out), "--policy", "oracle", "--no-report", "--out", str(run)]
+    assert main(play) == 0
+    capsys.readouterr()
+    missions = ["--mission-a", "goal", "--mission-b", "instruction"]
+    assert main(["bench", "compare", str(run), "--paired-by", "path", *missions]) == 0
+    said = capsys.readouterr().out
+    assert "4 pairs of paths" in said and "goal missions" in said
+    assert main(["bench", "compare", str(run)]) == 2
+    assert "--paired-by path" in capsys.readouterr().err
+    picture = tmp_path / "coverage.png"
+    assert main(["missions", "show", str(out), "--coverage", "--out", str(picture)]) == 0
+    assert picture.stat().st_size > 1000
+
+
+def test_errors_name_what_to_do(home: Path, tmp_path: Path, capsys) -> None:
+    for more, words in (
+        (["--language", "parrot"], "no language provider 'parrot'"),
+        (["--minimum-length", "90"], "not a single path was accepted"),
+        (["--missions", "dance"], "--missions"),
+    ):
+        out = str(tmp_path / "out")
+        assert main(["missions", "generate", str(home), *more, "--out", out]) == 2
+        error = capsys.readouterr().err
+        assert words in error and "→" in error
+    assert main(["missions", "generate", "--out", str(tmp_path / "out")]) == 2
+    assert "no scene given" in capsys.readouterr().err

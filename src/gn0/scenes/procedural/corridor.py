@@ -243,7 +243,8 @@ class CorridorFinish:
         self.theme = theme
         self.wall = palette.wall(rng)
         self.accent = palette.accent_wall(rng)
-        self.band = float(rng.uniform(0.95, 1.2))
+        self.band = float(rng.uniform(1.1, 1.3))
+        self.rail = palette.wood(rng, 0)
         if theme.name == "hotel":
             self.floor = Material(
                 name="carpet", pattern="carpet", colour=shade(cloth, 1.1),
@@ -264,7 +265,9 @@ class CorridorFinish:
             tile = palette.tiles(rng, 0.2)
             return RoomFinish(walls, palette.tiles(rng, 0.3), 2.1, tile, ceiling=ceiling)
         if room.type in ("corridor", "niche") and not hotel:
-            return RoomFinish(walls, self.floor, self.band, self.accent, ceiling=ceiling)
+            return RoomFinish(
+                walls, self.floor, self.band, self.accent, ceiling=ceiling, rail=self.rail
+            )
         if room.type in ("hotel room", "office", "classroom", "patient room"):
             walls[str(rng.choice(SIDES))] = palette.accent_wall(rng)
         if room.type in ("hotel room", "office") and rng.random() < 0.6:

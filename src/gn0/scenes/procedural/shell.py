@@ -101,6 +101,7 @@ class RoomFinish:
     band_material: Material | None = None
     crown: bool = False
     ceiling: Material = CEILING
+    rail: Material | None = None  # of a board that covers the edge of the band
 
 
 def build_room_shell(plan: FloorPlan, room: Room, finish: RoomFinish) -> list[Shape]:
@@ -119,8 +120,10 @@ def build_room_shell(plan: FloorPlan, room: Room, finish: RoomFinish) -> list[Sh
             bands = [(0.0, top, finish.band_material), (top, plan.ceiling, wall)]
         for low, high, material in bands:
             out += _wall_panels(side, low, high, material)
-        if finish.band_material is None:
+        if finish.band_material is None or finish.rail is not None:
             out += _skirting(side, 0.07, 0.014, 0.0)
+        if finish.rail is not None:
+            out += _skirting(side, 0.09, 0.018, finish.band - 0.045, finish.rail)
         if finish.crown:
             x, y = side.point(side.length / 2, 0.02)
             strip = build_box((side.length, 0.04, 0.07), TRIM, bevel=0.012)
@@ -156,14 +159,16 @@ def _wall_panels(side: Side, low: float, high: float, material: Material) -> lis
     return out
 
 
-def _skirting(side: Side, height: float, thick: float, z: float) -> list[Shape]:
-    """Boards along the foot of the wall, cut at doors."""
+def _skirting(
+    side: Side, height: float, thick: float, z: float, material: Material = TRIM
+) -> list[Shape]:
+    """Boards along the wall, at its foot where z is 0, cut at doors and windows in their way."""
     out, start = [], 0.0
-    doors = [(o[0] - 0.075, o[1] + 0.075) for o in side.openings if o[2] <= 0]
+    doors = [(o[0] - 0.075, o[1] + 0.075) for o in side.openings if o[2] < z + height]
     for a, b in [*doors, (side.length, side.length)]:
         if a - start > 0.02:
             x, y = side.point((start + a) / 2, thick / 2)
-            board = build_box((a - start, thick, height), TRIM, bevel=0.004)
+            board = build_box((a - start, thick, height), material, bevel=0.004)
             board = board.without_back(thick / 2)
             out.append(board.moved(x, y, z, side.yaw))
         start = b

@@ -91,8 +91,8 @@ def run(args: Args) -> int:
     skipped = [own for part in about.parts for own in part.skipped]
     episodes = len(dataset.sampled)
     print(
-        f"{about.rows} samples of {episodes} episodes in {len(about.scenes)} scenes, "
-        f"written to {args.out}"
+        f"{about.rows} samples of {_count(episodes, 'episode')} in "
+        f"{_count(len(about.scenes), 'scene')}, written to {args.out}"
     )
     for own in skipped[:5]:
         print(f"skipped {own.id}: {own.reason}")
@@ -100,3 +100,7 @@ def run(args: Args) -> int:
         print(f"{len(skipped)} of {episodes + len(skipped)} episodes skipped; all in dataset.json")
     print(f"look at it: gn0 data show {args.out} --out {args.out.rstrip('/')}.png")
     return 0
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

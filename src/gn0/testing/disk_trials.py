@@ -21,6 +21,8 @@ import msgspec
 from gn0.bench.report import write_report
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import build_suite, load_suite, open_suite
+from gn0.data.build import build_dataset
+from gn0.data.settings import BuildSettings
 from gn0.errors import Gn0Error, StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
@@ -166,8 +168,31 @@ def _trials(disk: SmallDisk, home: Path, caches: bool) -> Iterator[DiskTrial]:
             ),
         )
 
+    chunks = BuildSettings(chunk=1)
+
+    def build_there() -> None:
+        build_dataset(suite, place / "data", chunks)
+        for path in (home / "data").rglob("*.*"):
+            assert (
+                path.read_bytes() == (place / "data" / path.relative_to(home / "data")).read_bytes()
+            )
+
+    def build_full() -> None:
+        """The disk fills up in the middle of a dataset."""
+        build_dataset(
+            suite,
+            place / "data",
+            chunks,
+            progress=lambda stage, done, _: disk.fill() if (stage, done) == ("parts", 2) else None,
+        )
+
+    build_dataset(suite, home / "data", chunks)
     work: list[tuple[str, Callable[[], object], Callable[[], object], Path]] = [
         ("bench run", run_full, run_there, place / "run" / "summary.json"),
+        (
+            "data build", build_full, build_there,
+            place / "data" / "pictures" / "webdataset" / "manifest.json",
+        ),
         (
             "bench report",
             lambda: write_report(home / "run", place / "page" / "report.html", videos=1),
@@ -198,10 +223,10 @@ def _trials(disk: SmallDisk, home: Path, caches: bool) -> Iterator[DiskTrial]:
         for name, bad, good, result in work:
             if fault == "read-only":
                 disk.protect()
-                begin = run_there if bad is run_full else bad
+                begin = good if bad in (run_full, build_full) else bad
             else:
                 begin = bad
-                if bad is not run_full:
+                if bad not in (run_full, build_full):
                     disk.fill(leave=20_000)
             error, clean = _attempt(begin, DISK_FULL if fault == "full" else READ_ONLY)
             whole = not result.exists()

@@ -184,6 +184,18 @@ def test_a_damaged_selection_is_noticed(
         load_selection(folder)
 
 
+def test_a_selection_of_other_labels_is_refused(
+    labels_only: Dataset, copy_of: Callable[[Dataset], Path]
+) -> None:
+    folder = copy_of(labels_only)
+    balance_dataset(open_dataset(folder))
+    path = folder / "dataset.json"
+    digest = labels_only.about.parts[0].labels
+    path.write_text(path.read_text().replace(digest, digest[::-1]))
+    with pytest.raises(DataError, match="other labels"):
+        load_selection(folder)
+
+
 def test_the_command_prints_before_and_after(
     labels_only: Dataset, copy_of: Callable[[Dataset], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -48,6 +48,7 @@ class Args(Config, frozen=True):
         chunk: episodes that a worker does at a time.
         workers: processes; never changes a byte.
         executor: where the workers live: on this machine, or on a Ray cluster.
+        ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
         plugin: modules to import first; they call `gn0.plugins.register` for policies of yours.
     """
 
@@ -68,6 +69,7 @@ class Args(Config, frozen=True):
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
     executor: Literal["process", "ray"] = "process"
+    ray_address: str = ""
     plugin: tuple[str, ...] = ()
 
 
@@ -105,7 +107,13 @@ def run(args: Args) -> int:
             ),
         )
         dataset = build_dagger(
-            suite, out, settings, workers=args.workers, executor=args.executor, progress=progress
+            suite,
+            out,
+            settings,
+            workers=args.workers,
+            executor=args.executor,
+            ray_address=args.ray_address,
+            progress=progress,
         )
     print(describe_summary(sum_up(dataset)))
     print(f"dataset: {out}")

@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from gn0.config import Config, load_json
-from gn0.data.dataset import Dataset
+from gn0.data.dataset import Dataset, open_dataset
 from gn0.errors import DataError, FormatError
 from gn0.geometry import F32, F64
 from gn0.missions.files import read_table
@@ -170,7 +170,7 @@ def balance_dataset(
         after=_shares(np.asarray(after, np.float64)),
         weights={name: float(weight) for name, weight in zip(NAMES, per_class, strict=True)},
         notes=tuple(notes),
-        labels=content_hash(*(part.labels for part in dataset.about.parts)),
+        labels=_label_digest(dataset),
         selection=_digest(table),
     )
     write_atomic(
@@ -374,6 +374,7 @@ def load_selection(folder: Path | str) -> pa.Table:
     Raises:
         StorageError: there is none.
         FormatError: it is damaged, or not the one that `balance.json` names.
+        DataError: the dataset's labels are others than those that were balanced.
     """
     path = Path(folder) / SELECTION_FILE
     about = load_balance(folder)
@@ -386,7 +387,17 @@ def load_selection(folder: Path | str) -> pa.Table:
         )
     if _digest(table) != about.selection:
         raise FormatError("damaged", file=path, remedy="run `gn0 data balance` again")
+    if about.labels != _label_digest(open_dataset(folder)):
+        raise DataError(
+            "was made for other labels than the dataset has now",
+            where=path,
+            remedy="run `gn0 data balance` again",
+        )
     return table
+
+
+def _label_digest(dataset: Dataset) -> str:
+    return content_hash(*(part.labels for part in dataset.about.parts))
 
 
 def describe_balance(about: BalanceFile) -> str:

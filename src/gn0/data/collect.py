@@ -53,6 +53,7 @@ def build_dagger(
     *,
     workers: int = 1,
     executor: Literal["process", "ray"] = "process",
+    ray_address: str = "",
     progress: Progress = no_progress,
 ) -> Dataset:
     """Collect a dataset with the policy of `settings.dagger`; see `build_dataset`.
@@ -68,7 +69,13 @@ def build_dagger(
     import_plugins(settings.dagger.plugins)
     get_plugin("policy", settings.dagger.policy)
     return build_dataset(
-        suite, out, settings, workers=workers, executor=executor, progress=progress
+        suite,
+        out,
+        settings,
+        workers=workers,
+        executor=executor,
+        ray_address=ray_address,
+        progress=progress,
     )
 
 

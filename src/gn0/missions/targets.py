@@ -30,7 +30,8 @@ NOT_A_GOAL = frozenset((
     "others", "unknown", "object", "misc", "void", "background", "room", "building", "house",
     "ground", "ground_plane", "ceiling_lamp", "ceiling_light", "chandelier", "downlight", "handle",
     "switch", "socket", "sky", "facade", "grass", "lawn", "path", "paving", "rooflight", "air_vent",
-    "smoke_detector", "drain_grate", "balcony",
+    "smoke_detector", "drain_grate", "balcony", "interior_window", "light_switch", "sprinkler",
+    "cable_tray", "handrail", "plinth",
 ))  # fmt: skip
 
 

@@ -181,11 +181,10 @@ def build_low_cabinet(rng: np.random.Generator, front: Material, width: float) -
 
 
 def build_lockers(rng: np.random.Generator, code: str, columns: int, rows: int) -> Item:
-    """A bank of steel lockers; each door belongs to a "locker" of its own."""
+    """A bank of steel lockers on a plinth; each door belongs to a "locker" of its own."""
     w, d, h = 0.32, 0.48, 1.8
     body = plain("locker", "metal", code, contrast=0.1)
     dark = plain("slot", "plastic", "#3a3d40", contrast=0.05)
-    first: Item | None = None
     parts: list[Placed] = []
     tall = (h - 0.08) / rows
     for i in range(columns):
@@ -207,8 +206,7 @@ def build_lockers(rng: np.random.Generator, code: str, columns: int, rows: int) 
             )
             parts.append(Placed(Item("locker", tuple(shapes)), (i - (columns - 1) / 2) * w, 0.0, z))
     plinth = build_box((columns * w, d - 0.04, 0.08), dark, at=(0, 0.01, 0))
-    first = Item("locker bank", (plinth,), (), tuple(parts))
-    return first
+    return Item("plinth", (plinth,), (), tuple(parts))
 
 
 def build_meeting_table(

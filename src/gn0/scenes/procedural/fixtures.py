@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 from gn0.scenes.procedural import furniture_fixtures as fix
-from gn0.scenes.procedural.layout import RoomLayout, overlaps
+from gn0.scenes.procedural.layout import RoomLayout
 from gn0.scenes.procedural.parts import Item, Placed
-from gn0.scenes.procedural.shell import SIDES, Side
+from gn0.scenes.procedural.shell import SIDES
 
 
 def hang_somewhere(
@@ -138,9 +138,3 @@ def stand_extinguisher(layout: RoomLayout) -> None:
             t = (placed.x - side.start[0]) * side.along[0]
             t += (placed.y - side.start[1]) * side.along[1]
             layout.hang(side, sign, t, 1.75)
-
-
-def clear_before(layout: RoomLayout, side: Side, t: float, width: float, depth: float) -> bool:
-    """Whether the floor before a stretch of wall is free of furniture."""
-    strip = layout.strip(side, t - width / 2, t + width / 2, depth)
-    return not any(overlaps(block.rect, strip) for block in layout.blocks)

@@ -99,17 +99,16 @@ def close_cells(
     rooms = tuple(clear_room(cell, id, walls) for cell, id in zip(cells, ids, strict=True))
     plan = FloorPlan(rooms, tuple(walls), (), ceiling)
     openings: list[Opening] = []
-    reached = {rooms[0].id: {rooms[0].id}} | {r.id: {r.id} for r in rooms}
-    best: dict[frozenset[str], Wall] = {}
+    reached = {room.id: {room.id} for room in rooms}
+    best: dict[frozenset[str], tuple[float, Wall]] = {}
     for wall in walls:  # two rooms are joined once, at the longest wall between them
         a, b = wall.rooms
         if a is not None and b is not None:
             low, high = clear_span(plan, wall)
             pair = frozenset((a, b))
-            old = best.get(pair)
-            if old is None or high - low > np.subtract(*clear_span(plan, old)[::-1]):
-                best[pair] = wall
-    for wall in best.values():
+            if pair not in best or high - low > best[pair][0]:
+                best[pair] = (high - low, wall)
+    for _, wall in best.values():
         a, b = wall.rooms
         assert a is not None and b is not None
         low, high = clear_span(plan, wall)

@@ -11,6 +11,7 @@ from gn0.scenes.procedural.plan import Cell, FloorPlan, Room, Wall
 from gn0.scenes.procedural.plan_cells import (
     NO_JOINT,
     Joint,
+    WindowRule,
     close_cells,
     spread_windows,
     turn_cells,
@@ -148,11 +149,13 @@ def _draw_plan(rng: np.random.Generator, size: str, wanted: float) -> FloorPlan 
     )
 
 
-def _windows(rng: np.random.Generator):  # type: ignore[no-untyped-def]
+def _windows(rng: np.random.Generator) -> WindowRule:
     """One window a wall in small rooms, several in the day rooms."""
     seen: set[str] = set()
 
-    def windows(room: Room, wall: Wall, low: float, high: float):  # type: ignore[no-untyped-def]
+    def windows(
+        room: Room, wall: Wall, low: float, high: float
+    ) -> list[tuple[float, float, float, float]]:
         if room.type in ("hallway", "closet") or high - low < 1.2:
             return []
         if room.id in seen and (room.type not in ("living room", "bedroom") or rng.random() < 0.4):

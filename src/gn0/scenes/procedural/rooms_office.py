@@ -25,7 +25,7 @@ from gn0.scenes.procedural.groups import (
     place_dining,
     stand_at,
 )
-from gn0.scenes.procedural.layout import RoomLayout, dress
+from gn0.scenes.procedural.layout import Block, RoomLayout, dress, footprint
 from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.rooms import furnish_kitchen
 
@@ -181,8 +181,7 @@ class OfficeRooms:
             at = Placed(chair, spot.x - s * y, spot.y + c * y, 0.0, spot.yaw + math.pi + 0.2)
             layout.reach = [p for p in layout.reach if math.dist(p, (at.x, at.y)) > 0.6]
             layout.placed.append(at)
-            rect = groups.footprint(at)
-            layout.blocks.append(type(layout.blocks[0])(rect, 1.1))
+            layout.blocks.append(Block(footprint(at), 1.1))
         for _ in range(2):
             layout.place_on_wall(groups.build_file_wall(rng, palette), prefer="corner", front=0.3)
         shelf = dress(storage.build_bookshelf(rng, palette), "shelf", rng, palette, count=8)
@@ -294,5 +293,5 @@ def dress_office_windows(layout: RoomLayout, *, radiators: bool = True) -> None:
             if radiators and bottom > 0.7 and width > 1.0:
                 radiator = decor.build_radiator(rng, min(width - 0.3, 1.4))
                 at = stand_at(side, middle, 0.0, radiator)
-                if layout.is_clear(groups.footprint(at)):
+                if layout.is_clear(footprint(at)):
                     layout.add(at)

@@ -21,6 +21,7 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.missions.sets.json_file import load_exact
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
+from gn0.testing.check_dataset_exporter import PICTURE_TOLERANCE, picture_difference
 from gn0.testing.toy_trips import toy_source
 
 REAL = "vln/R2R_VLNCE_v1-2_preprocessed"
@@ -43,8 +44,8 @@ def _flat(ctx: FigureContext) -> ExportSource:
 
 def _round_trip(
     source: ExportSource, name: str, out: Path, settings: ExportSettings
-) -> tuple[int, int, int, float]:
-    """(fields that differ, faults, files, seconds) of one export."""
+) -> tuple[int, int, int, float, float]:
+    """(fields that differ, faults, files, seconds, difference of pictures) of one export."""
     exporter = get_dataset_exporter(name)
     begin = time.perf_counter()
     run_export(source, name, out, settings)
@@ -52,14 +53,18 @@ def _round_trip(
     trips: dict[str, Trip] = {trip.episode.id: trip for trip in source.trips()}
     found = exporter.load(out)
     differing = abs(len(found) - len(trips))
+    colour = 0.0
     for recovered in found:
         trip = trips.get(recovered.id)
         if trip is None:
             differing += 1
             continue
         differing += len(differing_fields(trip, recovered, exporter.poses(trip, settings)))
+        if exporter.pictures:
+            off, _ = picture_difference(exporter, source, trip, recovered, settings)
+            colour = max(colour, off)
     files = sum(path.is_file() for path in out.rglob("*"))
-    return differing, len(check_export(out)), files, seconds
+    return differing, len(check_export(out)), files, seconds, colour
 
 
 def measure_round_trips(ctx: FigureContext) -> list[FigureRow]:
@@ -70,22 +75,33 @@ def measure_round_trips(ctx: FigureContext) -> list[FigureRow]:
     for done, name in enumerate(names):
         ctx.progress("formats", done, len(names))
         sums = [0, 0, 0]
-        seconds = 0.0
+        seconds = colour = 0.0
         for kind, source in (("toy", toy_source()), ("flat", flat)):
             out = ctx.work / f"{kind}-{name}"
-            *counts, spent = _round_trip(source, name, out, settings)
+            *counts, spent, off = _round_trip(source, name, out, settings)
             sums = [a + b for a, b in zip(sums, counts, strict=True)]
             seconds += spent
+            colour = max(colour, off)
         detail = f"{TOY}, and {EPISODES} rendered episodes of the small flat; {sums[2]} files"
         rows.append(row_at_most(f"{name}, fields that differ", sums[0], 0, "fields", detail))
         rows.append(row_at_most(f"{name}, faults found by its check", sums[1], 0, "faults", detail))
+        if get_dataset_exporter(name).pictures:
+            rows.append(
+                row_at_most(
+                    f"{name}, mean difference of a colour in the worst picture",
+                    colour,
+                    PICTURE_TOLERANCE,
+                    "of 255",
+                    f"{detail}; first, middle and last picture of each episode",
+                )
+            )
         rows.append(
             FigureRow(
                 name=f"{name}, time to export",
                 value=seconds,
                 unit="s",
                 detail=f"{detail}; rendering, encoding and disk",
-            )  # fmt: skip
+            )
         )
     return rows
 

@@ -45,7 +45,7 @@ def test_bad_disks_end_work_cleanly_and_it_goes_on_when_they_are_mended(tmp_path
     if reason:
         pytest.skip(f"this system lends no small disk: {reason}")
     trials = run_disk_trials(tmp_path, caches=False)
-    assert len(trials) == 11
+    assert len(trials) == 13
     assert [t for t in trials if not t.ok] == []
     assert {t.fault for t in trials} == {"full", "read-only", "failing read"}
 

@@ -168,8 +168,12 @@ def find_standing_cell(
     room = room_of_object(item, scene.rooms)
     if room is not None:
         keep &= points_in_polygon(points, np.array(room.polygon))
+    low = np.minimum(points.min(axis=0), centre)
+    high = np.maximum(points.max(axis=0), centre)
     for wall in scene.walls:
-        keep &= ~_crosses(points, centre[None], np.array(wall.a), np.array(wall.b))
+        a, b = np.array(wall.a), np.array(wall.b)
+        if (np.maximum(a, b) >= low).all() and (np.minimum(a, b) <= high).all():
+            keep &= ~_crosses(points, centre[None], a, b)
     if not keep.any():
         return None
     index = np.flatnonzero(keep)

@@ -176,15 +176,14 @@ def _seek(
         if not order:
             return found, hopeless, "no targets"
         for target in order:
-            if target.object.id in fresh:
-                fresh.remove(target.object.id)
-                if planner.farthest_start(target) < settings.minimum_length:
-                    hopeless.add(target.object.id)
-                    continue
             candidate = _try_target(target, planner, settings, judge, starts, rng)
             if candidate is not None:
                 found.append(candidate)
                 progress("paths", len(found), settings.per_scene)
+            elif target.object.id in fresh:
+                fresh.remove(target.object.id)
+                if planner.farthest_start(target) < settings.minimum_length:
+                    hopeless.add(target.object.id)
             if len(found) == settings.per_scene:
                 return found, hopeless, "enough"
             if judge.judged >= limit:

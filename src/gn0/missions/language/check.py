@@ -168,6 +168,7 @@ def _check_names(mentions: list[Mention], route: RouteDescription, style: Style)
     unknown = sorted({m.name for m in mentions} - allowed)
     faults = [f"unknown landmark {name!r}" for name in unknown]
     landmarks = {m.name for m in mentions} & {x.name for x in route.landmarks}
+    landmarks -= set(route.rooms)
     if len(landmarks) > LANDMARKS_MOST:
         faults.append(f"{len(landmarks)} landmarks, at most {LANDMARKS_MOST}")
     return faults

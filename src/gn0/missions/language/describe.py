@@ -14,7 +14,7 @@ from gn0.missions.language.route import NOWHERE, RouteDescription, RouteSegment,
 from gn0.missions.language.segments import Stretch, arc_lengths, point_at, split_path
 from gn0.missions.language.sight import EYE, look, sight_of
 from gn0.missions.language.surroundings import NO_ROOM_NAMES, Surroundings, surroundings_of
-from gn0.missions.language.words import NO_LANDMARK, is_plural, plain_name
+from gn0.missions.language.words import NO_LANDMARK, is_plural, spoken_name
 from gn0.missions.targets import NEIGHBOUR_REACH
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom
 from gn0.storage import content_hash
@@ -229,12 +229,12 @@ def _describe_target(
     if target is None:
         return RouteTarget(object_id="", name=NOWHERE, region=True)
     if isinstance(target, SceneRoom):
-        name = plain_name(target.type)
+        name = spoken_name(target.type)
         alike = surroundings.room_names.count(name)
         if name in NO_ROOM_NAMES:
             return RouteTarget(object_id=target.id, name=NOWHERE, region=True)
         return RouteTarget(object_id=target.id, name=name, unique=alike <= 1, region=True)
-    name = plain_name(target.category) or "object"
+    name = spoken_name(target.category)
     scene = surroundings.scene
     index = next((i for i, o in enumerate(scene.objects) if o.id == target.id), -1)
     room = int(surroundings.room_of[index]) if index >= 0 else -1

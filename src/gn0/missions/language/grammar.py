@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from functools import cache
 
 HELD_OUT = 0.2  # share of each kind that only unseen splits use
@@ -248,6 +249,14 @@ SECOND_OPENINGS = ("Then ", "Next, ", "After that, ", "From there, ", "")
 def count_phrases() -> int:
     """How many different skeletons the grammar holds, over all styles."""
     return len({phrase for group in PHRASES.values() for phrase in group})
+
+
+@cache
+def grammar_words() -> frozenset[str]:
+    """Every word that the grammar itself uses; a thing of such a name cannot be told by it."""
+    texts = [p for group in PHRASES.values() for p in group] + [*JOINTS, *OPENINGS]
+    plain = re.sub(r"\{\w+\}", " ", " ".join(texts)).lower()
+    return frozenset(re.findall(r"[a-z'-]+", plain)) - {"door", "doorway", "a", "s"}
 
 
 def _digest(text: str) -> bytes:

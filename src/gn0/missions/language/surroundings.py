@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
-from gn0.missions.language.words import NO_LANDMARK, distinctness, kin_of, plain_name
+from gn0.missions.language.words import NO_LANDMARK, distinctness, kin_of, spoken_name
 from gn0.missions.targets import points_in_polygon, room_of_object
 from gn0.scenes.scene import Scene, SceneObject
 
 LARGE_ENOUGH = 0.5  # m, longest side of a landmark
 OVERHEAD = 1.6  # m; what hangs above this is no landmark
 FLAT = 0.12  # m; what is lower lies on the floor
-NO_ROOM_NAMES = frozenset(("", "room", "unknown", "other", "others", "undefined", "none"))
+NO_ROOM_NAMES = frozenset(("", "room", "unknown", "other", "others", "undefined", "none", "object"))
 _DOOR_WIDEST = 1.7  # m; wider openings are no doorways
 _SEAM = 0.5  # m of path in a room that is only touched
 
@@ -120,10 +120,9 @@ def _rivals(names: tuple[str, ...]) -> tuple[NDArray[np.int64], ...]:
 
 def is_landmark(item: SceneObject) -> bool:
     """Whether an object is the kind of thing that one tells a way by."""
-    name = plain_name(item.category)
+    name = spoken_name(item.category)
     if (
-        not name
-        or name in NO_LANDMARK
+        name in NO_LANDMARK
         or name.split(" ")[-1] in NO_LANDMARK
         or max(item.box.size) < LARGE_ENOUGH
     ):
@@ -134,7 +133,7 @@ def is_landmark(item: SceneObject) -> bool:
 
 
 def _gather(scene: Scene) -> Surroundings:
-    names = tuple(plain_name(o.category) for o in scene.objects)
+    names = tuple(spoken_name(o.category) for o in scene.objects)
     index_of = {room.id: i for i, room in enumerate(scene.rooms)}
     rooms = [room_of_object(o, scene.rooms) for o in scene.objects]
     room_of = np.array([-1 if r is None else index_of[r.id] for r in rooms], np.int64)
@@ -150,7 +149,7 @@ def _gather(scene: Scene) -> Surroundings:
         a, b = np.unravel_index(int(np.argmax(away)), away.shape)
         if 0.4 <= away[a, b] <= _DOOR_WIDEST:
             doors.append((flat[a], flat[b]))
-    kept = [plain_name(r.type) for r in scene.rooms]
+    kept = [spoken_name(r.type) for r in scene.rooms]
     return Surroundings(
         scene=scene,
         names=names,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -34,6 +35,11 @@ LONG = 4.0  # m: a straight that goes through a room rather than on
 SOON = 1.6  # m after a turn: one turns into the room
 LANDMARKS_MOST = 6  # in one text
 _ONGOING = ("continue", "keep going", "keep walking", "carry on", "move on", "go on", "walk on")
+# one is on a lawn, not in it
+_ON_GROUND = re.compile(
+    r"\b([Ii])n(to)? "
+    r"((?:the|an?) (?:\w+ )?(?:lawn|terrace|patio|balcony|porch|path|plaza|square|deck|walkway))\b"
+)
 NARROW_ROOMS = frozenset(("hallway", "corridor", "hall", "aisle", "passage", "path", "alley"))
 
 
@@ -83,11 +89,16 @@ class ProviderTemplate:
         text = _Text(route, style, rng, held_out)
         if style == "base":
             _write_base(text)
-            return text.clauses[0], tuple(text.skeleton)
-        _write_steps(text)
-        _write_arrival(text)
-        joined = _join_detailed(text) if style == "detailed" else _join_benchmark(text)
-        return joined, tuple(text.skeleton)
+            joined = text.clauses[0]
+        else:
+            _write_steps(text)
+            _write_arrival(text)
+            joined = _join_detailed(text) if style == "detailed" else _join_benchmark(text)
+        return _ON_GROUND.sub(_on_ground, joined), tuple(text.skeleton)
+
+
+def _on_ground(hit: re.Match[str]) -> str:
+    return f"{'On' if hit[1] == 'I' else 'on'}{hit[2] or ''} {hit[3]}"
 
 
 def target_phrase(target: RouteTarget, *, route: bool) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from gn0.missions.language.grammar import grammar_words
+
 # names that are plural as they stand
 PLURALS = frozenset((
     "stairs", "books", "shoes", "curtains", "blinds", "clothes", "flowers", "shelves", "drawers",
@@ -51,7 +53,8 @@ _DISTINCT = {
     "radiator": 0.4, "curtain": 0.5, "blind": 0.3, "mirror": 0.7, "vase": 0.4, "hood": 0.4,
     "range hood": 0.5, "air conditioner": 0.5, "coat": 0.6, "bin": 0.6, "trash can": 0.7,
     "basket": 0.5, "clock": 0.4, "toy": 0.4, "ball": 0.4, "umbrella stand": 0.6, "box": 0.5,
-    "pallet": 0.8, "shopping basket": 0.4, "shopping trolley": 0.6, "office chair": 0.6, "floor lamp": 0.9, "lamp": 0.7, "table lamp": 0.6, "bucket": 0.5, "sink": 0.7,
+    "pallet": 0.8, "shopping basket": 0.4, "shopping trolley": 0.6, "office chair": 0.6,
+    "floor lamp": 0.9, "lamp": 0.7, "table lamp": 0.6, "bucket": 0.5, "sink": 0.7,
     "kettle": 0.2, "monitor": 0.5, "laptop": 0.4, "chair": 0.8, "plant": 0.8,
 }  # fmt: skip
 _KIN = {
@@ -106,6 +109,17 @@ def plain_name(text: str) -> str:
     parts = [part for part in parts if part.lower() not in _DIRECTIONS]
     name = " ".join(parts)[:48].strip(" -'").lower()
     return {"tv monitor": "tv", "multi person sofa": "sofa"}.get(name, name)
+
+
+def spoken_name(text: str) -> str:
+    """The name of a label as a text can use it: "object" where it is a word of the grammar's own.
+
+    "Can you walk to the can" cannot be read, let alone checked.
+    """
+    name = plain_name(text)
+    name = {"can": "tin can", "stand": "display stand"}.get(name, name)
+    words = grammar_words()
+    return "object" if not name or name in words or plural_of(name) in words else name
 
 
 def is_plural(name: str) -> bool:

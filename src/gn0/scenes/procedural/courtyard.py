@@ -85,10 +85,10 @@ def plan_yard(seed: int, size: str) -> Yard:
             (Room(f"{kind.replace(' ', '_')}_{counts[kind]}", kind, x0, y0, x1, y1), kind)
         )
     zones = [
-        Room("south_walk", "walk", 0, 0, w, RING),
-        Room("north_walk", "walk", 0, y[3], w, d),
-        Room("west_walk", "walk", 0, RING, RING, y[3]),
-        Room("east_walk", "walk", x[3], RING, w, y[3]),
+        Room("south_walk", "walkway", 0, 0, w, RING),
+        Room("north_walk", "walkway", 0, y[3], w, d),
+        Room("west_walk", "walkway", 0, RING, RING, y[3]),
+        Room("east_walk", "walkway", x[3], RING, w, y[3]),
         Room("south_path", "garden path", a0, RING, a1, b0),
         Room("north_path", "garden path", a0, b1, a1, y[3]),
         Room("cross_path", "fountain square", RING, b0, x[3], b1),
@@ -175,7 +175,7 @@ def _lay_ground(plot: Plot, yard: Yard, rng: np.random.Generator) -> None:
     chips = plain("wood chips", "gravel", "#8f6a44", second="#5f452c", scale=0.05, contrast=0.6,
                   detail=0.8, seed=int(rng.integers(6)))  # fmt: skip
     ground = {
-        "walk": walk, "garden path": walk if k else gravel, "fountain square": setts,
+        "walkway": walk, "garden path": walk if k else gravel, "fountain square": setts,
         "lawn": grass, "orchard": grass, "flower garden": gravel, "terrace": gravel,
         "playground": chips,
     }  # fmt: skip

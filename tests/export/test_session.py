@@ -283,3 +283,40 @@ def test_the_order_of_trips_is_splits_and_then_the_datasets(tmp_path: Path) -> N
     names = json.loads((tmp_path / "out/gn0_ids.json").read_text())
     expected = sorted(trips, key=lambda t: t.episode.split)
     assert [n["id"] for n in names] == [t.episode.id for t in expected]
+
+
+def test_two_runs_at_once_into_one_folder_are_refused(
+    short_source: ExportSource, tmp_path: Path
+) -> None:
+    def another(stage: str, done: int, total: int) -> None:
+        if stage == "episodes" and done == 1:
+            with pytest.raises(DataError, match="another run is writing"):
+                run_export(short_source, "vlnce-r2r", tmp_path / "out")
+
+    run_export(short_source, "vlnce-r2r", tmp_path / "out", progress=another)
+    assert check_export(tmp_path / "out") == []
+    assert not (tmp_path / "out/.lock").exists()
+
+
+def test_an_export_that_died_at_its_very_end_is_finished(
+    short_source: ExportSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed after the last file, or after export.json and before the tidying up."""
+    from gn0.export import session
+
+    whole = tmp_path / "whole/out"
+    run_export(short_source, "lerobot-v3", whole)
+    for name in ("write_card", "_tidy"):
+        out = tmp_path / name / "out"
+
+        def die(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(session, name, die)
+        with pytest.raises(KeyboardInterrupt):
+            run_export(short_source, "lerobot-v3", out)
+        monkeypatch.undo()
+        run_export(short_source, "lerobot-v3", out)
+        left = {path for path in read_tree(out) if not path.endswith(".lock")}
+        assert left == set(read_tree(whole))
+        assert all((out / path).read_bytes() == (whole / path).read_bytes() for path in left)

@@ -93,6 +93,7 @@ class OwnPoses:
     pictures = True
     dagger = False
     has_splits = False
+    scratch = ""
 
     def poses(self, trip: Trip, settings: ExportSettings) -> F64:
         """The trip's own."""
@@ -115,6 +116,7 @@ class DatasetExporter(Protocol):
         pictures: whether pictures are written: those of DAgger walks and of experts alike.
         dagger: whether walks of a policy may be exported, labelled by the expert.
         has_splits: whether the format itself keeps splits apart.
+        scratch: folder of what `finish` puts together, removed when all is written; "" for none.
     """
 
     name: str
@@ -124,6 +126,7 @@ class DatasetExporter(Protocol):
     pictures: bool
     dagger: bool
     has_splits: bool
+    scratch: str
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """Why the format cannot hold a trip, in a few words that can be counted; "" if it can."""

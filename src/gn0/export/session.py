@@ -8,6 +8,7 @@ stopped. What the journal names was written whole.
 from __future__ import annotations
 
 import json
+import shutil
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from typing import Any
 import msgspec
 
 from gn0.config import Config, load_json
+from gn0.data.folder import LOCK, lock_folder, sweep
 from gn0.errors import DataError, FormatError, Gn0Error, StorageError
 from gn0.export.card import write_card
 from gn0.export.exporter import (
@@ -29,7 +31,7 @@ from gn0.export.exporter import (
 )
 from gn0.export.trips import ExportSource, Trip
 from gn0.progress import Progress, no_progress
-from gn0.storage import TEMPORARY_PREFIX, Journal, content_hash, write_json
+from gn0.storage import Journal, content_hash, storage_error, write_json
 
 EXPORT_FILE, JOURNAL = "export.json", "journal.jsonl"
 EXPORT_LAYOUT = 1
@@ -146,7 +148,7 @@ def run_export(
     Raises:
         ConfigError: no such format or camera.
         StorageError: `out` holds something else, or cannot be written.
-        DataError: nothing is left to write.
+        DataError: nothing is left to write, or another run is writing to `out`.
     """
     exporter = get_dataset_exporter(format) if isinstance(format, str) else format
     settings = settings or ExportSettings()
@@ -163,11 +165,9 @@ def run_export(
         settings=settings,
     )
     earlier = _claim(folder, about)
-    if earlier is not None:
-        if earlier.complete:
-            return earlier
-        for left in folder.rglob(f"{TEMPORARY_PREFIX}*"):
-            left.unlink(missing_ok=True)
+    if earlier is not None and earlier.complete:
+        _tidy(folder, exporter)
+        return earlier
     plan = plan_export(exporter, job, progress)
     if not plan.trips:
         raise DataError(
@@ -175,6 +175,24 @@ def run_export(
             where=source.name,
             remedy="choose another --split or --limit, or another format",
         )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(error, folder, "make the folder") from error
+    with lock_folder(folder):
+        earlier = _claim(folder, about)  # somebody may have been quicker
+        if earlier is not None and earlier.complete:
+            return earlier
+        sweep(folder)
+        done = _write_all(exporter, job, plan, about, progress)
+        (folder / LOCK).unlink(missing_ok=True)
+    return done
+
+
+def _write_all(
+    exporter: DatasetExporter, job: Job, plan: Plan, about: ExportFile, progress: Progress
+) -> ExportFile:
+    folder = job.folder
     write_json(folder / EXPORT_FILE, msgspec.to_builtins(about))
     records = _write_trips(exporter, job, plan, progress)
     exporter.finish(records, job)
@@ -190,10 +208,17 @@ def run_export(
         splits=dict(sorted(Counter(trip.split for trip in plan.trips).items())),
         complete=True,
     )
-    write_card(folder, exporter, source, done)
+    write_card(folder, exporter, job.source, done)
     write_json(folder / EXPORT_FILE, msgspec.to_builtins(done))
-    (folder / JOURNAL).unlink(missing_ok=True)
+    _tidy(folder, exporter)
     return done
+
+
+def _tidy(folder: Path, exporter: DatasetExporter) -> None:
+    """Remove what a finished export needs no more."""
+    (folder / JOURNAL).unlink(missing_ok=True)
+    if exporter.scratch:
+        shutil.rmtree(folder / exporter.scratch, ignore_errors=True)
 
 
 def _told(skipped: dict[str, int]) -> str:
@@ -202,7 +227,9 @@ def _told(skipped: dict[str, int]) -> str:
 
 def _claim(folder: Path, about: ExportFile) -> ExportFile | None:
     """The earlier run in this folder, if it is this very export; None for an empty place."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+    if not folder.exists():
+        return None
+    if folder.is_dir() and all(path.name == LOCK for path in folder.iterdir()):
         return None
     if not (folder / EXPORT_FILE).is_file():
         raise StorageError(

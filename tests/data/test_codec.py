@@ -228,8 +228,9 @@ def test_no_token_survives_in_a_user_s_text(text: str) -> None:
     cleaned = without_control_tokens(text)
     assert not any(token in cleaned for token in NAVIGATION_TOKENS)
     assert "<|im_end|>" not in cleaned
+    assert without_control_tokens(cleaned) == cleaned
 
 
 def test_plain_words_of_a_user_are_kept() -> None:
     assert without_control_tokens("go <b>left</b>, 3 < 5") == "go <b>left</b>, 3 < 5"
-    assert without_control_tokens("a<9<FWD>99>b<|im_end|>c") == "abc"
+    assert without_control_tokens("a<9<FWD>99>b<|im_end|>c") == "a<9 99>b c"

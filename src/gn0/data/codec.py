@@ -50,7 +50,7 @@ _STRICT = re.compile(
     rf'\{{"vlnce":"<action>({_ACTIONS}(?:,{_ACTIONS})*)</action>"'
     rf'(?:,"pixel":"\[((?:\[<{_NUMBER}>,<{_NUMBER}>\])(?:,\[<{_NUMBER}>,<{_NUMBER}>\])*)\]")?\}}'
 )
-_CONTROL = re.compile(r"<(?:[0-9]{1,3}|/?action|FWD|LEFT|RIGHT|STOP|\|[^<>|]*\|)>")
+_CONTROL = re.compile(r"<(?:[0-9]{1,3}|/?action|FWD|LEFT|RIGHT|STOP|\|[^<>|\s]*\|)>")
 
 
 @dataclass(frozen=True)
@@ -338,10 +338,7 @@ def _fault(text: str) -> str:
 def without_control_tokens(text: str) -> str:
     """A user's text in which nothing reads as one of our tokens or of a chat template's.
 
-    An instruction that holds `<999>` or `<|im_end|>` would else become that very token.
+    An instruction that holds `<999>` or `<|im_end|>` would else become that very token. A blank
+    takes the place of each, so that what stood around it does not close up to another.
     """
-    while True:  # what is left may close up to a token again
-        cleaned = _CONTROL.sub("", text)
-        if cleaned == text:
-            return cleaned
-        text = cleaned
+    return _CONTROL.sub(" ", text)

@@ -67,7 +67,7 @@ def run(args: Args) -> int:
     refused = 0
     for name in dict.fromkeys(episode.scene_id for episode in chosen):
         scene = load_suite_scene(suite.scene_folder(name), name, suite.scene_hash(name))
-        by_id = {thing.id: thing for thing in scene.objects}
+        by_id = {**{r.id: r for r in scene.rooms}, **{t.id: t for t in scene.objects}}
         maps: dict[float, NavigationMap] = {}
         for episode in chosen:
             if episode.scene_id != name:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import string
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -151,3 +152,13 @@ def test_left_and_right_are_those_of_the_route() -> None:
 def test_the_target_has_the_article_that_is_true(near: str, unique: bool, expected: str) -> None:
     target = RouteTarget(object_id="t", name="armchair", near=near, unique=unique)
     assert target_phrase(target, route=True) == expected
+
+
+def test_one_is_on_a_lawn_and_in_a_kitchen() -> None:
+    target = RouteTarget(object_id="t", name="bench", room="terrace")
+    route = msgspec.structs.replace(build_simple_route("left"), target=target)
+    texts = [WRITER.write(route, "base", seed=seed) for seed in range(40)]
+    assert any("on the terrace" in text.lower() for text in texts)
+    assert not any(re.search(r"\bin(to)? the terrace", text.lower()) for text in texts)
+    kitchen = [WRITER.write(build_simple_route(), "base", seed=seed) for seed in range(40)]
+    assert not any("on the kitchen" in text.lower() for text in kitchen)

@@ -13,6 +13,7 @@ from gn0.missions.language.words import (
     name_pattern,
     plain_name,
     plural_of,
+    spoken_name,
 )
 
 
@@ -81,3 +82,12 @@ def test_kindred_things_may_be_confused() -> None:
     assert kin_of("couch") == kin_of("sofa")
     assert kin_of("bookcase") == kin_of("bookshelf")
     assert kin_of("bed") == "bed"
+
+
+def test_a_thing_is_not_called_by_a_word_of_the_grammar() -> None:
+    """ "Can you walk to the can" can be neither read nor checked."""
+    assert spoken_name("walk") == "object"
+    assert spoken_name("Step") == "object"
+    assert spoken_name("can") == "tin can"
+    assert spoken_name("step ladder") == "step ladder"
+    assert spoken_name("") == "object"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,7 +26,7 @@ from gn0.data.balance import (
     plan_selection,
     plan_weights,
 )
-from gn0.data.dataset import Dataset, open_dataset
+from gn0.data.dataset import Dataset, open_dataset, save_dataset_file
 from gn0.errors import DataError, FormatError, StorageError
 
 TARGET = BalanceSettings().target
@@ -189,9 +190,9 @@ def test_a_selection_of_other_labels_is_refused(
 ) -> None:
     folder = copy_of(labels_only)
     balance_dataset(open_dataset(folder))
-    path = folder / "dataset.json"
-    digest = labels_only.about.parts[0].labels
-    path.write_text(path.read_text().replace(digest, digest[::-1]))
+    about = labels_only.about
+    other = msgspec.structs.replace(about.parts[0], labels=about.parts[0].labels[::-1])
+    save_dataset_file(folder, msgspec.structs.replace(about, parts=(other, *about.parts[1:])))
     with pytest.raises(DataError, match="other labels"):
         load_selection(folder)
 

@@ -39,6 +39,7 @@ def test_labels_first_and_pictures_later_is_the_same(labels_only, webdataset, co
     assert one == other
     assert told[0]["settings"].pop("pictures")["layout"] == "none"
     assert told[1]["settings"].pop("pictures")["layout"] == "webdataset"
+    assert told[0].pop("seal") != told[1].pop("seal")
     assert told[0] == told[1]
 
 
@@ -174,6 +175,14 @@ def test_a_dataset_of_another_schema_says_what_to_do(labels_only, tmp_path, fiel
     assert remedy in caught.value.remedy and caught.value.field == field
 
 
+def test_a_description_that_was_changed_is_not_believed(labels_only, tmp_path) -> None:
+    text = (labels_only.folder / DATASET_FILE).read_text()
+    (tmp_path / DATASET_FILE).write_text(text.replace('"radius": 0.2', '"radius": 0.3'))
+    with pytest.raises(FormatError, match="changed after it was written") as caught:
+        open_dataset(tmp_path)
+    assert caught.value.field == "seal"
+
+
 def test_what_is_no_dataset_is_refused(tmp_path) -> None:
     with pytest.raises(StorageError, match=r"has no dataset\.json") as caught:
         open_dataset(tmp_path)
@@ -234,6 +243,7 @@ def test_shards_are_plain_tar_with_one_key_a_sample(webdataset) -> None:
         assert about["pixels"] == rows.pixels[about["step"]].tolist()
         assert (path.parent / about["bev"]).is_file()
         assert (path.parent / about["occupancy"]["map"]).is_file()
+        assert (path.parent / about["goal_picture"]).is_file()
         row += part.rows
     assert row == webdataset.about.rows
 

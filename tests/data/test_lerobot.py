@@ -63,6 +63,7 @@ def test_episodes_point_at_their_frames_and_seconds(lerobot) -> None:
             assert begin == own[0] / FPS  # episodes lie in their video as in their table
         maps = lerobot.folder / "pictures" / "lerobot"
         assert (maps / row["map.bev"]).is_file() and (maps / row["map.occupancy"]).is_file()
+        assert (maps / row["goal_picture"]).is_file()
         index += len(rows)
     assert index == lerobot.about.rows
 

@@ -117,6 +117,25 @@ def test_depth_comes_with_colour_from_the_cache(webdataset) -> None:
     assert frame["depth"].dtype == np.float32 and frame["depth"].shape == frame["rgb"].shape[:2]
 
 
+def test_goal_pictures_are_the_simulators_and_are_kept(webdataset, lerobot) -> None:
+    for name in (webdataset.sampled[0], webdataset.sampled[1]):
+        episode = webdataset.episode(name)
+        simulator = open_simulator(
+            webdataset.scene(episode.scene_id), sensors={"goal_picture"}, light=episode.light
+        )
+        shown = simulator.reset(episode).goal_picture
+        drawn = next(webdataset.frames(name, ("goal_picture",), exact=True))["goal_picture"]
+        np.testing.assert_array_equal(drawn, shown)
+        cached = next(webdataset.frames(name, ("goal_picture", "rgb")))["goal_picture"]
+        assert np.sqrt(((cached.astype(float) - drawn) ** 2).mean()) < 6
+    kept = {
+        kind: {p.name for p in (dataset.folder / "pictures" / kind / "goals").iterdir()}
+        for kind, dataset in (("webdataset", webdataset), ("lerobot", lerobot))
+    }
+    # two missions of one path have goals of their own: the seed and the id turn the view
+    assert len(kept["webdataset"]) == 6 and kept["webdataset"] == kept["lerobot"]
+
+
 def test_an_unknown_picture_is_refused_with_the_known_ones(webdataset) -> None:
     with pytest.raises(DataError, match="no picture 'sonar'") as caught:
         webdataset.frames(webdataset.sampled[0], ("sonar",))

@@ -27,6 +27,7 @@ from gn0.data.dataset import (
     SuiteOrigin,
     load_dataset_file,
     open_dataset,
+    save_dataset_file,
 )
 from gn0.data.folder import (
     LOCK,
@@ -50,7 +51,6 @@ from gn0.storage import (
     read_bytes,
     safe_join,
     write_bytes,
-    write_json,
 )
 
 
@@ -216,7 +216,7 @@ def _lay_out(out: Path, suite: Suite, about: DatasetFile, progress: Progress) ->
     write_bytes(out / EPISODE_FILE, read_bytes(suite.folder / EPISODE_FILE))
     records.append(record_path(out, out / EPISODE_FILE))
     found = msgspec.structs.replace(about, files=tuple(sorted(records, key=lambda r: r.path)))
-    write_json(out / DATASET_FILE, msgspec.to_builtins(found))
+    save_dataset_file(out, found)
     return found
 
 
@@ -244,5 +244,5 @@ def _finish(out: Path, about: DatasetFile, parts: list[PartDone]) -> None:
     )
     if pictures.layout != "none" and not check_cache_free(out, pictures):
         finish_cache(Dataset(out, whole), pictures, parts)
-    write_json(out / DATASET_FILE, msgspec.to_builtins(whole))
+    save_dataset_file(out, whole)
     write_journal(out / JOURNAL, parts_journal(whole))

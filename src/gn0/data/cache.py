@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from gn0.config import Config, decode_json
-from gn0.data.dataset import PICTURE_FOLDER, FileRecord
+from gn0.data.dataset import PICTURE_FOLDER, FileRecord, compute_seal
 from gn0.data.pictures import StepPictures
 from gn0.data.samples import EpisodeRows
 from gn0.data.settings import PictureSettings
@@ -42,11 +42,13 @@ class CacheManifest(Config, frozen=True):
         layout: version of this file's layout.
         settings: how the pictures are kept.
         files: every file of the cache but this one, sorted by path.
+        seal: digest of all the rest.
     """
 
     layout: int
     settings: PictureSettings
     files: tuple[FileRecord, ...]
+    seal: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,8 @@ class DrawnStep:
         hashes: of the raw pixels, by name.
         places: (row, column) of the start and of the agent in the map pictures.
         base: the occupancy picture [H, W, 3] before dots are drawn, and its hash.
+        goal: what the goal looks like [H, W, 3], and the picture's hash; None where the mission
+            is no goal mission.
         kept: encoded pictures, shared by samples that show the same.
     """
 
@@ -73,6 +77,7 @@ class DrawnStep:
     hashes: dict[str, str]
     places: tuple[tuple[int, int], tuple[int, int]]
     base: tuple[U8, str]
+    goal: tuple[U8, str] | None = None
     kept: dict[str, bytes] = field(default_factory=dict)
 
     def encoded(self, name: str, settings: PictureSettings) -> bytes:
@@ -153,10 +158,32 @@ def write_recorded(
     return FileRecord(path=path, size=size, digest=digest.hexdigest())
 
 
-def write_once(folder: Path, path: str, make: Callable[[], bytes]) -> FileRecord:
+def write_maps(folder: Path, step: DrawnStep, known: dict[str, FileRecord]) -> tuple[str, str]:
+    """Write a sample's BEV and bare occupancy picture, unless `known`; returns their paths."""
+    paths = []
+    for picture, name in ((step.pictures.bev, step.hashes["bev"]), step.base):
+        path = f"maps/{name}.png"
+        if path not in known:
+            known[path] = write_once(folder, path, encode_map(picture))
+        paths.append(path)
+    return paths[0], paths[1]
+
+
+def write_goal(
+    folder: Path, step: DrawnStep, known: dict[str, FileRecord], settings: PictureSettings
+) -> str:
+    """Write a sample's goal picture, unless `known`; returns its path, or "" without one."""
+    if step.goal is None:
+        return ""
+    path = f"goals/{step.goal[1]}.{settings.format}"
+    if path not in known:
+        known[path] = write_once(folder, path, encode_picture(step.goal[0], settings))
+    return path
+
+
+def write_once(folder: Path, path: str, data: bytes) -> FileRecord:
     """Write a file that is named by its content, unless it is there already."""
     target = safe_join(folder, path)
-    data = make()
     record = record_file(path, data)
     if not (target.is_file() and target.stat().st_size == len(data)
             and target.read_bytes() == data):  # fmt: skip
@@ -174,6 +201,7 @@ def save_manifest(
         settings=settings,
         files=tuple(by_path[path] for path in sorted(by_path)),
     )
+    manifest = msgspec.structs.replace(manifest, seal=compute_seal(manifest))
     target = cache_folder(folder, settings.layout) / MANIFEST
     write_json(target, msgspec.to_builtins(manifest))
     return manifest
@@ -195,7 +223,13 @@ def load_manifest(folder: Path, layout: str) -> CacheManifest | None:
             f"cache layout {found}, this version reads {CACHE_LAYOUT}", file=path, field="layout",
             remedy="delete the folder and run `gn0 data render`",
         )  # fmt: skip
-    return decode_json(data, CacheManifest, file=path)
+    manifest = decode_json(data, CacheManifest, file=path)
+    if manifest.seal != compute_seal(manifest):
+        raise FormatError(
+            "something in it was changed after it was written", file=path, field="seal",
+            remedy="run `gn0 data repair`",
+        )  # fmt: skip
+    return manifest
 
 
 def check_cache_free(folder: Path, settings: PictureSettings) -> bool:

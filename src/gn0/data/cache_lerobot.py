@@ -3,12 +3,12 @@
     videos/observation.images.{rgb,history}/chunk-000/file-000.mp4   a file a part
     data/chunk-000/file-000.parquet                                  a file a part
     meta/{info,stats}.json, meta/tasks.parquet, meta/episodes/chunk-000/file-000.parquet
-    maps/<hash>.png                                                  BEV and bare occupancy picture
+    maps/<hash>.png, goals/<hash>.jpg                                BEV, bare occupancy, goals
 
 Maps have the size of their scene, which a LeRobot feature cannot; so they lie beside as PNG, named
-in the columns `map.bev` and `map.occupancy` of `meta/episodes`, and the dots' pixels are the
-feature `observation.map`. Each video is encoded by one thread with fixed settings: the same
-pictures are the same bytes.
+in `meta/episodes` (`map.bev`, `map.occupancy`, and `goal_picture` for goal missions); the dots'
+pixels are the feature `observation.map`. Each video is encoded by one thread with fixed settings:
+the same pictures are the same bytes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from gn0.data.cache import DrawnStep, cache_folder, encode_map, write_once, write_recorded
+from gn0.data.cache import DrawnStep, cache_folder, write_goal, write_maps, write_recorded
 from gn0.data.dataset import Dataset, FileRecord
 from gn0.data.samples import ACTIONS_AHEAD, POINTS, EpisodeRows
 from gn0.data.settings import PictureSettings
@@ -155,7 +155,7 @@ def write_videos(
     sizes = {"rgb": (width, height), "history": (COLUMNS * TILE_WIDTH, ROWS * TILE_HEIGHT)}
     writers = {name: VideoWriter(size, settings.crf) for name, size in sizes.items()}
     sums = {name: PixelSums() for name in VIDEOS}
-    maps: dict[str, FileRecord] = {}
+    shared: dict[str, FileRecord] = {}
     places: list[list[int]] = []
     named: dict[str, list[str]] = {}
     for step in steps:
@@ -163,14 +163,11 @@ def write_videos(
             picture = getattr(step.pictures, name)
             writer.add(picture)
             sums[name].add(picture)
-        for picture, name in ((step.pictures.bev, step.hashes["bev"]), step.base):
-            if name not in maps:
-                maps[name] = write_once(
-                    folder, f"maps/{name}.png", lambda p=picture: encode_map(p)  # type: ignore[misc]
-                )  # fmt: skip
         places.append([*step.places[0], *step.places[1]])
-        named.setdefault(step.episode.id, [step.hashes["bev"], step.base[1]])
-    records = list(maps.values())
+        if step.step == 0:
+            goal = write_goal(folder, step, shared, settings)
+            named[step.episode.id] = [*write_maps(folder, step, shared), goal]
+    records = list(shared.values())
     for name, writer in writers.items():
         records.append(_put(folder, file_path(VIDEOS[name], number), writer.finish()))
     notes = {
@@ -346,8 +343,9 @@ def _add_episode(
         "meta/episodes/chunk_index": 0,
         "meta/episodes/file_index": 0,
         "gn0.episode_id": block.episode_id,
-        "map.bev": f"maps/{maps[0]}.png",
-        "map.occupancy": f"maps/{maps[1]}.png",
+        "map.bev": maps[0],
+        "map.occupancy": maps[1],
+        "goal_picture": maps[2],
     }
     for key in VIDEOS.values():
         row |= {

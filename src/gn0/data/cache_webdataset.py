@@ -3,10 +3,11 @@
     <part>.tar            members <key>.rgb.jpg, <key>.history.jpg, <key>.json, a key a sample
     <part>.index.parquet  name, offset, size and digest of each member
     maps/<hash>.png       each BEV and each bare occupancy picture once, named by its pixels
+    goals/<hash>.jpg      what each goal looks like, for goal missions
 
 The json of a sample holds its labels, its instruction and the names of its maps with the places
-of the two dots, so that a shard and `maps/` are all that training needs. Headers carry no time and
-no owner: the same samples are the same bytes.
+of the two dots, so that shards, `maps/` and `goals/` are all that training needs. Headers carry no
+time and no owner: the same samples are the same bytes.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from gn0.data.cache import (
     DrawnStep,
     cache_folder,
     decode_picture,
-    encode_map,
     read_cached,
-    write_once,
+    write_goal,
+    write_maps,
     write_recorded,
 )
 from gn0.data.dataset import FileRecord
@@ -62,7 +63,7 @@ def write_shard(
     """
     folder = cache_folder(dataset_folder, LAYOUT)
     index: dict[str, list[Any]] = {name: [] for name in _INDEX.names}
-    maps: dict[str, FileRecord] = {}
+    shared: dict[str, FileRecord] = {}
 
     def pour(put: Callable[[bytes], int]) -> None:
         def add(name: str, data: bytes) -> None:
@@ -82,15 +83,11 @@ def write_shard(
             if settings.maps == "every":
                 add(f"{key}.bev.{settings.format}", step.encoded("bev", settings))
                 add(f"{key}.occupancy.{settings.format}", step.encoded("occupancy", settings))
+                maps = ("", "")
             else:
-                for picture, name in (
-                    (step.pictures.bev, step.hashes["bev"]), step.base,
-                ):  # fmt: skip
-                    if name not in maps:
-                        maps[name] = write_once(
-                            folder, f"maps/{name}.png", lambda p=picture: encode_map(p)  # type: ignore[misc]
-                        )  # fmt: skip
-            add(f"{key}.json", describe_sample(step))
+                maps = write_maps(folder, step, shared)
+            goal = write_goal(folder, step, shared, settings)
+            add(f"{key}.json", describe_sample(step, maps, goal))
         put(bytes(2 * _BLOCK))
 
     shard = write_recorded(folder, f"{part}.tar", pour)
@@ -99,11 +96,17 @@ def write_shard(
     table = write_recorded(
         folder, f"{part}.index.parquet", lambda put: (put(stream.getvalue()), None)[1]
     )
-    return [shard, table, *maps.values()]
+    return [shard, table, *shared.values()]
 
 
-def describe_sample(step: DrawnStep) -> bytes:
-    """The labels of a sample as JSON, in one line."""
+def describe_sample(step: DrawnStep, maps: tuple[str, str], goal: str) -> bytes:
+    """The labels of a sample as JSON, in one line.
+
+    Args:
+        step: the sample.
+        maps: paths of its BEV and its bare occupancy picture; "" where they are members.
+        goal: path of its goal picture, or "".
+    """
     block, t, episode = step.block, step.step, step.episode
     start, current = step.places
     fields = {
@@ -122,9 +125,10 @@ def describe_sample(step: DrawnStep) -> bytes:
         "collided": bool(block.collided[t]),
         "source": block.source,
         "policy_actions": list(block.policy_actions[t]) if block.policy_actions else [],
-        "bev": f"maps/{step.hashes['bev']}.png",
+        "goal_picture": goal,
+        "bev": maps[0],
         "occupancy": {
-            "map": f"maps/{step.base[1]}.png",
+            "map": maps[1],
             "start": list(start),
             "current": list(current),
             "radius": DISC_RADIUS,
@@ -186,11 +190,15 @@ class ShardReader:
         return data
 
     def picture(self, row: int, name: str) -> U8:
-        """A picture of a sample: "rgb", "history", "bev" or "occupancy"."""
+        """A picture of a sample: rgb, history, bev, occupancy, or goal_picture."""
         kind = self._settings.format
-        if name in ("rgb", "history") or self._settings.maps == "every":
+        if name in ("rgb", "history") or (
+            self._settings.maps == "every" and name != "goal_picture"
+        ):
             return decode_picture(self.read(row, f"{name}.{kind}"), self.path, name)
         about = json.loads(self.read(row, "json"))
+        if name == "goal_picture":
+            return self._map(about["goal_picture"])
         if name == "bev":
             return self._map(about["bev"])
         places = about["occupancy"]

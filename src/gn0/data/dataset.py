@@ -16,6 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
@@ -30,7 +31,7 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.files import load_episodes
 from gn0.sim.collision import move_agent
 from gn0.sim.kinematics import heading_yaw, step_forward
-from gn0.storage import read_bytes, safe_join
+from gn0.storage import content_hash, read_bytes, safe_join, write_json
 
 if TYPE_CHECKING:
     from gn0.scenes.scene import Scene
@@ -127,6 +128,7 @@ class DatasetFile(Config, frozen=True):
         complete: whether the build has ended.
         rendered: whether the pictures' hashes are known.
         software: what wrote it.
+        seal: digest of all the rest.
     """
 
     layout: int
@@ -141,6 +143,7 @@ class DatasetFile(Config, frozen=True):
     complete: bool = False
     rendered: bool = False
     software: str = ""
+    seal: str = ""
 
     @property
     def rows(self) -> int:
@@ -350,7 +353,8 @@ class Dataset:
 
         Args:
             episode_id: the episode.
-            sensors: any of rgb, history, bev, occupancy (uint8 [H, W, 3]), depth (float32 m).
+            sensors: any of rgb, history, bev, occupancy, goal_picture (uint8 [H, W, 3]) and depth
+                (float32 [H, W] m).
             exact: render, also where the cache has the picture (which may be compressed).
 
         Raises:
@@ -359,6 +363,23 @@ class Dataset:
         from gn0.data.frames import read_frames
 
         return read_frames(self, episode_id, frozenset(sensors), exact=exact)
+
+
+def save_dataset_file(folder: Path, about: DatasetFile) -> None:
+    """Write `dataset.json`, sealed.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    sealed = msgspec.structs.replace(about, seal=compute_seal(about))
+    write_json(folder / DATASET_FILE, msgspec.to_builtins(sealed))
+
+
+def compute_seal(value: Config) -> str:
+    """Digest of a struct's fields but its `seal`."""
+    fields = msgspec.to_builtins(value)
+    fields.pop("seal")
+    return content_hash(msgspec.json.encode(fields, order="sorted"))
 
 
 def load_dataset_file(folder: Path) -> DatasetFile:
@@ -387,7 +408,15 @@ def load_dataset_file(folder: Path) -> DatasetFile:
             remedy="build the dataset again from its episodes" if found < known
             else "use a newer gn0",
         )  # fmt: skip
-    return decode_json(data, DatasetFile, file=path)
+    about = decode_json(data, DatasetFile, file=path)
+    if about.seal != compute_seal(about):
+        raise FormatError(
+            "something in it was changed after it was written",
+            file=path,
+            field="seal",
+            remedy="restore the file; the same `gn0 data build` into another folder writes it too",
+        )
+    return msgspec.structs.replace(about, seal="")
 
 
 def open_dataset(path: Path | str) -> Dataset:

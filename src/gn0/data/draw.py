@@ -9,12 +9,12 @@ import numpy as np
 
 from gn0.data.cache import DrawnStep
 from gn0.data.dataset import Dataset, FileRecord
-from gn0.data.pictures import build_eyes, draw_episode, map_picture
+from gn0.data.pictures import build_eyes, draw_episode, goal_picture, map_picture
 from gn0.data.samples import PICTURES, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
 from gn0.geometry import U8
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.light import LightCondition
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
@@ -118,11 +118,12 @@ class PartDrawer:
                 if base is None or base[0] != episode.scene_id:
                     base = (episode.scene_id, bare_map(eyes))
                 source = self._draw(eyes, episode, block, base[1])
+            goal = self._draw_goal(episode)
             again = len(block) <= KEPT_STEPS and number + 1 < len(episodes)
             again = again and _alike(episode, block, episodes[number + 1], self._blocks[number + 1])
             kept = []
             for t, step in enumerate(source):
-                mine = replace(step, row=row, step=t, block=block, episode=episode)
+                mine = replace(step, row=row, step=t, block=block, episode=episode, goal=goal)
                 for name in PICTURES:
                     own[name].append(mine.hashes[name])
                 if self._check:
@@ -131,6 +132,12 @@ class PartDrawer:
                     kept.append(mine)
                 yield mine
                 row += 1
+
+    def _draw_goal(self, episode: Episode) -> tuple[U8, str] | None:
+        if not isinstance(episode.mission, MissionGoal):
+            return None
+        picture = goal_picture(self._eyes.of(episode), episode)
+        return picture, content_hash(np.asarray(picture))
 
     def _draw(
         self, eyes: SensorSuite, episode: Episode, block: EpisodeRows, base: tuple[U8, str]

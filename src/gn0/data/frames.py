@@ -13,13 +13,13 @@ from gn0.data.cache_lerobot import VIDEOS, read_video
 from gn0.data.cache_webdataset import ShardReader
 from gn0.data.dataset import Dataset
 from gn0.data.draw import eyes_of
-from gn0.data.pictures import BATCH, draw_episode, map_picture
+from gn0.data.pictures import BATCH, draw_episode, goal_picture, map_picture
 from gn0.data.samples import EpisodeRows
 from gn0.errors import DataError
 from gn0.geometry import Pose2D
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionGoal
 
-FRAMES = ("rgb", "depth", "history", "bev", "occupancy")
+FRAMES = ("rgb", "depth", "history", "bev", "occupancy", "goal_picture")
 Frame = dict[str, NDArray[Any]]
 
 
@@ -33,7 +33,10 @@ def read_frames(
             f"no picture {unknown[0]!r} in a dataset", remedy="known: " + ", ".join(FRAMES)
         )
     rows, episode = dataset.rows(episode_id), dataset.episode(episode_id)
-    cached = {} if exact else _find_cached(dataset, rows, sensors - {"depth"})
+    drawn = {"depth"}
+    if not isinstance(episode.mission, MissionGoal):
+        drawn.add("goal_picture")
+    cached = {} if exact else _find_cached(dataset, rows, sensors - drawn)
     return _join(dataset, episode, rows, sensors, cached)
 
 
@@ -80,6 +83,7 @@ def _join(
         else:
             pictures = iter(())
         start = Pose2D(*episode.start)
+        goal = goal_picture(eyes, episode) if "goal_picture" in drawn else None
         for begin in range(0, len(rows), BATCH):
             poses = [Pose2D(*map(float, row)) for row in rows.poses[begin : begin + BATCH]]
             depth = eyes.look_many(poses, frozenset({"depth"}))[1] if "depth" in drawn else None
@@ -90,6 +94,8 @@ def _join(
                     frame[name] = getattr(seen, name)
                 if depth is not None:
                     frame["depth"] = np.asarray(depth[index])
+                if goal is not None:
+                    frame["goal_picture"] = goal
                 if "bev" in drawn:
                     frame["bev"] = map_picture(eyes)
                 if "occupancy" in drawn:

@@ -22,6 +22,7 @@ from gn0.sim.history import History
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset
 from gn0.sim.sensors import SensorSuite
+from gn0.sim.simulator import goal_record, goal_view
 from gn0.storage import content_hash
 
 BATCH = 32  # views a call of the renderer
@@ -104,6 +105,16 @@ def draw_views(eyes: SensorSuite, poses: F64) -> Iterator[tuple[Pose2D, U8]]:
         places = {pose: index for index, pose in enumerate(distinct)}
         for pose in batch:
             yield pose, rgb[places[pose]]
+
+
+def goal_picture(eyes: SensorSuite, episode: Episode) -> U8:
+    """What an episode's goal looks like [H, W, 3]: the simulator's sensor of that name."""
+    record = goal_record(episode)
+    if record is not None:
+        return eyes.look_at_goal(record)
+    rgb, _ = eyes.look(goal_view(episode), frozenset({"rgb"}))
+    assert rgb is not None
+    return rgb
 
 
 def map_picture(eyes: SensorSuite) -> U8:

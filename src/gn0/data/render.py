@@ -15,7 +15,7 @@ from gn0.data.cache import (
     record_file,
     save_manifest,
 )
-from gn0.data.dataset import DATASET_FILE, JOURNAL, Dataset, open_dataset
+from gn0.data.dataset import JOURNAL, Dataset, open_dataset, save_dataset_file
 from gn0.data.folder import (
     lock_folder,
     parts_journal,
@@ -29,7 +29,7 @@ from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
 from gn0.jobs import ExecutorName
 from gn0.progress import Progress, no_progress
-from gn0.storage import Journal, journal_line, safe_join, write_json
+from gn0.storage import Journal, journal_line, safe_join
 
 
 def render_dataset(
@@ -86,7 +86,7 @@ def render_dataset(
             )
             dataset = Dataset(out, about)
         manifest = finish_cache(dataset, wanted, made)
-        write_json(out / DATASET_FILE, msgspec.to_builtins(dataset.about))
+        save_dataset_file(out, dataset.about)
         write_journal(out / JOURNAL, parts_journal(dataset.about))
     return manifest
 

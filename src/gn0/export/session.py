@@ -185,7 +185,6 @@ def run_export(
             return earlier
         sweep(folder)
         done = _write_all(exporter, job, plan, about, progress)
-        (folder / LOCK).unlink(missing_ok=True)
     return done
 
 
@@ -216,7 +215,8 @@ def _write_all(
 
 def _tidy(folder: Path, exporter: DatasetExporter) -> None:
     """Remove what a finished export needs no more."""
-    (folder / JOURNAL).unlink(missing_ok=True)
+    for name in (JOURNAL, LOCK):
+        (folder / name).unlink(missing_ok=True)
     if exporter.scratch:
         shutil.rmtree(folder / exporter.scratch, ignore_errors=True)
 

@@ -318,3 +318,12 @@ def test_an_export_that_died_at_its_very_end_is_finished(
         monkeypatch.undo()
         run_export(short_source, "lerobot-v3", out)
         assert read_tree(out) == read_tree(whole)
+
+
+def test_a_format_without_words_takes_a_path_once(tmp_path: Path) -> None:
+    from gn0.export.session import SAME_PATH
+
+    done = run_export(
+        toy_source(2, longest=9), "navdp", tmp_path / "out", ExportSettings(spacing=0.3)
+    )
+    assert done.written == 2 and done.skipped == {SAME_PATH: 2}

@@ -93,6 +93,7 @@ class OwnPoses:
     pictures = True
     dagger = False
     has_splits = False
+    one_a_path = False
     scratch = ""
 
     def poses(self, trip: Trip, settings: ExportSettings) -> F64:
@@ -116,6 +117,7 @@ class DatasetExporter(Protocol):
         pictures: whether pictures are written: those of DAgger walks and of experts alike.
         dagger: whether walks of a policy may be exported, labelled by the expert.
         has_splits: whether the format itself keeps splits apart.
+        one_a_path: whether missions of one path would be the same in it, so that one is enough.
         scratch: folder of what `finish` puts together, removed when all is written; "" for none.
     """
 
@@ -126,6 +128,7 @@ class DatasetExporter(Protocol):
     pictures: bool
     dagger: bool
     has_splits: bool
+    one_a_path: bool
     scratch: str
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:

@@ -84,6 +84,7 @@ class ExporterNavDp(OwnPoses):
         "camera_extrinsic = camera to body (x right, y forward, z up); depth: PNG in 0.1 mm, "
         "6.5535 m and more alike"
     )
+    one_a_path = True
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """A way too short for its loader."""

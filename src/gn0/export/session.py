@@ -35,6 +35,7 @@ from gn0.storage import Journal, content_hash, storage_error, write_json
 
 EXPORT_FILE, JOURNAL = "export.json", "journal.jsonl"
 EXPORT_LAYOUT = 1
+SAME_PATH = "another mission of a path that is there: the format has no use for words"
 
 
 class ExportFile(Config, frozen=True):
@@ -93,9 +94,14 @@ def plan_export(exporter: DatasetExporter, job: Job, progress: Progress = no_pro
     """Choose and number the trips; split by split, in the dataset's order within each."""
     kept: list[tuple[str, str, str, int]] = []
     skipped: Counter[str] = Counter()
+    ways: set[str] = set()
     for done, trip in enumerate(job.source.trips()):
         progress("reading", done, 0)
         why = _why_not(exporter, trip, job.settings)
+        if not why and exporter.one_a_path and trip.episode.path_id:
+            way = content_hash(trip.episode.scene_id, repr(trip.episode.light), trip.poses)
+            why = SAME_PATH if way in ways else ""
+            ways.add(way)
         if why:
             skipped[why] += 1
             continue

@@ -48,11 +48,12 @@ def _round_trip(
     """(fields that differ, faults, files, seconds, difference of pictures) of one export."""
     exporter = get_dataset_exporter(name)
     begin = time.perf_counter()
-    run_export(source, name, out, settings)
+    done = run_export(source, name, out, settings)
     seconds = time.perf_counter() - begin
     trips: dict[str, Trip] = {trip.episode.id: trip for trip in source.trips()}
     found = exporter.load(out)
-    differing = abs(len(found) - len(trips))
+    told = done.written + sum(done.skipped.values())
+    differing = abs(len(found) - done.written) + abs(told - len(trips))
     colour = 0.0
     for recovered in found:
         trip = trips.get(recovered.id)

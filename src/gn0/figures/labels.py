@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import signal
@@ -43,9 +44,9 @@ from gn0.maps.inflate import inflate
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ros import load_ros_map
 from gn0.missions.episode import Episode, MissionGoal
+from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.scenes.occupancy import build_occupancy
-from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.procedural.kinds import KINDS, KindName
 from gn0.seeds import random_stream
 from gn0.testing.crash_data import read_files
@@ -60,6 +61,7 @@ EXECUTED = 120  # states whose labels are carried out to the end
 LONGEST = 600  # actions
 DRIVERS = (("wall_follower", 0.3), ("straight", 0.3), ("random", 0.5))
 KILLS = 5
+BALANCED: tuple[KindName, ...] = ("apartment", "warehouse")
 GENERATED: tuple[KindName, ...] = ("apartment", "office", "supermarket", "warehouse")
 
 
@@ -259,11 +261,22 @@ def measure_labels(ctx: FigureContext) -> list[FigureRow]:
 
 @cache
 def _suite(work: Path, kind: KindName, episodes: int) -> Suite:
-    """Goal episodes in a generated scene of few splats: labels do not look at them."""
+    """Goal episodes in a generated building with another's splats: labels do not look at them."""
     folder = work / f"labels-{kind}"
     if not (folder / "suite" / "suite.json").is_file():
-        settings = GenerateSettings(kind=kind, seed=7, density=1000.0, light="draft")
-        save_scene(build_generated(settings, kind), folder / "scene")
+        draft = KINDS[kind].draft(7, size="medium", style=None)
+        corners = draft.mesh.vertices[np.unique(draft.mesh.faces)]
+        scene = dataclasses.replace(
+            build_example_scene(),
+            id=kind,
+            grid=build_occupancy(draft.mesh),
+            objects=draft.objects,
+            rooms=draft.rooms,
+            walls=draft.walls,
+            openings=draft.openings,
+            bounds=np.stack([corners.min(axis=0), corners.max(axis=0)]),
+        )
+        save_scene(scene, folder / "scene")
         build_suite([folder / "scene"], folder / "suite", episodes, 0, max_steps=200)
     return load_suite(folder / "suite")
 
@@ -403,10 +416,19 @@ def _drawn_shares(dataset: Dataset, folder: Path, count: int) -> F64:
 
 
 def measure_balance(ctx: FigureContext) -> list[FigureRow]:
-    """The paper's shares of actions, before and after, on a generated set."""
-    suite = _suite(ctx.work, "apartment", 40)
+    """The paper's shares of actions, before and after, on generated sets."""
+    rows: list[FigureRow] = []
+    for kind in BALANCED:
+        rows += _balance_rows(ctx, kind)
+    return rows
+
+
+def _balance_rows(ctx: FigureContext, kind: KindName) -> list[FigureRow]:
+    suite = _suite(ctx.work, kind, 40)
     dataset = build_dataset(
-        suite, ctx.work / "balance", BuildSettings(pictures=PictureSettings(layout="none"))
+        suite,
+        ctx.work / f"balance-{kind}",
+        BuildSettings(pictures=PictureSettings(layout="none")),
     )
     before_files = read_files(dataset.folder)
     target = BalanceSettings().target
@@ -418,19 +440,21 @@ def measure_balance(ctx: FigureContext) -> list[FigureRow]:
         after = np.array([about.after[name].percent for name in NAMES])
         shown = ", ".join(f"{NAMES[i]} {before[i]:.1f} → {after[i]:.1f} %" for i in (1, 2, 3, 0))
         detail = (
-            f"{about.samples:,} samples of {len(suite.episodes)} walks in a generated apartment, "
+            f"{about.samples:,} samples of {len(suite.episodes)} walks in a generated {kind}, "
             f"seed 7; {shown}; {about.kept:,} used, worth {about.effective:,.0f}"
         )
         off = float(np.abs(after - 100 * target).max())
         rows.append(
-            row_at_most(f"actions off the paper's table, {method}", off, 0.5, "points", detail)
+            row_at_most(
+                f"actions off the paper's table, {kind}, {method}", off, 0.5, "points", detail
+            )
         )
         if method == "weights":
             drawn = _drawn_shares(dataset, dataset.folder, 200_000)
             off = float(np.abs(100 * (drawn - target)).max())
             rows.append(
                 row_at_most(
-                    "actions off the paper's table, 200,000 samples drawn by weight", off, 0.5,
+                    f"actions off the paper's table, {kind}, 200,000 drawn by weight", off, 0.5,
                     "points", detail,
                 )
             )  # fmt: skip
@@ -438,13 +462,17 @@ def measure_balance(ctx: FigureContext) -> list[FigureRow]:
             kept = 100.0 * about.kept / about.samples
             rows.append(
                 FigureRow(
-                    name="samples that a selection keeps", value=kept, unit="%", detail=detail
+                    name=f"samples that a selection keeps, {kind}",
+                    value=kept,
+                    unit="%",
+                    detail=detail,
                 )
             )
-    touched = sum(
-        data != read_files(dataset.folder).get(name) for name, data in before_files.items()
+    after_files = read_files(dataset.folder)
+    touched = sum(data != after_files.get(name) for name, data in before_files.items())
+    rows.append(
+        row_at_most(f"files of the dataset touched, {kind}", touched, 0, "", "both methods")
     )
-    rows.append(row_at_most("files of the dataset touched", touched, 0, "", "both methods"))
     return rows
 
 

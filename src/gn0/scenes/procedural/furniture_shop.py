@@ -147,16 +147,16 @@ def build_shelf_run(
     back = plain("shelf back", "plastic", "#b9bab6", contrast=0.08, detail=0.2)
     foot = plain("plinth", "plastic", "#3a3c40", contrast=0.1)
     shapes = [
-        build_panel((-width / 2, -0.03, 0), (width, 0, 0), (0, 0, height), back),
-        build_box((width - 0.06, 0.03, 0.03), metal, at=(0, -0.015, height - 0.03)),
+        build_box((width - 0.002, 0.03, height), back, at=(0, -0.015, 0)),
+        build_box((width - 0.06, 0.05, 0.03), metal, at=(0, -0.025, height)),
         build_box(
             (width - 0.061, SHELF_DEPTH - 0.04, levels[0] - 0.03), foot, at=(0, -SHELF_DEPTH / 2, 0)
         ),
     ]
     for k, end in ((-1, ends[0]), (1, ends[1])):
         if end:
-            side = build_box((0.03, SHELF_DEPTH - 0.06, height), metal, bevel=0.004)
-            shapes.append(side.moved(k * (width / 2 - 0.015), -SHELF_DEPTH / 2 + 0.03))
+            side = build_box((0.03, SHELF_DEPTH - 0.09, height), metal, bevel=0.004)
+            shapes.append(side.moved(k * (width / 2 - 0.015), -SHELF_DEPTH / 2 + 0.015))
     for k in range(1, bays):
         x = -width / 2 + k * bay
         shapes.append(build_box((0.03, 0.03, height - 0.04), metal, at=(x, -0.045, 0.0)))
@@ -164,7 +164,8 @@ def build_shelf_run(
     for j, z in enumerate(levels):
         deep = SHELF_DEPTH if j == 0 else SHELF_DEPTH - 0.07
         head = (levels[j + 1] if j + 1 < len(levels) else height + 0.12) - z - 0.06
-        shapes.append(build_box((width - 0.062, deep, 0.03), metal, at=(0, -deep / 2, z - 0.03)))
+        board = build_box((width - 0.062, deep - 0.03, 0.03), metal)
+        shapes.append(board.moved(0, -deep / 2 - 0.015, z - 0.03))
         rail = Material(
             name="price rail",
             pattern="price_rail",

@@ -23,6 +23,7 @@ from gn0.scenes.procedural.shapes import (
 )
 
 SIDES = ("south", "north", "west", "east")  # walls at low y, high y, low x, high x
+LONGEST_BOARD, LONGEST_PIECE = 10.5, 3.0  # of skirting: longer ones are laid in pieces [m]
 SKY_LIGHT = (1.5, 1.65, 1.95)  # radiance of the sky through a window
 
 
@@ -166,9 +167,13 @@ def _skirting(
     out, start = [], 0.0
     doors = [(o[0] - 0.075, o[1] + 0.075) for o in side.openings if o[2] < z + height]
     for a, b in [*doors, (side.length, side.length)]:
-        if a - start > 0.02:
-            x, y = side.point((start + a) / 2, thick / 2)
-            board = build_box((a - start, thick, height), material, bevel=0.004)
+        # the bevel of a board that is longer than a hall is a needle of light across it
+        pieces = math.ceil((a - start) / LONGEST_PIECE) if a - start > LONGEST_BOARD else 1
+        for k in range(pieces if a - start > 0.02 else 0):
+            low = start + (a - start) * k / pieces
+            high = a if k + 1 == pieces else start + (a - start) * (k + 1) / pieces
+            x, y = side.point((low + high) / 2, thick / 2)
+            board = build_box((high - low, thick, height), material, bevel=0.004)
             board = board.without_back(thick / 2)
             out.append(board.moved(x, y, z, side.yaw))
         start = b

@@ -195,11 +195,11 @@ def _add_shell(plot: Plot, store: Store, palette: Palette, rng: np.random.Genera
         plot.assembly.add_shell(*build_room_shell(store.plan, room, finishes[room.id]))
     w, d, top = store.width, store.depth, store.plan.ceiling
     for x, y, along, length in (
-        (w / 2, 0.006, 0.0, w), (w / 2, d - 0.006, math.pi, w),
-        (0.006, d / 2, -math.pi / 2, d), (w - 0.006, d / 2, math.pi / 2, d),
+        (w / 2, 0.015, 0.0, w), (w / 2, d - 0.015, 0.0, w),
+        (0.015, d / 2, math.pi / 2, d - 0.06), (w - 0.015, d / 2, math.pi / 2, d - 0.06),
     ):  # fmt: skip
-        strip = shop.build_panel((-length / 2, 0, 0), (length, 0, 0), (0, 0, 0.45), band)
-        plot.assembly.add_shell(strip.moved(x, y, top - 0.62, along + math.pi))
+        strip = shop.build_box((length, 0.03, 0.45), band)
+        plot.assembly.add_shell(strip.moved(x, y, top - 0.62, along))
     view = int(rng.integers(1000))
     for k, opening in enumerate(store.plan.openings):
         plot.assembly.add_shell(*build_opening_shell(opening, finishes))

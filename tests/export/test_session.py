@@ -17,7 +17,7 @@ from gn0.bench.suite import save_suite
 from gn0.cli.main import main
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
-from gn0.errors import DataError, EpisodeError, FormatError, Gn0Error, StorageError
+from gn0.errors import ConfigError, DataError, EpisodeError, FormatError, Gn0Error, StorageError
 from gn0.export.exporter import ExportSettings
 from gn0.export.session import check_export, load_export_file, run_export
 from gn0.export.shelf import Shelf
@@ -327,3 +327,9 @@ def test_a_format_without_words_takes_a_path_once(tmp_path: Path) -> None:
         toy_source(2, longest=9), "navdp", tmp_path / "out", ExportSettings(spacing=0.3)
     )
     assert done.written == 2 and done.skipped == {SAME_PATH: 2}
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a/b", "-x", "ä", "a b", "x" * 65])
+def test_a_name_that_is_no_name_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match="cannot stand in ids"):
+        ExportSettings(name=name)

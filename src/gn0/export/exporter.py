@@ -6,6 +6,7 @@ drives it, keeps the journal, and can go on after a crash.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 import msgspec
 
 from gn0.config import Config
+from gn0.errors import ConfigError
 from gn0.export.shelf import Shelf
 from gn0.export.trips import ExportSource, Recovered, Trip
 from gn0.geometry import F64
@@ -47,6 +49,14 @@ class ExportSettings(Config, frozen=True):
     spacing: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0625
     views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
     name: str = "gn0"
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", self.name):
+            raise ConfigError(
+                f"the name {self.name!r:.80} cannot stand in ids and paths",
+                where="--name",
+                remedy="letters, digits, and . _ - after the first",
+            )
 
     def preset(self, source: ExportSource) -> CameraPreset:
         """The camera of the export."""

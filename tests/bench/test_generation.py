@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ import pytest
 
 from gn0.bench import generation
 from gn0.bench.compare import compare_paths, compare_runs
-from gn0.bench.generation import MANIFEST, PATHS, TEXTS, WORK, generate_missions
+from gn0.bench.generation import generate_missions
+from gn0.bench.generation_folder import MANIFEST, PATHS, TEXTS, WORK
 from gn0.bench.pairing import tell_paths
 from gn0.bench.runner import run_suite
 from gn0.bench.scene_list import list_scenes
-from gn0.bench.suite import EPISODE_FILE, SUITE_FILE, Suite, build_suite, load_suite
+from gn0.bench.suite import EPISODE_FILE, SUITE_FILE, Suite, load_suite
 from gn0.errors import BenchError, EpisodeError, SceneError, StorageError
 from gn0.missions.generate.pool import load_paths, load_texts
 from gn0.missions.generate.settings import MissionSettings
@@ -305,21 +307,26 @@ def test_runs_of_two_suites_are_paired_by_path(
     assert any("policy" in note for note in notes)
 
 
-def test_pairing_by_path_says_what_cannot_be_paired(
-    oracle_run: Path, flats_suite: Suite, flat_folder: Path, tmp_path: Path
-) -> None:
+def test_pairing_by_path_says_what_cannot_be_paired(oracle_run: Path, tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="compared with itself"):
         compare_paths(oracle_run, oracle_run)
     with pytest.raises(BenchError, match=r"no path was scored by both.*12 paths of goal"):
         compare_paths(oracle_run, oracle_run, mission_a="goal", mission_b="follow")
-    plain = build_suite([flat_folder], tmp_path / "plain", 2)
-    run_suite(plain, "random", tmp_path / "run")
+    plain, other = tmp_path / "plain", tmp_path / "other"
+    for copy in (plain, other):
+        shutil.copytree(oracle_run, copy)
+    lines = [json.loads(line) for line in (plain / "results.jsonl").read_text().splitlines()]
+    bare = [{k: v for k, v in line.items() if k not in ("path", "mission")} for line in lines]
+    (plain / "results.jsonl").write_text("".join(json.dumps(line) + "\n" for line in bare))
     with pytest.raises(BenchError, match="no path was scored by both"):
-        compare_paths(oracle_run, tmp_path / "run")
-    paper = plain.with_profile("gn0-release")
-    run_suite(paper, "random", tmp_path / "release")
-    with pytest.raises(BenchError, match="measures differently"):
-        compare_paths(oracle_run, tmp_path / "release")
+        compare_paths(oracle_run, plain)
+    summary = json.loads((other / "summary.json").read_text())
+    summary["protocol"] = [
+        [k, "9 actions" if k == "step limit" else v] for k, v in summary["protocol"]
+    ]
+    (other / "summary.json").write_text(json.dumps(summary))
+    with pytest.raises(BenchError, match=r"measures differently than .*: step limit"):
+        compare_paths(oracle_run, other)
 
 
 def test_results_name_path_and_mission_only_where_there_are(oracle_run: Path) -> None:

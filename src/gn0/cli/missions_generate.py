@@ -18,7 +18,7 @@ import tyro
 from gn0.config import Config
 
 if TYPE_CHECKING:
-    from gn0.bench.generation import Manifest
+    from gn0.bench.generation_folder import Manifest
     from gn0.missions.generate.settings import MissionSettings
 
 EXAMPLES = """  gn0 missions generate out/flat out/house --per-scene 100 --out out/missions

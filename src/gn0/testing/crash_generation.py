@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gn0.bench.generation import PARTS, REPORT, WORK
+from gn0.bench.generation_folder import PARTS, REPORT, WORK
 from gn0.progress import Progress, no_progress
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene

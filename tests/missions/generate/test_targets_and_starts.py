@@ -120,6 +120,17 @@ def test_a_scene_without_labels_has_places_and_says_so() -> None:
     assert build_places(NavigationMap(scene.grid, 4.9), 1.0) == [], "no ground, no places"
 
 
+def test_labels_that_say_nothing_are_no_labels(flat: Scene) -> None:
+    nameless = tuple(msgspec.structs.replace(o, category="unknown") for o in flat.objects)
+    scene = replace(flat, objects=nameless, rooms=())
+    pool = build_pool(scene, safe_map(scene), SETTINGS)
+    assert {t.kind for t in pool.targets} == {"place"}
+    assert pool.note.startswith(f"none of {len(nameless)} labelled objects and rooms can be a goal")
+    rooms = build_pool(replace(flat, objects=()), safe_map(flat), SETTINGS)
+    assert {t.kind for t in rooms.targets} == {"room"}
+    assert rooms.note == "no labelled objects: 2 rooms serve as goals"
+
+
 def test_the_middle_of_a_room_is_where_most_room_is(flat: Scene) -> None:
     safe = safe_map(flat)
     allowed = safe.regions == 0

@@ -1,7 +1,7 @@
 """Algorithm 1: what one can be sent to in a scene, and what cannot be, with the reason.
 
-Objects come from labels, rooms from floor polygons. A scene with neither has places: cells spread
-over its walkable ground, which can only be told by their picture.
+Objects come from labels, rooms from floor polygons. A scene where neither gives a goal has places:
+cells spread over its walkable ground, which can only be told by their picture.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class TargetPool:
 
     Attributes:
         targets: what one can be sent to.
-        considered: objects and rooms looked at.
+        considered: objects, rooms and places looked at.
         fell: why the others are no goals, and how many.
         unreachable: ids of those that would be goals, had they ground to stand on.
         note: what a reader of the manifest should know; "" when nothing.
@@ -110,11 +110,17 @@ def build_pool(scene: Scene, safe: NavigationMap, settings: MissionSettings) -> 
                     offer(room_box(room), middle, "room")
                 else:
                     lose(room_box(room), NO_CELL)
-    if found or considered:
-        return TargetPool(tuple(found), considered, dict(sorted(fell.items())), tuple(lost))
-    places = build_places(safe, settings.smallest_component)
-    note = f"no labels and no rooms: {len(places)} unnamed places serve as goals"
-    return TargetPool(tuple(places), 0, {}, (), note)
+    note = ""
+    if not found:
+        why = "no labels and no rooms"
+        if considered:
+            why = f"none of {considered} labelled objects and rooms can be a goal"
+        found = build_places(safe, settings.smallest_component)
+        note = f"{why}: {len(found)} unnamed places serve as goals"
+        considered += len(found)
+    elif not scene.objects:
+        note = f"no labelled objects: {len(found)} rooms serve as goals"
+    return TargetPool(tuple(found), considered, dict(sorted(fell.items())), tuple(lost), note)
 
 
 def room_box(room: SceneRoom) -> SceneObject:

@@ -40,7 +40,7 @@ class SceneReport(Config, frozen=True):
         asked: paths asked for.
         paths: paths accepted.
         ended: why no more were sought: "enough", "attempts used up", "no targets".
-        considered: objects and rooms looked at.
+        considered: objects, rooms and places looked at.
         targets: those that serve as goals.
         targets_used: those that some path leads to.
         targets_fell: why the others do not, and how many.

@@ -51,13 +51,14 @@ def hang_by_doors(
     return done
 
 
-def hang_over_doors(layout: RoomLayout, item: Item) -> int:
-    """Hang an item over each door of a room; returns how many."""
+def hang_over_exits(layout: RoomLayout, item: Item) -> int:
+    """Hang an item over each passage and outer door of a room; returns how many."""
     done = 0
     for side in layout.sides.values():
-        for a, b, bottom, top, _ in side.openings:
+        for a, b, _, top, opening in side.openings:
             z = top + 0.1 + float(item.full_extent()[1][2])
-            done += bottom <= 0 and layout.hang(side, item, (a + b) / 2, z) is not None
+            if opening.kind in ("entrance", "passage"):
+                done += layout.hang(side, item, (a + b) / 2, z) is not None
     return done
 
 

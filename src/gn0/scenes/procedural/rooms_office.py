@@ -84,7 +84,7 @@ class OfficeRooms:
         layout.place_on_wall(fix.build_cooler(rng), prefer="any", reach=False)
         fit.stand_extinguisher(layout)
         place_corner_things(layout, plants=round(layout.room.area / 30) + 2, basket=False)
-        fit.hang_over_doors(layout, fix.build_exit_sign())
+        fit.hang_over_exits(layout, fix.build_exit_sign())
         for board in (office.build_whiteboard(rng, 1.8), office.build_whiteboard(rng, 1.5)):
             fit.hang_somewhere(layout, board, 1.5, middle=True)
         fit.hang_somewhere(layout, fix.build_notice_board(rng, palette, 1.6), 1.5)
@@ -106,7 +106,7 @@ class OfficeRooms:
         stand = storage.build_umbrella_stand(rng, palette)
         layout.place_on_wall(stand, prefer="corner", reach=False)
         place_corner_things(layout, plants=4, basket=False)
-        fit.hang_over_doors(layout, fix.build_exit_sign())
+        fit.hang_over_exits(layout, fix.build_exit_sign())
         fit.hang_somewhere(layout, groups.build_wall_screen(rng, 1.2), 1.6)
         hang_pictures(layout, 3, clock=True)
         self.finish_room(layout)

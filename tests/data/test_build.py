@@ -267,3 +267,18 @@ def test_the_journal_names_the_parts_in_order(webdataset) -> None:
     about = load_dataset_file(webdataset.folder)
     assert [r["part"]["name"] for r in records] == [part.name for part in about.parts]
     assert about.complete and about.rendered and about.rows == sum(p.rows for p in about.parts)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_official_reader_opens_the_shards(webdataset) -> None:
+    reader = pytest.importorskip("webdataset")
+    folder = webdataset.folder / "pictures" / "webdataset"
+    urls = [str(folder / f"{part.name}.tar") for part in webdataset.about.parts]
+    samples = list(reader.WebDataset(urls, shardshuffle=False).decode("rgb8"))
+    assert len(samples) == webdataset.about.rows
+    for sample, name in zip(samples, (webdataset.sampled[0],) * 3, strict=False):
+        rows, about = webdataset.rows(name), sample["json"]
+        assert about["episode_id"] == name
+        assert about["actions"] == rows.actions[about["step"]].tolist()
+        assert sample["rgb.jpg"].shape == (360, 480, 3)
+        assert sample["history.jpg"].shape == (480, 640, 3)

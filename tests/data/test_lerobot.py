@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pyarrow.parquet as pq
+import pytest
 
 from gn0.data.cache_lerobot import FPS, VIDEOS
 
@@ -87,3 +88,19 @@ def test_statistics_are_finite_and_of_the_right_shape(lerobot) -> None:
     frames = [f["rgb"] for e in lerobot.sampled for f in lerobot.frames(e, ("rgb",), exact=True)]
     mean = np.mean([f.mean(axis=(0, 1)) for f in frames], axis=0) / 255
     np.testing.assert_allclose(np.ravel(stats[VIDEOS["rgb"]]["mean"]), mean, atol=0.01)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_official_reader_opens_it(lerobot) -> None:
+    module = pytest.importorskip("lerobot.datasets.lerobot_dataset", exc_type=ImportError)
+    folder = lerobot.folder / "pictures" / "lerobot"
+    data = module.LeRobotDataset("gn0/walks", root=folder)
+    assert data.num_episodes == len(lerobot.sampled) and len(data) == lerobot.about.rows
+    item = data[len(lerobot.rows(lerobot.sampled[0]))]
+    second = lerobot.sampled[1]
+    assert item["task"] == lerobot.episode(second).instruction
+    pose = lerobot.rows(second).poses[0]
+    np.testing.assert_allclose(item["observation.state"].numpy(), pose, atol=1e-5)
+    drawn = next(lerobot.frames(second, ("rgb",), exact=True))["rgb"]
+    seen = item[VIDEOS["rgb"]].numpy().transpose(1, 2, 0) * 255
+    assert np.sqrt(((seen - drawn) ** 2).mean()) < 10

@@ -85,7 +85,7 @@ def describe_route(
         start, end = _pair(ends[0]), _pair(ends[1])
         inside = (fine >= a - spacing / 2) & (fine <= b + spacing / 2)
         if stretch.turn is not None:
-            approach = rows[i - 1][-4:] if i > 0 else np.zeros(0, np.int64)
+            approach = rows[i - 1] if i > 0 else np.zeros(0, np.int64)
             pose = poses[rows[i][0]]
             here = int(np.clip(round(a / spacing), 0, len(points_room) - 1))
             around = points_room[here : here + 9]

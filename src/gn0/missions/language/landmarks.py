@@ -21,6 +21,7 @@ LEADS_TO = 2.0  # m from a segment's end: one goes towards it
 AHEAD = 20.0  # degrees off the heading that count as straight ahead
 FACING_FAR = 6.0  # m: what one faces after a turn
 SEVERAL = 3  # of a kind in a row are told as one
+LATELY = 4  # views before a turn in which its landmark is seen
 KEPT = 3  # landmarks a segment
 
 
@@ -75,15 +76,20 @@ class LandmarkFinder:
         rows: NDArray[np.integer],
         distance: float,
         side: str = "",
+        along: NDArray[np.integer] | None = None,
     ) -> Candidate:
-        """A landmark seen from the best of the poses `rows`, with its worth."""
+        """A landmark seen from the best of the poses `rows`, with its worth.
+
+        It is the one of its name only when no other is seen from `along`, by default `rows`.
+        """
         s, name = self._s, self._s.names[index]
         best = int(rows[np.argmax(self._share[rows, index])])
         share = float(self._share[best, index])
         alike = s.rivals[index]
-        in_sight = np.count_nonzero(self._share[np.ix_(rows, alike)].max(axis=0) >= SEEN / 2)
+        way = rows if along is None else along
+        in_sight = np.count_nonzero(self._share[np.ix_(way, alike)].max(axis=0) >= SEEN / 2)
         in_room = np.count_nonzero(s.room_of[alike] == s.room_of[index])
-        unique = in_room == 1 and in_sight == 1
+        unique = bool(in_room == 1 and in_sight == 1)
         worth = float(s.weight[index]) * min(share / 0.03, 2.0) ** 0.4
         worth *= 1.6 if len(alike) == 1 else 1.15 if unique else 0.3
         landmark = Landmark(
@@ -171,7 +177,7 @@ class LandmarkFinder:
         """What a turn happens beside, and what it turns one towards.
 
         Args:
-            approach: poses from which the turn is seen coming; none at the start.
+            approach: poses of the straight before it, in order; none at the start.
             after: the pose in the turn with the new heading.
             point: where the turn is (x, y) [m].
             yaw: heading after it [rad].
@@ -179,10 +185,12 @@ class LandmarkFinder:
         """
         out: list[Candidate] = []
         here = np.asarray(point, np.float64).reshape(1, 2)
-        for index in self._seen(approach).tolist():
+        lately = approach[-LATELY:]
+        for index in self._seen(lately).tolist():
             away = float(np.hypot(*footprint_offsets(self._s, index, here)[0]))
             if away <= AT_TURN and self._same_room(index, rooms):
-                found = self._make(index, "at", approach, away)
+                # who passed another of its kind on the way would have turned there
+                found = self._make(index, "at", lately, away, along=approach)
                 if found.landmark.unique:
                     out.append(Candidate(found.landmark, found.worth * (1.2 - 0.25 * away)))
         rows = np.array([after])

@@ -32,6 +32,7 @@ from gn0.seeds import random_stream
 SOFT, SHARP = 55.0, 115.0  # degrees
 SHORT = 1.2  # m: a shorter straight between two turns needs no clause
 LONG = 4.0  # m: a straight that goes through a room rather than on
+ALONG = 2.5  # m in a hallway before one speaks of its end
 SOON = 1.6  # m after a turn: one turns into the room
 LANDMARKS_MOST = 6  # in one text
 _ONGOING = ("continue", "keep going", "keep walking", "carry on", "move on", "go on", "walk on")
@@ -149,7 +150,8 @@ def _write_steps(text: _Text) -> None:
     for i, segment in enumerate(segments):
         following = segments[i + 1] if i + 1 < len(segments) else None
         if segment.turn is not None:
-            entered = _write_turn(text, segment, following)
+            before = segments[i - 1] if i > 0 else None
+            entered = _write_turn(text, segment, before, following)
         else:
             _write_straight(text, segment, entered, last=following is None)
             entered = False
@@ -182,7 +184,18 @@ def _slots(landmark: Landmark) -> dict[str, str]:
     return {**slots, "on": landmark.side} if landmark.side else slots
 
 
-def _write_turn(text: _Text, segment: RouteSegment, after: RouteSegment | None) -> bool:
+def _ends_here(segment: RouteSegment, before: RouteSegment | None) -> bool:
+    """Whether a turn is at the end of a hallway: one has walked along it and can go no further."""
+    if before is None or not segment.blocked_ahead or segment.inside not in NARROW_ROOMS:
+        return False
+    came = before.enters or before.inside
+    walked = before.distance - (before.enters_after if before.enters else 0.0)
+    return came == segment.inside and walked >= ALONG
+
+
+def _write_turn(
+    text: _Text, segment: RouteSegment, before: RouteSegment | None, after: RouteSegment | None
+) -> bool:
     """Write a turn; whether it told where the next straight goes in."""
     if segment.turn == "around":
         landmark = _take(text, segment, "facing")
@@ -196,7 +209,7 @@ def _write_turn(text: _Text, segment: RouteSegment, after: RouteSegment | None) 
     if soon and after is not None and text.chance(0.6):
         text.add("turn into", side=side, room=_room(text, after.enters))
         return True
-    if segment.blocked_ahead and segment.inside in NARROW_ROOMS and text.chance(0.5):
+    if _ends_here(segment, before) and text.chance(0.5):
         text.add("turn end", side=side, mid=definite(segment.inside))
         return False
     landmark = _take(text, segment, "at", "facing")
@@ -308,10 +321,13 @@ def _join_benchmark(text: _Text) -> str:
 def _join_detailed(text: _Text) -> str:
     """A sentence for one or two steps each."""
     sentences: list[str] = []
+    opening = ""
     rest = list(text.clauses)
     while rest:
         size = 2 if len(rest) >= 2 and text.chance(0.6) else 1
         body = _sentence(text, rest[:size])
-        sentences.append(body if not sentences else _pick(text, OPENINGS) + body)
+        if sentences:  # never twice the same in a row
+            opening = _pick(text, [o for o in OPENINGS if o != opening or not o])
+        sentences.append(opening + body)
         rest = rest[size:]
     return _finish(sentences)

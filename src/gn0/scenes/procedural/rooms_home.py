@@ -121,7 +121,7 @@ def _furnish_closet(layout: RoomLayout) -> None:
     r = layout.room
     yaw = 0.0 if r.width > r.depth else math.pi / 2
     layout.placed.append(Placed(rug, (r.x0 + r.x1) / 2, (r.y0 + r.y1) / 2, 0.0, yaw))
-    light_ceiling(layout, 3000.0, flux=6.0)
+    light_ceiling(layout, 3000.0, flux=14.0)
 
 
 def _furnish_bedroom_more(layout: RoomLayout) -> None:

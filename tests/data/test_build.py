@@ -13,12 +13,20 @@ import pytest
 
 from gn0.bench.suite import save_suite
 from gn0.data.build import build_dataset
-from gn0.data.dataset import DATASET_FILE, JOURNAL, load_dataset_file, open_dataset
+from gn0.data.cache_webdataset import ShardReader
+from gn0.data.dataset import (
+    DATASET_FILE,
+    JOURNAL,
+    load_dataset_file,
+    open_dataset,
+    save_dataset_file,
+)
 from gn0.data.folder import lock_folder
 from gn0.data.labels import label_states
 from gn0.data.render import render_dataset
 from gn0.data.samples import ACTIONS_AHEAD
 from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
+from gn0.data.verify import verify_dataset
 from gn0.errors import BenchError, ConfigError, DataError, FormatError, StorageError
 from gn0.geometry import Pose2D, agent_to_world
 from gn0.scenes.folder import load_scene
@@ -193,6 +201,25 @@ def test_what_is_no_dataset_is_refused(tmp_path) -> None:
     (tmp_path / DATASET_FILE).write_text('{"layout": "one"}')
     with pytest.raises(FormatError, match="no layout version"):
         open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../../secret", "/etc/passwd", "a\\b", "..%2fsecret", "a\0b"])
+def test_no_name_leads_out_of_the_dataset(webdataset, copy_of, name) -> None:
+    folder = copy_of(webdataset)
+    about = webdataset.about
+    part = msgspec.structs.replace(about.parts[0], name=name)
+    save_dataset_file(folder, msgspec.structs.replace(about, parts=(part, *about.parts[1:])))
+    dataset = open_dataset(folder)
+    with pytest.raises(StorageError):
+        list(dataset.sample_tables())
+    with pytest.raises(StorageError):
+        ShardReader(folder, name, about.settings.pictures)
+    report = verify_dataset(folder)
+    assert any(damage.kind == "samples" for damage in report.damages)
+    scene = msgspec.structs.replace(about.scenes[0], folder=name)
+    save_dataset_file(folder, msgspec.structs.replace(about, scenes=(scene,)))
+    with pytest.raises(StorageError):
+        open_dataset(folder).scene(scene.id)
 
 
 def test_lerobot_has_no_room_for_maps_of_all_sizes() -> None:

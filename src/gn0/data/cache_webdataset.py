@@ -38,6 +38,7 @@ from gn0.errors import FormatError
 from gn0.geometry import U8
 from gn0.missions.files import read_table
 from gn0.sim.sensors import GREEN, RED, draw_disc
+from gn0.storage import safe_join
 
 LAYOUT = "webdataset"
 DISC_RADIUS = 3  # px; of `SensorConfig`
@@ -158,8 +159,9 @@ class ShardReader:
         self._folder = dataset_folder
         self._part = part
         self._settings = settings
-        self.path = cache_folder(dataset_folder, LAYOUT) / f"{part}.tar"
-        self._places = load_index(cache_folder(dataset_folder, LAYOUT) / f"{part}.index.parquet")
+        folder = cache_folder(dataset_folder, LAYOUT)
+        self.path = safe_join(folder, f"{part}.tar")
+        self._places = load_index(safe_join(folder, f"{part}.index.parquet"))
         self._maps: dict[str, U8] = {}
 
     def read(self, row: int, kind: str) -> bytes:

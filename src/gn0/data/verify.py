@@ -27,7 +27,7 @@ from gn0.data.dataset import (
     open_dataset,
 )
 from gn0.data.folder import parts_journal
-from gn0.data.part import PartPlan, collect_part, file_digest
+from gn0.data.part import PartPlan, collect_part, file_digest, open_building
 from gn0.data.samples import PICTURES, EpisodeRows, decode_rows, digest_labels, load_sample_table
 from gn0.errors import Gn0Error, StorageError
 from gn0.jobs import ExecutorName, run_jobs
@@ -296,7 +296,8 @@ def find_changed_members(dataset: Dataset, claim: Claim) -> Iterator[str]:
     Raises:
         StorageError, FormatError: the index is missing or damaged too.
     """
-    places = load_index(cache_folder(dataset.folder, claim.layout) / f"{claim.part}.index.parquet")
+    folder = cache_folder(dataset.folder, claim.layout)
+    places = load_index(safe_join(folder, f"{claim.part}.index.parquet"))
     data = memoryview(read_bytes(safe_join(dataset.folder, claim.path)))
     names = _name_rows(dataset, claim.part)
     any_found = False
@@ -358,7 +359,7 @@ def compare_part(payload: dict[str, str]) -> dict[str, list[str]]:
     """Samples of a part whose pictures have other hashes when drawn again; runs in a worker."""
     from gn0.data.draw import PartDrawer
 
-    dataset = _open(payload["folder"])
+    dataset = open_building(payload["folder"])
     part = next(own for own in dataset.about.parts if own.name == payload["part"])
     drawer = PartDrawer(
         dataset, dataset.part_rows(part), dataset.about.settings.pictures, check=False
@@ -372,12 +373,6 @@ def compare_part(payload: dict[str, str]) -> dict[str, list[str]]:
                     f"{name} of row {step.row + 1} (episode {step.episode.id!r}, step {step.step})"
                 )
     return {"rows": rows}
-
-
-def _open(folder: str) -> Dataset:
-    from gn0.data.part import open_building
-
-    return open_building(folder)
 
 
 def count_damages(damages: Iterable[Damage]) -> str:

@@ -79,6 +79,8 @@ def test_rxr_names_language_and_annotator(exported: Callable[[str], Path]) -> No
     }  # fmt: skip
     assert instruction["language"] == "en-US"
     assert (exported("vlnce-rxr") / "train/train_guide_gt.json.gz").is_file()
+    card = (exported("vlnce-rxr") / "README.md").read_text()
+    assert "2 × ground truth in turns other than the 30°" in card and "turns of 15°" in card
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,15 @@ def write_card(
         ("splits", ", ".join(f"{k} {v:,}" for k, v in about.splits.items())),
         ("frame", exporter.frame),
     ]
+    if about.agent is not None:
+        body = about.agent
+        rows.append(
+            (
+                "agent",
+                f"steps of {body.forward_step:g} m, turns of {body.turn_degrees:g}°, eye at "
+                f"{body.camera_height:g} m, radius {body.radius:g} m",
+            )
+        )
     if exporter.pictures:
         rows.append(("frames", f"{about.frames:,} for each camera"))
         for preset in exporter.cameras(source, about.settings):

@@ -30,6 +30,7 @@ from gn0.export.exporter import (
     get_dataset_exporter,
 )
 from gn0.export.trips import ExportSource, Trip
+from gn0.missions.episode import AgentSpec
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, content_hash, storage_error, write_json
 
@@ -51,6 +52,7 @@ class ExportFile(Config, frozen=True):
         skipped: why episodes were left out, and how many.
         notes: what the exporter counted beside that.
         splits: episodes of each split.
+        agent: the body that walked the first of them.
         complete: whether all of it is there.
     """
 
@@ -64,6 +66,7 @@ class ExportFile(Config, frozen=True):
     skipped: dict[str, int] = {}  # noqa: RUF012 (msgspec copies it)
     notes: dict[str, int] = {}  # noqa: RUF012
     splits: dict[str, int] = {}  # noqa: RUF012
+    agent: AgentSpec | None = None
     complete: bool = False
 
 
@@ -83,6 +86,7 @@ class Plan:
 
     trips: tuple[Planned, ...]
     skipped: dict[str, int]
+    agent: AgentSpec | None = None
 
     @property
     def frames(self) -> int:
@@ -95,6 +99,7 @@ def plan_export(exporter: DatasetExporter, job: Job, progress: Progress = no_pro
     kept: list[tuple[str, str, str, int]] = []
     skipped: Counter[str] = Counter()
     ways: set[str] = set()
+    agent: AgentSpec | None = None
     for done, trip in enumerate(job.source.trips()):
         progress("reading", done, 0)
         why = _why_not(exporter, trip, job.settings)
@@ -106,6 +111,7 @@ def plan_export(exporter: DatasetExporter, job: Job, progress: Progress = no_pro
             skipped[why] += 1
             continue
         episode = trip.episode
+        agent = agent or episode.agent
         frames = len(exporter.poses(trip, job.settings)) if exporter.pictures else 0
         kept.append((episode.split, episode.scene_id, episode.id, frames))
     kept.sort(key=lambda item: item[0])  # stable: the dataset's order within a split
@@ -120,7 +126,7 @@ def plan_export(exporter: DatasetExporter, job: Job, progress: Progress = no_pro
         trips.append(Planned(name, split, Place(number, total, scene_number, scene_first), frames))
         in_scene[scene] = scene_number + 1, scene_first + frames
         total += frames
-    return Plan(tuple(trips), dict(sorted(skipped.items())))
+    return Plan(tuple(trips), dict(sorted(skipped.items())), agent)
 
 
 def _why_not(exporter: DatasetExporter, trip: Trip, settings: ExportSettings) -> str:
@@ -211,6 +217,7 @@ def _write_all(
         skipped=plan.skipped,
         notes=dict(sorted(notes.items())),
         splits=dict(sorted(Counter(trip.split for trip in plan.trips).items())),
+        agent=plan.agent,
         complete=True,
     )
     write_card(folder, exporter, job.source, done)

@@ -73,6 +73,8 @@ RXR_SHAPE: Shape = {
 }
 TRUTH_SHAPE: Shape = {"*": {"locations": [_PLACE], "forward_steps": "int", "actions": ["int"]}}
 LANGUAGE, ANNOTATOR = "en-US", "gn0"
+RXR_TURN = 30.0  # degrees
+OTHER_TURNS = "ground truth in turns other than the 30° of RxR's agent"
 
 
 class About(msgspec.Struct):
@@ -151,6 +153,11 @@ class ExporterVlnceRxR(ExporterVlnceR2R):
         "guide, language en-US"
     )
     role = "guide"
+
+    def write(self, trip: Trip, place: Place, job: Job) -> Record:
+        """As in R2R style; turns other than RxR's are counted."""
+        other = abs(trip.episode.agent.turn_degrees - RXR_TURN) > 1e-9
+        return {**remember(trip), "notes": {OTHER_TURNS: 1} if other else {}}
 
 
 def instruction_tokens(episodes: Sequence[Mapping[str, Any]]) -> list[list[int]]:

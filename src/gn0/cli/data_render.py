@@ -55,6 +55,8 @@ def run(args: Args) -> int:
         for name in ("layout", "format", "quality", "maps")
         if (value := getattr(args, name)) is not None
     }
+    if args.layout == "lerobot":
+        chosen.setdefault("maps", "once")  # it knows no other way, whatever the first cache did
     with draw_progress() as progress:
         manifest = render_dataset(
             args.dataset,

@@ -213,10 +213,12 @@ class Dataset:
         try:
             return self._episode_of[episode_id]
         except KeyError:
+            some = ", ".join(map(repr, self.sampled[:3]))
             raise DataError(
-                f"no episode {episode_id!r}", where=self.folder,
-                remedy="`gn0 data show` lists some",
-            ) from None  # fmt: skip
+                f"no episode {episode_id!r}",
+                where=self.folder,
+                remedy=f"it has {len(self.episodes)}, such as {some}",
+            ) from None
 
     def part_of(self, episode_id: str) -> DatasetPart:
         """The part that holds an episode's samples.

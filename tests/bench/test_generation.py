@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -342,3 +343,14 @@ def test_tables_have_a_row_group_a_scene(made: Path) -> None:
         assert pq.ParquetFile(made / name).num_row_groups == 2
     yaw = np.array(pq.read_table(made / PATHS)["start_yaw"])
     assert (np.abs(yaw) <= np.pi).all()
+
+
+def test_scenes_of_equal_content_keep_their_names(flat_folder: Path, tmp_path: Path) -> None:
+    """Copies of a scene under other names: each episode is run in its own."""
+    for name in ("one", "two"):
+        save_scene(replace(load_scene(flat_folder), id=name), tmp_path / "homes" / name)
+    few = msgspec.structs.replace(SETTINGS, per_scene=2, missions=("goal",), lights=0)
+    suite, _ = generate_missions([tmp_path / "homes"], tmp_path / "out", few)
+    assert len({scene.hash for scene in suite.about.scenes}) == 1
+    summary = run_suite(suite, "oracle", tmp_path / "run")
+    assert summary.ok and summary.expected == 4

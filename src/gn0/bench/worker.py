@@ -86,8 +86,11 @@ class EpisodeWorker:
             BenchError: it is not the scene of that hash.
             Gn0Error: it cannot be read or rendered.
         """
-        if self._simulator is None or (self._hash, self._light) != (expected_hash, light):
-            if self._scene is None or self._hash != expected_hash:
+        # the id as well: two scenes of different names may have the same content
+        same = self._scene is not None and self._scene.id == scene_id
+        same = same and self._hash == expected_hash
+        if self._simulator is None or self._scene is None or not same or self._light != light:
+            if self._scene is None or not same:
                 self._simulator = self._scene = None  # let go before loading the next
                 self._scene = load_suite_scene(folder, scene_id, expected_hash)
             scene = self._scene

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from dataclasses import replace
@@ -21,10 +22,11 @@ from gn0.bench.pairing import tell_paths
 from gn0.bench.runner import run_suite
 from gn0.bench.scene_list import list_scenes
 from gn0.bench.suite import EPISODE_FILE, SUITE_FILE, Suite, load_suite
-from gn0.errors import BenchError, EpisodeError, SceneError, StorageError
+from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
 from gn0.missions.generate.pool import load_paths, load_texts
 from gn0.missions.generate.settings import MissionSettings
 from gn0.scenes.folder import load_scene, save_scene
+from gn0.storage import storage_error
 from gn0.testing.crash_generation import crash_generations, folder_digest
 from gn0.testing.plain_paths import plain_verdict
 
@@ -354,3 +356,48 @@ def test_scenes_of_equal_content_keep_their_names(flat_folder: Path, tmp_path: P
     assert len({scene.hash for scene in suite.about.scenes}) == 1
     summary = run_suite(suite, "oracle", tmp_path / "run")
     assert summary.ok and summary.expected == 4
+
+
+def test_a_full_disk_is_said_and_costs_what_was_under_way(
+    homes: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second scene's part does not fit; with room again, the first is not made anew."""
+    out = tmp_path / "missions"
+    real, calls = generation.save_table, []
+
+    def full(path: Path, table: Any) -> None:
+        calls.append(path)
+        if len(calls) > 2:  # a part has two tables
+            raise storage_error(OSError(errno.ENOSPC, "No space left on device"), path, "write")
+        real(path, table)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(generation, "save_table", full)
+        with pytest.raises(StorageError, match="No space left") as caught:
+            generate_missions([homes], out, SETTINGS, seed=1, name="trial")
+    assert "free some space" in caught.value.remedy
+    assert len(list((out / WORK / "parts").glob("*/report.json"))) == 1
+    assert not list(out.rglob(".gn0-tmp-*"))
+    generate_missions([homes], out, SETTINGS, seed=1, name="trial")
+    assert folder_digest(out) == folder_digest(made)
+
+
+def test_a_language_server_that_is_not_there_is_counted(flat_folder: Path, tmp_path: Path) -> None:
+    few = msgspec.structs.replace(SETTINGS, per_scene=2, language="openai")
+    options = {"model": "m", "base_url": "http://127.0.0.1:9/v1", "retries": 0, "cache": "none"}
+    suite, manifest = generate_missions(
+        [flat_folder], tmp_path / "out", few, language_options=options
+    )
+    assert sum(manifest.totals.fallbacks.values()) == 6 == len(suite.episodes)
+    assert all(why.startswith("openai: ") for why in manifest.totals.fallbacks)
+    texts = load_texts(tmp_path / "out" / TEXTS)
+    assert all(t.provider == "template" and "openai" in t.fallback for t in texts)
+    assert manifest.request.language_options == {"model": "m"}, "no address, no key"
+
+
+def test_a_wrong_option_is_told_before_any_work(flat_folder: Path, tmp_path: Path) -> None:
+    few = msgspec.structs.replace(SETTINGS, language="openai")
+    for options in ({"modell": "m"}, {}):
+        with pytest.raises(ConfigError):
+            generate_missions([flat_folder], tmp_path / "x", few, language_options=options)
+    assert not (tmp_path / "x").exists()

@@ -22,6 +22,7 @@ from gn0.missions.generate.goals import (
 )
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.generate.starts import StartSampler
+from gn0.missions.similarity import SimilaritySettings
 from gn0.missions.targets import points_in_polygon
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneRoom
 from gn0.testing.scenes import build_floor_plan, build_map_scene
@@ -204,6 +205,9 @@ def test_auto_goes_by_what_there_is(flat: Scene) -> None:
         ({"styles": ()}, "in no style"),
         ({"styles": ("detailed", "detailed")}, "twice"),
         ({"minimum_length": 9.0, "maximum_length": 5.0}, "more than maximum"),
+        ({"similarity": SimilaritySettings(frechet=-1.0)}, "Fréchet distance -1"),
+        ({"similarity": SimilaritySettings(start_radius=math.inf)}, "start radius inf"),
+        ({"similarity": SimilaritySettings(samples=1)}, "paths of 1 points"),
     ],
 )
 def test_settings_that_contradict_themselves_are_refused(change: dict, says: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -90,6 +91,13 @@ class MissionSettings(Config, frozen=True):
                 f"minimum length {self.minimum_length:g} m is more than maximum length "
                 f"{self.maximum_length:g} m",
                 remedy="give a minimum below the maximum",
+            )
+        s = self.similarity
+        if not all(0 <= v < math.inf for v in (s.start_radius, s.goal_radius, s.frechet)):
+            raise ConfigError(
+                f"start radius {s.start_radius}, goal radius {s.goal_radius}, "
+                f"Fréchet distance {s.frechet} m",
+                remedy="give lengths of 0 m or more",
             )
         if not 2 <= self.similarity.samples <= 1000:
             raise ConfigError(

@@ -160,7 +160,7 @@ def _draw_plan(
             open_ends = True
             box = _side_box(side, start, wide, wall, depth)
             cursor[k] = start + wide
-            if any(_overlap(box, c[1:]) for c in cells):
+            if any(_collide(box, c[1:]) for c in cells):
                 cursor[k] = start + 0.7
                 continue
             cells.append((name, *box))
@@ -207,9 +207,10 @@ def _side_box(
     return (start, low, stop, high) if side in ("north", "south") else (low, start, high, stop)
 
 
-def _overlap(a: Sequence[float], b: Sequence[float]) -> bool:
-    e = 0.02
-    return a[0] < b[2] - e and b[0] < a[2] - e and a[1] < b[3] - e and b[1] < a[3] - e
+def _collide(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Whether two rectangles overlap, or leave a gap too narrow for two outer walls."""
+    gap = max(a[0] - b[2], b[0] - a[2], a[1] - b[3], b[1] - a[3])
+    return gap < -0.02 or 0.02 < gap < 0.7
 
 
 def _add_closed_doors(rng: np.random.Generator, plan: FloorPlan) -> FloorPlan:

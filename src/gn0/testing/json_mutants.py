@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-STRANGE = (None, True, -1, 0, 10**9, 1.5, "", "../..", "x", [], {}, [[]], {"a": 1})
+STRANGE: tuple[Any, ...] = (None, True, -1, 0, 10**9, 1.5, "", "../..", "x", [], {}, [[]], {"a": 1})
 
 
 def mutate_json(data: bytes, rng: np.random.Generator, lines: bool = False) -> bytes:

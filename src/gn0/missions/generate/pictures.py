@@ -36,7 +36,20 @@ LEAST_HFOV = 12.0  # degrees
 STEEPEST = math.radians(60.0)
 LOW = 1.0  # m: over what is lower one looks away
 TRIES = 40  # cells tried as the eye of a crop
+STEP = 1.2  # m that the eye of a view may be off the goal
+FLAT = 0.3  # of its width: what is less deep has a face to be looked at
 _DIRECTIONS = 72
+
+
+def face_on(box: ObjectBox, points: F64) -> F64:
+    """How squarely points [N, 2] m face a flat box: 1 in front of it, 0 along it; else 1."""
+    wide, deep = max(box.size[:2]), min(box.size[:2])
+    if deep > FLAT * wide:
+        return np.ones(len(points))
+    across = box.yaw if box.size[0] < box.size[1] else box.yaw + math.pi / 2
+    gaps = points - np.array(box.centre[:2])
+    along = gaps @ (math.cos(across), math.sin(across))
+    return np.abs(along) / np.maximum(np.hypot(*gaps.T), 1e-9)
 
 
 class GoalPhotographer:
@@ -75,6 +88,8 @@ class GoalPhotographer:
     def _view(self, target: GoalTarget) -> GoalPicture:
         """From the goal: towards an object, a room's furniture, or where one sees farthest."""
         x, y = target.goal
+        if target.kind == "object":
+            x, y = self._step_back(target)
         eye = (x, y, self._height)
         if target.kind == "object":
             cx, cy, cz = target.object.box.centre
@@ -97,6 +112,25 @@ class GoalPhotographer:
         wide = sum(np.roll(interest, k) for k in range(-width, width + 1))
         return GoalPicture(kind="view", eye=eye, yaw=wrap_angle(float(angles[np.argmax(wide)])))
 
+    def _step_back(self, target: GoalTarget) -> tuple[float, float]:
+        """Where to stand near a goal (x, y) [m]: a step from the object, in front of a flat one.
+
+        The goal is the cell nearest to the object; from there a picture on a wall is seen along
+        the wall, and a chair from above.
+        """
+        item, goal = target.object, np.array(target.goal)
+        spots = self._spots(target, 0.0)
+        spots = spots[np.hypot(*(spots - goal).T) <= STEP]
+        solid = self._tall.copy()
+        self._clear(solid, item.box)
+        away = np.abs(distance_to_footprint(spots, item) - NEAREST)
+        cost = away + 1.5 * (1 - face_on(item.box, spots)) + 0.3 * np.hypot(*(spots - goal).T)
+        centre = np.array(item.box.centre[:2])
+        for k in np.argsort(cost, kind="stable"):
+            if sees(self._navigation.grid, solid, spots[k], centre):
+                return float(spots[k, 0]), float(spots[k, 1])
+        return target.goal
+
     def _furniture(self, target: GoalTarget) -> F64:
         """How much of a room's furniture lies in each direction [_DIRECTIONS] from its middle."""
         found = np.zeros(_DIRECTIONS)
@@ -114,23 +148,21 @@ class GoalPhotographer:
         """From some metres away, the target filling the picture; None where it does not show."""
         item = target.object
         centre = np.array(item.box.centre[:2])
-        spots = self._spots(target)
+        spots = self._spots(target, NEAREST)
         if not len(spots):
             return None
         solid = self._tall.copy()
         self._clear(solid, item.box)
-        order = rng.permutation(len(spots))[:TRIES]
-        best: tuple[float, F64] | None = None
-        for k in order:
-            if not sees(self._navigation.grid, solid, spots[k], centre):
-                continue
-            away = float(distance_to_footprint(spots[k][None], item)[0])
-            ideal = min(max(1.2 * max(item.box.size), NEAREST), FARTHEST)
-            if best is None or abs(away - ideal) < best[0]:
-                best = abs(away - ideal), spots[k]
+        spots = spots[rng.permutation(len(spots))[:TRIES]]
+        ideal = min(max(1.2 * max(item.box.size), NEAREST), FARTHEST)
+        cost = np.abs(distance_to_footprint(spots, item) - ideal)
+        cost += 3.0 * (1 - face_on(item.box, spots))
+        order = np.argsort(cost, kind="stable")
+        seen = (k for k in order if sees(self._navigation.grid, solid, spots[k], centre))
+        best = next(seen, None)
         if best is None:
             return None
-        eye = (float(best[1][0]), float(best[1][1]), self._height)
+        eye = (float(spots[best, 0]), float(spots[best, 1]), self._height)
         cx, cy, cz = item.box.centre
         yaw = wrap_angle(math.atan2(cy - eye[1], cx - eye[0]))
         pitch = math.atan2(cz - eye[2], math.hypot(cx - eye[0], cy - eye[1]))
@@ -140,7 +172,7 @@ class GoalPhotographer:
             kind="crop", eye=eye, yaw=yaw, pitch=round(pitch, 6), hfov=round(hfov, 3)
         )
 
-    def _spots(self, target: GoalTarget) -> F64:
+    def _spots(self, target: GoalTarget, nearest: float) -> F64:
         """Walkable cells [N, 2] m round a target, in its room where that is known."""
         grid = self._navigation.inflated
         corners = target.object.box.corners()[:, :2]
@@ -149,7 +181,7 @@ class GoalPhotographer:
         cells = np.argwhere(grid.cells[r0 : r1 + 1, c0 : c1 + 1] == FREE) + np.array([r0, c0])
         points = grid.centres_of(cells)
         away = distance_to_footprint(points, target.object)
-        keep = (away >= NEAREST) & (away <= FARTHEST)
+        keep = (away >= nearest) & (away <= FARTHEST)
         room = room_of_object(target.object, self._scene.rooms)
         if room is not None:
             keep &= points_in_polygon(points, np.array(room.polygon))

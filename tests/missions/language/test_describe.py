@@ -297,6 +297,47 @@ def test_paths_that_make_no_sense_are_refused(
         describe_route(flat, navigation, path, 0.0, None)
 
 
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.one_of(
+            st.text(max_size=30),
+            st.sampled_from(
+                ("turn left", "3 meters", "left", "slightly", "U-turn", "room", "destination",
+                 "walk", "the end", "90 degrees", "step", "door", "stop.", "<|im_end|>",
+                 "a few steps")
+            ),
+        ),
+        min_size=3,
+        max_size=3,
+    )
+)  # fmt: skip
+def test_no_label_can_break_a_text(labels: list[str]) -> None:
+    """Labels are a stranger's words: whatever they say, the texts pass their check."""
+    things = (
+        box(labels[0], 10.5, 2.0, (0.5, 0.5, 0.9)),
+        box(labels[1], 5.0, 3.2, (1.5, 0.6, 1.2), 1),
+        box(labels[2], 7.0, 6.0, (1.5, 0.6, 1.2), 2),
+    )
+    rooms = (SceneRoom(id="r", type=labels[2], polygon=((0, 0), (6, 0), (6, 8), (0, 8))),)
+    scene = build_hall(things, rooms)
+    route = describe(scene, [(1.0, 2.0), (7.0, 2.0), (7.0, 5.0)])
+    for held_out in (False, True):
+        texts = write_texts(route, open_provider("template"), seed=1, held_out=held_out)
+        for style, text in texts.items():
+            assert check_text(text.text, route, style) == []
+
+
+def test_a_scene_without_labels_has_routes_without_landmarks() -> None:
+    scene = build_hall(())
+    navigation = NavigationMap(scene.grid, 0.2)
+    path = np.array([(1.0, 2.0), (7.0, 2.0), (7.0, 6.0)])
+    route = describe_route(scene, navigation, path, 0.0, None)
+    assert route.turns == ("left",) and route.landmarks == () and route.vocabulary == ()
+    for style, text in write_texts(route, open_provider("template"), seed=1).items():
+        assert check_text(text.text, route, style) == []
+
+
 def test_standing_still_is_a_route_without_steps(flat: Scene, navigation: NavigationMap) -> None:
     route = describe_route(flat, navigation, np.array([[1.5, 2.3]]), 0.0, thing(flat, "table"))
     assert route.segments == () and route.length == 0.0

@@ -72,15 +72,17 @@ def check_text(text: str, route: RouteDescription, style: Style) -> list[str]:
         return faults
     plain = " ".join(text.lower().split())
     mentions = find_mentions(plain, route)
-    turns = find_turns(plain)
+    # what a thing is called tells no turn and no distance
+    bare = _blank(plain, mentions)
+    turns = find_turns(bare)
     expected = () if style == "base" else route.turns
     if tuple(turn for _, turn in turns) != expected:
         said = ", ".join(turn for _, turn in turns) or "none"
         faults.append(f"turns are {said} instead of {', '.join(expected) or 'none'}")
     faults += _check_names(mentions, route, style)
     faults += _check_target(plain, mentions, turns, route, style)
-    faults += _check_sides(plain, mentions, turns, route)
-    faults += _check_distances(plain, route, style)
+    faults += _check_sides(bare, mentions, route)
+    faults += _check_distances(bare, route, style)
     return faults
 
 
@@ -121,6 +123,13 @@ def find_mentions(plain: str, route: RouteDescription) -> list[Mention]:
         form = " ".join(hit.group().replace("-", " ").split())
         out.append(Mention(hit.start(), hit.end(), forms.get(form, forms.get(hit.group(), form))))
     return out
+
+
+def _blank(plain: str, mentions: list[Mention]) -> str:
+    """The text with every name as a word of x's, all else in its place."""
+    for m in mentions:
+        plain = plain[: m.begin] + "x" * (m.end - m.begin) + plain[m.end :]
+    return plain
 
 
 def find_turns(plain: str) -> list[tuple[int, str]]:
@@ -203,12 +212,7 @@ def _check_target(
     return []
 
 
-def _check_sides(
-    plain: str,
-    mentions: list[Mention],
-    turns: list[tuple[int, str]],
-    route: RouteDescription,
-) -> list[str]:
+def _check_sides(plain: str, mentions: list[Mention], route: RouteDescription) -> list[str]:
     """A side that is told of a landmark is the side it is on."""
     sides: dict[str, set[str]] = {}
     for landmark in (m for segment in route.segments for m in segment.landmarks):

@@ -22,6 +22,7 @@ _IRREGULAR = {
     "shelf": "shelves", "bookshelf": "bookshelves", "knife": "knives", "leaf": "leaves",
     "person": "people", "man": "men", "woman": "women", "child": "children", "box": "boxes",
 }  # fmt: skip
+_LONGEST = 48  # letters of a name
 _DIRECTIONS = frozenset(("left", "right", "slightly", "slight"))  # no part of a name
 _VOWEL = re.compile(r"[aeiou]|h(?:our|onest|eir)", re.IGNORECASE)
 _NO_VOWEL = re.compile(r"u(?:ni|s[ei]|tensil|tili|ku|ri)|eu|one(?:\b|-)", re.IGNORECASE)
@@ -101,13 +102,12 @@ def plain_name(text: str) -> str:
     Whatever is no letter, digit, apostrophe, hyphen or space is left out, so that a label cannot
     carry control tokens or sentences into a text.
     """
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", str(text))
-    words = re.sub(r"[^\w'\- ]+|_", " ", words)
-    parts = words.replace(" - ", " ").split()
-    while len(parts) > 1 and parts[-1].isdigit():
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", str(text)).lower()
+    parts = [part.strip("-'") for part in re.sub(r"[^\w'\- ]+|_", " ", words).split()]
+    parts = [part[:_LONGEST] for part in parts if part and part not in _DIRECTIONS]
+    while len(parts) > 1 and (parts[-1].isdigit() or len(" ".join(parts)) > _LONGEST):
         parts.pop()
-    parts = [part for part in parts if part.lower() not in _DIRECTIONS]
-    name = " ".join(parts)[:48].strip(" -'").lower()
+    name = " ".join(parts).strip(" -'")
     return {"tv monitor": "tv", "multi person sofa": "sofa"}.get(name, name)
 
 

@@ -37,6 +37,7 @@ POSTERS = {
     "hospital": ("WASH HANDS", "GIVE BLOOD", "KEEP CALM", "VISITORS", "FIRST AID"),
     "hotel": ("BREAKFAST", "POOL + SPA", "CITY TOUR"),
 }
+ROW = 1.38  # m between rows of tables in a classroom
 
 
 class CorridorRooms:
@@ -292,18 +293,24 @@ class CorridorRooms:
         across = layout.room.depth if front in ("south", "north") else layout.room.width
         frame = plain("tube", "metal", "#5f656b", contrast=0.15)
         columns = max(int((side.length - 1.6) / 1.85), 1)
-        rows = max(int((across - 3.0) / 1.3), 1)
+        rows = max(int((across - 2.9) / ROW), 1)
         desk = dress(
             tables.build_desk(rng, palette), "desk", rng, palette, count=2,
             first=[clutter.build_laptop(rng, palette)],
         )  # fmt: skip
         x, y = side.point(side.length * 0.5 + float(rng.uniform(-0.8, 0.8)), 1.45)
-        teacher = Placed(desk, x, y, 0.0, side.yaw)
-        layout.place_free([(teacher, True)], footprint(teacher))
+        teacher = Placed(desk, x, y, 0.0, side.yaw + math.pi)
+        seat = seats.build_chair(np.random.Generator(np.random.Philox(key=self.chair)), palette, 0)
+        x, y = side.point(
+            (x - side.start[0]) * side.along[0] + (y - side.start[1]) * side.along[1], 0.85
+        )
+        group = [(teacher, True), (Placed(seat, x, y, 0.0, side.yaw + 0.2), True)]
+        if not layout.place_free(group, footprint(teacher)):
+            layout.place_free(group[:1], footprint(teacher))
         for i in range(columns):
             for j in range(rows):
                 t = side.length / 2 + (i - (columns - 1) / 2) * 1.85
-                off = 2.75 + j * 1.3
+                off = 2.75 + j * ROW
                 table = public.build_pupil_desk(self.wood, frame)
                 kit: list[Item] = [tools.build_notebook(rng) for _ in range(2)]
                 kit += [storage.build_book_stack(rng, 1), tools.build_pen_holder(rng)]
@@ -316,7 +323,7 @@ class CorridorRooms:
                     chair = seats.build_chair(model, palette, 1)
                     px, py = side.point(t + s * 0.33, off + 0.38 + float(rng.uniform(0, 0.1)))
                     turn = float(rng.normal(0, 0.12))
-                    group.append((Placed(chair, px, py, 0.0, side.yaw + turn), True))
+                    group.append((Placed(chair, px, py, 0.0, side.yaw + math.pi + turn), True))
                 rects = [footprint(p) for p, _ in group]
                 clear = (
                     min(q[0] for q in rects), min(q[1] for q in rects),

@@ -60,6 +60,7 @@ def run(args: Args) -> int:
     from gn0.bench.suite import load_suite, load_suite_scene
     from gn0.maps.navigation import NavigationMap
     from gn0.missions.language.describe import describe_route
+    from gn0.scenes.scene import SceneObject, SceneRoom
 
     suite = load_suite(args.suite)
     chosen = _choose(suite.episodes, args)
@@ -67,7 +68,10 @@ def run(args: Args) -> int:
     refused = 0
     for name in dict.fromkeys(episode.scene_id for episode in chosen):
         scene = load_suite_scene(suite.scene_folder(name), name, suite.scene_hash(name))
-        by_id = {**{r.id: r for r in scene.rooms}, **{t.id: t for t in scene.objects}}
+        by_id: dict[str, SceneObject | SceneRoom] = {
+            **{r.id: r for r in scene.rooms},
+            **{t.id: t for t in scene.objects},
+        }
         maps: dict[float, NavigationMap] = {}
         for episode in chosen:
             if episode.scene_id != name:

@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gn0.bench.generation_folder import PARTS, REPORT, WORK
+from gn0.bench.generation_folder import MANIFEST, PARTS, REPORT, WORK
 from gn0.progress import Progress, no_progress
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
@@ -130,7 +130,7 @@ def crash_generations(
                 process.send_signal(signal.SIGKILL)
                 parents += 1
             process.wait(timeout=PATIENCE)
-            if (out / WORK).is_dir():
+            if not (out / MANIFEST).is_file():  # once it is done, its parts may go
                 forgotten += len(before - _done(out))
         _start(home, out, 2, paths).wait(timeout=PATIENCE)
         found = folder_digest(out)

@@ -14,7 +14,6 @@ from gn0.scenes.procedural.building import choose_palette
 from gn0.scenes.procedural.draft import Material, SceneDraft, Sky, Sun
 from gn0.scenes.procedural.furniture_clutter import build_ball_toy
 from gn0.scenes.procedural.furniture_depot import build_wheelie_bin
-from gn0.scenes.procedural.furniture_fixtures import build_notice_board
 from gn0.scenes.procedural.layout import Rect
 from gn0.scenes.procedural.palette import Palette, linear_colour, plain
 from gn0.scenes.procedural.plan import FloorPlan, Room, Wall
@@ -507,14 +506,6 @@ def _fill_walks(plot: Plot, yard: Yard, palette: Palette) -> None:
     plot.scatter(lambda: garden.build_litter_bin(rng), 2, whole, margin=0.5)
     plot.scatter(garden.build_hydrant, 1, whole, margin=0.5)
     plot.scatter(garden.build_watering_can, 1, whole, margin=0.4, turn=quarter, jitter=0.5)
-    board = build_notice_board(rng, palette)
-    spot = {
-        "south": (w * 0.32, 0.03, math.pi),
-        "north": (w * 0.68, d - 0.03, 0.0),
-        "west": (0.03, d * 0.32, math.pi / 2),
-        "east": (w - 0.03, d * 0.68, -math.pi / 2),
-    }[wall]
-    plot.put(board, *spot, z=1.55, solid=False, zone=f"{wall}_walk")
     if yard.depth > 20 and rng.random() < 0.6:
         long = yard.quarters[0][0].depth * 0.8
         y = (RING + yard.depth / 2 - ARM / 2) / 2

@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out/demo
+TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
 .PHONY: install dev demo test lint types figures pictures clean
@@ -32,7 +33,7 @@ types: dev
 	$(BIN)/mypy
 
 test: dev lint types ## everything a change must pass (under 20 min on two cores)
-	$(BIN)/pytest -m 'not exhaustive' --durations=25 $(PYTEST_FLAGS)
+	$(BIN)/pytest -m 'not exhaustive' -n $(TEST_WORKERS) --dist loadfile --durations=25 $(PYTEST_FLAGS)
 
 figures: dev ## measure the whole board again (run it on a quiet machine)
 	$(BIN)/gn0 figures --all --out docs

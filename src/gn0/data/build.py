@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from gn0.bench.generation_folder import MANIFEST
 from gn0.bench.runner import check_room
 from gn0.bench.suite import EPISODE_FILE, Suite, copy_folder, load_suite, load_suite_scene
 from gn0.data.cache import check_cache_free
@@ -161,7 +162,7 @@ def _check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
         DataError: the folder holds something else.
     """
     if not (out / DATASET_FILE).is_file():
-        ours = {LOCK, SCENE_FOLDER, EPISODE_FILE, ".gn0-probe"}
+        ours = {LOCK, SCENE_FOLDER, EPISODE_FILE, MANIFEST, ".gn0-probe"}
         names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
         others = [n for n in names if n not in ours and not n.startswith(TEMPORARY_PREFIX)]
         if others or (SCENE_FOLDER in names and LOCK not in names):
@@ -213,8 +214,10 @@ def _lay_out(out: Path, suite: Suite, about: DatasetFile, progress: Progress) ->
             if path.is_file():
                 records.append(record_path(out, path))
     progress("scenes", len(about.scenes), len(about.scenes))
-    write_bytes(out / EPISODE_FILE, read_bytes(suite.folder / EPISODE_FILE))
-    records.append(record_path(out, out / EPISODE_FILE))
+    for name in (EPISODE_FILE, MANIFEST):  # generated missions say how they came about
+        if (suite.folder / name).is_file():
+            write_bytes(out / name, read_bytes(suite.folder / name))
+            records.append(record_path(out, out / name))
     found = msgspec.structs.replace(about, files=tuple(sorted(records, key=lambda r: r.path)))
     save_dataset_file(out, found)
     return found

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.bench.generation import MANIFEST, Manifest
+from gn0.bench.generation_folder import MANIFEST, Manifest
 from gn0.config import Config, load_json
 from gn0.data.dataset import Dataset
 from gn0.geometry import F64

@@ -123,7 +123,7 @@ def plan_tracking(
         )  # fmt: skip
         keys, places = child[kept], after[kept]
         history.append((parent[kept], action[kept]))
-    yaws = yaw + ((keys >> HEADING_AT) & 31) * (2 * math.pi / HEADINGS)
+    yaws = (yaw + ((keys >> HEADING_AT) & 31) * (2 * math.pi / HEADINGS)).astype(np.float64)
     turn = math.radians(turn_degrees)
     left = actions_left(places, yaws, arcs, way, way_arcs, step, turn)
     left[done] = 0.0

@@ -106,7 +106,7 @@ def sample_way_points(
             row.
     """
     p = np.ascontiguousarray(poses, np.float64).reshape(-1, 3)
-    finite = np.isfinite(p).all(axis=1)
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=1))
     out = np.zeros((len(p), points, 2))
     valid = np.zeros(len(p), np.int8)
     status = np.zeros(len(p), np.int8)

@@ -53,21 +53,30 @@ def _bends(roots, parents):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _remaining(label, roots, onward, bending, u, v, yaw, near):  # type: ignore[no-untyped-def]
-    """Geodesic distance [cells] from (u, v) in cells to the goal, and the turning left [rad]."""
+def _way_on(label, roots, u, v, near):  # type: ignore[no-untyped-def]
+    """What lies ahead of a place (u, v) in cells, whichever way one faces there.
+
+    The root that the place sees, the geodesic distance [cells] to the goal, whether the root is
+    near, and the bearing of the root [rad] where it is not.
+    """
     root = label[math.floor(v), math.floor(u)]
     if root < 0:
-        return math.inf, 0.0
+        return root, math.inf, False, 0.0
     dx, dy = roots[root, 0] - u, roots[root, 1] - v
     distance = math.hypot(dx, dy)
+    if distance <= near:
+        return root, roots[root, 2] + distance, True, 0.0
+    return root, roots[root, 2] + distance, False, math.atan2(dy, dx)
+
+
+@njit
+def _turning_left(root, close, bearing, onward, bending, yaw):  # type: ignore[no-untyped-def]
+    """The turning [rad] that is left to the goal from a place when facing `yaw`."""
     if root == 0:
-        turning = 0.0 if distance <= near else _gap(math.atan2(dy, dx), yaw)
-    elif distance <= near:  # a bend this close may be cut: only the next leg counts
-        turning = _gap(onward[root], yaw) + bending[root]
-    else:
-        bearing = math.atan2(dy, dx)
-        turning = _gap(bearing, yaw) + _gap(onward[root], bearing) + bending[root]
-    return roots[root, 2] + distance, turning
+        return 0.0 if close else _gap(bearing, yaw)
+    if close:  # a bend this close may be cut: only the next leg counts
+        return _gap(onward[root], yaw) + bending[root]
+    return _gap(bearing, yaw) + _gap(onward[root], bearing) + bending[root]
 
 
 @njit
@@ -113,14 +122,15 @@ def _search(  # type: ignore[no-untyped-def]
     onward, bending = _bends(roots, bend_parents)
     near = max(tolerance, 1.5 * step) / resolution
     a_turn = 2.0 * math.pi / headings
-    left, turning = _remaining(label, roots, onward, bending, u, v, yaws[0], near)
+    _, left, _, _ = _way_on(label, roots, u, v, near)
     heap = [(weight * max(left * resolution - tolerance, 0.0), 0)]
     bins = width * subcells
     while len(heap) > 0:
         _, node = heapq.heappop(heap)
         x, y, k, g = xs[node], ys[node], facing[node], costs[node]
         u, v = (x - origin_x) / resolution, (y - origin_y) / resolution
-        left, _ = _remaining(label, roots, onward, bending, u, v, yaws[k], near)
+        here = _way_on(label, roots, u, v, near)
+        left = here[1]
         if math.hypot(goal_x - x, goal_y - y) <= tolerance and left * resolution <= tolerance:
             _, _, hit = trace_points(blocked, origin_x, origin_y, resolution, x, y, goal_x, goal_y)
             if not hit:
@@ -145,9 +155,6 @@ def _search(  # type: ignore[no-untyped-def]
             if action == 1:
                 nx, ny = x + step * cosines[k], y + step * sines[k]
                 nk, ng = k, g + step
-                _, _, hit = trace_points(blocked, origin_x, origin_y, resolution, x, y, nx, ny)
-                if hit:
-                    continue
             else:
                 if before + action == 5:
                     continue  # LEFT after RIGHT or RIGHT after LEFT undoes itself
@@ -156,15 +163,20 @@ def _search(  # type: ignore[no-untyped-def]
                 nk = nk - headings if nk >= headings else (nk + headings if nk < 0 else nk)
                 ng = g + turn_cost
             u, v = (nx - origin_x) / resolution, (ny - origin_y) / resolution
-            left, turning = _remaining(label, roots, onward, bending, u, v, yaws[nk], near)
-            if not left < math.inf:
-                continue
             key = (int(v * subcells) * bins + int(u * subcells)) * headings + nk
             slot = _slot_of(keys, key)
-            if keys[slot] == key:
-                if best[slot] <= ng + 1e-9:
+            if keys[slot] == key and best[slot] <= ng + 1e-9:
+                continue  # as good a pose is there already: no need to look whether this one is
+            if action == 1:
+                _, _, hit = trace_points(blocked, origin_x, origin_y, resolution, x, y, nx, ny)
+                if hit:
                     continue
-            else:
+            place = _way_on(label, roots, u, v, near) if action == 1 else here
+            root, left, close, bearing = place
+            if not left < math.inf:
+                continue
+            turning = _turning_left(root, close, bearing, onward, bending, yaws[nk])
+            if keys[slot] != key:
                 keys[slot] = key
                 used += 1
             best[slot] = ng

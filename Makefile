@@ -33,7 +33,7 @@ types: dev
 	$(BIN)/mypy
 
 test: dev lint types ## everything a change must pass (under 20 min on two cores)
-	$(BIN)/pytest -m 'not exhaustive' -n $(TEST_WORKERS) --dist loadfile --durations=25 $(PYTEST_FLAGS)
+	$(BIN)/pytest -m 'not exhaustive' -n $(TEST_WORKERS) --dist loadgroup --durations=25 $(PYTEST_FLAGS)
 
 figures: dev ## measure the whole board again (run it on a quiet machine)
 	$(BIN)/gn0 figures --all --out docs

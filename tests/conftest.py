@@ -23,3 +23,12 @@ def shared_data() -> Path:
     if folder is None:
         pytest.skip("third-party data not present: set GN0_DATA to its folder")
     return folder
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Side by side: a file stays in one process, for its fixtures; documents go one by one."""
+    if not config.pluginmanager.hasplugin("xdist"):
+        return
+    for item in items:
+        alone = item.name.startswith("test_every_command_block_runs")
+        item.add_marker(pytest.mark.xdist_group(item.nodeid if alone else str(item.path)))

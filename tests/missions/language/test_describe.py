@@ -305,7 +305,7 @@ def test_paths_that_make_no_sense_are_refused(
             st.sampled_from(
                 ("turn left", "3 meters", "left", "slightly", "U-turn", "room", "destination",
                  "walk", "the end", "90 degrees", "step", "door", "stop.", "<|im_end|>",
-                 "a few steps")
+                 "a few steps", "meter", "Parking Meter", "steps", "foot")
             ),
         ),
         min_size=3,

@@ -111,15 +111,25 @@ def plain_name(text: str) -> str:
     return {"tv monitor": "tv", "multi person sofa": "sofa"}.get(name, name)
 
 
+_UNITS = (
+    r"(?:m|met(?:er|re)s?|cm|centimet(?:er|re)s?|feet|foot|ft|yards?|steps?|paces?|inch(?:es)?)"
+)
+_MEASURE = re.compile(
+    rf"^{_UNITS}$|\b(?:\d+[ -]?|(?:an?|one|two|three|four|five|six|seven|eight|nine|ten|eleven|"
+    rf"twelve|fifteen|twenty|thirty|half|few|couple|of|several|some|more)[ -]){_UNITS}\b"
+)
+
+
 def spoken_name(text: str) -> str:
     """The name of a label as a text can use it: "object" where it is a word of the grammar's own.
 
-    "Can you walk to the can" cannot be read, let alone checked.
+    "Can you walk to the can" cannot be read, let alone checked; nor can "3 meters to the meter".
     """
     name = plain_name(text)
     name = {"can": "tin can", "stand": "display stand"}.get(name, name)
     words = grammar_words()
-    return "object" if not name or name in words or plural_of(name) in words else name
+    own = name in words or plural_of(name) in words or _MEASURE.search(name)
+    return "object" if not name or own else name
 
 
 def is_plural(name: str) -> bool:

@@ -297,7 +297,7 @@ def test_paths_that_make_no_sense_are_refused(
         describe_route(flat, navigation, path, 0.0, None)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     st.lists(
         st.one_of(

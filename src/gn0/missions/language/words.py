@@ -129,7 +129,8 @@ def spoken_name(text: str) -> str:
     name = {"can": "tin can", "stand": "display stand"}.get(name, name)
     words = grammar_words()
     own = name in words or plural_of(name) in words or _MEASURE.search(name)
-    return "object" if not name or own else name
+    lettered = any(c.isalpha() for c in name)  # a bare number is no name
+    return "object" if own or not lettered else name
 
 
 def is_plural(name: str) -> bool:

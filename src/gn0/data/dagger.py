@@ -41,7 +41,8 @@ from gn0.maps.distance import GeodesicField
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.seeds import random_stream
 from gn0.sim.kinematics import Heading
-from gn0.sim.policy import Policy, PolicyPrivileged, PolicySession
+from gn0.sim.policy import Policy
+from gn0.sim.rollout import begin_episode
 from gn0.sim.simulator import Simulator, action_code
 from gn0.sim.state import Action, Displacement, Observation, Teleport
 
@@ -178,20 +179,7 @@ def collect_visited(
             where=f"episode {episode.id!r}",
             remedy="label it with gn0.data.follow.label_follow",
         )
-    missing = frozenset(policy.sensors) - simulator.sensors
-    if missing:
-        raise PolicyError(
-            f"policy {policy.name!r} reads {sorted(missing)}, which the agent does not carry",
-            remedy="open the simulator with sensors=policy.sensors",
-        )
-    observation = simulator.reset(episode, sensors=frozenset(policy.sensors))
-    policy.reset(
-        episode.instruction, random_stream(episode.seed, "policy", policy.name, episode.id)
-    )
-    if isinstance(policy, PolicySession):
-        policy.reset_session(episode.id)
-    if isinstance(policy, PolicyPrivileged):
-        policy.reset_privileged(simulator)
+    observation = begin_episode(simulator, policy, episode)
     draws = random_stream(settings.seed, "dagger", settings.iteration, episode.id)
     field = simulator.navigation.geodesic(episode.goal)
     length = field.distance_at(episode.start[0], episode.start[1])

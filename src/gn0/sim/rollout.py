@@ -15,6 +15,30 @@ from gn0.sim.state import Displacement, Observation, StepResult, Teleport, Traje
 TELEPORT_CODE = -1  # how a teleport or displacement is written in `Trajectory.actions`
 
 
+def begin_episode(simulator: Simulator, policy: Policy, episode: Episode) -> Observation:
+    """Put agent and policy at the start of an episode; the first observation.
+
+    Raises:
+        PolicyError: the policy wants a sensor that is not carried.
+        EpisodeError: see `Simulator.reset`.
+    """
+    missing = frozenset(policy.sensors) - simulator.sensors
+    if missing:
+        raise PolicyError(
+            f"policy {policy.name!r} reads {sorted(missing)}, which the agent does not carry",
+            remedy="open the simulator with sensors=policy.sensors",
+        )
+    observation = simulator.reset(episode, sensors=frozenset(policy.sensors))
+    policy.reset(
+        episode.instruction, random_stream(episode.seed, "policy", policy.name, episode.id)
+    )
+    if isinstance(policy, PolicySession):
+        policy.reset_session(episode.id)
+    if isinstance(policy, PolicyPrivileged):
+        policy.reset_privileged(simulator)
+    return observation
+
+
 def run_episode(
     simulator: Simulator,
     policy: Policy,
@@ -32,20 +56,7 @@ def run_episode(
         PolicyError: the policy wants a sensor that is not carried, or returns no action.
         EpisodeError: see `Simulator.reset`.
     """
-    missing = frozenset(policy.sensors) - simulator.sensors
-    if missing:
-        raise PolicyError(
-            f"policy {policy.name!r} reads {sorted(missing)}, which the agent does not carry",
-            remedy="open the simulator with sensors=policy.sensors",
-        )
-    observation = simulator.reset(episode, sensors=frozenset(policy.sensors))
-    policy.reset(
-        episode.instruction, random_stream(episode.seed, "policy", policy.name, episode.id)
-    )
-    if isinstance(policy, PolicySession):
-        policy.reset_session(episode.id)
-    if isinstance(policy, PolicyPrivileged):
-        policy.reset_privileged(simulator)
+    observation = begin_episode(simulator, policy, episode)
     poses, actions, collisions = [simulator.pose], [], []
     teleports: list[Pose2D] = []
     if watch is not None:

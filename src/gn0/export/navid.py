@@ -9,6 +9,7 @@ clip is encoded once and cut for each question; one frame is one second, as thei
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -65,7 +66,7 @@ class Talk(msgspec.Struct):
     conversations: list[Turn]
 
 
-class _Conversations(OwnPoses):
+class _Conversations(OwnPoses, ABC):
     """What both formats share: clips, entries, checks."""
 
     name = ""
@@ -84,9 +85,9 @@ class _Conversations(OwnPoses):
         """Poses whose pictures the clips hold."""
         return list(range(trip.frames))
 
+    @abstractmethod
     def answers(self, trip: Trip) -> tuple[list[tuple[int, str]], dict[str, int]]:
         """(frames shown, answer) of each decision, and what was counted."""
-        raise NotImplementedError
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """The clips of an episode: one a question."""

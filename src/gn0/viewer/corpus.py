@@ -52,7 +52,7 @@ def render_corpus(
         y = 64 + (k // columns) * (_TILE + _TEXT + _GAP)
         sheet.paste(view, (x, y))
         pen.text((x, y + _TILE + 4), about.id[:32], font=font(17), fill=INK)
-        words = f"{about.split}   ·   {about.area:.0f} m²   ·   {about.objects:,} objects"
+        words = f"{about.split}   ·   {about.area:.0f} sq m   ·   {about.objects:,} objects"
         pen.text((x, y + _TILE + 26), words, font=font(13), fill=MUTED)
     progress("drawing", len(scenes), len(scenes))
     return sheet

@@ -28,5 +28,6 @@ def test_tiny_matrix_makes_data_in_every_format(tmp_path: Path) -> None:
     stats = json.loads((tmp_path / "out/data/stats.json").read_text())
     assert stats["missions"].keys() == {"goal", "instruction"}
     assert stats["balanced"]["forward"] == pytest.approx(67.0, abs=0.5)
+    assert stats["candidates"]["accepted"] == 3  # what the missions' manifest says came along
     assert len(list((tmp_path / "out/export").iterdir())) == 12
     assert done.stdout.count("no faults") == 12

@@ -91,3 +91,15 @@ def test_a_thing_is_not_called_by_a_word_of_the_grammar() -> None:
     assert spoken_name("can") == "tin can"
     assert spoken_name("step ladder") == "step ladder"
     assert spoken_name("") == "object"
+
+
+@pytest.mark.parametrize(
+    "label", ["METER", "3:METER", "0M", "steps", "3", "2 step ladder", "a foot"]
+)
+def test_a_name_that_reads_as_a_distance_is_an_object(label: str) -> None:
+    assert spoken_name(label) == "object"
+
+
+@pytest.mark.parametrize("label", ["parking meter", "step ladder", "footrest", "courtyard"])
+def test_a_name_that_only_holds_a_measure_is_kept(label: str) -> None:
+    assert spoken_name(label) == label

@@ -32,6 +32,7 @@ from gn0.data.samples import ACTIONS_AHEAD, POINTS, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import FormatError, RenderError
 from gn0.geometry import U8
+from gn0.jobs.priority import keep_priority
 from gn0.sim.history import COLUMNS, ROWS, TILE_HEIGHT, TILE_WIDTH
 from gn0.sim.presets import find_preset
 from gn0.sim.simulator import STEP_SECONDS
@@ -97,6 +98,8 @@ class VideoWriter:
         self._video.width, self._video.height = size
         self._video.pix_fmt = "yuv420p"
         self._video.thread_count = 1
+        with keep_priority():
+            self._video.codec_context.open()
         self._count = 0
 
     def add(self, rgb: U8) -> None:

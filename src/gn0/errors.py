@@ -147,3 +147,15 @@ class JobError(Gn0Error):
     """A unit of work broke, or its worker died or hung, more often than it is tried again."""
 
     code = "JOB"
+
+
+class DeviceError(Gn0Error):
+    """An accelerator is absent, too old or lost, or a kernel did not compile or run."""
+
+    code = "DEVICE"
+
+
+class DeviceMemoryError(DeviceError):
+    """An accelerator has not so much free memory; callers make their batches smaller."""
+
+    code = "DEVICE_MEMORY"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -32,3 +34,47 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         alone = item.name.startswith("test_every_command_block_runs")
         item.add_marker(pytest.mark.xdist_group(item.nodeid if alone else str(item.path)))
+
+
+class Clock:
+    """Says which tests take long, while they run: a run that is cut short still shows where.
+
+    Lives where the terminal is: in the one process, or in the one that deals out the tests.
+    """
+
+    LONG, SILENT = 60.0, 240.0  # seconds until a finished, and a running test is named
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._begun = time.monotonic()
+        self._running: dict[str, float] = {}
+        self._named: set[str] = set()
+        self._over = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self._running[nodeid] = time.monotonic()
+
+    def pytest_runtest_logfinish(self, nodeid: str) -> None:
+        took = time.monotonic() - self._running.pop(nodeid, time.monotonic())
+        if took > self.LONG:
+            self._say(f"{nodeid} took {took:.0f} s")
+
+    def pytest_unconfigure(self) -> None:
+        self._over.set()
+
+    def _watch(self) -> None:
+        while not self._over.wait(10.0):
+            now = time.monotonic()
+            for nodeid, since in list(self._running.items()):
+                if now - since > self.SILENT and nodeid not in self._named:
+                    self._named.add(nodeid)
+                    self._say(f"{nodeid} has been running for {now - since:.0f} s")
+
+    def _say(self, text: str) -> None:
+        self._config.get_terminal_writer().line(f"\n[{time.monotonic() - self._begun:.0f} s] {text}")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Clock(config), "clock")

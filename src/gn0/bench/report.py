@@ -10,8 +10,9 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,10 @@ from gn0.errors import BenchError
 from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.render.bev import BevPicture, render_bev
+from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.renderer import build_renderer
 from gn0.scenes.scene import Scene
+from gn0.sim.open import look_hash
 from gn0.sim.presets import find_preset
 from gn0.storage import write_text
 
@@ -72,13 +75,13 @@ class RunData:
 
 @dataclass(frozen=True)
 class SceneArt:
-    """A scene drawn once: its window, SVG symbols, and what its clips need."""
+    """A scene drawn once: its window, SVG symbols, and what its clips need under a light."""
 
     window: MapWindow
     symbols: Markup
     bev: str
     plan: str
-    clips: ClipScene
+    clips: Callable[[LightCondition | None], ClipScene]
 
 
 def load_run(folder: Path | str) -> RunData:
@@ -193,7 +196,8 @@ def _render(
                 if (number, result.episode) in wanted and spent < CLIP_BUDGET:
                     progress("rendering clips", made, len(wanted))
                     made += 1
-                    clip = render_clip(art.clips, episode, result, trace, title=names[number])
+                    lit = art.clips(episode.light)
+                    clip = render_clip(lit, episode, result, trace, title=names[number])
                     spent += len(clip.mp4)
                     row["video"] = data_uri(clip.mp4, "video/mp4")
                     row["poster"] = data_uri(encode_jpeg(clip.poster, 75), "image/jpeg")
@@ -282,24 +286,37 @@ def draw_scene(suite: Suite, scene_id: str, index: int, scenes: int, backend: st
     """Maps of a scene, and what its clips need."""
     scene = load_suite_scene(suite.scene_folder(scene_id), scene_id, suite.scene_hash(scene_id))
     window = find_window(scene.grid)
-    renderer = build_renderer(scene.gaussians, backend)
-    bev = draw_bev(scene, renderer, window, BEV_PIXELS_MANY if scenes > MANY_SCENES else BEV_PIXELS)
+    pixels = BEV_PIXELS_MANY if scenes > MANY_SCENES else BEV_PIXELS
+
+    @lru_cache(maxsize=1)  # splats in one light at a time
+    def clips(light: LightCondition | None) -> ClipScene:
+        cloud = scene.gaussians if light is None else relight_cloud(scene.gaussians, light)
+        renderer = build_renderer(cloud, backend)
+        return ClipScene(
+            renderer=renderer,
+            bev=draw_bev(scene, renderer, window, pixels, light),
+            preset=find_preset(suite.about.camera),
+            camera_height=suite.about.agent.camera_height,
+        )
+
     names = f"bev-{index}", f"plan-{index}"
-    symbols = bev_symbol(names[0], window, bev.rgb) + plan_symbol(names[1], window, scene)
-    clips = ClipScene(
-        renderer=renderer,
-        bev=bev,
-        preset=find_preset(suite.about.camera),
-        camera_height=suite.about.agent.camera_height,
+    symbols = bev_symbol(names[0], window, clips(None).bev.rgb)
+    return SceneArt(
+        window, symbols + plan_symbol(names[1], window, scene), names[0], names[1], clips
     )
-    return SceneArt(window, symbols, names[0], names[1], clips)
 
 
-def draw_bev(scene: Scene, renderer: Any, window: MapWindow, pixels: int) -> BevPicture:
-    """The BEV of a window, at most `pixels` along its longer side."""
+def draw_bev(
+    scene: Scene,
+    renderer: Any,
+    window: MapWindow,
+    pixels: int,
+    light: LightCondition | None = None,
+) -> BevPicture:
+    """The BEV of a window, at most `pixels` along its longer side; `light` is the renderer's."""
     longer = max(window.x_max - window.x_min, window.y_max - window.y_min)
     return render_bev(
-        scene.cloud_hash or scene.gaussians.content_hash,
+        look_hash(scene, light),
         renderer,
         np.array([[window.x_min, window.y_min], [window.x_max, window.y_max]]),
         max(longer / pixels, 0.005),

@@ -1,0 +1,37 @@
+"""Clips of a report show an episode in the light that it was played in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from gn0.bench.report import draw_scene, load_run
+from gn0.bench.runner import run_suite
+from gn0.bench.suite import Suite
+from gn0.bench.video import render_clip
+from gn0.geometry import view_from_pose
+from gn0.render.camera import Camera
+from gn0.render.light import draw_condition
+
+
+def test_a_clip_is_lit_as_its_episode_was(flats_suite: Suite, tmp_path: Path) -> None:
+    run_suite(flats_suite, "oracle", tmp_path / "run", max_episodes=1)
+    run = load_run(tmp_path / "run")
+    result = run.results[0]
+    plain = next(e for e in flats_suite.episodes if e.id == result.episode)
+    night = msgspec.structs.replace(plain, light=draw_condition(0, mood="night"))
+    art = draw_scene(flats_suite, plain.scene_id, 0, 1, "cpu")
+    eye = view_from_pose(*plain.start[:2], 1.3, plain.start[2], 0.0)[None]
+    views, maps, clips = [], [], []
+    for episode in (plain, night):
+        scene = art.clips(episode.light)
+        picture = scene.renderer.render(Camera.from_hfov(64, 48, 90.0), eye, outputs=("rgb",)).rgb
+        assert picture is not None
+        views.append(float(np.mean(picture)))
+        maps.append(float(np.mean(scene.bev.rgb)))
+        trace = run.traces[plain.id]
+        clips.append(render_clip(scene, episode, result, trace, title="oracle", most_frames=4).mp4)
+    assert views[1] < 0.6 * views[0] and maps[1] < 0.6 * maps[0]
+    assert clips[0] != clips[1]

@@ -19,10 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.config import Config
 from gn0.errors import RenderError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.geometry import F64, view_from_pose
+from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
@@ -31,45 +30,9 @@ from gn0.render.cpu_pack import CHUNK, FIELDS, REACH, PackedCloud
 from gn0.render.renderer import VISIBLE, Output, RenderResult, check_views
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_mark import gather_chunks
-from gn0.storage import content_hash
+from gn0.render.visible_places import VisibleOptions, key_of_sets, look_round, places_by_cell
 
-_FORMAT = 1  # raise when a set changes for another reason than its inputs
 _PER_SPLAT = (FIELDS + 1) * 4  # bytes of a packed splat
-_HEADINGS = tuple((quarter * math.pi / 2, 0.0) for quarter in range(4))
-_FACES = (*_HEADINGS, (0.0, math.pi / 2), (0.0, -math.pi / 2))  # yaw, pitch: all round
-
-
-class VisibleOptions(Config, frozen=True):
-    """How visible sets are found.
-
-    Attributes:
-        cell: side of a floor cell [m].
-        places: places in a cell that are looked from.
-        pixels: side of each of the six pictures a place [px]; finer finds more.
-        threshold: weight above which a splat counts.
-        near: what is nearer than this to a place [m] always counts and hides nothing.
-        height_tolerance: eyes this far [m] from the sets' height still use them.
-        memory: bytes of sets held ready.
-        disk: bytes of sets kept in the cache folder, of all scenes together.
-    """
-
-    cell: float = 0.5
-    places: int = 5
-    pixels: int = 640
-    threshold: float = 1.0 / 255.0
-    near: float = 0.2
-    height_tolerance: float = 0.02
-    memory: int = 2**29
-    disk: int = 2**31
-
-    def __post_init__(self) -> None:
-        if not (0.05 <= self.cell <= 10 and 1 <= self.places <= 64 and 16 <= self.pixels <= 2048):
-            raise RenderError(
-                f"visible sets of {self.cell} m cells, {self.places} places, {self.pixels} px",
-                remedy="give cells of 0.05 to 10 m, 1 to 64 places and 16 to 2048 px",
-            )
-        if not (0 < self.threshold < 1 and 0 < self.near < 5 and 0 <= self.height_tolerance < 1):
-            raise RenderError("visible sets: threshold, near or height_tolerance out of range")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,16 +81,14 @@ class RendererVisible:
         self.floor = floor
         self.eye_height = float(eye_height)
         settings = self.options
-        self._places = _places_by_cell(floor, settings.cell, settings.places)
+        self._places = places_by_cell(floor, settings.cell, settings.places)
         self._sets: OrderedDict[tuple[int, int], VisibleSet] = OrderedDict()
         self._held = 0
         reach = renderer.cloud.pack.reshape(-1, FIELDS, CHUNK)[-1:, REACH]
         self._alive = renderer.cloud.chunks * CHUNK - int((reach < 0).sum())
         self.built = 0  # sets found by looking, for figures
-        self.key = content_hash(
-            *(_FORMAT, cloud_hash, floor.content_hash, self.eye_height),
-            *(int(renderer.options.antialiased), settings.cell, settings.places),
-            *(settings.pixels, settings.threshold, settings.near),
+        self.key = key_of_sets(
+            cloud_hash, floor, self.eye_height, renderer.options.antialiased, settings
         )
         self.files = VisibleFiles(self.key, renderer.size, settings.disk) if cache else None
 
@@ -214,19 +175,10 @@ class RendererVisible:
 
     def find(self, cell: tuple[int, int]) -> NDArray[np.uint8]:
         """Which splats show from a cell: uint8 [N], 1 for those that do."""
-        settings = self.options
-        camera = Camera.from_hfov(settings.pixels, settings.pixels, 90.0, near=settings.near)
         places = self._places[cell]
         marks = np.zeros(self.full.size, np.uint8)
-        turn = math.pi / 2 / len(places)  # splats of one wall change order with the heading, so
-        views = np.stack(  # each place looks in directions of its own
-            [
-                view_from_pose(x, y, self.eye_height, yaw + k * turn, pitch)
-                for k, (x, y) in enumerate(places)
-                for yaw, pitch in _FACES
-            ]
-        )
-        self.full.mark_visible(camera, views, settings.threshold, marks)
+        views = look_round(places, self.eye_height)
+        self.full.mark_visible(self.options.camera(), views, self.options.threshold, marks)
         self._mark_near(places, marks)
         self.built += 1
         return marks
@@ -259,30 +211,3 @@ class RendererVisible:
         return VisibleSet(
             PackedCloud(pack, boxes, order, full.sh, full.degree, full.ordered), len(lanes)
         )
-
-
-def _places_by_cell(floor: OccupancyGrid, cell: float, count: int) -> dict[tuple[int, int], F64]:
-    """Free places [K, 2] m of each cell that has any: spread, at most `count`.
-
-    The first is the free place nearest the middle of the cell's free ones; each further one is
-    the farthest from those chosen, the first in row order among equals.
-    """
-    free = np.argwhere(~floor.blocked)
-    points = floor.centres_of(free)
-    index = np.floor(points / cell).astype(np.int64)
-    places: dict[tuple[int, int], F64] = {}
-    if not len(points):
-        return places
-    _, first, member = np.unique(index, axis=0, return_index=True, return_inverse=True)
-    member = member.ravel()
-    order = np.argsort(member, kind="stable")
-    edges = np.searchsorted(member[order], np.arange(len(first) + 1))
-    for n, at in enumerate(first):
-        mine = points[order[edges[n] : edges[n + 1]]]
-        chosen = [int(((mine - mine.mean(axis=0)) ** 2).sum(axis=1).argmin())]
-        nearest = ((mine - mine[chosen[0]]) ** 2).sum(axis=1)
-        while len(chosen) < min(count, len(mine)):
-            chosen.append(int(nearest.argmax()))
-            nearest = np.minimum(nearest, ((mine - mine[chosen[-1]]) ** 2).sum(axis=1))
-        places[int(index[at, 0]), int(index[at, 1])] = mine[chosen]
-    return places

@@ -1,0 +1,116 @@
+"""Visible sets: where eyes are put to find them, with which settings, under which key.
+
+The same for every backend, so that a set means the same thing everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gn0.config import Config
+from gn0.errors import RenderError
+from gn0.geometry import F64, view_from_pose
+from gn0.maps.grid import OccupancyGrid
+from gn0.render.camera import Camera
+from gn0.storage import content_hash
+
+_FORMAT = 1  # raise when a set changes for another reason than its inputs
+_HEADINGS = tuple((quarter * math.pi / 2, 0.0) for quarter in range(4))
+_FACES = (*_HEADINGS, (0.0, math.pi / 2), (0.0, -math.pi / 2))  # yaw, pitch: all round
+
+
+class VisibleOptions(Config, frozen=True):
+    """How visible sets are found.
+
+    Attributes:
+        cell: side of a floor cell [m].
+        places: places in a cell that are looked from.
+        pixels: side of each of the six pictures a place [px]; finer finds more.
+        threshold: weight above which a splat counts.
+        near: what is nearer than this to a place [m] always counts and hides nothing.
+        height_tolerance: eyes this far [m] from the sets' height still use them.
+        memory: bytes of sets held ready.
+        disk: bytes of sets kept in the cache folder, of all scenes together.
+    """
+
+    cell: float = 0.5
+    places: int = 5
+    pixels: int = 640
+    threshold: float = 1.0 / 255.0
+    near: float = 0.2
+    height_tolerance: float = 0.02
+    memory: int = 2**29
+    disk: int = 2**31
+
+    def __post_init__(self) -> None:
+        if not (0.05 <= self.cell <= 10 and 1 <= self.places <= 64 and 16 <= self.pixels <= 2048):
+            raise RenderError(
+                f"visible sets of {self.cell} m cells, {self.places} places, {self.pixels} px",
+                remedy="give cells of 0.05 to 10 m, 1 to 64 places and 16 to 2048 px",
+            )
+        if not (0 < self.threshold < 1 and 0 < self.near < 5 and 0 <= self.height_tolerance < 1):
+            raise RenderError("visible sets: threshold, near or height_tolerance out of range")
+
+    def camera(self) -> Camera:
+        """What looks from each place: a sixth of all round, 90 degrees wide and high."""
+        return Camera.from_hfov(self.pixels, self.pixels, 90.0, near=self.near)
+
+
+def key_of_sets(
+    cloud_hash: str,
+    floor: OccupancyGrid,
+    eye_height: float,
+    antialiased: bool,
+    options: VisibleOptions,
+    backend: str = "",
+) -> str:
+    """Digest of all that the sets of a scene depend on.
+
+    `backend`: of whoever marks; its rounding may move a splat across the threshold. "": the CPU.
+    """
+    return content_hash(
+        *(_FORMAT, cloud_hash, floor.content_hash, eye_height, int(antialiased)),
+        *(options.cell, options.places, options.pixels, options.threshold, options.near),
+        *((backend,) if backend else ()),
+    )
+
+
+def look_round(places: F64, eye_height: float) -> F64:
+    """Views [K * 6, 4, 4] from places [K, 2] m: four sides, up and down at each."""
+    turn = math.pi / 2 / len(places)  # splats of one wall change order with the heading, so
+    return np.stack(  # each place looks in directions of its own
+        [
+            view_from_pose(x, y, eye_height, yaw + k * turn, pitch)
+            for k, (x, y) in enumerate(places)
+            for yaw, pitch in _FACES
+        ]
+    )
+
+
+def places_by_cell(floor: OccupancyGrid, cell: float, count: int) -> dict[tuple[int, int], F64]:
+    """Free places [K, 2] m of each cell that has any: spread, at most `count`.
+
+    The first is the free place nearest the middle of the cell's free ones; each further one is
+    the farthest from those chosen, the first in row order among equals.
+    """
+    free = np.argwhere(~floor.blocked)
+    points = floor.centres_of(free)
+    index = np.floor(points / cell).astype(np.int64)
+    places: dict[tuple[int, int], F64] = {}
+    if not len(points):
+        return places
+    _, first, member = np.unique(index, axis=0, return_index=True, return_inverse=True)
+    member = member.ravel()
+    order = np.argsort(member, kind="stable")
+    edges = np.searchsorted(member[order], np.arange(len(first) + 1))
+    for n, at in enumerate(first):
+        mine = points[order[edges[n] : edges[n + 1]]]
+        chosen = [int(((mine - mine.mean(axis=0)) ** 2).sum(axis=1).argmin())]
+        nearest = ((mine - mine[chosen[0]]) ** 2).sum(axis=1)
+        while len(chosen) < min(count, len(mine)):
+            chosen.append(int(nearest.argmax()))
+            nearest = np.minimum(nearest, ((mine - mine[chosen[-1]]) ** 2).sum(axis=1))
+        places[int(index[at, 0]), int(index[at, 1])] = mine[chosen]
+    return places

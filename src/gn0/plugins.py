@@ -28,7 +28,10 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "interiorgs": "gn0.scenes.interiorgs:SceneSourceInteriorGS",
         "world": "gn0.scenes.world:SceneSourceWorld",
     },
-    "renderer": {"cpu": "gn0.render.cpu:RendererCpu"},
+    "renderer": {
+        "cpu": "gn0.render.cpu:RendererCpu",
+        "gsplat": "gn0.render.gsplat:RendererGsplat",
+    },
     "refiner": {"cpu": "gn0.render.refine:refine_cloud"},
     "mission": {"goal": "gn0.missions.episode:MissionGoal"},
     "policy": {

@@ -63,7 +63,17 @@ class VisibleFiles:
         Raises:
             StorageError: with `strict`, if the cache cannot be written.
         """
-        body = zlib.compress(np.packbits(marks).tobytes(), 1)
+        self.save_bits(cell, np.packbits(marks), strict=strict)
+
+    def save_bits(
+        self, cell: tuple[int, int], bits: NDArray[np.uint8], *, strict: bool = False
+    ) -> None:
+        """Keep the set of a cell: `bits` uint8 [⌈N/8⌉], packed as `np.packbits` does.
+
+        Raises:
+            StorageError: with `strict`, if the cache cannot be written.
+        """
+        body = zlib.compress(bits.tobytes(), 1)
         digest = hashlib.blake2b(body, digest_size=16).hexdigest()
         head = {"cell": cell, "splats": self._splats, "digest": digest}
         try:
@@ -79,6 +89,11 @@ class VisibleFiles:
 
     def load(self, cell: tuple[int, int]) -> NDArray[np.uint8] | None:
         """The set of a cell as uint8 [N]; None when it is absent or damaged."""
+        bits = self.load_bits(cell)
+        return None if bits is None else np.unpackbits(bits, count=self._splats)
+
+    def load_bits(self, cell: tuple[int, int]) -> NDArray[np.uint8] | None:
+        """The set of a cell as packed bits [⌈N/8⌉]; None when it is absent or damaged."""
         path = self.path(cell)
         if not path.exists():
             return None
@@ -97,7 +112,7 @@ class VisibleFiles:
             bits = zlib.decompressobj().decompress(body, size + 1)
             if len(bits) != size:
                 raise ValueError(f"{len(bits)} bytes instead of {size}")
-            return np.unpackbits(np.frombuffer(bits, np.uint8), count=self._splats)
+            return np.frombuffer(bits, np.uint8)
         except (StorageError, ValueError, KeyError, TypeError, zlib.error) as error:
             _log.warning("%s: damaged visible set is found again: %s", path, error)
             return None

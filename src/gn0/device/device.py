@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -145,6 +146,16 @@ class DeviceArray:
             "stream": 1,  # the legacy default stream, on which all launches run
         }
 
+    def __dlpack__(self, **options: Any) -> Any:
+        """A DLPack capsule, for `torch.from_dlpack` and its like; see `gn0.device.dlpack`."""
+        from gn0.device.dlpack import export_capsule
+
+        return export_capsule(self, **options)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        """(device type, ordinal) as DLPack numbers them; the host emulation is a CPU."""
+        return (2, getattr(self.device, "ordinal", 0)) if self.device.kind == "cuda" else (1, 0)
+
 
 class Kernel(Protocol):
     """A compiled kernel of one device."""
@@ -167,6 +178,40 @@ class Kernel(Protocol):
 
         Raises:
             DeviceError: a parameter of another number or type, or the launch failed.
+        """
+        ...
+
+
+class Event(Protocol):
+    """A moment in the order of a device's work."""
+
+    @property
+    def done(self) -> bool:
+        """Whether all work before it is done."""
+        ...
+
+
+class Download(Protocol):
+    """A copy to the host that is under way."""
+
+    @property
+    def done(self) -> bool:
+        """Whether it has arrived."""
+        ...
+
+    def numpy(self) -> NDArray[Any]:
+        """The copy, when it has arrived; waits for it."""
+        ...
+
+
+class Graph(Protocol):
+    """Launches, copies and fills that were recorded, to be run again with one call."""
+
+    def launch(self) -> None:
+        """Run them all, after what was launched before.
+
+        Raises:
+            DeviceError: the recording has not ended, or it failed.
         """
         ...
 
@@ -230,4 +275,47 @@ class Device(Protocol):
 
     def memory(self) -> tuple[int, int]:
         """Free and total bytes."""
+        ...
+
+    def event(self) -> Event:
+        """The present moment: after all that was launched, before all that will be."""
+        ...
+
+    def elapsed(self, begin: Event, end: Event) -> float:
+        """Time from one event to another [ms]; waits for the later one."""
+        ...
+
+    def pinned(self, shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """A host array that the device reads and writes directly, at the full speed of the bus.
+
+        Raises:
+            DeviceMemoryError: the host has not so much memory to pin.
+        """
+        ...
+
+    def download_async(
+        self, array: DeviceArray, out: NDArray[Any] | None = None, *, beside: bool = False
+    ) -> Download:
+        """Begin a copy to the host and return at once.
+
+        Args:
+            array: what to copy; kept alive until it has arrived.
+            out: pinned host array for it (see `pinned`); a new one when None.
+            beside: copy while kernels launched later run. They must not write to `array`.
+
+        Raises:
+            DeviceError: `out` is not pinned, or of another size or type.
+        """
+        ...
+
+    def capture(self) -> AbstractContextManager[Graph]:
+        """Record what is launched within the block instead of running it.
+
+        The graph keeps every array that it uses alive. Run the same work once before: a first
+        launch may compile and allocate. Within the block nothing can be waited for; `upload`
+        takes pinned arrays alone, which are read each time that the graph runs.
+
+        Raises:
+            DeviceError: a recording is under way, or something in the block cannot be recorded.
+        """
         ...

@@ -11,19 +11,31 @@ from __future__ import annotations
 import ctypes
 import math
 import os
-import re
 import shutil
 import subprocess
 import tempfile
+import time
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from gn0.device.device import DeviceArray, KernelSource
+from gn0.device.arguments import (
+    check_argument,
+    check_copy,
+    check_count,
+    check_sizes,
+    pack_argument,
+    parse_prototypes,
+    size3,
+)
+from gn0.device.device import DeviceArray, Event, KernelSource
+from gn0.device.pinned import is_pinned, new_pinned, not_pinned
 from gn0.errors import DeviceError, DeviceMemoryError
 from gn0.storage import cache_dir, content_hash
 
@@ -39,15 +51,17 @@ _FLAGS = (
 )
 _POISON = 0xFF  # NaN as a float, -1 as an integer: what nobody wrote shows
 _PAGE = os.sysconf("SC_PAGE_SIZE")
-_PROTOTYPE = re.compile(r"^KERNEL(?:_BOUNDED)?\(\s*(\w+)[^)]*\)\s*\(([^)]*)\)", re.MULTILINE)
+SHARED_MAX = 227 * 1024  # bytes of dynamic shared memory a block on the largest cards
 
 
 class KernelHost:
     """A kernel that runs thread by thread."""
 
-    def __init__(self, device: DeviceHost, name: str, entry: Any, text: Any, types: list[str]):
+    def __init__(self, device: DeviceHost, name: str, library: Any, types: list[str]) -> None:
         self.name = name
-        self._device, self._entry, self._text, self._types = device, entry, text, types
+        self._device, self._types = device, types
+        self._entry, self._text = library[f"gn0_run_{name}"], library.gn0_message
+        self._sizes = list((ctypes.c_size_t * len(types)).in_dll(library, f"gn0_sizes_{name}"))
 
     def launch(
         self, grid: int | tuple[int, ...], block: int | tuple[int, ...], *args: Any, shared: int = 0
@@ -59,17 +73,26 @@ class KernelHost:
                 threads that wait for each other for ever.
         """
         blocks, threads = size3(grid), size3(block)
-        if math.prod(threads) > 1024 or not math.prod(threads):
-            raise DeviceError(f"a block of {threads} threads", where=self.name)
+        check_sizes(self.name, blocks, threads)
+        if shared > SHARED_MAX:
+            raise DeviceError(
+                f"{shared} bytes of dynamic shared memory", where=f"kernel {self.name}"
+            )
+        check_count(self.name, len(args), len(self._types))
+        held = [pack_argument(self.name, i, value) for i, value in enumerate(args)]
+        for i, value in enumerate(args):
+            check_argument(self.name, i, value, self._types[i], self._sizes[i])
         if not math.prod(blocks):
             return
-        if len(args) != len(self._types):
-            raise DeviceError(
-                f"{len(args)} parameters for {len(self._types)}", where=f"kernel {self.name}"
-            )
-        held = [pack_argument(self.name, i, value) for i, value in enumerate(args)]
-        for i, (value, kind) in enumerate(zip(args, self._types, strict=True)):
-            check_argument(self.name, i, value, kind)
+        self._device.do(lambda: self._run(blocks, threads, held, shared), args)
+
+    def _run(
+        self,
+        blocks: tuple[int, int, int],
+        threads: tuple[int, int, int],
+        held: list[NDArray[Any]],
+        shared: int,
+    ) -> None:
         pointers = (ctypes.c_void_p * len(held))(*(h.ctypes.data for h in held))
         failed = self._entry(
             (ctypes.c_uint * 3)(*blocks),
@@ -110,6 +133,7 @@ class DeviceHost:
         self._libc.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
         self._libc.mprotect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
         self._loaded: dict[str, dict[str, KernelHost]] = {}
+        self._recording: GraphHost | None = None
 
     def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike) -> DeviceArray:
         """Memory filled with 0xFF, ending at a guard page."""
@@ -146,18 +170,24 @@ class DeviceHost:
 
     def fill(self, array: DeviceArray, byte: int) -> None:
         """Set every byte."""
-        ctypes.memset(array.pointer, byte, array.nbytes)
+        self.do(lambda: ctypes.memset(array.pointer, byte, array.nbytes), (array,))
 
     def upload(self, array: NDArray[Any], out: DeviceArray | None = None) -> DeviceArray:
         """A device copy of a NumPy array."""
         source = np.ascontiguousarray(array)
         target = self.empty(source.shape, source.dtype) if out is None else out
         check_copy(source, target)
-        ctypes.memmove(target.pointer, source.ctypes.data, source.nbytes)
+        if self._recording and not is_pinned(source):
+            raise not_pinned("a graph reads it each time that it runs")
+        self.do(
+            lambda: ctypes.memmove(target.pointer, source.ctypes.data, source.nbytes),
+            (source, target),
+        )
         return target
 
     def download(self, array: DeviceArray, out: NDArray[Any] | None = None) -> NDArray[Any]:
         """A NumPy copy of a device array."""
+        self._no_recording("download")
         target = np.empty(array.shape, array.dtype) if out is None else out
         check_copy(target, array)
         ctypes.memmove(target.ctypes.data, array.pointer, array.nbytes)
@@ -174,7 +204,7 @@ class DeviceHost:
         return self._loaded[source.digest]
 
     def _load(self, source: KernelSource) -> dict[str, KernelHost]:
-        found = {name: _types(params) for name, params in _PROTOTYPE.findall(_bare(source.text))}
+        found = parse_prototypes(source.text)
         text = f'#include "{_SHIM}"\n{source.text}\n{_wrappers(found)}'
         key = content_hash(text, _SHIM.read_text(), *_FLAGS)
         path = cache_dir() / "emulation" / f"{source.name}-{key[:24]}.so"
@@ -182,10 +212,7 @@ class DeviceHost:
             self._compile(source.name, text, path)
         library = ctypes.CDLL(str(path))
         library.gn0_message.restype = ctypes.c_char_p
-        return {
-            name: KernelHost(self, name, library[f"gn0_run_{name}"], library.gn0_message, types)
-            for name, types in found.items()
-        }
+        return {name: KernelHost(self, name, library, types) for name, types in found.items()}
 
     def _compile(self, name: str, text: str, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -208,6 +235,57 @@ class DeviceHost:
 
     def synchronize(self) -> None:
         """Nothing is ever under way."""
+        self._no_recording("synchronize")
+
+    def do(self, work: Callable[[], object], used: Sequence[Any]) -> None:
+        """Work now, or note it in the graph that is being recorded, with what it uses."""
+        if self._recording is None:
+            work()
+        else:
+            self._recording.steps.append((work, tuple(used)))
+
+    def _no_recording(self, what: str) -> None:
+        if self._recording:
+            raise DeviceError(f"{what} cannot be recorded in a graph", where=self.name)
+
+    def event(self) -> EventHost:
+        """The present moment."""
+        self._no_recording("event")
+        return EventHost(time.perf_counter())
+
+    def elapsed(self, begin: Event, end: Event) -> float:
+        """Time from one event to another [ms]."""
+        assert isinstance(begin, EventHost) and isinstance(end, EventHost)
+        return (end.at - begin.at) * 1e3
+
+    def pinned(self, shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """A host array; pinned in name only."""
+        return new_pinned(shape, dtype, lambda size: (ctypes.c_uint8 * size)())
+
+    def download_async(
+        self, array: DeviceArray, out: NDArray[Any] | None = None, *, beside: bool = False
+    ) -> DownloadHost:
+        """A copy that has arrived at once."""
+        target = self.pinned(array.shape, array.dtype) if out is None else out
+        check_copy(target, array)
+        if not is_pinned(target):
+            raise not_pinned("the copy goes on after the call")
+        self.do(
+            lambda: ctypes.memmove(target.ctypes.data, array.pointer, array.nbytes),
+            (array, target),
+        )
+        return DownloadHost(target)
+
+    @contextmanager
+    def capture(self) -> Iterator[GraphHost]:
+        """Record launches, fills and copies; see `gn0.device.device.Device`."""
+        self._no_recording("a recording")
+        graph = self._recording = GraphHost()
+        try:
+            yield graph
+        finally:
+            self._recording = None
+        graph.whole = True
 
     def memory(self) -> tuple[int, int]:
         """Free and total bytes, as pretended."""
@@ -218,86 +296,43 @@ class _Memory:
     """Keeps a mapping alive."""
 
 
-def size3(size: int | tuple[int, ...]) -> tuple[int, int, int]:
-    """A grid or block size with all three numbers."""
-    given = (size,) if isinstance(size, int | np.integer) else tuple(size)
-    x, y, z = (*map(int, given), 1, 1)[:3]
-    return x, y, z
+@dataclass(frozen=True)
+class EventHost:
+    """A moment.
 
-
-def pack_argument(kernel: str, index: int, value: Any) -> NDArray[Any]:
-    """A kernel parameter as one element in memory.
-
-    Raises:
-        DeviceError: its C type would be a guess.
+    Attributes:
+        at: seconds on the machine's clock.
     """
-    if value is None:
-        return np.zeros(1, np.uint64)
-    if isinstance(value, DeviceArray):
-        return np.array([value.pointer], np.uint64)
-    if isinstance(value, np.generic):
-        return np.array([value])
-    raise DeviceError(
-        f"parameter {index} is a {type(value).__name__}",
-        where=f"kernel {kernel}",
-        remedy="give a DeviceArray, None or a NumPy scalar such as np.int32(3)",
-    )
+
+    at: float
+    done = True
 
 
-_SCALARS = {
-    "int": "int32", "unsigned": "uint32", "unsigned int": "uint32", "u32": "uint32",
-    "float": "float32", "double": "float64", "u64": "uint64", "i64": "int64",
-    "unsigned long long": "uint64", "long long": "int64", "bool": "bool", "u8": "uint8",
-    "u16": "uint16",
-}  # fmt: skip
+@dataclass(frozen=True)
+class DownloadHost:
+    """A copy that has arrived."""
+
+    _array: NDArray[Any]
+    done = True
+
+    def numpy(self) -> NDArray[Any]:
+        """The copy."""
+        return self._array
 
 
-def check_argument(kernel: str, index: int, value: Any, kind: str) -> None:
-    """Compare a parameter with the type that its kernel declares.
+class GraphHost:
+    """Recorded work; see `gn0.device.device.Graph`."""
 
-    Raises:
-        DeviceError: a pointer for a number, a number for a pointer, or another number.
-    """
-    pointer = value is None or isinstance(value, DeviceArray)
-    expected = "a DeviceArray" if kind.endswith("*") else _SCALARS.get(kind, f"struct {kind}")
-    fits = pointer if kind.endswith("*") else not pointer
-    if fits and not pointer and kind in _SCALARS:
-        fits = value.dtype.name == _SCALARS[kind]
-    if not fits:
-        got = "a pointer" if pointer else f"{value.dtype.name}"
-        raise DeviceError(f"parameter {index} is {got}, not {expected}", where=f"kernel {kernel}")
+    def __init__(self) -> None:
+        self.steps: list[tuple[Callable[[], object], tuple[Any, ...]]] = []
+        self.whole = False
 
-
-def check_copy(array: NDArray[Any], device: DeviceArray) -> None:
-    """Compare both sides of a copy.
-
-    Raises:
-        DeviceError: another size or type, or a NumPy array that is not C-contiguous.
-    """
-    if array.nbytes != device.nbytes or array.dtype != device.dtype:
-        raise DeviceError(
-            f"cannot copy {array.dtype}{list(array.shape)} to or from "
-            f"{device.dtype}{list(device.shape)}"
-        )
-    if not array.flags.c_contiguous:
-        raise DeviceError("cannot copy into an array that is not C-contiguous")
-
-
-def _bare(text: str) -> str:
-    """The text without comments, so that prototypes are easy to find."""
-    text = re.sub(r"//[^\n]*", "", text)
-    return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
-
-
-def _types(parameters: str) -> list[str]:
-    """C types of a parameter list, `T*` for pointers."""
-    types = []
-    for parameter in filter(None, (p.strip() for p in parameters.split(","))):
-        clean = re.sub(r"\b(const|__restrict__|__grid_constant__)\b", " ", parameter)
-        pointer = "*" in clean
-        words = clean.replace("*", " ").split()[:-1]
-        types.append(" ".join(words) + ("*" if pointer else ""))
-    return types
+    def launch(self) -> None:
+        """Do it all."""
+        if not self.whole:
+            raise DeviceError("the graph's recording has not ended well")
+        for work, _ in self.steps:
+            work()
 
 
 def _wrappers(found: Mapping[str, list[str]]) -> str:
@@ -305,6 +340,8 @@ def _wrappers(found: Mapping[str, list[str]]) -> str:
     lines = ['extern "C" const char *gn0_message() { return gn0::message; }']
     for name, types in found.items():
         given = ", ".join(f"*({kind} *)p[{i}]" for i, kind in enumerate(types))
+        sizes = ", ".join(f"sizeof({kind})" for kind in types)
+        lines.append(f'extern "C" const size_t gn0_sizes_{name}[] = {{{sizes or 0}}};')
         lines.append(
             f'extern "C" int gn0_run_{name}(const unsigned *grid, const unsigned *block, '
             f"size_t shared, uint64_t seed, void **p) {{ return gn0::run(grid, block, shared, "

@@ -1,0 +1,138 @@
+"""What a kernel may be given: prototypes read from its source, and checks before a launch.
+
+The same for a GPU and for the host emulation, so that a launch that passes here passes there.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import DeviceArray
+from gn0.errors import DeviceError
+
+THREADS_MAX = 1024  # a block, on every card
+GRID_MAX = (2**31 - 1, 65535, 65535)  # blocks along x, y, z
+_PROTOTYPE = re.compile(r"^KERNEL(?:_BOUNDED)?\(\s*(\w+)[^)]*\)\s*\(([^)]*)\)", re.MULTILINE)
+SCALARS: Mapping[str, str] = {
+    "int": "int32", "unsigned": "uint32", "unsigned int": "uint32", "u32": "uint32",
+    "float": "float32", "double": "float64", "u64": "uint64", "i64": "int64",
+    "unsigned long long": "uint64", "long long": "int64", "bool": "bool", "u8": "uint8",
+    "u16": "uint16",
+}  # fmt: skip
+
+
+def parse_prototypes(text: str) -> dict[str, list[str]]:
+    """Kernels of a source text: C types of their parameters by name, `T*` for pointers."""
+    return {name: _types(params) for name, params in _PROTOTYPE.findall(_bare(text))}
+
+
+def _bare(text: str) -> str:
+    """The text without comments, so that prototypes are easy to find."""
+    text = re.sub(r"//[^\n]*", "", text)
+    return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+
+
+def _types(parameters: str) -> list[str]:
+    types = []
+    for parameter in filter(None, (p.strip() for p in parameters.split(","))):
+        clean = re.sub(r"\b(const|__restrict__|__grid_constant__)\b", " ", parameter)
+        words = clean.replace("*", " ").split()[:-1]
+        types.append(" ".join(words) + ("*" if "*" in clean else ""))
+    return types
+
+
+def size3(size: int | tuple[int, ...]) -> tuple[int, int, int]:
+    """A grid or block size with all three numbers."""
+    given = (size,) if isinstance(size, int | np.integer) else tuple(size)
+    x, y, z = (*map(int, given), 1, 1)[:3]
+    return x, y, z
+
+
+def check_sizes(kernel: str, grid: tuple[int, int, int], block: tuple[int, int, int]) -> None:
+    """Compare a launch with what every card can do.
+
+    Raises:
+        DeviceError: a block of no or too many threads, or a grid of too many blocks.
+    """
+    if not 0 < math.prod(block) <= THREADS_MAX:
+        raise DeviceError(f"a block of {block} threads", where=f"kernel {kernel}")
+    if any(not 0 <= n <= most for n, most in zip(grid, GRID_MAX, strict=True)):
+        raise DeviceError(
+            f"a grid of {grid} blocks", where=f"kernel {kernel}", remedy=f"at most {GRID_MAX}"
+        )
+
+
+def pack_argument(kernel: str, index: int, value: Any) -> NDArray[Any]:
+    """A kernel parameter as one element in memory.
+
+    Raises:
+        DeviceError: its C type would be a guess.
+    """
+    if value is None:
+        return np.zeros(1, np.uint64)
+    if isinstance(value, DeviceArray):
+        return np.array([value.pointer], np.uint64)
+    if isinstance(value, np.generic):
+        return np.array([value])
+    raise DeviceError(
+        f"parameter {index} is a {type(value).__name__}",
+        where=f"kernel {kernel}",
+        remedy="give a DeviceArray, None or a NumPy scalar such as np.int32(3)",
+    )
+
+
+def check_count(kernel: str, given: int, wanted: int) -> None:
+    """Compare the number of parameters.
+
+    Raises:
+        DeviceError: another number.
+    """
+    if given != wanted:
+        raise DeviceError(f"{given} parameters for {wanted}", where=f"kernel {kernel}")
+
+
+def check_argument(kernel: str, index: int, value: Any, kind: str, size: int | None = None) -> None:
+    """Compare a parameter with the type that its kernel declares.
+
+    Args:
+        kernel: its name.
+        index: of the parameter.
+        value: DeviceArray, None or NumPy scalar.
+        kind: C type, `T*` for a pointer.
+        size: bytes of that type where they are known; compared for structs.
+
+    Raises:
+        DeviceError: a pointer for a number, a number for a pointer, another number, or a struct
+            of another size.
+    """
+    pointer = value is None or isinstance(value, DeviceArray)
+    expected = "a DeviceArray" if kind.endswith("*") else SCALARS.get(kind, f"struct {kind}")
+    fits = pointer if kind.endswith("*") else not pointer
+    if fits and not pointer and kind in SCALARS:
+        fits = value.dtype.name == SCALARS[kind]
+    elif fits and not pointer and size is not None and value.dtype.itemsize != size:
+        expected, fits = f"{expected} of {size} bytes", False
+    if not fits:
+        got = "a pointer" if pointer else f"{value.dtype.name}"
+        raise DeviceError(f"parameter {index} is {got}, not {expected}", where=f"kernel {kernel}")
+
+
+def check_copy(array: NDArray[Any], device: DeviceArray) -> None:
+    """Compare both sides of a copy.
+
+    Raises:
+        DeviceError: another size or type, or a NumPy array that is not C-contiguous.
+    """
+    if array.nbytes != device.nbytes or array.dtype != device.dtype:
+        raise DeviceError(
+            f"cannot copy {array.dtype}{list(array.shape)} to or from "
+            f"{device.dtype}{list(device.shape)}"
+        )
+    if not array.flags.c_contiguous:
+        raise DeviceError("cannot copy into an array that is not C-contiguous")

@@ -16,7 +16,7 @@ from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.viewer.overlay import GOAL, PATH, START
 from gn0.viewer.plan import INK, PAPER, font
-from gn0.viewer.sheet import render_views
+from gn0.viewer.sheet import EYE, PITCH, render_views
 
 _GAP = 12
 _CAPTION = 38
@@ -54,7 +54,8 @@ def render_route(
     tall = (height - (rows - 1) * _GAP) // rows - _CAPTION
     wide = min(round(tall * 4 / 3), 420)
     tall = round(wide * 3 / 4)
-    views = render_views(renderer, [pose for pose, _ in stops], wide, tall)
+    pitches = [PITCH] * (len(stops) - 1) + [_arrival_pitch(scene, route, stops[-1][0])]
+    views = render_views(renderer, [pose for pose, _ in stops], wide, tall, pitches)
     sheet = Image.new("RGB", (above.width + (wide + _GAP) * columns, height), PAPER)
     sheet.paste(above, (0, 0))
     pen = ImageDraw.Draw(sheet)
@@ -123,6 +124,16 @@ def _arrival(
         return Pose2D(x, y, math.atan2(there[0][1] - y, there[0][0] - x))
     d = path[-1] - path[-2] if len(path) > 1 else np.zeros(2)
     return Pose2D(x, y, math.atan2(d[1], d[0]) if d.any() else start_yaw)
+
+
+def _arrival_pitch(scene: Scene, route: RouteDescription, pose: Pose2D) -> float:
+    """How far up [rad] the target's middle is seen from the end: a bin is looked down on."""
+    for thing in scene.objects:
+        if thing.id == route.target.object_id:
+            x, y, z = thing.box.centre
+            away = max(math.hypot(x - pose.x, y - pose.y), 0.3)
+            return min(max(math.atan2(z - EYE, away), -1.2), 0.3)
+    return PITCH
 
 
 def _draw_above(

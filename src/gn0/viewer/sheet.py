@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -124,13 +125,23 @@ def draw_bev(
 
 
 def render_views(
-    renderer: Renderer, poses: list[Pose2D], width: int, height: int
+    renderer: Renderer,
+    poses: list[Pose2D],
+    width: int,
+    height: int,
+    pitches: Sequence[float] | None = None,
 ) -> list[Image.Image]:
-    """A picture [width x height px] from each pose at eye height, smoothed by 1.5 x 1.5 samples."""
+    """A picture [width x height px] from each pose at eye height, smoothed by 1.5 x 1.5 samples.
+
+    `pitches` [rad] say how far up each looks; slightly down when absent.
+    """
     if not poses:
         return []
     camera = Camera.from_hfov(round(width * 1.5), round(height * 1.5), 79.0)
-    views = np.stack([view_from_pose(p.x, p.y, EYE, p.yaw, PITCH) for p in poses])
+    tilts = [PITCH] * len(poses) if pitches is None else pitches
+    views = np.stack(
+        [view_from_pose(p.x, p.y, EYE, p.yaw, t) for p, t in zip(poses, tilts, strict=True)]
+    )
     rgb = renderer.render(camera, views, outputs=("rgb",)).rgb
     assert rgb is not None
     out = []

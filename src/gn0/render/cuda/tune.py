@@ -1,0 +1,70 @@
+"""Sizes that the drawing kernels are compiled for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from gn0.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What may be tried on a card. No value changes a byte of the pictures.
+
+    Attributes:
+        pixels: pixels a lane blends, side by side in a row: 1, 2 or 4. More of them share the
+            loads of a splat.
+        region_width, region_height: of the part of a tile whose lanes walk one list [px].
+        capacity: entries that a tile sorts at a time.
+        buckets: of the first step of that sort, a power of two.
+        crowded: entries of one bucket above which it is cut into buckets of its own.
+        stage: splats projected into shared memory at a time.
+        blocks: raster blocks a multiprocessor that registers must leave room for.
+        cover_blocks: the same for the kernels that list splats.
+        views: that a block of the listing kernels projects its chunk for.
+        large: tiles of a footprint above which a whole warp lists it.
+        group: whether lanes that list into one tile share an atomic operation.
+    """
+
+    pixels: int = 2
+    region_width: int = 8
+    region_height: int = 4
+    capacity: int = 512
+    buckets: int = 512
+    crowded: int = 192
+    stage: int = 128
+    blocks: int = 8
+    cover_blocks: int = 3
+    views: int = 32
+    large: int = 16
+    group: bool = True
+
+    def __post_init__(self) -> None:
+        sound = (
+            self.pixels in (1, 2, 4)
+            and self.region_width in (4, 8, 16)
+            and self.region_height in (4, 8, 16)
+            and self.pixels <= self.team <= 32
+            and self.buckets & (self.buckets - 1) == 0
+            and self.buckets % self.threads == 0
+            and self.stage % 32 == 0
+            and 0 < self.crowded <= self.capacity <= 2**15
+            and 0 < self.views <= 256
+        )
+        if not sound:
+            raise ConfigError(f"the kernels cannot be built for {self}")
+
+    @property
+    def team(self) -> int:
+        """Lanes that walk one list."""
+        return self.region_width * self.region_height // self.pixels
+
+    @property
+    def threads(self) -> int:
+        """Threads of a raster block."""
+        return 256 // self.pixels
+
+    @property
+    def defines(self) -> tuple[tuple[str, int], ...]:
+        """Macros of the kernels."""
+        return tuple((f.name.upper(), int(getattr(self, f.name))) for f in fields(self))

@@ -23,6 +23,8 @@ DILATION = 0.3  # px², added to both diagonal terms of the 2D covariance ("eps2
 EXTENT_MAX = 3.33  # standard deviations
 
 VISIBLE = "cpu-visible"  # backend name of the CPU renderer with visible sets
+VISIBLE_CUDA = "cuda-visible"  # of the CUDA renderer with visible sets
+VISIBLE_BACKENDS = {VISIBLE: "cpu", VISIBLE_CUDA: "cuda"}  # and who draws for them
 VIEW_TOLERANCE = 1e-4  # how far a view's rotation may be from orthonormal
 
 Output = Literal["rgb", "depth", "alpha"]
@@ -121,10 +123,27 @@ def choose_backend(backend: str = "auto") -> tuple[str, str]:
     """
     if backend == "auto":
         return "cpu", "the Numba renderer runs everywhere; no faster backend is installed"
-    if backend == VISIBLE:
-        return backend, "the Numba renderer, drawing from visible sets as asked for"
+    if backend in VISIBLE_BACKENDS:
+        drawn = {VISIBLE: "Numba", VISIBLE_CUDA: "CUDA"}[backend]
+        return backend, f"the {drawn} renderer, drawing from visible sets as asked for"
     get_plugin("renderer", backend)
     return backend, "asked for by name"
+
+
+def visible_backend(backend: str = "auto") -> str:
+    """The name of a backend with visible sets: "cpu-visible" or "cuda-visible".
+
+    Raises:
+        ConfigError: no such backend, or it has no visible sets.
+    """
+    name, _ = choose_backend(backend)
+    for visible, drawn in VISIBLE_BACKENDS.items():
+        if name in (visible, drawn):
+            return visible
+    raise ConfigError(
+        f"renderer {name!r} has no visible sets",
+        remedy=f"use backend {' or '.join(map(repr, VISIBLE_BACKENDS.values()))}",
+    )
 
 
 def build_renderer(
@@ -136,10 +155,11 @@ def build_renderer(
         ConfigError: no such backend.
     """
     name, _ = choose_backend(backend)
-    if name == VISIBLE:
+    if name in VISIBLE_BACKENDS:
+        drawn = VISIBLE_BACKENDS[name]
         raise ConfigError(
             "visible sets need to know where eyes can be",
-            remedy="use open_simulator, or build_renderer(cloud, 'cpu') and limit_to_visible",
+            remedy=f"use open_simulator, or build_renderer(cloud, {drawn!r}) and limit_to_visible",
         )
     renderer: Renderer = get_plugin("renderer", name)(cloud, options or RenderOptions())
     return renderer
@@ -159,11 +179,18 @@ def limit_to_visible(
     Raises:
         ConfigError: the backend has no visible sets.
     """
-    from gn0.render.cpu import RendererCpu  # kernels are not needed to know the protocol
+    if renderer.name == "cuda":  # kernels are not needed to know the protocol
+        from gn0.render.cuda.renderer import RendererCuda
+        from gn0.render.cuda.visible import RendererVisibleCuda
+
+        if isinstance(renderer, RendererCuda):
+            return RendererVisibleCuda(renderer, cloud_hash, floor, eye_height)
+    from gn0.render.cpu import RendererCpu
     from gn0.render.visible import RendererVisible
 
-    if not isinstance(renderer, RendererCpu):
-        raise ConfigError(
-            f"renderer {renderer.name!r} has no visible sets", remedy="use backend 'cpu'"
-        )
-    return RendererVisible(renderer, cloud_hash, floor, eye_height)
+    if isinstance(renderer, RendererCpu):
+        return RendererVisible(renderer, cloud_hash, floor, eye_height)
+    raise ConfigError(
+        f"renderer {renderer.name!r} has no visible sets",
+        remedy=f"use backend {' or '.join(map(repr, VISIBLE_BACKENDS.values()))}",
+    )

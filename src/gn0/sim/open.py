@@ -14,7 +14,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
-from gn0.render.renderer import VISIBLE, Renderer, build_renderer, limit_to_visible
+from gn0.render.renderer import VISIBLE_BACKENDS, Renderer, build_renderer, limit_to_visible
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import CEILING_CUT, EYES, MAPS, SensorConfig, check_map_mode, check_sensors
@@ -55,14 +55,16 @@ def open_simulator(
     map_mode: str = "prior",
     navigation: NavigationMap | None = None,
     light: LightCondition | None = None,
+    renderer: Renderer | None = None,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
     Args:
         scene: a Scene, or the path of a scene folder.
         preset: cameras and body, by name or value.
-        backend: renderer backend; "auto" takes the best that is here, "cpu-visible" draws views
-            from the splats that can be seen near each place (see `gn0.render.visible`).
+        backend: renderer backend; "auto" takes the best that is here, "cpu-visible" and
+            "cuda-visible" draw views from the splats that can be seen near each place (see
+            `gn0.render.visible`).
         sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
             pose.
         agent: the body, instead of the preset's.
@@ -72,6 +74,7 @@ def open_simulator(
             (explored), or nothing (none).
         navigation: the map that moves the agent; by default its radius decides.
         light: how the scene is lit, in views and BEV alike; as it was made when None.
+        renderer: draws instead of one of `backend`; it must hold this scene in this light.
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -95,11 +98,10 @@ def open_simulator(
             where=scene.path or scene.id,
             remedy="run `gn0 scene check`, or use a slimmer agent",
         )
-    renderer: Renderer | None = None
     bev: BevPicture | None = None
-    if active & EYES or "bev" in active or explores:
+    if renderer is None and (active & EYES or "bev" in active or explores):
         cloud = scene.gaussians if light is None else relight_cloud(scene.gaussians, light)
-        renderer = build_renderer(cloud, "cpu" if backend == VISIBLE else backend)
+        renderer = build_renderer(cloud, VISIBLE_BACKENDS.get(backend, backend))
     if "bev" in active and renderer is not None and not explores:
         bev = render_bev(
             look_hash(scene, light),
@@ -109,7 +111,9 @@ def open_simulator(
             cut_height,
             background=cameras.background,
         )
-    if backend == VISIBLE and renderer is not None:  # not for the BEV: it is seen from above
+    if (
+        backend in VISIBLE_BACKENDS and renderer is not None
+    ):  # not for the BEV: it is seen from above
         renderer = limit_to_visible(
             renderer,
             scene.cloud_hash or scene.gaussians.content_hash,

@@ -1,7 +1,8 @@
 """Measure the figures of merit and write the board (figures.md and figures.json).
 
-A figure whose data is absent is skipped and says so; the board keeps its last measured rows.
-Run it on a quiet machine: timings are only as good as the machine is idle.
+A figure whose data or GPU is absent is skipped and says so; the board keeps its last measured rows.
+One that breaks off keeps the rows that it had measured, and the next one runs. Run it on a quiet
+machine: timings are only as good as the machine is idle.
 """
 
 from __future__ import annotations
@@ -9,15 +10,20 @@ from __future__ import annotations
 import datetime
 import os
 import tempfile
+import traceback
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from gn0.config import Config
 
+if TYPE_CHECKING:
+    from gn0.figures.board import BoardEntry, Figure, FigureContext, FigureRow
+
 EXAMPLES = """  gn0 figures --list
   gn0 figures maps render.fps
+  gn0 figures render --backend cuda
   gn0 figures --all --out docs"""
 
 
@@ -30,6 +36,8 @@ class Args(Config, frozen=True):
         list: name the figures and measure nothing.
         out: folder of the board.
         data: folder of third-party test data; default $GN0_DATA, else ../shared/data.
+        backend: only figures of this backend ("cuda"), of those chosen.
+        scenes: folder of scenes made beforehand (see docs/gpu_figures.md).
     """
 
     ids: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
@@ -37,56 +45,129 @@ class Args(Config, frozen=True):
     list: bool = False
     out: str = "docs"
     data: str = ""
+    backend: str = ""
+    scenes: str = ""
 
 
 def run(args: Args) -> int:
-    """Measure and write; 1 when a measured target is missed."""
-    from gn0 import __version__
+    """Measure and write; 1 when a measured target is missed or a figure broke off."""
     from gn0.cli.console import draw_progress
-    from gn0.figures.board import (
-        BoardEntry,
-        FigureContext,
-        hardware_name,
-        load_board,
-        write_board,
-    )
+    from gn0.errors import ConfigError
+    from gn0.figures.board import FigureContext
     from gn0.figures.catalogue import all_figures, find_figures
 
-    if args.list or not (args.all or args.ids):
-        for figure in all_figures().values():
+    chosen = bool(args.all or args.ids)
+    known = all_figures().values()
+    figures = find_figures([*args.ids]) if args.ids and not args.all else [*known]
+    if args.backend:
+        figures = [figure for figure in figures if figure.backend == args.backend]
+        if not figures:
+            raise ConfigError(
+                f"no figure of those chosen has backend {args.backend!r}", remedy="give cuda"
+            )
+    if args.list or not (chosen or args.backend):
+        for figure in figures:
             print(f"{figure.id:<28}{figure.title}  (about {figure.minutes:g} min)")
         return 0
-    figures = list(all_figures().values()) if args.all else find_figures(list(args.ids))
-    board_file = Path(args.out) / "figures.json"
     data = Path(args.data or os.environ.get("GN0_DATA", "../shared/data"))
-    missed = 0
+    scenes = Path(args.scenes) if args.scenes else None
+    if scenes is not None and not scenes.is_dir():
+        raise ConfigError("no such folder", where=f"--scenes {scenes}")
+    failed = 0
     with tempfile.TemporaryDirectory(prefix="gn0-figures-") as work, draw_progress() as progress:
         for figure in figures:
             scratch = Path(work) / figure.id
             scratch.mkdir()
             context = FigureContext(
-                data=data.resolve() if data.is_dir() else None, work=scratch, progress=progress
+                data=data.resolve() if data.is_dir() else None,
+                work=scratch,
+                progress=progress,
+                scenes=scenes,
             )
-            try:
-                rows = figure.measure(context)
-            except FileNotFoundError as error:
-                print(f"{figure.id}: skipped, needs {error} under --data or $GN0_DATA")
-                continue
-            entry = BoardEntry(
-                id=figure.id,
-                title=figure.title,
-                rows=rows,
-                hardware=hardware_name(),
-                date=datetime.date.today().isoformat(),
-                version=__version__,
-            )
-            known = all_figures()  # what is no longer measured leaves the board
-            board = {k: v for k, v in load_board(board_file).items() if k in known}
-            board[figure.id] = entry
-            write_board(Path(args.out), board.values())
-            for row in rows:
-                mark = {True: "met", False: "MISSED", None: ""}[row.passed]
-                print(f"{figure.id}: {row.name}: {row.value:.4g} {row.unit} {row.target} {mark}")
-                missed += row.passed is False
-    print(f"board: {Path(args.out) / 'figures.md'}; {missed} targets missed")
-    return 1 if missed else 0
+            failed += _Run(figure, Path(args.out)).measure(context)
+    print(f"board: {Path(args.out) / 'figures.md'}; {failed} targets missed or figures broken off")
+    return 1 if failed else 0
+
+
+class _Run:
+    """One figure's way to the board."""
+
+    def __init__(self, figure: Figure, out: Path) -> None:
+        self.figure, self.out = figure, out
+        self.rows: list[FigureRow] = []
+        self.hardware = ""
+
+    def measure(self, context: FigureContext) -> int:
+        """Run it; returns how many targets it missed, counting a failure as one."""
+        from dataclasses import replace
+
+        from gn0.figures.board import FigureSkipped, hardware_name
+
+        figure = self.figure
+        self.hardware = hardware_name()
+        note = ""
+        try:
+            if figure.backend == "cuda":
+                from gn0.figures.device import describe_device, open_figure_device
+
+                device = open_figure_device()
+                self.hardware = f"{describe_device(device)} · {self.hardware}"
+                context = replace(context, device=device)
+            rows = figure.measure(replace(context, report=self._report))
+            for row in rows[len(self.rows) :]:
+                self._print(row)
+            self.rows = rows
+        except FileNotFoundError as error:
+            print(f"{figure.id}: skipped, needs {error} under --data or $GN0_DATA")
+            return 0
+        except FigureSkipped as reason:
+            print(f"{figure.id}: skipped, {reason}")
+            self._skip(str(reason))
+            return 0
+        except Exception as error:  # the next figure runs, and what was measured is kept
+            traceback.print_exc()
+            note = f"broke off: {type(error).__name__}: {error}"
+            print(f"{figure.id}: {note}")
+            if not self.rows:
+                self._skip(note)
+                return 1
+        self._write(self.rows, note)
+        return sum(row.passed is False for row in self.rows) + bool(note)
+
+    def _report(self, row: FigureRow) -> None:
+        self.rows.append(row)
+        self._print(row)
+        self._write(self.rows, "broke off before its end")
+
+    def _print(self, row: FigureRow) -> None:
+        mark = {True: "met", False: "MISSED", None: ""}[row.passed]
+        text = f"{row.name}: {row.value:.4g} {row.unit} {row.target} {mark}"
+        print(f"{self.figure.id}: {text}", flush=True)
+
+    def _board(self) -> dict[str, BoardEntry]:
+        from gn0.figures.board import load_board
+        from gn0.figures.catalogue import all_figures
+
+        known = all_figures()  # what is no longer measured leaves the board
+        return {k: v for k, v in load_board(self.out / "figures.json").items() if k in known}
+
+    def _write(self, rows: list[Any], note: str) -> None:
+        from gn0 import __version__
+        from gn0.figures.board import BoardEntry, write_board
+
+        board = self._board()
+        board[self.figure.id] = BoardEntry(
+            id=self.figure.id,
+            title=self.figure.title,
+            rows=rows,
+            hardware=self.hardware,
+            date=datetime.date.today().isoformat(),
+            version=__version__,
+            note=note,
+        )
+        write_board(self.out, board.values())
+
+    def _skip(self, reason: str) -> None:
+        """What was never measured stands on the board with the reason."""
+        if not self._board().get(self.figure.id):
+            self._write([], reason)

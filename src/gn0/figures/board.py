@@ -7,12 +7,17 @@ import platform
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from gn0.config import load_json
 from gn0.progress import Progress, no_progress
 from gn0.storage import write_json, write_text
+
+
+class FigureSkipped(Exception):  # noqa: N818
+    """This machine lacks what a figure needs; the text says what."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +28,17 @@ class FigureContext:
         data: folder of third-party test data (`$GN0_DATA`), or None.
         work: a scratch folder.
         progress: progress sink.
+        device: the accelerator of figures that need one; its emulation asks for tiny sizes.
+        scenes: folder of scenes made beforehand, or None.
+        report: takes rows as soon as they are measured, so that they outlive what fails later.
     """
 
     data: Path | None
     work: Path
     progress: Progress = no_progress
+    device: Any = None
+    scenes: Path | None = None
+    report: Callable[[FigureRow], None] = field(default=lambda row: None, repr=False)
 
     def need_data(self, relative: str) -> Path:
         """A path under the data folder.
@@ -66,14 +77,17 @@ class Figure:
     Attributes:
         id: room and topic, e.g. "maps.astar".
         title: one line.
-        measure: runs it and returns rows; raises FileNotFoundError when its data is absent.
-        minutes: rough length on two cores.
+        measure: runs it and returns rows; raises FileNotFoundError when its data is absent,
+            FigureSkipped when this machine lacks something else.
+        minutes: rough length on two cores, or on the card where it needs one.
+        backend: "cuda" where it needs a GPU.
     """
 
     id: str
     title: str
     measure: Callable[[FigureContext], list[FigureRow]] = field(repr=False)
     minutes: float = 1.0
+    backend: str = ""
 
 
 def row_at_most(name: str, value: float, limit: float, unit: str, detail: str = "") -> FigureRow:
@@ -100,8 +114,8 @@ def row_at_least(name: str, value: float, limit: float, unit: str, detail: str =
     )
 
 
-class BoardEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """One figure on the board with the rows of its last run."""
+class BoardEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One figure on the board with the rows of its last run; `note` says why there are few."""
 
     id: str
     title: str
@@ -109,6 +123,7 @@ class BoardEntry(msgspec.Struct, frozen=True, kw_only=True):
     hardware: str
     date: str
     version: str
+    note: str = ""
 
 
 def hardware_name() -> str:
@@ -156,11 +171,15 @@ def board_markdown(entries: list[BoardEntry]) -> str:
         "",
     ]
     for entry in entries:
+        lines += [f"## {entry.title}", ""]
+        if not entry.rows:
+            lines += [f"`gn0 figures {entry.id}` · not measured: {entry.note}", ""]
+            continue
+        place = f"{entry.hardware} · {entry.date} · gn0 {entry.version}"
+        lines += [f"`gn0 figures {entry.id}` · {place}", ""]
+        if entry.note:
+            lines += [f"**Unfinished:** {entry.note}", ""]
         lines += [
-            f"## {entry.title}",
-            "",
-            f"`gn0 figures {entry.id}` · {entry.hardware} · {entry.date} · gn0 {entry.version}",
-            "",
             "| figure | value | target | met | scene and settings |",
             "| --- | --- | --- | --- | --- |",
         ]

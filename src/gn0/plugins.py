@@ -30,6 +30,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
     },
     "renderer": {
         "cpu": "gn0.render.cpu:RendererCpu",
+        "cuda": "gn0.render.cuda.renderer:RendererCuda",
         "gsplat": "gn0.render.gsplat:RendererGsplat",
     },
     "refiner": {"cpu": "gn0.render.refine:refine_cloud"},

@@ -1,0 +1,1 @@
+"""The renderer for NVIDIA cards: clouds and pictures stay on the device."""

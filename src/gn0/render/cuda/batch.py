@@ -1,0 +1,258 @@
+"""RendererBatch: many views of many scenes, each with a moving tail, in one call on a device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import Device
+from gn0.errors import DeviceMemoryError, RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F32, F64
+from gn0.maps.grid import OccupancyGrid
+from gn0.render.camera import Camera
+from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice
+from gn0.render.cuda.pack import upload_cloud
+from gn0.render.cuda.store import CloudStore
+from gn0.render.cuda.visible import VisibleSets
+from gn0.render.renderer import Output, RenderOptions, check_views
+from gn0.render.visible_places import VisibleOptions
+
+OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
+Cell = tuple[int, int]
+Part = tuple[VisibleSets, Cell]
+
+
+class RendererBatch:
+    """Draws views of many scenes, each kept on the device while there is room.
+
+    Args:
+        device: draws.
+        options: image formation, for all scenes; `threads` means nothing here.
+        memory: bytes that clouds may take; 0.6 of what is free now when None.
+    """
+
+    name = "cuda"
+
+    def __init__(
+        self, device: Device, options: RenderOptions | None = None, memory: int | None = None
+    ) -> None:
+        self.device = device
+        self.options = options or RenderOptions()
+        self.store = CloudStore(device, memory)
+        self.drawer = Drawer(device)
+        self._sets: dict[str, VisibleSets] = {}
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.store
+
+    def add(self, key: str, load: Callable[[], GaussianCloud], digest: str = "") -> None:
+        """Name a scene; its cloud is loaded when it is first drawn, and again after it gave way.
+
+        Args:
+            key: of the scene, or of the scene in a light (`gn0.sim.open.name_look`).
+            load: gives the cloud.
+            digest: content hash of that cloud (`gn0.sim.open.look_hash`). The same key with
+                another hash drops the old splats and sets. Without hashes, another `load` does.
+        """
+        if self.store.add(key, load, digest):
+            self._sets.pop(key, None)
+
+    def remove(self, key: str) -> None:
+        """Forget a scene."""
+        self.store.remove(key)
+        self._sets.pop(key, None)
+
+    def limit_to_visible(
+        self,
+        key: str,
+        cloud_hash: str,
+        floor: OccupancyGrid,
+        eye_height: float,
+        options: VisibleOptions | None = None,
+        *,
+        cache: bool = True,
+    ) -> VisibleSets:
+        """Let `render(…, visible=True)` draw a scene from visible sets.
+
+        Args:
+            key: of a scene that was added.
+            cloud_hash: content hash of its geometry (its light does not matter).
+            floor: free cells where eyes can be, inflated for the agent.
+            eye_height: of the cameras [m].
+            options: how sets are found.
+            cache: read and write the cache folder.
+
+        Raises:
+            RenderError: no such scene.
+        """
+        self.store.digest(key)
+        sets = VisibleSets(
+            self.drawer,
+            cloud_hash,
+            floor,
+            eye_height,
+            options or VisibleOptions(),
+            antialiased=self.options.antialiased,
+            cache=cache,
+        )
+        self._sets[key] = sets
+        return sets
+
+    def render(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        keys: Sequence[str] | str,
+        *,
+        tails: Sequence[GaussianCloud | None] | GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = OUTPUTS,
+        background: tuple[float, float, float] | None = None,
+        visible: bool | VisibleSets | Sequence[Cell | None] | None = None,
+    ) -> PicturesDevice:
+        """Draw `views`, each of its own scene; the pictures stay on the device.
+
+        Args:
+            camera: of all views.
+            views: world-to-camera [4, 4] or [V, 4, 4].
+            keys: scene of each view, in any order, or one for all.
+            tails: moving splats of each view, or of all, drawn after the scene's at equal depth.
+                Views may share one cloud: it is brought over once.
+            outputs: what to draw.
+            background: colour behind everything, 0..1; the option when None.
+            visible: True takes the visible set where each eye is, for scenes that have sets
+                (`limit_to_visible`); sets do so for this call alone; or name a cell (column, row)
+                a view, None for all splats.
+
+        Raises:
+            RenderError: a view is not finite or not rigid, an output or a scene is unknown, keys,
+                tails or sets are not one a view, or a colour or a splat is not finite.
+            DeviceMemoryError: a scene is larger than the memory, or one view has no room.
+            DeviceError: the device is lost.
+        """
+        matrices = check_views(views)
+        count = len(matrices)
+        names = [keys] * count if isinstance(keys, str) else list(keys)
+        colour = check_picture(
+            outputs, self.options.background if background is None else background
+        )
+        for what, given in (("keys", names), ("tails", tails), ("visible", visible)):
+            if isinstance(given, Sequence) and len(given) != count:
+                raise RenderError(f"{len(given)} {what} for {count} views", where=what)
+        moving, tail_of = self._bring_tails(tails, count)
+        parts = self._parts(camera, matrices, names, visible)
+        pictures = self.drawer.pictures(camera, count, outputs, self.options.rgb_float)
+        for group in self.store.groups(names):
+            rows = np.array([v for v in range(count) if names[v] in group], np.int64)
+            while True:
+                try:
+                    clouds, cloud_of = _choose(group, names, parts, rows)
+                    self.drawer.draw(
+                        camera,
+                        matrices[rows],
+                        clouds,
+                        cloud_of,
+                        tails=moving,
+                        tail_of=None if tail_of is None else tail_of[rows],
+                        pictures=pictures,
+                        rows=rows,
+                        background=colour,
+                        antialiased=self.options.antialiased,
+                    )
+                    break
+                except DeviceMemoryError:
+                    if not self._make_room(list(group)):
+                        raise
+        return pictures
+
+    def _bring_tails(
+        self, tails: Sequence[GaussianCloud | None] | GaussianCloud | None, count: int
+    ) -> tuple[list[CloudDevice], NDArray[np.int32] | None]:
+        """Different tails once each, and which is whose (-1: none)."""
+        if isinstance(tails, GaussianCloud):
+            if not len(tails):
+                return [], None
+            return [upload_cloud(self.device, tails, sort=False)], np.zeros(count, np.int32)
+        number: dict[int, int] = {}
+        brought: list[CloudDevice] = []
+        tail_of = np.full(count, -1, np.int32)
+        for v, tail in enumerate(tails or ()):
+            if tail is None or not len(tail):
+                continue
+            if id(tail) not in number:
+                number[id(tail)] = len(brought)
+                brought.append(upload_cloud(self.device, tail, sort=False))
+            tail_of[v] = number[id(tail)]
+        return brought, tail_of if brought else None
+
+    def _parts(
+        self,
+        camera: Camera,
+        matrices: F64,
+        names: list[str],
+        visible: bool | VisibleSets | Sequence[Cell | None] | None,
+    ) -> list[Part | None]:
+        """The set that each view is drawn from; None for all splats."""
+        found: list[Part | None] = [None] * len(names)
+        if visible is None or visible is False:
+            return found
+        if isinstance(visible, Sequence):
+            for v, cell in enumerate(visible):
+                if cell is None:
+                    continue
+                if names[v] not in self._sets:
+                    raise RenderError(
+                        f"scene {names[v]!r} has no visible sets",
+                        remedy="call limit_to_visible first",
+                    )
+                found[v] = (self._sets[names[v]], cell)
+            return found
+        for key in dict.fromkeys(names):
+            sets = self._sets.get(key) if isinstance(visible, bool) else visible
+            if sets is None:
+                continue
+            mine = [v for v, name in enumerate(names) if name == key]
+            for v, cell in zip(mine, sets.locate(camera, matrices[mine]), strict=True):
+                found[v] = None if cell is None else (sets, cell)
+        return found
+
+    def _make_room(self, pinned: list[str]) -> bool:
+        """Let go of something that the draw under way does not need."""
+        return self.store.give_way(pinned) or sum(s.clear() for s in self._sets.values()) > 0
+
+
+def _choose(
+    group: dict[str, CloudDevice],
+    names: list[str],
+    parts: list[Part | None],
+    rows: NDArray[np.int64],
+) -> tuple[list[CloudDevice], NDArray[np.int32]]:
+    """The clouds of views `rows`, whole or in part, once each; and which of them is whose."""
+    wanted = [(names[v], parts[v]) for v in rows.tolist()]
+    number = {which: n for n, which in enumerate(dict.fromkeys(wanted))}
+    clouds = [group[key] for key, _ in number]
+    asked: dict[tuple[str, VisibleSets], list[Cell]] = {}
+    for key, part in number:
+        if part is not None:
+            asked.setdefault((key, part[0]), []).append(part[1])
+    for (key, sets), cells in asked.items():
+        for cell, cloud in sets.open(cells, group[key]).items():
+            clouds[number[key, (sets, cell)]] = cloud
+    return clouds, np.array([number[which] for which in wanted], np.int32)
+
+
+def check_picture(outputs: tuple[str, ...], background: Sequence[float]) -> F32:
+    """The background as float32 [3].
+
+    Raises:
+        RenderError: an output is unknown, or a colour is not finite.
+    """
+    unknown = [name for name in outputs if name not in OUTPUTS]
+    if unknown:
+        raise RenderError(f"unknown output {unknown[0]!r}", remedy="rgb, depth or alpha")
+    colour = np.array(background, np.float32)
+    if colour.shape != (3,) or not np.isfinite(colour).all():
+        raise RenderError("background is not three finite numbers", where="background")
+    return colour

@@ -1,0 +1,199 @@
+"""Many clouds on one device under a memory budget: loaded when first drawn, least recent out first.
+
+A cloud goes under a key (a scene, or a scene and its light) and carries the content hash of what
+it was made from. The same key with another hash is another scene: the old splats are dropped at
+once, so a scene that was swapped on disk is never shown as it was.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from gn0.device.device import Device
+from gn0.errors import DeviceMemoryError, RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.render.cuda.draw import CloudDevice
+from gn0.render.cuda.pack import cloud_bytes, upload_cloud
+
+_SMALLER = "use backend 'cpu', or a scene with fewer splats or a lower SH degree"
+SHARE = 0.6  # of the memory that is free at the start, for clouds; the rest is for drawing
+
+
+@dataclass(frozen=True)
+class CloudSource:
+    """Where a cloud comes from.
+
+    Attributes:
+        load: gives the cloud, each time it is brought to the device.
+        digest: content hash of what `load` gives; "" when nobody knows.
+    """
+
+    load: Callable[[], GaussianCloud]
+    digest: str = ""
+
+
+class CloudStore:
+    """Clouds by key; those in use stay, others give way.
+
+    Args:
+        device: where they live.
+        memory: bytes that clouds may take; 0.6 of what is free now when None.
+    """
+
+    def __init__(self, device: Device, memory: int | None = None) -> None:
+        self.device = device
+        self.memory = int(SHARE * device.memory()[0]) if memory is None else memory
+        self._sources: dict[str, CloudSource] = {}
+        self._held: OrderedDict[str, CloudDevice] = OrderedDict()  # least recent first
+        self._kept: set[str] = set()  # never dropped to make room
+        self.loads = 0  # clouds brought here so far, for figures
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._sources
+
+    @property
+    def used(self) -> int:
+        """Bytes of the clouds that are here."""
+        return sum(cloud.nbytes for cloud in self._held.values())
+
+    @property
+    def resident(self) -> list[str]:
+        """Keys of the clouds that are here, least recently used first."""
+        return list(self._held)
+
+    def add(self, key: str, load: Callable[[], GaussianCloud], digest: str = "") -> bool:
+        """Name a cloud; it is loaded when first drawn.
+
+        The same key again keeps what is here only if the hash is the same, or, without hashes, if
+        `load` is the very same. Otherwise it is loaded anew.
+
+        Returns:
+            Whether the key was new or its cloud has changed.
+        """
+        source, known = CloudSource(load, digest), self._sources.get(key)
+        same = known is not None and (
+            known.digest == digest if digest or known.digest else known.load == load
+        )
+        self._sources[key] = source
+        if not same:
+            self._held.pop(key, None)
+            self._kept.discard(key)
+        return not same
+
+    def keep(self, key: str, cloud: GaussianCloud, digest: str = "") -> CloudDevice:
+        """Bring a cloud here now, to stay until it is removed; nobody is asked for it again.
+
+        Raises:
+            RenderError, DeviceMemoryError: see `groups`.
+        """
+        self.add(key, _no_load, digest)
+        self._held.pop(key, None)
+        found = self._bring(key, cloud, {})
+        assert found is not None
+        self._kept.add(key)
+        return found
+
+    def remove(self, key: str) -> None:
+        """Forget a cloud; one that is not here is no error."""
+        self._sources.pop(key, None)
+        self._held.pop(key, None)
+        self._kept.discard(key)
+
+    def digest(self, key: str) -> str:
+        """Content hash of a cloud, as it was added.
+
+        Raises:
+            RenderError: no such key.
+        """
+        return self._source(key).digest
+
+    def groups(self, keys: Sequence[str]) -> Iterator[dict[str, CloudDevice]]:
+        """The clouds of `keys`, in groups that fit together; what is in a group stays for its turn.
+
+        One group when all fit. What is here already comes first, so that it is not dropped to
+        make room before its turn.
+
+        Raises:
+            RenderError: no such key, or a cloud that cannot be drawn.
+            DeviceMemoryError: a cloud is larger than all memory for clouds, or than the device.
+        """
+        wanted = list(dict.fromkeys(keys))
+        for key in wanted:
+            self._source(key)
+        wanted.sort(key=lambda key: key not in self._held)
+        group: dict[str, CloudDevice] = {}
+        for key in wanted:
+            found = self._held.get(key)
+            if found is None:
+                cloud = self._source(key).load()
+                found = self._bring(key, cloud, group)
+                if found is None:  # not beside those of the group: draw them first
+                    yield group
+                    group = {}
+                    found = self._bring(key, cloud, group)
+                assert found is not None
+            self._held.move_to_end(key)
+            group[key] = found
+        if group:
+            yield group
+
+    def open(self, key: str) -> CloudDevice:
+        """One cloud, brought here if need be.
+
+        Raises:
+            RenderError, DeviceMemoryError: see `groups`.
+        """
+        return next(self.groups([key]))[key]
+
+    def give_way(self, pinned: Sequence[str] = ()) -> bool:
+        """Drop the least recently used cloud that is not `pinned`; whether there was one."""
+        for key in self._held:
+            if key not in pinned and key not in self._kept:
+                del self._held[key]
+                return True
+        return False
+
+    def _source(self, key: str) -> CloudSource:
+        if key not in self._sources:
+            raise RenderError(f"no scene {key!r} has been added", remedy="call add first")
+        return self._sources[key]
+
+    def _bring(
+        self, key: str, cloud: GaussianCloud, pinned: dict[str, CloudDevice]
+    ) -> CloudDevice | None:
+        """Upload a cloud; None when there is room only without those `pinned`."""
+        need = cloud_bytes(len(cloud), cloud.sh_degree)
+        if need > self.memory:
+            raise DeviceMemoryError(
+                f"scene {key!r} needs {need / 2**20:.0f} MiB, more than the "
+                f"{self.memory / 2**20:.0f} MiB for all scenes",
+                where=self.device.name,
+                remedy=f"allow more memory, or {_SMALLER}",
+            )
+        while self.used + need > self.memory:
+            if not self.give_way(list(pinned)):
+                return None
+        while True:
+            try:
+                found = upload_cloud(self.device, cloud)
+                break
+            except DeviceMemoryError as error:
+                if self.give_way(list(pinned)):
+                    continue
+                if pinned:
+                    return None
+                raise DeviceMemoryError(
+                    f"scene {key!r} needs {need / 2**20:.0f} MiB, and "
+                    f"{self.device.memory()[0] / 2**20:.0f} MiB are free",
+                    where=self.device.name,
+                    remedy=_SMALLER,
+                ) from error
+        self._held[key] = found
+        self.loads += 1
+        return found
+
+
+def _no_load() -> GaussianCloud:
+    raise RenderError("a cloud that was to stay has been dropped", where="CloudStore")

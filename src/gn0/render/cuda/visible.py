@@ -1,0 +1,428 @@
+"""Visible sets on a device: found there, kept there as slot lists, drawn from there.
+
+The same definition as `gn0.render.visible`: places, settings and threshold are its own. A set is
+found as bits in cloud order (what the files hold), then becomes the numbers of its packed splats,
+in packed order, with boxes of its own chunks; the splats themselves are not copied.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import Device, DeviceArray, KernelSource
+from gn0.errors import RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F64
+from gn0.maps.grid import OccupancyGrid
+from gn0.progress import Progress, no_progress
+from gn0.render.camera import Camera
+from gn0.render.cuda.draw import CHUNK, CloudDevice, Drawer, PicturesDevice
+from gn0.render.renderer import VISIBLE_CUDA, Output, RenderResult
+from gn0.render.visible_files import VisibleFiles
+from gn0.render.visible_places import VisibleOptions, key_of_sets, look_round, places_by_cell
+
+if TYPE_CHECKING:
+    from gn0.render.cuda.renderer import RendererCuda
+
+Cell = tuple[int, int]
+CELLS = 8  # found in one call: 240 pictures keep a card busy, and their lists are small
+_SOURCE = KernelSource("visible", (Path(__file__).parent / "kernels" / "mark.cu",))
+_BOX = 7
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleSetDevice:
+    """The splats that can be seen from a cell, by number.
+
+    Attributes:
+        slots: uint32 [chunks * 256] packed numbers in packed order; 0xffffffff is padding.
+        boxes: float32 [chunks, 7] of its own chunks.
+        size: splats in it.
+    """
+
+    slots: DeviceArray
+    boxes: DeviceArray
+    size: int
+
+    @property
+    def nbytes(self) -> int:
+        """Device memory."""
+        return self.slots.nbytes + self.boxes.nbytes
+
+
+class VisibleSets:
+    """The visible sets of one cloud.
+
+    Args:
+        drawer: looks round.
+        cloud_hash: content hash of the cloud.
+        floor: where eyes can be: free cells, inflated for the agent.
+        eye_height: of the cameras [m].
+        options: how sets are found, and how much memory they may take.
+        antialiased: as the pictures are.
+        cache: read and write the cache folder.
+    """
+
+    def __init__(
+        self,
+        drawer: Drawer,
+        cloud_hash: str,
+        floor: OccupancyGrid,
+        eye_height: float,
+        options: VisibleOptions,
+        *,
+        antialiased: bool = False,
+        cache: bool = True,
+    ) -> None:
+        self.options, self.floor, self.eye_height = options, floor, float(eye_height)
+        self.built = 0  # sets found by looking, for figures
+        self._drawer, self._antialiased = drawer, antialiased
+        self._made_for = (-1, -1)  # splats in the cloud and packed, of the sets below
+        self._places = places_by_cell(floor, options.cell, options.places)
+        self._sets: OrderedDict[Cell, VisibleSetDevice] = OrderedDict()  # least recent first
+        device: Device = drawer.device
+        self._kernels = device.load(_SOURCE)
+        # the emulation rounds in its own way: its sets are not a card's
+        marker = "cuda" if device.kind == "cuda" else f"cuda on {device.kind}"
+        self.key = key_of_sets(cloud_hash, floor, self.eye_height, antialiased, options, marker)
+        self._cache = cache
+        self._files: dict[int, VisibleFiles] = {}  # by size of the cloud: it may be loaded later
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Cells (column, row) that have a free place, in order."""
+        return sorted(self._places)
+
+    @property
+    def used(self) -> int:
+        """Bytes of the sets that are on the device."""
+        return sum(found.nbytes for found in self._sets.values())
+
+    def files(self, cloud: CloudDevice) -> VisibleFiles | None:
+        """The sets on disk; None without a cache."""
+        if not self._cache:
+            return None
+        if cloud.size not in self._files:
+            self._files[cloud.size] = VisibleFiles(self.key, cloud.size, self.options.disk)
+        return self._files[cloud.size]
+
+    def clear(self) -> bool:
+        """Let go of all sets on the device; whether there were any."""
+        held = bool(self._sets)
+        self._sets.clear()
+        return held
+
+    def locate(self, camera: Camera, matrices: F64) -> list[Cell | None]:
+        """The cell whose set draws each view [V, 4, 4]; None for all splats."""
+        if camera.model != "pinhole" or not len(matrices):
+            return [None] * len(matrices)
+        eyes = -np.einsum("vji,vj->vi", matrices[:, :3, :3], matrices[:, :3, 3])
+        level = np.abs(eyes[:, 2] - self.eye_height) <= self.options.height_tolerance
+        columns, rows = np.floor(eyes[:, :2] / self.options.cell).astype(np.int64).T.tolist()
+        return [
+            cell if fits and cell in self._places else None
+            for cell, fits in zip(zip(columns, rows, strict=True), level.tolist(), strict=True)
+        ]
+
+    def open(self, cells: Sequence[Cell], cloud: CloudDevice) -> dict[Cell, CloudDevice]:
+        """The sets of some cells, as clouds to draw: held, read from the cache, or found now.
+
+        Args:
+            cells: (column, row) each.
+            cloud: all splats, on the device.
+
+        Raises:
+            RenderError: a cell has no free place.
+        """
+        if self._made_for != (cloud.size, cloud.alive):
+            self._sets.clear()  # their numbers are of another cloud
+            self._made_for = (cloud.size, cloud.alive)
+        wanted = list(dict.fromkeys(cells))
+        for cell in wanted:
+            if cell not in self._places:
+                raise RenderError(f"cell {cell} has no free place", remedy="see VisibleSets.cells")
+        missing = [cell for cell in wanted if cell not in self._sets]
+        for cell in wanted:
+            if cell in self._sets:
+                self._sets.move_to_end(cell)
+        for first in range(0, len(missing), CELLS):
+            self._bring(missing[first : first + CELLS], cloud)
+        found = {cell: self._sets[cell] for cell in wanted}
+        self._give_way(len(found))
+        return {
+            cell: replace(cloud, slots=one.slots, boxes=one.boxes) for cell, one in found.items()
+        }
+
+    def size_of(self, cell: Cell, cloud: CloudDevice) -> int:
+        """Splats of a cell's set.
+
+        Raises:
+            RenderError: the cell has no free place.
+        """
+        self.open([cell], cloud)
+        return self._sets[cell].size
+
+    def build(
+        self, cloud: CloudDevice, progress: Progress = no_progress, *, most: int | None = None
+    ) -> Iterator[Cell]:
+        """Find the sets of all cells that the cache does not hold yet, several at a time.
+
+        Files are packed and written by a thread of their own while the device goes on.
+
+        Args:
+            cloud: all splats, on the device.
+            progress: hears of each cell.
+            most: only the first so many cells.
+
+        Raises:
+            RenderError: there is no cache to keep them in.
+            StorageError: the cache cannot be written.
+        """
+        files = self.files(cloud)
+        if files is None:
+            raise RenderError("visible sets need the cache", remedy="leave cache=True")
+        cells = self.cells[:most]
+        done = 0
+        with ThreadPoolExecutor(1, "visible-sets") as writer:
+            under_way: list[tuple[Cell, Future[None] | None]] = []
+            for first in range(0, len(cells), CELLS):
+                some = cells[first : first + CELLS]
+                missing = [cell for cell in some if files.load_bits(cell) is None]
+                bits = self.find(missing, cloud) if missing else np.empty((0, 0), np.uint8)
+                saves: dict[Cell, Future[None]] = {
+                    cell: writer.submit(files.save_bits, cell, row, strict=True)
+                    for cell, row in zip(missing, bits, strict=True)
+                }
+                for cell, save in under_way:
+                    progress("visible sets", done, len(cells))
+                    if save is not None:
+                        save.result()
+                    done += 1
+                    yield cell
+                under_way = [(cell, saves.get(cell)) for cell in some]
+            for cell, save in under_way:
+                progress("visible sets", done, len(cells))
+                if save is not None:
+                    save.result()
+                done += 1
+                yield cell
+        progress("visible sets", len(cells), len(cells))
+
+    def find(self, cells: Sequence[Cell], cloud: CloudDevice) -> NDArray[np.uint8]:
+        """Which splats show from some cells: uint8 [S, ⌈N/8⌉], bits as `np.packbits` lays them."""
+        rows = self._find_bits(cells, cloud).numpy().view(np.uint8).reshape(len(cells), -1)
+        return rows[:, : -(-cloud.size // 8)]
+
+    def _find_bits(self, cells: Sequence[Cell], cloud: CloudDevice) -> DeviceArray:
+        """Look round from all places of some cells; marks uint32 [S, words] in cloud order."""
+        settings, device = self.options, self._drawer.device
+        words = _words(cloud)
+        bits = device.zeros((len(cells), words), np.uint32)
+        if not cloud.alive:
+            return bits
+        views = [look_round(self._places[cell], self.eye_height) for cell in cells]
+        rows = np.repeat(np.arange(len(cells)), [len(v) for v in views])
+        self._drawer.mark(
+            settings.camera(),
+            np.concatenate(views),
+            [cloud],
+            np.zeros(len(rows), np.int32),
+            threshold=settings.threshold,
+            marks=bits,
+            rows=rows,
+            antialiased=self._antialiased,
+        )
+        near = [
+            (x, y, self.eye_height, np.uint32(row).view(np.float32))
+            for row, cell in enumerate(cells)
+            for x, y in self._places[cell]
+        ]  # a picture's near may have cut these off: a cube's corner is at √3 near
+        self._kernels["mark_near"].launch(
+            cloud.chunks,
+            CHUNK,
+            *(cloud.splats, cloud.order, cloud.boxes),
+            *(device.upload(np.array(near, np.float32)), np.int32(len(near))),
+            *(np.float32(3 * settings.near**2), bits, np.uint32(words)),
+        )
+        self.built += len(cells)
+        return bits
+
+    def _bring(self, cells: Sequence[Cell], cloud: CloudDevice) -> None:
+        """Read or find some sets and keep them ready."""
+        files, device = self.files(cloud), self._drawer.device
+        kept = np.zeros((len(cells), _words(cloud) * 4), np.uint8)
+        missing = []
+        for row, cell in enumerate(cells):
+            bits = files.load_bits(cell) if files is not None else None
+            if bits is None:
+                missing.append(row)
+            else:
+                kept[row, : len(bits)] = bits
+        if missing:
+            found = self.find([cells[row] for row in missing], cloud)
+            kept[missing, : found.shape[1]] = found
+            if files is not None:
+                for row, bits in zip(missing, found, strict=True):
+                    files.save_bits(cells[row], bits)
+        marks = device.upload(kept.view(np.uint32))
+        for cell, one in zip(cells, self._gather(marks, len(cells), cloud), strict=True):
+            self._sets[cell] = one
+
+    def _gather(self, marks: DeviceArray, sets: int, cloud: CloudDevice) -> list[VisibleSetDevice]:
+        """Slot lists and boxes of the marked splats."""
+        device, chunks = self._drawer.device, cloud.chunks
+        words, alive = np.uint32(_words(cloud)), np.uint32(cloud.alive)
+        counts = device.empty((sets, chunks), np.uint32)
+        totals = device.zeros(sets, np.uint32)
+        kernels = self._kernels
+        if chunks:
+            grid = (chunks, sets)
+            kernels["count_slots"].launch(grid, CHUNK, marks, words, cloud.order, alive, counts)
+            kernels["scan_slots"].launch(sets, CHUNK, counts, np.uint32(chunks), totals)
+        found = []
+        for row, total in enumerate(totals.numpy().tolist()):
+            mine = -(-total // CHUNK)
+            memory = device.empty(mine * (CHUNK + _BOX), np.uint32)
+            slots = memory[: mine * CHUNK]
+            boxes = memory[mine * CHUNK :].view(np.float32).reshape(mine, _BOX)
+            device.fill(slots, 0xFF)
+            if mine:
+                kernels["fill_slots"].launch(
+                    chunks,
+                    CHUNK,
+                    *(marks[row], cloud.order, alive, counts[row], slots, np.uint32(total)),
+                )
+                kernels["box_slots"].launch(
+                    mine, CHUNK, cloud.splats, slots, np.uint32(total), boxes
+                )
+            found.append(VisibleSetDevice(slots, boxes, total))
+        return found
+
+    def _give_way(self, keep: int) -> None:
+        """Drop least recent sets beyond the memory, but not the last `keep`."""
+        used = self.used
+        while used > self.options.memory and len(self._sets) > max(keep, 1):
+            used -= self._sets.popitem(last=False)[1].nbytes
+
+
+def _words(cloud: CloudDevice) -> int:
+    """Of a row of marks."""
+    return -(-cloud.size // 32)
+
+
+class RendererVisibleCuda:
+    """A `RendererCuda` that draws from visible sets where it can.
+
+    Views of a pinhole camera whose eye is at `eye_height` over a cell of `floor` use that cell's
+    set; it is read from the cache or found the first time. All other views, and orthographic
+    ones, use the full set. `extra` splats are always drawn.
+
+    Args:
+        renderer: draws; holds all splats.
+        cloud_hash: content hash of its cloud.
+        floor: where eyes can be: free cells, inflated for the agent.
+        eye_height: of the cameras [m].
+        options: how sets are found.
+        cache: read and write the cache folder.
+    """
+
+    name = VISIBLE_CUDA
+
+    def __init__(
+        self,
+        renderer: RendererCuda,
+        cloud_hash: str,
+        floor: OccupancyGrid,
+        eye_height: float,
+        options: VisibleOptions | None = None,
+        *,
+        cache: bool = True,
+    ) -> None:
+        self.full = renderer
+        self.sets = VisibleSets(
+            renderer.batch.drawer,
+            cloud_hash,
+            floor,
+            eye_height,
+            options or VisibleOptions(),
+            antialiased=renderer.options.antialiased,
+            cache=cache,
+        )
+        self.options, self.key = self.sets.options, self.sets.key
+        self.files = self.sets.files(renderer.cloud)
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Cells (column, row) that have a free place, in order."""
+        return self.sets.cells
+
+    @property
+    def built(self) -> int:
+        """Sets found by looking, so far."""
+        return self.sets.built
+
+    def render(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        *,
+        extra: GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
+        background: tuple[float, float, float] | None = None,
+    ) -> RenderResult:
+        """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.render`.
+
+        Raises:
+            RenderError, DeviceError: see `RendererCuda.render`.
+        """
+        return self.render_device(
+            camera, views, extra=extra, outputs=outputs, background=background
+        ).numpy()
+
+    def render_device(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        *,
+        extra: GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
+        background: tuple[float, float, float] | None = None,
+    ) -> PicturesDevice:
+        """The same, with pictures that stay on the device.
+
+        Raises:
+            RenderError, DeviceError: see `RendererCuda.render`.
+        """
+        return self.full.render_device(
+            camera,
+            views,
+            extra=extra,
+            outputs=outputs,
+            background=background,
+            visible=self.sets,
+        )
+
+    def size_of(self, cell: Cell) -> int:
+        """Splats of a cell's set.
+
+        Raises:
+            RenderError: the cell has no free place.
+        """
+        return self.sets.size_of(cell, self.full.cloud)
+
+    def build(self, progress: Progress = no_progress, *, most: int | None = None) -> Iterator[Cell]:
+        """Find the sets of all cells (or the first `most`) that the cache does not hold yet.
+
+        Raises:
+            RenderError: there is no cache to keep them in.
+            StorageError: the cache cannot be written.
+        """
+        return self.sets.build(self.full.cloud, progress, most=most)

@@ -55,6 +55,7 @@ class WorkerProcess:
         hear: called from another thread with each line it says, and with None when it is gone.
         threads: compute threads it may use.
         paths: its import path.
+        arguments: its command line.
     """
 
     def __init__(
@@ -63,6 +64,8 @@ class WorkerProcess:
         hear: Callable[[bytes | None], None],
         threads: int,
         paths: Sequence[str],
+        *,
+        arguments: Sequence[str] = (),
     ) -> None:
         environment = {
             **os.environ,
@@ -72,7 +75,7 @@ class WorkerProcess:
         }
         self._last_words: deque[str] = deque(maxlen=LAST_WORDS)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            [sys.executable, "-m", module, *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

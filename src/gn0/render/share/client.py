@@ -1,0 +1,292 @@
+"""Ask the drawing process for pictures: a `Renderer` that holds no splats, and its starter."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import queue
+import socket
+import sys
+import tempfile
+import weakref
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0 import errors
+from gn0.errors import DeviceError, Gn0Error, RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.jobs.process import Ended, WorkerProcess
+from gn0.render.camera import Camera
+from gn0.render.renderer import Output, RenderResult, check_views
+from gn0.render.share.messages import (
+    Area,
+    Draw,
+    Drawn,
+    Failed,
+    Inbox,
+    Note,
+    Ready,
+    Refused,
+    Tally,
+    lay_out,
+    send_message,
+)
+
+OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
+VIEWS = 32  # of a request at most: one area holds their pictures
+START_LIMIT = 120.0  # s: the first start compiles kernels
+GOES_ON = "give the same command again: it goes on where it stopped"
+
+
+class DrawConnection:
+    """A connection to the drawing process; one request at a time, from one thread at a time.
+
+    Args:
+        address: as `DrawServer.address`.
+
+    Raises:
+        DeviceError: nobody listens there.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.connect(address.replace("@", "\0", 1) if address[:1] == "@" else address)
+        except OSError as error:
+            self._socket.close()
+            raise DeviceError(
+                f"the process that draws cannot be reached: {error.strerror}",
+                where=address,
+                remedy=GOES_ON,
+            ) from None
+        weakref.finalize(self, self._socket.close)
+        self._inbox = Inbox(self._socket)
+        self._decoder = msgspec.msgpack.Decoder(Drawn | Failed)
+        self._area: NDArray[np.uint8] | None = None
+        self._number = self._areas = 0
+
+    def close(self) -> None:
+        """Let go of the socket; what was asked for is not answered any more."""
+        self._socket.close()
+
+    def draw(
+        self,
+        key: str,
+        source: Mapping[str, Any],
+        camera: Camera,
+        views: NDArray[np.float64],
+        outputs: tuple[Output, ...],
+        background: tuple[float, float, float] | None,
+    ) -> dict[str, NDArray[Any]]:
+        """Pictures of views [V, 4, 4], by output: copies of one's own.
+
+        Raises:
+            DeviceError: the device or the process that draws is lost.
+            Gn0Error: what the process raised.
+        """
+        places, size = lay_out(camera, outputs, len(views))
+        try:
+            area = self._open_area(size)
+            self._number += 1
+            draw = Draw(
+                self._number, key, dict(source), camera, np.ascontiguousarray(views).tobytes(),
+                outputs, background, self._areas,
+            )  # fmt: skip
+            send_message(self._socket, draw)
+        except OSError:
+            raise _lost() from None
+        answer = self._inbox.next(self._decoder)
+        if answer is None:
+            raise _lost()
+        if isinstance(answer, Failed):
+            raise error_of(answer.code, answer.what, answer.where, answer.remedy)
+        shape = (len(views), camera.height, camera.width)
+        found: dict[str, NDArray[Any]] = {}
+        for name, place in zip(outputs, places, strict=True):
+            if name == "rgb":
+                whole = area[place : place + 3 * int(np.prod(shape))].reshape(*shape, 3)
+            else:
+                whole = area[place : place + 4 * int(np.prod(shape))].view(np.float32)
+                whole = whole.reshape(shape)
+            found[name] = whole.copy()
+        return found
+
+    def _open_area(self, size: int) -> NDArray[np.uint8]:
+        """Shared memory of at least so many bytes; grown when needed."""
+        if self._area is None or len(self._area) < size:
+            descriptor = _open_memory()
+            try:
+                os.ftruncate(descriptor, size)
+                self._area = np.frombuffer(mmap.mmap(descriptor, size), np.uint8)
+                self._areas += 1
+                send_message(self._socket, Area(self._areas, size), [descriptor])
+            finally:
+                os.close(descriptor)
+        return self._area
+
+
+def _open_memory() -> int:
+    """A file descriptor of memory without a name: it goes with those who hold it."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("gn0-pictures")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
+
+
+def _lost() -> DeviceError:
+    return DeviceError("the process that draws is gone", remedy=GOES_ON)
+
+
+def error_of(code: str, what: str, where: str, remedy: str) -> Gn0Error:
+    """An error that was raised in another process."""
+    kinds = [k for k in vars(errors).values() if isinstance(k, type) and issubclass(k, Gn0Error)]
+    kind = next((k for k in kinds if k.code == code), Gn0Error)
+    return kind(what, where=where, remedy=remedy)
+
+
+class RendererShared:
+    """A `Renderer` of one scene whose pictures are drawn by another process.
+
+    Args:
+        connection: to that process; shared by the scenes of one thread.
+        name: of the backend that draws.
+        key: of the scene in its light; equal keys mean equal splats.
+        source: how that process loads the splats.
+    """
+
+    def __init__(
+        self, connection: DrawConnection, name: str, key: str, source: Mapping[str, Any]
+    ) -> None:
+        self.name = name
+        self._connection, self._key, self._source = connection, key, dict(source)
+
+    def render(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        *,
+        extra: GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = OUTPUTS,
+        background: tuple[float, float, float] | None = None,
+    ) -> RenderResult:
+        """Draw views [V, 4, 4], `VIEWS` a request.
+
+        Raises:
+            RenderError: a view is none, or `extra` splats are given: they do not travel.
+            DeviceError: the device or the process that draws is lost.
+        """
+        if extra is not None and len(extra):
+            raise RenderError("moving splats are not sent to another process")
+        matrices = check_views(views)
+        if not len(matrices) or not outputs:
+            shape = (len(matrices), camera.height, camera.width)
+            empty = {"rgb": np.zeros((*shape, 3), np.uint8), "depth": np.zeros(shape, np.float32)}
+            empty["alpha"] = np.zeros(shape, np.float32)
+            return RenderResult(*(empty[n] if n in outputs else None for n in OUTPUTS))  # type: ignore[arg-type]
+        parts = [
+            self._connection.draw(
+                self._key, self._source, camera, matrices[begin : begin + VIEWS], outputs,
+                background,
+            )
+            for begin in range(0, len(matrices), VIEWS)
+        ]  # fmt: skip
+        whole = {n: parts[0][n] if len(parts) == 1 else np.concatenate([p[n] for p in parts])
+                 for n in outputs}  # fmt: skip
+        return RenderResult(*(whole.get(n) for n in OUTPUTS))
+
+
+@dataclass(eq=False)
+class DrawServer:
+    """The drawing process, from its start to its end: a context manager.
+
+    Args:
+        backend: "cuda" or "cpu".
+        load: "module:function" that turns the source of a scene into its splats.
+        batch: views a call at most; 0 takes the default.
+        note: told once what people should hear, such as smaller batches.
+        threads: compute threads that it may use.
+
+    Attributes:
+        address: for `DrawConnection`.
+        card: name of the device.
+        tally: what it has drawn, as it said last.
+
+    Raises:
+        DeviceError: there is no usable device; says why.
+    """
+
+    backend: str
+    load: str
+    batch: int = 0
+    note: Callable[[str], None] = lambda text: None
+    threads: int = 1
+    address: str = ""
+    card: str = ""
+    tally: Tally = Tally()  # noqa: RUF009 (frozen)
+
+    def __enter__(self) -> DrawServer:
+        """Start it, and wait until it can draw."""
+        heard: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        decoder = msgspec.json.Decoder(Ready | Refused | Note | Tally)
+
+        def hear(line: bytes | None) -> None:
+            if line is None:
+                heard.put(None)
+                return
+            with contextlib.suppress(msgspec.MsgspecError):
+                message = decoder.decode(line)
+                if isinstance(message, Note):
+                    self.note(message.text)
+                elif isinstance(message, Tally):
+                    self.tally = message
+                else:
+                    heard.put(message)
+
+        command = ["--backend", self.backend, "--load", self.load]
+        if self.batch:
+            command += ["--batch", str(self.batch)]
+        self._process = WorkerProcess(
+            "gn0.render.share.server", hear, self.threads, sys.path, arguments=command
+        )
+        try:
+            try:
+                first = heard.get(timeout=START_LIMIT)
+            except queue.Empty:
+                raise DeviceError(
+                    f"the process that draws did not start within {START_LIMIT:g} s",
+                    remedy="see `gn0 doctor`, or use --backend cpu",
+                ) from None
+            if isinstance(first, Refused):
+                raise error_of(
+                    first.code, first.what, first.where, first.remedy or "use --backend cpu"
+                )
+            if first is None:
+                ended = self._process.end()
+                raise DeviceError(
+                    f"the process that draws {ended.how}\n{ended.last_words}".rstrip(),
+                    remedy="see `gn0 doctor`, or use --backend cpu",
+                )
+        except BaseException:
+            self._process.end()
+            raise
+        self.address, self.backend, self.card = first.address, first.backend, first.card
+        return self
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self.end()
+
+    def end(self) -> Ended:
+        """End it now, and say how it ended."""
+        return self._process.end()

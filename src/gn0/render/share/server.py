@@ -1,0 +1,412 @@
+"""The process that owns the device and draws for all others of this machine.
+
+Started as `python -m gn0.render.share.server` by `gn0.render.share.client.DrawServer`. Requests of
+all connections wait in one queue; as many as fit are drawn in one call, views of one scene side by
+side. A request is drawn whole or answered with an error, and no picture depends on what else was
+in its batch. When stdin ends the starter is gone, and so is this process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import mmap
+import os
+import queue
+import secrets
+import socket
+import struct
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import DeviceError, DeviceMemoryError, Gn0Error, RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.jobs.child import open_channel
+from gn0.jobs.worker import find_function
+from gn0.render.camera import Camera
+from gn0.render.renderer import Output
+from gn0.render.share.messages import (
+    Area,
+    Draw,
+    Drawn,
+    Failed,
+    Inbox,
+    Note,
+    Ready,
+    Refused,
+    Tally,
+    lay_out,
+    send_message,
+)
+
+BATCH = 256  # views a call
+_TALLY_EVERY = 2.0  # s
+_log = logging.getLogger(__name__)
+Loader = Callable[[dict[str, Any]], GaussianCloud]
+
+
+class BatchRenderer(Protocol):
+    """What the server draws with: `RendererBatch` of the cuda backend, or `RendererBatchCpu`."""
+
+    name: str
+
+    def add(self, key: str, load: Callable[[], GaussianCloud]) -> None:
+        """Name a scene; it is loaded when it is first drawn."""
+
+    def render(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        keys: Sequence[str] | str,
+        *,
+        outputs: tuple[Output, ...],
+        background: tuple[float, float, float] | None,
+    ) -> Any:
+        """Pictures with fields rgb, depth, alpha, or with `numpy()` that gives such."""
+
+
+def open_batch(backend: str) -> tuple[BatchRenderer, str]:
+    """The batch renderer of a backend ("cpu" or "cuda"), and the name of its card.
+
+    Raises:
+        DeviceError: there is no usable device; says why.
+    """
+    if backend == "cpu":
+        from gn0.render.share.cpu import RendererBatchCpu
+
+        return RendererBatchCpu(), "CPU"
+    from gn0.device.open import open_device
+    from gn0.render.cuda.batch import RendererBatch
+
+    device = open_device(os.environ.get("GN0_DEVICE") or "auto")
+    batch = RendererBatch(device)
+    return batch, device.name
+
+
+@dataclass(eq=False)
+class Connection:
+    """One that asks: its socket, and the areas it has given."""
+
+    socket: socket.socket
+    areas: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+    sending: threading.Lock = field(default_factory=threading.Lock)
+
+    def send(self, message: msgspec.Struct) -> None:
+        """Tell it something; one that is gone is not missed."""
+        with self.sending, contextlib.suppress(OSError):
+            send_message(self.socket, message)
+
+    def take_area(self, area: Area, descriptor: int) -> None:
+        """Map an area into this process.
+
+        Raises:
+            DeviceError: it is smaller than said.
+        """
+        try:
+            if os.fstat(descriptor).st_size < area.size:
+                raise DeviceError("an area is smaller than said", where="drawing socket")
+            mapped = mmap.mmap(descriptor, area.size)
+        finally:
+            os.close(descriptor)
+        self.areas = {area.number: np.frombuffer(mapped, np.uint8)}  # the last one grew
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A `Draw` and who asked for it."""
+
+    connection: Connection
+    draw: Draw
+
+    @property
+    def alike(self) -> tuple[Any, ...]:
+        """What must be equal for one call of the renderer."""
+        draw = self.draw
+        return msgspec.json.encode(draw.camera), draw.outputs, draw.background
+
+    def fail(self, error: Gn0Error) -> None:
+        """Tell who asked what went wrong."""
+        number = self.draw.number
+        self.connection.send(Failed(number, error.code, error.what, error.where, error.remedy))
+
+
+class Server:
+    """Draws what connections ask for.
+
+    Args:
+        batch: what draws.
+        load: turns the `source` of a request into splats.
+        views: at most so many a call; halved when the device has too little memory.
+        note: told what people should hear, once.
+    """
+
+    def __init__(
+        self,
+        batch: BatchRenderer,
+        load: Loader,
+        views: int = BATCH,
+        note: Callable[[str], None] = _log.warning,
+    ) -> None:
+        self._batch, self._load, self._views, self._note = batch, load, views, note
+        self._known: set[str] = set()
+        self._waiting: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._held: Request | None = None  # did not fit into the last batch
+        self._said = False
+        self.tally = Tally()
+
+    def listen(self, listener: socket.socket) -> None:
+        """Accept connections for ever; each has a thread that reads it."""
+        while True:
+            try:
+                connection, _ = listener.accept()
+            except OSError:
+                return
+            if not is_ours(connection):
+                connection.close()
+                continue
+            threading.Thread(target=self.hear, args=(Connection(connection),), daemon=True).start()
+
+    def hear(self, connection: Connection) -> None:
+        """Read a connection to its end."""
+        inbox = Inbox(connection.socket)
+        decoder = msgspec.msgpack.Decoder(Area | Draw)
+        try:
+            while (message := inbox.next(decoder)) is not None:
+                if isinstance(message, Area):
+                    connection.take_area(message, inbox.descriptors.pop(0))
+                else:
+                    self._waiting.put(Request(connection, message))
+        except (Gn0Error, OSError, ValueError, IndexError) as error:
+            _log.warning("a connection ends: %s", error)
+        finally:
+            connection.socket.close()
+
+    def serve(self, told: Callable[[Tally], None] = lambda tally: None) -> None:
+        """Draw for ever; `told` hears now and then what was done.
+
+        Raises:
+            DeviceError: the device is lost; those who wait have been told.
+        """
+        last = time.monotonic()
+        while True:
+            self.serve_once()
+            if time.monotonic() - last > _TALLY_EVERY:
+                last = time.monotonic()
+                told(self.tally)
+
+    def serve_once(self) -> None:
+        """Wait for requests, and draw those that fit into one batch.
+
+        Raises:
+            DeviceError: the device is lost; those who wait have been told.
+        """
+        begin = time.perf_counter()
+        taken = [self._held or self._waiting.get()]
+        self._held = None
+        self._count(waiting=time.perf_counter() - begin)
+        count = taken[0].draw.count
+        while count < self._views:
+            try:
+                request = self._waiting.get_nowait()
+            except queue.Empty:
+                break
+            if count + request.draw.count > self._views:
+                self._held = request
+                break
+            taken.append(request)
+            count += request.draw.count
+        groups: dict[Any, list[Request]] = {}
+        for request in taken:
+            groups.setdefault(request.alike, []).append(request)
+        for group in groups.values():
+            group.sort(key=lambda request: request.draw.key)
+            self._serve_group(group)
+
+    def _serve_group(self, group: list[Request]) -> None:
+        good = []
+        for request in group:
+            try:
+                self._check(request)
+                good.append(request)
+            except Gn0Error as error:
+                request.fail(error)
+        if not good:
+            return
+        try:
+            self._draw(good)
+        except DeviceMemoryError as error:
+            self._shrink(good, error)
+        except DeviceError as error:  # nothing that follows would work
+            for request in good:
+                request.fail(error)
+            raise
+        except Gn0Error as error:
+            if len(good) == 1:
+                good[0].fail(error)
+                return
+            for request in good:  # find the one at fault
+                self._serve_group([request])
+
+    def _shrink(self, group: list[Request], error: DeviceMemoryError) -> None:
+        """Go on with smaller batches; give up on a single view only."""
+        count = sum(request.draw.count for request in group)
+        if min(count, self._views) == 1:
+            for request in group:
+                request.fail(error)
+            return
+        self._views = max(min(count, self._views) // 2, 1)
+        if not self._said:
+            self._said = True
+            self._note(f"too little device memory: {self._views} views a call or fewer from now on")
+        for request in group:  # `_draw` cuts each into pieces of the new size
+            self._serve_group([request])
+
+    def _check(self, request: Request) -> None:
+        draw = request.draw
+        area = request.connection.areas.get(draw.area)
+        needed = lay_out(draw.camera, draw.outputs, draw.count)[1]
+        if area is None or len(area) < needed or not draw.outputs or not draw.count:
+            raise RenderError("a request without room for its pictures", where="drawing socket")
+        if draw.key not in self._known:
+            source = draw.source
+            self._batch.add(draw.key, lambda: self._load(source))
+            self._known.add(draw.key)
+
+    def _draw(self, group: list[Request]) -> None:
+        """Draw requests that are alike, and put the pictures into their areas."""
+        first = group[0].draw
+        views = np.concatenate(
+            [np.frombuffer(r.draw.views, np.float64).reshape(-1, 4, 4) for r in group]
+        )
+        keys = [r.draw.key for r in group for _ in range(r.draw.count)]
+        targets = [_targets(request) for request in group]
+        sizes = [request.draw.count for request in group]
+        for begin in range(0, len(views), self._views):
+            end = min(begin + self._views, len(views))
+            start = time.perf_counter()
+            pictures = self._batch.render(
+                first.camera,
+                views[begin:end],
+                keys[begin:end],
+                outputs=first.outputs,
+                background=first.background,
+            )
+            middle = time.perf_counter()
+            at = 0
+            for target, size in zip(targets, sizes, strict=True):
+                low, high = max(at, begin), min(at + size, end)
+                if low < high:
+                    for name in first.outputs:
+                        _copy(pictures, name, slice(low - begin, high - begin),
+                              target[name][low - at : high - at])  # fmt: skip
+                at += size
+            stop = time.perf_counter()
+            self._count(views=end - begin, calls=1, drawing=middle - start, copying=stop - middle)
+        for request in group:
+            request.connection.send(Drawn(request.draw.number))
+
+    def _count(self, **more: float) -> None:
+        self.tally = msgspec.structs.replace(
+            self.tally, **{name: getattr(self.tally, name) + value for name, value in more.items()}
+        )
+
+
+def _targets(request: Request) -> dict[str, NDArray[Any]]:
+    """The arrays in the area of a request that its pictures go to."""
+    draw = request.draw
+    area = request.connection.areas[draw.area]
+    places, _ = lay_out(draw.camera, draw.outputs, draw.count)
+    shape = (draw.count, draw.camera.height, draw.camera.width)
+    found: dict[str, NDArray[Any]] = {}
+    for name, place in zip(draw.outputs, places, strict=True):
+        if name == "rgb":
+            size = int(np.prod(shape)) * 3
+            found[name] = area[place : place + size].reshape(*shape, 3)
+        else:
+            size = int(np.prod(shape)) * 4
+            found[name] = area[place : place + size].view(np.float32).reshape(shape)
+    return found
+
+
+def _copy(pictures: Any, name: str, rows: slice, target: NDArray[Any]) -> None:
+    """Copy rows of a picture array, on the device or not, into host memory."""
+    source = getattr(pictures, name, None)
+    if source is None:
+        source = getattr(pictures.numpy(), name)
+    if source is None or source.dtype != target.dtype:
+        raise RenderError(f"the renderer gave no {name} of {target.dtype}")
+    if isinstance(source, np.ndarray):
+        np.copyto(target, source[rows])
+    else:
+        source[rows].numpy(target)
+
+
+def is_ours(connection: socket.socket) -> bool:
+    """Whether the other end belongs to the same user, as far as the system can tell."""
+    if not hasattr(socket, "SO_PEERCRED"):
+        return True  # the socket's folder is ours alone
+    size = struct.calcsize("3i")
+    data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+    _, user, _ = struct.unpack("3i", data)
+    return bool(user == os.getuid())
+
+
+def open_listener() -> tuple[socket.socket, str]:
+    """A socket that listens, and its address for `connect_address`."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    if sys.platform.startswith("linux"):  # abstract: leaves nothing behind, however we end
+        address = f"@gn0-draw-{secrets.token_hex(8)}"
+    else:
+        address = str(Path(tempfile.mkdtemp(prefix="gn0-draw-")) / "socket")
+    listener.bind(address.replace("@", "\0", 1) if address.startswith("@") else address)
+    listener.listen(1024)
+    return listener, address
+
+
+def main() -> int:
+    """Open the device, say where we listen, and draw until the starter is gone."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--backend", required=True)
+    parser.add_argument("--load", required=True)
+    parser.add_argument("--batch", type=int, default=BATCH)
+    args = parser.parse_args()
+    _, send = open_channel()
+
+    def say(message: msgspec.Struct) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            send(msgspec.json.encode(message))
+
+    try:
+        batch, card = open_batch(args.backend)
+        load: Any = find_function(args.load)
+    except Gn0Error as error:
+        say(Refused(error.code, error.what, error.where, error.remedy))
+        return 1
+    except Exception as error:  # whatever a driver does
+        say(Refused(DeviceError.code, f"{type(error).__name__}: {error}"))
+        return 1
+    listener, address = open_listener()
+    server = Server(batch, load, args.batch, lambda text: say(Note(text)))
+    threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
+    say(Ready(address, batch.name if args.backend == "cpu" else args.backend, card))
+    try:
+        server.serve(say)
+    except DeviceError as error:
+        _log.error("the device is lost: %s", error)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -79,7 +79,7 @@ def test_missions_of_one_path_show_the_same(webdataset) -> None:
 def test_map_tokens_count_over_the_picture_that_is_shown(webdataset) -> None:
     name = webdataset.sampled[0]
     rollout = webdataset.rollout(name)
-    eyes = eyes_of(webdataset, False).of(rollout.episode)
+    eyes = eyes_of(webdataset).of(rollout.episode)
     grid = webdataset.scene(rollout.episode.scene_id).grid
     assert TokenSettings().of_grid(grid) == eyes.map_frame == MapFrame.of_grid(grid)
     pixels = waypoint_pixels(eyes.map_frame, rollout.rows.waypoints, rollout.rows.poses)

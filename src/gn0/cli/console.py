@@ -71,6 +71,11 @@ def plain_streams() -> Iterator[None]:
         yield
 
 
+def say_aside(text: str) -> None:
+    """A line beside what a command prints: on standard error, so that results stay alone."""
+    print(plain_text(text), file=sys.stderr, flush=True)
+
+
 @contextmanager
 def draw_progress() -> Iterator[Progress]:
     """A progress sink: rich bars on a terminal, at most a line every few seconds in a log."""
@@ -85,16 +90,25 @@ def _draw_bars() -> Iterator[Progress]:
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
+        ProgressColumn,
+        Task,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
     from rich.progress import Progress as Bars
+    from rich.text import Text
+
+    class RateColumn(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text("" if speed is None else f"{speed:.3g}/s")
 
     columns = (
         TextColumn("{task.description:<28}"),
         BarColumn(),
         MofNCompleteColumn(),
+        RateColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
@@ -111,12 +125,17 @@ def _draw_bars() -> Iterator[Progress]:
 
 def _lines() -> Progress:
     last: dict[str, float] = {}
+    first: dict[str, tuple[float, int]] = {}
 
     def show(stage: str, done: int, total: int) -> None:
         now = time.monotonic()
+        begin, before = first.setdefault(stage, (now, done))
         finished = total > 0 and done >= total
         if finished or now - last.get(stage, -_QUIET_SECONDS) >= _QUIET_SECONDS:
             last[stage] = now
-            print(f"{stage}: {done}/{total or '?'}", file=sys.stderr, flush=True)
+            line = f"{stage}: {done}/{total or '?'}"
+            if now > begin and done > before:
+                line += f", {(done - before) / (now - begin):.3g}/s"
+            print(line, file=sys.stderr, flush=True)
 
     return show

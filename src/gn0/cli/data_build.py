@@ -7,6 +7,7 @@ build that was stopped goes on when the same command is given again.
 
 from __future__ import annotations
 
+import time
 from typing import Annotated, Literal
 
 import msgspec
@@ -17,6 +18,7 @@ from gn0.config import Config
 EXAMPLES = """  gn0 data build out/suite --out out/data
   gn0 data build out/suite --workers 2 --layout lerobot --out out/data
   gn0 data build out/suite --layout none --out out/labels
+  gn0 data build out/suite --backend cuda --quality 85 --out out/data
   gn0 data build out/suite --labels mpc --tokens ego --out out/ego
   gn0 data build out/suite --executor ray --ray-address auto --workers 16 --out out/data"""
 
@@ -38,7 +40,11 @@ class Args(Config, frozen=True):
             as the official release labels (gn0-release).
         tokens: what map tokens count over: the whole map, or a square around the agent.
         chunk: episodes a part, which is what a worker does at a time and what a shard holds.
-        workers: processes; never changes a byte.
+        backend: what draws: cpu, cuda, or the best that is here (auto). Their pictures differ by
+            rounding, so the dataset says which it was, and goes on with the same.
+        batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
+        workers: processes that walk, label and encode; never changes a byte. 0 means one, or one a
+            core where a GPU draws.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
     """
@@ -53,46 +59,58 @@ class Args(Config, frozen=True):
     labels: Literal["exact", "mpc", "gn0-release"] = "exact"
     tokens: Literal["global", "ego"] = "global"
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
-    workers: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
+    backend: Literal["auto", "cpu", "cuda"] = "auto"
+    batch: Annotated[int, msgspec.Meta(ge=0, le=65536)] = 0
+    workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
 
 
 def run(args: Args) -> int:
     """Build, and say what came out."""
-    from gn0.cli.console import draw_progress
+    from gn0.cli.console import draw_progress, say_aside
     from gn0.data.build import build_dataset
+    from gn0.data.drawing import choose_drawing, count_workers, with_backend
     from gn0.data.labels import LabelSettings
     from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
 
+    pictures = PictureSettings(
+        layout=args.layout,
+        format=args.format,
+        quality=args.quality,
+        maps=args.maps,
+        visible_sets=args.visible_sets,
+    )
+    if args.layout != "none":
+        backend, why = choose_drawing(args.backend, args.out, visible_sets=args.visible_sets)
+        say_aside(f"pictures: drawn by backend {backend} ({why})")
+        pictures = with_backend(pictures, backend)
     settings = BuildSettings(
         tokens=TokenSettings(frame=args.tokens),
         labels=LabelSettings(variant=args.labels),
         chunk=args.chunk,
-        pictures=PictureSettings(
-            layout=args.layout,
-            format=args.format,
-            quality=args.quality,
-            maps=args.maps,
-            visible_sets=args.visible_sets,
-        ),
+        pictures=pictures,
     )
+    begin = time.perf_counter()
     with draw_progress() as progress:
         dataset = build_dataset(
             args.episodes,
             args.out,
             settings,
-            workers=args.workers,
+            workers=count_workers(args.workers, pictures),
             executor=args.executor,
             ray_address=args.ray_address,
+            batch=args.batch,
             progress=progress,
+            note=say_aside,
         )
+    seconds = time.perf_counter() - begin
     about = dataset.about
     skipped = [own for part in about.parts for own in part.skipped]
     episodes = len(dataset.sampled)
     print(
         f"{about.rows} samples of {_count(episodes, 'episode')} in "
-        f"{_count(len(about.scenes), 'scene')}, written to {args.out}"
+        f"{_count(len(about.scenes), 'scene')}, written to {args.out} in {seconds:.1f} s"
     )
     for own in skipped[:5]:
         print(f"skipped {own.id}: {own.reason}")

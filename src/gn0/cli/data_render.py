@@ -28,7 +28,11 @@ class Args(Config, frozen=True):
         format: of single pictures: jpg or png; by default as built.
         quality: of jpg; by default as built.
         maps: BEV and occupancy picture once a scene and light, or in every sample; as built.
-        workers: processes; never changes a byte.
+        backend: what draws: cpu or cuda. A dataset that has pictures is drawn by what drew them
+            first; one of poses and labels alone by the best that is here (auto).
+        batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
+        workers: processes that encode; never changes a byte. 0 means one, or one a core where a
+            GPU draws.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
     """
@@ -38,18 +42,22 @@ class Args(Config, frozen=True):
     format: Literal["jpg", "png"] | None = None
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
     maps: Literal["once", "every"] | None = None
-    workers: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
+    backend: Literal["auto", "cpu", "cuda"] = "auto"
+    batch: Annotated[int, msgspec.Meta(ge=0, le=65536)] = 0
+    workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
 
 
 def run(args: Args) -> int:
     """Draw, and say what came out."""
-    from gn0.cli.console import draw_progress
+    from gn0.cli.console import draw_progress, say_aside
     from gn0.data.dataset import open_dataset
+    from gn0.data.drawing import choose_drawing, count_workers, with_backend
     from gn0.data.render import choose_cache, render_dataset
 
-    wanted = choose_cache(open_dataset(args.dataset), None)
+    dataset = open_dataset(args.dataset)
+    wanted = choose_cache(dataset, None)
     chosen = {
         name: value
         for name in ("layout", "format", "quality", "maps")
@@ -57,14 +65,21 @@ def run(args: Args) -> int:
     }
     if args.layout == "lerobot":
         chosen.setdefault("maps", "once")  # it knows no other way, whatever the first cache did
+    if args.backend != "auto" or not dataset.about.rendered:
+        backend, why = choose_drawing(args.backend, args.dataset, visible_sets=wanted.visible_sets)
+        say_aside(f"pictures: drawn by backend {backend} ({why})")
+        wanted = with_backend(wanted, backend)
+    wanted = msgspec.structs.replace(wanted, **chosen)
     with draw_progress() as progress:
         manifest = render_dataset(
             args.dataset,
-            msgspec.structs.replace(wanted, **chosen),
-            workers=args.workers,
+            wanted,
+            workers=count_workers(args.workers, wanted),
             executor=args.executor,
             ray_address=args.ray_address,
+            batch=args.batch,
             progress=progress,
+            note=say_aside,
         )
     size = sum(record.size for record in manifest.files)
     layout = manifest.settings.layout

@@ -7,6 +7,7 @@ the parent then names the part in the journal. What the journal names is done, w
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from gn0.data.dataset import (
     open_dataset,
     save_dataset_file,
 )
+from gn0.data.drawing import open_drawing
 from gn0.data.folder import (
     LOCK,
     lock_folder,
@@ -39,7 +41,7 @@ from gn0.data.folder import (
     sweep,
     write_journal,
 )
-from gn0.data.part import PartDone, PartPlan, check_plan, file_digest
+from gn0.data.part import PartDone, PartPlan, check_plan, drawn_at, file_digest
 from gn0.data.render import finish_cache
 from gn0.data.samples import SAMPLE_LAYOUT
 from gn0.data.settings import BuildSettings
@@ -63,7 +65,9 @@ def build_dataset(
     workers: int = 1,
     executor: ExecutorName = "process",
     ray_address: str = "",
+    batch: int = 0,
     progress: Progress = no_progress,
+    note: Callable[[str], None] = lambda text: None,
 ) -> Dataset:
     """Walk, label and draw the episodes of a suite; an interrupted build there goes on.
 
@@ -74,10 +78,13 @@ def build_dataset(
         workers: processes; never changes a byte.
         executor: where the workers live; never changes a byte.
         ray_address: of a running Ray cluster; "" starts one of this machine.
+        batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
         progress: progress sink.
+        note: told once what people should hear.
 
     Raises:
-        DataError: `out` holds another dataset or something else, or a run is writing there.
+        DataError: `out` holds another dataset or something else, a run is writing there, or the
+            backend that is to draw is not here.
         BenchError: a scene is missing or changed.
         StorageError: `out` cannot be written, or the disk is full.
     """
@@ -96,17 +103,19 @@ def build_dataset(
         if found is None:
             found = _lay_out(out, suite, about, progress)
         done = read_done(out / JOURNAL)
-        parts = run_parts(
-            "build_part",
-            plans,
-            {name: made for name, made in done.items() if _is_there(out, made)},
-            out / JOURNAL,
-            workers=workers,
-            executor=executor,
-            ray_address=ray_address,
-            progress=progress,
-            check=check_plan,
-        )
+        pictures = about.settings.pictures
+        with open_drawing(pictures, executor=executor, batch=batch, note=note) as server:
+            parts = run_parts(
+                "build_part",
+                drawn_at(plans, server),
+                {name: made for name, made in done.items() if _is_there(out, made)},
+                out / JOURNAL,
+                workers=workers,
+                executor=executor,
+                ray_address=ray_address,
+                progress=progress,
+                check=check_plan,
+            )
         _finish(out, found, [parts[plan.name] for plan in plans])
     return open_dataset(out)
 
@@ -174,6 +183,11 @@ def _check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
         return None
     found = load_dataset_file(out)
     started = msgspec.structs.replace(found, files=(), parts=(), complete=False, rendered=False)
+    if about.settings.pictures.layout == "none":  # drawn later, by what was there then
+        drawn_by = about.settings.pictures.backend
+        pictures = msgspec.structs.replace(found.settings.pictures, backend=drawn_by)
+        settings = msgspec.structs.replace(found.settings, pictures=pictures)
+        started = msgspec.structs.replace(started, settings=settings)
     if started != about:
         raise DataError(
             f"the folder holds another dataset: {_difference(started, about)}",

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
+import queue
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
+from gn0.bench.looks import Look
 from gn0.data.cache import DrawnStep
 from gn0.data.dataset import Dataset, FileRecord
-from gn0.data.pictures import build_eyes, draw_episode, goal_picture, map_picture
+from gn0.data.drawing import check_drawn_here
+from gn0.data.pictures import build_eyes, draw_episode, draw_views, goal_picture, map_picture
 from gn0.data.samples import PICTURES, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
-from gn0.geometry import U8
+from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.light import LightCondition
+from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
-from gn0.storage import content_hash
+from gn0.storage import content_hash, safe_join
 
+AHEAD = 64  # views drawn before they are wanted, where another process draws them
+T = TypeVar("T")
 KEPT_STEPS = 256  # longer walks are drawn again for each mission of their path
 
 
@@ -29,14 +38,26 @@ class Eyes:
 
     Args:
         dataset: whose agent, camera and scenes.
-        visible_sets: see `PictureSettings`.
+        settings: how pictures are drawn.
+        drawing: address of the process that draws; "" draws here.
+
+    Raises:
+        DataError: it is to be drawn here, by a backend that is not.
     """
 
     dataset: Dataset
-    visible_sets: bool = False
+    settings: PictureSettings = PictureSettings()  # noqa: RUF009 (frozen)
+    drawing: str = ""
     _key: tuple[str, LightCondition | None] | None = None
     _suite: SensorSuite | None = field(default=None, repr=False)
+    _connection: DrawConnection | None = field(default=None, repr=False)
     bev_hash: str = ""
+
+    def __post_init__(self) -> None:
+        if self.drawing:
+            self._connection = DrawConnection(self.drawing)
+        else:
+            check_drawn_here(self.settings)
 
     def of(self, episode: Episode) -> SensorSuite:
         """The sensors in an episode's scene, under its light."""
@@ -51,18 +72,39 @@ class Eyes:
                 find_preset(about.camera),
                 about.agent,
                 key[1],
-                visible_sets=self.visible_sets,
+                visible_sets=self.settings.visible_sets,
+                backend=self.settings.drawn_by,
+                renderer=self._ask_for(*key),
             )
             self._key = key
             self.bev_hash = content_hash(map_picture(self._suite))
         return self._suite
 
+    def _ask_for(self, scene_id: str, light: LightCondition | None) -> RendererShared | None:
+        """A renderer that asks the process that draws, where there is one."""
+        if self._connection is None:
+            return None
+        about = self.dataset.about_scene(scene_id)
+        folder = safe_join(self.dataset.folder, about.folder).resolve()
+        look = Look(str(folder), about.id, about.hash, light)
+        return RendererShared(self._connection, self.settings.drawn_by, look.key, look.source)
 
-def eyes_of(dataset: Dataset, visible_sets: bool) -> Eyes:
-    """The eyes of a dataset, kept with it: the next part is mostly of the same scene."""
-    kept = dataset.kept.get("eyes")
-    if not isinstance(kept, Eyes) or kept.visible_sets != visible_sets:
-        kept = dataset.kept["eyes"] = Eyes(dataset, visible_sets)
+
+def eyes_of(dataset: Dataset, settings: PictureSettings | None = None, drawing: str = "") -> Eyes:
+    """The eyes of a dataset, kept with it: the next part is mostly of the same scene.
+
+    Args:
+        dataset: whose eyes.
+        settings: how pictures are drawn; as the dataset was built when None.
+        drawing: address of the process that draws; "" draws here.
+    """
+    wanted = settings or dataset.about.settings.pictures
+    way = (wanted.visible_sets, wanted.drawn_by, drawing)
+    if dataset.kept.get("eyes_way") != way:
+        dataset.kept["eyes"] = None  # let go of the old splats first
+        dataset.kept["eyes"] = Eyes(dataset, wanted, drawing)
+        dataset.kept["eyes_way"] = way
+    kept: Eyes = dataset.kept["eyes"]
     return kept
 
 
@@ -72,14 +114,36 @@ def bare_map(eyes: SensorSuite) -> tuple[U8, str]:
     return picture, content_hash(picture)
 
 
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """An episode that is about to be drawn.
+
+    Attributes:
+        eyes: of its scene and light.
+        bev_hash: of their map picture.
+        goal: what its goal looks like [H, W, 3] and the picture's hash, for goal missions.
+    """
+
+    eyes: SensorSuite
+    bev_hash: str
+    goal: tuple[U8, str] | None
+
+
+Seen = tuple[Pose2D, U8]
+
+
 class PartDrawer:
     """Draws the steps of a part one after the other, and keeps the hashes.
+
+    Where another process draws, views are asked for ahead, so that it draws the next ones while
+    these are hashed and encoded; at most `AHEAD` are held.
 
     Args:
         dataset: whose episodes.
         blocks: the part's rows; hashes that they have are checked.
         settings: how pictures are drawn.
         check: refuse a picture that has another hash than its row says.
+        drawing: address of the process that draws; "" draws here.
     """
 
     def __init__(
@@ -89,11 +153,13 @@ class PartDrawer:
         settings: PictureSettings,
         *,
         check: bool = True,
+        drawing: str = "",
     ) -> None:
         self._dataset = dataset
         self._check = check
         self._blocks = blocks
-        self._eyes = eyes_of(dataset, settings.visible_sets)
+        self._eyes = eyes_of(dataset, settings, drawing)
+        self._ahead = bool(drawing)
         self._hashes: list[dict[str, list[str]]] = []
         self.files: list[FileRecord] = []
 
@@ -108,44 +174,78 @@ class PartDrawer:
         base: tuple[str, tuple[U8, str]] | None = None
         kept: list[DrawnStep] = []
         episodes = [self._dataset.episode(block.episode_id) for block in self._blocks]
-        for number, (episode, block) in enumerate(zip(episodes, self._blocks, strict=True)):
-            own: dict[str, list[str]] = {name: [] for name in PICTURES}
-            self._hashes.append(own)
-            if kept:
-                source: Iterator[DrawnStep] = iter(kept)
-            else:
-                eyes = self._eyes.of(episode)
-                if base is None or base[0] != episode.scene_id:
-                    base = (episode.scene_id, bare_map(eyes))
-                source = self._draw(eyes, episode, block, base[1])
-            goal = self._draw_goal(episode)
-            again = len(block) <= KEPT_STEPS and number + 1 < len(episodes)
-            again = again and _alike(episode, block, episodes[number + 1], self._blocks[number + 1])
-            kept = []
-            for t, step in enumerate(source):
-                mine = replace(step, row=row, step=t, block=block, episode=episode, goal=goal)
-                for name in PICTURES:
-                    own[name].append(mine.hashes[name])
-                if self._check:
-                    _check(mine)
-                if again:
-                    kept.append(mine)
-                yield mine
-                row += 1
+        again = self._find_alike(episodes)
+        seen = self._see(episodes, again)
+        if self._ahead:
+            seen = look_ahead(seen, AHEAD)
+        with contextlib.closing(seen):  # type: ignore[type-var]
+            for number, (episode, block) in enumerate(zip(episodes, self._blocks, strict=True)):
+                own: dict[str, list[str]] = {name: [] for name in PICTURES}
+                self._hashes.append(own)
+                opened = next(seen)
+                assert isinstance(opened, Opened)
+                if kept:
+                    source: Iterator[DrawnStep] = iter(kept)
+                else:
+                    if base is None or base[0] != episode.scene_id:
+                        base = (episode.scene_id, bare_map(opened.eyes))
+                    source = self._draw(opened, episode, block, base[1], seen)
+                kept = []
+                for t, step in enumerate(source):
+                    mine = replace(
+                        step, row=row, step=t, block=block, episode=episode, goal=opened.goal
+                    )
+                    for name in PICTURES:
+                        own[name].append(mine.hashes[name])
+                    if self._check:
+                        _check(mine)
+                    if again[number]:
+                        kept.append(mine)
+                    yield mine
+                    row += 1
 
-    def _draw_goal(self, episode: Episode) -> tuple[U8, str] | None:
-        if not isinstance(episode.mission, MissionGoal):
-            return None
-        picture = goal_picture(self._eyes.of(episode), episode)
-        return picture, content_hash(np.asarray(picture))
+    def _find_alike(self, episodes: Sequence[Episode]) -> list[bool]:
+        """Of each episode, whether the one after it shows the same pictures."""
+        blocks = self._blocks
+        return [
+            number + 1 < len(episodes)
+            and len(blocks[number]) <= KEPT_STEPS
+            and _alike(episode, blocks[number], episodes[number + 1], blocks[number + 1])
+            for number, episode in enumerate(episodes)
+        ]
+
+    def _see(self, episodes: Sequence[Episode], again: Sequence[bool]) -> Iterator[Opened | Seen]:
+        """All that needs a renderer, in order: of each episode its eyes, then its views."""
+        for number, (episode, block) in enumerate(zip(episodes, self._blocks, strict=True)):
+            eyes = self._eyes.of(episode)
+            goal = None
+            if isinstance(episode.mission, MissionGoal):
+                picture = goal_picture(eyes, episode)
+                goal = (picture, content_hash(np.asarray(picture)))
+            yield Opened(eyes, self._eyes.bev_hash, goal)
+            if not (number and again[number - 1]):
+                yield from draw_views(eyes, block.poses)
 
     def _draw(
-        self, eyes: SensorSuite, episode: Episode, block: EpisodeRows, base: tuple[U8, str]
+        self,
+        opened: Opened,
+        episode: Episode,
+        block: EpisodeRows,
+        base: tuple[U8, str],
+        seen: Iterator[Opened | Seen],
     ) -> Iterator[DrawnStep]:
+        eyes = opened.eyes
         frame = eyes.map_frame
         start = frame.pixel_of(*episode.start[:2])
-        known = {"bev": self._eyes.bev_hash}
-        for t, pictures in enumerate(draw_episode(eyes, episode, block.poses)):
+        known = {"bev": opened.bev_hash}
+
+        def views() -> Iterator[Seen]:
+            for _ in range(len(block)):
+                item = next(seen)
+                assert isinstance(item, tuple)
+                yield item
+
+        for t, pictures in enumerate(draw_episode(eyes, episode, block.poses, views())):
             x, y = map(float, block.poses[t, :2])
             places = (start, frame.pixel_of(x, y))
             hashes = pictures.hashes(known)
@@ -156,6 +256,42 @@ class PartDrawer:
         return [
             block.with_hashes(own) for block, own in zip(self._blocks, self._hashes, strict=True)
         ]
+
+
+def look_ahead(source: Iterator[T], most: int) -> Iterator[T]:
+    """The items of `source`, made by another thread; at most `most` wait to be taken."""
+    waiting: queue.Queue[tuple[T | None, BaseException | None]] = queue.Queue(most)
+    stopped = threading.Event()
+
+    def put(item: T | None, error: BaseException | None) -> None:
+        while not stopped.is_set():
+            with contextlib.suppress(queue.Full):
+                waiting.put((item, error), timeout=0.1)
+                return
+
+    def work() -> None:
+        try:
+            for item in source:
+                put(item, None)
+                if stopped.is_set():
+                    return
+            put(None, StopIteration())
+        except BaseException as error:
+            put(None, error)
+
+    thread = threading.Thread(target=work, name="look ahead", daemon=True)
+    thread.start()
+    try:
+        while True:
+            item, error = waiting.get()
+            if isinstance(error, StopIteration):
+                return
+            if error is not None:
+                raise error
+            yield item  # type: ignore[misc]
+    finally:
+        stopped.set()
+        thread.join()
 
 
 def _alike(one: Episode, rows: EpisodeRows, other: Episode, others: EpisodeRows) -> bool:

@@ -109,6 +109,7 @@ class Driver:
             self._simulator = open_simulator(
                 self._dataset.scene(episode.scene_id),
                 about.camera,
+                about.settings.pictures.drawn_by,  # never "auto": what it sees decides the samples
                 sensors=frozenset(self._policy.sensors),
                 agent=about.agent,
                 max_steps=self._settings.max_steps,

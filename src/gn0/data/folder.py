@@ -105,9 +105,13 @@ def run_parts(
             check(left[index], made)
             journal.append(answer)
             parts[made.part.name] = made
-            progress("parts", len(parts), len(plans))
+            tell()
 
-        progress("parts", len(parts), len(plans))
+        def tell() -> None:
+            progress("parts", len(parts), len(plans))
+            progress("samples", sum(made.part.rows for made in parts.values()), 0)
+
+        tell()
         run_jobs(
             f"gn0.data.part:{function}",
             [msgspec.to_builtins(plan) for plan in left],

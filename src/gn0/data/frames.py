@@ -77,7 +77,7 @@ def _join(
     drawn = sensors - cached.keys()
     sources = dict(cached)
     if drawn:
-        eyes = eyes_of(dataset, dataset.about.settings.pictures.visible_sets).of(episode)
+        eyes = eyes_of(dataset, dataset.about.settings.pictures).of(episode)
         if drawn & {"rgb", "history"}:
             pictures = draw_episode(eyes, episode, rows.poses)
         else:

@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -33,6 +33,9 @@ from gn0.missions.episode import Episode
 from gn0.sim.collision import check_places
 from gn0.storage import safe_join, write_bytes
 
+if TYPE_CHECKING:
+    from gn0.render.share.client import DrawServer
+
 
 class PartPlan(msgspec.Struct, frozen=True):
     """What a worker is told.
@@ -44,6 +47,7 @@ class PartPlan(msgspec.Struct, frozen=True):
         scene: its scene.
         episodes: its episodes.
         pictures: the cache to make; None takes what the build was asked for.
+        drawing: address of the process that draws; "" lets the worker draw for itself.
     """
 
     folder: str
@@ -52,6 +56,13 @@ class PartPlan(msgspec.Struct, frozen=True):
     scene: str
     episodes: tuple[str, ...]
     pictures: PictureSettings | None = None
+    drawing: str = ""
+
+
+def drawn_at(plans: Sequence[PartPlan], server: DrawServer | None) -> list[PartPlan]:
+    """The plans, told where pictures are drawn."""
+    address = "" if server is None else server.address
+    return [msgspec.structs.replace(plan, drawing=address) for plan in plans]
 
 
 class PartDone(msgspec.Struct, frozen=True):
@@ -136,7 +147,7 @@ def draw_part(
     from gn0.data.cache_webdataset import write_shard
     from gn0.data.draw import PartDrawer
 
-    drawer = PartDrawer(dataset, blocks, settings)
+    drawer = PartDrawer(dataset, blocks, settings, drawing=plan.drawing)
     notes: dict[str, Any] = {}
     if settings.layout == "lerobot":
         files, notes = write_videos(dataset, plan.number, drawer.steps(), settings)

@@ -16,7 +16,7 @@ from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.light import LightCondition
-from gn0.render.renderer import VISIBLE
+from gn0.render.renderer import VISIBLE, Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.history import History
 from gn0.sim.open import open_simulator
@@ -37,6 +37,8 @@ def build_eyes(
     light: LightCondition | None = None,
     *,
     visible_sets: bool = False,
+    backend: str = "cpu",
+    renderer: Renderer | None = None,
 ) -> SensorSuite:
     """The sensors of an agent in a scene, under a light that the views and the BEV share.
 
@@ -48,15 +50,18 @@ def build_eyes(
         light: None as the scene was made.
         visible_sets: draw views from the splats that show near each place, see
             `gn0.render.visible`.
+        backend: name of the renderer.
+        renderer: draws instead; it must hold this scene in this light.
     """
     return open_simulator(
         scene,
         preset,
-        VISIBLE if visible_sets else "cpu",
+        VISIBLE if visible_sets else backend,
         SENSORS,
         agent,
         navigation=navigation,
         light=light,
+        renderer=renderer,
     ).suite
 
 
@@ -85,12 +90,20 @@ class StepPictures:
         }
 
 
-def draw_episode(eyes: SensorSuite, episode: Episode, poses: F64) -> Iterator[StepPictures]:
-    """The pictures at each of the poses [T, 3] of an episode, from its first step on."""
+def draw_episode(
+    eyes: SensorSuite,
+    episode: Episode,
+    poses: F64,
+    views: Iterator[tuple[Pose2D, U8]] | None = None,
+) -> Iterator[StepPictures]:
+    """The pictures at each of the poses [T, 3] of an episode, from its first step on.
+
+    `views` are its poses and views [H, W, 3] where they are drawn already.
+    """
     history = History()
     start = Pose2D(*episode.start)
     bev = map_picture(eyes)
-    for pose, rgb in draw_views(eyes, poses):
+    for pose, rgb in draw_views(eyes, poses) if views is None else views:
         yield StepPictures(rgb, history.mosaic(), bev, eyes.occupancy_picture(start, pose))
         history.add(rgb)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -15,7 +15,15 @@ from gn0.data.cache import (
     record_file,
     save_manifest,
 )
-from gn0.data.dataset import JOURNAL, Dataset, open_dataset, save_dataset_file
+from gn0.data.dataset import (
+    JOURNAL,
+    Dataset,
+    DatasetFile,
+    DatasetPart,
+    open_dataset,
+    save_dataset_file,
+)
+from gn0.data.drawing import open_drawing
 from gn0.data.folder import (
     lock_folder,
     parts_journal,
@@ -24,7 +32,7 @@ from gn0.data.folder import (
     sweep,
     write_journal,
 )
-from gn0.data.part import PartDone, PartPlan
+from gn0.data.part import PartDone, PartPlan, drawn_at
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
 from gn0.jobs import ExecutorName
@@ -39,7 +47,9 @@ def render_dataset(
     workers: int = 1,
     executor: ExecutorName = "process",
     ray_address: str = "",
+    batch: int = 0,
     progress: Progress = no_progress,
+    note: Callable[[str], None] = lambda text: None,
 ) -> CacheManifest:
     """Draw the pictures of a dataset into a cache; an interrupted run goes on.
 
@@ -52,11 +62,13 @@ def render_dataset(
         workers: processes; never changes a byte.
         executor: where the workers live; never changes a byte.
         ray_address: of a running Ray cluster; "" starts one of this machine.
+        batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
         progress: progress sink.
+        note: told once what people should hear.
 
     Raises:
         DataError: another cache of that layout is there, a picture is drawn otherwise than its
-            hash says, or a run is writing there.
+            hash says, the backend that drew them is not here, or a run is writing there.
         StorageError: the folder cannot be written, or the disk is full.
     """
     dataset = open_dataset(path)
@@ -68,22 +80,21 @@ def render_dataset(
             return there
         journal = cache_folder(out, wanted.layout) / JOURNAL
         _begin_journal(journal, wanted)
-        parts = run_parts(
-            "render_part",
-            plan_rendering(dataset, wanted),
-            _still_there(out, wanted, read_done(journal)),
-            journal,
-            workers=workers,
-            executor=executor,
-            ray_address=ray_address,
-            progress=progress,
-            check=check_rendered,
-        )
+        with open_drawing(wanted, executor=executor, batch=batch, note=note) as server:
+            parts = run_parts(
+                "render_part",
+                drawn_at(plan_rendering(dataset, wanted), server),
+                _still_there(out, wanted, read_done(journal)),
+                journal,
+                workers=workers,
+                executor=executor,
+                ray_address=ray_address,
+                progress=progress,
+                check=check_rendered,
+            )
         made = [parts[part.name] for part in dataset.about.parts]
         if not dataset.about.rendered:
-            about = msgspec.structs.replace(
-                dataset.about, parts=tuple(m.part for m in made), rendered=True
-            )
+            about = _now_drawn(dataset.about, wanted, [m.part for m in made])
             dataset = Dataset(out, about)
         manifest = finish_cache(dataset, wanted, made)
         save_dataset_file(out, dataset.about)
@@ -105,6 +116,13 @@ def choose_cache(dataset: Dataset, settings: PictureSettings | None) -> PictureS
                 "layout none has no pictures", where="--layout", remedy="webdataset or lerobot"
             )
         wanted = msgspec.structs.replace(built, layout="webdataset")
+    if dataset.about.rendered and wanted.backend != built.backend:
+        raise DataError(
+            f"its pictures were drawn by backend {built.drawn_by!r}; those of "
+            f"{wanted.drawn_by!r} differ by rounding",
+            where=dataset.folder,
+            remedy=f"leave --backend out, or give {built.drawn_by}",
+        )
     if wanted.visible_sets != built.visible_sets:
         ways = ("exactly", "from visible sets")
         raise DataError(
@@ -113,6 +131,19 @@ def choose_cache(dataset: Dataset, settings: PictureSettings | None) -> PictureS
             remedy="leave --visible-sets as it was, or build another dataset",
         )
     return wanted
+
+
+def _now_drawn(
+    about: DatasetFile, settings: PictureSettings, parts: Sequence[DatasetPart]
+) -> DatasetFile:
+    """A dataset whose rows have the hashes of pictures now, and which backend drew them."""
+    pictures = msgspec.structs.replace(about.settings.pictures, backend=settings.backend)
+    return msgspec.structs.replace(
+        about,
+        parts=tuple(parts),
+        rendered=True,
+        settings=msgspec.structs.replace(about.settings, pictures=pictures),
+    )
 
 
 def plan_rendering(

@@ -17,6 +17,7 @@ CacheLayout = Literal["webdataset", "lerobot", "none"]
 PictureFormat = Literal["jpg", "png"]
 Halting = Literal["paper", "gn0-release", "none"]
 Schedule = Literal["constant", "power", "first"]
+Backend = Literal["cpu", "cuda"]
 
 
 class PictureSettings(Config, frozen=True):
@@ -32,6 +33,8 @@ class PictureSettings(Config, frozen=True):
         crf: constant rate factor of AV1 videos, 0 (best) to 63.
         visible_sets: draw from the splats that show near each place: quicker, and nearly the same
             pictures (at least 60 dB). Off, the pictures are exactly the simulator's.
+        backend: the renderer that draws, where it is not the CPU's: its pictures differ by
+            rounding, so their hashes do, and they can only be made again by the same.
     """
 
     layout: CacheLayout = "webdataset"
@@ -40,6 +43,12 @@ class PictureSettings(Config, frozen=True):
     maps: Literal["once", "every"] = "once"
     crf: Annotated[int, msgspec.Meta(ge=0, le=63)] = 30
     visible_sets: bool = False
+    backend: Literal["cuda"] | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def drawn_by(self) -> Backend:
+        """Name of the renderer that draws."""
+        return "cpu" if self.backend is msgspec.UNSET else self.backend
 
     def __post_init__(self) -> None:
         if self.layout == "lerobot" and self.maps == "every":
@@ -47,6 +56,12 @@ class PictureSettings(Config, frozen=True):
                 "a LeRobot feature has one size, and maps have that of their scene",
                 where="--maps every",
                 remedy="keep maps once, or use layout webdataset",
+            )
+        if self.backend is not msgspec.UNSET and self.visible_sets:
+            raise ConfigError(
+                "visible sets are drawn from by the CPU renderer alone",
+                where="--visible-sets",
+                remedy="leave them out, or use --backend cpu",
             )
 
 

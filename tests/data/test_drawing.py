@@ -1,0 +1,223 @@
+"""One process draws for all: the bytes of before, whoever encodes, whatever is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from gn0.bench.looks import LOADER
+from gn0.bench.suite import Suite, save_suite
+from gn0.data import cache, drawing, part
+from gn0.data.build import build_dataset
+from gn0.data.dataset import load_dataset_file, open_dataset
+from gn0.data.draw import look_ahead
+from gn0.data.drawing import choose_drawing, count_workers, open_drawing, with_backend
+from gn0.data.render import choose_cache, render_dataset
+from gn0.data.settings import BuildSettings, PictureSettings
+from gn0.errors import ConfigError, DataError, DeviceError
+from gn0.render.share.client import DrawConnection, DrawServer
+from gn0.scenes.folder import load_scene
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
+
+PROGRAM = """
+import sys
+from gn0.data import build, drawing
+from gn0.data.settings import BuildSettings, PictureSettings
+drawing.SHARED = frozenset({"cpu"})
+build.build_dataset(sys.argv[1], sys.argv[2], BuildSettings(chunk=1), workers=2)
+"""
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Datasets of the CPU backend are drawn by one process as well."""
+    monkeypatch.setattr(drawing, "SHARED", frozenset({"cpu", "cuda"}))
+
+
+@pytest.fixture(scope="session")
+def walks(data_suite: Suite, tmp_path_factory: pytest.TempPathFactory) -> Suite:
+    """Three walks, two of them in evening light."""
+    scene = load_scene(data_suite.scene_folder("example-flat"))
+    return save_suite(
+        tmp_path_factory.mktemp("short") / "suite", [scene], data_suite.episodes[:3], name="short",
+        max_steps=60,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def alone(walks: Suite, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset of those walks, drawn by the worker itself."""
+    out = tmp_path_factory.mktemp("alone") / "d"
+    build_dataset(walks, out, BuildSettings(chunk=1))
+    return out
+
+
+@pytest.mark.usefixtures("served")
+@pytest.mark.parametrize(("workers", "batch"), [(1, 0), (2, 7), (4, 1)])
+def test_one_process_that_draws_gives_the_same_bytes(
+    walks, alone, tmp_path, files_of, workers, batch
+) -> None:
+    build_dataset(walks, tmp_path / "d", BuildSettings(chunk=1), workers=workers, batch=batch)
+    assert files_of(tmp_path / "d") == files_of(alone)
+
+
+@pytest.mark.usefixtures("served")
+def test_pictures_are_drawn_again_by_the_process_that_draws(alone, tmp_path, files_of) -> None:
+    import shutil
+
+    folder = Path(shutil.copytree(alone, tmp_path / "d"))
+    shutil.rmtree(folder / "pictures")
+    render_dataset(folder, workers=2)
+    assert files_of(folder) == files_of(alone)
+
+
+@pytest.mark.slow
+def test_a_build_that_was_killed_goes_on(walks, alone, tmp_path, files_of) -> None:
+    out = tmp_path / "d"
+    for wait in (2.5, 4.0):  # in the midst of it, or so
+        command = [sys.executable, "-c", PROGRAM, str(walks.folder), str(out)]
+        with subprocess.Popen(command, start_new_session=True) as process:
+            time.sleep(wait)
+            process.send_signal(signal.SIGKILL)
+    process = subprocess.run(command, check=True, timeout=120)
+    assert files_of(out) == files_of(alone)
+
+
+@pytest.mark.usefixtures("served")
+def test_a_drawing_process_that_dies_is_said_and_the_build_goes_on(
+    walks, alone, tmp_path, files_of, monkeypatch
+) -> None:
+    written = part.write_part
+    servers: list[DrawServer] = []
+    entered = DrawServer.__enter__
+
+    def enter(server: DrawServer) -> DrawServer:
+        servers.append(entered(server))
+        return servers[-1]
+
+    def write(*args):
+        if len(servers) == 1:
+            os.kill(servers[0].pid, signal.SIGKILL)
+        return written(*args)
+
+    monkeypatch.setattr(DrawServer, "__enter__", enter)
+    monkeypatch.setattr(part, "write_part", write)
+    with pytest.raises(DeviceError, match="process that draws is gone") as caught:
+        build_dataset(walks, tmp_path / "d", BuildSettings(chunk=1))
+    assert "same command again" in caught.value.remedy
+    build_dataset(walks, tmp_path / "d", BuildSettings(chunk=1))
+    assert files_of(tmp_path / "d") == files_of(alone)
+
+
+@pytest.mark.usefixtures("served")
+def test_a_slow_encoder_holds_the_views_back(walks, tmp_path, monkeypatch) -> None:
+    """What waits is bounded; and the bytes are right, however slow encoding is."""
+    from gn0.data import draw
+
+    waiting, most, encoded = [0], [0], [0]
+    ahead, encode = draw.look_ahead, cache.encode_picture
+
+    def counted(source, limit):
+        def items():
+            for item in source:
+                waiting[0] += 1
+                most[0] = max(most[0], waiting[0])
+                yield item
+
+        for item in ahead(items(), limit):
+            waiting[0] -= 1
+            yield item
+
+    def slow(*args):
+        encoded[0] += 1
+        if encoded[0] < 10:
+            time.sleep(0.1)
+        return encode(*args)
+
+    monkeypatch.setattr(draw, "look_ahead", counted)
+    monkeypatch.setattr(draw, "AHEAD", 3)
+    monkeypatch.setattr(cache, "encode_picture", slow)
+    build_dataset(walks, tmp_path / "d", BuildSettings())
+    assert 3 <= most[0] <= 3 + 2  # one in each hand
+
+
+def test_looking_ahead_keeps_order_bounds_and_errors() -> None:
+    made: list[int] = []
+
+    def count():
+        for number in range(100):
+            made.append(number)
+            yield number
+        raise ValueError("the end")
+
+    items = look_ahead(count(), 4)
+    assert [next(items) for _ in range(3)] == [0, 1, 2]
+    time.sleep(0.2)
+    assert len(made) <= 3 + 4 + 1
+    before = threading.active_count()
+    items.close()
+    assert threading.active_count() == before - 1
+    with pytest.raises(ValueError, match="the end"):
+        list(look_ahead(count(), 4))
+
+
+def test_the_dataset_says_who_drew_it(alone, walks, tmp_path) -> None:
+    assert b"backend" not in (alone / "dataset.json").read_bytes()
+    drawn = with_backend(PictureSettings(), "cuda")
+    assert drawn.drawn_by == "cuda" and PictureSettings().drawn_by == "cpu"
+    about = load_dataset_file(alone)
+    settings = msgspec.structs.replace(about.settings, pictures=drawn)
+    encoded = msgspec.json.encode(msgspec.to_builtins(settings))
+    assert msgspec.json.decode(encoded, type=BuildSettings) == settings
+    with pytest.raises(DataError, match="drawn by backend 'cpu'; those of 'cuda'") as caught:
+        choose_cache(open_dataset(alone), drawn)
+    assert "leave --backend out, or give cpu" in caught.value.remedy
+    assert choose_drawing("auto", alone) == ("cpu", "the dataset was begun with it")
+    assert choose_drawing("cuda", alone)[0] == "cuda"
+    assert choose_drawing("auto", tmp_path, visible_sets=True)[0] == "cpu"
+    with pytest.raises(ConfigError, match="visible sets"):
+        PictureSettings(visible_sets=True, backend="cuda")
+
+
+def test_workers_are_as_many_as_cores_where_a_gpu_draws() -> None:
+    drawn = with_backend(PictureSettings(), "cuda")
+    assert count_workers(3, drawn) == 3
+    assert count_workers(0, PictureSettings()) == 1
+    assert count_workers(0, drawn) >= 1
+    assert count_workers(0, msgspec.structs.replace(drawn, layout="none")) == 1
+
+
+def test_machines_of_a_cluster_do_not_share_this_gpu() -> None:
+    drawn = with_backend(PictureSettings(), "cuda")
+    with (
+        pytest.raises(ConfigError, match="cannot use this one's GPU"),
+        open_drawing(drawn, executor="ray"),
+    ):
+        pass
+
+
+def test_a_backend_that_is_not_here_is_named_with_the_reason(
+    walks, tmp_path, monkeypatch, files_of
+) -> None:
+    monkeypatch.setenv("GN0_DEVICE", "cuda:99")
+    drawn = BuildSettings(pictures=with_backend(PictureSettings(), "cuda"))
+    with pytest.raises(DataError, match="backend 'cuda', which does not run here") as caught:
+        build_dataset(walks, tmp_path / "d", drawn)
+    assert "doctor" in caught.value.remedy or "cpu" in caught.value.remedy
+
+
+def test_a_server_that_is_gone_cannot_be_reached() -> None:
+    with DrawServer("cpu", LOADER) as server:
+        address = server.address
+        DrawConnection(address).close()
+    with pytest.raises(DeviceError, match="cannot be reached"):
+        DrawConnection(address)

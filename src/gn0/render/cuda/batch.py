@@ -144,8 +144,10 @@ class RendererBatch:
         moving, tail_of = self._bring_tails(tails, count)
         parts = self._parts(camera, matrices, names, visible)
         pictures = self.drawer.pictures(camera, count, outputs, self.options.rgb_float)
+        views_of = _views_of(names)
         for group in self.store.groups(names):
-            rows = np.array([v for v in range(count) if names[v] in group], np.int64)
+            rows = np.array(sorted(v for key in group for v in views_of[key]), np.int64)
+            cleared = False
             while True:
                 try:
                     clouds, cloud_of = _choose(group, names, parts, rows)
@@ -163,8 +165,13 @@ class RendererBatch:
                     )
                     break
                 except DeviceMemoryError:
-                    if not self._make_room(list(group)):
+                    clouds = []
+                    if self.store.give_way(list(group)):
+                        continue
+                    if cleared or not _clear_sets([*self._sets.values(), *_sets_of(parts)]):
                         raise
+                    cleared = True
+            del clouds  # the next group may need their memory
         return pictures
 
     def _bring_tails(
@@ -209,18 +216,30 @@ class RendererBatch:
                     )
                 found[v] = (self._sets[names[v]], cell)
             return found
-        for key in dict.fromkeys(names):
+        for key, mine in _views_of(names).items():
             sets = self._sets.get(key) if isinstance(visible, bool) else visible
             if sets is None:
                 continue
-            mine = [v for v, name in enumerate(names) if name == key]
             for v, cell in zip(mine, sets.locate(camera, matrices[mine]), strict=True):
                 found[v] = None if cell is None else (sets, cell)
         return found
 
-    def _make_room(self, pinned: list[str]) -> bool:
-        """Let go of something that the draw under way does not need."""
-        return self.store.give_way(pinned) or sum(s.clear() for s in self._sets.values()) > 0
+
+def _views_of(names: list[str]) -> dict[str, list[int]]:
+    """Which views each scene has."""
+    found: dict[str, list[int]] = {}
+    for v, name in enumerate(names):
+        found.setdefault(name, []).append(v)
+    return found
+
+
+def _sets_of(parts: list[Part | None]) -> list[VisibleSets]:
+    return list({id(part[0]): part[0] for part in parts if part is not None}.values())
+
+
+def _clear_sets(sets: list[VisibleSets]) -> bool:
+    """Let go of all sets on the device; whether there were any."""
+    return sum(some.clear() for some in sets) > 0
 
 
 def _choose(

@@ -112,8 +112,8 @@ class CloudStore:
     def groups(self, keys: Sequence[str]) -> Iterator[dict[str, CloudDevice]]:
         """The clouds of `keys`, in groups that fit together; what is in a group stays for its turn.
 
-        One group when all fit. What is here already comes first, so that it is not dropped to
-        make room before its turn.
+        One group when all fit; a group is emptied when the next is asked for. What is here already
+        comes first, so that it is not dropped to make room before its turn.
 
         Raises:
             RenderError: no such key, or a cloud that cannot be drawn.
@@ -131,7 +131,7 @@ class CloudStore:
                 found = self._bring(key, cloud, group)
                 if found is None:  # not beside those of the group: draw them first
                     yield group
-                    group = {}
+                    group.clear()  # whoever still holds it must not keep the memory
                     found = self._bring(key, cloud, group)
                 assert found is not None
             self._held.move_to_end(key)

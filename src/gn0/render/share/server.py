@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
-import mmap
 import os
 import queue
 import secrets
@@ -22,7 +21,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -36,19 +34,18 @@ from gn0.jobs.child import open_channel
 from gn0.jobs.worker import find_function
 from gn0.render.camera import Camera
 from gn0.render.renderer import Output
+from gn0.render.share.handing import Batch, Handing, Piece
 from gn0.render.share.messages import (
     Area,
     Draw,
-    Drawn,
-    Failed,
     Inbox,
     Note,
     Ready,
     Refused,
     Tally,
     lay_out,
-    send_message,
 )
+from gn0.render.share.request import Connection, Request
 
 BATCH = 256  # views a call
 _TALLY_EVERY = 2.0  # s
@@ -94,53 +91,6 @@ def open_batch(backend: str) -> tuple[BatchRenderer, str]:
     return batch, device.name
 
 
-@dataclass(eq=False)
-class Connection:
-    """One that asks: its socket, and the areas it has given."""
-
-    socket: socket.socket
-    areas: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
-    sending: threading.Lock = field(default_factory=threading.Lock)
-
-    def send(self, message: msgspec.Struct) -> None:
-        """Tell it something; one that is gone is not missed."""
-        with self.sending, contextlib.suppress(OSError):
-            send_message(self.socket, message)
-
-    def take_area(self, area: Area, descriptor: int) -> None:
-        """Map an area into this process.
-
-        Raises:
-            DeviceError: it is smaller than said.
-        """
-        try:
-            if os.fstat(descriptor).st_size < area.size:
-                raise DeviceError("an area is smaller than said", where="drawing socket")
-            mapped = mmap.mmap(descriptor, area.size)
-        finally:
-            os.close(descriptor)
-        self.areas = {area.number: np.frombuffer(mapped, np.uint8)}  # the last one grew
-
-
-@dataclass(frozen=True, eq=False)
-class Request:
-    """A `Draw` and who asked for it."""
-
-    connection: Connection
-    draw: Draw
-
-    @property
-    def alike(self) -> tuple[Any, ...]:
-        """What must be equal for one call of the renderer."""
-        draw = self.draw
-        return msgspec.json.encode(draw.camera), draw.outputs, draw.background
-
-    def fail(self, error: Gn0Error) -> None:
-        """Tell who asked what went wrong."""
-        number = self.draw.number
-        self.connection.send(Failed(number, error.code, error.what, error.where, error.remedy))
-
-
 class Server:
     """Draws what connections ask for.
 
@@ -163,6 +113,7 @@ class Server:
         self._waiting: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._held: Request | None = None  # did not fit into the last batch
         self._said = False
+        self._handing = Handing()
         self.tally = Tally()
 
     def listen(self, listener: socket.socket) -> None:
@@ -284,16 +235,15 @@ class Server:
             self._known.add(draw.key)
 
     def _draw(self, group: list[Request]) -> None:
-        """Draw requests that are alike, and put the pictures into their areas."""
+        """Draw requests that are alike; another thread puts the pictures into their areas."""
         first = group[0].draw
         views = np.concatenate(
             [np.frombuffer(r.draw.views, np.float64).reshape(-1, 4, 4) for r in group]
         )
         keys = [r.draw.key for r in group for _ in range(r.draw.count)]
-        targets = [_targets(request) for request in group]
-        sizes = [request.draw.count for request in group]
         for begin in range(0, len(views), self._views):
             end = min(begin + self._views, len(views))
+            self._handing.make_room()
             start = time.perf_counter()
             pictures = self._batch.render(
                 first.camera,
@@ -302,54 +252,24 @@ class Server:
                 outputs=first.outputs,
                 background=first.background,
             )
-            middle = time.perf_counter()
-            at = 0
-            for target, size in zip(targets, sizes, strict=True):
+            pieces, at = [], 0
+            for request in group:
+                size = request.draw.count
                 low, high = max(at, begin), min(at + size, end)
                 if low < high:
-                    for name in first.outputs:
-                        _copy(pictures, name, slice(low - begin, high - begin),
-                              target[name][low - at : high - at])  # fmt: skip
+                    rows = slice(low - begin, high - begin)
+                    pieces.append(
+                        Piece(request, rows, slice(low - at, high - at), at + size <= end)
+                    )
                 at += size
-            stop = time.perf_counter()
-            self._count(views=end - begin, calls=1, drawing=middle - start, copying=stop - middle)
-        for request in group:
-            request.connection.send(Drawn(request.draw.number))
+            self._handing.take(Batch(pictures, first.outputs, pieces))
+            self._count(views=end - begin, calls=1, drawing=time.perf_counter() - start)
 
     def _count(self, **more: float) -> None:
+        more["copying"] = self._handing.seconds - self.tally.copying
         self.tally = msgspec.structs.replace(
             self.tally, **{name: getattr(self.tally, name) + value for name, value in more.items()}
         )
-
-
-def _targets(request: Request) -> dict[str, NDArray[Any]]:
-    """The arrays in the area of a request that its pictures go to."""
-    draw = request.draw
-    area = request.connection.areas[draw.area]
-    places, _ = lay_out(draw.camera, draw.outputs, draw.count)
-    shape = (draw.count, draw.camera.height, draw.camera.width)
-    found: dict[str, NDArray[Any]] = {}
-    for name, place in zip(draw.outputs, places, strict=True):
-        if name == "rgb":
-            size = int(np.prod(shape)) * 3
-            found[name] = area[place : place + size].reshape(*shape, 3)
-        else:
-            size = int(np.prod(shape)) * 4
-            found[name] = area[place : place + size].view(np.float32).reshape(shape)
-    return found
-
-
-def _copy(pictures: Any, name: str, rows: slice, target: NDArray[Any]) -> None:
-    """Copy rows of a picture array, on the device or not, into host memory."""
-    source = getattr(pictures, name, None)
-    if source is None:
-        source = getattr(pictures.numpy(), name)
-    if source is None or source.dtype != target.dtype:
-        raise RenderError(f"the renderer gave no {name} of {target.dtype}")
-    if isinstance(source, np.ndarray):
-        np.copyto(target, source[rows])
-    else:
-        source[rows].numpy(target)
 
 
 def is_ours(connection: socket.socket) -> bool:

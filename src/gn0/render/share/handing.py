@@ -1,0 +1,144 @@
+"""Brings pictures from the device into the areas of those who asked, while the next are drawn."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import DeviceArray, Download
+from gn0.errors import Gn0Error, RenderError
+from gn0.render.renderer import Output
+from gn0.render.share.messages import Drawn
+from gn0.render.share.request import Request
+
+IN_FLIGHT = 2  # batches between the renderer and their last byte in an area
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Rows of a batch that belong to a request.
+
+    Attributes:
+        request: whose.
+        rows: in the batch.
+        places: of them in the request.
+        last: the request is whole with these.
+    """
+
+    request: Request
+    rows: slice
+    places: slice
+    last: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Pictures of one call of the renderer, and whose they are.
+
+    Attributes:
+        pictures: with fields rgb, depth, alpha on a device, or with `numpy()`.
+        outputs: which of them.
+        pieces: in the order of their rows.
+        copies: under way to pinned memory, by output.
+        blocks: of pinned memory that they go to, whole, by output.
+    """
+
+    pictures: Any
+    outputs: tuple[Output, ...]
+    pieces: Sequence[Piece]
+    copies: dict[str, Download] = field(default_factory=dict)
+    blocks: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+
+
+class Handing:
+    """A thread of its own that waits for copies, fills areas and answers.
+
+    The device is used, and its arrays are let go of, in the thread that draws alone; this one
+    only waits for copies into pinned memory, of which at most `IN_FLIGHT` batches exist.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._todo: queue.SimpleQueue[Batch] = queue.SimpleQueue()
+        self._done: queue.SimpleQueue[Gn0Error | None] = queue.SimpleQueue()
+        self._flying: deque[Batch] = deque()
+        self._blocks: dict[str, list[NDArray[np.uint8]]] = {}
+        threading.Thread(target=self._work, name="hand pictures out", daemon=True).start()
+
+    def make_room(self) -> None:
+        """Wait until another batch may be drawn.
+
+        Raises:
+            Gn0Error: a copy of an earlier batch failed; those who wait for it have been told.
+        """
+        while self._flying:
+            try:
+                error = self._done.get(block=len(self._flying) >= IN_FLIGHT)
+            except queue.Empty:
+                return
+            batch = self._flying.popleft()
+            if error is not None:
+                raise error
+            for name, block in batch.blocks.items():
+                self._blocks.setdefault(name, []).append(block)
+
+    def take(self, batch: Batch) -> None:
+        """Bring the pictures of a batch to those who asked; returns at once."""
+        for name in batch.outputs:
+            source = getattr(batch.pictures, name, None)
+            if isinstance(source, DeviceArray):
+                kept = self._blocks.get(name)
+                block = kept.pop() if kept else None
+                if block is None or len(block) < source.nbytes:
+                    block = source.device.pinned(source.nbytes, np.uint8)
+                target = block[: source.nbytes].view(source.dtype).reshape(source.shape)
+                batch.blocks[name] = block
+                batch.copies[name] = source.device.download_async(source, target, beside=True)
+        self._flying.append(batch)
+        self._todo.put(batch)
+
+    def _work(self) -> None:
+        while True:
+            batch: Batch | None = self._todo.get()
+            assert batch is not None
+            error: Gn0Error | None = None
+            begin = time.perf_counter()
+            try:
+                self._hand_out(batch)
+            except Exception as raised:  # those who wait must hear of anything
+                error = (
+                    raised
+                    if isinstance(raised, Gn0Error)
+                    else RenderError(
+                        f"pictures cannot be handed out: {type(raised).__name__}: {raised}"
+                    )
+                )
+                for piece in batch.pieces:
+                    piece.request.fail(error)
+            self.seconds += time.perf_counter() - begin
+            batch = None  # its arrays are the other thread's to let go of
+            self._done.put(error)
+
+    def _hand_out(self, batch: Batch) -> None:
+        arrays: dict[str, NDArray[Any]] = {}
+        for name in batch.outputs:
+            copy = batch.copies.get(name)
+            array = getattr(batch.pictures.numpy(), name) if copy is None else copy.numpy()
+            if array is None:
+                raise RenderError(f"the renderer gave no {name}")
+            arrays[name] = array
+        for piece in batch.pieces:
+            for wanted, target in piece.request.targets().items():
+                if target.dtype != arrays[wanted].dtype:
+                    raise RenderError(f"the renderer gave {wanted} of {arrays[wanted].dtype}")
+                np.copyto(target[piece.places], arrays[wanted][piece.rows])
+            if piece.last:
+                piece.request.connection.send(Drawn(piece.request.draw.number))

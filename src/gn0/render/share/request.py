@@ -1,0 +1,80 @@
+"""Who asks the drawing process, and for what."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import socket
+import threading
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import DeviceError, Gn0Error
+from gn0.render.share.messages import Area, Draw, Failed, lay_out, send_message
+
+
+@dataclass(eq=False)
+class Connection:
+    """One that asks: its socket, and the areas it has given."""
+
+    socket: socket.socket
+    areas: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+    sending: threading.Lock = field(default_factory=threading.Lock)
+
+    def send(self, message: msgspec.Struct) -> None:
+        """Tell it something; one that is gone is not missed."""
+        with self.sending, contextlib.suppress(OSError):
+            send_message(self.socket, message)
+
+    def take_area(self, area: Area, descriptor: int) -> None:
+        """Map an area into this process.
+
+        Raises:
+            DeviceError: it is smaller than said.
+        """
+        try:
+            if os.fstat(descriptor).st_size < area.size:
+                raise DeviceError("an area is smaller than said", where="drawing socket")
+            mapped = mmap.mmap(descriptor, area.size)
+        finally:
+            os.close(descriptor)
+        self.areas = {area.number: np.frombuffer(mapped, np.uint8)}  # the last one grew
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A `Draw` and who asked for it."""
+
+    connection: Connection
+    draw: Draw
+
+    @property
+    def alike(self) -> tuple[Any, ...]:
+        """What must be equal for one call of the renderer."""
+        draw = self.draw
+        return msgspec.json.encode(draw.camera), draw.outputs, draw.background
+
+    def fail(self, error: Gn0Error) -> None:
+        """Tell who asked what went wrong."""
+        number = self.draw.number
+        self.connection.send(Failed(number, error.code, error.what, error.where, error.remedy))
+
+    def targets(self) -> dict[str, NDArray[Any]]:
+        """The arrays in its area that the pictures go to: uint8 [V, H, W, 3], float32 [V, H, W]."""
+        draw = self.draw
+        area = self.connection.areas[draw.area]
+        places, _ = lay_out(draw.camera, draw.outputs, draw.count)
+        shape = (draw.count, draw.camera.height, draw.camera.width)
+        pixels = draw.count * draw.camera.height * draw.camera.width
+        found: dict[str, NDArray[Any]] = {}
+        for name, place in zip(draw.outputs, places, strict=True):
+            if name == "rgb":
+                found[name] = area[place : place + pixels * 3].reshape(*shape, 3)
+            else:
+                found[name] = area[place : place + pixels * 4].view(np.float32).reshape(shape)
+        return found

@@ -1,0 +1,238 @@
+"""Asking another process for pictures gives what the renderer gives, and its errors."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gn0.device.device import DeviceArray
+from gn0.errors import DeviceError, DeviceMemoryError, RenderError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import view_from_pose
+from gn0.render.camera import Camera
+from gn0.render.cpu import RendererCpu
+from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.render.share.cpu import RendererBatchCpu
+from gn0.render.share.messages import lay_out
+from gn0.render.share.server import Server, open_listener
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
+CAMERA = Camera.from_hfov(48, 36, 90.0)
+BLACK = (0.0, 0.0, 0.0)
+
+
+def random_cloud(seed: int) -> GaussianCloud:
+    rng = np.random.default_rng(seed)
+    n = 300
+    quats = rng.normal(size=(n, 4))
+    return GaussianCloud(
+        means=rng.uniform(-2, 2, (n, 3)).astype(np.float32),
+        quats=(quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        scales=rng.uniform(0.02, 0.2, (n, 3)).astype(np.float32),
+        opacities=rng.uniform(0.2, 1, n).astype(np.float32),
+        sh=rng.normal(size=(n, 1, 3)).astype(np.float32),
+    )
+
+
+def load(source: dict[str, Any]) -> GaussianCloud:
+    if source["seed"] < 0:
+        raise RenderError("no such cloud", where="seed", remedy="give another")
+    return random_cloud(source["seed"])
+
+
+def views(count: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.stack([view_from_pose(*rng.uniform(-1, 1, 2), 0.5, a, 0.0)
+                     for a in rng.uniform(-3, 3, count)])  # fmt: skip
+
+
+class BatchWithLimit(RendererBatchCpu):
+    """As the CPU's, with memory for so many views; counts calls and their views."""
+
+    def __init__(self, limit: int = 10**9) -> None:
+        super().__init__()
+        self.limit, self.calls = limit, []
+
+    def render(self, camera, matrices, keys, **more):  # type: ignore[no-untyped-def, override]
+        self.calls.append((len(matrices), len(set(keys))))
+        if len(matrices) > self.limit:
+            raise DeviceMemoryError("not so much")
+        return super().render(camera, matrices, keys, **more)
+
+
+class Serving:
+    """A server in threads of this process, and connections to it."""
+
+    def __init__(self, batch: Any, most: int = 256) -> None:
+        self.notes: list[str] = []
+        self.server = Server(batch, load, most, self.notes.append)
+        self.listener, self.address = open_listener()
+        self.open: list[DrawConnection] = []
+        threading.Thread(target=self.server.listen, args=(self.listener,), daemon=True).start()
+        self.thread = threading.Thread(target=self.work, daemon=True)
+        self.thread.start()
+
+    def work(self) -> None:
+        try:
+            while True:
+                self.server.serve_once()
+        except DeviceError:
+            pass
+
+    def renderer(self, seed: int) -> RendererShared:
+        self.open.append(DrawConnection(self.address))
+        return RendererShared(self.open[-1], "cpu", f"scene {seed}", {"seed": seed})
+
+    def close(self) -> None:
+        for connection in self.open:
+            connection.close()
+        self.listener.close()
+
+
+@pytest.fixture
+def serve():
+    made = []
+
+    def start(*args, **more) -> Serving:
+        made.append(Serving(*args, **more))
+        return made[-1]
+
+    yield start
+    for serving in made:
+        serving.close()
+
+
+def expect_same(one, other, outputs=("rgb", "depth", "alpha")) -> None:
+    for name in ("rgb", "depth", "alpha"):
+        if name in outputs:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        else:
+            assert getattr(one, name) is None
+
+
+def test_pictures_are_those_of_the_renderer(serve) -> None:
+    shared = serve(RendererBatchCpu()).renderer(1)
+    alone = RendererCpu(random_cloud(1))
+    for count in (1, 5, 40):  # 40: more than one request holds
+        expect_same(shared.render(CAMERA, views(count)), alone.render(CAMERA, views(count)))
+    small = Camera.orthographic(33, 17, 0.1, near=0.0)
+    expect_same(
+        shared.render(small, views(2), outputs=("depth",), background=(1.0, 0.0, 0.0)),
+        alone.render(small, views(2), outputs=("depth",), background=(1.0, 0.0, 0.0)),
+        ("depth",),
+    )
+    none = shared.render(CAMERA, np.zeros((0, 4, 4)), outputs=("rgb",))
+    assert none.rgb is not None and none.rgb.shape == (0, 36, 48, 3) and none.depth is None
+
+
+def test_many_ask_at_once_and_get_their_own(serve) -> None:
+    serving = serve(BatchWithLimit(), most=64)
+    renderers = [serving.renderer(seed % 3) for seed in range(9)]
+    wanted = [
+        RendererCpu(random_cloud(seed % 3)).render(CAMERA, views(6, seed)) for seed in range(9)
+    ]
+    wrong: list[Exception] = []
+
+    def ask(number: int) -> None:
+        try:
+            for _ in range(5):
+                found = renderers[number].render(CAMERA, views(6, number))
+                expect_same(found, wanted[number])
+        except Exception as error:
+            wrong.append(error)
+
+    threads = [threading.Thread(target=ask, args=(n,)) for n in range(9)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+    calls = serving.server._batch.calls
+    assert max(count for count, _ in calls) > 6 and max(kinds for _, kinds in calls) > 1
+    assert max(count for count, _ in calls) <= 64
+    assert serving.server.tally.views == 9 * 5 * 6
+
+
+def test_too_little_memory_means_smaller_batches_said_once(serve) -> None:
+    serving = serve(BatchWithLimit(3))
+    shared = serving.renderer(2)
+    expect_same(
+        shared.render(CAMERA, views(20)), RendererCpu(random_cloud(2)).render(CAMERA, views(20))
+    )
+    shared.render(CAMERA, views(20))
+    assert len(serving.notes) == 1 and "too little device memory" in serving.notes[0]
+    broke = serve(BatchWithLimit(0)).renderer(2)
+    with pytest.raises(DeviceMemoryError, match="not so much"):
+        broke.render(CAMERA, views(2))
+
+
+def test_one_that_fails_takes_nobody_with_it(serve) -> None:
+    serving = serve(RendererBatchCpu())
+    good, bad = serving.renderer(1), serving.renderer(-1)
+    for _ in range(2):
+        with pytest.raises(RenderError, match="no such cloud") as caught:
+            bad.render(CAMERA, views(1))
+        assert (caught.value.where, caught.value.remedy) == ("seed", "give another")
+    expect_same(
+        good.render(CAMERA, views(2)), RendererCpu(random_cloud(1)).render(CAMERA, views(2))
+    )
+    with pytest.raises(RenderError, match="not finite"):
+        good.render(CAMERA, np.full((1, 4, 4), np.nan))
+    with pytest.raises(RenderError, match="moving splats"):
+        good.render(CAMERA, views(1), extra=random_cloud(1))
+
+
+class BatchLost(RendererBatchCpu):
+    def render(self, *args, **more):  # type: ignore[no-untyped-def, override]
+        raise DeviceError("the card fell off the bus")
+
+
+def test_a_lost_device_is_told_to_those_who_wait(serve) -> None:
+    serving = serve(BatchLost())
+    with pytest.raises(DeviceError, match="fell off the bus"):
+        serving.renderer(1).render(CAMERA, views(1))
+    serving.thread.join(5)
+    assert not serving.thread.is_alive()
+
+
+def test_what_is_no_message_ends_its_connection_alone(serve) -> None:
+    serving = serve(RendererBatchCpu())
+    for data in (b"\xff\xff\xff\xff", b"\x03\x00\x00\x00abc", b"\x01"):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as rude:
+            rude.connect(serving.address.replace("@", "\0", 1))
+            rude.sendall(data)
+            rude.shutdown(socket.SHUT_WR)
+            assert rude.recv(1) == b""
+    serving.renderer(1).render(CAMERA, views(1))
+
+
+def test_pictures_of_a_device_come_through_pinned_memory(serve) -> None:
+    from gn0.device.host import DeviceHost
+
+    device = DeviceHost()
+
+    class BatchOnDevice(RendererBatchCpu):
+        def render(self, *args, **more):  # type: ignore[no-untyped-def, override]
+            found = super().render(*args, **more).numpy()
+            for name in ("rgb", "depth", "alpha"):
+                if (array := getattr(found, name)) is not None:
+                    object.__setattr__(found, name, device.upload(array))
+            return found
+
+    shared = serve(BatchOnDevice(), most=8).renderer(1)
+    for count in (3, 20, 3):
+        expect_same(
+            shared.render(CAMERA, views(count)),
+            RendererCpu(random_cloud(1)).render(CAMERA, views(count)),
+        )
+    assert isinstance(device.zeros(3, np.uint8), DeviceArray)
+
+
+def test_outputs_lie_apart_in_an_area() -> None:
+    places, size = lay_out(CAMERA, ("rgb", "depth"), 3)
+    assert places == [0, -(-3 * 48 * 36 * 3 // 64) * 64] and size >= places[1] + 3 * 48 * 36 * 4

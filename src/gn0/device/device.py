@@ -48,7 +48,7 @@ class KernelSource:
             parts.append(f'#line 1 "{path.name}"\n{path.read_text()}')
         return "\n".join([*head, *parts])
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Content hash of the text."""
         return content_hash(self.text)

@@ -1,0 +1,191 @@
+"""Kernels of a card: their parameters packed and checked with as little Python as will do."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gn0.device.arguments import (
+    SCALARS,
+    check_argument,
+    check_count,
+    check_sizes,
+    pack_argument,
+    size3,
+)
+from gn0.device.device import DeviceArray
+from gn0.errors import DeviceError
+
+if TYPE_CHECKING:
+    from gn0.device.driver import DeviceCuda
+
+SHARED_PLAIN = 48 * 1024  # bytes of dynamic shared memory that need no leave
+_CELL = 16  # bytes that parameters are laid out by
+_DYNAMIC_SHARED = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+_THREADS, _SHARED, _LOCAL, _REGISTERS = 0, 1, 3, 4  # CU_FUNC_ATTRIBUTE_...
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What a kernel takes.
+
+    Attributes:
+        registers: a thread.
+        local: bytes of local memory a thread: spilled registers and local arrays.
+        shared: bytes of static shared memory a block.
+        threads: most threads a block.
+    """
+
+    registers: int
+    local: int
+    shared: int
+    threads: int
+
+
+class KernelCuda:
+    """A kernel of a card; see `gn0.device.device.Kernel`."""
+
+    def __init__(self, device: DeviceCuda, name: str, function: int, types: list[str]) -> None:
+        self.name = name
+        self._device, self._function, self._types = device, function, types
+        self._launch = device.driver.function("cuLaunchKernel")
+        self._sizes = self._parameter_sizes()
+        # the class that a parameter has, as a rule; others take the slow road
+        self._classes: list[Any] = [_class_of(kind) for kind in types]
+        self._packer: struct.Struct | None = None
+        self._lock = threading.Lock()  # parameters are packed into one buffer a kernel
+        self._shared = SHARED_PLAIN
+
+    def _parameter_sizes(self) -> list[int | None]:
+        """Bytes of each parameter, where the driver tells."""
+        sizes: list[int | None] = [None] * len(self._types)
+        if self._device.driver.has("cuFuncGetParamInfo"):
+            offset, size = ctypes.c_size_t(), ctypes.c_size_t()
+            for i in range(len(sizes)):
+                to = ctypes.byref(offset), ctypes.byref(size)
+                if not self._device.attempt("cuFuncGetParamInfo", self._function, i, *to):
+                    sizes[i] = size.value
+        return sizes
+
+    def launch(
+        self, grid: int | tuple[int, ...], block: int | tuple[int, ...], *args: Any, shared: int = 0
+    ) -> None:
+        """Run it; see `gn0.device.device.Kernel`.
+
+        Raises:
+            DeviceError: a parameter of another number or type, the launch failed, or something
+                launched before has failed.
+        """
+        device = self._device
+        if device.lost is not None:
+            device.check_lost()
+        blocks = (grid, 1, 1) if grid.__class__ is int else size3(grid)
+        threads = (block, 1, 1) if block.__class__ is int else size3(block)
+        check_sizes(self.name, blocks, threads)
+        if len(args) != len(self._classes):
+            check_count(self.name, len(args), len(self._classes))
+        values = [
+            (value.pointer if kind is DeviceArray else value.item())
+            if value.__class__ is kind
+            else self._value(i, value)
+            for i, (value, kind) in enumerate(zip(args, self._classes, strict=True))
+        ]
+        if not (blocks[0] and blocks[1] and blocks[2]):
+            return
+        if shared > self._shared:
+            self._allow(shared)
+        if device.recording is not None:
+            device.recording.keep(args)
+        device.last_kernel = self.name
+        with self._lock:
+            if self._packer is None:
+                self._packer = self._prepare(args)
+            self._packer.pack_into(self._buffer, 0, *values)
+            code = device.in_context(
+                self._launch, self._function, *blocks, *threads, shared, device.stream,
+                self._pointers, None,
+            )  # fmt: skip
+        if code:
+            about = f"kernel {self.name}, grid {blocks}, block {threads}, {shared} shared bytes"
+            raise device.failed(code, "cuLaunchKernel", about)
+
+    def _value(self, index: int, value: Any) -> Any:
+        """A parameter of an uncommon kind, checked."""
+        pack_argument(self.name, index, value)
+        check_argument(self.name, index, value, self._types[index], self._sizes[index])
+        if value is None:
+            return 0
+        if isinstance(value, DeviceArray):
+            return value.pointer
+        return value.tobytes() if isinstance(value, np.void) else value.item()
+
+    def _prepare(self, args: tuple[Any, ...]) -> struct.Struct:
+        """The layout of the parameters; structs have the size of those given first."""
+        code, offsets, at = "=", [], 0
+        for i, (kind, value) in enumerate(zip(self._types, args, strict=True)):
+            if kind.endswith("*"):
+                letter, size = "Q", 8
+            elif kind in SCALARS:
+                dtype = np.dtype(SCALARS[kind])
+                letter, size = (
+                    {"int64": "q", "uint64": "Q", "bool": "?"}.get(
+                        dtype.name, dtype.char.replace("l", "i").replace("L", "I")
+                    ),
+                    dtype.itemsize,
+                )
+            else:
+                size = value.dtype.itemsize
+                letter, self._sizes[i] = f"{size}s", size
+            room = -(-size // _CELL) * _CELL
+            code += f"{letter}{room - size}x"
+            offsets.append(at)
+            at += room
+        self._buffer = ctypes.create_string_buffer(max(at, _CELL))
+        base = ctypes.addressof(self._buffer)
+        self._pointers = (ctypes.c_void_p * max(len(offsets), 1))(*(base + o for o in offsets))
+        return struct.Struct(code)
+
+    def _allow(self, shared: int) -> None:
+        """Let blocks have more dynamic shared memory than the usual 48 KB."""
+        most = self._device.shared_max - self.resources().shared
+        if shared > most:
+            raise DeviceError(
+                f"{shared} bytes of dynamic shared memory are more than the {most} that a block "
+                "can have on this card",
+                where=f"kernel {self.name}",
+            )
+        self._device.call(
+            "cuFuncSetAttribute", self._function, _DYNAMIC_SHARED, shared, about=self.name
+        )
+        self._shared = shared
+
+    def resources(self) -> Resources:
+        """What the kernel takes on this card, as it was compiled."""
+        values = []
+        for number in (_REGISTERS, _LOCAL, _SHARED, _THREADS):
+            value = ctypes.c_int()
+            self._device.call("cuFuncGetAttribute", ctypes.byref(value), number, self._function)
+            values.append(value.value)
+        return Resources(*values)
+
+    def blocks_resident(self, threads: int, shared: int = 0) -> int:
+        """Blocks of so many threads and dynamic shared bytes that a multiprocessor runs at once."""
+        if shared > self._shared:
+            self._allow(shared)
+        count = ctypes.c_int()
+        self._device.call(
+            "cuOccupancyMaxActiveBlocksPerMultiprocessor",
+            ctypes.byref(count), self._function, threads, shared, about=self.name,
+        )  # fmt: skip
+        return count.value
+
+
+def _class_of(kind: str) -> type | None:
+    if kind.endswith("*"):
+        return DeviceArray
+    return np.dtype(SCALARS[kind]).type if kind in SCALARS else None

@@ -1,0 +1,360 @@
+"""`VectorEnvDevice`: `VectorEnv` on a GPU, made for training: tensors in, tensors out.
+
+    env = VectorEnvDevice(4096, scenes, sensors=("goal_vector",))
+    seen, infos = env.reset(seed=0)
+    seen, rewards, terminated, truncated, infos = env.step(actions)  # a torch tensor on the GPU
+    forward, left = torch.from_dlpack(seen["goal_vector"]).T
+
+Environment i, seeded with s, plays exactly what `VectorEnv` seeded with s plays: the same episodes,
+poses, collisions, distances and rewards, to the bit. A step waits for nothing: it is queued behind
+what was queued before, and so are the results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from gn0.device.device import Device, DeviceArray
+from gn0.errors import ConfigError, EpisodeError
+from gn0.missions.episode import AgentSpec, Episode
+from gn0.plugins import get_plugin
+from gn0.scenes.scene import Scene
+from gn0.sim.device_eyes import BatchRenderer, EyesDevice
+from gn0.sim.device_state import SimulatorDevice
+from gn0.sim.env import build_spaces, largest_map
+from gn0.sim.presets import find_preset
+from gn0.sim.sensors import (
+    EYES,
+    MAPS,
+    PICTURES,
+    SensorConfig,
+    check_map_mode,
+    check_sensors,
+)
+from gn0.sim.tasks import load_tasks
+
+MEMORY = 2**32  # bytes of maps and distance fields
+AHEAD = 8  # draws held ready an environment
+Observations = dict[str, DeviceArray]
+
+
+class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]):
+    """Goal navigation in many scenes at once, on a device; see `VectorEnv` for the task.
+
+    What `reset` and `step` give are DeviceArrays [N, …] (`torch.from_dlpack(x)`), the
+    environment's own memory: they hold until the next step or reset. `instruction` is the number
+    of the episode, an index into `episodes`.
+
+    Args:
+        num_envs: how many environments.
+        scene: a Scene, a scene folder, or several; the built-in two-room flat when absent.
+        suite: a suite folder, instead of scenes.
+        episodes: episodes or a Parquet file of them; sampled when absent.
+        device: where they are; a Device, or a name that `open_device` knows.
+        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
+            pose.
+        preset: camera preset by name.
+        renderer: draws colour, depth and BEV: a `BatchRenderer` on the same device, or the name
+            of one.
+        agent: the body, instead of the preset's.
+        max_steps: actions until truncation.
+        success_distance: geodesic distance [m] below which STOP succeeds.
+        memory: bytes that maps and distance fields may take on the device. What is played, or
+            may be within `ahead` episodes, is never dropped, and may take more.
+        ahead: draws held ready an environment. The host looks at the device every `ahead` / 2
+            steps; fewer draws keep fewer distance fields there.
+        visible_sets: draw from the splats visible near each place, not from all.
+        map_mode: what bev and occupancy show, prior or none; the suite's, else prior.
+        strict: wait after each step with actions from the device, and raise at once if one is
+            none; else some steps later, and nobody has moved in the meantime.
+        final_pictures: draw for `infos["final_obs"]` what was seen last in episodes that ended.
+            This waits for the device.
+
+    Raises:
+        ConfigError: an unknown sensor, preset or renderer, or maps that agents make themselves.
+        EpisodeError: no episode, or one of a scene that is not here.
+        SimError: num_envs < 1 or too many, or an agent whose turns never come full circle.
+        DeviceError: no such device here. DeviceMemoryError: it is too small.
+        StorageError, FormatError: a file is missing or broken.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium's own declaration)
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scene: Scene | Path | str | Sequence[Scene | Path | str] | None = None,
+        suite: Path | str | None = None,
+        episodes: Sequence[Episode] | Path | str | None = None,
+        *,
+        device: Device | str = "auto",
+        sensors: Iterable[str] = ("goal_vector",),
+        preset: str | None = None,
+        renderer: BatchRenderer | str = "cuda",
+        agent: AgentSpec | None = None,
+        max_steps: int | None = None,
+        success_distance: float = 3.0,
+        memory: int = MEMORY,
+        ahead: int = AHEAD,
+        visible_sets: bool = False,
+        map_mode: str | None = None,
+        strict: bool = False,
+        final_pictures: bool = False,
+    ) -> None:
+        self.num_envs = num_envs
+        self.sensors = check_sensors(sensors)
+        self.success_distance = success_distance
+        self.strict, self.final_pictures = strict, final_pictures
+        self.tasks = load_tasks(
+            scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
+        )
+        self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
+        camera = find_preset(self.tasks.preset)
+        config = SensorConfig(active=frozenset(self.sensors), preset=camera, map_mode=self.map_mode)
+        map_shape = largest_map(self.tasks) if self.sensors & MAPS else None
+        self.device = _open(device) if isinstance(device, str) else device
+        self._eyes: EyesDevice | None = None
+        if self.sensors & PICTURES:
+            if isinstance(renderer, str):
+                needed = self.sensors & (EYES | {"bev"})
+                chosen = get_plugin("renderer_batch", renderer)(self.device) if needed else None
+            else:
+                chosen = renderer
+            self._eyes = EyesDevice(
+                config, self.tasks.scenes, self.tasks.agent, chosen, map_shape, visible_sets
+            )
+        self.simulator = SimulatorDevice(
+            num_envs,
+            self.device,
+            self.tasks.scenes,
+            self.tasks.episodes,
+            config,
+            agent=self.tasks.agent,
+            max_steps=self.tasks.max_steps,
+            success_distance=success_distance,
+            memory=memory,
+            ahead=ahead,
+            pictures=None if self._eyes is None else self._eyes.open_look,
+        )
+        self.single_action_space = spaces.Discrete(4)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        number = spaces.Box(0, 2**31 - 1, (), np.int32)
+        self.single_observation_space = spaces.Dict(
+            build_spaces(self.sensors, camera, map_shape)
+            | {"instruction": number, "collided": spaces.Discrete(2)}
+        )
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._everyone = np.arange(num_envs)
+        self._nobody = self.device.zeros(num_envs, np.bool_)
+        self._seen: Observations = {}
+        self._begun = False
+
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """Episodes by number, as `infos["episode"]` names them; their texts are here."""
+        return self.simulator.store.episodes
+
+    @property
+    def scene_ids(self) -> Sequence[str]:
+        """Scenes by number, as `infos["scene"]` names them."""
+        return self.simulator.store.scene_ids
+
+    @property
+    def memory(self) -> dict[str, int]:
+        """Bytes on the device: maps and fields that are there, and pictures of all agents."""
+        pictures = 0 if self._eyes is None else self._eyes.bytes_of(self.num_envs)
+        return {"maps and fields": self.simulator.store.pool.held, "pictures": pictures}
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Begin an episode in each environment, or in those of `options["reset_mask"]`.
+
+        Seeds, masks and `options={"episode": …}` are those of `VectorEnv.reset`. Waits for the
+        device, and for distance fields of episodes that were not played before.
+
+        Raises:
+            EpisodeError: no such episode, or it does not fit its scene.
+            ConfigError: seeds or mask of another length.
+            SimError: a device action before was none.
+        """
+        options = options or {}
+        which = self._masked(options.get("reset_mask"))
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + i for i in range(self.num_envs)]
+        if seed is not None and len(seed) != self.num_envs:
+            raise ConfigError(
+                f"{len(seed)} seeds for {self.num_envs} environments",
+                remedy="give one each, or one integer for all",
+            )
+        chosen = None
+        if options.get("episode") is not None:
+            chosen = self._choose(options["episode"])[which]
+        self.simulator.reset(which, seed, chosen)
+        self._begun = True
+        return self._observe(), self._infos()
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observations, DeviceArray, DeviceArray, DeviceArray, dict[str, Any]]:
+        """Take one action each: STOP 0, FORWARD 1, LEFT 2, RIGHT 3.
+
+        Args:
+            actions: [N] integers: a DeviceArray, a tensor on the same GPU (torch, CuPy, …), or
+                anything that NumPy understands.
+
+        Returns:
+            observations; rewards float64 [N] m; terminated, truncated bool [N]; infos with
+            `episode`, `scene`, `pose`, `distance_to_goal`, `success` and, valid where
+            `_final_info` is True, `final_info` and `final_obs` of episodes that ended.
+
+        Raises:
+            SimError: wrong shape or type, or no such action; then nobody has moved. Values on
+                the device are checked there, see `strict`.
+            EpisodeError: an episode among those drawn does not fit its scene.
+        """
+        return self._step(actions, None, None)
+
+    def _step(
+        self, actions: Any, into: dict[str, DeviceArray] | None, codes: DeviceArray | None
+    ) -> tuple[Observations, DeviceArray, DeviceArray, DeviceArray, dict[str, Any]]:
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        simulator = self.simulator
+        simulator.prepare_step()
+        codes = simulator.read_actions(actions, codes)
+        if self._eyes is not None:
+            self._eyes.keep_views(simulator)
+        simulator.step(codes, into)
+        if self.strict and not isinstance(actions, np.ndarray | list):
+            simulator.catch_up()
+        final = self._final()
+        outputs = simulator.outputs | (into or {})
+        rewards, terminated, truncated = (
+            outputs[name] for name in ("rewards", "terminated", "truncated")
+        )
+        return self._observe(), rewards, terminated, truncated, self._infos() | final
+
+    def synchronize(self) -> None:
+        """Wait until all steps are done.
+
+        Raises:
+            SimError: a device action was none; nobody has moved since.
+        """
+        self.simulator.catch_up()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of scenes, renderer and device memory."""
+        self._seen, self._eyes, self._begun = {}, None, False
+        del self.simulator
+
+    def _masked(self, mask: Any) -> NDArray[np.int64]:
+        if mask is None:
+            return self._everyone
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ConfigError(
+                f"reset_mask is {mask.dtype} {mask.shape}",
+                remedy=f"give {self.num_envs} booleans, at least one of them True",
+            )
+        if not self._begun and not mask.all():
+            raise gymnasium.error.ResetNeeded("reset all environments before some of them")
+        return np.flatnonzero(mask)
+
+    def _choose(self, wanted: Any) -> NDArray[np.int64]:
+        """Numbers [N] of the episodes named in `options["episode"]`."""
+        many = wanted if isinstance(wanted, list | tuple | np.ndarray) else [wanted]
+        if len(many) not in (1, self.num_envs):
+            raise EpisodeError(
+                f"{len(many)} episodes for {self.num_envs} environments",
+                remedy="give one each, or one for all",
+            )
+        own = self.simulator.numbers
+        known = {episode.id: number for number, episode in enumerate(self.tasks.episodes)}
+        numbers = []
+        for value in many:
+            if isinstance(value, Episode):
+                numbers.append(int(self.simulator.store.add([value])[0]))
+                continue
+            index = known.get(value, -1) if isinstance(value, str) else int(value)
+            if not 0 <= index < len(own):
+                raise EpisodeError(
+                    f"no episode {value!r}",
+                    remedy=f"give an id, an Episode or 0..{len(own) - 1}",
+                )
+            numbers.append(int(own[index]))
+        return np.resize(np.array(numbers, np.int64), self.num_envs)
+
+    def _observe(self) -> Observations:
+        simulator, outputs = self.simulator, self.simulator.outputs
+        found = {
+            "instruction": outputs["episode"],
+            "collided": outputs["collided"],
+            "pose": outputs["pose"],
+        }
+        if "goal_vector" in self.sensors:
+            found["goal_vector"] = outputs["goal_vector"]
+        if simulator.ranges is not None:
+            found["ranges"] = simulator.ranges
+        if self._eyes is not None:
+            found |= self._eyes.draw(simulator)
+        self._seen = {name: found[name] for name in self.single_observation_space}  # type: ignore[attr-defined]
+        return dict(self._seen)
+
+    def _infos(self) -> dict[str, Any]:
+        """What a robot cannot know."""
+        outputs = self.simulator.outputs
+        return {
+            "episode": outputs["episode"],
+            "scene": outputs["scene"],
+            "pose": outputs["pose"],
+            "distance_to_goal": outputs["distance"],
+            "success": self._nobody,  # whoever succeeded is in the next episode already
+        }
+
+    def _final(self) -> dict[str, Any]:
+        """The last of episodes that ended: arrays [N, …], zero elsewhere."""
+        simulator, outputs = self.simulator, self.simulator.outputs
+        seen: dict[str, Any] = {
+            "instruction": outputs["final_episode"],
+            "collided": outputs["final_collided"],
+        }
+        if "goal_vector" in self.sensors:
+            seen["goal_vector"] = outputs["final_goal_vector"]
+        if "pose" in self.sensors:
+            seen["pose"] = outputs["final_pose"]
+        if simulator.final_ranges is not None:
+            seen["ranges"] = simulator.final_ranges
+        if self.final_pictures and self._eyes is not None:
+            seen |= self._eyes.draw_final(simulator)
+        return {
+            "final_obs": seen,
+            "final_info": {
+                "episode": outputs["final_episode"],
+                "pose": outputs["final_pose"],
+                "distance_to_goal": outputs["final_distance"],
+                "success": outputs["final_success"],
+            },
+            "_final_info": outputs["ended"],
+        }
+
+
+def _open(name: str) -> Device:
+    from gn0.device.open import open_device  # a Device that is handed in needs none
+
+    return open_device(name)

@@ -1,0 +1,436 @@
+"""Pictures of agents on a device: the pixels of `BatchEyes`, in memory of the device.
+
+Colour and depth come from the renderer that is handed in; map pictures and history mosaics from
+kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import DeviceArray
+from gn0.errors import ConfigError, SimError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F64, U8, view_from_pose
+from gn0.maps.grid import OccupancyGrid
+from gn0.maps.inflate import inflate
+from gn0.missions.episode import AgentSpec, Episode
+from gn0.render.bev import render_bev
+from gn0.render.camera import Camera
+from gn0.render.light import relight_cloud
+from gn0.render.renderer import Output, RenderResult
+from gn0.scenes.scene import Scene
+from gn0.sim.device_layout import blocks_of
+from gn0.sim.device_store import MapPictures
+from gn0.sim.history import COLUMNS, LENGTH, ROWS, TILE_HEIGHT, TILE_WIDTH
+from gn0.sim.open import look_hash, name_look, split_look
+from gn0.sim.sensors import EYES, MAPS, MapFrame, SensorConfig, paint_grid
+from gn0.sim.simulator import goal_record, goal_view
+
+if TYPE_CHECKING:
+    from gn0.sim.device_state import SimulatorDevice
+
+_PIXELS = 256  # threads a block of kernels that have one a pixel
+_WEIGHT = 22  # bits of the weights of Pillow's box filter
+
+
+class Pictures(Protocol):
+    """Pictures of V views on a device; a field is None when it was not asked for."""
+
+    rgb: DeviceArray | None
+    depth: DeviceArray | None
+    alpha: DeviceArray | None
+
+    def numpy(self) -> RenderResult:
+        """The same in host memory."""
+        ...
+
+
+class BatchRenderer(Protocol):
+    """Renders views of many scenes at once; `gn0.render.cuda.batch.RendererBatch` is one."""
+
+    name: str
+
+    def add(self, key: str, load: Callable[[], GaussianCloud], digest: str = "") -> None:
+        """Name a scene; it is loaded when first drawn."""
+        ...
+
+    def render(
+        self,
+        camera: Camera,
+        views: Any,
+        keys: Sequence[str] | str,
+        *,
+        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
+        background: tuple[float, float, float] | None = None,
+        visible: Any = None,
+    ) -> Pictures:
+        """Draw views (world-to-camera [V, 4, 4]), each of its own scene."""
+        ...
+
+
+class _OneScene:
+    """A batch renderer as the renderer of one of its scenes, for the BEV and its cache."""
+
+    def __init__(self, renderer: BatchRenderer, key: str) -> None:
+        self.name = renderer.name
+        self._renderer, self._key = renderer, key
+
+    def render(self, camera: Camera, views: NDArray[np.floating], **more: Any) -> RenderResult:
+        views = views[None] if views.ndim == 2 else views
+        return self._renderer.render(camera, views, self._key, **more).numpy()
+
+
+class EyesDevice:
+    """The picture sensors of N agents on a device.
+
+    Args:
+        config: which sensors, and their cameras.
+        scenes: scene id → how to get the scene.
+        agent: the body.
+        renderer: draws; None if no sensor needs it.
+        map_shape: (H, W) [px] that holds every map picture.
+        visible_sets: draw colour and depth from the splats visible near each place.
+
+    Raises:
+        SimError: no renderer for a sensor that needs one.
+        ConfigError: visible sets of a renderer that has none, or maps that agents make themselves.
+    """
+
+    def __init__(
+        self,
+        config: SensorConfig,
+        scenes: Mapping[str, Callable[[], Scene]],
+        agent: AgentSpec,
+        renderer: BatchRenderer | None,
+        map_shape: tuple[int, int] | None,
+        visible_sets: bool = False,
+    ) -> None:
+        drawn = config.active & (EYES | {"bev"})
+        if drawn and renderer is None:
+            raise SimError(
+                f"sensors {sorted(drawn)} need a renderer",
+                remedy="hand a RendererBatch to VectorEnvDevice as renderer=",
+            )
+        if config.explores:
+            raise ConfigError(
+                "maps that agents make for themselves are not kept on a device",
+                remedy="use map mode 'prior', or VectorEnv",
+            )
+        if visible_sets and drawn and not hasattr(renderer, "limit_to_visible"):
+            raise ConfigError("this renderer has no visible sets", remedy="leave visible_sets off")
+        self.config = config
+        self._wanted: frozenset[str] = frozenset(config.active)
+        self._scenes, self._agent, self._renderer = scenes, agent, renderer
+        self._map_shape = map_shape
+        self._visible = visible_sets
+        self._kept: dict[str, DeviceArray] = {}
+        self._looks: list[str] = []  # by episode number
+        self._goal_numbers: NDArray[np.int32] | None = None  # whose goal pictures are kept
+        preset = config.preset
+        self._pitch = float(np.radians(preset.pitch_degrees))
+        self._rgb: DeviceArray | None = None  # what agents see now
+
+    def open_look(self, look: str) -> MapPictures:
+        """Name a scene in its light to the renderer; its static map pictures."""
+        scene_id, light = split_look(look)
+        scene = self._scenes[scene_id]()
+        renderer = self._renderer
+        if renderer is not None:
+
+            def load() -> GaussianCloud:
+                cloud = self._scenes[scene_id]().gaussians
+                return cloud if light is None else relight_cloud(cloud, light)
+
+            renderer.add(look, load, look_hash(scene, light))
+            if self._visible and self._wanted & EYES:
+                cast(Any, renderer).limit_to_visible(
+                    look,
+                    scene.cloud_hash or scene.gaussians.content_hash,
+                    inflate(scene.grid, self._agent.radius),
+                    self._agent.camera_height,
+                )
+        frame, bev = MapFrame.of_grid(scene.grid), None
+        if "bev" in self._wanted and renderer is not None:
+            picture = render_bev(
+                look_hash(scene, light),
+                _OneScene(renderer, look),
+                np.array(scene.grid.bounds).reshape(2, 2),
+                scene.grid.resolution,
+                self.config.cut_height,
+                background=self.config.preset.background,
+            )
+            frame, bev = MapFrame.of_bev(picture), picture.rgb
+        return MapPictures(frame, self._paint(scene.grid, frame), bev)
+
+    def _paint(self, grid: OccupancyGrid, frame: MapFrame) -> U8 | None:
+        if "occupancy" not in self._wanted:
+            return None
+        return np.ascontiguousarray(paint_grid(grid, frame)[:, :, 0])
+
+    def keep_views(self, simulator: SimulatorDevice) -> None:
+        """All agents are about to act: what each sees goes into its history."""
+        if "history" not in self._wanted:
+            return
+        assert self._rgb is not None
+        tiles = self._array(simulator, "tiles", (LENGTH, TILE_HEIGHT, TILE_WIDTH, 3), np.uint8)
+        self._reduce(simulator, self._rgb, TILE_WIDTH, TILE_HEIGHT, tiles, simulator.views)
+
+    def draw(self, simulator: SimulatorDevice) -> dict[str, DeviceArray]:
+        """What agents see where they stand, [N, …] by sensor.
+
+        Colour and depth are other memory with each call, the rest is the same.
+        """
+        out: dict[str, DeviceArray] = {}
+        count = simulator.count
+        if self._wanted & EYES:
+            numbers = self._numbers(simulator)
+            if self._wanted & {"rgb", "depth", "history"}:
+                views = self._views(simulator)
+                rgb, depth = self._look(simulator, views, self._keys(simulator, numbers))
+                self._rgb = rgb
+                out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
+                out |= {"depth": depth} if depth is not None else {}
+            if "goal_picture" in self._wanted:
+                out["goal_picture"] = self._goal_pictures(simulator, numbers)
+        if "history" in self._wanted:
+            out["history"] = self._mosaics(simulator)
+        if self._wanted & MAPS:
+            out |= self._maps(simulator, "", simulator.state["slot"], simulator.outputs["pose"])
+        assert all(len(value) == count for value in out.values())
+        return out
+
+    def draw_final(self, simulator: SimulatorDevice) -> dict[str, Any]:
+        """What agents saw last whose episodes ended; waits for the device.
+
+        `agents` [K] are their numbers, on the host; colour and depth are [K, …], map pictures
+        [N, …], black for others.
+        """
+        ended = simulator.outputs["final_episode"].numpy()
+        agents = np.flatnonzero(ended >= 0)
+        out: dict[str, Any] = {"agents": agents}
+        if self._wanted & {"rgb", "depth"} and len(agents):
+            poses = simulator.outputs["final_pose"].numpy()[agents]
+            eye = self._agent.camera_height
+            views = np.stack(
+                [view_from_pose(x, y, eye, yaw, self._pitch) for x, y, yaw in poses.tolist()]
+            )
+            keys = [self._look_of(simulator, n) for n in ended[agents].tolist()]
+            rgb, depth = self._look(simulator, views, keys)
+            out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
+            out |= {"depth": depth} if depth is not None else {}
+        if self._wanted & MAPS:
+            outputs = simulator.outputs
+            out |= self._maps(simulator, "final_", outputs["final_slot"], outputs["final_pose"])
+        return out
+
+    def bytes_of(self, count: int) -> int:
+        """Bytes that the picture arrays of `count` agents take beside what the renderer gives."""
+        total = 0
+        if "history" in self._wanted:
+            total += (LENGTH + ROWS * COLUMNS) * TILE_HEIGHT * TILE_WIDTH * 3
+        if self._map_shape is not None:
+            total += len(self._wanted & MAPS) * self._map_shape[0] * self._map_shape[1] * 3
+        if "goal_picture" in self._wanted:
+            width, height = self.config.preset.picture_size
+            total += width * height * 3
+        return total * count
+
+    def _array(
+        self, simulator: SimulatorDevice, name: str, shape: tuple[int, ...], kind: Any
+    ) -> DeviceArray:
+        if name not in self._kept:
+            self._kept[name] = simulator.device.zeros((simulator.count, *shape), kind)
+        return self._kept[name]
+
+    def _numbers(self, simulator: SimulatorDevice) -> NDArray[np.int32] | None:
+        """Episode numbers [N] of agents; None where the host need not know them.
+
+        That is with one look for all and no goal pictures; else it waits for the device.
+        """
+        for episode in simulator.store.episodes[len(self._looks) :]:
+            self._looks.append(name_look(episode))
+        if len(set(self._looks)) == 1 and "goal_picture" not in self._wanted:
+            return None
+        return simulator.outputs["episode"].numpy()
+
+    def _look_of(self, simulator: SimulatorDevice, number: int) -> str:
+        return self._looks[number]
+
+    def _keys(
+        self, simulator: SimulatorDevice, numbers: NDArray[np.int32] | None
+    ) -> list[str] | str:
+        if numbers is None:
+            return self._looks[0]
+        return [self._looks[n] for n in numbers.tolist()]
+
+    def _views(self, simulator: SimulatorDevice) -> Any:
+        views = self._array(simulator, "views", (4, 4), np.float64)
+        simulator.launch(
+            "build_views", simulator.count, np.float64(self._agent.camera_height),
+            np.float64(np.cos(self._pitch)), np.float64(np.sin(self._pitch)), views,
+        )  # fmt: skip
+        return views if getattr(self._renderer, "takes_device_views", False) else views.numpy()
+
+    def _look(
+        self, simulator: SimulatorDevice, views: Any, keys: list[str] | str
+    ) -> tuple[DeviceArray | None, DeviceArray | None]:
+        """Colour and depth of views; one call of the renderer, two with cameras of their own."""
+        preset, renderer = self.config.preset, self._renderer
+        assert renderer is not None
+        want_rgb = bool(self._wanted & {"rgb", "history"})
+        want_depth = "depth" in self._wanted
+        both = want_rgb and want_depth and preset.rgb == preset.depth
+        more: dict[str, Any] = {"visible": True} if self._visible else {}
+        rgb: DeviceArray | None = None
+        depth: DeviceArray | None = None
+        if want_rgb:
+            drawn = renderer.render(
+                preset.rgb,
+                views,
+                keys,
+                outputs=("rgb", "depth") if both else ("rgb",),
+                background=preset.background,
+                **more,
+            )
+            rgb, depth = drawn.rgb, drawn.depth
+            assert rgb is not None
+            if rgb.dtype != np.uint8:
+                raise SimError(f"renderer gives {rgb.dtype} pictures", remedy="build it for uint8")
+            width, height = preset.picture_size
+            if rgb.shape[1:3] != (height, width):
+                small = simulator.device.empty((len(rgb), height, width, 3), np.uint8)
+                self._reduce(simulator, rgb, width, height, small, None)
+                rgb = small
+        if want_depth and depth is None:
+            depth = renderer.render(preset.depth, views, keys, outputs=("depth",), **more).depth
+        if depth is not None and want_depth:
+            low, high = preset.depth_range
+            simulator.kernels["clip_depth"].launch(
+                *(blocks_of(depth.size, _PIXELS), _PIXELS, depth),
+                *(np.float32(low), np.float32(high), np.uint64(depth.size), depth),
+            )
+        return rgb, depth if want_depth else None
+
+    def _reduce(
+        self, simulator: SimulatorDevice, rgb: DeviceArray, width: int, height: int,
+        out: DeviceArray, views: DeviceArray | None,
+    ) -> None:  # fmt: skip
+        rows, cols = rgb.shape[1:3]
+        across, taps_x = self._weights(simulator, cols, width)
+        down, taps_y = self._weights(simulator, rows, height)
+        simulator.kernels["reduce_pictures"].launch(
+            *((blocks_of(width * height, _PIXELS), len(rgb)), _PIXELS),
+            *(rgb, np.int32(rows), np.int32(cols), across, np.int32(taps_x)),
+            *(down, np.int32(taps_y), np.int32(height), np.int32(width)),
+            *(views, simulator.status, out),
+        )
+
+    def _weights(self, simulator: SimulatorDevice, size: int, out: int) -> tuple[DeviceArray, int]:
+        name = f"weights {size} {out}"
+        if name not in self._kept:
+            self._kept[name] = simulator.device.upload(box_weights(size, out))
+        return self._kept[name], self._kept[name].shape[1] - 2
+
+    def _mosaics(self, simulator: SimulatorDevice) -> DeviceArray:
+        tiles = self._array(simulator, "tiles", (LENGTH, TILE_HEIGHT, TILE_WIDTH, 3), np.uint8)
+        shape = (ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3)
+        out = self._array(simulator, "mosaics", shape, np.uint8)
+        words = TILE_WIDTH * 3 // 16
+        grid = (blocks_of(ROWS * TILE_HEIGHT * COLUMNS * words, _PIXELS), simulator.count)
+        simulator.kernels["lay_mosaics"].launch(
+            *(grid, _PIXELS, tiles, simulator.views),
+            *(np.int32(TILE_HEIGHT), np.int32(words), out),
+        )
+        return out
+
+    def _maps(
+        self, simulator: SimulatorDevice, prefix: str, slots: DeviceArray, poses: DeviceArray
+    ) -> dict[str, DeviceArray]:
+        assert self._map_shape is not None
+        rows, cols = self._map_shape
+        found = {
+            name: self._array(simulator, prefix + name, (rows, cols, 3), np.uint8)
+            for name in sorted(self._wanted & MAPS)
+        }
+        simulator.kernels["paint_maps"].launch(
+            *((blocks_of(rows * cols, _PIXELS), simulator.count), _PIXELS),
+            *(simulator.world, slots, poses, np.int32(rows), np.int32(cols)),
+            *(np.int32(self.config.disc_radius), found.get("bev"), found.get("occupancy")),
+        )
+        return found
+
+    def _goal_pictures(
+        self, simulator: SimulatorDevice, numbers: NDArray[np.int32] | None
+    ) -> DeviceArray:
+        """Each agent's goal picture; drawn anew for those whose episode is another."""
+        assert numbers is not None and self._renderer is not None
+        width, height = self.config.preset.picture_size
+        out = self._array(simulator, "goal_picture", (height, width, 3), np.uint8)
+        fresh = (
+            np.arange(simulator.count)
+            if self._goal_numbers is None
+            else np.flatnonzero(numbers != self._goal_numbers)
+        )
+        groups: dict[Camera, list[tuple[int, str, F64]]] = {}
+        for i in fresh.tolist():
+            episode = simulator.store.episodes[numbers[i]]
+            camera, view = self._goal_eye(episode)
+            groups.setdefault(camera, []).append((i, name_look(episode), view))
+        for camera, group in groups.items():
+            rgb = self._renderer.render(
+                camera,
+                np.stack([view for _, _, view in group]),
+                [look for _, look, _ in group],
+                outputs=("rgb",),
+                background=self.config.preset.background,
+            ).rgb
+            assert rgb is not None
+            if rgb.shape[1:3] != (height, width):
+                small = simulator.device.empty((len(rgb), height, width, 3), np.uint8)
+                self._reduce(simulator, rgb, width, height, small, None)
+                rgb = small
+            agents = simulator.device.upload(np.array([i for i, _, _ in group], np.int32))
+            simulator.kernels["place_rows"].launch(
+                *(blocks_of(rgb.size, _PIXELS), _PIXELS, rgb, agents),
+                *(np.uint64(height * width * 3), np.int32(len(group)), out),
+            )
+        self._goal_numbers = numbers
+        return out
+
+    def _goal_eye(self, episode: Episode) -> tuple[Camera, F64]:
+        camera, record = self.config.preset.rgb, goal_record(episode)
+        if record is None:
+            x, y, yaw = goal_view(episode)
+            return camera, view_from_pose(x, y, self._agent.camera_height, yaw, self._pitch)
+        if record.hfov:
+            camera = Camera.from_hfov(
+                camera.width, camera.height, record.hfov, near=camera.near, far=camera.far
+            )
+        return camera, view_from_pose(*record.eye, record.yaw, record.pitch)
+
+
+def box_weights(size: int, out: int) -> NDArray[np.int32]:
+    """Pillow's box filter from `size` to `out` pixels: [out, 2 + taps] first, number, weights.
+
+    Weights are whole numbers of 2⁻²², as Pillow rounds them for 8-bit pictures.
+    """
+    scale = size / out
+    reach = max(scale, 1.0)
+    support = 0.5 * reach
+    taps = int(np.ceil(support)) * 2 + 1
+    table = np.zeros((out, 2 + taps), np.int32)
+    for k in range(out):
+        centre = (k + 0.5) * scale
+        first = max(int(centre - support + 0.5), 0)
+        count = min(int(centre + support + 0.5), size) - first
+        at = (np.arange(count) + first - centre + 0.5) * (1.0 / reach)
+        weights = ((at > -0.5) & (at <= 0.5)).astype(np.float64)
+        weights /= weights.sum()
+        table[k, :2] = first, count
+        table[k, 2 : 2 + count] = (0.5 + weights * (1 << _WEIGHT)).astype(np.int32)
+    return table

@@ -1,0 +1,97 @@
+"""Layouts that Python and `kernels/world.cu` share, and the kernels of batched simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gn0.device.device import DeviceArray, KernelSource
+from gn0.sim.env import VECTOR_LIMIT
+from gn0.sim.history import COLUMNS, LENGTH
+
+KERNELS = Path(__file__).parent / "kernels"
+THREADS = 128  # a block of the kernels that have a thread an agent: many small blocks, all at once
+CLEAR = 0x7FFFFFFF  # a status word that nothing has been written to
+
+EPISODE = np.dtype(
+    [
+        *((name, np.uint64) for name in (
+            "compact", "labels", "roots", "headings", "directions", "grey", "bev",
+        )),
+        *((name, np.float64) for name in (
+            "x", "y", "resolution", "start_x", "start_y", "goal_x", "goal_y",
+            "map_x", "map_y", "map_scale",
+        )),
+        *((name, np.int32) for name in (
+            "rows", "cols", "map_rows", "map_cols", "wide", "number", "scene",
+            "spare0", "spare1", "spare2",  # whole words of 16 bytes
+        )),
+    ],
+    align=True,
+)  # fmt: skip
+
+WORLD = np.dtype(
+    [
+        *((name, np.uint64) for name in (
+            "episodes", "queue", "filled", "cursor", "slot", "position", "turns", "steps",
+            "collided", "distance", "views", "status",
+        )),
+        *((name, np.float64) for name in (
+            "forward", "success_distance", "step_cost", "success_reward",
+        )),
+        *((name, np.int32) for name in ("count", "ahead", "circle", "max_steps")),
+    ],
+    align=True,
+)  # fmt: skip
+
+# name, element type and shape an agent of what a step writes
+OUTPUT_FIELDS: tuple[tuple[str, Any, tuple[int, ...]], ...] = (
+    ("rewards", np.float64, ()),
+    ("terminated", np.bool_, ()),
+    ("truncated", np.bool_, ()),
+    ("ended", np.bool_, ()),
+    ("goal_vector", np.float32, (2,)),
+    ("collided", np.int64, ()),
+    ("pose", np.float64, (3,)),
+    ("distance", np.float64, ()),
+    ("episode", np.int32, ()),
+    ("scene", np.int32, ()),
+    ("final_goal_vector", np.float32, (2,)),
+    ("final_collided", np.int64, ()),
+    ("final_pose", np.float64, (3,)),
+    ("final_distance", np.float64, ()),
+    ("final_success", np.bool_, ()),
+    ("final_episode", np.int32, ()),
+    ("final_slot", np.int32, ()),
+    ("final_turns", np.int32, ()),
+)
+OUTPUTS = np.dtype([(name, np.uint64) for name, _, _ in OUTPUT_FIELDS], align=True)
+
+SOURCE = KernelSource(
+    "simulation",
+    (KERNELS / "world.cu", KERNELS / "step.cu", KERNELS / "pictures.cu"),
+    (
+        ("EPISODE_BYTES", EPISODE.itemsize),
+        ("WORLD_BYTES", WORLD.itemsize),
+        ("OUTPUTS_BYTES", OUTPUTS.itemsize),
+        ("VECTOR_LIMIT", VECTOR_LIMIT),
+        ("TILES", LENGTH),
+        ("COLUMNS", COLUMNS),
+    ),
+)
+
+
+def pack_struct(layout: np.dtype[Any], **values: Any) -> np.void:
+    """A struct to hand to a kernel by value: arrays as their addresses, None as null."""
+    out = np.zeros(1, layout)
+    for name, value in values.items():
+        out[name] = value.pointer if isinstance(value, DeviceArray) else (value or 0)
+    scalar: np.void = out[0]
+    return scalar
+
+
+def blocks_of(items: int, threads: int = THREADS) -> int:
+    """Blocks that have a thread for each of so many items."""
+    return -(-items // threads)

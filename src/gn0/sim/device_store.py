@@ -1,0 +1,382 @@
+"""Maps, distance fields and headings of the episodes that agents play, resident on a device.
+
+An episode needs the map of its scene (4 bytes a cell), the field of its goal (2 bytes a free
+cell, shared by all episodes with that goal) and its headings. What is pinned stays; when the
+memory is full, the episodes that nobody has had for the longest time go, and with the last one
+of a field or of a map that field or map.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import Device, DeviceArray, Kernel
+from gn0.errors import DeviceMemoryError
+from gn0.geometry import F64, U8, wrap_angle
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec, Episode, check_episode
+from gn0.scenes.scene import Scene
+from gn0.sim.batch_tables import MapTable, turns_a_circle
+from gn0.sim.collision import check_places
+from gn0.sim.device_layout import EPISODE, THREADS, blocks_of
+from gn0.sim.device_pool import Block, PoolDevice, store_size
+from gn0.sim.kinematics import heading_yaw
+from gn0.sim.open import name_look
+from gn0.sim.sensors import MapFrame
+
+_log = logging.getLogger(__name__)
+_WORD = 16  # bytes that a thread of `store_rows` copies
+
+
+class MapPictures(NamedTuple):
+    """The static pictures of a scene under a light.
+
+    Attributes:
+        frame: where their pixels lie.
+        grey: occupancy picture [H, W], or None.
+        bev: [H, W, 3], or None.
+    """
+
+    frame: MapFrame
+    grey: U8 | None
+    bev: U8 | None
+
+
+@dataclass(eq=False)
+class _Held:
+    """A block, where its arrays lie in it, and how many others need it."""
+
+    block: Block
+    pointers: list[int]
+    users: int = 0
+    wide: bool = False
+    frame: tuple[float, ...] = ()
+    shape: tuple[int, int] = (0, 0)
+
+
+class EpisodeStore:
+    """Episodes by number; those that are pinned are ready to be played by kernels.
+
+    Args:
+        device: where they are played.
+        kernels: of `device_layout.SOURCE`.
+        scenes: scene id → how to get the scene; each is loaded when first needed.
+        agent: who plays them.
+        memory: bytes that maps, fields and headings may take; what is pinned is never dropped.
+        rays: angles [R] rad of range rays relative to the yaw, if their directions are wanted.
+        pictures: look → the static pictures, if they are wanted.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        kernels: Mapping[str, Kernel],
+        scenes: Mapping[str, Callable[[], Scene]],
+        agent: AgentSpec,
+        memory: int,
+        *,
+        rays: F64 | None = None,
+        pictures: Callable[[str], MapPictures] | None = None,
+    ) -> None:
+        self.device = device
+        self.agent = agent
+        self.circle = turns_a_circle(agent.turn_degrees)
+        self.episodes: list[Episode] = []
+        self.scene_ids = sorted(scenes)
+        self.fields_built = self.dropped = 0
+        self.pool = PoolDevice(device, memory)
+        self._kernels = kernels
+        self._maps = MapTable(scenes, agent.radius)
+        self._scene_number = {name: k for k, name in enumerate(self.scene_ids)}
+        self._rays, self._pictures = rays, pictures
+        self._number: dict[Episode, int] = {}
+        self._checked: set[int] = set()
+        self._slot_of = np.zeros(0, np.int32)  # by episode number; −1: not here
+        self._scenes: dict[str, _Held] = {}
+        self._looks: dict[str, _Held] = {}
+        self._fields: dict[tuple[str, float, float], _Held] = {}
+        self._own: dict[int, _Held] = {}  # by slot: headings
+        self._number_of = np.full(64, -1, np.int32)  # by slot
+        self._references = np.zeros(64, np.int64)
+        self._used = np.zeros(64, np.int64)  # clock of the last release
+        self._clock = 0
+        self._rows = np.zeros(64, EPISODE)
+        self.rows: DeviceArray = device.zeros((64, EPISODE.itemsize), np.uint8)
+
+    def add(self, episodes: Iterable[Episode]) -> NDArray[np.int64]:
+        """Numbers of episodes; equal ones share a number. Nothing is loaded or checked yet."""
+        numbers = []
+        for episode in episodes:
+            number = self._number.get(episode)
+            if number is None:
+                number = self._number[episode] = len(self.episodes)
+                self.episodes.append(episode)
+            numbers.append(number)
+        missing = len(self.episodes) - len(self._slot_of)
+        if missing > 0:
+            self._slot_of = np.append(self._slot_of, np.full(missing, -1, np.int32))
+        return np.array(numbers, np.int64)
+
+    @property
+    def resident(self) -> int:
+        """Episodes that are on the device."""
+        return len(self._own)
+
+    def numbers_of(self, slots: NDArray[np.integer]) -> NDArray[np.int32]:
+        """Episode numbers at slots."""
+        return self._number_of[slots]
+
+    def pin(self, numbers: NDArray[np.integer]) -> NDArray[np.int32]:
+        """Slots [K] of episodes [K], brought here where missing; one reference for each of K.
+
+        Raises:
+            EpisodeError, SceneError: see `Simulator.reset`; then nothing is pinned.
+            DeviceMemoryError: what is pinned does not fit the device.
+        """
+        self._clock += 1
+        wanted, counts = np.unique(numbers, return_counts=True)
+        here = self._slot_of[wanted] >= 0
+        self._references[self._slot_of[wanted[here]]] += counts[here]
+        missing = sorted(  # scene by scene: few maps are open at a time
+            np.flatnonzero(~here).tolist(), key=lambda k: self._order(int(wanted[k]))
+        )
+        fresh: list[int] = []
+        try:
+            for k in missing:
+                slot = self._bring(int(wanted[k]))
+                self._references[slot] = counts[k]
+                here[k] = True
+                fresh.append(slot)
+        except BaseException:
+            self._references[self._slot_of[wanted[here]]] -= counts[here]
+            raise
+        finally:
+            self._send_rows(fresh)
+        return self._slot_of[numbers]
+
+    def _order(self, number: int) -> tuple[str, tuple[float, ...]]:
+        episode = self.episodes[number]
+        return episode.scene_id, tuple(episode.goal)
+
+    def release(self, slots: NDArray[np.integer]) -> None:
+        """Let go of one reference for each of `slots`."""
+        self._clock += 1
+        np.subtract.at(self._references, slots, 1)
+        self._used[slots] = self._clock
+
+    def _bring(self, number: int) -> int:
+        episode = self.episodes[number]
+        if number not in self._checked:
+            check_episode(episode)
+            check_places(self._maps.open(episode.scene_id)[0], episode, self.agent.radius)
+            self._checked.add(number)
+        used: list[_Held] = []  # held while others are brought
+        try:
+            scene = self._scenes.get(episode.scene_id) or self._bring_scene(episode.scene_id)
+            scene.users += 1
+            used.append(scene)
+            key = _key(episode)
+            field = self._fields.get(key)
+            if field is None:
+                field = self._fields[key] = self._build_field(episode)
+                scene.users += 1  # a field needs its scene
+            field.users += 1
+            used.append(field)
+            look = None
+            if self._pictures is not None:
+                name = name_look(episode)
+                look = self._looks.get(name) or self._bring_look(name)
+                look.users += 1
+                used.append(look)
+            own = self._build_headings(episode)
+        except BaseException:
+            for held in used:
+                held.users -= 1
+            self._sweep()
+            raise
+        return self._seat(number, scene, field, own, look)
+
+    def _seat(self, number: int, scene: _Held, field: _Held, own: _Held, look: _Held | None) -> int:
+        """Write the row of an episode; its slot."""
+        free = np.flatnonzero(self._number_of < 0)
+        if not len(free):
+            self._grow()
+            free = np.flatnonzero(self._number_of < 0)
+        slot = int(free[0])
+        episode = self.episodes[number]
+        row = self._rows[slot]
+        row["compact"], row["wide"] = scene.pointers[0], field.wide
+        row["labels"], row["roots"] = field.pointers
+        row["headings"] = own.pointers[0]
+        row["directions"] = own.pointers[1] if len(own.pointers) > 1 else 0
+        row["x"], row["y"], row["resolution"] = scene.frame
+        row["rows"], row["cols"] = scene.shape
+        row["start_x"], row["start_y"] = episode.start[:2]
+        row["goal_x"], row["goal_y"] = episode.goal
+        row["number"], row["scene"] = number, self._scene_number[episode.scene_id]
+        if look is not None:
+            row["grey"], row["bev"] = look.pointers
+            row["map_x"], row["map_y"], row["map_scale"] = look.frame
+            row["map_rows"], row["map_cols"] = look.shape
+        self._own[slot] = own
+        self._number_of[slot] = number
+        self._slot_of[number] = slot
+        return slot
+
+    def _grow(self) -> None:
+        size = len(self._rows)
+        self._rows = np.append(self._rows, np.zeros(size, EPISODE))
+        self._number_of = np.append(self._number_of, np.full(size, -1, np.int32))
+        self._references = np.append(self._references, np.zeros(size, np.int64))
+        self._used = np.append(self._used, np.zeros(size, np.int64))
+        self.rows = self.device.upload(_bytes_of(self._rows))
+
+    def _send_rows(self, slots: list[int]) -> None:
+        if not slots:
+            return
+        words = EPISODE.itemsize // _WORD
+        self._kernels["store_rows"].launch(
+            *(blocks_of(len(slots) * words), THREADS),
+            *(self.device.upload(_bytes_of(self._rows[slots])),),
+            *(self.device.upload(np.array(slots, np.int32)), self.rows),
+            *(np.int32(words), np.int32(len(slots))),
+        )
+
+    def _take(self, size: int) -> Block:
+        """A block, for which episodes that nobody plays may have to go."""
+        while True:
+            try:
+                block = self.pool.take(size)
+            except DeviceMemoryError:
+                if not self._drop_oldest():
+                    raise
+                continue
+            if block is not None:
+                return block
+            if not self._drop_oldest():
+                break
+        _log.info("maps and fields in use take more than the %d bytes meant for them",
+                  self.pool.limit)  # fmt: skip
+        try:
+            block = self.pool.take(size, beyond=True)
+        except DeviceMemoryError as error:
+            raise DeviceMemoryError(
+                f"the maps and fields that are played now do not fit: {error.what}",
+                where=error.where,
+                remedy="play fewer environments or scenes at a time, or with a smaller `ahead`",
+            ) from None
+        assert block is not None
+        return block
+
+    def _drop_oldest(self) -> bool:
+        """Drop the episode that nobody has had for the longest time; False if all are played."""
+        idle = np.flatnonzero((self._number_of >= 0) & (self._references == 0))
+        if not len(idle):
+            return False
+        slot = int(idle[np.argmin(self._used[idle])])
+        number = int(self._number_of[slot])
+        episode = self.episodes[number]
+        self._slot_of[number] = self._number_of[slot] = -1
+        self.pool.give(self._own.pop(slot).block)
+        self._fields[_key(episode)].users -= 1
+        self._scenes[episode.scene_id].users -= 1
+        if self._pictures is not None:
+            self._looks[name_look(episode)].users -= 1
+        self._sweep(episode)
+        self.dropped += 1
+        return True
+
+    def _sweep(self, episode: Episode | None = None) -> None:
+        """Give back fields, looks and scenes that nothing needs; of one episode, or any."""
+        keys = list(self._fields) if episode is None else [_key(episode)]
+        for key in keys:
+            if not self._fields[key].users:
+                self.pool.give(self._fields.pop(key).block)
+                self._scenes[key[0]].users -= 1
+        looks = [] if self._pictures is None else list(self._looks)
+        for name in looks:
+            if not self._looks[name].users:
+                self.pool.give(self._looks.pop(name).block)
+        for scene_id in list(self._scenes) if episode is None else [episode.scene_id]:
+            if not self._scenes[scene_id].users:
+                self.pool.give(self._scenes.pop(scene_id).block)
+
+    def _bring_scene(self, scene_id: str) -> _Held:
+        navigation, _ = self._maps.open(scene_id)
+        compact = number_cells(navigation)
+        held = self._put(compact)
+        grid = navigation.grid
+        held.frame = (*map(float, grid.origin), float(grid.resolution))
+        held.shape = grid.shape
+        self._scenes[scene_id] = held
+        return held
+
+    def _bring_look(self, name: str) -> _Held:
+        assert self._pictures is not None
+        frame, grey, bev = self._pictures(name)
+        shape = (frame.height, frame.width)
+        empty = np.zeros(0, np.uint8)
+        held = self._put(empty if grey is None else grey, empty if bev is None else bev)
+        held.frame = (frame.x_min, frame.y_min, frame.metres_per_pixel)
+        held.shape = shape
+        self._looks[name] = held
+        return held
+
+    def _build_field(self, episode: Episode) -> _Held:
+        """The field of a goal: labels of free cells and the roots that they use."""
+        navigation, geodesic_map = self._maps.open(episode.scene_id)
+        field = geodesic_map.build_field(episode.goal)
+        self.fields_built += 1
+        label = field.label[~navigation.blocked]
+        used = np.zeros(len(field.roots) + 1, np.bool_)
+        used[label + 1] = True
+        used[0] = True  # root 0 is "unreachable"
+        roots = np.vstack([[0.0, 0.0, np.inf], field.roots[used[1:]]])
+        wide = len(roots) > 65535
+        labels = (np.cumsum(used) - 1)[label + 1].astype(np.uint32 if wide else np.uint16)
+        held = self._put(labels, roots)
+        held.wide = wide
+        return held
+
+    def _build_headings(self, episode: Episode) -> _Held:
+        """Headings after each number of turns, and the directions of range rays from each.
+
+        Python's own sines and cosines: those of a device differ in the last bit.
+        """
+        base = wrap_angle(episode.start[2])
+        yaws = [heading_yaw(base, k, self.agent.turn_degrees) for k in range(self.circle)]
+        headings = np.array([(yaw, math.cos(yaw), math.sin(yaw)) for yaw in yaws])
+        if self._rays is None:
+            return self._put(headings)
+        angles = (np.array(yaws)[:, None] + self._rays).ravel().tolist()
+        directions = np.empty((len(angles), 2))
+        directions[:, 0] = list(map(math.cos, angles))
+        directions[:, 1] = list(map(math.sin, angles))
+        return self._put(headings, directions)
+
+    def _put(self, *arrays: NDArray[Any]) -> _Held:
+        block = self._take(max(store_size(*arrays), 1))
+        return _Held(block, self.pool.store(block, *arrays))
+
+
+def number_cells(navigation: NavigationMap) -> NDArray[np.int32]:
+    """The number of each free cell among the free cells [H, W]; −1 where blocked."""
+    blocked = np.ascontiguousarray(navigation.blocked)
+    numbers = np.cumsum(~blocked.ravel(), dtype=np.int64) - 1
+    return np.where(blocked, -1, numbers.reshape(blocked.shape)).astype(np.int32)
+
+
+def _key(episode: Episode) -> tuple[str, float, float]:
+    x, y = episode.goal
+    return episode.scene_id, float(x), float(y)
+
+
+def _bytes_of(rows: NDArray[Any]) -> U8:
+    return np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)

@@ -1,0 +1,114 @@
+// Views, map pictures and history mosaics: the pixels of sim/sensors.py and sim/history.py.
+
+// World-to-camera matrices [N, 4, 4] of agents' eyes at `height` [m], looking up by the pitch.
+KERNEL(build_views)(World w, double height, double cos_pitch, double sin_pitch, double *views) {
+  int i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i >= w.count) return;
+  const double *heading = w.episodes[w.slot[i]].headings + w.turns[i] * 3;
+  double c = heading[1], s = heading[2], x = w.position[i].x, y = w.position[i].y;
+  double rows[3][3] = {{s, -c, 0.0},
+                       {c * sin_pitch, s * sin_pitch, -cos_pitch},
+                       {c * cos_pitch, s * cos_pitch, sin_pitch}};
+  double *view = views + (i64)i * 16;
+  for (int r = 0; r < 3; r++) {
+    for (int k = 0; k < 3; k++) view[4 * r + k] = rows[r][k];
+    view[4 * r + 3] = -(rows[r][0] * x + rows[r][1] * y + rows[r][2] * height);
+  }
+  for (int k = 0; k < 4; k++) view[12 + k] = k == 3;
+}
+
+KERNEL(clip_depth)(const float *depth, float low, float high, u64 size, float *out) {
+  u64 k = (u64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (k < size) out[k] = fminf(fmaxf(depth[k], low), high);
+}
+
+// Map pictures [N, rows, cols, 3], black where a scene's own is smaller; null ones are left out.
+// In the occupancy picture the start is a green disc and the agent, over it, a red one.
+KERNEL(paint_maps)(World w, const int *slots, const double *poses, int rows, int cols, int radius,
+                   u8 *bev, u8 *occupancy) {
+  __shared__ int discs[4];
+  int i = blockIdx.y, slot = slots[i];
+  if (slot >= 0 && threadIdx.x < 2) {
+    const Episode &e = w.episodes[slot];
+    double x = threadIdx.x ? poses[3 * i] : e.start_x, y = threadIdx.x ? poses[3 * i + 1] : e.start_y;
+    discs[2 * threadIdx.x] = e.map_rows - 1 - (int)floor((y - e.map_y) / e.map_scale);
+    discs[2 * threadIdx.x + 1] = (int)floor((x - e.map_x) / e.map_scale);
+  }
+  __syncthreads();
+  int k = blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= rows * cols) return;
+  int row = k / cols, col = k % cols;
+  u8 colour[3] = {0, 0, 0}, cell[3] = {0, 0, 0};
+  if (slot >= 0) {
+    const Episode &e = w.episodes[slot];
+    if (row < e.map_rows && col < e.map_cols) {
+      int at = row * e.map_cols + col;
+      if (bev)
+        for (int c = 0; c < 3; c++) colour[c] = e.bev[3 * at + c];
+      if (occupancy) {
+        for (int c = 0; c < 3; c++) cell[c] = e.grey[at];
+        for (int d = 0; d < 2; d++) {
+          int down = row - discs[2 * d], across = col - discs[2 * d + 1];
+          if (abs(down) > radius || abs(across) > radius) continue;
+          if (down * down + across * across > radius * radius) continue;
+          cell[0] = d ? 255 : 0;
+          cell[1] = d ? 0 : 255;
+          cell[2] = 0;
+        }
+      }
+    }
+  }
+  i64 at = ((i64)i * rows * cols + k) * 3;
+  for (int c = 0; c < 3; c++) {
+    if (bev) bev[at + c] = colour[c];
+    if (occupancy) occupancy[at + c] = cell[c];
+  }
+}
+
+__device__ __forceinline__ int clip8(int sum) { return min(max(sum >> 22, 0), 255); }
+
+// Pictures [N, rows, cols, 3] at another size, as Pillow's box filter does it: weights of 22 bits,
+// first along rows, rounded, then along columns. `across` and `down` hold, for each output column
+// and row, first input, number of inputs, and their weights (2 + taps numbers each).
+// With `views`, picture i is written as tile views[i] % TILES of its history.
+KERNEL(reduce_pictures)(const u8 *in, int rows, int cols, const int *across, int across_taps,
+                        const int *down, int down_taps, int out_rows, int out_cols,
+                        const int *views, const int *status, u8 *out) {
+  int k = blockIdx.x * blockDim.x + threadIdx.x, i = blockIdx.y;
+  if (k >= out_rows * out_cols || status[0] != CLEAR) return;
+  int row = k / out_cols, col = k % out_cols;
+  const int *a = across + col * (2 + across_taps), *d = down + row * (2 + down_taps);
+  int sum[3] = {1 << 21, 1 << 21, 1 << 21};
+  for (int y = 0; y < d[1]; y++) {
+    int line[3] = {1 << 21, 1 << 21, 1 << 21};
+    const u8 *p = in + (((i64)i * rows + d[0] + y) * cols + a[0]) * 3;
+    for (int x = 0; x < a[1]; x++, p += 3)
+      for (int c = 0; c < 3; c++) line[c] += p[c] * a[2 + x];
+    for (int c = 0; c < 3; c++) sum[c] += clip8(line[c]) * d[2 + y];
+  }
+  i64 picture = views ? (i64)i * TILES + views[i] % TILES : i;
+  u8 *q = out + (picture * out_rows * out_cols + k) * 3;
+  for (int c = 0; c < 3; c++) q[c] = (u8)clip8(sum[c]);
+}
+
+// History mosaics [N, 4 * 120, 4 * 160, 3] from the tiles [N, TILES, 120, 160, 3], newest first;
+// black where there is no view yet. 16 bytes a thread.
+KERNEL(lay_mosaics)(const uint4 *tiles, const int *views, int tile_rows, int row_words, uint4 *out) {
+  int k = blockIdx.x * blockDim.x + threadIdx.x, i = blockIdx.y;
+  int wide = COLUMNS * row_words, high = (TILES / COLUMNS) * tile_rows;
+  if (k >= wide * high) return;
+  int row = k / wide, col = k % wide, seen = views[i];
+  int back = (row / tile_rows) * COLUMNS + col / row_words;  // 0 is the newest
+  uint4 word = make_uint4(0, 0, 0, 0);
+  if (back < min(seen, TILES)) {
+    i64 tile = (i64)i * TILES + (seen - 1 - back) % TILES;
+    word = tiles[(tile * tile_rows + row % tile_rows) * row_words + col % row_words];
+  }
+  out[(i64)i * wide * high + k] = word;
+}
+
+// Rows [entries, size] to rows `to` of another array.
+KERNEL(place_rows)(const u8 *in, const int *to, u64 size, int entries, u8 *out) {
+  u64 k = (u64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (k < size * entries) out[(u64)to[k / size] * size + k % size] = in[k];
+}

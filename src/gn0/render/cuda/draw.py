@@ -1,4 +1,4 @@
-"""Drawing on a device: lists of splats a tile for many views of many clouds, then one picture a view.
+"""Drawing on a device: tile lists for many views of many clouds, then a picture a view.
 
 Three kernels and a scan: `count` and `emit` project each chunk of splats once for all views that
 can see it and list what touches a tile; `paint` sorts each list by (float32 depth, index in the
@@ -8,20 +8,43 @@ themselves, so the order in which atomics served them cannot show. See `docs/ren
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device, DeviceArray
+from gn0.device.device import Device, DeviceArray, Kernel, KernelSource
+from gn0.errors import DeviceMemoryError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
+from gn0.render.cuda.tables import Shares, build_clouds, build_views, join_tables, share_work
 from gn0.render.cuda.tune import Tuning
-from gn0.render.renderer import Output, RenderResult
+from gn0.render.renderer import (
+    ALPHA_CAP,
+    ALPHA_MIN,
+    DILATION,
+    EXTENT_MAX,
+    TRANSMITTANCE_STOP,
+    Output,
+    RenderResult,
+)
 
 CHUNK = 256  # splats a chunk
 TILE = 16  # px
+STAGES = ("upload", "count", "scan", "emit", "blend")
+_FILES = ("view.cuh", "project.cuh", "list.cu", "colour.cuh", "walk.cuh", "paint.cu")
+_ORTHO, _ANTIALIASED = 1, 2  # flags
+_SCAN = 2048  # counts a block of the scan adds up
+_BLOCKS_MAX = 2**31 - 1  # of a launch
+_ENTRY = 8  # bytes
+_MEMORY_SHARE = 0.25  # of what is free, for lists
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,13 +55,12 @@ class CloudDevice:
         splats: float32 [rows, 16], see `gn0.render.cuda.pack`.
         order: uint32 [rows], a packed splat's index in its cloud.
         places: uint32 [size], the inverse: where a splat of the cloud lies among the packed
-            (anything for those left out). None when `ordered`, where both are the same.
+            (anything for those left out). None when `ordered`: keys then hold packed numbers.
         sh: halves as uint16 [rows, 16, 32 or 48]: coefficients 1, 2, ... of three colours,
             padded; None at degree 0.
         boxes: float32 [chunks, 7]: lowest and highest centre, largest reach [m], of each chunk.
         degree: SH degree.
-        ordered: whether packed order is cloud order and every splat was kept: packed number and
-            index are one.
+        ordered: whether packed order is cloud order.
         size: splats of the cloud before packing.
         alive: splats packed.
         slots: for a part, uint32 [chunks * 256]: packed numbers in packed order, then 0xffffffff;
@@ -90,6 +112,20 @@ class PicturesDevice:
         return RenderResult(rgb, depth, alpha)
 
 
+def kernel_source(tuning: Tuning) -> KernelSource:
+    """The drawing kernels."""
+    folder = Path(__file__).parent / "kernels"
+    constants = (
+        ("DILATION", float(DILATION)),
+        ("ALPHA_CAP", float(ALPHA_CAP)),
+        ("LOG_ALPHA_MIN", math.log(ALPHA_MIN)),
+        ("TRANSMITTANCE_STOP", float(TRANSMITTANCE_STOP)),
+        ("PAD", EXTENT_MAX * math.sqrt(DILATION) + 0.5),  # px: the dilation, and rounding
+    )
+    files = tuple(folder / name for name in _FILES)
+    return KernelSource("draw", files, (*tuning.defines, *constants))
+
+
 class Drawer:
     """Draws on one device; buffers are kept between calls. One thread at a time.
 
@@ -97,7 +133,7 @@ class Drawer:
         device: draws.
         tuning: sizes that the kernels are compiled for.
         memory: bytes that the lists of one batch of views may take; a quarter of what is free
-            when None.
+            at the first call when None.
     """
 
     def __init__(
@@ -106,6 +142,13 @@ class Drawer:
         self.device = device
         self.tuning = tuning or Tuning()
         self.memory = memory
+        self.batches = 0  # drawn so far, repeats not counted
+        self.repeats = 0  # batches begun again with more room or fewer views
+        self.on_stage: Callable[[str], None] | None = None  # told of each stage before it begins
+        self._loaded: Mapping[str, Kernel] | None = None
+        self._held: dict[str, DeviceArray] = {}
+        self._density = 0.5  # entries a splat and view, as seen last
+        self._said = False
 
     def pictures(
         self, camera: Camera, count: int, outputs: Sequence[Output], rgb_float: bool = False
@@ -155,7 +198,14 @@ class Drawer:
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
         """
-        raise NotImplementedError
+        as_float = pictures.rgb is not None and pictures.rgb.dtype == np.float32
+        last = (
+            *(np.float32(value) for value in background),
+            *((None, pictures.rgb) if as_float else (pictures.rgb, None)),
+            *(pictures.depth, pictures.alpha),
+        )
+        work = _Work(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows)
+        self._run(work, "paint_tiles", last, antialiased)
 
     def mark(
         self,
@@ -187,4 +237,158 @@ class Drawer:
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
         """
-        raise NotImplementedError
+        last = (np.float32(threshold), marks, np.uint64(marks.shape[1]))
+        work = _Work(camera, matrices, list(clouds), cloud_of, None, len(clouds), rows)
+        self._run(work, "mark_tiles", last, antialiased)
+
+    def _run(self, work: _Work, kernel: str, last: tuple[Any, ...], antialiased: bool) -> None:
+        """List and blend all views, in batches that have room."""
+        if self.memory is None:
+            self.memory = int(_MEMORY_SHARE * self.device.memory()[0])
+        flags = (_ORTHO if work.camera.model == "ortho" else 0) | (
+            _ANTIALIASED if antialiased else 0
+        )
+        begin, most = 0, len(work.matrices)
+        while begin < len(work.matrices):
+            count = min(self._fit(work, begin), most, len(work.matrices) - begin)
+            try:
+                need = self._run_batch(work, slice(begin, begin + count), kernel, last, flags)
+            except DeviceMemoryError:
+                self._held.pop("entries", None)
+                if count == 1:
+                    raise
+                most = count // 2
+                self._say_smaller(most)
+                continue
+            if need:  # the lists did not fit, and nothing was blended
+                self.repeats += 1
+                if need * _ENTRY > self.memory and count > 1:
+                    most = max(min(count - 1, int(count * self.memory / (need * _ENTRY))), 1)
+                    self._say_smaller(most)
+                continue
+            self.batches += 1
+            begin += count
+
+    def _fit(self, work: _Work, begin: int) -> int:
+        """How many views from `begin` on will probably have room, at least one."""
+        assert self.memory is not None
+        entries = np.cumsum(work.splats[begin:]) * self._density
+        room = entries * _ENTRY + np.arange(1, len(entries) + 1) * work.tiles * 12.0
+        fit = int(np.searchsorted(room, self.memory, side="right"))
+        return max(min(fit, _BLOCKS_MAX // work.tiles), 1)
+
+    def _run_batch(
+        self, work: _Work, views: slice, kernel: str, last: tuple[Any, ...], flags: int
+    ) -> int:
+        """List and blend one batch; returns 0, or the entries that it needs and has no room for."""
+        assert self.memory is not None
+        count, tiles = views.stop - views.start, work.tiles
+        all_tiles = count * tiles
+        shares = share_work(
+            work.table, work.cloud_of[views], work.tail_of[views], self.tuning.views
+        )
+        self._tell("upload")
+        view_table, clouds, groups, members = self._upload(work, views, shares)
+        blocks = -(-all_tiles // _SCAN)
+        counts = self._need("counts", all_tiles, np.uint32)
+        starts = self._need("starts", all_tiles + 1, np.uint64)
+        sums = self._need("sums", blocks, np.uint64)
+        entries = self._held.get("entries")
+        if entries is None:
+            guess = int(work.splats[views].sum() * self._density * 1.25) + 64 * all_tiles
+            entries = self._grow(min(guess, self.memory // _ENTRY))
+        kernels = self._kernels
+        capacity, whole = np.uint64(len(entries)), np.uint32(all_tiles)
+        sizes = (np.uint32(work.tiles_x), np.uint32(tiles))
+        shared_out = (groups, np.uint32(len(shares.groups)), members)
+        listing = (view_table, clouds, *shared_out, *sizes, np.uint32(flags), counts)
+        self._tell("count")
+        self.device.fill(counts[:all_tiles], 0)
+        kernels["count_entries"].launch(shares.blocks, CHUNK, *listing)
+        self._tell("scan")
+        kernels["sum_counts"].launch(blocks, 256, counts, whole, sums)
+        kernels["scan_counts"].launch(blocks, 256, counts, whole, sums, starts)
+        self._tell("emit")
+        kernels["emit_entries"].launch(
+            shares.blocks, CHUNK, *listing, starts, entries, capacity, whole
+        )
+        self._tell("blend")
+        shape = (np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags))
+        lists = (view_table, clouds, starts, entries, capacity, whole)
+        kernels[kernel].launch(all_tiles, self.tuning.threads, *lists, *sizes, *shape, *last)
+        self._tell("end")
+        total = int(starts[all_tiles : all_tiles + 1].numpy()[0])
+        splats = int(work.splats[views].sum())
+        self._density = total / splats if splats else self._density
+        if total <= len(entries):
+            return 0
+        if total * _ENTRY <= self.memory or count == 1:
+            self._grow(total + total // 8)
+        return total
+
+    def _upload(self, work: _Work, views: slice, shares: Shares) -> list[DeviceArray]:
+        """Tables of a batch on the device: views, clouds, groups, members."""
+        table = build_views(
+            work.camera,
+            work.matrices[views],
+            work.cloud_of[views],
+            work.tail_of[views],
+            work.rows[views],
+        )
+        words, where = join_tables(table, work.table, shares.groups, shares.members)
+        held = self._need("tables", len(words), np.uint32)
+        self.device.upload(words, held[: len(words)])
+        return [held[at] for at in where]
+
+    def _need(self, name: str, size: int, kind: type[np.generic]) -> DeviceArray:
+        held = self._held.get(name)
+        if held is None or len(held) < size:
+            self._held.pop(name, None)  # let go of the old one first
+            self._held[name] = held = self.device.empty(size + size // 4 + 16, kind)
+        return held
+
+    def _grow(self, entries: int) -> DeviceArray:
+        self._held.pop("entries", None)
+        self._held["entries"] = held = self.device.empty(max(entries, 1024), np.uint64)
+        return held
+
+    @property
+    def _kernels(self) -> Mapping[str, Kernel]:
+        if self._loaded is None:
+            self._loaded = self.device.load(kernel_source(self.tuning))
+        return self._loaded
+
+    def _tell(self, stage: str) -> None:
+        if self.on_stage is not None:
+            self.on_stage(stage)
+
+    def _say_smaller(self, views: int) -> None:
+        if not self._said:
+            self._said = True
+            _log.warning("too little device memory for all views at once: %d at a time", views)
+
+
+class _Work:
+    """Views to draw, each of one of `clouds`; the tails lie behind the first `tails`."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        matrices: F64,
+        clouds: list[CloudDevice],
+        cloud_of: NDArray[np.int32],
+        tail_of: NDArray[np.int32] | None,
+        tails: int,
+        rows: NDArray[np.int64] | None,
+    ) -> None:
+        count = len(matrices)
+        self.camera, self.matrices, self.cloud_of = camera, matrices, np.asarray(cloud_of)
+        moving = np.full(count, -1) if tail_of is None else np.asarray(tail_of)
+        self.tail_of = np.where(moving < 0, -1, moving + tails)
+        self.rows = np.arange(count) if rows is None else np.asarray(rows)
+        self.table = build_clouds(clouds)
+        self.held = clouds  # the table only points to them
+        sizes = np.array([*(cloud.chunks * CHUNK for cloud in clouds), 0])  # of no tail: the last
+        self.splats = sizes[self.cloud_of] + sizes[self.tail_of]
+        self.tiles_x = -(-camera.width // TILE)
+        self.tiles = self.tiles_x * -(-camera.height // TILE)

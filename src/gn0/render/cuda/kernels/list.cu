@@ -1,0 +1,259 @@
+// Lists of entries a (view, tile): counted, placed by a scan, then written, in any order.
+//
+// A block takes one chunk of a cloud for up to VIEWS of the views that show that cloud: it tests
+// the chunk's box against them, holds a splat a thread in registers, and projects it for each view
+// that can see it. An entry is a key, depth bits over index, so that entries need no order here.
+
+// Whether a chunk may touch the picture; dropped only if `project` would drop each of its splats.
+__device__ __forceinline__ bool is_in_sight(const float *__restrict__ box, const View &w, u32 flags) {
+  float cx = (box[0] + box[3]) * 0.5f - w.eye[0], hx = (box[3] - box[0]) * 0.5f;
+  float cy = (box[1] + box[4]) * 0.5f - w.eye[1], hy = (box[4] - box[1]) * 0.5f;
+  float cz = (box[2] + box[5]) * 0.5f - w.eye[2], hz = (box[5] - box[2]) * 0.5f;
+  float slack = (fabsf(cx) + fabsf(cy) + fabsf(cz) + hx + hy + hz) * 1e-5f;
+  bool keep = true;
+#pragma unroll
+  for (int plane = 0; plane < 6; plane++) {
+    float a = w.r[6], b = w.r[7], c = w.r[8], d, allow = 0.f;
+    if (plane == 0) {
+      a = -a, b = -b, c = -c, d = w.near;
+    } else if (plane == 1) {
+      d = -w.far;
+    } else {
+      bool along_y = plane >= 4, negative = plane & 1;
+      float focal = along_y ? w.fy : w.fx, middle = along_y ? w.cy : w.cx;
+      float size = along_y ? w.height : w.width;
+      float limit = ((negative ? middle : size - middle) + PAD) / focal;
+      float sign = negative ? -1.f : 1.f;
+      a = sign * w.r[along_y ? 3 : 0], b = sign * w.r[along_y ? 4 : 1];
+      c = sign * w.r[along_y ? 5 : 2];
+      d = 0.f;
+      if (flags & ORTHO) d = -limit;
+      else a -= limit * w.r[6], b -= limit * w.r[7], c -= limit * w.r[8];
+      allow = box[6] * (along_y ? w.gain_y : w.gain_x);
+    }
+    float lowest = a * cx + b * cy + c * cz - fabsf(a) * hx - fabsf(b) * hy - fabsf(c) * hz + d;
+    if (lowest > allow * 1.0001f + slack * (fabsf(a) + fabsf(b) + fabsf(c))) keep = false;
+  }
+  return keep;
+}
+
+struct Lists {
+  u32 *counts;         // [views, tiles]; entries so far
+  const u64 *starts;   // [views * tiles + 1]
+  u64 *entries;
+  u64 capacity;
+};
+
+// Where `n` entries more of a tile go, at most 32: (place, how many of them fit).
+__device__ __forceinline__ u64 take_places(const Lists &to, u32 tile, u32 n, u32 &room) {
+  u64 place = to.starts[tile] + atomicAdd(to.counts + tile, n);
+  u64 end = min(to.starts[tile + 1], to.capacity);
+  room = place < end ? (u32)min(end - place, (u64)WARP) : 0;
+  return place;
+}
+
+template <bool EMIT>
+__device__ __forceinline__ void put_one(const Lists &to, u32 tile, u64 key) {
+  if (EMIT) {
+    u32 room;
+    u64 place = take_places(to, tile, 1, room);
+    if (room) to.entries[place] = key;
+  } else {
+    atomicAdd(to.counts + tile, 1u);
+  }
+}
+
+// All lanes call this; neighbours in Morton order mostly list into the same tile.
+template <bool EMIT>
+__device__ __forceinline__ void put(const Lists &to, bool active, u32 tile, u64 key) {
+#if GROUP
+  u32 peers = __match_any_sync(FULL, active ? tile : NOWHERE);
+  u32 lane = lane_id(), leader = __ffs(peers) - 1, n = __popc(peers);
+  if (!EMIT) {
+    if (active && lane == leader) atomicAdd(to.counts + tile, n);
+  } else {
+    u64 place = 0;
+    u32 room = 0;
+    if (active && lane == leader) place = take_places(to, tile, n, room);
+    place = __shfl_sync(FULL, place | (u64)room << 56, leader);
+    room = (u32)(place >> 56), place &= 0xffffffffffffffull;
+    u32 rank = __popc(peers & ((1u << lane) - 1));
+    if (active && rank < room) to.entries[place + rank] = key;
+  }
+#else
+  if (active) put_one<EMIT>(to, tile, key);
+#endif
+}
+
+// Tile rows of column `column` that the ellipse reaches within its box.
+__device__ __forceinline__ int2 tile_rows(const Ellipse &e, float u, float v, const Box &box, int column) {
+  float dx = (float)(column * TILE) + 0.5f - u;
+  float2 y = cut_rows(e, dx, dx + (float)(TILE - 1));
+  float low = (float)box.y0, high = (float)box.y1;
+  int y0 = (int)fminf(fmaxf(ceilf(v + y.x - 0.5f - EDGE), low), high);
+  int y1 = (int)fmaxf(fminf(floorf(v + y.y - 0.5f + EDGE) + 1.f, high), low);
+  return y0 < y1 ? make_int2(y0 / TILE, (y1 + TILE - 1) / TILE) : make_int2(0, 0);
+}
+
+template <bool EMIT>
+__device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View &w, u32 flags,
+                                           u32 tiles_x, u32 first_tile, const Lists &to) {
+  Footprint f;
+  Box box = {0, 0, 0, 0};
+  bool seen = project(s, w, flags, f) && bound(f, w, box);
+  if (!__any_sync(FULL, seen)) return;
+  int tx0 = box.x0 / TILE, tx1 = (box.x1 + TILE - 1) / TILE;
+  int ty0 = box.y0 / TILE, ty1 = (box.y1 + TILE - 1) / TILE;
+  int tiles = seen ? (tx1 - tx0) * (ty1 - ty0) : 0;
+  u64 key = (u64)__float_as_uint(f.z) << 32 | index;
+  bool large = tiles > LARGE;
+  Ellipse e = outline(f);
+  // small footprints: each lane walks its own, column by column, all in step
+  int column = tx0, row = ty0, row_end = tiles == 1 ? ty1 : ty0;
+  if (tiles == 0 || large) column = tx1;
+  if (tiles == 1) column = tx0 + 1;
+  while (true) {
+    while (row >= row_end && column < tx1) {
+      int2 rows = tile_rows(e, f.u, f.v, box, column++);
+      row = rows.x, row_end = rows.y;
+    }
+    bool active = row < row_end;
+    if (!__any_sync(FULL, active)) break;
+    put<EMIT>(to, active, first_tile + row * tiles_x + column - 1, key);
+    row++;
+  }
+  // large ones: the whole warp walks one, a column a lane
+  for (u32 left = __ballot_sync(FULL, large); left; left &= left - 1) {
+    int from = __ffs(left) - 1;
+    Ellipse one = {__shfl_sync(FULL, e.peak, from), __shfl_sync(FULL, e.inner, from),
+                   __shfl_sync(FULL, e.steep, from), __shfl_sync(FULL, e.mixed, from),
+                   __shfl_sync(FULL, e.scale, from)};
+    Box its = {__shfl_sync(FULL, tx0, from), __shfl_sync(FULL, tx1, from),
+               __shfl_sync(FULL, box.y0, from), __shfl_sync(FULL, box.y1, from)};
+    float u = __shfl_sync(FULL, f.u, from), v = __shfl_sync(FULL, f.v, from);
+    u64 its_key = EMIT ? __shfl_sync(FULL, key, from) : 0;
+    for (int x = its.x0 + (int)lane_id(); x < its.x1; x += WARP) {
+      int2 rows = tile_rows(one, u, v, its, x);
+      for (int y = rows.x; y < rows.y; y++)
+        put_one<EMIT>(to, first_tile + y * tiles_x + x, its_key);
+    }
+  }
+}
+
+template <bool EMIT>
+__device__ __forceinline__ void list_chunk(const View *__restrict__ views,
+                                           const Cloud *__restrict__ clouds,
+                                           const Group *__restrict__ groups, u32 group_count,
+                                           const u32 *__restrict__ members, u32 tiles_x,
+                                           u32 tiles, u32 flags, const Lists &to) {
+  __shared__ View seen[VIEWS];
+  __shared__ u32 who[VIEWS], n;
+  u32 low = 0, high = group_count;  // the last group that begins at or before this block
+  while (high - low > 1) {
+    u32 middle = (low + high) / 2;
+    if (groups[middle].first_block <= blockIdx.x) low = middle;
+    else high = middle;
+  }
+  const Group g = groups[low];
+  const Cloud &cloud = clouds[g.cloud];
+  u32 local = blockIdx.x - g.first_block, chunk = local % g.chunks;
+  u32 first = local / g.chunks * VIEWS;
+  if (threadIdx.x == 0) n = 0;
+  __syncthreads();
+  if (threadIdx.x < VIEWS && first + threadIdx.x < g.members) {
+    u32 view = members[g.first_member + first + threadIdx.x];
+    if (is_in_sight(cloud.boxes + (u64)chunk * 7, views[view], flags)) {
+      u32 at = atomicAdd(&n, 1u);
+      who[at] = view;
+    }
+  }
+  __syncthreads();
+  u32 count = n;
+  if (!count) return;
+  for (u32 k = threadIdx.x; k < count * 8; k += blockDim.x)
+    ((float4 *)seen)[k] = ((const float4 *)(views + who[k / 8]))[k % 8];
+  u32 slot = chunk * CHUNK + threadIdx.x;
+  if (cloud.slots) slot = cloud.slots[slot];
+  Splat s = {0.f, 0.f, 0.f, -1.f, {0.f}, 0.f};
+  u32 index = slot;
+  if (slot < cloud.rows) {
+    s = load_splat(cloud.splats + (u64)slot * 4);
+    if (EMIT && cloud.places) index = cloud.order[slot];
+  }
+  if (g.tail) index |= TAIL;
+  __syncthreads();
+  for (u32 k = 0; k < count; k++)
+    list_splat<EMIT>(s, index, seen[k], flags, tiles_x, who[k] * tiles, to);
+}
+
+KERNEL_BOUNDED(count_entries, CHUNK, COVER_BLOCKS)
+(const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
+ u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 *counts) {
+  Lists to = {counts, nullptr, nullptr, 0};
+  list_chunk<false>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, to);
+}
+
+KERNEL_BOUNDED(emit_entries, CHUNK, COVER_BLOCKS)
+(const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
+ u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 *counts,
+ const u64 *__restrict__ starts, u64 *entries, u64 capacity, u32 all_tiles) {
+  if (starts[all_tiles] > capacity) return;  // the host sees it too, and repeats with more room
+  Lists to = {counts, starts, entries, capacity};
+  list_chunk<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, to);
+}
+
+// A block of 256 threads adds up SCAN counts.
+#define SCAN 2048
+#define EACH (SCAN / 256)
+
+__device__ __forceinline__ u64 sum_block(u64 mine, u64 *held) {
+  for (int d = WARP / 2; d; d >>= 1) mine += __shfl_xor_sync(FULL, mine, d);
+  if (lane_id() == 0) held[threadIdx.x / WARP] = mine;
+  __syncthreads();
+  u64 sum = 0;
+  for (u32 w = 0; w < 256 / WARP; w++) sum += held[w];
+  __syncthreads();
+  return sum;
+}
+
+KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u64 *sums) {
+  __shared__ u64 held[256 / WARP];
+  u64 mine = 0;
+  for (u32 k = 0; k < EACH; k++) {
+    u64 at = (u64)blockIdx.x * SCAN + k * 256 + threadIdx.x;
+    if (at < all_tiles) mine += counts[at];
+  }
+  u64 sum = sum_block(mine, held);
+  if (threadIdx.x == 0) sums[blockIdx.x] = sum;
+}
+
+// Starts of all lists; counts go back to zero.
+KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u64 *starts) {
+  __shared__ u64 held[256 / WARP];
+  u64 mine = 0;
+  for (u32 b = threadIdx.x; b < blockIdx.x; b += 256) mine += sums[b];
+  u64 before = sum_block(mine, held);
+  u64 first = (u64)blockIdx.x * SCAN + threadIdx.x * EACH;
+  u32 count[EACH];
+  u64 total = 0;
+  for (u32 k = 0; k < EACH; k++) {
+    count[k] = first + k < all_tiles ? counts[first + k] : 0;
+    total += count[k];
+  }
+  u64 sum = total;
+  for (u32 d = 1; d < WARP; d <<= 1) {
+    u64 other = __shfl_up_sync(FULL, sum, d);
+    if (lane_id() >= d) sum += other;
+  }
+  if (lane_id() == WARP - 1) held[threadIdx.x / WARP] = sum;
+  __syncthreads();
+  for (u32 w = 0; w < threadIdx.x / WARP; w++) before += held[w];
+  before += sum - total;
+  for (u32 k = 0; k < EACH; k++) {
+    if (first + k >= all_tiles) break;
+    starts[first + k] = before;
+    counts[first + k] = 0;
+    before += count[k];
+    if (first + k == all_tiles - 1) starts[all_tiles] = before;
+  }
+}

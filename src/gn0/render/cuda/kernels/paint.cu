@@ -1,0 +1,141 @@
+// Pictures of tiles, and marks of what shows in them. A block a (view, tile).
+
+struct Picture {  // of a lane's pixels; a negative transmittance has ended
+  static const bool COLOUR = true;
+  float through[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], depth[PIXELS];
+
+  __device__ __forceinline__ void pixel(int i, float alpha, float r, float g, float b, float z) {
+    float weight = alpha * through[i], after = through[i] - weight;
+    if (after > TRANSMITTANCE_STOP) {
+      red[i] = fmaf(weight, r, red[i]), green[i] = fmaf(weight, g, green[i]);
+      blue[i] = fmaf(weight, b, blue[i]), depth[i] = fmaf(weight, z, depth[i]);
+      through[i] = after;
+    } else {
+      through[i] = -fabsf(through[i]);
+    }
+  }
+  __device__ __forceinline__ void splat(const TileRoom &, u32) {}
+  __device__ __forceinline__ bool open() const {
+    bool any = false;
+#pragma unroll
+    for (int i = 0; i < PIXELS; i++) any = any || through[i] > 0.f;
+    return any;
+  }
+};
+
+struct Marks {  // bits of splats that weigh more than a threshold somewhere
+  static const bool COLOUR = false;
+  float through[PIXELS], threshold;
+  u32 *row;
+  bool shows;
+
+  __device__ __forceinline__ void pixel(int i, float alpha, float, float, float, float) {
+    float weight = alpha * through[i], after = through[i] - weight;
+    bool keep = after > TRANSMITTANCE_STOP;
+    shows = shows || (keep && weight > threshold);
+    through[i] = keep ? after : 0.f;
+  }
+  __device__ __forceinline__ void splat(const TileRoom &t, u32 at) {
+    if (!shows) return;
+    shows = false;
+    u32 index = (u32)t.keys[at];
+    if (index & TAIL) return;
+    if (!t.cloud[0].places) index = t.cloud[0].order[index];
+    // as np.packbits lays them: the first splat is the highest bit of the first byte
+    u32 bit = 1u << ((index & 24u) | (7u - (index & 7u)));
+    if (!(row[index >> 5] & bit)) atomicOr(row + (index >> 5), bit);
+  }
+  __device__ __forceinline__ bool open() const {
+    bool any = false;
+#pragma unroll
+    for (int i = 0; i < PIXELS; i++) any = any || through[i] > threshold;
+    return any;
+  }
+};
+
+struct Corner {  // of this block's tile and of the lane's first pixel
+  u32 view;
+  int x_px, y_px, x, y;
+};
+
+__device__ __forceinline__ Corner find_corner(u32 tiles_x, u32 tiles) {
+  u32 tile = blockIdx.x % tiles, region = threadIdx.x / TEAM, lane = threadIdx.x % TEAM;
+  Corner c = {blockIdx.x / tiles, (int)(tile % tiles_x * TILE), (int)(tile / tiles_x * TILE)};
+  c.x = c.x_px + (int)(region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
+  c.y = c.y_px + (int)(region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
+  return c;
+}
+
+__device__ __forceinline__ u8 level(float value) {
+  return (u8)(int)(fminf(fmaxf(value, 0.f), 1.f) * 255.f + 0.5f);
+}
+
+KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
+(const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
+ const u64 *__restrict__ entries, u64 capacity, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
+ int height, u32 flags, float back_red, float back_green, float back_blue, u8 *rgb_u8,
+ float *rgb_f32, float *depth, float *alpha) {
+  __shared__ __align__(16) TileRoom t;
+  if (starts[all_tiles] > capacity) return;
+  Corner at = find_corner(tiles_x, tiles);
+  Picture p;
+#pragma unroll
+  for (int i = 0; i < PIXELS; i++) {
+    p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : -1.f;
+    p.red[i] = p.green[i] = p.blue[i] = p.depth[i] = 0.f;
+  }
+  walk_tile(t, p, views, clouds, starts, entries, at.view, at.x_px, at.y_px, flags);
+  u64 row = (u64)views[at.view].row * height;
+#pragma unroll
+  for (int i = 0; i < PIXELS; i++) {
+    int x = at.x + i * LANES_X;
+    float left = fabsf(p.through[i]), opacity = 1.f - left;
+    p.red[i] = p.red[i] + left * back_red;
+    p.green[i] = p.green[i] + left * back_green;
+    p.blue[i] = p.blue[i] + left * back_blue;
+    if (x < width && at.y < height) {
+      u64 pixel = (row + at.y) * width + x;
+      if (depth) depth[pixel] = opacity >= 0.5f ? p.depth[i] / opacity : INFINITY;
+      if (alpha) alpha[pixel] = opacity;
+      if (rgb_f32) {
+        rgb_f32[pixel * 3] = p.red[i];
+        rgb_f32[pixel * 3 + 1] = p.green[i];
+        rgb_f32[pixel * 3 + 2] = p.blue[i];
+      }
+    }
+  }
+  if (!rgb_u8) return;
+  __syncthreads();  // all have left the walk
+#pragma unroll
+  for (int i = 0; i < PIXELS; i++) {
+    u8 *to = t.picture + ((at.y - at.y_px) * TILE + at.x + i * LANES_X - at.x_px) * 3;
+    to[0] = level(p.red[i]), to[1] = level(p.green[i]), to[2] = level(p.blue[i]);
+  }
+  __syncthreads();
+  int columns = min(TILE, width - at.x_px), lines = min(TILE, height - at.y_px);
+  u8 *out = rgb_u8 + ((row + at.y_px) * width + at.x_px) * 3;
+  if (width % 4 == 0 && columns == TILE) {  // whole words, twelve a line
+    for (int k = threadIdx.x; k < lines * 12; k += THREADS)
+      *(u32 *)(out + (u64)(k / 12) * width * 3 + k % 12 * 4) = ((const u32 *)t.picture)[k];
+  } else {
+    for (int k = threadIdx.x; k < lines * columns * 3; k += THREADS) {
+      int line = k / (columns * 3), byte = k % (columns * 3);
+      out[(u64)line * width * 3 + byte] = t.picture[line * TILE * 3 + byte];
+    }
+  }
+}
+
+KERNEL_BOUNDED(mark_tiles, THREADS, BLOCKS)
+(const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
+ const u64 *__restrict__ entries, u64 capacity, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
+ int height, u32 flags, float threshold, u32 *marks, u64 words) {
+  __shared__ __align__(16) TileRoom t;
+  if (starts[all_tiles] > capacity) return;
+  Corner at = find_corner(tiles_x, tiles);
+  Marks p;
+  p.threshold = threshold, p.row = marks + views[at.view].row * words, p.shows = false;
+#pragma unroll
+  for (int i = 0; i < PIXELS; i++)
+    p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : 0.f;
+  walk_tile(t, p, views, clouds, starts, entries, at.view, at.x_px, at.y_px, flags);
+}

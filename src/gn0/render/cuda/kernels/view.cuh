@@ -1,0 +1,37 @@
+// What kernels see of views, clouds and the work to share; the host's tables are in `tables.py`.
+
+#define CHUNK 256
+#define TILE 16
+#define ORTHO 1u        // flags of a draw
+#define ANTIALIASED 2u
+#define TAIL 0x80000000u  // top bit of a key's low word: a moving splat, after all others
+#define NOWHERE 0xffffffffu
+
+struct View {  // 32 words
+  float r[9], eye[3], fx, fy, cx, cy, near, far;
+  float lim_xp, lim_xn, lim_yp, lim_yn, gain_x, gain_y, width, height;
+  u32 cloud, tail, row, spare[3];
+};
+
+struct Cloud {  // 64 bytes
+  const float4 *splats;
+  const u32 *order;   // packed number -> index in the cloud
+  const u32 *places;  // index -> packed number; null when packed order is cloud order
+  const u16 *sh;
+  const float *boxes;
+  const u32 *slots;
+  u32 chunks, degree, sh_row, rows;
+};
+
+struct Group {  // views of one cloud, and the blocks that list it
+  u32 cloud, tail, first_block, chunks, first_member, members, spare[2];
+};
+
+struct Splat {
+  float x, y, z, extent, m[9], log_opacity;
+};
+
+__device__ __forceinline__ Splat load_splat(const float4 *__restrict__ at) {
+  float4 p = at[0], a = at[1], b = at[2], c = at[3];
+  return {p.x, p.y, p.z, p.w, {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x}, c.y};
+}

@@ -1,0 +1,145 @@
+"""What the drawing kernels read of views, clouds and their shares of the work: one upload a call.
+
+The layouts are those of `kernels/view.cuh`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F64
+from gn0.render.camera import Camera
+
+if TYPE_CHECKING:
+    from gn0.render.cuda.draw import CloudDevice
+
+NOWHERE = 0xFFFFFFFF
+VIEW = np.dtype(
+    [
+        ("rotation", "<f4", 9),
+        ("eye", "<f4", 3),
+        ("focal", "<f4", 2),
+        ("centre", "<f4", 2),
+        ("near", "<f4"),
+        ("far", "<f4"),
+        ("limits", "<f4", 4),  # +x, -x, +y, -y: how far the Jacobian follows x/z and y/z
+        ("gain", "<f4", 2),
+        ("size", "<f4", 2),
+        ("cloud", "<u4"),
+        ("tail", "<u4"),
+        ("row", "<u4"),
+        ("spare", "<u4", 3),
+    ]
+)
+CLOUD = np.dtype(
+    [
+        *((name, "<u8") for name in ("splats", "order", "places", "sh", "boxes", "slots")),
+        *((name, "<u4") for name in ("chunks", "degree", "sh_row", "rows")),
+    ]
+)
+GROUP = np.dtype(
+    [
+        *((name, "<u4") for name in ("cloud", "tail", "first_block", "chunks")),
+        *(("first_member", "<u4"), ("members", "<u4"), ("spare", "<u4", 2)),
+    ]
+)
+
+
+def build_views(
+    camera: Camera,
+    matrices: F64,
+    cloud_of: NDArray[np.integer],
+    tail_of: NDArray[np.integer],
+    rows: NDArray[np.integer],
+) -> NDArray[np.void]:
+    """Views [V] from world-to-camera matrices [V, 4, 4]; a tail of -1 is none."""
+    views = np.zeros(len(matrices), VIEW)
+    rotation = matrices[:, :3, :3]
+    views["rotation"] = rotation.reshape(-1, 9)
+    views["eye"] = -(rotation.transpose(0, 2, 1) @ matrices[:, :3, 3:])[..., 0]
+    views["focal"] = focal = np.array([camera.fx, camera.fy])
+    views["centre"] = centre = np.array([camera.cx, camera.cy])
+    views["size"] = size = np.array([camera.width, camera.height], np.float64)
+    pinhole = camera.model == "pinhole"
+    # a pinhole divides by z, so even near = 0 stays in front of the camera
+    views["near"], views["far"] = max(camera.near, 1e-6) if pinhole else camera.near, camera.far
+    widened = 0.3 * 0.5 * size / focal
+    positive, negative = (size - centre) / focal + widened, centre / focal + widened
+    views["limits"] = np.stack([positive, negative], axis=1).ravel()
+    slope = np.maximum(abs(positive), abs(negative)) if pinhole else np.zeros(2)
+    views["gain"] = np.sqrt(1.0 + slope * slope)
+    views["cloud"], views["row"] = cloud_of, rows
+    views["tail"] = np.where(np.asarray(tail_of) < 0, NOWHERE, tail_of).astype(np.uint32)
+    return views
+
+
+def build_clouds(clouds: Sequence[CloudDevice]) -> NDArray[np.void]:
+    """Clouds [n] as kernels see them."""
+    table = np.zeros(len(clouds), CLOUD)
+    for entry, cloud in zip(table, clouds, strict=True):
+        for name in ("splats", "order", "sh", "boxes", "slots"):
+            array = getattr(cloud, name)
+            entry[name] = 0 if array is None else array.pointer
+        entry["places"] = 0 if cloud.ordered or cloud.places is None else cloud.places.pointer
+        entry["chunks"], entry["degree"] = cloud.chunks, cloud.degree
+        entry["sh_row"] = 0 if cloud.sh is None else cloud.sh.shape[1]
+        entry["rows"] = len(cloud.splats)
+    return table
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """Which block lists which chunk of which cloud for which views.
+
+    Attributes:
+        groups: [G] of views that show one cloud.
+        members: uint32 [M] numbers of their views.
+        blocks: of the listing kernels.
+    """
+
+    groups: NDArray[np.void]
+    members: NDArray[np.uint32]
+    blocks: int
+
+
+def share_work(
+    clouds: NDArray[np.void],
+    cloud_of: NDArray[np.integer],
+    tail_of: NDArray[np.integer],
+    views_a_block: int,
+) -> Shares:
+    """Group views by the clouds, and by the tails, that they show."""
+    groups, members = [], []
+    first, block = 0, 0
+    for is_tail, shown in ((0, cloud_of), (1, tail_of)):
+        by_cloud = np.argsort(shown, kind="stable")
+        numbers, starts = np.unique(shown[by_cloud], return_index=True)
+        for number, mine in zip(numbers, np.split(by_cloud, starts[1:]), strict=True):
+            chunks = int(clouds[number]["chunks"]) if number >= 0 else 0
+            if not chunks:
+                continue
+            groups.append((number, is_tail, block, chunks, first, len(mine), (0, 0)))
+            members.append(mine)
+            first += len(mine)
+            block += chunks * -(-len(mine) // views_a_block)
+    table = np.array(groups, GROUP) if groups else np.zeros(0, GROUP)
+    views = np.concatenate(members) if members else np.zeros(0)
+    return Shares(table, views.astype(np.uint32), block)
+
+
+def join_tables(*tables: NDArray[np.generic]) -> tuple[NDArray[np.uint32], list[slice]]:
+    """Tables one after another as words, each on a multiple of 64 bytes, and where they are."""
+    where, end = [], 0
+    for table in tables:
+        words = -(-table.nbytes // 4)
+        where.append(slice(end, end + words))
+        end += -(-words // 16) * 16
+    joined = np.zeros(end, np.uint32)
+    for table, at in zip(tables, where, strict=True):
+        joined[at] = np.ascontiguousarray(table).view(np.uint32).ravel()
+    return joined, where

@@ -1,7 +1,7 @@
 """A drawer without kernels: it reads clouds back from the device and draws with the CPU's code.
 
-What surrounds the kernels (layout, stores, batches, sets) is tested with it in no time, and against
-an implementation that shares nothing with them.
+What surrounds the kernels (layout, stores, batches, sets) is tested with both: where only one
+fails, it is clear who is wrong.
 """
 
 from __future__ import annotations
@@ -52,13 +52,12 @@ class DrawerCpu(Drawer):
 
     def __init__(self, device: DeviceHost) -> None:
         super().__init__(device)
-        self.calls = 0
 
     def draw(
         self, camera, matrices, clouds, cloud_of, *, tails=(), tail_of=None, pictures, rows=None,
         background, antialiased=False,
     ) -> None:  # fmt: skip
-        self.calls += 1
+        self.batches += 1
         cpu = RendererCpu(random_cloud(0, seed=0), RenderOptions(antialiased=antialiased))
         whole, moving = [unpack_cloud(c) for c in clouds], [unpack_cloud(c) for c in tails]
         out = [None if a is None else a.numpy() for a in vars(pictures).values()]
@@ -103,7 +102,8 @@ class DrawerCpu(Drawer):
         self.device.upload(bits.view(np.uint32), marks)
 
 
-@pytest.fixture
-def with_cpu_drawer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches draw with the CPU's code."""
-    monkeypatch.setattr("gn0.render.cuda.batch.Drawer", DrawerCpu)
+@pytest.fixture(params=["kernels", "cpu code"])
+def either_drawer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches draw with the emulated kernels, then with the CPU's code."""
+    if request.param == "cpu code":
+        monkeypatch.setattr("gn0.render.cuda.batch.Drawer", DrawerCpu)

@@ -19,7 +19,7 @@ from gn0.render.renderer import RenderOptions
 from gn0.testing.check_renderer import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
-quick = pytest.mark.usefixtures("with_cpu_drawer")
+either = pytest.mark.usefixtures("either_drawer")
 
 CAMERA = Camera.from_hfov(40, 30, 90)
 SPLATS = 400
@@ -45,7 +45,8 @@ def views(count: int) -> np.ndarray:
     )
 
 
-def check_mixed() -> None:
+@either
+def test_a_view_does_not_depend_on_its_batch() -> None:
     """Views of three scenes in any order, some with tails, equal those drawn one by one."""
     keys, poses = list("cabacb"), views(6)
     tail, other = random_cloud(60, seed=7), random_cloud(30, seed=8, sh_degree=1)
@@ -60,17 +61,7 @@ def check_mixed() -> None:
     assert (together.rgb[0] != together.rgb[4]).any()
 
 
-@quick
-def test_a_view_does_not_depend_on_its_batch() -> None:
-    check_mixed()
-
-
-@pytest.mark.slow
-def test_a_view_does_not_depend_on_its_batch_in_the_emulation() -> None:
-    check_mixed()
-
-
-@quick
+@either
 def test_more_scenes_than_memory_are_drawn_in_turns() -> None:
     """Room for one scene at a time: the same bytes in the order of the views."""
     keys, poses = list("cabacb"), views(6)
@@ -79,12 +70,12 @@ def test_more_scenes_than_memory_are_drawn_in_turns() -> None:
     got = tight.render(CAMERA, poses, keys).numpy()
     for name in ("rgb", "depth", "alpha"):
         assert getattr(got, name).tobytes() == getattr(want, name).tobytes()
-    assert tight.drawer.calls == 3
+    assert tight.drawer.batches == 3
     assert len(tight.store.resident) == 1
     assert tight.store.used <= tight.store.memory
 
 
-@quick
+@either
 def test_a_drawer_without_room_makes_scenes_give_way(monkeypatch) -> None:
     """What the draw under way needs stays; when nothing is left to drop, the error is said."""
     batch = batch_of()
@@ -105,7 +96,7 @@ def test_a_drawer_without_room_makes_scenes_give_way(monkeypatch) -> None:
         batch.render(CAMERA, views(1), "b")
 
 
-@quick
+@either
 def test_one_tail_for_all_views() -> None:
     batch, tail, poses = batch_of(), random_cloud(50, seed=7), views(3)
     one = batch.render(CAMERA, poses, "a", tails=tail).numpy()
@@ -115,7 +106,7 @@ def test_one_tail_for_all_views() -> None:
     assert none.rgb.tobytes() == batch.render(CAMERA, poses, "a").numpy().rgb.tobytes()
 
 
-@quick
+@either
 def test_another_hash_shows_at_once() -> None:
     batch, poses = batch_of(), views(1)
     before = batch.render(CAMERA, poses, "a").numpy().rgb
@@ -130,7 +121,7 @@ def test_another_hash_shows_at_once() -> None:
         batch.render(CAMERA, poses, "a")
 
 
-@quick
+@either
 def test_outputs_and_options() -> None:
     batch = batch_of(options=RenderOptions(rgb_float=True, background=(1, 0, 0)))
     away = view_from_pose(9, 0, 0, 0)
@@ -143,7 +134,7 @@ def test_outputs_and_options() -> None:
     assert batch.render(CAMERA, np.empty((0, 4, 4)), []).numpy().rgb.shape == (0, 30, 40, 3)
 
 
-@quick
+@either
 @pytest.mark.parametrize(
     ("named", "match"),
     [

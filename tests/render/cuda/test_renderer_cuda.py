@@ -21,6 +21,7 @@ from gn0.testing.check_renderer import check_renderer, psnr, random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 
+either = pytest.mark.usefixtures("either_drawer")
 CAMERA = Camera.from_hfov(50, 37, 90)
 VIEWS = np.stack([view_from_pose(-4, 0, 0.2, 0), view_from_pose(3, 3, 0.5, -2.3)])
 
@@ -42,17 +43,12 @@ def agrees(got: RenderResult, want: RenderResult, least: float = 55) -> None:
             assert np.percentile(off, 99) <= 1e-3
 
 
-@pytest.mark.usefixtures("with_cpu_drawer")
-def test_what_surrounds_the_kernels_keeps_the_contract() -> None:
-    check_renderer(factory)
-
-
-@pytest.mark.slow
+@either
 def test_the_contract_of_renderers_holds() -> None:
     check_renderer(factory)
 
 
-@pytest.mark.usefixtures("with_cpu_drawer")
+@either
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_options_and_degrees_agree_with_the_cpu(degree: int, antialiased: bool) -> None:
@@ -69,7 +65,7 @@ def test_options_and_degrees_agree_with_the_cpu(degree: int, antialiased: bool) 
         agrees(got, want)
 
 
-@pytest.mark.usefixtures("with_cpu_drawer")
+@either
 def test_pictures_can_stay_on_the_device() -> None:
     renderer = factory(random_cloud(300, seed=1))
     there = renderer.render_device(CAMERA, VIEWS, outputs=("rgb", "depth"))
@@ -82,7 +78,7 @@ def test_pictures_can_stay_on_the_device() -> None:
     assert there.depth.numpy().tobytes() == here.depth.tobytes()
 
 
-@pytest.mark.usefixtures("with_cpu_drawer")
+@either
 def test_nothing_to_draw_is_no_error() -> None:
     """Zero views, zero splats, a tail of none, everything behind the camera."""
     cloud, nothing = random_cloud(100, seed=1), random_cloud(0, seed=1)
@@ -95,7 +91,7 @@ def test_nothing_to_draw_is_no_error() -> None:
     assert factory(nothing).render(CAMERA, VIEWS, extra=cloud).alpha.any()
 
 
-@pytest.mark.usefixtures("with_cpu_drawer")
+@either
 def test_refusals_are_the_cpus() -> None:
     """The same errors in the same words."""
     cloud = random_cloud(20, seed=1)
@@ -143,7 +139,7 @@ def test_without_a_card_it_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
         build_renderer(random_cloud(10, seed=1), "cuda")
 
 
-@pytest.mark.usefixtures("with_cpu_drawer")
+@either
 def test_map_pictures_of_two_backends_are_kept_apart(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("GN0_CACHE", str(tmp_path))
     cloud = random_cloud(200, seed=1)

@@ -13,9 +13,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from gn0.bench import looks
 from gn0.bench.looks import LOADER
 from gn0.bench.suite import Suite, save_suite
-from gn0.data import cache, drawing, part
+from gn0.data import cache, part
 from gn0.data.build import build_dataset
 from gn0.data.dataset import load_dataset_file, open_dataset
 from gn0.data.draw import look_ahead
@@ -30,9 +31,10 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
 
 PROGRAM = """
 import sys
-from gn0.data import build, drawing
-from gn0.data.settings import BuildSettings, PictureSettings
-drawing.SHARED = frozenset({"cpu"})
+from gn0.bench import looks
+from gn0.data import build
+from gn0.data.settings import BuildSettings
+looks.SHARED = frozenset({"cpu"})
 build.build_dataset(sys.argv[1], sys.argv[2], BuildSettings(chunk=1), workers=2)
 """
 
@@ -40,7 +42,7 @@ build.build_dataset(sys.argv[1], sys.argv[2], BuildSettings(chunk=1), workers=2)
 @pytest.fixture
 def served(monkeypatch: pytest.MonkeyPatch) -> None:
     """Datasets of the CPU backend are drawn by one process as well."""
-    monkeypatch.setattr(drawing, "SHARED", frozenset({"cpu", "cuda"}))
+    monkeypatch.setattr(looks, "SHARED", frozenset({"cpu", "cuda"}))
 
 
 @pytest.fixture(scope="session")

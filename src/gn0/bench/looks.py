@@ -1,7 +1,9 @@
-"""How a process that only draws finds the splats of a scene in its light."""
+"""Who draws what a policy sees, and how a process that only draws finds the splats."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +11,14 @@ import msgspec
 
 from gn0.bench.suite import load_suite_scene
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.plugins import get_plugin
 from gn0.render.light import LightCondition, relight_cloud
+from gn0.render.renderer import choose_backend
+from gn0.render.share.client import DrawServer
+from gn0.sim.sensors import EYES, MAPS
 
 LOADER = f"{__name__}:load_look"  # for `gn0.render.share.client.DrawServer`
+SHARED: frozenset[str] = frozenset({"cuda"})  # backends that one process draws with for all
 
 
 class Look(msgspec.Struct, frozen=True):
@@ -52,3 +59,40 @@ def load_look(source: dict[str, Any]) -> GaussianCloud:
     look = msgspec.convert(source, Look)
     cloud = load_suite_scene(Path(look.folder), look.scene, look.hash).gaussians
     return cloud if look.light is None else relight_cloud(cloud, look.light)
+
+
+def needs_renderer(sensors: Iterable[str], map_mode: str) -> bool:
+    """Whether anything must be drawn for these sensors."""
+    names = frozenset(sensors)
+    return bool(names & (EYES | {"bev"}) or (map_mode == "explored" and names & MAPS))
+
+
+def choose_run_backend(backend: str, policy: str, map_mode: str) -> str:
+    """The renderer of a run, for its record and its identity.
+
+    A policy that sees no pictures has the same results with any: its runs are "auto", as they are
+    on a machine without a GPU. So are those that "auto" lets the CPU draw.
+
+    Raises:
+        ConfigError: no such policy, or no such backend.
+    """
+    sensors = getattr(get_plugin("policy", policy), "sensors", None)
+    if isinstance(sensors, frozenset) and not needs_renderer(sensors, map_mode):
+        return "auto" if backend == "cuda" else backend
+    if backend == "auto" and choose_backend("auto")[0] == "cuda":
+        return "cuda"
+    return backend
+
+
+@contextlib.contextmanager
+def open_run_drawing(backend: str, executor: str) -> Iterator[DrawServer | None]:
+    """The process that draws for all workers of a run on this machine's GPU; else None.
+
+    Raises:
+        DeviceError: the GPU cannot be used; says why.
+    """
+    if backend not in SHARED or executor != "process":
+        yield None
+        return
+    with DrawServer(backend, LOADER) as server:
+        yield server

@@ -68,6 +68,9 @@ VISIBLE_WORDS = (
 )
 
 
+CUDA_WORDS = "drawn by the CUDA renderer: the CPU renderer's pictures up to rounding"
+
+
 def protocol_card(
     suite: Suite, card: PolicyCard, code: str, backend: str = "auto"
 ) -> tuple[tuple[str, str], ...]:
@@ -95,6 +98,7 @@ def protocol_card(
             f"pitch {preset.pitch_degrees:g}°",
         ),
         *((("pictures", VISIBLE_WORDS),) if backend == VISIBLE else ()),
+        *((("pictures", CUDA_WORDS),) if backend == "cuda" else ()),
         ("agent", f"disc of radius {agent.radius:g} m"),
         (
             "actions",

@@ -22,6 +22,7 @@ from typing import IO, Any
 import msgspec
 
 from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers
+from gn0.bench.looks import choose_run_backend, open_run_drawing
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
 from gn0.bench.pools import open_pool
 from gn0.bench.protocol import code_version, config_hash, protocol_card
@@ -91,7 +92,8 @@ def run_suite(
         policy_options: keyword arguments of the policy.
         max_episodes: only the first so many, by id.
         plugin_modules: modules to import first, here and in every worker.
-        backend: renderer backend.
+        backend: renderer backend: "auto", "cpu", "cuda" or one with visible sets. With "cuda" one
+            process draws for all workers of this machine, and the run says on which card.
         executor: where the workers live, see `gn0.bench.executors`; changes no result.
         ray_address: a Ray cluster to join; by default one of this machine alone is started.
 
@@ -113,6 +115,7 @@ def run_suite(
     out = Path(out)
     check_room(out, len(episodes))
     options = dict(policy_options or {})
+    backend = choose_run_backend(backend, policy_name, suite.map_mode)
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
     with _lock(out):
         _sweep(out)
@@ -134,9 +137,12 @@ def run_suite(
         try:
             if run.left:
                 _check_scenes(suite, run.left, progress)
-                with open_pool(executor, settings, workers, ray_address=ray_address) as pool:
-                    run.begin_session(workers, executor)
-                    run.drive(pool, Schedule(run.left, shuffle_seed))
+                with open_run_drawing(backend, executor) as server:
+                    address, card = ("", "") if server is None else (server.address, server.card)
+                    told = msgspec.structs.replace(settings, drawing=address)
+                    with open_pool(executor, told, workers, ray_address=ray_address) as pool:
+                        run.begin_session(workers, executor, card)
+                        run.drive(pool, Schedule(run.left, shuffle_seed))
             return run.finish(settings)
         finally:
             with contextlib.suppress(OSError):
@@ -349,9 +355,9 @@ class _Run:
         """Episodes without a line in the journal."""
         return [e for e in self.episodes.values() if e.id not in self.results]
 
-    def begin_session(self, workers: int, executor: str) -> None:
-        """Note who runs this, when and where."""
-        about = {
+    def begin_session(self, workers: int, executor: str, card: str = "") -> None:
+        """Note who runs this, when and where, and on which card pictures are drawn."""
+        about: dict[str, Any] = {
             "begun": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "host": platform.node(),
             "workers": workers,
@@ -359,6 +365,8 @@ class _Run:
             "python": platform.python_version(),
             "platform": platform.platform(),
         }
+        if card:
+            about["card"] = card
         self.sessions.append(about)
         self.journal.append({"type": "session", "about": about})
 
@@ -460,9 +468,9 @@ class _Run:
         elif isinstance(message, Broke):
             if message.fatal:
                 raise BenchError(
-                    f"episode {message.episode!r} cannot be opened: {message.what}",
+                    f"episode {message.episode!r} cannot be run: {message.what}",
                     where=self.out,
-                    remedy="mend the named file; the same command then goes on",
+                    remedy="mend what is named; the same command then goes on",
                 )
             pool.end(worker)  # a policy that broke is not trusted with another episode
             self.journal.append({"type": "broke", "episode": message.episode, "why": message.what})
@@ -545,6 +553,7 @@ class _Run:
 def describe_settings(settings: Open) -> dict[str, Any]:
     """Settings as they are kept beside results; what looks like a secret is not."""
     known: dict[str, Any] = msgspec.to_builtins(settings)
+    known.pop("drawing")
     known["options"] = {
         name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
         for name, value in known["options"].items()

@@ -19,18 +19,20 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from gn0.bench.looks import Look, needs_renderer
 from gn0.bench.messages import Begun, Broke, Done, Lease, Open, Ready, Refused, ToWorker
 from gn0.bench.metrics import compute_metrics
 from gn0.bench.profiles import RELEASE
 from gn0.bench.release import PolicyUnderRelease, score_release
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard
 from gn0.bench.suite import load_suite_scene
-from gn0.errors import ConfigError, EpisodeError, Gn0Error, PlanError
+from gn0.errors import ConfigError, DeviceError, EpisodeError, Gn0Error, PlanError
 from gn0.jobs.child import open_channel
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.release import ReleaseNavigation
 from gn0.missions.episode import mission_name
 from gn0.plugins import get_plugin
+from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged
 from gn0.sim.rollout import run_episode
@@ -40,6 +42,7 @@ from gn0.sim.simulator import Simulator
 if TYPE_CHECKING:
     from gn0.missions.episode import Episode
     from gn0.render.light import LightCondition
+    from gn0.render.renderer import Renderer
     from gn0.scenes.scene import Scene
     from gn0.sim.state import Trajectory
 
@@ -62,6 +65,7 @@ class EpisodeWorker:
         self._hash = ""
         self._light: LightCondition | None = None
         self._scene: Scene | None = None
+        self._connection: DrawConnection | None = None
 
     @property
     def card(self) -> PolicyCard:
@@ -107,10 +111,21 @@ class EpisodeWorker:
                 map_mode=s.map_mode,
                 navigation=self._release,
                 light=light,
+                renderer=self._ask_for(Look(str(folder), scene_id, expected_hash, light)),
             )
             self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
             self._hash, self._light = expected_hash, light
         return self._simulator
+
+    def _ask_for(self, look: Look) -> Renderer | None:
+        """A renderer that asks the process that draws, where there is one and it is needed."""
+        if not self.settings.drawing or not needs_renderer(
+            self.policy.sensors, self.settings.map_mode
+        ):
+            return None
+        if self._connection is None:
+            self._connection = DrawConnection(self.settings.drawing)
+        return RendererShared(self._connection, self.settings.backend, look.key, look.source)
 
     def run(self, simulator: Simulator, episode: Episode) -> tuple[EpisodeResult, EpisodeTrace]:
         """Run and score one episode.
@@ -261,7 +276,9 @@ def _serve(worker: EpisodeWorker, lease: Lease, send: Any) -> None:
         result, trace_ = worker.run(simulator, episode)
     except Exception as error:
         trace = traceback.format_exc()
-        send(Broke(episode=episode.id, what=describe_error(error), traceback=trace))
+        lost = isinstance(error, DeviceError)  # every other episode would meet it too
+        text = str(error) if lost else describe_error(error)
+        send(Broke(episode=episode.id, what=text, traceback=trace, fatal=lost))
         return
     steps = result.metrics.steps if result.metrics else 0
     send(Done(result=result, trace=trace_, seconds=time.perf_counter() - begin, steps=steps))

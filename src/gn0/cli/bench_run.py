@@ -46,6 +46,8 @@ class Args(Config, frozen=True):
         episodes: run only the first so many; 0 means all.
         visible_sets: draw pictures from the splats that show near each place: quicker, nearly the
             same pictures. Off for scored runs; part of the run's identity and protocol card.
+        backend: what draws pictures, where the policy sees any: cpu, cuda, or the best that is
+            here (auto); part of the run's identity.
         time_limit: seconds an episode may take before it counts as failed.
         fresh: forget an earlier run in the output folder instead of resuming it.
         no_report: do not write report.html.
@@ -64,6 +66,7 @@ class Args(Config, frozen=True):
     profile: Literal["", "default", "paper", "gn0-release"] = ""
     episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
     visible_sets: bool = False
+    backend: Literal["auto", "cpu", "cuda"] = "auto"
     time_limit: Annotated[float, msgspec.Meta(gt=0)] = 300.0
     fresh: bool = False
     no_report: bool = False
@@ -95,7 +98,7 @@ def run(args: Args) -> int:
             max_episodes=args.episodes or None,
             plugin_modules=args.plugin,
             policy_options=read_options(args.policy_option),
-            backend=VISIBLE if args.visible_sets else "auto",
+            backend=VISIBLE if args.visible_sets else args.backend,
             progress=progress,
             executor=args.executor,
             ray_address=args.ray_address,

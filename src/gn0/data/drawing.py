@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from gn0.bench.looks import LOADER
+from gn0.bench import looks
 from gn0.data.dataset import DATASET_FILE, load_dataset_file
 from gn0.data.settings import Backend, PictureSettings
 from gn0.errors import ConfigError, DataError, Gn0Error
@@ -17,7 +17,6 @@ from gn0.jobs.process import count_cores
 from gn0.render.renderer import choose_backend
 from gn0.render.share.client import DrawServer
 
-SHARED: frozenset[str] = frozenset({"cuda"})  # backends that one process draws with for all
 MOST_WORKERS = 64
 
 
@@ -54,7 +53,7 @@ def count_workers(workers: int, settings: PictureSettings) -> int:
     """Workers to start: as asked for; 0 means one, or a core each where a GPU draws for them."""
     if workers:
         return workers
-    if settings.layout == "none" or settings.drawn_by not in SHARED:
+    if settings.layout == "none" or settings.drawn_by not in looks.SHARED:
         return 1
     return max(1, min(count_cores(), MOST_WORKERS))
 
@@ -103,7 +102,7 @@ def open_drawing(
         ConfigError: the workers are on other machines.
         DataError: the backend is not here.
     """
-    if settings.layout == "none" or settings.drawn_by not in SHARED:
+    if settings.layout == "none" or settings.drawn_by not in looks.SHARED:
         yield None
         return
     if executor != "process":
@@ -113,7 +112,7 @@ def open_drawing(
             remedy="use --executor process on each GPU machine, or --backend cpu",
         )
     try:
-        server = DrawServer(settings.drawn_by, LOADER, batch, note).__enter__()
+        server = DrawServer(settings.drawn_by, looks.LOADER, batch, note).__enter__()
     except Gn0Error as error:
         raise DataError(
             f"pictures are to be drawn by backend {settings.drawn_by!r}, which does not run here: "

@@ -86,7 +86,7 @@ def open_batch(backend: str) -> tuple[BatchRenderer, str]:
     from gn0.device.open import open_device
     from gn0.render.cuda.batch import RendererBatch
 
-    device = open_device(os.environ.get("GN0_DEVICE") or "auto")
+    device = open_device("auto")
     batch = RendererBatch(device)
     return batch, device.name
 

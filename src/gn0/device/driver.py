@@ -257,7 +257,7 @@ class DeviceCuda:
 
         But a pinned array is read while later work runs: change it after a `synchronize`.
         """
-        source = np.ascontiguousarray(array)
+        source = np.asarray(array, order="C")
         target = self.empty(source.shape, source.dtype) if out is None else out
         check_copy(source, target)
         address, size = source.ctypes.data, source.nbytes

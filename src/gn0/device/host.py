@@ -174,7 +174,7 @@ class DeviceHost:
 
     def upload(self, array: NDArray[Any], out: DeviceArray | None = None) -> DeviceArray:
         """A device copy of a NumPy array."""
-        source = np.ascontiguousarray(array)
+        source = np.asarray(array, order="C")
         target = self.empty(source.shape, source.dtype) if out is None else out
         check_copy(source, target)
         if self._recording and not is_pinned(source):
@@ -204,15 +204,24 @@ class DeviceHost:
         return self._loaded[source.digest]
 
     def _load(self, source: KernelSource) -> dict[str, KernelHost]:
+        library = ctypes.CDLL(str(self.build(source)))
+        library.gn0_message.restype = ctypes.c_char_p
+        found = parse_prototypes(source.text)
+        return {name: KernelHost(self, name, library, types) for name, types in found.items()}
+
+    def build(self, source: KernelSource) -> Path:
+        """The library of a source's kernels in the cache folder, made if need be.
+
+        Raises:
+            DeviceError: the source does not compile.
+        """
         found = parse_prototypes(source.text)
         text = f'#include "{_SHIM}"\n{source.text}\n{_wrappers(found)}'
         key = content_hash(text, _SHIM.read_text(), *_FLAGS)
         path = cache_dir() / "emulation" / f"{source.name}-{key[:24]}.so"
         if not path.exists():
             self._compile(source.name, text, path)
-        library = ctypes.CDLL(str(path))
-        library.gn0_message.restype = ctypes.c_char_p
-        return {name: KernelHost(self, name, library, types) for name, types in found.items()}
+        return path
 
     def _compile(self, name: str, text: str, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -340,8 +349,8 @@ def _wrappers(found: Mapping[str, list[str]]) -> str:
     lines = ['extern "C" const char *gn0_message() { return gn0::message; }']
     for name, types in found.items():
         given = ", ".join(f"*({kind} *)p[{i}]" for i, kind in enumerate(types))
-        sizes = ", ".join(f"sizeof({kind})" for kind in types)
-        lines.append(f'extern "C" const size_t gn0_sizes_{name}[] = {{{sizes or 0}}};')
+        sizes = "".join(f"sizeof({kind}), " for kind in types)
+        lines.append(f'extern "C" const size_t gn0_sizes_{name}[] = {{{sizes}0}};')
         lines.append(
             f'extern "C" int gn0_run_{name}(const unsigned *grid, const unsigned *block, '
             f"size_t shared, uint64_t seed, void **p) {{ return gn0::run(grid, block, shared, "

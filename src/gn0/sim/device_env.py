@@ -12,7 +12,7 @@ what was queued before, and so are the results.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -228,11 +228,39 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                 the device are checked there, see `strict`.
             EpisodeError: an episode among those drawn does not fit its scene.
         """
-        return self._step(actions, None, None)
+        self._advance(actions, None, None)
+        final = self._final()
+        rewards, terminated, truncated = (
+            self.simulator.outputs[name] for name in ("rewards", "terminated", "truncated")
+        )
+        return self._observe(), rewards, terminated, truncated, self._infos() | final
 
-    def _step(
-        self, actions: Any, into: dict[str, DeviceArray] | None, codes: DeviceArray | None
-    ) -> tuple[Observations, DeviceArray, DeviceArray, DeviceArray, dict[str, Any]]:
+    def step_into(
+        self, actions: Any, codes: DeviceArray, into: Mapping[str, DeviceArray]
+    ) -> Observations:
+        """`step`, with results where the caller wants them; see `RolloutCollector`.
+
+        Args:
+            actions: as for `step`.
+            codes: uint8 [N], where the actions are kept.
+            into: outputs by name (`gn0.sim.device_layout.OUTPUT_FIELDS`), in place of our own.
+        """
+        self._advance(actions, codes, into)
+        return self._observe()
+
+    def observe(self) -> Observations:
+        """What was last observed.
+
+        Raises:
+            ResetNeeded: the environment was never reset.
+        """
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        return dict(self._seen)
+
+    def _advance(
+        self, actions: Any, codes: DeviceArray | None, into: Mapping[str, DeviceArray] | None
+    ) -> None:
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         simulator = self.simulator
@@ -243,12 +271,6 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         simulator.step(codes, into)
         if self.strict and not isinstance(actions, np.ndarray | list):
             simulator.catch_up()
-        final = self._final()
-        outputs = simulator.outputs | (into or {})
-        rewards, terminated, truncated = (
-            outputs[name] for name in ("rewards", "terminated", "truncated")
-        )
-        return self._observe(), rewards, terminated, truncated, self._infos() | final
 
     def synchronize(self) -> None:
         """Wait until all steps are done.

@@ -6,7 +6,8 @@ Importing this module, or `gn0.register_envs()`, registers the ids:
 * `gn0/MapNav-v1`: colour, history mosaic, BEV and occupancy picture, as map-based agents have them;
 * `gn0/PointNav-v1`: goal vector and range ring, no pictures: tens of thousands of steps a second.
 
-An id's version is raised whenever its numbers change.
+An id's version is raised whenever its numbers change. `gymnasium.make_vec("gn0/PointNavDevice-v1")`
+and its like are the same environments on a GPU, see `gn0.sim.device_env`.
 
 Reward of a step, all distances geodesic [m]:
     (distance before − distance after) − 0.01 + 2.5 · [STOP and distance after < success_distance]
@@ -304,6 +305,11 @@ def register_envs() -> None:
                 id=name,
                 entry_point="gn0.sim.env:GoalNavEnv",
                 vector_entry_point="gn0.sim.vector:VectorEnv",
+                kwargs=settings,
+            )
+            gymnasium.register(  # many at once on a GPU: tensors in, tensors out
+                id=name.replace("-v", "Device-v"),
+                vector_entry_point="gn0.sim.device_env:VectorEnvDevice",
                 kwargs=settings,
             )
 

@@ -49,8 +49,11 @@ def _types(parameters: str) -> list[str]:
 
 def size3(size: int | tuple[int, ...]) -> tuple[int, int, int]:
     """A grid or block size with all three numbers."""
-    given = (size,) if isinstance(size, int | np.integer) else tuple(size)
-    x, y, z = (*map(int, given), 1, 1)[:3]
+    if isinstance(size, int | np.integer):
+        return int(size), 1, 1
+    if len(size) == 2:
+        return int(size[0]), int(size[1]), 1
+    x, y, z = (*map(int, size), 1, 1)[:3]
     return x, y, z
 
 

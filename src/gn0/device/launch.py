@@ -12,6 +12,7 @@ import numpy as np
 
 from gn0.device.arguments import (
     SCALARS,
+    THREADS_MAX,
     check_argument,
     check_count,
     check_sizes,
@@ -86,16 +87,29 @@ class KernelCuda:
             device.check_lost()
         blocks = (grid, 1, 1) if grid.__class__ is int else size3(grid)
         threads = (block, 1, 1) if block.__class__ is int else size3(block)
-        check_sizes(self.name, blocks, threads)
+        x, y, z = blocks
+        if not (
+            0 < threads[0] * threads[1] * threads[2] <= THREADS_MAX
+            and 0 <= x < 2**31
+            and 0 <= y < 65536
+            and 0 <= z < 65536
+        ):
+            check_sizes(self.name, blocks, threads)
         if len(args) != len(self._classes):
             check_count(self.name, len(args), len(self._classes))
-        values = [
-            (value.pointer if kind is DeviceArray else value.item())
-            if value.__class__ is kind
-            else self._value(i, value)
-            for i, (value, kind) in enumerate(zip(args, self._classes, strict=True))
-        ]
-        if not (blocks[0] and blocks[1] and blocks[2]):
+        values: list[Any] = []
+        for value, kind in zip(args, self._classes, strict=True):
+            if value.__class__ is not kind:
+                values.append(self._value(len(values), value))
+            elif kind is DeviceArray:
+                values.append(value.pointer)
+            elif kind is np.void:
+                if value.itemsize != self._sizes[len(values)]:
+                    self._value(len(values), value)
+                values.append(value.tobytes())
+            else:
+                values.append(value.item())
+        if not (x and y and z):
             return
         if shared > self._shared:
             self._allow(shared)
@@ -107,7 +121,7 @@ class KernelCuda:
                 self._packer = self._prepare(args)
             self._packer.pack_into(self._buffer, 0, *values)
             code = device.in_context(
-                self._launch, self._function, *blocks, *threads, shared, device.stream,
+                self._launch, self._function, x, y, z, *threads, shared, device.stream,
                 self._pointers, None,
             )  # fmt: skip
         if code:
@@ -166,7 +180,7 @@ class KernelCuda:
 
     def resources(self) -> Resources:
         """What the kernel takes on this card, as it was compiled."""
-        values = []
+        values: list[Any] = []
         for number in (_REGISTERS, _LOCAL, _SHARED, _THREADS):
             value = ctypes.c_int()
             self._device.call("cuFuncGetAttribute", ctypes.byref(value), number, self._function)
@@ -185,7 +199,7 @@ class KernelCuda:
         return count.value
 
 
-def _class_of(kind: str) -> type | None:
+def _class_of(kind: str) -> type:
     if kind.endswith("*"):
         return DeviceArray
-    return np.dtype(SCALARS[kind]).type if kind in SCALARS else None
+    return np.dtype(SCALARS[kind]).type if kind in SCALARS else np.void

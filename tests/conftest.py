@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from pathlib import Path
@@ -10,6 +11,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# a shell starts background jobs deaf to Ctrl-C, and their children inherit it: tests that send it
+# to a process of theirs mean it
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def data_folder() -> Path | None:
@@ -72,7 +78,9 @@ class Clock:
                     self._say(f"{nodeid} has been running for {now - since:.0f} s")
 
     def _say(self, text: str) -> None:
-        self._config.get_terminal_writer().line(f"\n[{time.monotonic() - self._begun:.0f} s] {text}")
+        self._config.get_terminal_writer().line(
+            f"\n[{time.monotonic() - self._begun:.0f} s] {text}"
+        )
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -81,7 +81,7 @@ def run(args: Args) -> int:
     from gn0.bench.suite import open_suite
     from gn0.cli.console import draw_progress
     from gn0.cli.tables import print_summaries
-    from gn0.render.renderer import VISIBLE
+    from gn0.render.renderer import visible_backend
 
     out = Path(args.out)
     with draw_progress() as progress:
@@ -98,7 +98,7 @@ def run(args: Args) -> int:
             max_episodes=args.episodes or None,
             plugin_modules=args.plugin,
             policy_options=read_options(args.policy_option),
-            backend=VISIBLE if args.visible_sets else args.backend,
+            backend=visible_backend(args.backend) if args.visible_sets else args.backend,
             progress=progress,
             executor=args.executor,
             ray_address=args.ray_address,

@@ -8,7 +8,7 @@ cells. Sets are kept in the cache folder. Stopped, it goes on where it was.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import tyro
@@ -26,21 +26,22 @@ class Args(Config, frozen=True):
         folder: a scene folder.
         camera: the camera preset whose body and eye height count.
         cells: find only the first so many; 0 means all.
+        backend: who looks; each backend has sets of its own. auto: the best that is here.
     """
 
     folder: Annotated[str, tyro.conf.Positional]
     camera: str = "gn_bench"
     cells: Annotated[int, msgspec.Meta(ge=0)] = 0
+    backend: Literal["auto", "cpu", "cuda"] = "auto"
 
 
 def run(args: Args) -> int:
     """Find the sets and say how large they are."""
-    from itertools import islice
+    import time
 
     from gn0.cli.console import draw_progress
     from gn0.maps.navigation import NavigationMap
-    from gn0.render.renderer import build_renderer, limit_to_visible
-    from gn0.render.visible import RendererVisible
+    from gn0.render.renderer import build_renderer, choose_backend, limit_to_visible
     from gn0.scenes.folder import load_scene
     from gn0.sim.presets import find_preset
 
@@ -48,16 +49,22 @@ def run(args: Args) -> int:
     with draw_progress() as progress:
         progress("reading the scene", 0, 0)
         scene = load_scene(Path(args.folder))
+        name, _ = choose_backend(args.backend)
         renderer = limit_to_visible(
-            build_renderer(scene.gaussians, "cpu"),
+            build_renderer(scene.gaussians, name),
             scene.cloud_hash or scene.gaussians.content_hash,
             NavigationMap(scene.grid, body.radius).inflated,
             body.camera_height,
         )
-        assert isinstance(renderer, RendererVisible)
-        done = list(islice(renderer.build(progress), args.cells or None))
-    sizes = [renderer.open(cell).size for cell in done[:: max(len(done) // 16, 1)]]
-    print(f"{len(done)} of {len(renderer.cells)} cells, {renderer.built} found now, others kept")
+        start = time.perf_counter()
+        done = list(renderer.build(progress, most=args.cells or None))
+        took = time.perf_counter() - start
+    built = renderer.built
+    sizes = [renderer.size_of(cell) for cell in done[:: max(len(done) // 16, 1)]]
+    print(
+        f"{len(done)} of {len(renderer.cells)} cells, {built} found now by {renderer.name} "
+        f"in {took:.1f} s, others kept"
+    )
     if sizes:
         share = sum(sizes) / len(sizes) / max(len(scene.gaussians), 1)
         print(f"a set holds {share:.0%} of the scene's {len(scene.gaussians)} splats, on average")

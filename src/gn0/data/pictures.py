@@ -16,7 +16,7 @@ from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.light import LightCondition
-from gn0.render.renderer import VISIBLE, Renderer
+from gn0.render.renderer import Renderer, visible_backend
 from gn0.scenes.scene import Scene
 from gn0.sim.history import History
 from gn0.sim.open import open_simulator
@@ -56,7 +56,7 @@ def build_eyes(
     return open_simulator(
         scene,
         preset,
-        VISIBLE if visible_sets else backend,
+        visible_backend(backend) if visible_sets else backend,
         SENSORS,
         agent,
         navigation=navigation,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,10 @@ from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.plugins import get_plugin
 from gn0.render.camera import Camera
+
+if TYPE_CHECKING:
+    from gn0.render.cuda.visible import RendererVisibleCuda
+    from gn0.render.visible import RendererVisible
 
 ALPHA_CAP = 0.99  # gsplat main and the original 3DGS; gsplat 1.5.3 caps at 0.999
 ALPHA_MIN = 1.0 / 255.0
@@ -167,7 +171,7 @@ def build_renderer(
 
 def limit_to_visible(
     renderer: Renderer, cloud_hash: str, floor: OccupancyGrid, eye_height: float
-) -> Renderer:
+) -> RendererVisible | RendererVisibleCuda:
     """A renderer that draws from visible sets; see `gn0.render.visible.RendererVisible`.
 
     Args:

@@ -156,8 +156,18 @@ class RendererVisible:
             self._held -= self._sets.popitem(last=False)[1].nbytes
         return found
 
-    def build(self, progress: Progress = no_progress) -> Iterator[tuple[int, int]]:
-        """Find the sets of all cells that the cache does not hold yet, one a step.
+    def size_of(self, cell: tuple[int, int]) -> int:
+        """Splats of a cell's set.
+
+        Raises:
+            RenderError: the cell has no free place.
+        """
+        return self.open(cell).size
+
+    def build(
+        self, progress: Progress = no_progress, *, most: int | None = None
+    ) -> Iterator[tuple[int, int]]:
+        """Find the sets of all cells (or the first `most`) that the cache does not hold yet.
 
         Raises:
             RenderError: there is no cache to keep them in.
@@ -165,7 +175,7 @@ class RendererVisible:
         """
         if self.files is None:
             raise RenderError("visible sets need the cache", remedy="leave cache=True")
-        cells = self.cells
+        cells = self.cells[:most]
         for done, cell in enumerate(cells):
             progress("visible sets", done, len(cells))
             if self.files.load(cell) is None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from gn0.errors import ConfigError, EpisodeError
 from gn0.geometry import U8
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.render.renderer import VISIBLE
+from gn0.render.renderer import visible_backend
 from gn0.scenes.scene import Scene
 from gn0.sim.batch import FIELD_MEMORY, SimulatorBatch
 from gn0.sim.batch_eyes import Snapshot
@@ -115,7 +115,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         )
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset)
-        self._backend = VISIBLE if visible_sets else backend
+        self._backend = visible_backend(backend) if visible_sets else backend
         self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
         self.batch = SimulatorBatch(
             num_envs,

@@ -23,7 +23,7 @@ class RendererCuda:
     Args:
         cloud: what to draw.
         options: image formation; `threads` means nothing here.
-        device: draws; the card that `open_device()` gives when None.
+        device: draws; what `open_device()` gives when None.
     """
 
     name = "cuda"
@@ -44,7 +44,7 @@ class RendererCuda:
         if device is None:
             from gn0.device.open import open_device  # looks for a driver: not at import
 
-            device = open_device("cuda")
+            device = open_device()
         self.device = device
         self.options = options or RenderOptions()
         self.size = len(cloud)

@@ -1,0 +1,224 @@
+"""Pictures of agents on a device are those of VectorEnv; on the host emulation of a GPU."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from PIL import Image
+
+from gn0.device.host import DeviceHost
+from gn0.errors import ConfigError, SimError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import GoalPicture, MissionGoal
+from gn0.render.cpu import RendererCpu
+from gn0.render.light import LightCondition
+from gn0.render.renderer import RenderResult
+from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.device_eyes import box_weights
+from gn0.sim.device_layout import SOURCE, blocks_of
+from gn0.sim.history import reduce_picture
+from gn0.sim.vector import VectorEnv
+from gn0.testing.scenes import build_point_episodes, build_room_scene
+
+pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+ALL = ("rgb", "depth", "bev", "occupancy", "history", "goal_picture", "goal_vector")
+
+
+class PicturesUploaded:
+    """Pictures that a CPU drew, on the device."""
+
+    def __init__(self, device, result: RenderResult) -> None:
+        self._result = result
+        for name in ("rgb", "depth", "alpha"):
+            value = getattr(result, name)
+            setattr(self, name, None if value is None else device.upload(value))
+
+    def numpy(self) -> RenderResult:
+        return self._result
+
+
+class RendererBatchCpu:
+    """The contract of a batch renderer, kept by the CPU."""
+
+    name = "cpu"
+
+    def __init__(self, device) -> None:
+        self.device = device
+        self.load, self.renderers, self.calls = {}, {}, []
+
+    def add(self, key, load, digest="") -> None:
+        self.load[key] = load
+
+    def render(self, camera, views, keys, *, outputs, background=None, visible=None):
+        views = np.asarray(views)
+        names = [keys] * len(views) if isinstance(keys, str) else keys
+        assert len(names) == len(views)
+        self.calls.append((len(views), sorted(set(names)), visible))
+        parts = []
+        for name in names:
+            if name not in self.renderers:
+                self.renderers[name] = RendererCpu(self.load[name]())
+        for name, view in zip(names, views, strict=True):
+            parts.append(
+                self.renderers[name].render(
+                    camera, view[None], outputs=outputs, background=background
+                )
+            )
+        return PicturesUploaded(
+            self.device,
+            RenderResult(
+                *(
+                    None if getattr(parts[0], n) is None
+                    else np.concatenate([getattr(p, n) for p in parts])
+                    for n in ("rgb", "depth", "alpha")
+                )
+            ),
+        )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    """Two flats and their episodes."""
+    scene = build_room_scene()
+    scenes = [scene, replace(scene, id="second flat")]
+    episodes = [
+        episode
+        for scene in scenes
+        for episode in build_point_episodes(scene, NavigationMap(scene.grid, 0.2), 3, seed=5)
+    ]
+    dim = LightCondition(name="dusk", exposure=-1.5)
+    record = GoalPicture(kind="crop", eye=(6.0, 2.5, 1.3), yaw=-1.4, pitch=-0.3, hfov=40.0)
+    mission = MissionGoal(
+        goal=episodes[1].goal, object_id="sofa", category="sofa", instruction="Go.", picture=record
+    )
+    return scenes, [
+        msgspec.structs.replace(episodes[0], id="dim", light=dim),
+        msgspec.structs.replace(episodes[1], id="recorded", mission=mission),
+        *episodes[2:5],
+    ]
+
+
+def test_everything_that_agents_see(rooms, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+    scenes, episodes = rooms
+    settings = {"sensors": ALL, "episodes": episodes, "max_steps": 19, "preset": "vlnce"}
+    device = DeviceHost(2)
+    renderer = RendererBatchCpu(device)
+    env = VectorEnvDevice(3, scenes, device=device, renderer=renderer, **settings,
+                          final_pictures=True)  # fmt: skip
+    twin = VectorEnv(3, scenes, backend="cpu", **settings)
+    mine, theirs = env.reset(seed=3)[0], twin.reset(seed=3)[0]
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(23):
+        for name in ALL:
+            assert mine[name].shape == theirs[name].shape
+            np.testing.assert_array_equal(mine[name].numpy(), theirs[name], err_msg=name)
+            assert mine[name].shape == env.observation_space[name].shape
+        actions = rng.choice(4, 3, p=[0.02, 0.52, 0.23, 0.23])
+        mine, _, _, _, told = env.step(actions)
+        theirs, _, _, _, infos = twin.step(actions)
+        agents = told["final_obs"]["agents"]
+        ends += len(agents)
+        assert agents.tolist() == np.flatnonzero(told["_final_info"].numpy()).tolist()
+        for k, agent in enumerate(agents.tolist()):
+            final = infos["final_obs"][agent]
+            for name in ("rgb", "depth"):
+                np.testing.assert_array_equal(told["final_obs"][name][k].numpy(), final[name])
+            for name in ("bev", "occupancy"):
+                np.testing.assert_array_equal(told["final_obs"][name][agent].numpy(), final[name])
+    assert ends >= 3
+    drawn = {look for _, looks, _ in renderer.calls for look in looks}
+    assert len(drawn) == 3  # two flats, one of them in two lights
+    assert {name for name in ALL if mine[name].numpy().std() < 0.1} == set()
+    assert env.memory["pictures"] > 0
+    env.close()
+
+
+def test_one_call_draws_all_agents_of_all_scenes(rooms) -> None:
+    scenes, episodes = rooms
+    device = DeviceHost()
+    renderer = RendererBatchCpu(device)
+    env = VectorEnvDevice(
+        4, scenes, episodes=episodes, device=device, renderer=renderer, sensors=("depth",),
+        preset="vlnce",
+    )  # fmt: skip
+    env.reset(seed=0)
+    renderer.calls.clear()
+    env.step(np.ones(4, int))
+    assert [(count, visible) for count, _, visible in renderer.calls] == [(4, None)]
+
+
+def test_one_scene_needs_no_word_from_the_device(rooms, monkeypatch) -> None:
+    """With one look and a renderer that takes views on the device, nothing is read back."""
+    scenes, episodes = rooms
+    device = DeviceHost()
+
+    class Fast(RendererBatchCpu):
+        takes_device_views = True
+
+        def render(self, camera, views, keys, **more):
+            host = np.empty(views.shape)
+            DeviceHost.download(device, views, host)
+            return super().render(camera, host, keys, **more)
+
+    plain = [e for e in episodes if e.scene_id == scenes[0].id and e.light is None]
+    env = VectorEnvDevice(
+        2, scenes[0], episodes=plain,
+        device=device, renderer=Fast(device), sensors=("rgb", "depth"), preset="vlnce",
+    )  # fmt: skip
+    env.reset(seed=0)
+    monkeypatch.setattr(device, "download", None)
+    env.step(np.ones(2, int))
+
+
+def test_pictures_need_what_they_are_made_of(rooms) -> None:
+    scenes, episodes = rooms
+    device = DeviceHost()
+    settings = {"episodes": episodes, "device": device}
+    with pytest.raises(SimError, match=r"\['rgb'\] need a renderer"):
+        VectorEnvDevice(1, scenes, sensors=("rgb",), renderer=None, **settings)
+    with pytest.raises(ConfigError, match="no renderer_batch named 'pencil'"):
+        VectorEnvDevice(1, scenes, sensors=("rgb",), renderer="pencil", **settings)
+    with pytest.raises(ConfigError, match="prior"):
+        VectorEnvDevice(
+            1, scenes, sensors=("occupancy",), renderer=None, map_mode="explored", **settings
+        )
+    with pytest.raises(ConfigError, match="visible sets"):
+        VectorEnvDevice(
+            1, scenes, sensors=("rgb",), renderer=RendererBatchCpu(device), visible_sets=True,
+            **settings,
+        )  # fmt: skip
+    env = VectorEnvDevice(1, scenes, sensors=("occupancy",), **settings)  # no renderer at all
+    seen, _ = env.reset(seed=0)
+    assert (seen["occupancy"].numpy() == (255, 0, 0)).all(-1).sum() > 20  # the agent's disc
+
+
+@pytest.mark.parametrize(
+    ("size", "out"),
+    [((480, 360), (160, 120)), ((640, 480), (480, 360)), ((224, 224), (160, 120)),
+     ((97, 61), (31, 44)), ((160, 120), (160, 120)), ((64, 64), (160, 120))],
+)  # fmt: skip
+def test_pictures_are_reduced_as_pillow_reduces_them(size, out) -> None:
+    device = DeviceHost(1)
+    rng = np.random.default_rng(0)
+    pictures = rng.integers(256, size=(2, size[1], size[0], 3)).astype(np.uint8)
+    pictures[1] = np.where(pictures[1] > 127, 255, 0)
+    across, down = box_weights(size[0], out[0]), box_weights(size[1], out[1])
+    result = device.empty((2, out[1], out[0], 3), np.uint8)
+    device.load(SOURCE)["reduce_pictures"].launch(
+        *((blocks_of(out[0] * out[1], 256), 2), 256, device.upload(pictures)),
+        *(np.int32(size[1]), np.int32(size[0])),
+        *(device.upload(across), np.int32(across.shape[1] - 2)),
+        *(device.upload(down), np.int32(down.shape[1] - 2)),
+        *(np.int32(out[1]), np.int32(out[0]), None),
+        *(device.upload(np.array([0x7FFFFFFF], np.int32)), result),
+    )
+    for mine, picture in zip(result.numpy(), pictures, strict=True):
+        theirs = Image.fromarray(picture).resize(out, Image.Resampling.BOX)
+        np.testing.assert_array_equal(mine, np.asarray(theirs))
+        np.testing.assert_array_equal(mine, reduce_picture(picture, *out))

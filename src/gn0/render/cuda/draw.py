@@ -250,7 +250,10 @@ class Drawer:
         )
         begin, most = 0, len(work.matrices)
         while begin < len(work.matrices):
-            count = min(self._fit(work, begin), most, len(work.matrices) - begin)
+            wanted = min(most, len(work.matrices) - begin)
+            count = min(self._fit(work, begin), wanted)
+            if count < wanted:
+                self._say_smaller(count)
             try:
                 need = self._run_batch(work, slice(begin, begin + count), kernel, last, flags)
             except DeviceMemoryError:

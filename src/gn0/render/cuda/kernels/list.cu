@@ -109,9 +109,9 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   bool large = tiles > LARGE;
   Ellipse e = outline(f);
   // small footprints: each lane walks its own, column by column, all in step
-  int column = tx0, row = ty0, row_end = tiles == 1 ? ty1 : ty0;
-  if (tiles == 0 || large) column = tx1;
-  if (tiles == 1) column = tx0 + 1;
+  bool single = tiles == 1 && !large;
+  int column = single || large || tiles == 0 ? tx1 : tx0;
+  int row = ty0, row_end = single ? ty1 : ty0;
   while (true) {
     while (row >= row_end && column < tx1) {
       int2 rows = tile_rows(e, f.u, f.v, box, column++);

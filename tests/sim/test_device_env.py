@@ -224,6 +224,32 @@ def test_actions_may_lie_on_the_device(plans, kind) -> None:
         assert_same_step(env, mine, twin.step(actions))
 
 
+def test_tensors_of_other_libraries_are_taken_where_they_are(plans, monkeypatch) -> None:
+    device = DeviceHost()
+    env, twin = build_pair(*plans, 4, device=device, sensors=())
+    env.reset(seed=3)
+    twin.reset(seed=3)
+
+    class Tensor:
+        """As torch's, on a card."""
+
+        def __init__(self, values) -> None:
+            self.memory = device.upload(values)
+
+        def __dlpack_device__(self):
+            return (2, 0)
+
+        def __array__(self):
+            raise AssertionError("taken through the host")
+
+    monkeypatch.setattr("gn0.device.dlpack.wrap_array", lambda array, device: array.memory)
+    for actions in np.random.default_rng(0).integers(4, size=(9, 4)):
+        assert_same_step(env, env.step(Tensor(actions)), twin.step(actions))
+    assert_same_step(env, env.step([1, 2, 3, 1]), twin.step([1, 2, 3, 1]))
+    seen = np.from_dlpack(env.observe()["collided"])  # what torch.from_dlpack does
+    assert seen.shape == (4,)
+
+
 def test_bad_host_actions_are_refused_before_anybody_moves(plans) -> None:
     env, twin = build_pair(*plans, 4)
     with pytest.raises(gymnasium.error.ResetNeeded):

@@ -13,6 +13,7 @@ what was queued before, and so are the results.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -155,11 +156,15 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             build_spaces(self.sensors, camera, map_shape)
             | {"instruction": number, "collided": spaces.Discrete(2)}
         )
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._everyone = np.arange(num_envs)
         self._nobody = self.device.zeros(num_envs, np.bool_)
         self._seen: Observations = {}
         self._begun = False
+
+    @cached_property
+    def observation_space(self) -> spaces.Space[Any]:  # type: ignore[override]
+        """Of all environments; made when asked for, as its bounds take as much as the pictures."""
+        return batch_space(self.single_observation_space, self.num_envs)
 
     @property
     def episodes(self) -> Sequence[Episode]:

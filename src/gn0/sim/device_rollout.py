@@ -71,7 +71,7 @@ class RolloutCollector:
         many = (steps, env.num_envs)
         self._rollout = RolloutDevice(
             {
-                name: take((steps, *space.shape), space.dtype)
+                name: take((*many, *space.shape), space.dtype)
                 for name, space in _spaces(env, observations).items()
             },
             take(many, np.uint8),
@@ -123,11 +123,11 @@ def rollout_bytes(env: VectorEnvDevice, steps: int, observations: Iterable[str] 
         int(np.prod(space.shape)) * np.dtype(space.dtype).itemsize
         for space in _spaces(env, observations).values()
     )
-    return steps * (env.num_envs * each + own)
+    return steps * env.num_envs * (each + own)
 
 
 def _spaces(env: VectorEnvDevice, names: Iterable[str]) -> dict[str, Any]:
-    known = dict(env.observation_space.items())  # type: ignore[attr-defined]
+    known = dict(env.single_observation_space.items())  # type: ignore[attr-defined]
     wanted = list(names)
     unknown = sorted(set(wanted) - set(known))
     if unknown:

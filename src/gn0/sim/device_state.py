@@ -34,6 +34,7 @@ from gn0.sim.env import STEP_COST, SUCCESS_REWARD
 from gn0.sim.sensors import SensorConfig
 
 AGENTS_MAX = 2**20
+_ON_CARD = (2, 13)  # kDLCUDA, kDLCUDAManaged
 _NEXT, _STAY = -2, -1  # what `place_agents` understands beside slots
 _STATE = (
     ("slot", np.int32, ()),
@@ -185,13 +186,12 @@ class SimulatorDevice:
         """
         codes = self._codes if codes is None else codes
         if not isinstance(actions, DeviceArray):
-            if not hasattr(actions, "__cuda_array_interface__") or self.device.kind != "cuda":
-                return self.device.upload(
-                    check_actions(actions, self.count).astype(np.uint8), codes
-                )
-            from gn0.device.dlpack import wrap_array
+            if not _is_on_card(actions):
+                found = check_actions(actions, self.count).astype(np.uint8)
+                return self.device.upload(found, codes)
+            from gn0.device.dlpack import wrap_array  # not needed for our own arrays
 
-            actions = wrap_array(self.device, actions)
+            actions = wrap_array(actions, self.device)
         if actions.shape != (self.count,) or actions.dtype.kind not in "iu":
             raise SimError(
                 f"actions are {actions.dtype} {actions.shape}",
@@ -296,3 +296,11 @@ class SimulatorDevice:
         self.kernels["copy_words" if wide else "copy_bytes"].launch(
             blocks_of(size, 256), 256, source, np.uint64(size), target
         )
+
+
+def _is_on_card(actions: Any) -> bool:
+    """Whether an array of another library lies in the memory of a GPU."""
+    try:
+        return int(actions.__dlpack_device__()[0]) in _ON_CARD
+    except (AttributeError, TypeError, BufferError, RuntimeError):
+        return hasattr(actions, "__cuda_array_interface__")

@@ -126,7 +126,12 @@ def choose_backend(backend: str = "auto") -> tuple[str, str]:
         ConfigError: no such backend.
     """
     if backend == "auto":
-        return "cpu", "the Numba renderer runs everywhere; no faster backend is installed"
+        from gn0.device.open import find_device  # costs nothing until someone asks
+
+        device, reason = find_device()
+        if device is not None:
+            return "cuda", f"the CUDA renderer on {reason}"
+        return "cpu", f"the Numba renderer runs everywhere; {reason}"
     if backend in VISIBLE_BACKENDS:
         drawn = {VISIBLE: "Numba", VISIBLE_CUDA: "CUDA"}[backend]
         return backend, f"the {drawn} renderer, drawing from visible sets as asked for"

@@ -1,0 +1,139 @@
+"""NVRTC compiles every kernel of the package for every generation of cards, without one."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from gn0.device import nvrtc
+from gn0.device.compile import cache_path, compile_source, load_image, read_image
+from gn0.device.device import KernelSource
+from gn0.device.nvrtc import NvrtcFile, find_nvrtc, open_nvrtc
+from gn0.device.sources import kernel_files, kernel_sources
+from gn0.errors import DeviceError
+
+compiler = pytest.mark.skipif(find_nvrtc() is None, reason="NVRTC: pip install 'gn0[gpu]'")
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> KernelSource:
+    path = tmp_path / "small.cu"
+    path.write_text("KERNEL(small)(int *a, float b) { a[threadIdx.x] = fmaf(b, 2.0f, WIDTH); }\n")
+    return KernelSource("small", (path,), (("WIDTH", 3),))
+
+
+def test_every_kernel_file_is_in_a_source() -> None:
+    """Else it would be neither checked here nor compiled ahead of time by `gn0 doctor`."""
+    named = {path for source in kernel_sources() for path in source.files}
+    assert set(kernel_files()) <= named
+
+
+@compiler
+@pytest.mark.parametrize("arch", ["sm_75", "sm_80", "sm_90", "sm_100"])
+@pytest.mark.parametrize("source", kernel_sources(), ids=lambda s: f"{s.name}-{s.digest[:4]}")
+def test_every_source_compiles(source: KernelSource, arch: str) -> None:
+    assert compile_source(source, arch).startswith(b"\x7fELF")
+
+
+@compiler
+def test_an_error_names_file_and_line(tmp_path: Path) -> None:
+    path = tmp_path / "broken.cu"
+    path.write_text("KERNEL(broken)(int *a) {\n  a[0] = nonsense;\n}\n")
+    with pytest.raises(DeviceError, match=r"module broken.*\n.*broken\.cu\(2\).*nonsense"):
+        compile_source(KernelSource("broken", (path,)), "sm_90")
+
+
+@compiler
+def test_newer_cards_get_ptx_and_older_ones_an_error(small: KernelSource) -> None:
+    compiler = open_nvrtc()
+    newest = compiler.architectures[-1]
+    assert compiler.target((9, 0)) == ("sm_90", True)
+    assert compiler.target((newest // 10 + 3, 0)) == (f"compute_{newest}", False)
+    with pytest.raises(DeviceError, match="too old"):
+        compiler.target((3, 5))
+    assert b".visible .entry small" in compile_source(small, f"compute_{newest}")
+
+
+@compiler
+def test_compiled_kernels_are_kept(
+    small: KernelSource,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    compiler = open_nvrtc()
+    image = load_image(small, (9, 0), compiler)
+    path = cache_path(small, "sm_90", compiler)
+    assert read_image(path) == image and path.parent == tmp_path / "cache" / "cuda"
+    monkeypatch.setattr("gn0.device.compile.compile_source", lambda *_: b"made again")
+    assert load_image(small, (9, 0), compiler) == image
+    assert load_image(small, (9, 0), compiler, fresh=True) == b"made again"
+    for damage in (b"", b"short", path.read_bytes()[:-1], path.read_bytes()[:-1] + b"x"):
+        path.write_bytes(damage)
+        with caplog.at_level(logging.WARNING):
+            assert load_image(small, (9, 0), compiler) == b"made again"
+        assert read_image(path) == b"made again"
+    assert "damaged" in caplog.text
+
+
+@compiler
+def test_what_it_depends_on_is_in_the_name(small: KernelSource) -> None:
+    compiler = open_nvrtc()
+    other = KernelSource("small", small.files, (("WIDTH", 4),))
+    paths = {cache_path(s, a, compiler) for s in (small, other) for a in ("sm_80", "sm_90")}
+    assert len(paths) == 4
+
+
+@compiler
+def test_a_cache_that_cannot_be_written_costs_a_warning(
+    small: KernelSource,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    (tmp_path / "cache").write_text("a file, not a folder")
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    with caplog.at_level(logging.WARNING):
+        assert load_image(small, (9, 0), open_nvrtc()).startswith(b"\x7fELF")
+    assert "not cached" in caplog.text
+
+
+def test_a_compiler_newer_than_the_driver_is_the_last_choice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    files = (NvrtcFile("a", 12), NvrtcFile("b", 13))
+    monkeypatch.setattr(nvrtc, "_candidates", lambda: files)
+    assert find_nvrtc() == files[1] and find_nvrtc(13) == files[1]
+    assert find_nvrtc(12) == files[0] and find_nvrtc(11) == files[1]
+    monkeypatch.setattr(nvrtc, "_candidates", tuple)
+    assert find_nvrtc() is None
+    with pytest.raises(DeviceError, match=r"no CUDA compiler.*pip install 'gn0\[gpu\]'"):
+        open_nvrtc.__wrapped__()
+
+
+def test_compilers_are_found_in_wheels_and_toolkits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("site/lib/libnvrtc.so.13", "home/lib64/libnvrtc.so.12.4.127"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).touch()
+    for name in ("libnvrtc.alt.so.13", "libnvrtc-builtins.so.13.0"):
+        (tmp_path / "site" / "lib" / name).touch()
+    folders = [tmp_path / "site" / "lib", tmp_path / "home" / "lib64"]
+    monkeypatch.setattr(nvrtc, "_folders", lambda: iter(folders))
+    monkeypatch.setattr(nvrtc.sys, "platform", "linux")
+    found = nvrtc._candidates.__wrapped__()
+    assert [(Path(file.path).name, file.major) for file in found] == [
+        ("libnvrtc.so.13", 13),
+        ("libnvrtc.so.12.4.127", 12),
+    ]
+
+
+def test_a_damaged_compiler_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "libnvrtc.so.12"
+    path.write_bytes(b"not a library")
+    with pytest.raises(DeviceError, match=r"cannot be used.*pip install"):
+        nvrtc.Nvrtc(NvrtcFile(str(path), 12))

@@ -44,6 +44,7 @@ class RendererBatch:
         self.store = CloudStore(device, memory)
         self.drawer = Drawer(device)
         self._sets: dict[str, VisibleSets] = {}
+        self.store.on_drop = self._let_go
 
     def __contains__(self, key: str) -> bool:
         return key in self.store
@@ -173,6 +174,11 @@ class RendererBatch:
                     cleared = True
             del clouds  # the next group may need their memory
         return pictures
+
+    def _let_go(self, key: str) -> None:
+        """A cloud is about to give way: its sets must not keep its memory."""
+        if key in self._sets:
+            self._sets[key].let_go()
 
     def _bring_tails(
         self, tails: Sequence[GaussianCloud | None] | GaussianCloud | None, count: int

@@ -12,6 +12,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,14 @@ from gn0.device.device import Device, DeviceArray, Kernel, KernelSource
 from gn0.errors import DeviceMemoryError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
-from gn0.render.cuda.tables import Shares, build_clouds, build_views, join_tables, share_work
+from gn0.render.cuda.tables import (
+    Shares,
+    build_cloud,
+    build_clouds,
+    build_views,
+    join_tables,
+    share_work,
+)
 from gn0.render.cuda.tune import Tuning
 from gn0.render.renderer import (
     ALPHA_CAP,
@@ -82,6 +90,11 @@ class CloudDevice:
     def chunks(self) -> int:
         """Number of chunks."""
         return len(self.boxes)
+
+    @cached_property
+    def entry(self) -> bytes:
+        """What kernels see of it."""
+        return build_cloud(self)
 
     @property
     def nbytes(self) -> int:

@@ -44,6 +44,7 @@ class CloudStore:
 
     def __init__(self, device: Device, memory: int | None = None) -> None:
         self.device = device
+        self.on_drop: Callable[[str], None] = lambda key: None  # told who has to go, before it does
         self.memory = int(SHARE * device.memory()[0]) if memory is None else memory
         self._sources: dict[str, CloudSource] = {}
         self._held: OrderedDict[str, CloudDevice] = OrderedDict()  # least recent first
@@ -78,8 +79,7 @@ class CloudStore:
         )
         self._sources[key] = source
         if not same:
-            self._held.pop(key, None)
-            self._kept.discard(key)
+            self._drop(key)
         return not same
 
     def keep(self, key: str, cloud: GaussianCloud, digest: str = "") -> CloudDevice:
@@ -89,7 +89,7 @@ class CloudStore:
             RenderError, DeviceMemoryError: see `groups`.
         """
         self.add(key, _no_load, digest)
-        self._held.pop(key, None)
+        self._drop(key)
         found = self._bring(key, cloud, {})
         assert found is not None
         self._kept.add(key)
@@ -98,8 +98,7 @@ class CloudStore:
     def remove(self, key: str) -> None:
         """Forget a cloud; one that is not here is no error."""
         self._sources.pop(key, None)
-        self._held.pop(key, None)
-        self._kept.discard(key)
+        self._drop(key)
 
     def digest(self, key: str) -> str:
         """Content hash of a cloud, as it was added.
@@ -151,9 +150,15 @@ class CloudStore:
         """Drop the least recently used cloud that is not `pinned`; whether there was one."""
         for key in self._held:
             if key not in pinned and key not in self._kept:
-                del self._held[key]
+                self._drop(key)
                 return True
         return False
+
+    def _drop(self, key: str) -> None:
+        if key in self._held:
+            self.on_drop(key)
+            del self._held[key]
+        self._kept.discard(key)
 
     def _source(self, key: str) -> CloudSource:
         if key not in self._sources:

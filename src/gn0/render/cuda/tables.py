@@ -80,16 +80,20 @@ def build_views(
 
 def build_clouds(clouds: Sequence[CloudDevice]) -> NDArray[np.void]:
     """Clouds [n] as kernels see them."""
-    table = np.zeros(len(clouds), CLOUD)
-    for entry, cloud in zip(table, clouds, strict=True):
-        for name in ("splats", "order", "sh", "boxes", "slots"):
-            array = getattr(cloud, name)
-            entry[name] = 0 if array is None else array.pointer
-        entry["places"] = 0 if cloud.ordered or cloud.places is None else cloud.places.pointer
-        entry["chunks"], entry["degree"] = cloud.chunks, cloud.degree
-        entry["sh_row"] = 0 if cloud.sh is None else cloud.sh.shape[1]
-        entry["rows"] = len(cloud.splats)
-    return table
+    return np.frombuffer(b"".join([cloud.entry for cloud in clouds]), CLOUD)
+
+
+def build_cloud(cloud: CloudDevice) -> bytes:
+    """A cloud as kernels see it."""
+    entry = np.zeros((), CLOUD)
+    for name in ("splats", "order", "sh", "boxes", "slots"):
+        array = getattr(cloud, name)
+        entry[name] = 0 if array is None else array.pointer
+    entry["places"] = 0 if cloud.ordered or cloud.places is None else cloud.places.pointer
+    entry["chunks"], entry["degree"] = cloud.chunks, cloud.degree
+    entry["sh_row"] = 0 if cloud.sh is None else cloud.sh.shape[1]
+    entry["rows"] = len(cloud.splats)
+    return entry.tobytes()
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,22 +118,27 @@ def share_work(
     views_a_block: int,
 ) -> Shares:
     """Group views by the clouds, and by the tails, that they show."""
-    groups, members = [], []
+    tables, members = [], []
     first, block = 0, 0
     for is_tail, shown in ((0, cloud_of), (1, tail_of)):
+        shown = np.asarray(shown)
         by_cloud = np.argsort(shown, kind="stable")
-        numbers, starts = np.unique(shown[by_cloud], return_index=True)
-        for number, mine in zip(numbers, np.split(by_cloud, starts[1:]), strict=True):
-            chunks = int(clouds[number]["chunks"]) if number >= 0 else 0
-            if not chunks:
-                continue
-            groups.append((number, is_tail, block, chunks, first, len(mine), (0, 0)))
-            members.append(mine)
-            first += len(mine)
-            block += chunks * -(-len(mine) // views_a_block)
-    table = np.array(groups, GROUP) if groups else np.zeros(0, GROUP)
-    views = np.concatenate(members) if members else np.zeros(0)
-    return Shares(table, views.astype(np.uint32), block)
+        numbers, counts = np.unique(shown, return_counts=True)
+        chunks = (
+            np.where(numbers >= 0, clouds["chunks"][numbers], 0) if len(clouds) else 0 * numbers
+        )
+        drawn = chunks > 0
+        members.append(by_cloud[np.repeat(drawn, counts)])
+        numbers, counts, chunks = numbers[drawn], counts[drawn], chunks[drawn]
+        blocks = chunks.astype(np.int64) * -(-counts // views_a_block)
+        table = np.zeros(len(numbers), GROUP)
+        table["cloud"], table["tail"], table["chunks"] = numbers, is_tail, chunks
+        table["first_block"] = block + np.cumsum(blocks) - blocks
+        table["first_member"] = first + np.cumsum(counts) - counts
+        table["members"] = counts
+        tables.append(table)
+        first, block = first + int(counts.sum()), block + int(blocks.sum())
+    return Shares(np.concatenate(tables), np.concatenate(members).astype(np.uint32), block)
 
 
 def join_tables(*tables: NDArray[np.generic]) -> tuple[NDArray[np.uint32], list[slice]]:

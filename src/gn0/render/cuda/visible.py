@@ -85,9 +85,12 @@ class VisibleSets:
         self.options, self.floor, self.eye_height = options, floor, float(eye_height)
         self.built = 0  # sets found by looking, for figures
         self._drawer, self._antialiased = drawer, antialiased
-        self._made_for = (-1, -1)  # splats in the cloud and packed, of the sets below
+        self._made_for = (-1, -1)  # splats in the cloud and packed, of the sets above
+        self.used = 0  # bytes of the sets that are on the device
         self._places = places_by_cell(floor, options.cell, options.places)
         self._sets: OrderedDict[Cell, VisibleSetDevice] = OrderedDict()  # least recent first
+        self._parts: dict[Cell, CloudDevice] = {}  # the same beside the splats they number
+        self._whole: CloudDevice | None = None  # whose splats
         device: Device = drawer.device
         self._kernels = device.load(_SOURCE)
         # the emulation rounds in its own way: its sets are not a card's
@@ -101,11 +104,6 @@ class VisibleSets:
         """Cells (column, row) that have a free place, in order."""
         return sorted(self._places)
 
-    @property
-    def used(self) -> int:
-        """Bytes of the sets that are on the device."""
-        return sum(found.nbytes for found in self._sets.values())
-
     def files(self, cloud: CloudDevice) -> VisibleFiles | None:
         """The sets on disk; None without a cache."""
         if not self._cache:
@@ -118,7 +116,14 @@ class VisibleSets:
         """Let go of all sets on the device; whether there were any."""
         held = bool(self._sets)
         self._sets.clear()
+        self.used = 0
+        self.let_go()
         return held
+
+    def let_go(self) -> None:
+        """Refer to no cloud any more: its memory is wanted. The sets stay; they are numbers."""
+        self._parts.clear()
+        self._whole = None
 
     def locate(self, camera: Camera, matrices: F64) -> list[Cell | None]:
         """The cell whose set draws each view [V, 4, 4]; None for all splats."""
@@ -143,8 +148,11 @@ class VisibleSets:
             RenderError: a cell has no free place.
         """
         if self._made_for != (cloud.size, cloud.alive):
-            self._sets.clear()  # their numbers are of another cloud
+            self.clear()  # their numbers are of another cloud
             self._made_for = (cloud.size, cloud.alive)
+        if self._whole is not cloud:
+            self.let_go()
+            self._whole = cloud
         wanted = list(dict.fromkeys(cells))
         for cell in wanted:
             if cell not in self._places:
@@ -155,11 +163,15 @@ class VisibleSets:
                 self._sets.move_to_end(cell)
         for first in range(0, len(missing), CELLS):
             self._bring(missing[first : first + CELLS], cloud)
-        found = {cell: self._sets[cell] for cell in wanted}
+        found = {cell: self._part(cell, cloud) for cell in wanted}
         self._give_way(len(found))
-        return {
-            cell: replace(cloud, slots=one.slots, boxes=one.boxes) for cell, one in found.items()
-        }
+        return found
+
+    def _part(self, cell: Cell, cloud: CloudDevice) -> CloudDevice:
+        if cell not in self._parts:
+            one = self._sets[cell]
+            self._parts[cell] = replace(cloud, slots=one.slots, boxes=one.boxes)
+        return self._parts[cell]
 
     def size_of(self, cell: Cell, cloud: CloudDevice) -> int:
         """Splats of a cell's set.
@@ -275,6 +287,7 @@ class VisibleSets:
         marks = device.upload(kept.view(np.uint32))
         for cell, one in zip(cells, self._gather(marks, len(cells), cloud), strict=True):
             self._sets[cell] = one
+            self.used += one.nbytes
 
     def _gather(self, marks: DeviceArray, sets: int, cloud: CloudDevice) -> list[VisibleSetDevice]:
         """Slot lists and boxes of the marked splats."""
@@ -308,9 +321,10 @@ class VisibleSets:
 
     def _give_way(self, keep: int) -> None:
         """Drop least recent sets beyond the memory, but not the last `keep`."""
-        used = self.used
-        while used > self.options.memory and len(self._sets) > max(keep, 1):
-            used -= self._sets.popitem(last=False)[1].nbytes
+        while self.used > self.options.memory and len(self._sets) > max(keep, 1):
+            cell, one = self._sets.popitem(last=False)
+            self._parts.pop(cell, None)
+            self.used -= one.nbytes
 
 
 def _words(cloud: CloudDevice) -> int:

@@ -34,7 +34,7 @@ class Tuning:
     crowded: int = 192
     stage: int = 128
     blocks: int = 8
-    cover_blocks: int = 3
+    cover_blocks: int = 4
     views: int = 32
     large: int = 16
     group: bool = True

@@ -5,7 +5,7 @@
 
 __device__ __forceinline__ float3 find_colour(const Cloud &cloud, const Splat &s, u32 slot,
                                               const View &w) {
-  const uint2 packed = *(const uint2 *)((const u32 *)(cloud.splats + (u64)slot * 4) + 14);
+  const uint2 packed = __ldg((const uint2 *)(cloud.splats + (u64)slot * 4) + 7);
   float rgb[3] = {half_to_float((u16)packed.x), half_to_float((u16)(packed.x >> 16)),
                   half_to_float((u16)packed.y)};
   if (!cloud.degree) return make_float3(rgb[0], rgb[1], rgb[2]);
@@ -37,7 +37,7 @@ __device__ __forceinline__ float3 find_colour(const Cloud &cloud, const Splat &s
 #pragma unroll
   for (u32 q = 0; q < 6; q++) {
     if (q >= quads) break;
-    uint4 v = row[q];
+    uint4 v = __ldg(row + q);
     TERM(q * 8 + 0, v.x), TERM(q * 8 + 1, v.x >> 16);
     TERM(q * 8 + 2, v.y), TERM(q * 8 + 3, v.y >> 16);
     TERM(q * 8 + 4, v.z), TERM(q * 8 + 5, v.z >> 16);

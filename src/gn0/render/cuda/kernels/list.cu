@@ -5,7 +5,10 @@
 // that can see it. An entry is a key, depth bits over index, so that entries need no order here.
 
 // Whether a chunk may touch the picture; dropped only if `project` would drop each of its splats.
-__device__ __forceinline__ bool is_in_sight(const float *__restrict__ box, const View &w, u32 flags) {
+__device__ __forceinline__ bool is_in_sight(const float *at, const View &w, u32 flags) {
+  float box[7];
+#pragma unroll
+  for (int k = 0; k < 7; k++) box[k] = __ldg(at + k);
   float cx = (box[0] + box[3]) * 0.5f - w.eye[0], hx = (box[3] - box[0]) * 0.5f;
   float cy = (box[1] + box[4]) * 0.5f - w.eye[1], hy = (box[4] - box[1]) * 0.5f;
   float cz = (box[2] + box[5]) * 0.5f - w.eye[2], hz = (box[5] - box[2]) * 0.5f;
@@ -173,12 +176,12 @@ __device__ __forceinline__ void list_chunk(const View *__restrict__ views,
   for (u32 k = threadIdx.x; k < count * 8; k += blockDim.x)
     ((float4 *)seen)[k] = ((const float4 *)(views + who[k / 8]))[k % 8];
   u32 slot = chunk * CHUNK + threadIdx.x;
-  if (cloud.slots) slot = cloud.slots[slot];
+  if (cloud.slots) slot = __ldg(cloud.slots + slot);
   Splat s = {0.f, 0.f, 0.f, -1.f, {0.f}, 0.f};
   u32 index = slot;
   if (slot < cloud.rows) {
     s = load_splat(cloud.splats + (u64)slot * 4);
-    if (EMIT && cloud.places) index = cloud.order[slot];
+    if (EMIT && cloud.places) index = __ldg(cloud.order + slot);
   }
   if (g.tail) index |= TAIL;
   __syncthreads();

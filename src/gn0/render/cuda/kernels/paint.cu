@@ -6,13 +6,11 @@ struct Picture {  // of a lane's pixels; a negative transmittance has ended
 
   __device__ __forceinline__ void pixel(int i, float alpha, float r, float g, float b, float z) {
     float weight = alpha * through[i], after = through[i] - weight;
-    if (after > TRANSMITTANCE_STOP) {
-      red[i] = fmaf(weight, r, red[i]), green[i] = fmaf(weight, g, green[i]);
-      blue[i] = fmaf(weight, b, blue[i]), depth[i] = fmaf(weight, z, depth[i]);
-      through[i] = after;
-    } else {
-      through[i] = -fabsf(through[i]);
-    }
+    bool keep = after > TRANSMITTANCE_STOP;  // selected, not branched on: lanes rarely agree
+    weight = keep ? weight : 0.f;
+    through[i] = keep ? after : -fabsf(through[i]);
+    red[i] = fmaf(weight, r, red[i]), green[i] = fmaf(weight, g, green[i]);
+    blue[i] = fmaf(weight, b, blue[i]), depth[i] = fmaf(weight, z, depth[i]);
   }
   __device__ __forceinline__ void splat(const TileRoom &, u32) {}
   __device__ __forceinline__ bool open() const {
@@ -40,7 +38,7 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
     shows = false;
     u32 index = (u32)t.keys[at];
     if (index & TAIL) return;
-    if (!t.cloud[0].places) index = t.cloud[0].order[index];
+    if (!t.cloud[0].places) index = __ldg(t.cloud[0].order + index);
     // as np.packbits lays them: the first splat is the highest bit of the first byte
     u32 bit = 1u << ((index & 24u) | (7u - (index & 7u)));
     if (!(row[index >> 5] & bit)) atomicOr(row + (index >> 5), bit);

@@ -31,7 +31,8 @@ struct Splat {
   float x, y, z, extent, m[9], log_opacity;
 };
 
-__device__ __forceinline__ Splat load_splat(const float4 *__restrict__ at) {
-  float4 p = at[0], a = at[1], b = at[2], c = at[3];
+// Addresses that come from a table are generic to the compiler; __ldg says that they are global.
+__device__ __forceinline__ Splat load_splat(const float4 *at) {
+  float4 p = __ldg(at), a = __ldg(at + 1), b = __ldg(at + 2), c = __ldg(at + 3);
   return {p.x, p.y, p.z, p.w, {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x}, c.y};
 }

@@ -181,18 +181,18 @@ __device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 fla
   u32 index = (u32)key;
   const Cloud &cloud = t.cloud[index >> 31];
   index &= ~TAIL;
-  u32 slot = cloud.places ? cloud.places[index] : index;
+  u32 slot = cloud.places ? __ldg(cloud.places + index) : index;
   if (slot >= cloud.rows) return 0;
   const float4 *from = cloud.splats + (u64)slot * 4;
   Splat s = load_splat(from);
   Footprint f;
   if (!project(s, t.view, flags, f)) return 0;
   float x = f.u - left, y = f.v - top;
-  u32 mask = find_regions(f, x, y);
   float qx = f.qx * SQRT_LOG2_E, qy = f.qy * SQRT_LOG2_E, k = root(f.qk * LOG2_E);
-  float3 colour = make_float3(0.f, 0.f, 0.f);
-  if (COLOUR) colour = find_colour(cloud, s, slot, t.view);
   t.staged.a[at] = make_float4(qx, qy, -fmaf(qx, x, qy * y), k);
+  float3 colour = make_float3(0.f, 0.f, 0.f);
+  u32 mask = find_regions(f, x, y);
+  if (COLOUR) colour = find_colour(cloud, s, slot, t.view);
   t.staged.b[at] = make_float4(-k * y, f.log_o * LOG2_E, colour.x, colour.y);
   t.staged.c[at] = make_float2(colour.z, f.z);
   return mask;
@@ -218,7 +218,8 @@ __device__ __forceinline__ u32 list_region(TileRoom &t, u32 region) {
 // Walks the list of this block's tile. A Painter has
 //   static const bool COLOUR         whether colours are wanted
 //   void pixel(int i, float alpha, float red, float green, float blue, float depth)
-//   void splat(u64 key)              after the pixels of a lane
+//                                    alpha is 0 where it would be under 1/255
+//   void splat(room, u32 at)         after the pixels of a lane; `at`: of the key in room.keys
 //   bool open() const                whether a pixel of the lane can still change
 template <class Painter>
 __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const View *__restrict__ views,
@@ -287,9 +288,8 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
 #pragma unroll
               for (int i = 0; i < PIXELS; i++) {
                 float q = fmaf(a.x, x + (float)(i * LANES_X), across);
-                float p = fmaf(-q, q, most);
-                if (p >= LOG2_ALPHA_MIN)
-                  painter.pixel(i, fminf(fast_exp2(p), ALPHA_CAP), b.z, b.w, c.x, c.y);
+                float p = fmaf(-q, q, most), alpha = fminf(fast_exp2(p), ALPHA_CAP);
+                painter.pixel(i, p >= LOG2_ALPHA_MIN ? alpha : 0.f, b.z, b.w, c.x, c.y);
               }
               painter.splat(t, first + at);
             }

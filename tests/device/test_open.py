@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gn0.cli.doctor_gpu import examine_gpu
 from gn0.device import nvrtc
 from gn0.device import open as opening
+from gn0.device.device import KernelSource
 from gn0.device.open import find_device, open_device
-from gn0.errors import DeviceError
+from gn0.errors import ConfigError, DeviceError
 from gn0.render.renderer import choose_backend
 
 
@@ -30,7 +32,14 @@ def test_no_driver_means_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DeviceError, match="no NVIDIA driver"):
         open_device()
     backend, why = choose_backend()
-    assert backend == "cpu" and "no NVIDIA driver is here" in why and why.count("\n") == 0
+    assert backend == "cpu"
+    assert why == "the Numba renderer runs everywhere; no NVIDIA driver is here"
+    rows, healthy = examine_gpu()
+    assert healthy and rows[0] == ("gpu", "no NVIDIA driver is here", "·")
+    rows, healthy = examine_gpu(compile_all=True)
+    assert not healthy and "no card to compile for" in rows[-1][1]
+    with pytest.raises(ConfigError, match="architecture 'hopper'"):
+        examine_gpu(architecture="hopper")
 
 
 def test_a_card_is_found_once(fake_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,6 +64,36 @@ def test_a_card_without_a_compiler_is_not_used(
     device, why = find_device()
     assert device is None and "Pretended Card 0" in why and "pip install 'gn0[gpu]'" in why
     assert open_device("cuda").kind == "cuda"  # arrays can be had all the same
+
+
+@pytest.mark.skipif(nvrtc.find_nvrtc() is None, reason="NVRTC: pip install 'gn0[gpu]'")
+def test_the_doctor_compiles_ahead_of_time(
+    fake_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kernels: KernelSource
+) -> None:
+    monkeypatch.setattr("gn0.device.libcuda.NAMES", {sys.platform: str(fake_path)})
+    monkeypatch.setattr("gn0.device.sources.kernel_sources", lambda: [kernels])
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    for compile_all, said in [
+        (False, "0 of 1"),
+        (True, "1 now"),
+        (True, "0 now"),
+        (False, "1 of 1"),
+    ]:
+        rows, healthy = examine_gpu(compile_all=compile_all)
+        found = {name: text for name, text, _ in rows}
+        assert healthy and said in found["kernels"] and "sm_90" in found["kernels"]
+    assert "Pretended Card 0" in found["gpu"] and "capability 9.0" in found["gpu"]
+    assert "speaks CUDA 12.8" in found["driver"]
+    (path,) = (tmp_path / "cache" / "cuda").iterdir()
+    path.write_bytes(path.read_bytes()[:-1])
+    rows, healthy = examine_gpu(compile_all=True, architecture="sm_80")
+    assert healthy and "sm_80: 1 now" in rows[-1][1]
+    broken = tmp_path / "broken.cu"
+    broken.write_text("KERNEL(broken)(int *a) { nonsense }")
+    source = KernelSource("broken", (broken,))
+    monkeypatch.setattr("gn0.device.sources.kernel_sources", lambda: [source])
+    rows, healthy = examine_gpu(compile_all=True)
+    assert not healthy and rows[-1][2] == "✗" and "nonsense" in rows[-1][1]
 
 
 @pytest.mark.parametrize(

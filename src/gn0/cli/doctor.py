@@ -12,16 +12,24 @@ from pathlib import Path
 
 from gn0.config import Config
 
-EXAMPLES = "  gn0 doctor"
+EXAMPLES = "  gn0 doctor\n  gn0 doctor --compile"
 
 
 class Args(Config, frozen=True):
-    """No settings."""
+    """Settings of `gn0 doctor`.
+
+    Attributes:
+        compile: compile the kernels of the graphics card now, not at first use.
+        architecture: compile for this one, such as sm_90, though no such card is here.
+    """
+
+    compile: bool = False
+    architecture: str = ""
 
 
 def run(args: Args) -> int:
     """Print the findings; 1 when something needed is missing."""
-    lines, healthy = examine()
+    lines, healthy = examine(args)
     width = max(len(name) for name, _, _ in lines) + 2
     for name, value, mark in lines:
         print(f"{mark} {name:<{width}}{value}")
@@ -29,9 +37,10 @@ def run(args: Args) -> int:
     return 0 if healthy else 1
 
 
-def examine() -> tuple[list[tuple[str, str, str]], bool]:
+def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
     """(name, finding, mark) lines, and whether everything needed is here."""
     from gn0 import __version__
+    from gn0.cli.doctor_gpu import examine_gpu
     from gn0.render.renderer import choose_backend
 
     rows: list[tuple[str, str, str]] = [
@@ -51,18 +60,18 @@ def examine() -> tuple[list[tuple[str, str, str]], bool]:
             rows.append((package, "missing: run `pip install gn0` again", "✗"))
             healthy = False
     backend, why = choose_backend()
-    rows += [
-        ("renderer", f"{backend}: {why}", "✓"),
-        ("threads", _threads(), "✓"),
-        ("gpu", _gpu(), "·"),
-    ]
+    rows += [("renderer", f"{backend}: {why}", "✓"), ("threads", _threads(), "✓")]
+    cards, compiled = examine_gpu(
+        compile_all=args.compile or bool(args.architecture), architecture=args.architecture
+    )
+    rows += cards
     cache, writable = _cache()
     rows.append(("cache", cache, "✓" if writable else "✗"))
     video, encodes = _video()
     rows.append(("video", video, "✓" if encodes else "✗"))
     data = os.environ.get("GN0_DATA", "")
     rows.append(("GN0_DATA", data or "not set (only some tests and figures want it)", "·"))
-    return rows, healthy and writable and encodes
+    return rows, healthy and writable and encodes and compiled
 
 
 def _required() -> list[str]:
@@ -102,12 +111,6 @@ def _threads() -> str:
 
     touch(8)
     return f"{numba.get_num_threads()} Numba threads on the {numba.threading_layer()} layer"
-
-
-def _gpu() -> str:
-    if shutil.which("nvidia-smi"):
-        return "an NVIDIA driver is here; GN0's present backends run on the CPU only"
-    return "none seen; nothing in GN0's core needs one"
 
 
 def _cache() -> tuple[str, bool]:

@@ -11,6 +11,7 @@ import re
 import threading
 
 from gn0.device.device import Device
+from gn0.device.libcuda import CPU, Driver
 from gn0.errors import DeviceError
 
 _opened: dict[str, Device] = {}
@@ -43,7 +44,8 @@ def find_device() -> tuple[Device | None, str]:
     try:
         device = open_device("auto")
     except DeviceError as error:
-        return None, f"{error.what} ({error.remedy})" if error.remedy else error.what
+        remedy = error.remedy.removesuffix(CPU).rstrip("; ")
+        return None, f"{error.what} ({remedy})" if remedy else error.what
     return device, device.name
 
 
@@ -69,8 +71,6 @@ def _new(key: str) -> Device:
         from gn0.device.host import DeviceHost
 
         return DeviceHost()
-    from gn0.device.libcuda import Driver
-
     driver = Driver()  # first: where there is none, the rest need not be imported
     from gn0.device.driver import DeviceCuda
 

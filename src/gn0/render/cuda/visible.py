@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 Cell = tuple[int, int]
 CELLS = 8  # found in one call: 240 pictures keep a card busy, and their lists are small
+WRITERS = 4  # threads that pack and write files: a disk's answer takes longer than a card's
 _SOURCE = KernelSource("visible", (Path(__file__).parent / "kernels" / "mark.cu",))
 _BOX = 7
 
@@ -187,7 +188,7 @@ class VisibleSets:
     ) -> Iterator[Cell]:
         """Find the sets of all cells that the cache does not hold yet, several at a time.
 
-        Files are packed and written by a thread of their own while the device goes on.
+        Files are packed and written by threads of their own while the device goes on.
 
         Args:
             cloud: all splats, on the device.
@@ -203,7 +204,7 @@ class VisibleSets:
             raise RenderError("visible sets need the cache", remedy="leave cache=True")
         cells = self.cells[:most]
         done = 0
-        with ThreadPoolExecutor(1, "visible-sets") as writer:
+        with ThreadPoolExecutor(WRITERS, "visible-sets") as writer:
             under_way: list[tuple[Cell, Future[None] | None]] = []
             for first in range(0, len(cells), CELLS):
                 some = cells[first : first + CELLS]
@@ -282,8 +283,8 @@ class VisibleSets:
             found = self.find([cells[row] for row in missing], cloud)
             kept[missing, : found.shape[1]] = found
             if files is not None:
-                for row, bits in zip(missing, found, strict=True):
-                    files.save_bits(cells[row], bits)
+                with ThreadPoolExecutor(WRITERS, "visible-sets") as writer:
+                    list(writer.map(files.save_bits, [cells[row] for row in missing], found))
         marks = device.upload(kept.view(np.uint32))
         for cell, one in zip(cells, self._gather(marks, len(cells), cloud), strict=True):
             self._sets[cell] = one

@@ -8,7 +8,8 @@ from gn0.errors import ConfigError
 from gn0.figures.board import Figure
 
 _MODULES = (
-    "install", "gaussians", "splat_formats", "maps", "render", "scenes", "capture", "procedural",
+    "install", "gaussians", "splat_formats", "maps", "render", "device_checks", "device_table",
+    "device_rates", "scenes", "capture", "procedural",
     "scene_kinds", "sim", "mapping", "vector", "bench", "policies", "missions", "generate",
     "language", "samples", "labels", "export", "view", "trust",
 )  # fmt: skip

@@ -130,6 +130,10 @@ _PRESETS = (
         background=BLACK, note="picture 640x480 and eye at 1.25 m chosen by us",
     ),
     _with_hfov(
+        "rgbd_224", (224, 224), 90.0, agent=_VLNCE_EYE, background=BLACK,
+        note="no benchmark's: for training, colour and depth of one small size in one drawing",
+    ),
+    _with_hfov(
         "sage", (640, 480), 90.0, agent=AgentSpec(camera_height=1.20), background=BLACK,
         note="hfov 90 chosen by us: the source gives size and height only",
     ),

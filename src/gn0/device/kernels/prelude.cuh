@@ -1,4 +1,4 @@
-// What every kernel may use, on a GPU (NVRTC, nvcc) and in the host emulation (g++ with shim.h).
+// What every kernel may use, on a GPU from sm_75 on (NVRTC, nvcc) and in the host emulation (g++ with shim.h).
 //
 // The emulation runs the threads of a block as fibers, one block after another. So that it can:
 //   * no #include, no standard library, no textures, no cooperative groups, no inline assembly
@@ -60,6 +60,26 @@ __device__ __forceinline__ u16 float_to_half(float f) {
   asm("cvt.rn.f16.f32 %0, %1;" : "=h"(h) : "f"(f));
   return h;
 }
+
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800  // cards before Ampere lack these
+#define REDUCE_SYNC(name, combine)                                                        \
+  __device__ __forceinline__ u32 name(u32 mask, u32 v) {                                  \
+    if (mask == FULL) {                                                                   \
+      for (int d = WARP / 2; d; d >>= 1) v = combine(v, __shfl_xor_sync(FULL, v, d));     \
+      return v;                                                                           \
+    }                                                                                     \
+    u32 all = __shfl_sync(mask, v, __ffs(mask) - 1);                                      \
+    for (u32 m = mask & (mask - 1); m; m &= m - 1)                                        \
+      all = combine(all, __shfl_sync(mask, v, __ffs(m) - 1));                             \
+    return all;                                                                           \
+  }
+__device__ __forceinline__ u32 sum_of(u32 a, u32 b) { return a + b; }
+__device__ __forceinline__ u32 bits_of(u32 a, u32 b) { return a | b; }
+REDUCE_SYNC(__reduce_add_sync, sum_of)
+REDUCE_SYNC(__reduce_min_sync, min)
+REDUCE_SYNC(__reduce_max_sync, max)
+REDUCE_SYNC(__reduce_or_sync, bits_of)
+#endif
 #endif
 
 __device__ __forceinline__ u32 lane_id() { return threadIdx.x & (WARP - 1); }

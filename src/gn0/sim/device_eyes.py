@@ -219,7 +219,7 @@ class EyesDevice:
             views = np.stack(
                 [view_from_pose(x, y, eye, yaw, self._pitch) for x, y, yaw in poses.tolist()]
             )
-            keys = [self._look_of(simulator, n) for n in ended[agents].tolist()]
+            keys = self._keys(simulator, ended[agents])
             rgb, depth = self._look(simulator, views, keys)
             out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
             out |= {"depth": depth} if depth is not None else {}
@@ -258,15 +258,13 @@ class EyesDevice:
             return None
         return simulator.outputs["episode"].numpy()
 
-    def _look_of(self, simulator: SimulatorDevice, number: int) -> str:
-        return self._looks[number]
-
     def _keys(
         self, simulator: SimulatorDevice, numbers: NDArray[np.int32] | None
     ) -> list[str] | str:
         if numbers is None:
             return self._looks[0]
-        return [self._looks[n] for n in numbers.tolist()]
+        names: list[str] = np.array(self._looks, object)[numbers].tolist()
+        return names
 
     def _views(self, simulator: SimulatorDevice) -> Any:
         views = self._array(simulator, "views", (4, 4), np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -223,3 +224,67 @@ def test_a_server_that_is_gone_cannot_be_reached() -> None:
         DrawConnection(address).close()
     with pytest.raises(DeviceError, match="cannot be reached"):
         DrawConnection(address)
+
+
+class BatchOnHost:
+    """The CPU's pictures on an emulated device, so that files are made there as on a GPU."""
+
+    name = "cuda"
+
+    def __init__(self) -> None:
+        from gn0.device.host import DeviceHost
+        from gn0.render.share.cpu import RendererBatchCpu
+
+        self.device, self._batch = DeviceHost(), RendererBatchCpu()
+        self.add = self._batch.add
+
+    def render(self, *args, **more):  # type: ignore[no-untyped-def]
+        found = self._batch.render(*args, **more).numpy()
+        for name in ("rgb", "depth"):
+            if (array := getattr(found, name)) is not None:
+                object.__setattr__(found, name, self.device.upload(array))
+        return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+def test_files_made_on_a_device_are_the_bytes_of_before(
+    walks, alone, tmp_path, files_of, monkeypatch
+) -> None:
+    """A whole dataset with views and mosaics encoded by kernels: no byte of its shards differs."""
+    from gn0.data import draw, pictures
+    from gn0.render.share.client import RendererShared
+    from gn0.render.share.server import Server, open_listener
+
+    server = Server(BatchOnHost(), looks.load_look)
+    listener, address = open_listener()
+    threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
+    threading.Thread(target=server.serve, daemon=True).start()
+    made = [0]
+    render_files = RendererShared.render_files
+
+    def counted(*args):
+        found = render_files(*args)
+        made[0] += len(found.mosaics)
+        return found
+
+    def enter(own: DrawServer) -> DrawServer:
+        own.address, own.card = address, "emulated"
+        return own
+
+    monkeypatch.setattr(RendererShared, "render_files", counted)
+    monkeypatch.setattr(DrawServer, "__enter__", enter)
+    monkeypatch.setattr(DrawServer, "end", lambda own: None)
+    few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
+                     walks.episodes[1:2], name="few")  # fmt: skip
+    settings = BuildSettings(pictures=PictureSettings(quality=85))
+    build_dataset(few, tmp_path / "cpu", settings)
+    drawn = with_backend(settings.pictures, "cuda")
+    built = build_dataset(few, tmp_path / "cuda", msgspec.structs.replace(settings, pictures=drawn))
+    listener.close()
+    assert made[0] == built.about.rows > 16
+    one, other = files_of(tmp_path / "cpu"), files_of(tmp_path / "cuda")
+    shards = [name for name in one if name.endswith((".tar", ".index.parquet", ".png", ".jpg"))]
+    assert shards and all(one[name] == other[name] for name in shards)
+    assert b'"backend": "cuda"' in other["dataset.json"]
+    assert pictures.BATCH == 32 and draw.AHEAD == 64

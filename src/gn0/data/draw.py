@@ -15,11 +15,20 @@ from gn0.bench.looks import Look
 from gn0.data.cache import DrawnStep
 from gn0.data.dataset import Dataset, FileRecord
 from gn0.data.drawing import check_drawn_here
-from gn0.data.pictures import build_eyes, draw_episode, draw_views, goal_picture, map_picture
+from gn0.data.pictures import (
+    Seen,
+    build_eyes,
+    draw_episode,
+    draw_files,
+    draw_views,
+    files_wanted,
+    goal_picture,
+    map_picture,
+)
 from gn0.data.samples import PICTURES, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
-from gn0.geometry import U8, Pose2D
+from gn0.geometry import U8
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.light import LightCondition
 from gn0.render.share.client import DrawConnection, RendererShared
@@ -129,9 +138,6 @@ class Opened:
     goal: tuple[U8, str] | None
 
 
-Seen = tuple[Pose2D, U8]
-
-
 class PartDrawer:
     """Draws the steps of a part one after the other, and keeps the hashes.
 
@@ -157,6 +163,7 @@ class PartDrawer:
     ) -> None:
         self._dataset = dataset
         self._check = check
+        self._settings = settings
         self._blocks = blocks
         self._eyes = eyes_of(dataset, settings, drawing)
         self._ahead = bool(drawing)
@@ -224,7 +231,10 @@ class PartDrawer:
                 goal = (picture, content_hash(np.asarray(picture)))
             yield Opened(eyes, self._eyes.bev_hash, goal)
             if not (number and again[number - 1]):
-                yield from draw_views(eyes, block.poses)
+                if files_wanted(eyes, self._settings):
+                    yield from draw_files(eyes, block.poses, self._settings.quality)
+                else:
+                    yield from draw_views(eyes, block.poses)
 
     def _draw(
         self,
@@ -242,14 +252,15 @@ class PartDrawer:
         def views() -> Iterator[Seen]:
             for _ in range(len(block)):
                 item = next(seen)
-                assert isinstance(item, tuple)
+                assert isinstance(item, Seen)
                 yield item
 
         for t, pictures in enumerate(draw_episode(eyes, episode, block.poses, views())):
             x, y = map(float, block.poses[t, :2])
             places = (start, frame.pixel_of(x, y))
             hashes = pictures.hashes(known)
-            yield DrawnStep(t, t, block, episode, pictures, hashes, places, base)
+            kept = dict(pictures.files)
+            yield DrawnStep(t, t, block, episode, pictures, hashes, places, base, kept=kept)
 
     def hashed_blocks(self) -> list[EpisodeRows]:
         """The rows with the hashes of what `steps` has drawn."""

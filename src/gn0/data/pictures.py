@@ -7,18 +7,21 @@ rendered once a scene and light, and the occupancy picture is the map with two d
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gn0.data.samples import PICTURES
+from gn0.data.settings import PictureSettings
 from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.light import LightCondition
 from gn0.render.renderer import Renderer, visible_backend
+from gn0.render.share.client import RendererShared
+from gn0.render.share.messages import Encode
 from gn0.scenes.scene import Scene
-from gn0.sim.history import History
+from gn0.sim.history import COLUMNS, LENGTH, TILE_HEIGHT, TILE_WIDTH, History
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset
 from gn0.sim.sensors import SensorSuite
@@ -74,12 +77,14 @@ class StepPictures:
         history: uint8 [480, 640, 3], the mosaic of earlier views.
         bev: uint8 [Hb, Wb, 3], the scene from above.
         occupancy: uint8 [Hb, Wb, 3], the map with start and agent.
+        files: encoded pictures by name, where they are made already.
     """
 
     rgb: U8
     history: U8
     bev: U8
     occupancy: U8
+    files: Mapping[str, bytes] = field(default_factory=dict)
 
     def hashes(self, known: Mapping[str, str] | None = None) -> dict[str, str]:
         """Digest of each picture's raw pixels; `known` spares those that are known already."""
@@ -90,25 +95,43 @@ class StepPictures:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A view, and what another process made of it.
+
+    Attributes:
+        pose: where the agent stands.
+        rgb: uint8 [H, W, 3].
+        tile: the view as it is in later mosaics uint8 [120, 160, 3]; None where it is to be made.
+        files: encoded pictures by name, the bytes that `encode_picture` gives.
+    """
+
+    pose: Pose2D
+    rgb: U8
+    tile: U8 | None = None
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+
 def draw_episode(
-    eyes: SensorSuite,
-    episode: Episode,
-    poses: F64,
-    views: Iterator[tuple[Pose2D, U8]] | None = None,
+    eyes: SensorSuite, episode: Episode, poses: F64, views: Iterator[Seen] | None = None
 ) -> Iterator[StepPictures]:
     """The pictures at each of the poses [T, 3] of an episode, from its first step on.
 
-    `views` are its poses and views [H, W, 3] where they are drawn already.
+    `views` are its views where they are drawn already.
     """
     history = History()
     start = Pose2D(*episode.start)
     bev = map_picture(eyes)
-    for pose, rgb in draw_views(eyes, poses) if views is None else views:
-        yield StepPictures(rgb, history.mosaic(), bev, eyes.occupancy_picture(start, pose))
-        history.add(rgb)
+    for seen in draw_views(eyes, poses) if views is None else views:
+        occupancy = eyes.occupancy_picture(start, seen.pose)
+        yield StepPictures(seen.rgb, history.mosaic(), bev, occupancy, seen.files)
+        if seen.tile is None:
+            history.add(seen.rgb)
+        else:
+            history.add_tile(seen.tile)
 
 
-def draw_views(eyes: SensorSuite, poses: F64) -> Iterator[tuple[Pose2D, U8]]:
+def draw_views(eyes: SensorSuite, poses: F64) -> Iterator[Seen]:
     """The view at each of some poses [T, 3]; one rendering for equal neighbours."""
     for begin in range(0, len(poses), BATCH):
         batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
@@ -117,7 +140,52 @@ def draw_views(eyes: SensorSuite, poses: F64) -> Iterator[tuple[Pose2D, U8]]:
         assert rgb is not None
         places = {pose: index for index, pose in enumerate(distinct)}
         for pose in batch:
-            yield pose, rgb[places[pose]]
+            yield Seen(pose, rgb[places[pose]])
+
+
+def draw_files(eyes: SensorSuite, poses: F64, quality: int) -> Iterator[Seen]:
+    """As `draw_views`, with jpg files of views and mosaics that the process that draws makes.
+
+    The poses are those of one walk, from its first step on. What that process has not made is left
+    to who needs it.
+    """
+    renderer, preset = eyes.renderer, eyes.config.preset
+    assert isinstance(renderer, RendererShared)
+    pixels = preset.rgb.width * preset.rgb.height + TILE_WIDTH * TILE_HEIGHT * LENGTH
+    for begin in range(0, len(poses), BATCH):
+        batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
+        distinct = list(dict.fromkeys(batch))
+        places = {pose: index for index, pose in enumerate(distinct)}
+        numbers = [places[pose] for pose in batch]
+        wish = Encode(
+            quality=quality,
+            room=len(batch) * pixels * 3 // 2,
+            tile=(TILE_WIDTH, TILE_HEIGHT),
+            cells=LENGTH,
+            columns=COLUMNS,
+            steps=np.array(numbers, np.int32).tobytes(),
+            begin=begin == 0,
+        )
+        found = renderer.render_files(preset.rgb, eyes.views_of(distinct), wish, preset.background)
+        rgb, made = found.pictures["rgb"], bool(found.mosaics)
+        for step, (pose, number) in enumerate(zip(batch, numbers, strict=True)):
+            files = {}
+            if made:
+                files = {"rgb": found.files[number], "history": found.mosaics[step]}
+            yield Seen(pose, rgb[number], found.pictures["tiles"][number] if made else None, files)
+
+
+def files_wanted(eyes: SensorSuite, settings: PictureSettings) -> bool:
+    """Whether the process that draws should make the jpg files, too: it must know their pixels."""
+    preset = eyes.config.preset
+    return (
+        isinstance(eyes.renderer, RendererShared)
+        and eyes.renderer.encodes
+        and (settings.layout, settings.format) == ("webdataset", "jpg")
+        and preset.picture_size == (preset.rgb.width, preset.rgb.height)
+        and preset.rgb.width % TILE_WIDTH == 0
+        and preset.rgb.height % TILE_HEIGHT == 0
+    )
 
 
 def goal_picture(eyes: SensorSuite, episode: Episode) -> U8:

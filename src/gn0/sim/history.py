@@ -48,6 +48,10 @@ class History:
         """Remember a view [H, W, 3]; the oldest is forgotten when there are sixteen."""
         self._tiles.appendleft(reduce_picture(rgb, TILE_WIDTH, TILE_HEIGHT))
 
+    def add_tile(self, tile: U8) -> None:
+        """Remember a view that is reduced already [120, 160, 3]."""
+        self._tiles.appendleft(tile)
+
     def clear(self) -> None:
         """Forget everything."""
         self._tiles.clear()

@@ -11,7 +11,7 @@ import numpy as np
 
 from gn0.config import Config
 from gn0.errors import ConfigError, SimError
-from gn0.geometry import F32, U8, Pose2D, view_from_pose, world_to_agent
+from gn0.geometry import F32, F64, U8, Pose2D, view_from_pose, world_to_agent
 from gn0.maps.grid import GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.missions.episode import GoalPicture
@@ -253,9 +253,7 @@ class SensorSuite:
         want_rgb = bool(wanted & {"rgb", "history"})
         want_depth = "depth" in wanted
         preset = self.config.preset
-        views = np.stack(
-            [view_from_pose(p.x, p.y, self._camera_height, p.yaw, self._pitch) for p in poses]
-        )
+        views = self.views_of(poses)
         rgb: U8 | None = None
         depth: F32 | None = None
         assert self.renderer is not None
@@ -283,6 +281,12 @@ class SensorSuite:
         if rgb is not None:
             rgb.setflags(write=False)
         return rgb, depth
+
+    def views_of(self, poses: Sequence[Pose2D]) -> F64:
+        """Where the eyes are at some poses: world to camera [V, 4, 4]."""
+        return np.stack(
+            [view_from_pose(p.x, p.y, self._camera_height, p.yaw, self._pitch) for p in poses]
+        )
 
     def look_at_goal(self, picture: GoalPicture) -> U8:
         """The goal picture [H, W, 3] of an episode, as its record says."""

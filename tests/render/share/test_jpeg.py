@@ -47,7 +47,9 @@ def test_mosaics_are_made_of_tiles() -> None:
     device = DeviceHost(seed=2)
     tiles = pictures(20, 12)
     table = np.array([[0, 1, 2, 3], [4, -1, 0, -1], [-1, -1, -1, -1]], np.int32)
-    files = JpegEncoder(device).encode_mosaics(device.upload(tiles), table, 2, 85).files()
+    held = device.upload(tiles)
+    places = np.where(table < 0, 0, held.pointer + table.astype(np.int64) * tiles[0].nbytes)
+    files = JpegEncoder(device).encode_mosaics(places, (20, 12), 2, 85).files()
     for row, file in zip(table, files, strict=True):
         whole = np.zeros((24, 40, 3), np.uint8)
         for place, tile in enumerate(row.tolist()):

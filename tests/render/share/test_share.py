@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import shutil
 import socket
 import sys
 import threading
@@ -9,8 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from gn0.device.device import DeviceArray
+from gn0.device.host import DeviceHost
 from gn0.errors import DeviceError, DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import view_from_pose
@@ -18,10 +21,13 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.render.share.cpu import RendererBatchCpu
-from gn0.render.share.messages import lay_out
+from gn0.render.share.messages import Encode, lay_out
 from gn0.render.share.server import Server, open_listener
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets"),
+    pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++"),
+]
 CAMERA = Camera.from_hfov(48, 36, 90.0)
 BLACK = (0.0, 0.0, 0.0)
 
@@ -211,26 +217,101 @@ def test_what_is_no_message_ends_its_connection_alone(serve) -> None:
     serving.renderer(1).render(CAMERA, views(1))
 
 
+class BatchOnDevice(RendererBatchCpu):
+    """Pictures of the CPU renderer, on a device."""
+
+    def __init__(self, device: DeviceHost) -> None:
+        super().__init__()
+        self.device = device
+
+    def render(self, *args, **more):  # type: ignore[no-untyped-def, override]
+        found = super().render(*args, **more).numpy()
+        for name in ("rgb", "depth", "alpha"):
+            if (array := getattr(found, name)) is not None:
+                object.__setattr__(found, name, self.device.upload(array))
+        return found
+
+
 def test_pictures_of_a_device_come_through_pinned_memory(serve) -> None:
-    from gn0.device.host import DeviceHost
-
-    device = DeviceHost()
-
-    class BatchOnDevice(RendererBatchCpu):
-        def render(self, *args, **more):  # type: ignore[no-untyped-def, override]
-            found = super().render(*args, **more).numpy()
-            for name in ("rgb", "depth", "alpha"):
-                if (array := getattr(found, name)) is not None:
-                    object.__setattr__(found, name, device.upload(array))
-            return found
-
-    shared = serve(BatchOnDevice(), most=8).renderer(1)
+    shared = serve(BatchOnDevice(DeviceHost()), most=8).renderer(1)
     for count in (3, 20, 3):
         expect_same(
             shared.render(CAMERA, views(count)),
             RendererCpu(random_cloud(1)).render(CAMERA, views(count)),
         )
-    assert isinstance(device.zeros(3, np.uint8), DeviceArray)
+
+
+def jpeg_of(picture: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, "JPEG", quality=85, subsampling=2)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("most", [64, 3])
+def test_files_of_views_and_of_what_was_seen_before(serve, most) -> None:
+    """Requests go on where the last one ended, whatever the batches and whoever else asks."""
+    serving = serve(BatchOnDevice(DeviceHost()), most=most)
+    assert serving.server.encodes
+    alone = RendererCpu(random_cloud(1)).render(CAMERA, views(7)).rgb
+    expected: list[bytes] = []
+    tiles: list[np.ndarray] = []
+    order = [0, 1, 1, 2, 3, 4, 5, 6]  # a turn back shows the same view again
+    for number in order:
+        mosaic = np.zeros((24, 32, 3), np.uint8)
+        for place, tile in enumerate(tiles[::-1][:4]):
+            y, x = divmod(place, 2)
+            mosaic[y * 12 : y * 12 + 12, x * 16 : x * 16 + 16] = tile
+        expected.append(jpeg_of(mosaic))
+        small = Image.fromarray(alone[number]).resize((16, 12), Image.Resampling.BOX)
+        tiles.append(np.asarray(small))
+
+    def walk(renderer: RendererShared) -> None:
+        files: list[bytes] = []
+        mosaics: list[bytes] = []
+        for begin, end, steps in ((0, 4, [0, 1, 1, 2, 3]), (4, 7, [0, 1, 2])):
+            wish = Encode(
+                85, 200_000, (16, 12), 4, 2, np.array(steps, np.int32).tobytes(), begin == 0
+            )
+            found = renderer.render_files(CAMERA, views(7)[begin:end], wish)
+            np.testing.assert_array_equal(found.pictures["rgb"], alone[begin:end])
+            for index, number in enumerate(range(begin, end)):
+                wanted = Image.fromarray(alone[number]).resize((16, 12), Image.Resampling.BOX)
+                np.testing.assert_array_equal(found.pictures["tiles"][index], np.asarray(wanted))
+            files += found.files
+            mosaics += found.mosaics
+        assert files == [jpeg_of(picture) for picture in alone]
+        assert mosaics == expected
+
+    wrong: list[BaseException] = []
+
+    def attempt(renderer: RendererShared) -> None:
+        try:
+            walk(renderer)
+            walk(renderer)
+        except BaseException as error:
+            wrong.append(error)
+
+    threads = [threading.Thread(target=attempt, args=(serving.renderer(1),)) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong, wrong[0]
+
+
+def test_files_without_room_are_left_to_who_asked(serve) -> None:
+    renderer = serve(BatchOnDevice(DeviceHost())).renderer(1)
+    found = renderer.render_files(CAMERA, views(2), Encode(85, 10))
+    assert found.files == [] and found.pictures["rgb"].shape == (2, 36, 48, 3)
+    none = serve(RendererBatchCpu()).renderer(1)
+    assert none.render_files(CAMERA, views(2), Encode(85, 10**6, (16, 12))).files == []
+    bad = Encode(85, 10**5, (16, 12), steps=np.int32([2]).tobytes())
+    with pytest.raises(RenderError, match="step 0 has no view 2"):
+        renderer.render_files(CAMERA, views(2), bad)
+    odd = Encode(85, 10**5, (17, 12), steps=np.int32([0]).tobytes())
+    with pytest.raises(RenderError, match="no multiple"):
+        renderer.render_files(CAMERA, views(2), odd)
+    assert len(renderer.render_files(CAMERA, views(2), Encode(85, 10**5)).files) == 2
 
 
 def test_outputs_lie_apart_in_an_area() -> None:

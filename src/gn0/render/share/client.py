@@ -11,7 +11,7 @@ import sys
 import tempfile
 import weakref
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
@@ -24,17 +24,20 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.process import Ended, WorkerProcess
 from gn0.render.camera import Camera
 from gn0.render.renderer import Output, RenderResult, check_views
+from gn0.render.share.jpeg import join_files, read_tables
 from gn0.render.share.messages import (
     Area,
     Draw,
     Drawn,
+    Encode,
     Failed,
     Inbox,
     Note,
     Ready,
     Refused,
     Tally,
-    lay_out,
+    find_places,
+    lay_files,
     send_message,
 )
 
@@ -42,6 +45,21 @@ OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
 VIEWS = 32  # of a request at most: one area holds their pictures
 START_LIMIT = 120.0  # s: the first start compiles kernels
 GOES_ON = "give the same command again: it goes on where it stopped"
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnViews:
+    """What came of a request.
+
+    Attributes:
+        pictures: by output, and "tiles" uint8 [V, h, w, 3] where mosaics were wanted.
+        files: JPEG file of each view; empty where the server made none.
+        mosaics: JPEG file of each step's mosaic; empty where the server made none.
+    """
+
+    pictures: dict[str, NDArray[Any]]
+    files: list[bytes] = field(default_factory=list)
+    mosaics: list[bytes] = field(default_factory=list)
 
 
 class DrawConnection:
@@ -83,21 +101,23 @@ class DrawConnection:
         views: NDArray[np.float64],
         outputs: tuple[Output, ...],
         background: tuple[float, float, float] | None,
-    ) -> dict[str, NDArray[Any]]:
-        """Pictures of views [V, 4, 4], by output: copies of one's own.
+        encode: Encode | None = None,
+    ) -> DrawnViews:
+        """Pictures of views [V, 4, 4], and files of them: copies of one's own.
 
         Raises:
             DeviceError: the device or the process that draws is lost.
             Gn0Error: what the process raised.
         """
-        places, size = lay_out(camera, outputs, len(views))
+        self._number += 1
+        draw = Draw(
+            self._number, key, dict(source), camera, np.ascontiguousarray(views).tobytes(),
+            outputs, background, self._areas, encode,
+        )  # fmt: skip
+        _, coded, size = lay_files(draw)
         try:
             area = self._open_area(size)
-            self._number += 1
-            draw = Draw(
-                self._number, key, dict(source), camera, np.ascontiguousarray(views).tobytes(),
-                outputs, background, self._areas,
-            )  # fmt: skip
+            draw = msgspec.structs.replace(draw, area=self._areas)
             send_message(self._socket, draw)
         except OSError:
             raise _lost() from None
@@ -106,16 +126,20 @@ class DrawConnection:
             raise _lost()
         if isinstance(answer, Failed):
             raise error_of(answer.code, answer.what, answer.where, answer.remedy)
-        shape = (len(views), camera.height, camera.width)
-        found: dict[str, NDArray[Any]] = {}
-        for name, place in zip(outputs, places, strict=True):
-            if name == "rgb":
-                whole = area[place : place + 3 * int(np.prod(shape))].reshape(*shape, 3)
-            else:
-                whole = area[place : place + 4 * int(np.prod(shape))].view(np.float32)
-                whole = whole.reshape(shape)
-            found[name] = whole.copy()
-        return found
+        pictures = {name: array.copy() for name, array in find_places(draw, area).items()}
+        if encode is None or not answer.files:
+            return DrawnViews(pictures)
+        starts = coded + np.concatenate([[0], np.cumsum(answer.files + answer.mosaics)])
+        count = len(answer.files)
+        head = read_tables(camera.width, camera.height, encode.quality).head
+        files = join_files(head, area, starts[: count + 1])
+        mosaics: list[bytes] = []
+        if encode.tile is not None and answer.mosaics:
+            rows = encode.cells // encode.columns
+            width, height = encode.tile[0] * encode.columns, encode.tile[1] * rows
+            head = read_tables(width, height, encode.quality).head
+            mosaics = join_files(head, area, starts[count:])
+        return DrawnViews(pictures, files, mosaics)
 
     def _open_area(self, size: int) -> NDArray[np.uint8]:
         """Shared memory of at least so many bytes; grown when needed."""
@@ -158,12 +182,16 @@ class RendererShared:
         name: of the backend that draws.
         key: of the scene in its light; equal keys mean equal splats.
         source: how that process loads the splats.
+
+    Attributes:
+        encodes: whether `render_files` is worth a try.
     """
 
     def __init__(
         self, connection: DrawConnection, name: str, key: str, source: Mapping[str, Any]
     ) -> None:
         self.name = name
+        self.encodes = name != "cpu"
         self._connection, self._key, self._source = connection, key, dict(source)
 
     def render(
@@ -193,12 +221,32 @@ class RendererShared:
             self._connection.draw(
                 self._key, self._source, camera, matrices[begin : begin + VIEWS], outputs,
                 background,
-            )
+            ).pictures
             for begin in range(0, len(matrices), VIEWS)
         ]  # fmt: skip
         whole = {n: parts[0][n] if len(parts) == 1 else np.concatenate([p[n] for p in parts])
                  for n in outputs}  # fmt: skip
         return RenderResult(*(whole.get(n) for n in OUTPUTS))
+
+    def render_files(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        encode: Encode,
+        background: tuple[float, float, float] | None = None,
+    ) -> DrawnViews:
+        """Colour pictures of at most `VIEWS` views [V, 4, 4], and their files.
+
+        Raises:
+            RenderError: a view is none, or there are too many.
+            DeviceError: the device or the process that draws is lost.
+        """
+        matrices = check_views(views)
+        if not 0 < len(matrices) <= VIEWS:
+            raise RenderError(f"{len(matrices)} views in a request", remedy=f"give 1 to {VIEWS}")
+        return self._connection.draw(
+            self._key, self._source, camera, matrices, ("rgb",), background, encode
+        )
 
 
 @dataclass(eq=False)
@@ -215,6 +263,7 @@ class DrawServer:
     Attributes:
         address: for `DrawConnection`.
         card: name of the device.
+        encodes: whether it makes JPEG files.
         tally: what it has drawn, as it said last.
 
     Raises:
@@ -228,6 +277,7 @@ class DrawServer:
     threads: int = 1
     address: str = ""
     card: str = ""
+    encodes: bool = False
     tally: Tally = Tally()  # noqa: RUF009 (frozen)
 
     def __enter__(self) -> DrawServer:
@@ -276,6 +326,7 @@ class DrawServer:
             self._process.end()
             raise
         self.address, self.backend, self.card = first.address, first.backend, first.card
+        self.encodes = first.encodes
         return self
 
     @property

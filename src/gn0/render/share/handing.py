@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from gn0.device.device import DeviceArray, Download
 from gn0.errors import Gn0Error, RenderError
 from gn0.render.renderer import Output
-from gn0.render.share.messages import Drawn
+from gn0.render.share.files import Files
+from gn0.render.share.messages import Drawn, lay_files
 from gn0.render.share.request import Request
 
 IN_FLIGHT = 2  # batches between the renderer and their last byte in an area
@@ -47,6 +48,7 @@ class Batch:
         pictures: with fields rgb, depth, alpha on a device, or with `numpy()`.
         outputs: which of them.
         pieces: in the order of their rows.
+        files: of the pictures, where they are wanted.
         copies: under way to pinned memory, by output.
         blocks: of pinned memory that they go to, whole, by output.
     """
@@ -54,6 +56,7 @@ class Batch:
     pictures: Any
     outputs: tuple[Output, ...]
     pieces: Sequence[Piece]
+    files: Files | None = None
     copies: dict[str, Download] = field(default_factory=dict)
     blocks: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
 
@@ -71,6 +74,7 @@ class Handing:
         self._done: queue.SimpleQueue[Gn0Error | None] = queue.SimpleQueue()
         self._flying: deque[Batch] = deque()
         self._blocks: dict[str, list[NDArray[np.uint8]]] = {}
+        self._coded: dict[int, Coded] = {}
         threading.Thread(target=self._work, name="hand pictures out", daemon=True).start()
 
     def make_room(self) -> None:
@@ -92,13 +96,18 @@ class Handing:
 
     def take(self, batch: Batch) -> None:
         """Bring the pictures of a batch to those who asked; returns at once."""
-        for name in batch.outputs:
-            source = getattr(batch.pictures, name, None)
+        sources: dict[str, Any] = {
+            name: getattr(batch.pictures, name, None) for name in batch.outputs
+        }
+        if (files := batch.files) is not None:
+            sources |= {"files": files.views.data, "tiles": files.tiles}
+            sources["mosaics"] = None if files.mosaics is None else files.mosaics.data
+        for name, source in sources.items():
             if isinstance(source, DeviceArray):
                 kept = self._blocks.get(name)
                 block = kept.pop() if kept else None
                 if block is None or len(block) < source.nbytes:
-                    block = source.device.pinned(source.nbytes, np.uint8)
+                    block = source.device.pinned(source.nbytes * 5 // 4, np.uint8)
                 target = block[: source.nbytes].view(source.dtype).reshape(source.shape)
                 batch.blocks[name] = block
                 batch.copies[name] = source.device.download_async(source, target, beside=True)
@@ -122,23 +131,69 @@ class Handing:
                     )
                 )
                 for piece in batch.pieces:
+                    self._coded.pop(id(piece.request), None)
                     piece.request.fail(error)
             self.seconds += time.perf_counter() - begin
             batch = None  # its arrays are the other thread's to let go of
             self._done.put(error)
 
     def _hand_out(self, batch: Batch) -> None:
-        arrays: dict[str, NDArray[Any]] = {}
-        for name in batch.outputs:
-            copy = batch.copies.get(name)
-            array = getattr(batch.pictures.numpy(), name) if copy is None else copy.numpy()
-            if array is None:
-                raise RenderError(f"the renderer gave no {name}")
-            arrays[name] = array
+        arrays: dict[str, NDArray[Any]] = {
+            name: copy.numpy() for name, copy in batch.copies.items()
+        }
+        for output in batch.outputs:
+            if output not in arrays:
+                arrays[output] = getattr(batch.pictures.numpy(), output)
+            if arrays[output] is None:
+                raise RenderError(f"the renderer gave no {output}")
+        mosaics = 0
         for piece in batch.pieces:
             for wanted, target in piece.request.targets().items():
+                if wanted == "tiles" and wanted not in arrays:
+                    continue
                 if target.dtype != arrays[wanted].dtype:
                     raise RenderError(f"the renderer gave {wanted} of {arrays[wanted].dtype}")
                 np.copyto(target[piece.places], arrays[wanted][piece.rows])
+            coded = Coded(piece.request)
+            if (files := batch.files) is not None:
+                coded = self._coded.pop(id(piece.request), coded)
+                coded.add("files", arrays["files"], files.views.starts, piece.rows)
+                if piece.last and files.mosaics is not None:
+                    steps = files.steps[id(piece.request)]
+                    coded.add("mosaics", arrays["mosaics"], files.mosaics.starts,
+                              slice(mosaics, mosaics + steps))  # fmt: skip
+                    mosaics += steps
+                if not piece.last:
+                    self._coded[id(piece.request)] = coded
             if piece.last:
-                piece.request.connection.send(Drawn(piece.request.draw.number))
+                piece.request.connection.send(coded.answer())
+
+
+class Coded:
+    """The files of a request as they come into its area, one behind the other."""
+
+    def __init__(self, request: Request) -> None:
+        self._request = request
+        _, self._at, self._end = lay_files(request.draw)
+        self._sizes: dict[str, list[int]] = {"files": [], "mosaics": []}
+        self._fits = True
+
+    def add(
+        self, kind: str, data: NDArray[np.uint8], starts: NDArray[np.int64], rows: slice
+    ) -> None:
+        """Copy files `rows` of a batch; without room for all, the request gets none."""
+        begin, end = int(starts[rows.start]), int(starts[rows.stop])
+        self._fits &= self._at + end - begin <= self._end
+        if self._fits:
+            draw = self._request.draw
+            area = self._request.connection.areas[draw.area]
+            area[self._at : self._at + end - begin] = data[begin:end]
+            self._at += end - begin
+            self._sizes[kind] += np.diff(starts[rows.start : rows.stop + 1]).tolist()
+
+    def answer(self) -> Drawn:
+        """What the request is told."""
+        number = self._request.draw.number
+        if not self._fits:
+            return Drawn(number)
+        return Drawn(number, tuple(self._sizes["files"]), tuple(self._sizes["mosaics"]))

@@ -11,6 +11,7 @@ import io
 import struct
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gn0.device.device import Device, DeviceArray, KernelSource
-from gn0.errors import DeviceError
+from gn0.errors import DeviceError, RenderError
 
 _KERNELS = Path(__file__).parent / "kernels" / "jpeg.cu"
 _THREADS = 128
@@ -105,11 +106,12 @@ class JpegDevice:
     def files(self, data: NDArray[np.uint8] | None = None) -> list[bytes]:
         """The files; `data` is a host copy where there is one already."""
         host = self.data.numpy() if data is None else data
-        starts = self.starts.tolist()
-        return [
-            self.head + host[begin:end].tobytes() + _END
-            for begin, end in zip(starts, starts[1:], strict=False)
-        ]
+        return join_files(self.head, host, self.starts)
+
+
+def join_files(head: bytes, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> list[bytes]:
+    """Whole files from what they have in common and their own bytes `data[starts[i]:…]`."""
+    return [head + data[begin:end].tobytes() + _END for begin, end in pairwise(starts.tolist())]
 
 
 class JpegEncoder:
@@ -130,30 +132,30 @@ class JpegEncoder:
         return self._encode(pictures, None, count, (width, height), (1, 1), 1, quality)
 
     def encode_mosaics(
-        self, tiles: DeviceArray, table: NDArray[np.int32], columns: int, quality: int
+        self, table: NDArray[np.uint64], tile: tuple[int, int], columns: int, quality: int
     ) -> JpegDevice:
         """JPEG files of mosaics.
 
         Args:
-            tiles: uint8 [N, h, w, 3].
-            table: number of each mosaic's tiles [V, rows * columns], row by row; -1 is black.
+            table: address on the device of each mosaic's tiles uint8 [h, w, 3] [V, cells], row by
+                row; 0 is black. The tiles must stay until this has returned.
+            tile: their width and height [px].
             columns: of a mosaic.
             quality: 1 to 100.
         """
-        _, height, width, _ = tiles.shape
-        size = (width * columns, height * (table.shape[1] // columns))
-        numbers = self.device.upload(np.ascontiguousarray(table, np.int32))
-        return self._encode(tiles, numbers, len(table), size, (width, height), columns, quality)
+        size = (tile[0] * columns, tile[1] * (table.shape[1] // columns))
+        numbers = self.device.upload(np.ascontiguousarray(table, np.uint64))
+        return self._encode(None, numbers, len(table), size, tile, columns, quality)
 
     def reduce(self, pictures: DeviceArray, width: int, height: int) -> DeviceArray:
         """Pictures uint8 [V, H, W, 3] reduced to [V, height, width, 3] as Pillow's BOX does.
 
         Raises:
-            DeviceError: a side is no whole multiple.
+            RenderError: a side is no whole multiple.
         """
         count, high, wide, _ = pictures.shape
         if wide % width or high % height:
-            raise DeviceError(f"{wide}x{high} is no multiple of {width}x{height}")
+            raise RenderError(f"{wide}x{high} is no multiple of {width}x{height}")
         tiles = self.device.empty((count, height, width, 3), np.uint8)
         self._kernels["reduce_tiles"].launch(
             -(-tiles.size // _THREADS), _THREADS, pictures, np.int32(count), np.int32(wide),
@@ -163,7 +165,7 @@ class JpegEncoder:
 
     def _encode(
         self,
-        pixels: DeviceArray,
+        pixels: DeviceArray | None,
         table: DeviceArray | None,
         count: int,
         size: tuple[int, int],

@@ -12,6 +12,8 @@ import struct
 from typing import Any, TypeVar
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from gn0.errors import DeviceError
 from gn0.render.camera import Camera
@@ -35,6 +37,28 @@ class Area(msgspec.Struct, frozen=True, tag="area"):
     size: int
 
 
+class Encode(msgspec.Struct, frozen=True):
+    """Make JPEG files of the views of a request too, and of the history at each step.
+
+    Attributes:
+        quality: 1 to 100.
+        room: bytes of the area, behind the pictures, that files may take.
+        tile: width and height [px] that a view has in the history mosaic; None makes no mosaics.
+        cells: tiles of a mosaic, in rows of `columns`: the views before a step, newest first.
+        columns: of a mosaic.
+        steps: number of each step's view int32 [T] as bytes; a mosaic a step.
+        begin: forget the views of earlier requests: a new walk begins.
+    """
+
+    quality: int
+    room: int
+    tile: tuple[int, int] | None = None
+    cells: int = 16
+    columns: int = 4
+    steps: bytes = b""
+    begin: bool = True
+
+
 class Draw(msgspec.Struct, frozen=True, tag="draw"):
     """Draw views of one scene into an area.
 
@@ -47,6 +71,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
         outputs: which pictures; they lie in the area in this order, see `lay_out`.
         background: colour behind everything, 0..1; None takes the renderer's own.
         area: where they go.
+        encode: files that are wanted as well.
     """
 
     number: int
@@ -57,6 +82,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
     outputs: tuple[Output, ...]
     background: tuple[float, float, float] | None
     area: int
+    encode: Encode | None = None
 
     @property
     def count(self) -> int:
@@ -65,9 +91,18 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
 
 
 class Drawn(msgspec.Struct, frozen=True, tag="drawn"):
-    """The pictures of a request are in its area."""
+    """The pictures of a request are in its area.
+
+    Attributes:
+        number: of the request.
+        files: bytes of each view's JPEG file without what all have in common; they follow each
+            other behind the pictures. Empty where none were wanted, or they had no room.
+        mosaics: of each step's mosaic; they follow the files.
+    """
 
     number: int
+    files: tuple[int, ...] = ()
+    mosaics: tuple[int, ...] = ()
 
 
 class Failed(msgspec.Struct, frozen=True, tag="failed"):
@@ -81,11 +116,15 @@ class Failed(msgspec.Struct, frozen=True, tag="failed"):
 
 
 class Ready(msgspec.Struct, frozen=True, tag="ready"):
-    """First line of the server to its starter: where it listens, what draws, on which card."""
+    """First line of the server to its starter: where it listens, what draws, on which card.
+
+    `encodes` says whether it makes JPEG files.
+    """
 
     address: str
     backend: str
     card: str
+    encodes: bool = False
 
 
 class Refused(msgspec.Struct, frozen=True, tag="refused"):
@@ -109,19 +148,23 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True, tag="tally"):
     Attributes:
         views: drawn.
         calls: of the renderer.
-        drawing, copying, waiting: seconds in the renderer, in copies to shared memory, and
-            without anything to do.
+        drawing, encoding, copying, waiting: seconds in the renderer, in making files, in copies
+            to shared memory (beside the others), and without anything to do.
     """
 
     views: int = 0
     calls: int = 0
     drawing: float = 0.0
+    encoding: float = 0.0
     copying: float = 0.0
     waiting: float = 0.0
 
 
 def lay_out(camera: Camera, outputs: tuple[Output, ...], count: int) -> tuple[list[int], int]:
-    """Offset of each output's pictures in an area, and the bytes of all."""
+    """Offset of each output's pictures in an area, and the bytes of all.
+
+    Tiles of the history [V, h, w, 3], where they are wanted, follow; then files.
+    """
     places, end = [], 0
     pixels = count * camera.width * camera.height
     for output in outputs:
@@ -129,6 +172,39 @@ def lay_out(camera: Camera, outputs: tuple[Output, ...], count: int) -> tuple[li
         size = pixels * (3 if output == "rgb" else 4)
         end += -(-size // ALIGNMENT) * ALIGNMENT
     return places, end
+
+
+def lay_files(draw: Draw) -> tuple[int, int, int]:
+    """Offset of the tiles and of the files of a request in its area, and the bytes of all."""
+    end = lay_out(draw.camera, draw.outputs, draw.count)[1]
+    wish = draw.encode
+    if wish is None:
+        return end, end, end
+    tiles = end
+    if wish.tile is not None:
+        end += -(-draw.count * wish.tile[0] * wish.tile[1] * 3 // ALIGNMENT) * ALIGNMENT
+    return tiles, end, end + wish.room
+
+
+def find_places(draw: Draw, area: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+    """Where in an area the pictures of a request are, by output: uint8 or float32 [V, H, W, …].
+
+    With mosaics also "tiles" uint8 [V, h, w, 3].
+    """
+    places, _ = lay_out(draw.camera, draw.outputs, draw.count)
+    shape = (draw.count, draw.camera.height, draw.camera.width)
+    pixels = draw.count * draw.camera.height * draw.camera.width
+    found: dict[str, NDArray[Any]] = {}
+    for name, place in zip(draw.outputs, places, strict=True):
+        if name == "rgb":
+            found[name] = area[place : place + pixels * 3].reshape(*shape, 3)
+        else:
+            found[name] = area[place : place + pixels * 4].view(np.float32).reshape(shape)
+    if draw.encode is not None and draw.encode.tile is not None:
+        width, height = draw.encode.tile
+        tiles = area[lay_files(draw)[0] :][: draw.count * height * width * 3]
+        found["tiles"] = tiles.reshape(draw.count, height, width, 3)
+    return found
 
 
 def send_message(

@@ -15,16 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import DeviceError, Gn0Error
-from gn0.render.share.messages import Area, Draw, Failed, lay_out, send_message
+from gn0.render.share.messages import Area, Draw, Failed, find_places, send_message
 
 
 @dataclass(eq=False)
 class Connection:
-    """One that asks: its socket, and the areas it has given."""
+    """One that asks: its socket, and the area it has given; `closed` once it is gone."""
 
     socket: socket.socket
     areas: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     sending: threading.Lock = field(default_factory=threading.Lock)
+    closed: bool = False
 
     def send(self, message: msgspec.Struct) -> None:
         """Tell it something; one that is gone is not missed."""
@@ -56,8 +57,9 @@ class Request:
     @property
     def alike(self) -> tuple[Any, ...]:
         """What must be equal for one call of the renderer."""
-        draw = self.draw
-        return msgspec.json.encode(draw.camera), draw.outputs, draw.background
+        draw, wish = self.draw, self.draw.encode
+        files = None if wish is None else (wish.quality, wish.tile, wish.cells, wish.columns)
+        return msgspec.json.encode(draw.camera), draw.outputs, draw.background, files
 
     def fail(self, error: Gn0Error) -> None:
         """Tell who asked what went wrong."""
@@ -65,16 +67,5 @@ class Request:
         self.connection.send(Failed(number, error.code, error.what, error.where, error.remedy))
 
     def targets(self) -> dict[str, NDArray[Any]]:
-        """The arrays in its area that the pictures go to: uint8 [V, H, W, 3], float32 [V, H, W]."""
-        draw = self.draw
-        area = self.connection.areas[draw.area]
-        places, _ = lay_out(draw.camera, draw.outputs, draw.count)
-        shape = (draw.count, draw.camera.height, draw.camera.width)
-        pixels = draw.count * draw.camera.height * draw.camera.width
-        found: dict[str, NDArray[Any]] = {}
-        for name, place in zip(draw.outputs, places, strict=True):
-            if name == "rgb":
-                found[name] = area[place : place + pixels * 3].reshape(*shape, 3)
-            else:
-                found[name] = area[place : place + pixels * 4].view(np.float32).reshape(shape)
-        return found
+        """The arrays in its area that the pictures go to; see `find_places`."""
+        return find_places(self.draw, self.connection.areas[self.draw.area])

@@ -28,22 +28,25 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.device.device import DeviceArray
 from gn0.errors import DeviceError, DeviceMemoryError, Gn0Error, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.child import open_channel
 from gn0.jobs.worker import find_function
 from gn0.render.camera import Camera
 from gn0.render.renderer import Output
+from gn0.render.share.files import FileMaker, Files
 from gn0.render.share.handing import Batch, Handing, Piece
 from gn0.render.share.messages import (
     Area,
     Draw,
+    Encode,
     Inbox,
     Note,
     Ready,
     Refused,
     Tally,
-    lay_out,
+    lay_files,
 )
 from gn0.render.share.request import Connection, Request
 
@@ -114,7 +117,14 @@ class Server:
         self._held: Request | None = None  # did not fit into the last batch
         self._said = False
         self._handing = Handing()
+        device = getattr(batch, "device", None)
+        self._files = None if device is None else FileMaker(device)
         self.tally = Tally()
+
+    @property
+    def encodes(self) -> bool:
+        """Whether it makes files."""
+        return self._files is not None
 
     def listen(self, listener: socket.socket) -> None:
         """Accept connections for ever; each has a thread that reads it."""
@@ -141,6 +151,7 @@ class Server:
         except (Gn0Error, OSError, ValueError, IndexError) as error:
             _log.warning("a connection ends: %s", error)
         finally:
+            connection.closed = True
             connection.socket.close()
 
     def serve(self, told: Callable[[Tally], None] = lambda tally: None) -> None:
@@ -226,7 +237,7 @@ class Server:
     def _check(self, request: Request) -> None:
         draw = request.draw
         area = request.connection.areas.get(draw.area)
-        needed = lay_out(draw.camera, draw.outputs, draw.count)[1]
+        needed = lay_files(draw)[2]
         if area is None or len(area) < needed or not draw.outputs or not draw.count:
             raise RenderError("a request without room for its pictures", where="drawing socket")
         if draw.key not in self._known:
@@ -244,6 +255,8 @@ class Server:
         for begin in range(0, len(views), self._views):
             end = min(begin + self._views, len(views))
             self._handing.make_room()
+            if not begin and self._files is not None:
+                self._files.forget(group)
             start = time.perf_counter()
             pictures = self._batch.render(
                 first.camera,
@@ -262,8 +275,25 @@ class Server:
                         Piece(request, rows, slice(low - at, high - at), at + size <= end)
                     )
                 at += size
-            self._handing.take(Batch(pictures, first.outputs, pieces))
-            self._count(views=end - begin, calls=1, drawing=time.perf_counter() - start)
+            middle = time.perf_counter()
+            files = self._make_files(pictures, first.encode, pieces)
+            self._handing.take(Batch(pictures, first.outputs, pieces, files))
+            self._count(
+                views=end - begin,
+                calls=1,
+                drawing=middle - start,
+                encoding=time.perf_counter() - middle,
+            )
+
+    def _make_files(
+        self, pictures: Any, encode: Encode | None, pieces: list[Piece]
+    ) -> Files | None:
+        """Files of a batch, where they are wanted and its pictures are on a device."""
+        rgb = getattr(pictures, "rgb", None)
+        if encode is None or self._files is None or not isinstance(rgb, DeviceArray):
+            return None
+        owners = [(piece.request, piece.rows, piece.last) for piece in pieces]
+        return self._files.make(rgb, encode, owners)
 
     def _count(self, **more: float) -> None:
         more["copying"] = self._handing.seconds - self.tally.copying
@@ -319,7 +349,7 @@ def main() -> int:
     listener, address = open_listener()
     server = Server(batch, load, args.batch, lambda text: say(Note(text)))
     threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
-    say(Ready(address, batch.name if args.backend == "cpu" else args.backend, card))
+    say(Ready(address, args.backend, card, encodes=server.encodes))
     try:
         server.serve(say)
     except DeviceError as error:

@@ -13,8 +13,8 @@ __constant__ u8 ZIGZAG[64] = {
 
 // Where the pixels of pictures are: whole pictures, or mosaics of tiles by a table.
 struct Source {
-  const u8 *pixels;   // [V, height, width, 3], or tiles [N, tile_height, tile_width, 3]
-  const int *table;   // null, or [V, columns * rows] tile numbers, -1 is black
+  const u8 *pixels;   // [V, height, width, 3]
+  const u64 *table;   // or addresses [V, cells] of tiles [tile_height, tile_width, 3]; 0 is black
   int width, height;  // of a picture
   int tile_width, tile_height, columns, cells;
 };
@@ -23,10 +23,9 @@ __device__ __forceinline__ int3 pixel_at(const Source &s, int v, int x, int y) {
   const u8 *p;
   if (s.table) {
     int row = y / s.tile_height, column = x / s.tile_width;
-    int tile = s.table[(i64)v * s.cells + row * s.columns + column];
-    if (tile < 0) return {0, 0, 0};
-    p = s.pixels + (((i64)tile * s.tile_height + (y - row * s.tile_height)) * s.tile_width +
-                    (x - column * s.tile_width)) * 3;
+    p = (const u8 *)s.table[(i64)v * s.cells + row * s.columns + column];
+    if (!p) return {0, 0, 0};
+    p += ((y - row * s.tile_height) * s.tile_width + (x - column * s.tile_width)) * 3;
   } else {
     p = s.pixels + (((i64)v * s.height + y) * s.width + x) * 3;
   }
@@ -73,7 +72,7 @@ __device__ __forceinline__ void transform(int *d, int step, bool first) {
 // Coefficients int16 [V, units, 6, 64] in zigzag order, quantised; a warp a unit.
 // `steps` [2, 64]: quantisation of luma and chroma in zigzag order.
 KERNEL_BOUNDED(jpeg_transform, 128, 8)
-(const u8 *pixels, const int *table, int width, int height, int tile_width, int tile_height,
+(const u8 *pixels, const u64 *table, int width, int height, int tile_width, int tile_height,
  int columns, int cells, const int *steps, int views, u16 *coefficients) {
   __shared__ int held[WARPS][UNIT_BLOCKS * 64];
   Source source = {pixels, table, width, height, tile_width, tile_height, columns, cells};

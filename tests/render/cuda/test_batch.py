@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
+import weakref
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.pack import cloud_bytes
+from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.renderer import RenderOptions
 from gn0.testing.check_renderer import random_cloud
 
@@ -149,3 +153,22 @@ def test_outputs_and_options() -> None:
 def test_refusals_say_what_is_wrong(named: dict, match: str) -> None:
     with pytest.raises(RenderError, match=match):
         batch_of().render(CAMERA, views(2), **named)
+
+
+def test_renderers_of_a_device_share_their_buffers() -> None:
+    """And take turns: two threads with a renderer each get what each would get alone."""
+    device = DeviceHost()
+    pair = [RendererCuda(cloud_of(key), None, device) for key in "ab"]
+    assert pair[0].batch.drawer is pair[1].batch.drawer
+    assert RendererBatch(DeviceHost()).drawer is not pair[0].batch.drawer
+    want = [renderer.render(CAMERA, views(2)).rgb.tobytes() for renderer in pair]
+
+    def draw(k: int) -> bytes:
+        return pair[k % 2].render(CAMERA, views(2)).rgb.tobytes()
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(draw, range(6))) == want * 3
+    drawer = weakref.ref(pair[0].batch.drawer)
+    pair.clear()
+    gc.collect()
+    assert drawer() is None, "buffers go with the last of them"

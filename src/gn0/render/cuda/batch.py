@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,12 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice
 from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.store import CloudStore
-from gn0.render.cuda.visible import VisibleSets
+from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.renderer import Output, RenderOptions, check_views
 from gn0.render.visible_places import VisibleOptions
 
 OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
+_drawers: WeakKeyDictionary[Device, ref[Drawer]] = WeakKeyDictionary()
 Cell = tuple[int, int]
 Part = tuple[VisibleSets, Cell]
 
@@ -42,7 +44,7 @@ class RendererBatch:
         self.device = device
         self.options = options or RenderOptions()
         self.store = CloudStore(device, memory)
-        self.drawer = Drawer(device)
+        self.drawer = share_drawer(device)
         self._sets: dict[str, VisibleSets] = {}
         self.store.on_drop = self._let_go
 
@@ -133,7 +135,21 @@ class RendererBatch:
             DeviceMemoryError: a scene is larger than the memory, or one view has no room.
             DeviceError: the device is lost.
         """
-        matrices = check_views(views)
+        with lock_of(self.device):
+            return self._render(
+                camera, check_views(views), keys, tails, outputs, background, visible
+            )
+
+    def _render(
+        self,
+        camera: Camera,
+        matrices: F64,
+        keys: Sequence[str] | str,
+        tails: Sequence[GaussianCloud | None] | GaussianCloud | None,
+        outputs: tuple[Output, ...],
+        background: tuple[float, float, float] | None,
+        visible: bool | VisibleSets | Sequence[Cell | None] | None,
+    ) -> PicturesDevice:
         count = len(matrices)
         names = [keys] * count if isinstance(keys, str) else list(keys)
         colour = check_picture(
@@ -229,6 +245,19 @@ class RendererBatch:
             for v, cell in zip(mine, sets.locate(camera, matrices[mine]), strict=True):
                 found[v] = None if cell is None else (sets, cell)
         return found
+
+
+def share_drawer(device: Device) -> Drawer:
+    """The drawer of all renderers of a device: its buffers are as large as the largest call.
+
+    Whoever draws holds `lock_of` its device.
+    """
+    known = _drawers.get(device)
+    drawer = known() if known is not None else None
+    if drawer is None:
+        drawer = Drawer(device)
+        _drawers[device] = ref(drawer)
+    return drawer
 
 
 def _views_of(names: list[str]) -> dict[str, list[int]]:

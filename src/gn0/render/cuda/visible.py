@@ -12,7 +12,9 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import RLock
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +39,7 @@ CELLS = 8  # found in one call: 240 pictures keep a card busy, and their lists a
 WRITERS = 4  # threads that pack and write files: a disk's answer takes longer than a card's
 _SOURCE = KernelSource("visible", (Path(__file__).parent / "kernels" / "mark.cu",))
 _BOX = 7
+_locks: WeakKeyDictionary[Device, RLock] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +60,11 @@ class VisibleSetDevice:
     def nbytes(self) -> int:
         """Device memory."""
         return self.slots.nbytes + self.boxes.nbytes
+
+
+def lock_of(device: Device) -> RLock:
+    """Held while somebody draws on a device: its renderers share buffers, and the stream."""
+    return _locks.setdefault(device, RLock())
 
 
 class VisibleSets:
@@ -231,7 +239,9 @@ class VisibleSets:
 
     def find(self, cells: Sequence[Cell], cloud: CloudDevice) -> NDArray[np.uint8]:
         """Which splats show from some cells: uint8 [S, ⌈N/8⌉], bits as `np.packbits` lays them."""
-        rows = self._find_bits(cells, cloud).numpy().view(np.uint8).reshape(len(cells), -1)
+        with lock_of(self._drawer.device):
+            marks = self._find_bits(cells, cloud).numpy()
+        rows = marks.view(np.uint8).reshape(len(cells), -1)
         return rows[:, : -(-cloud.size // 8)]
 
     def _find_bits(self, cells: Sequence[Cell], cloud: CloudDevice) -> DeviceArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import pytest
@@ -100,3 +101,34 @@ def test_a_backend_chooses_its_figures(out: Path, capsys: pytest.CaptureFixture[
         verb.run(verb.Args(ids=("cellar",), out=str(out)))
     assert verb.run(verb.Args(list=True)) == 0
     assert "room.breaks" in capsys.readouterr().out
+
+
+def test_rows_of_another_machine_are_taken_over(
+    out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("here", "there"):
+        (out / name).mkdir()
+    verb.run(verb.Args(ids=("room.reports",), out=str(out / "here")))
+    verb.run(verb.Args(ids=("room.breaks", "room.lacks"), out=str(out / "there")))
+    there = out / "there" / "figures.json"
+    assert verb.run(verb.Args(merge=str(there), out=str(out / "here"))) == 0
+    board = load_board(out / "here" / "figures.json")
+    assert set(board) == {"room.reports", "room.breaks"}, "what has no rows stays where it is"
+    assert "room.breaks: 2 rows" in capsys.readouterr().out
+    with pytest.raises(ConfigError, match="no board there"):
+        verb.run(verb.Args(merge=str(out / "absent.json"), out=str(out / "here")))
+
+
+def test_a_room_without_its_package_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(catalogue, "_MODULES", ("board_absent_room", "install"))
+    monkeypatch.setattr(catalogue, "import_module", _import_without)
+    assert catalogue.left_out() == {"board_absent_room": "av"}
+    assert all(name.startswith("install") for name in catalogue.all_figures())
+    with pytest.raises(ConfigError, match="board_absent_room needs av"):
+        catalogue.find_figures(["export"])
+
+
+def _import_without(name: str) -> object:
+    if name.endswith("board_absent_room"):
+        raise ModuleNotFoundError("No module named 'av'", name="av")
+    return importlib.import_module(name)

@@ -38,6 +38,7 @@ class Args(Config, frozen=True):
         data: folder of third-party test data; default $GN0_DATA, else ../shared/data.
         backend: only figures of this backend ("cuda"), of those chosen.
         scenes: folder of scenes made beforehand (see docs/gpu_figures.md).
+        merge: measure nothing; take the rows of this figures.json, measured on another machine.
     """
 
     ids: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
@@ -47,6 +48,7 @@ class Args(Config, frozen=True):
     data: str = ""
     backend: str = ""
     scenes: str = ""
+    merge: str = ""
 
 
 def run(args: Args) -> int:
@@ -54,8 +56,10 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.errors import ConfigError
     from gn0.figures.board import FigureContext
-    from gn0.figures.catalogue import all_figures, find_figures
+    from gn0.figures.catalogue import all_figures, find_figures, left_out
 
+    if args.merge:
+        return _merge(args)
     chosen = bool(args.all or args.ids)
     known = all_figures().values()
     figures = find_figures([*args.ids]) if args.ids and not args.all else [*known]
@@ -68,6 +72,8 @@ def run(args: Args) -> int:
     if args.list or not (chosen or args.backend):
         for figure in figures:
             print(f"{figure.id:<28}{figure.title}  (about {figure.minutes:g} min)")
+        for room, package in left_out().items():
+            print(f"{room:<28}left out: needs the package {package}")
         return 0
     data = Path(args.data or os.environ.get("GN0_DATA", "../shared/data"))
     scenes = Path(args.scenes) if args.scenes else None
@@ -87,6 +93,24 @@ def run(args: Args) -> int:
             failed += _Run(figure, Path(args.out)).measure(context)
     print(f"board: {Path(args.out) / 'figures.md'}; {failed} targets missed or figures broken off")
     return 1 if failed else 0
+
+
+def _merge(args: Args) -> int:
+    """Put the measured rows of another board on ours."""
+    from gn0.errors import ConfigError
+    from gn0.figures.board import load_board, write_board
+
+    other = load_board(Path(args.merge))
+    if not other:
+        raise ConfigError("no board there", where=args.merge, remedy="give a figures.json")
+    board = load_board(Path(args.out) / "figures.json")
+    for name, entry in other.items():
+        wanted = not args.ids or any(name == i or name.startswith(i + ".") for i in args.ids)
+        if wanted and entry.rows:
+            board[name] = entry
+            print(f"{name}: {len(entry.rows)} rows of {entry.date}, {entry.hardware}")
+    write_board(Path(args.out), board.values())
+    return 0
 
 
 class _Run:
@@ -146,10 +170,13 @@ class _Run:
 
     def _board(self) -> dict[str, BoardEntry]:
         from gn0.figures.board import load_board
-        from gn0.figures.catalogue import all_figures
+        from gn0.figures.catalogue import all_figures, left_out
 
+        board = load_board(self.out / "figures.json")
+        if left_out():
+            return board
         known = all_figures()  # what is no longer measured leaves the board
-        return {k: v for k, v in load_board(self.out / "figures.json").items() if k in known}
+        return {k: v for k, v in board.items() if k in known}
 
     def _write(self, rows: list[Any], note: str) -> None:
         from gn0 import __version__

@@ -1,4 +1,4 @@
-"""All figures, by id; each room's module is imported only when asked for."""
+"""All figures, by id, of the rooms whose packages are installed."""
 
 from __future__ import annotations
 
@@ -16,13 +16,29 @@ _MODULES = (
 
 
 def all_figures() -> dict[str, Figure]:
-    """Every figure by id, in room order."""
+    """Every figure by id, in room order; see `left_out`."""
     figures: dict[str, Figure] = {}
     for name in _MODULES:
-        module = import_module(f"gn0.figures.{name}")
+        try:
+            module = import_module(f"gn0.figures.{name}")
+        except ModuleNotFoundError as error:
+            if (error.name or "gn0").split(".")[0] == "gn0":
+                raise
+            continue
         for figure in module.FIGURES:
             figures[figure.id] = figure
     return figures
+
+
+def left_out() -> dict[str, str]:
+    """Rooms whose figures need a package that is not installed here, and which."""
+    missing: dict[str, str] = {}
+    for name in _MODULES:
+        try:
+            import_module(f"gn0.figures.{name}")
+        except ModuleNotFoundError as error:
+            missing[name] = str(error.name)
+    return missing
 
 
 def find_figures(patterns: list[str]) -> list[Figure]:
@@ -36,6 +52,9 @@ def find_figures(patterns: list[str]) -> list[Figure]:
     for pattern in patterns:
         hits = [f for i, f in catalogue.items() if i == pattern or i.startswith(pattern + ".")]
         if not hits:
-            raise ConfigError(f"no figure {pattern!r}", remedy="known: " + ", ".join(catalogue))
+            lacking = "".join(f"; {room} needs {package}" for room, package in left_out().items())
+            raise ConfigError(
+                f"no figure {pattern!r}", remedy="known: " + ", ".join(catalogue) + lacking
+            )
         found += [hit for hit in hits if hit not in found]
     return found

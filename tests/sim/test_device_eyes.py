@@ -211,7 +211,7 @@ def test_pictures_are_reduced_as_pillow_reduces_them(size, out) -> None:
     across, down = box_weights(size[0], out[0]), box_weights(size[1], out[1])
     result = device.empty((2, out[1], out[0], 3), np.uint8)
     device.load(SOURCE)["reduce_pictures"].launch(
-        *((blocks_of(out[0] * out[1], 256), 2), 256, device.upload(pictures)),
+        *((2, blocks_of(out[0] * out[1], 256)), 256, device.upload(pictures)),
         *(np.int32(size[1]), np.int32(size[0])),
         *(device.upload(across), np.int32(across.shape[1] - 2)),
         *(device.upload(down), np.int32(down.shape[1] - 2)),

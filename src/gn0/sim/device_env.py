@@ -210,6 +210,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         chosen = None
         if options.get("episode") is not None:
             chosen = self._choose(options["episode"])[which]
+        self._begun = False  # if this fails, all must be reset
         self.simulator.reset(which, seed, chosen)
         self._begun = True
         return self._observe(), self._infos()

@@ -322,7 +322,7 @@ class EyesDevice:
         across, taps_x = self._weights(simulator, cols, width)
         down, taps_y = self._weights(simulator, rows, height)
         simulator.kernels["reduce_pictures"].launch(
-            *((blocks_of(width * height, _PIXELS), len(rgb)), _PIXELS),
+            *((len(rgb), blocks_of(width * height, _PIXELS)), _PIXELS),
             *(rgb, np.int32(rows), np.int32(cols), across, np.int32(taps_x)),
             *(down, np.int32(taps_y), np.int32(height), np.int32(width)),
             *(views, simulator.status, out),
@@ -339,7 +339,7 @@ class EyesDevice:
         shape = (ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3)
         out = self._array(simulator, "mosaics", shape, np.uint8)
         words = TILE_WIDTH * 3 // 16
-        grid = (blocks_of(ROWS * TILE_HEIGHT * COLUMNS * words, _PIXELS), simulator.count)
+        grid = (simulator.count, blocks_of(ROWS * TILE_HEIGHT * COLUMNS * words, _PIXELS))
         simulator.kernels["lay_mosaics"].launch(
             *(grid, _PIXELS, tiles, simulator.views),
             *(np.int32(TILE_HEIGHT), np.int32(words), out),
@@ -356,7 +356,7 @@ class EyesDevice:
             for name in sorted(self._wanted & MAPS)
         }
         simulator.kernels["paint_maps"].launch(
-            *((blocks_of(rows * cols, _PIXELS), simulator.count), _PIXELS),
+            *((simulator.count, blocks_of(rows * cols, _PIXELS)), _PIXELS),
             *(simulator.world, slots, poses, np.int32(rows), np.int32(cols)),
             *(np.int32(self.config.disc_radius), found.get("bev"), found.get("occupancy")),
         )

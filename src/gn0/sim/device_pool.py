@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
+from gn0.errors import DeviceMemoryError
 
 ALIGNMENT = 256  # bytes
 SLAB = 2**26  # bytes
@@ -79,7 +80,14 @@ class PoolDevice:
                 if not beyond and self.held + room > self.limit:
                     return None
                 fresh = room
-            self._slabs[self._count] = self._device.empty(fresh, np.uint8)
+            try:
+                slab_memory = self._device.empty(fresh, np.uint8)
+            except DeviceMemoryError:
+                if fresh == room:
+                    raise
+                fresh = room  # the device is nearly full: no room for others
+                slab_memory = self._device.empty(fresh, np.uint8)
+            self._slabs[self._count] = slab_memory
             self._gaps[self._count] = [(0, fresh)]
             self._count += 1
             place = self._find(room)

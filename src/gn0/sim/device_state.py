@@ -165,13 +165,12 @@ class SimulatorDevice:
         self.catch_up(fill=False)
         self.queue.seed(which, seeds)
         orders = np.full(self.count, _STAY, np.int32)
+        self._fill()
         if chosen is None:
-            self._fill()
             orders[which] = _NEXT
         else:
             orders[which] = self.store.pin(chosen)
             self.queue.play(which, orders[which])
-            self._fill()
         self.launch("place_agents", self.count, self.device.upload(orders), self._plain)
         self._safe = self.steps + self.ahead - (chosen is None)
         self._sense()

@@ -27,7 +27,7 @@ KERNEL(clip_depth)(const float *depth, float low, float high, u64 size, float *o
 KERNEL(paint_maps)(World w, const int *slots, const double *poses, int rows, int cols, int radius,
                    u8 *bev, u8 *occupancy) {
   __shared__ int discs[4];
-  int i = blockIdx.y, slot = slots[i];
+  int i = blockIdx.x, slot = slots[i];
   if (slot >= 0 && threadIdx.x < 2) {
     const Episode &e = w.episodes[slot];
     double x = threadIdx.x ? poses[3 * i] : e.start_x, y = threadIdx.x ? poses[3 * i + 1] : e.start_y;
@@ -35,7 +35,7 @@ KERNEL(paint_maps)(World w, const int *slots, const double *poses, int rows, int
     discs[2 * threadIdx.x + 1] = (int)floor((x - e.map_x) / e.map_scale);
   }
   __syncthreads();
-  int k = blockIdx.x * blockDim.x + threadIdx.x;
+  int k = blockIdx.y * blockDim.x + threadIdx.x;
   if (k >= rows * cols) return;
   int row = k / cols, col = k % cols;
   u8 colour[3] = {0, 0, 0}, cell[3] = {0, 0, 0};
@@ -74,7 +74,7 @@ __device__ __forceinline__ int clip8(int sum) { return min(max(sum >> 22, 0), 25
 KERNEL(reduce_pictures)(const u8 *in, int rows, int cols, const int *across, int across_taps,
                         const int *down, int down_taps, int out_rows, int out_cols,
                         const int *views, const int *status, u8 *out) {
-  int k = blockIdx.x * blockDim.x + threadIdx.x, i = blockIdx.y;
+  int k = blockIdx.y * blockDim.x + threadIdx.x, i = blockIdx.x;
   if (k >= out_rows * out_cols || status[0] != CLEAR) return;
   int row = k / out_cols, col = k % out_cols;
   const int *a = across + col * (2 + across_taps), *d = down + row * (2 + down_taps);
@@ -94,7 +94,7 @@ KERNEL(reduce_pictures)(const u8 *in, int rows, int cols, const int *across, int
 // History mosaics [N, 4 * 120, 4 * 160, 3] from the tiles [N, TILES, 120, 160, 3], newest first;
 // black where there is no view yet. 16 bytes a thread.
 KERNEL(lay_mosaics)(const uint4 *tiles, const int *views, int tile_rows, int row_words, uint4 *out) {
-  int k = blockIdx.x * blockDim.x + threadIdx.x, i = blockIdx.y;
+  int k = blockIdx.y * blockDim.x + threadIdx.x, i = blockIdx.x;
   int wide = COLUMNS * row_words, high = (TILES / COLUMNS) * tile_rows;
   if (k >= wide * high) return;
   int row = k / wide, col = k % wide, seen = views[i];

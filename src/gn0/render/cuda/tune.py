@@ -22,12 +22,13 @@ class Tuning:
         blocks: raster blocks a multiprocessor that registers must leave room for.
         cover_blocks: the same for the kernels that list splats.
         views: that a block of the listing kernels projects its chunk for.
-        large: tiles of a footprint above which a whole warp lists it.
+        large: tiles of a footprint's box above which a whole warp lists it, and only where its
+            ellipse reaches.
         group: whether lanes that list into one tile share an atomic operation.
     """
 
     pixels: int = 2
-    region_width: int = 8
+    region_width: int = 4
     region_height: int = 4
     capacity: int = 512
     buckets: int = 512
@@ -36,7 +37,7 @@ class Tuning:
     blocks: int = 8
     cover_blocks: int = 4
     views: int = 32
-    large: int = 16
+    large: int = 6
     group: bool = True
 
     def __post_init__(self) -> None:

@@ -109,24 +109,20 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   int ty0 = box.y0 / TILE, ty1 = (box.y1 + TILE - 1) / TILE;
   int tiles = seen ? (tx1 - tx0) * (ty1 - ty0) : 0;
   u64 key = (u64)__float_as_uint(f.z) << 32 | index;
+  // small footprints: each lane walks the tiles of its own box, all in step
   bool large = tiles > LARGE;
-  Ellipse e = outline(f);
-  // small footprints: each lane walks its own, column by column, all in step
-  bool single = tiles == 1 && !large;
-  int column = single || large || tiles == 0 ? tx1 : tx0;
-  int row = ty0, row_end = single ? ty1 : ty0;
+  int column = tx0, row = large || tiles == 0 ? ty1 : ty0;
   while (true) {
-    while (row >= row_end && column < tx1) {
-      int2 rows = tile_rows(e, f.u, f.v, box, column++);
-      row = rows.x, row_end = rows.y;
-    }
-    bool active = row < row_end;
+    bool active = row < ty1;
     if (!__any_sync(FULL, active)) break;
-    put<EMIT>(to, active, first_tile + row * tiles_x + column - 1, key);
-    row++;
+    put<EMIT>(to, active, first_tile + row * tiles_x + column, key);
+    if (++column == tx1) column = tx0, row++;
   }
-  // large ones: the whole warp walks one, a column a lane
-  for (u32 left = __ballot_sync(FULL, large); left; left &= left - 1) {
+  // large ones: the whole warp walks one, a column a lane, where the ellipse reaches
+  u32 left = __ballot_sync(FULL, large);
+  if (!left) return;
+  Ellipse e = outline(f);
+  for (; left; left &= left - 1) {
     int from = __ffs(left) - 1;
     Ellipse one = {__shfl_sync(FULL, e.peak, from), __shfl_sync(FULL, e.inner, from),
                    __shfl_sync(FULL, e.steep, from), __shfl_sync(FULL, e.mixed, from),

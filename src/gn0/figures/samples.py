@@ -172,6 +172,8 @@ def measure_crashes(ctx: FigureContext) -> list[FigureRow]:
         f"{report.kills} kills at random moments of {report.runs} datasets: WebDataset, LeRobot, "
         "and labels drawn later; one or two workers"
     )
+    if report.broken:
+        detail += "; broke off: " + " | ".join(report.broken)
     rows = [
         row_at_most(f"samples {name} after resume", value, 0, "", detail)
         for name, value in (("lost", report.lost), ("twice", report.twice))

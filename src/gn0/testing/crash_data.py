@@ -58,6 +58,7 @@ class DataCrashReport:
         unreadable: files that `gn0 data verify` finds damaged, or that cannot be read.
         forgotten: parts that a journal had named and a later one did not.
         leftovers: temporary files in the finished datasets.
+        broken: what the last, undisturbed processes said that did not end well.
     """
 
     kills: int
@@ -68,6 +69,7 @@ class DataCrashReport:
     unreadable: int
     forgotten: int
     leftovers: int
+    broken: tuple[str, ...] = ()
 
 
 def crash_settings(kind: str) -> BuildSettings:
@@ -104,6 +106,7 @@ def run_data_crashes(
         wholes[kind] = read_files(whole)
     chance = random_stream(seed, "data crash")
     killed = runs = same = lost = twice = unreadable = forgotten = leftovers = 0
+    broken: list[str] = []
     while killed < kills:
         kind = KINDS[runs % len(KINDS)]
         out = work / f"run{runs}"
@@ -122,14 +125,19 @@ def run_data_crashes(
             after = _named(out)
             forgotten += len(known - after)
             known = after
-        process = _start(suite.folder, out, kind, 2)
-        process.wait(timeout=PATIENCE)
+        said = work / f"run{runs}.txt"
+        process = _start(suite.folder, out, kind, 2, said)
+        if process.wait(timeout=PATIENCE):
+            last = said.read_text(errors="replace").strip().splitlines()[-1:]
+            broken.append(f"{kind}, exit {process.returncode}: {' '.join(last)}")
         files = read_files(out)
         same += files == wholes[kind]
         leftovers += sum(TEMPORARY_PREFIX in name for name in files)
         missing, repeated, bad = judge_dataset(out, work / f"whole-{kind}")
         lost, twice, unreadable = lost + missing, twice + repeated, unreadable + bad
-    return DataCrashReport(killed, runs, same, lost, twice, unreadable, forgotten, leftovers)
+    return DataCrashReport(
+        killed, runs, same, lost, twice, unreadable, forgotten, leftovers, tuple(broken)
+    )
 
 
 def judge_dataset(folder: Path, whole: Path) -> tuple[int, int, int]:
@@ -169,13 +177,16 @@ def _named(out: Path) -> set[str]:
     return {f"{path.parent.name}/{name}" for path in journals for name in read_done(path)}
 
 
-def _start(suite: Path, out: Path, kind: str, workers: int) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-c", _CODE, suite, out, kind, str(workers)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+def _start(
+    suite: Path, out: Path, kind: str, workers: int, said: Path | None = None
+) -> subprocess.Popen[bytes]:
+    with open(said or os.devnull, "wb") as errors:
+        return subprocess.Popen(
+            [sys.executable, "-c", _CODE, suite, out, kind, str(workers)],
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            start_new_session=True,
+        )
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

@@ -109,3 +109,19 @@ def test_a_look_is_its_scene_in_its_light(flats_suite) -> None:
     assert load_look(plain.source).sh.mean() > load_look(lit.source).sh.mean()
     with pytest.raises(BenchError):
         load_look(Look(folder, scene.id, "0" * 32).source)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+def test_a_run_on_a_device_says_so(small_suite, tmp_path, monkeypatch) -> None:
+    """End to end on the emulation: the pictures of a few steps, drawn by kernels."""
+    monkeypatch.setenv("GN0_DEVICE", "host")
+    options = {"plugin_modules": PLUGIN, "max_episodes": 2}
+    summary = run_suite(small_suite, "seeing", tmp_path / "d", backend="auto", **options)
+    assert summary.ok
+    run = json.loads((tmp_path / "d" / RUN).read_text())
+    assert run["settings"]["backend"] == "cuda"
+    assert run["sessions"][0]["card"] == "host emulation"
+    assert any("CUDA renderer" in how for what, how in summary.protocol if what == "pictures")
+    run_suite(small_suite, "seeing", tmp_path / "e", backend="cuda", workers=2, **options)
+    assert files(tmp_path / "d") == files(tmp_path / "e")

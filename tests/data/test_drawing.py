@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
@@ -288,3 +289,41 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     assert shards and all(one[name] == other[name] for name in shards)
     assert b'"backend": "cuda"' in other["dataset.json"]
     assert pictures.BATCH == 32 and draw.AHEAD == 64
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+def test_a_dataset_drawn_on_a_device_is_drawn_again_there_alone(
+    walks, tmp_path, monkeypatch, files_of
+) -> None:
+    """End to end on the emulation, with pictures of 48x36."""
+    from gn0.data.verify import verify_dataset
+    from gn0.missions.episode import AgentSpec
+    from gn0.render.camera import Camera
+    from gn0.sim import presets
+
+    small = Camera.from_hfov(48, 36, 90.0)
+    preset = presets.CameraPreset(name="small", rgb=small, depth=small, agent=AgentSpec())
+    monkeypatch.setitem(presets._BY_NAME, "small", preset)
+    monkeypatch.setenv("GN0_DEVICE", "host")
+    scene = load_scene(walks.scene_folder("example-flat"))
+    shortest = min(walks.episodes, key=lambda e: math.dist(e.start[:2], e.goal))
+    few = save_suite(tmp_path / "few", [scene], [shortest], name="few", camera="small")
+    backend, why = choose_drawing("auto", tmp_path / "d")
+    assert backend == "cuda" and why
+    settings = BuildSettings(pictures=with_backend(PictureSettings(), backend))
+    built = build_dataset(few, tmp_path / "d", settings)
+    first = files_of(tmp_path / "d")
+    shutil.rmtree(tmp_path / "d" / "pictures")
+    render_dataset(tmp_path / "d")
+    assert files_of(tmp_path / "d") == first
+    frame = next(built.frames(built.sampled[0], ("rgb", "depth"), exact=True))
+    assert frame["rgb"].shape == (36, 48, 3)
+    monkeypatch.setenv("GN0_DEVICE", "none")
+    built.kept.clear()
+    with pytest.raises(DataError, match="drawn by backend 'cuda', which does not run here"):
+        next(built.frames(built.sampled[0], ("rgb",), exact=True))
+    shutil.rmtree(tmp_path / "d" / "pictures")
+    with pytest.raises(DataError, match="backend 'cuda', which does not run here"):
+        render_dataset(tmp_path / "d")
+    assert not verify_dataset(tmp_path / "d").damages

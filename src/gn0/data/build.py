@@ -100,11 +100,11 @@ def build_dataset(
         if found is not None and found.complete:
             write_journal(out / JOURNAL, parts_journal(found))
             return open_dataset(out)
-        if found is None:
-            found = _lay_out(out, suite, about, progress)
-        done = read_done(out / JOURNAL)
-        pictures = about.settings.pictures
+        pictures = about.settings.pictures  # a device that is not here is said before any work
         with open_drawing(pictures, executor=executor, batch=batch, note=note) as server:
+            if found is None:
+                found = _lay_out(out, suite, about, progress)
+            done = read_done(out / JOURNAL)
             parts = run_parts(
                 "build_part",
                 drawn_at(plans, server),

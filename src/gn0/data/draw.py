@@ -249,6 +249,8 @@ class PartDrawer:
         start = frame.pixel_of(*episode.start[:2])
         known = {"bev": opened.bev_hash}
 
+        shared: dict[str, bytes] = {}  # the BEV is the same at each step
+
         def views() -> Iterator[Seen]:
             for _ in range(len(block)):
                 item = next(seen)
@@ -259,8 +261,10 @@ class PartDrawer:
             x, y = map(float, block.poses[t, :2])
             places = (start, frame.pixel_of(x, y))
             hashes = pictures.hashes(known)
-            kept = dict(pictures.files)
+            kept = {**pictures.files, **shared}
             yield DrawnStep(t, t, block, episode, pictures, hashes, places, base, kept=kept)
+            if "bev" in kept:
+                shared["bev"] = kept["bev"]
 
     def hashed_blocks(self) -> list[EpisodeRows]:
         """The rows with the hashes of what `steps` has drawn."""

@@ -79,8 +79,8 @@ def render_dataset(
         if check_cache_free(out, wanted) and (there := load_manifest(out, wanted.layout)):
             return there
         journal = cache_folder(out, wanted.layout) / JOURNAL
-        _begin_journal(journal, wanted)
         with open_drawing(wanted, executor=executor, batch=batch, note=note) as server:
+            _begin_journal(journal, wanted)
             parts = run_parts(
                 "render_part",
                 drawn_at(plan_rendering(dataset, wanted), server),

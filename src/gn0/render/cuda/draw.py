@@ -157,6 +157,7 @@ class Drawer:
         self.memory = memory
         self.batches = 0  # drawn so far, repeats not counted
         self.repeats = 0  # batches begun again with more room or fewer views
+        self.entries = 0  # tile entries of the last batch
         self.on_stage: Callable[[str], None] | None = None  # told of each stage before it begins
         self._loaded: Mapping[str, Kernel] | None = None
         self._held: dict[str, DeviceArray] = {}
@@ -334,7 +335,7 @@ class Drawer:
         kernels[kernel].launch(all_tiles, self.tuning.threads, *lists, *sizes, *shape, *last)
         self._tell("end")
         total = int(starts[all_tiles : all_tiles + 1].numpy()[0])
-        splats = int(work.splats[views].sum())
+        self.entries, splats = total, int(work.splats[views].sum())
         self._density = total / splats if splats else self._density
         if total <= len(entries):
             return 0

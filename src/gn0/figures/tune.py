@@ -1,0 +1,170 @@
+"""Times the drawing kernels stage by stage, and tries their sizes.
+
+`python -m gn0.figures.tune` prints milliseconds a stage for the standard cases on the device that
+`GN0_DEVICE` names (the host emulation draws tiny ones); `--sweep` also tries other kernel sizes on
+the first case and says whether their pictures are the same bytes. Nothing is written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from gn0.device.device import Device
+from gn0.errors import Gn0Error
+from gn0.figures.device import describe_device, is_emulation, open_figure_device
+from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
+from gn0.geometry import F64
+from gn0.render.camera import Camera
+from gn0.render.cuda.draw import STAGES, CloudDevice, Drawer, PicturesDevice
+from gn0.render.cuda.pack import upload_cloud
+from gn0.render.cuda.stages import time_stages
+from gn0.render.cuda.tune import Tuning
+
+_POSES = 4  # different sets of poses, taken in turn
+_BLACK = np.zeros(3, np.float32)
+_COLUMNS = (*STAGES, "all", "host")
+
+
+@dataclass(frozen=True, eq=False)
+class TuneCase:
+    """Views of clouds, to be drawn again and again.
+
+    Attributes:
+        name: for the table.
+        camera: of all views.
+        views: [turns, V, 4, 4].
+        clouds: shown in turn.
+    """
+
+    name: str
+    camera: Camera
+    views: F64
+    clouds: list[CloudDevice]
+
+    def pictures(self, drawer: Drawer) -> PicturesDevice:
+        """Room for rgb and depth."""
+        return drawer.pictures(self.camera, self.views.shape[1], ("rgb", "depth"))
+
+    def draw(self, drawer: Drawer, pictures: PicturesDevice, turn: int) -> None:
+        """Draw the views of a turn."""
+        views = self.views[turn % len(self.views)]
+        of = np.arange(len(views), dtype=np.int32) * len(self.clouds) // len(views)
+        drawer.draw(
+            self.camera, views, self.clouds, of.astype(np.int32), pictures=pictures,
+            background=_BLACK,
+        )  # fmt: skip
+
+
+def build_cases(device: Device, only: str = "") -> Iterator[TuneCase]:
+    """The standard cases (tiny ones on the host emulation) whose names hold `only`."""
+    tiny = is_emulation(device)
+    million, scenes, part = (3000, 3, 800) if tiny else (1_000_000, 64, 300_000)
+    many, some = (4, 2) if tiny else (256, 16)
+    small = flat_camera(32, 32) if tiny else flat_camera(224, 224)
+    large = flat_camera(64, 48) if tiny else flat_camera(640, 480)
+    above, view = flat_bev(64 if tiny else 1024)
+    poses = flat_views(_POSES * many).reshape(_POSES, many, 4, 4)
+    for degree in (0, 3):
+        cases = (
+            (f"224x224 x{many} SH{degree}", small, poses),
+            (f"640x480 x1 SH{degree}", large, poses[:, :1]),
+            (f"640x480 x{some} SH{degree}", large, poses[:, :some]),
+            (f"BEV 1024 SH{degree}", above, np.broadcast_to(view, (1, 1, 4, 4))),
+        )
+        if any(only in case[0] for case in cases):
+            clouds = [upload_cloud(device, build_flat(million, sh_degree=degree))]
+            for name, camera, views in cases:
+                if only in name:
+                    yield TuneCase(name, camera, np.ascontiguousarray(views), clouds)
+            del clouds
+    name = f"224x224 x{many} of {scenes} scenes"
+    if only in name:
+        flats = [build_flat(part, seed=seed) for seed in range(min(scenes, 8))]
+        clouds = [upload_cloud(device, flats[k % len(flats)]) for k in range(scenes)]
+        yield TuneCase(name, small, poses, clouds)
+
+
+def list_tunings() -> list[Tuning]:
+    """What to try, one change at a time and a few that belong together."""
+    base = Tuning()
+    changes: list[dict[str, Any]] = [
+        {"region_width": 8},
+        {"pixels": 1, "blocks": 4, "buckets": 512},
+        {"pixels": 1, "region_width": 8, "blocks": 4},
+        {"pixels": 4, "blocks": 12},
+        {"pixels": 4, "region_width": 8, "blocks": 12},
+        {"blocks": 7},
+        {"blocks": 6},
+        {"capacity": 1024},
+        {"capacity": 1024, "buckets": 1024, "stage": 256},
+        {"capacity": 256, "crowded": 128},
+        {"stage": 64},
+        {"stage": 256},
+        {"crowded": 96},
+        {"crowded": 384},
+        {"group": False},
+        {"large": 4},
+        {"large": 9},
+        {"views": 16},
+        {"views": 64},
+        {"cover_blocks": 3},
+        {"cover_blocks": 5},
+    ]
+    return [base, *(replace(base, **change) for change in changes)]
+
+
+def name_tuning(tuning: Tuning) -> str:
+    """Where it differs from the default."""
+    base = Tuning()
+    changed = [
+        f"{f.name}={int(getattr(tuning, f.name))}"
+        for f in fields(tuning)
+        if getattr(tuning, f.name) != getattr(base, f.name)
+    ]
+    return " ".join(changed) or "default"
+
+
+def time_case(case: TuneCase, device: Device, tuning: Tuning, repeat: int) -> str:
+    """Milliseconds a stage, frames a second, entries a view, a digest of the first pictures."""
+    drawer = Drawer(device, tuning)
+    pictures = case.pictures(drawer)
+    case.draw(drawer, pictures, 0)
+    found = hashlib.sha256()
+    for array in (pictures.rgb, pictures.depth):
+        assert array is not None
+        found.update(array.numpy().tobytes())
+    taken = time_stages(drawer, lambda turn: case.draw(drawer, pictures, turn), repeat)
+    milliseconds = " ".join(f"{taken[name]:8.3f}" for name in _COLUMNS)
+    frames = case.views.shape[1] / taken["all"] * 1e3 if taken["all"] else 0.0
+    listed = drawer.entries / case.views.shape[1]
+    return f"{milliseconds} {frames:9.0f} {listed:9.0f}  {found.hexdigest()[:10]}"
+
+
+def main(arguments: list[str]) -> None:
+    """`[--sweep] [part of a case's name]`."""
+    sweep = "--sweep" in arguments
+    only = next((word for word in arguments if not word.startswith("--")), "")
+    device = open_figure_device()
+    repeat = 1 if is_emulation(device) else 9
+    head = " ".join(f"{name:>8}" for name in _COLUMNS)
+    print(describe_device(device))  # noqa: T201
+    print(f"{'ms':32} {head}    frames   entries  bytes")  # noqa: T201
+    for case in build_cases(device, only):
+        tunings = list_tunings() if sweep else [Tuning()]
+        print(case.name, flush=True)  # noqa: T201
+        for tuning in tunings:
+            try:
+                line = time_case(case, device, tuning, repeat)
+            except Gn0Error as error:
+                line = f"failed: {error}"
+            print(f"  {name_tuning(tuning):30} {line}", flush=True)  # noqa: T201
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -15,7 +15,7 @@ from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice
-from gn0.render.cuda.pack import upload_cloud
+from gn0.render.cuda.pack import upload_clouds
 from gn0.render.cuda.store import CloudStore
 from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.renderer import Output, RenderOptions, check_views
@@ -203,18 +203,20 @@ class RendererBatch:
         if isinstance(tails, GaussianCloud):
             if not len(tails):
                 return [], None
-            return [upload_cloud(self.device, tails, sort=False)], np.zeros(count, np.int32)
+            return upload_clouds(self.device, [tails], sort=False), np.zeros(count, np.int32)
         number: dict[int, int] = {}
-        brought: list[CloudDevice] = []
+        different: list[GaussianCloud] = []
         tail_of = np.full(count, -1, np.int32)
         for v, tail in enumerate(tails or ()):
             if tail is None or not len(tail):
                 continue
             if id(tail) not in number:
-                number[id(tail)] = len(brought)
-                brought.append(upload_cloud(self.device, tail, sort=False))
+                number[id(tail)] = len(different)
+                different.append(tail)
             tail_of[v] = number[id(tail)]
-        return brought, tail_of if brought else None
+        if not different:
+            return [], None
+        return upload_clouds(self.device, different, sort=False), tail_of
 
     def _parts(
         self,

@@ -1,8 +1,8 @@
 """A cloud as kernels read it: 64 bytes a splat in Morton order, chunks of 256, boxes, half SH.
 
 The same selection, order and numbers as `gn0.render.cpu_pack`, but splat by splat, so that four
-16-byte loads bring one. A cloud goes to the device in pieces: the host never holds a second copy
-of it, whatever its size.
+16-byte loads bring one. The cloud's own arrays go to the device piece by piece and are packed
+there: neither side ever holds a second copy of them, whatever their size.
 
     floats 0-3    x, y, z, extent in standard deviations (-1: padding)
     floats 4-12   factor M of the covariance M Mᵀ, row-major
@@ -13,17 +13,20 @@ of it, whatever its size.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device
+from gn0.device.device import Device, DeviceArray, Kernel, KernelSource
 from gn0.errors import RenderError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32
 from gn0.render.cuda.draw import CHUNK, CloudDevice
+from gn0.render.cuda.tables import NOWHERE
 from gn0.render.renderer import ALPHA_MIN
 
 SPLAT = 16  # floats a packed splat
@@ -33,21 +36,29 @@ SH_ROW = {
     2: 32,
     3: 48,
 }  # halves a splat: coefficients 1, 2, … of three colours, padded
-DEAD = np.float32(-1.0)  # extent of padding
-_PIECE = 2**16  # splats packed at a time: a piece and its temporaries stay in the cache
-_HALF_MAX = np.float32(65504.0)
-_LOG_MIN = np.float32(math.log(ALPHA_MIN))
-_ONE, _TWO, _HALF = np.float32(1.0), np.float32(2.0), np.float32(0.5)
+_PIECE = 2**16  # splats that go to the device at a time
+_BOX = 7
+_KERNELS = Path(__file__).parent / "kernels"
+_SOURCE = KernelSource(
+    "clouds",
+    (_KERNELS / "pack.cu", _KERNELS / "mark.cu"),
+    (("LOG_ALPHA_MIN", math.log(ALPHA_MIN)), ("SH_C0", SH_C0)),
+)
 
 
 def cloud_bytes(splats: int, degree: int) -> int:
     """Device memory of a cloud of so many splats, at most."""
     chunks = -(-splats // CHUNK)
-    return chunks * (CHUNK * (SPLAT * 4 + 4 + SH_ROW[degree] * 2) + 7 * 4) + splats * 4
+    return chunks * (CHUNK * (SPLAT * 4 + 4 + SH_ROW[degree] * 2) + _BOX * 4) + splats * 4
+
+
+def cloud_kernels(device: Device) -> Mapping[str, Kernel]:
+    """Kernels that pack clouds and gather visible sets."""
+    return device.load(_SOURCE)
 
 
 def upload_cloud(device: Device, cloud: GaussianCloud, *, sort: bool = True) -> CloudDevice:
-    """Pack a cloud and bring it to a device, piece by piece.
+    """Bring a cloud to a device and pack it there.
 
     Splats that can never reach 1/255 of opacity are left out. `sort` puts them in Morton order;
     small moving clouds are packed as they come.
@@ -56,34 +67,23 @@ def upload_cloud(device: Device, cloud: GaussianCloud, *, sort: bool = True) -> 
         RenderError: an array holds a value that is not finite, or a scale or opacity out of range.
         DeviceMemoryError: the device has no room for it; nothing of it stays there.
     """
-    check_cloud(cloud)
-    index = choose_splats(cloud, sort=sort)
-    ordered = len(index) == len(cloud) and bool((index[1:] > index[:-1]).all())
-    chunks = -(-len(index) // CHUNK)
-    rows, degree = chunks * CHUNK, cloud.sh_degree
-    splats = device.empty((rows, SPLAT), np.float32)
-    order = device.empty(rows, np.uint32)
-    boxes = device.empty((chunks, 7), np.float32)
-    sh = device.empty((rows, SH_ROW[degree]), np.uint16) if degree else None
-    places = None if ordered else device.upload(_inverse(index, len(cloud)))
-    for first, piece, box in pack_pieces(cloud, index):
-        here = slice(first, first + len(piece))
-        device.upload(piece, splats[here])
-        device.upload(box, boxes[first // CHUNK : first // CHUNK + len(box)])
-        device.upload(_padded(index[here], len(piece)), order[here])
-        if sh is not None:
-            device.upload(_pack_sh(cloud.sh, index[here], degree, len(piece)), sh[here])
-    return CloudDevice(
-        splats=splats,
-        order=order,
-        places=places,
-        sh=sh,
-        boxes=boxes,
-        degree=degree,
-        ordered=ordered,
-        size=len(cloud),
-        alive=len(index),
-    )
+    return upload_clouds(device, [cloud], sort=sort)[0]
+
+
+def upload_clouds(
+    device: Device, clouds: Sequence[GaussianCloud], *, sort: bool = True
+) -> list[CloudDevice]:
+    """Bring several clouds to a device at once; many small ones cost little more than one.
+
+    Raises:
+        RenderError, DeviceMemoryError: see `upload_cloud`.
+    """
+    found: dict[int, CloudDevice] = {}
+    for degree in sorted({cloud.sh_degree for cloud in clouds}):
+        which = [k for k, cloud in enumerate(clouds) if cloud.sh_degree == degree]
+        packed = _upload_alike(device, [clouds[k] for k in which], degree, sort)
+        found |= dict(zip(which, packed, strict=True))
+    return [found[k] for k in range(len(clouds))]
 
 
 def check_cloud(cloud: GaussianCloud) -> None:
@@ -109,78 +109,127 @@ def check_cloud(cloud: GaussianCloud) -> None:
         )
 
 
-def choose_splats(cloud: GaussianCloud, *, sort: bool = True) -> NDArray[np.uint32]:
+def choose_splats(cloud: GaussianCloud, *, sort: bool = True) -> NDArray[np.intp]:
     """Indices [n] of the splats that can show, in packed order."""
-    index = np.flatnonzero(cloud.opacities >= np.float32(ALPHA_MIN)).astype(np.uint32)
+    index = np.flatnonzero(cloud.opacities >= np.float32(ALPHA_MIN))
     return index[morton_order(cloud.means[index])] if sort and len(index) else index
 
 
-def pack_pieces(cloud: GaussianCloud, index: NDArray[np.uint32]) -> Iterator[tuple[int, F32, F32]]:
-    """Pieces of whole chunks: (first packed splat, splats [m, 16], boxes [m / 256, 7])."""
-    for first in range(0, len(index), _PIECE):
-        here = index[first : first + _PIECE]
-        chunks = -(-len(here) // CHUNK)
-        splats = np.zeros((chunks * CHUNK, SPLAT), np.float32)
-        splats[len(here) :, 3] = DEAD
-        reach = _fill(cloud, here, splats[: len(here)])
-        spread = np.zeros((chunks * CHUNK, 4), np.float32)
-        spread[: len(here), :3], spread[: len(here), 3] = splats[: len(here), :3], reach
-        spread[len(here) :, :3] = spread[len(here) - 1, :3]  # padding widens no box
-        by_chunk = spread.reshape(chunks, CHUNK, 4)
-        boxes = np.concatenate([by_chunk[..., :3].min(axis=1), by_chunk.max(axis=1)], axis=1)
-        yield first, splats, boxes
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Where one of several clouds lies: its first splat, row and chunk among all."""
+
+    first: int
+    row: int
+    size: int
+    alive: int
+    ordered: bool
+
+    @property
+    def chunks(self) -> int:
+        return -(-self.alive // CHUNK)
 
 
-def _fill(cloud: GaussianCloud, index: NDArray[np.uint32], out: F32) -> F32:
-    """Fill packed splats [n, 16]; returns their reach [n] m.
+def _upload_alike(
+    device: Device, clouds: Sequence[GaussianCloud], degree: int, sort: bool
+) -> list[CloudDevice]:
+    """Clouds of one degree, in one piece of memory."""
+    layouts: list[_Layout] = []
+    size = sum(map(len, clouds))
+    places = np.full(size, NOWHERE, np.uint32)  # within its own cloud
+    first = row = 0
+    for cloud in clouds:
+        check_cloud(cloud)
+        index = choose_splats(cloud, sort=sort)
+        ordered = len(index) == len(cloud) and bool((index[1:] > index[:-1]).all())
+        places[first + index] = np.arange(len(index), dtype=np.uint32)
+        layouts.append(_Layout(first, row, len(cloud), len(index), ordered))
+        first, row = first + len(cloud), row + layouts[-1].chunks * CHUNK
+    splats = device.empty((row, SPLAT), np.float32)
+    order = device.empty(row, np.uint32)
+    boxes = device.empty((row // CHUNK, _BOX), np.float32)
+    sh = device.zeros((row, SH_ROW[degree]), np.uint16) if degree else None
+    every = all(layout.ordered for layout in layouts)
+    kept = None if every else device.upload(places)
+    kernels = cloud_kernels(device)
+    kernels["clear_rows"].launch(row // CHUNK, CHUNK, splats, order)
+    pack = _Packer(device, kernels["pack_splats"], min(size, _PIECE), (degree + 1) ** 2)
+    many = len(clouds) > 1
+    for begin in range(0, size, _PIECE):
+        end = min(begin + _PIECE, size)
+        pieces = [
+            (cloud, slice(max(begin - lay.first, 0), min(end - lay.first, lay.size)), lay)
+            for cloud, lay in zip(clouds, layouts, strict=True)
+            if lay.first < end and lay.first + lay.size > begin
+        ]
+        rows = places[begin:end]
+        if many:  # rows of all, not of each
+            shift = np.concatenate(
+                [np.full(at.stop - at.start, lay.row, np.uint32) for _, at, lay in pieces]
+            )
+            rows = np.where(rows == NOWHERE, np.uint32(NOWHERE), rows + shift)
+        pack.run([(cloud, at) for cloud, at, _ in pieces], rows, splats, order, sh)
+    kernels["box_chunks"].launch(row // CHUNK, CHUNK, splats, None, np.uint32(row), boxes)
+    found = []
+    for lay in layouts:
+        here = slice(lay.row, lay.row + lay.chunks * CHUNK)
+        found.append(
+            CloudDevice(
+                splats=splats[here],
+                order=order[here],
+                places=None
+                if lay.ordered or kept is None
+                else kept[lay.first : lay.first + lay.size],
+                sh=None if sh is None else sh[here],
+                boxes=boxes[lay.row // CHUNK : lay.row // CHUNK + lay.chunks],
+                degree=degree,
+                ordered=lay.ordered,
+                size=lay.size,
+                alive=lay.alive,
+            )
+        )
+    return found
 
-    Operation for operation what `cpu_pack` does, in float32, so both backends start from the same
-    numbers.
-    """
-    w, x, y, z = cloud.quats[index].T
-    norm = np.sqrt(w * w + x * x + y * y + z * z)
-    turned = norm > 0
-    norm = np.where(turned, norm, _ONE)  # no rotation stored: the axes of the world
-    w, x, y, z = np.where(turned, w / norm, _ONE), x / norm, y / norm, z / norm
-    a, b, s = cloud.scales[index].T
-    out[:, :3] = cloud.means[index]
-    out[:, 4] = (_ONE - _TWO * (y * y + z * z)) * a
-    out[:, 5] = _TWO * (x * y - w * z) * b
-    out[:, 6] = _TWO * (x * z + w * y) * s
-    out[:, 7] = _TWO * (x * y + w * z) * a
-    out[:, 8] = (_ONE - _TWO * (x * x + z * z)) * b
-    out[:, 9] = _TWO * (y * z - w * x) * s
-    out[:, 10] = _TWO * (x * z - w * y) * a
-    out[:, 11] = _TWO * (y * z + w * x) * b
-    out[:, 12] = (_ONE - _TWO * (x * x + y * y)) * s
-    opacity = np.minimum(cloud.opacities[index].astype(np.float64), 1.0)
-    log_opacity = np.log(np.maximum(opacity, ALPHA_MIN / 2)).astype(np.float32)
-    extent = np.sqrt(np.maximum(_TWO * (log_opacity - _LOG_MIN), np.float32(0.0)))
-    out[:, 3], out[:, 13] = extent, log_opacity
-    colour = np.float32(SH_C0) * cloud.sh[index, 0]
-    if not cloud.sh_degree:
-        colour = np.maximum(colour + _HALF, np.float32(0.0))
-    halves = out.view(np.float16)
-    halves[:, 28:31] = np.clip(colour, -_HALF_MAX, _HALF_MAX)
-    return extent * np.maximum(a, np.maximum(b, s))
+
+class _Packer:
+    """Room on the device for a piece of a cloud's own arrays, and the kernel that packs it."""
+
+    def __init__(self, device: Device, kernel: Kernel, most: int, coefficients: int) -> None:
+        self._device, self._kernel, self._coefficients = device, kernel, coefficients
+        widths = (3, 4, 3, 1, 3 * coefficients)
+        self._arrays = [device.empty((most, width), np.float32) for width in widths]
+        self._places, self._index = (device.empty(most, np.uint32) for _ in range(2))
+
+    def run(
+        self,
+        pieces: Sequence[tuple[GaussianCloud, slice]],
+        rows: NDArray[np.uint32],
+        splats: DeviceArray,
+        order: DeviceArray,
+        sh: DeviceArray | None,
+    ) -> None:
+        """Pack parts of clouds, one after another; `rows` says where each splat goes."""
+        count = len(rows)
+        self._send([[c.means[at], c.quats[at], c.scales[at], _log_opacity(c.opacities[at]),
+                     c.sh[at]] for c, at in pieces], count)  # fmt: skip
+        index = [np.arange(at.start, at.stop, dtype=np.uint32) for _, at in pieces]
+        self._device.upload(rows, self._places[:count])
+        self._device.upload(np.concatenate(index), self._index[:count])
+        self._kernel.launch(
+            -(-count // 256),
+            256,
+            *self._arrays,
+            *(np.uint32(self._coefficients), np.uint32(count), self._places, self._index),
+            *(splats, order, sh, np.uint32(0 if sh is None else sh.shape[1])),
+        )
+
+    def _send(self, pieces: list[list[F32]], count: int) -> None:
+        for target, parts in zip(self._arrays, zip(*pieces, strict=True), strict=True):
+            flat = [part.reshape(len(part), target.shape[1]) for part in parts]
+            self._device.upload(flat[0] if len(flat) == 1 else np.concatenate(flat), target[:count])
 
 
-def _inverse(index: NDArray[np.uint32], size: int) -> NDArray[np.uint32]:
-    """Where each of `size` splats lies among the packed; 0 for those left out."""
-    places = np.zeros(size, np.uint32)
-    places[index] = np.arange(len(index), dtype=np.uint32)
-    return places
-
-
-def _padded(index: NDArray[np.uint32], rows: int) -> NDArray[np.uint32]:
-    padded = np.zeros(rows, np.uint32)
-    padded[: len(index)] = index
-    return padded
-
-
-def _pack_sh(sh: F32, index: NDArray[np.uint32], degree: int, rows: int) -> NDArray[np.uint16]:
-    """Coefficients 1, 2, … of splats `index` as halves [rows, SH_ROW]."""
-    packed = np.zeros((rows, SH_ROW[degree]), np.float16)
-    values = sh[index, 1:].reshape(len(index), -1)
-    packed[: len(index), : values.shape[1]] = np.clip(values, -_HALF_MAX, _HALF_MAX)
-    return packed.view(np.uint16)
+def _log_opacity(opacities: F32) -> F32:
+    """As the CPU takes it, in double precision: not every device's logarithm is the same."""
+    opacity = np.minimum(opacities.astype(np.float64), 1.0)
+    return np.log(np.maximum(opacity, ALPHA_MIN / 2)).astype(np.float32)

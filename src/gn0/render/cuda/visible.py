@@ -11,7 +11,6 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -19,7 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device, DeviceArray, KernelSource
+from gn0.device.device import Device, DeviceArray
 from gn0.errors import RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
@@ -27,6 +26,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.cuda.draw import CHUNK, CloudDevice, Drawer, PicturesDevice
+from gn0.render.cuda.pack import cloud_kernels
 from gn0.render.renderer import VISIBLE_CUDA, Output, RenderResult
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_places import VisibleOptions, key_of_sets, look_round, places_by_cell
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 Cell = tuple[int, int]
 CELLS = 8  # found in one call: 240 pictures keep a card busy, and their lists are small
 WRITERS = 4  # threads that pack and write files: a disk's answer takes longer than a card's
-_SOURCE = KernelSource("visible", (Path(__file__).parent / "kernels" / "mark.cu",))
 _BOX = 7
 _locks: WeakKeyDictionary[Device, RLock] = WeakKeyDictionary()
 
@@ -101,7 +100,7 @@ class VisibleSets:
         self._parts: dict[Cell, CloudDevice] = {}  # the same beside the splats they number
         self._whole: CloudDevice | None = None  # whose splats
         device: Device = drawer.device
-        self._kernels = device.load(_SOURCE)
+        self._kernels = cloud_kernels(device)
         # the emulation rounds in its own way: its sets are not a card's
         marker = "cuda" if device.kind == "cuda" else f"cuda on {device.kind}"
         self.key = key_of_sets(cloud_hash, floor, self.eye_height, antialiased, options, marker)
@@ -324,9 +323,8 @@ class VisibleSets:
                     CHUNK,
                     *(marks[row], cloud.order, alive, counts[row], slots, np.uint32(total)),
                 )
-                kernels["box_slots"].launch(
-                    mine, CHUNK, cloud.splats, slots, np.uint32(total), boxes
-                )
+                rows = np.uint32(len(cloud.splats))
+                kernels["box_chunks"].launch(mine, CHUNK, cloud.splats, slots, rows, boxes)
             found.append(VisibleSetDevice(slots, boxes, total))
         return found
 

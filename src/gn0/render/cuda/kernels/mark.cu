@@ -1,7 +1,6 @@
-// Visible sets: from marks (a bit a splat, in cloud order, as np.packbits lays them) to slot lists.
+// Behind pack.cu. Visible sets: from marks (a bit a splat, in cloud order, as np.packbits lays them)
+// to lists of packed numbers.
 // Everything that crosses threads is an OR, a count or a minimum: its order cannot show.
-
-#define CHUNK 256
 
 // Bit of splat `index` in a row of little-endian words whose bytes are np.packbits's.
 __device__ __forceinline__ u32 mark_bit(u32 index) { return 1u << ((index & 24u) | (7u - (index & 7u))); }
@@ -79,40 +78,4 @@ KERNEL(fill_slots)(const u32 *__restrict__ row, const u32 *__restrict__ order, u
   u32 at = starts[blockIdx.x] + __popc(votes & ((1u << lane_id()) - 1));
   for (u32 w = 0; w < warp; w++) at += sums[w];
   if (marked && at < total) slots[at] = (u32)slot;
-}
-
-// Boxes of a set's own chunks: lowest and highest centre, largest reach. Grid: chunks of the set.
-KERNEL(box_slots)(const float4 *__restrict__ splats, const u32 *__restrict__ slots, u32 total,
-                  float *__restrict__ boxes) {
-  __shared__ float low[3][CHUNK / WARP], high[4][CHUNK / WARP];
-  u64 at = (u64)blockIdx.x * CHUNK + threadIdx.x;
-  float lo[3] = {INFINITY, INFINITY, INFINITY}, hi[4] = {-INFINITY, -INFINITY, -INFINITY, 0.f};
-  if (at < total) {
-    const float4 *s = splats + (u64)slots[at] * 4;
-    float4 p = s[0], a = s[1], b = s[2];
-    float last = s[3].x;
-    lo[0] = hi[0] = p.x, lo[1] = hi[1] = p.y, lo[2] = hi[2] = p.z;
-    // a column of M is an axis of the ellipsoid, as long as its standard deviation
-    float x = a.x * a.x + a.w * a.w + b.z * b.z;
-    float y = a.y * a.y + b.x * b.x + b.w * b.w;
-    float z = a.z * a.z + b.y * b.y + last * last;
-    hi[3] = p.w * sqrtf(fmaxf(x, fmaxf(y, z))) * 1.00001f;
-  }
-  for (int d = WARP / 2; d; d >>= 1) {
-    for (int k = 0; k < 3; k++) lo[k] = fminf(lo[k], __shfl_xor_sync(FULL, lo[k], d));
-    for (int k = 0; k < 4; k++) hi[k] = fmaxf(hi[k], __shfl_xor_sync(FULL, hi[k], d));
-  }
-  u32 warp = threadIdx.x / WARP;
-  if (lane_id() == 0) {
-    for (int k = 0; k < 3; k++) low[k][warp] = lo[k];
-    for (int k = 0; k < 4; k++) high[k][warp] = hi[k];
-  }
-  __syncthreads();
-  if (threadIdx.x < 7) {
-    u32 k = threadIdx.x;
-    float v = k < 3 ? low[k][0] : high[k - 3][0];
-    for (u32 w = 1; w < CHUNK / WARP; w++)
-      v = k < 3 ? fminf(v, low[k][w]) : fmaxf(v, high[k - 3][w]);
-    boxes[(u64)blockIdx.x * 7 + k] = v;
-  }
 }

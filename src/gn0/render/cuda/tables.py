@@ -74,7 +74,7 @@ def build_views(
     slope = np.maximum(abs(positive), abs(negative)) if pinhole else np.zeros(2)
     views["gain"] = np.sqrt(1.0 + slope * slope)
     views["cloud"], views["row"] = cloud_of, rows
-    views["tail"] = np.where(np.asarray(tail_of) < 0, NOWHERE, tail_of).astype(np.uint32)
+    views["tail"] = np.where(tail_of < 0, np.uint32(NOWHERE), tail_of.astype(np.uint32))
     return views
 
 

@@ -60,7 +60,7 @@ class Args(Config, frozen=True):
     tokens: Literal["global", "ego"] = "global"
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     backend: Literal["auto", "cpu", "cuda"] = "auto"
-    batch: Annotated[int, msgspec.Meta(ge=0, le=65536)] = 0
+    batch: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""

@@ -43,7 +43,7 @@ class Args(Config, frozen=True):
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
     maps: Literal["once", "every"] | None = None
     backend: Literal["auto", "cpu", "cuda"] = "auto"
-    batch: Annotated[int, msgspec.Meta(ge=0, le=65536)] = 0
+    batch: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""

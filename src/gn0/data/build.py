@@ -48,6 +48,7 @@ from gn0.data.settings import BuildSettings
 from gn0.errors import DataError
 from gn0.jobs import ExecutorName
 from gn0.progress import Progress, no_progress
+from gn0.render.share.client import DrawServer
 from gn0.storage import (
     TEMPORARY_PREFIX,
     folder_atomic,
@@ -66,6 +67,7 @@ def build_dataset(
     executor: ExecutorName = "process",
     ray_address: str = "",
     batch: int = 0,
+    server: DrawServer | None = None,
     progress: Progress = no_progress,
     note: Callable[[str], None] = lambda text: None,
 ) -> Dataset:
@@ -79,6 +81,7 @@ def build_dataset(
         executor: where the workers live; never changes a byte.
         ray_address: of a running Ray cluster; "" starts one of this machine.
         batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
+        server: a process that draws with that backend, when one is running already.
         progress: progress sink.
         note: told once what people should hear.
 
@@ -101,13 +104,15 @@ def build_dataset(
             write_journal(out / JOURNAL, parts_journal(found))
             return open_dataset(out)
         pictures = about.settings.pictures  # a device that is not here is said before any work
-        with open_drawing(pictures, executor=executor, batch=batch, note=note) as server:
+        with open_drawing(
+            pictures, executor=executor, batch=batch, server=server, note=note
+        ) as drawing:
             if found is None:
                 found = _lay_out(out, suite, about, progress)
             done = read_done(out / JOURNAL)
             parts = run_parts(
                 "build_part",
-                drawn_at(plans, server),
+                drawn_at(plans, drawing),
                 {name: made for name, made in done.items() if _is_there(out, made)},
                 out / JOURNAL,
                 workers=workers,

@@ -88,6 +88,7 @@ def open_drawing(
     *,
     executor: ExecutorName = "process",
     batch: int = 0,
+    server: DrawServer | None = None,
     note: Callable[[str], None] = lambda text: None,
 ) -> Iterator[DrawServer | None]:
     """The process that draws for a build's workers; None where each draws for itself.
@@ -96,6 +97,7 @@ def open_drawing(
         settings: how pictures are drawn.
         executor: where the workers live: they must be on this machine.
         batch: views a call; 0 takes the server's default.
+        server: one that is running already, which goes on afterwards.
         note: told once what people should hear.
 
     Raises:
@@ -111,6 +113,14 @@ def open_drawing(
             where=f"--executor {executor}",
             remedy="use --executor process on each GPU machine, or --backend cpu",
         )
+    if server is not None:
+        if server.backend != settings.drawn_by:
+            raise ConfigError(
+                f"the process that draws has backend {server.backend!r}, not {settings.drawn_by!r}",
+                remedy="start one with the backend of the dataset",
+            )
+        yield server
+        return
     try:
         server = DrawServer(settings.drawn_by, looks.LOADER, batch, note).__enter__()
     except Gn0Error as error:

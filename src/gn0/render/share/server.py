@@ -51,6 +51,7 @@ from gn0.render.share.messages import (
 from gn0.render.share.request import Connection, Request
 
 BATCH = 256  # views a call
+SWITCH = 0.0005  # s that a thread may keep the interpreter
 _TALLY_EVERY = 2.0  # s
 _log = logging.getLogger(__name__)
 Loader = Callable[[dict[str, Any]], GaussianCloud]
@@ -332,6 +333,7 @@ def main() -> int:
     parser.add_argument("--batch", type=int, default=BATCH)
     args = parser.parse_args()
     _, send = open_channel()
+    sys.setswitchinterval(SWITCH)  # else a thread that copies makes the one that draws wait
 
     def say(message: msgspec.Struct) -> None:
         with contextlib.suppress(OSError, ValueError):

@@ -1,0 +1,265 @@
+"""Figures of datasets drawn on a GPU: full samples a second, and what 47 million would take."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+from PIL import Image
+
+from gn0.bench.looks import LOADER
+from gn0.bench.suite import Suite, build_suite, load_suite
+from gn0.data.build import build_dataset
+from gn0.data.cache import encode_picture
+from gn0.data.drawing import count_workers, with_backend
+from gn0.data.settings import BuildSettings, PictureSettings
+from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least
+from gn0.figures.device import describe_device, is_emulation
+from gn0.geometry import view_from_pose
+from gn0.jobs.process import count_cores
+from gn0.render.cuda.batch import RendererBatch
+from gn0.render.share.client import DrawServer
+from gn0.render.share.jpeg import JpegEncoder
+from gn0.render.share.messages import Tally
+from gn0.scenes.folder import save_scene
+from gn0.scenes.scene import Scene
+from gn0.sim.history import build_mosaic, reduce_picture
+from gn0.sim.presets import find_preset
+from gn0.storage import content_hash
+
+SAMPLES = 47_000_000  # of the paper
+LEAST = 3000.0  # full samples/s
+GAUSSIANS = 300_000
+QUALITY = 85
+EPISODES = 600  # about 30,000 samples: ten seconds at the rate that is wanted
+VIEWS = 256
+MAP = 512  # px: the map pictures that single costs are measured on
+
+
+def build_walked_scene(ctx: FigureContext, *, tiny: bool) -> Scene:
+    """The apartment in `--scenes`, else one made now with `GAUSSIANS` splats; tiny: a room."""
+    from gn0.scenes.folder import load_scene
+
+    if tiny:
+        from gn0.testing.scenes import build_room_scene
+
+        return build_room_scene()
+    if ctx.scenes is not None and (ctx.scenes / "apartment-300k").is_dir():
+        return load_scene(ctx.scenes / "apartment-300k")
+    from gn0.scenes.procedural.finish import floor_area
+    from gn0.scenes.procedural.generate import GenerateSettings, build_generated
+    from gn0.scenes.procedural.kinds import KINDS
+
+    area = floor_area(KINDS["apartment"].draft(7, size="medium", style=None))
+    settings = GenerateSettings(kind="apartment", seed=7, density=GAUSSIANS / area, light="draft")
+    return build_generated(settings, "apartment", ctx.progress)
+
+
+class _Clock:
+    """Hears how many samples are done, and when."""
+
+    def __init__(self, progress: Callable[[str, int, int], None]) -> None:
+        self._progress = progress
+        self.heard: list[tuple[float, int]] = []
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Take note of it, and pass it on."""
+        self._progress(stage, done, total)
+        if stage == "samples":
+            self.heard.append((time.perf_counter(), done))
+
+    def rate(self) -> float:
+        """Samples a second from the first tenth of them to the last nine tenths."""
+        last = self.heard[-1][1]
+        middle = [(at, done) for at, done in self.heard if 0.1 * last <= done <= 0.9 * last]
+        if len(middle) < 2:
+            (first, none), (end, done) = self.heard[0], self.heard[-1]
+            return (done - none) / max(end - first, 1e-9)
+        (begin, few), (end, many) = middle[0], middle[-1]
+        return (many - few) / max(end - begin, 1e-9)
+
+
+def _build(
+    ctx: FigureContext, suite: Suite, pictures: PictureSettings, server: DrawServer, name: str
+) -> tuple[float, float, int, Tally]:
+    """Rates of a whole build, its samples, and what the process that drew did."""
+    clock = _Clock(ctx.progress)
+    before, begin = server.tally, time.perf_counter()
+    dataset = build_dataset(
+        suite, ctx.work / name, BuildSettings(chunk=4, pictures=pictures),
+        workers=count_workers(0, pictures), server=server, progress=clock,
+    )  # fmt: skip
+    seconds = time.perf_counter() - begin
+    spent = {
+        field: getattr(server.tally, field) - getattr(before, field)
+        for field in Tally.__struct_fields__
+    }
+    rows = dataset.about.rows
+    return clock.rate(), rows / seconds, rows, Tally(**spent)
+
+
+def _median_ms(call: Callable[[], object], rounds: int = 15) -> float:
+    call()
+    spent = []
+    for _ in range(rounds):
+        begin = time.perf_counter()
+        call()
+        spent.append(time.perf_counter() - begin)
+    return float(np.median(spent)) * 1e3
+
+
+def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
+    """What one sample costs in each stage: on the device, and on one core."""
+    device, tiny = ctx.device, is_emulation(ctx.device)
+    preset = find_preset("gn_bench")
+    camera = preset.rgb if not tiny else preset.rgb.from_hfov(160, 120, 90.0)
+    views_count = 2 if tiny else VIEWS
+    batch = RendererBatch(device)
+    batch.add("scene", lambda: scene.gaussians)
+    rng = np.random.default_rng(0)
+    rows_, cols = np.nonzero(scene.grid.cells == 0)
+    picked = rng.integers(0, len(rows_), views_count)
+    views = np.stack([
+        view_from_pose(
+            scene.grid.origin[0] + (cols[i] + 0.5) * scene.grid.resolution,
+            scene.grid.origin[1] + (rows_[i] + 0.5) * scene.grid.resolution,
+            1.3, float(rng.uniform(-3, 3)), 0.0,
+        )
+        for i in picked
+    ])  # fmt: skip
+    encoder = JpegEncoder(device)
+
+    def draw() -> Any:
+        found = batch.render(camera, views, "scene", outputs=("rgb",))
+        device.synchronize()
+        return found
+
+    rounds = 1 if tiny else 7
+    pictures = draw()
+    tiles = encoder.reduce(pictures.rgb, 160, 120)
+    size = tiles.nbytes // views_count
+    table = tiles.pointer + np.uint64(size) * rng.integers(
+        0, views_count, (views_count, 16)
+    ).astype(np.uint64)  # fmt: skip
+
+    def encode() -> None:
+        encoder.encode(pictures.rgb, QUALITY)
+        encoder.reduce(pictures.rgb, 160, 120)
+        encoder.encode_mosaics(table, (160, 120), 4, QUALITY)
+        device.synchronize()
+
+    where = f"{describe_device(device)}; {views_count} views {camera.width}x{camera.height} a call"
+    found = [
+        ("draw, on the device", _median_ms(draw, rounds) / views_count, where),
+        (
+            "JPEG of view and mosaic, on the device",
+            _median_ms(encode, rounds) / views_count,
+            f"{where}, quality {QUALITY}, byte for byte libjpeg's",
+        ),
+    ]
+    target = device.pinned(pictures.rgb.shape, np.uint8)
+    found.append((
+        "copy of the view to pinned memory",
+        _median_ms(lambda: device.download(pictures.rgb, target), rounds) / views_count,
+        where,
+    ))  # fmt: skip
+    rgb = np.array(pictures.rgb.numpy()[0])
+    mosaic = build_mosaic([reduce_picture(rgb, 160, 120)] * 16)
+    square = np.asarray(Image.fromarray(rgb).resize((MAP, MAP)))
+    settings = PictureSettings(quality=QUALITY)
+    core = "one core of this machine, Pillow"
+    for name, picture in (("view", rgb), ("mosaic", mosaic), (f"map {MAP}x{MAP}", square)):
+        found.append((
+            f"JPEG of a {name}, on a core",
+            _median_ms(lambda p=picture: encode_picture(p, settings)),  # type: ignore[misc]
+            f"{core}, quality {QUALITY}",
+        ))  # fmt: skip
+    found.append((
+        "digests of view, mosaic and occupancy picture, on a core",
+        _median_ms(lambda: [content_hash(p) for p in (rgb, mosaic, square)]),
+        "one core of this machine, blake2b of the raw pixels",
+    ))  # fmt: skip
+    stream = io.BytesIO()
+    found.append((
+        "writing a sample, on a core",
+        _median_ms(lambda: (stream.seek(0), stream.write(bytes(80_000)))),
+        "80 kB into memory",
+    ))  # fmt: skip
+    return [FigureRow(name=f"{n}, a sample", value=ms, unit="ms", detail=d) for n, ms, d in found]
+
+
+def measure_gpu(ctx: FigureContext) -> list[FigureRow]:
+    """Whole builds on the GPU: walks, labels, drawing, hashing, encoding, writing."""
+    tiny = is_emulation(ctx.device)
+    scene = build_walked_scene(ctx, tiny=tiny)
+    save_scene(scene, ctx.work / "scene")
+    rows = measure_stages(ctx, scene)
+    for row in rows:
+        ctx.report(row)
+    if tiny:  # a dry run: a walk of 480x360 views would take hours on the emulation
+        return rows
+    build_suite([ctx.work / "scene"], ctx.work / "suite", EPISODES, 0, minimum_length=5.0)
+    suite = load_suite(ctx.work / "suite")
+    splats = len(scene.gaussians)
+    height, width = scene.grid.shape
+    few = Suite(suite.folder, suite.about, suite.episodes[:8])
+    drawn = with_backend(PictureSettings(quality=QUALITY), "cuda")
+    with DrawServer("cuda", LOADER) as server:
+        settings = BuildSettings(chunk=4, pictures=drawn)
+        build_dataset(few, ctx.work / "warm", settings, server=server)  # kernels, and the scene
+        rows += _measure_builds(ctx, suite, drawn, server, f"{splats:,} Gaussians", (width, height))
+    return rows
+
+
+def _measure_builds(
+    ctx: FigureContext,
+    suite: Suite,
+    drawn: PictureSettings,
+    server: DrawServer,
+    scene: str,
+    size: tuple[int, int],
+) -> list[FigureRow]:
+    """Whole builds with the maps in every sample, and with the maps once."""
+    rows: list[FigureRow] = []
+    for maps, words in (("every", "four JPEGs a sample"), ("once", "two JPEGs a sample")):
+        pictures = msgspec.structs.replace(drawn, maps=maps)
+        steady, whole, count, tally = _build(ctx, suite, pictures, server, f"data-{maps}")
+        detail = (
+            f"generated apartment, {scene}, {count} samples of "
+            f"{len(suite.episodes)} walks, FPV 480x360, mosaic 640x480, map and occupancy "
+            f"{size[0]}x{size[1]}, {words}, quality {QUALITY}, exact pictures; {server.card}, "
+            f"{count_cores()} cores; "
+        )
+        spent = (
+            f"the process that draws spent {1e3 * tally.drawing / max(tally.views, 1):.3f} ms a "
+            f"view on drawing, {1e3 * tally.encoding / max(tally.views, 1):.3f} on JPEG, "
+            f"{1e3 * tally.copying / max(tally.views, 1):.3f} on copies beside, and waited "
+            f"{tally.waiting:.1f} s; {tally.views / max(tally.calls, 1):.0f} views a call"
+        )
+        new = [
+            row_at_least(
+                f"full samples on a GPU, maps {maps}", steady, LEAST, "samples/s",
+                detail + "from the first tenth to the last; " + spent,
+            ),
+            FigureRow(
+                name=f"full samples on a GPU, maps {maps}, whole build", value=whole,
+                unit="samples/s", detail=detail + "from the start of the workers to the last byte",
+            ),
+            FigureRow(
+                name=f"47 M samples, GPU, maps {maps}", value=SAMPLES / steady / 3600,
+                unit="GPU-hours", detail=detail + f"at {steady:.0f} samples/s",
+            ),
+        ]  # fmt: skip
+        for row in new:
+            ctx.report(row)
+        rows += new
+    return rows
+
+
+FIGURES = [
+    Figure("data.gpu", "Full samples a second on a GPU", measure_gpu, 2.0, backend="cuda"),
+]

@@ -129,13 +129,15 @@ def test_everything_that_agents_see(rooms, tmp_path, monkeypatch) -> None:
             final = infos["final_obs"][agent]
             for name in ("rgb", "depth"):
                 np.testing.assert_array_equal(told["final_obs"][name][k].numpy(), final[name])
-            for name in ("bev", "occupancy"):
+            for name in ("bev", "occupancy", "history", "goal_picture"):
                 np.testing.assert_array_equal(told["final_obs"][name][agent].numpy(), final[name])
     assert ends >= 3
     drawn = {look for _, looks, _ in renderer.calls for look in looks}
     assert len(drawn) == 3  # two flats, one of them in two lights
     assert {name for name in ALL if mine[name].numpy().std() < 0.1} == set()
-    assert env.memory["pictures"] > 0
+    height, width = env.observation_space["bev"].shape[1:3]
+    shown = 640 * 480 * 3 + 2 * height * width * 3 + 224 * 224 * 3
+    assert env.memory["pictures"] == 3 * (640 * 480 * 3 + 2 * shown)
     env.close()
 
 

@@ -179,7 +179,9 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     @property
     def memory(self) -> dict[str, int]:
         """Bytes on the device: maps and fields that are there, and pictures of all agents."""
-        pictures = 0 if self._eyes is None else self._eyes.bytes_of(self.num_envs)
+        pictures = (
+            0 if self._eyes is None else self._eyes.bytes_of(self.num_envs, self.final_pictures)
+        )
         return {"maps and fields": self.simulator.store.pool.held, "pictures": pictures}
 
     def reset(

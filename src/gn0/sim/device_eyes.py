@@ -198,7 +198,7 @@ class EyesDevice:
             if "goal_picture" in self._wanted:
                 out["goal_picture"] = self._goal_pictures(simulator, numbers)
         if "history" in self._wanted:
-            out["history"] = self._mosaics(simulator)
+            out["history"] = self._mosaics(simulator, "", simulator.views)
         if self._wanted & MAPS:
             out |= self._maps(simulator, "", simulator.state["slot"], simulator.outputs["pose"])
         assert all(len(value) == count for value in out.values())
@@ -207,8 +207,8 @@ class EyesDevice:
     def draw_final(self, simulator: SimulatorDevice) -> dict[str, Any]:
         """What agents saw last whose episodes ended; waits for the device.
 
-        `agents` [K] are their numbers, on the host; colour and depth are [K, …], map pictures
-        [N, …], black for others.
+        `agents` [K] are their numbers, on the host; colour and depth are [K, …], the others
+        [N, …] as with `draw`. To be called before `draw`.
         """
         ended = simulator.outputs["final_episode"].numpy()
         agents = np.flatnonzero(ended >= 0)
@@ -223,22 +223,35 @@ class EyesDevice:
             rgb, depth = self._look(simulator, views, keys)
             out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
             out |= {"depth": depth} if depth is not None else {}
+        if "history" in self._wanted:
+            seen = simulator.outputs["final_views"]
+            out["history"] = self._mosaics(simulator, "final_", seen)
+        if "goal_picture" in self._wanted:
+            width, height = self.config.preset.picture_size
+            shape = (height, width, 3)
+            kept = self._array(simulator, "final_goal_picture", shape, np.uint8)
+            simulator.copy(self._array(simulator, "goal_picture", shape, np.uint8), kept)
+            out["goal_picture"] = kept
         if self._wanted & MAPS:
             outputs = simulator.outputs
             out |= self._maps(simulator, "final_", outputs["final_slot"], outputs["final_pose"])
         return out
 
-    def bytes_of(self, count: int) -> int:
-        """Bytes that the picture arrays of `count` agents take beside what the renderer gives."""
-        total = 0
+    def bytes_of(self, count: int, final: bool = False) -> int:
+        """Bytes that the picture arrays of `count` agents take beside what the renderer gives.
+
+        With `final`, those of `draw_final` included.
+        """
+        each = 0
         if "history" in self._wanted:
-            total += (LENGTH + ROWS * COLUMNS) * TILE_HEIGHT * TILE_WIDTH * 3
+            each += ROWS * COLUMNS * TILE_HEIGHT * TILE_WIDTH * 3
         if self._map_shape is not None:
-            total += len(self._wanted & MAPS) * self._map_shape[0] * self._map_shape[1] * 3
+            each += len(self._wanted & MAPS) * self._map_shape[0] * self._map_shape[1] * 3
         if "goal_picture" in self._wanted:
             width, height = self.config.preset.picture_size
-            total += width * height * 3
-        return total * count
+            each += width * height * 3
+        tiles = LENGTH * TILE_HEIGHT * TILE_WIDTH * 3 if "history" in self._wanted else 0
+        return (each * (1 + final) + tiles) * count
 
     def _array(
         self, simulator: SimulatorDevice, name: str, shape: tuple[int, ...], kind: Any
@@ -334,14 +347,16 @@ class EyesDevice:
             self._kept[name] = simulator.device.upload(box_weights(size, out))
         return self._kept[name], self._kept[name].shape[1] - 2
 
-    def _mosaics(self, simulator: SimulatorDevice) -> DeviceArray:
+    def _mosaics(
+        self, simulator: SimulatorDevice, prefix: str, views: DeviceArray | None
+    ) -> DeviceArray:
         tiles = self._array(simulator, "tiles", (LENGTH, TILE_HEIGHT, TILE_WIDTH, 3), np.uint8)
         shape = (ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3)
-        out = self._array(simulator, "mosaics", shape, np.uint8)
+        out = self._array(simulator, prefix + "history", shape, np.uint8)
         words = TILE_WIDTH * 3 // 16
         grid = (simulator.count, blocks_of(ROWS * TILE_HEIGHT * COLUMNS * words, _PIXELS))
         simulator.kernels["lay_mosaics"].launch(
-            *(grid, _PIXELS, tiles, simulator.views),
+            *(grid, _PIXELS, tiles, views),
             *(np.int32(TILE_HEIGHT), np.int32(words), out),
         )
         return out

@@ -66,6 +66,7 @@ OUTPUT_FIELDS: tuple[tuple[str, Any, tuple[int, ...]], ...] = (
     ("final_episode", np.int32, ()),
     ("final_slot", np.int32, ()),
     ("final_turns", np.int32, ()),
+    ("final_views", np.int32, ()),
 )
 OUTPUTS = np.dtype([(name, np.uint64) for name, _, _ in OUTPUT_FIELDS], align=True)
 

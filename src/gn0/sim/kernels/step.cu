@@ -151,6 +151,7 @@ KERNEL(step_agents)(World w, const u8 *codes, Outputs out) {
   out.final_episode[i] = ended ? e.number : -1;
   out.final_slot[i] = ended ? slot : -1;
   out.final_turns[i] = turns;
+  if (w.views) out.final_views[i] = ended ? w.views[i] + 1 : 0;
   int next = ended ? draw(w, i) : -1;
   if (next >= 0) {
     begin(w, i, next);

@@ -63,6 +63,7 @@ struct Outputs {
   int *final_episode;    // -1 where none ended
   int *final_slot;       // the same
   int *final_turns;
+  int *final_views;      // views since the start, of a history
 };
 static_assert(sizeof(Outputs) == OUTPUTS_BYTES, "device_layout.OUTPUTS differs from Outputs");
 

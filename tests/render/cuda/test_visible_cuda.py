@@ -28,7 +28,10 @@ from gn0.render.renderer import (
 )
 from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
+from gn0.sim.open import open_simulator
+from gn0.sim.vector import VectorEnv
 from gn0.testing.check_renderer import check_renderer, psnr
+from gn0.testing.scenes import build_room_scene
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 either = pytest.mark.usefixtures("either_drawer")
@@ -324,3 +327,16 @@ def test_a_floor_without_a_free_cell_and_a_cloud_without_splats(make, cloud, flo
     empty = RendererVisibleCuda(nothing, "nothing", floor, EYE, QUICK)
     assert empty.size_of(empty.cells[0]) == 0
     assert not empty.render(Camera.from_hfov(16, 16, 90), views(1)).alpha.any()
+
+
+def test_it_is_a_choice_wherever_backends_are_named(monkeypatch) -> None:
+    """In a simulator and in a vector of environments, with the BEV of all splats."""
+    monkeypatch.setenv("GN0_DEVICE", "host")
+    scene = build_room_scene(spacing=0.4)
+    simulator = open_simulator(scene, backend=VISIBLE_CUDA, sensors={"rgb"})
+    renderer = simulator.suite.renderer
+    assert isinstance(renderer, RendererVisibleCuda)
+    assert renderer.cells
+    env = VectorEnv(2, scene, backend="cuda", visible_sets=True)
+    assert env._backend == VISIBLE_CUDA
+    env.close()

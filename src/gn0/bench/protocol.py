@@ -22,8 +22,9 @@ from gn0.storage import content_hash
 # what decides a result; the rest of the package may change between two sessions of one run
 _DECIDING = (
     "geometry.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim", "policies",
-    "bench/metrics.py", "bench/release.py", "bench/worker.py",
+    "bench/metrics.py", "bench/release.py", "bench/worker.py", "device/kernels",
 )  # fmt: skip
+_SOURCES = {".py", ".cu", ".cuh"}
 
 
 @cache
@@ -36,7 +37,8 @@ def code_version(deciding: tuple[str, ...] = _DECIDING) -> str:
     digest = hashlib.blake2b(digest_size=6)
     for name in deciding:
         path = root / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+        found = [file for file in path.rglob("*") if file.suffix in _SOURCES]
+        for file in sorted(found) if path.is_dir() else [path]:
             digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0")
     return f"{gn0.__version__}+{digest.hexdigest()}"
 

@@ -95,7 +95,8 @@ def list_tunings() -> list[Tuning]:
     base = Tuning()
     changes: list[dict[str, Any]] = [
         {"region_width": 8},
-        {"pixels": 1, "blocks": 4, "buckets": 512},
+        {"pixels": 1, "blocks": 4},
+        {"pixels": 1, "region_height": 2, "blocks": 4},
         {"pixels": 1, "region_width": 8, "blocks": 4},
         {"pixels": 4, "blocks": 12},
         {"pixels": 4, "region_width": 8, "blocks": 12},

@@ -54,7 +54,8 @@ TUNINGS = [
     Tuning(capacity=64, buckets=128, crowded=8, stage=32),  # several groups, crowded buckets
     Tuning(pixels=1, buckets=256, stage=64, views=1, large=0),  # whole warps list everything
     Tuning(pixels=4, region_height=4, group=False, views=3, large=10**6),
-    Tuning(pixels=1, region_width=4, region_height=4, stage=32),
+    Tuning(pixels=1, region_width=4, region_height=2, stage=32),
+    Tuning(pixels=1, region_width=8, region_height=4, large=16),
     Tuning(pixels=2, region_height=8, capacity=1024, buckets=1024, stage=160),
 ]
 

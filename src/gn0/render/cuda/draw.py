@@ -310,9 +310,9 @@ class Drawer:
         counts = self._need("counts", all_tiles, np.uint32)
         starts = self._need("starts", all_tiles + 1, np.uint64)
         sums = self._need("sums", blocks, np.uint64)
-        entries = self._held.get("entries")
-        if entries is None:
-            guess = int(work.splats[views].sum() * self._density * 1.25) + 64 * all_tiles
+        entries, expected = self._held.get("entries"), work.splats[views].sum() * self._density
+        if entries is None or len(entries) < min(expected, self.memory // _ENTRY):
+            guess = int(expected * 1.25) + 64 * all_tiles
             entries = self._grow(min(guess, self.memory // _ENTRY))
         kernels = self._kernels
         capacity, whole = np.uint64(len(entries)), np.uint32(all_tiles)
@@ -323,7 +323,8 @@ class Drawer:
         self.device.fill(counts[:all_tiles], 0)
         kernels["count_entries"].launch(shares.blocks, CHUNK, *listing)
         self._tell("scan")
-        kernels["sum_counts"].launch(blocks, 256, counts, whole, sums)
+        if blocks > 1:
+            kernels["sum_counts"].launch(blocks, 256, counts, whole, sums)
         kernels["scan_counts"].launch(blocks, 256, counts, whole, sums, starts)
         self._tell("emit")
         kernels["emit_entries"].launch(

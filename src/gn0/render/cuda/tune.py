@@ -44,7 +44,7 @@ class Tuning:
         sound = (
             self.pixels in (1, 2, 4)
             and self.region_width in (4, 8, 16)
-            and self.region_height in (4, 8, 16)
+            and self.region_height in (2, 4, 8, 16)
             and self.pixels <= self.team <= 32
             and self.buckets & (self.buckets - 1) == 0
             and self.buckets % self.threads == 0

@@ -178,9 +178,9 @@ KERNEL(place_agents)(World w, const int *slots, Outputs out) {
 // Range rings [N, rays] m from poses [N, 3] with `turns` turns; 0 where an agent has no slot.
 KERNEL(read_ranges)(World w, const int *slots, const double *poses, const int *turns, int rays,
                     double limit, float *out) {
-  int k = blockIdx.x * blockDim.x + threadIdx.x;
-  if (k >= w.count * rays) return;
-  int i = k / rays, slot = slots[i];
+  i64 k = (i64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= (i64)w.count * rays) return;
+  int i = (int)(k / rays), slot = slots[i];
   if (slot < 0) {
     out[k] = 0.f;
     return;

@@ -102,7 +102,7 @@ R cuPointerGetAttribute(void *v, int a, P p) { ENTER *(int *)v = 0; return 0; }
 
 // Work: done at once, or noted in the graph that its stream records.
 typedef struct { char name[64]; R (*entry)(const unsigned *, const unsigned *, size_t, uint64_t, void **); const size_t *sizes; int shared; } Function;
-typedef struct { int kind; P to; const void *from; size_t size; int byte; Function *f; unsigned grid[3], block[3]; unsigned char cells[64][128]; } Step;
+typedef struct { int kind; P to; const void *from; size_t size; int byte; Function *f; unsigned grid[3], block[3]; unsigned char cells[8192]; } Step;
 typedef struct { Step *steps; int count; int recording; } Graph;
 static Graph streams[8];
 static int stream_count;
@@ -112,7 +112,7 @@ static R run(Step *s) {
   else if (s->kind == 1) memcpy((void *)s->to, s->from, s->size);
   else if (s->f->entry) {
     void *p[64];
-    for (int i = 0; i < 64; i++) p[i] = s->cells[i];
+    for (size_t i = 0, at = 0; s->f->sizes[i]; at += (s->f->sizes[i++] + 15) / 16 * 16) p[i] = s->cells + at;
     return s->f->entry(s->grid, s->block, s->size, 1, p) ? 719 : 0;
   }
   return 0;
@@ -172,7 +172,7 @@ R cuLaunchKernel(Function *f, unsigned gx, unsigned gy, unsigned gz, unsigned bx
   Step w = {2};
   w.f = f, w.size = shared;
   w.grid[0] = gx, w.grid[1] = gy, w.grid[2] = gz, w.block[0] = bx, w.block[1] = by, w.block[2] = bz;
-  for (int i = 0; f->sizes[i]; i++) memcpy(w.cells[i], p[i], f->sizes[i]);
+  for (size_t i = 0, at = 0; f->sizes[i]; at += (f->sizes[i++] + 15) / 16 * 16) memcpy(w.cells + at, p[i], f->sizes[i]);
   return work(&w, stream);
 }
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from gn0.figures.floor import count_work
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.scenes.folder import save_scene
+from gn0.storage import cache_dir
 from gn0.testing.scenes import build_room_scene
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the emulation needs g++")
@@ -195,3 +198,26 @@ def test_they_are_in_the_catalogue_and_need_a_card() -> None:
         assert known[figure.id] is figure
         assert figure.backend == "cuda"
         assert figure.minutes <= 3
+
+
+def test_the_script_runs_groups_and_says_what_is_done(tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[2]
+    script = [str(root / "runs" / "gpu-figures.sh"), str(tmp_path / "out")]
+    environment = {
+        **os.environ,
+        "GN0_DEVICE": "host",
+        "PYTHON": sys.executable,
+        "GN0_CACHE": str(cache_dir()),
+    }
+    done = subprocess.run(
+        [*script, "check", "sanitizers"], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "missing: nothing" in done.stdout
+    assert "sanitizers: skipped" in done.stdout
+    assert "sanitizers: done" in done.stdout
+    assert "start: not done" in done.stdout
+    assert (tmp_path / "out" / "figures.json").exists()
+    wrong = subprocess.run([*script, "cellar"], env=environment, capture_output=True, text=True)
+    assert wrong.returncode == 2
+    assert "no group cellar" in wrong.stdout

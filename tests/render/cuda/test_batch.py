@@ -80,23 +80,24 @@ def test_more_scenes_than_memory_are_drawn_in_turns() -> None:
 
 
 @either
-def test_a_drawer_without_room_makes_scenes_give_way(monkeypatch) -> None:
+@pytest.mark.parametrize("step", ["draw", "pictures"])
+def test_without_room_scenes_give_way(step: str, monkeypatch) -> None:
     """What the draw under way needs stays; when nothing is left to drop, the error is said."""
     batch = batch_of()
     batch.render(CAMERA, views(3), list("abc"))
     assert batch.store.resident == list("abc")
-    drawn, room = type(batch.drawer).draw, 1
+    works, room = getattr(type(batch.drawer), step), 1
 
-    def draw(self, *args, **named) -> None:
+    def tight(self, *args, **named):
         if len(batch.store.resident) > room:
-            raise DeviceMemoryError("no room for lists", where="host emulation")
-        drawn(self, *args, **named)
+            raise DeviceMemoryError("no room", where="host emulation")
+        return works(self, *args, **named)
 
-    monkeypatch.setattr(type(batch.drawer), "draw", draw)
+    monkeypatch.setattr(type(batch.drawer), step, tight)
     batch.render(CAMERA, views(1), "b")
     assert batch.store.resident == ["b"]
-    room = 0
-    with pytest.raises(DeviceMemoryError, match="no room for lists"):
+    room = -1
+    with pytest.raises(DeviceMemoryError, match="no room"):
         batch.render(CAMERA, views(1), "b")
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
+from typing import TypeVar
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
@@ -25,6 +27,7 @@ OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
 _drawers: WeakKeyDictionary[Device, ref[Drawer]] = WeakKeyDictionary()
 Cell = tuple[int, int]
 Part = tuple[VisibleSets, Cell]
+T = TypeVar("T")
 
 
 class RendererBatch:
@@ -158,38 +161,55 @@ class RendererBatch:
         for what, given in (("keys", names), ("tails", tails), ("visible", visible)):
             if isinstance(given, Sequence) and len(given) != count:
                 raise RenderError(f"{len(given)} {what} for {count} views", where=what)
-        moving, tail_of = self._bring_tails(tails, count)
         parts = self._parts(camera, matrices, names, visible)
-        pictures = self.drawer.pictures(camera, count, outputs, self.options.rgb_float)
         views_of = _views_of(names)
-        for group in self.store.groups(names):
+        moving, tail_of = self._with_room(lambda: self._bring_tails(tails, count), views_of, parts)
+        pictures = self._with_room(
+            lambda: self.drawer.pictures(camera, count, outputs, self.options.rgb_float),
+            *(views_of, parts),
+        )
+
+        def draw(group: dict[str, CloudDevice]) -> None:
             rows = np.array(sorted(v for key in group for v in views_of[key]), np.int64)
-            cleared = False
-            while True:
-                try:
-                    clouds, cloud_of = _choose(group, names, parts, rows)
-                    self.drawer.draw(
-                        camera,
-                        matrices[rows],
-                        clouds,
-                        cloud_of,
-                        tails=moving,
-                        tail_of=None if tail_of is None else tail_of[rows],
-                        pictures=pictures,
-                        rows=rows,
-                        background=colour,
-                        antialiased=self.options.antialiased,
-                    )
-                    break
-                except DeviceMemoryError:
-                    clouds = []
-                    if self.store.give_way(list(group)):
-                        continue
-                    if cleared or not _clear_sets([*self._sets.values(), *_sets_of(parts)]):
-                        raise
-                    cleared = True
-            del clouds  # the next group may need their memory
+            clouds, cloud_of = _choose(group, names, parts, rows)
+            self.drawer.draw(
+                camera,
+                matrices[rows],
+                clouds,
+                cloud_of,
+                tails=moving,
+                tail_of=None if tail_of is None else tail_of[rows],
+                pictures=pictures,
+                rows=rows,
+                background=colour,
+                antialiased=self.options.antialiased,
+            )
+
+        for group in self.store.groups(names):
+            self._with_room(partial(draw, group), views_of, parts, group)
         return pictures
+
+    def _with_room(
+        self,
+        attempt: Callable[[], T],
+        wanted: Collection[str],
+        parts: list[Part | None],
+        pinned: Collection[str] = (),
+    ) -> T:
+        """What `attempt` gives. Where memory is short, scenes give way, then sets.
+
+        Those that this call has `wanted` go after all others, and those `pinned` never.
+        """
+        cleared = False
+        while True:
+            try:
+                return attempt()
+            except DeviceMemoryError:
+                if self.store.give_way(wanted) or self.store.give_way(pinned):
+                    continue
+                if cleared or not _clear_sets([*self._sets.values(), *_sets_of(parts)]):
+                    raise
+                cleared = True  # once: the next attempt brings back those that it needs
 
     def _let_go(self, key: str) -> None:
         """A cloud is about to give way: its sets must not keep its memory."""

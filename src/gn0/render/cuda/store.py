@@ -8,7 +8,7 @@ once, so a scene that was swapped on disk is never shown as it was.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 from gn0.device.device import Device
@@ -146,7 +146,7 @@ class CloudStore:
         """
         return next(self.groups([key]))[key]
 
-    def give_way(self, pinned: Sequence[str] = ()) -> bool:
+    def give_way(self, pinned: Collection[str] = ()) -> bool:
         """Drop the least recently used cloud that is not `pinned`; whether there was one."""
         for key in self._held:
             if key not in pinned and key not in self._kept:
@@ -178,14 +178,14 @@ class CloudStore:
                 remedy=f"allow more memory, or {_SMALLER}",
             )
         while self.used + need > self.memory:
-            if not self.give_way(list(pinned)):
+            if not self.give_way(pinned):
                 return None
         while True:
             try:
                 found = upload_cloud(self.device, cloud)
                 break
             except DeviceMemoryError as error:
-                if self.give_way(list(pinned)):
+                if self.give_way(pinned):
                     continue
                 if pinned:
                     return None

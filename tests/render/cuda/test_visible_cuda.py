@@ -281,6 +281,26 @@ def test_sets_of_a_batch_go_with_their_scene(cloud, floor) -> None:
 
 
 @either
+def test_sets_of_all_scenes_share_a_memory(cloud, floor) -> None:
+    """The scene not drawn for longest loses its sets; the bytes stay the same."""
+    batch = RendererBatch(DeviceHost(), sets_memory=1)
+    camera, poses = Camera.from_hfov(16, 16, 90), views(2)
+    sets = {}
+    for key in "ab":
+        batch.add(key, lambda: cloud, key)
+        sets[key] = batch.limit_to_visible(key, key, floor, EYE, QUICK)
+    first = batch.render(camera, poses, "a", visible=True).numpy().rgb
+    assert (sets["a"].used, sets["b"].used) == (0, 0)
+    assert batch.render(camera, poses, "a", visible=True).numpy().rgb.tobytes() == first.tobytes()
+    assert sets["a"].built == len(set(sets["a"].locate(camera, poses))), "read from the cache"
+    batch.sets_memory = 2**30
+    batch.render(camera, poses, "a", visible=True)
+    batch.sets_memory = sets["a"].used
+    batch.render(camera, poses, "b", visible=True)
+    assert sets["a"].used == 0 < sets["b"].used
+
+
+@either
 def test_sets_give_way_once_when_nothing_else_can(make, monkeypatch) -> None:
     """A drawer that never has room ends in its error, not in a loop."""
     renderer = make(cache=False)

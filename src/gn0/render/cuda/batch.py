@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TypeVar
@@ -23,6 +24,7 @@ from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.renderer import Output, RenderOptions, check_views
 from gn0.render.visible_places import VisibleOptions
 
+_SETS_SHARE = 0.1  # of the memory that is free at the start, for visible sets
 OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
 _drawers: WeakKeyDictionary[Device, ref[Drawer]] = WeakKeyDictionary()
 Cell = tuple[int, int]
@@ -37,18 +39,27 @@ class RendererBatch:
         device: draws.
         options: image formation, for all scenes; `threads` means nothing here.
         memory: bytes that clouds may take; 0.6 of what is free now when None.
+        sets_memory: bytes that the visible sets of all scenes together may take; a tenth of what
+            is free now when None.
     """
 
     name = "cuda"
 
     def __init__(
-        self, device: Device, options: RenderOptions | None = None, memory: int | None = None
+        self,
+        device: Device,
+        options: RenderOptions | None = None,
+        memory: int | None = None,
+        *,
+        sets_memory: int | None = None,
     ) -> None:
         self.device = device
         self.options = options or RenderOptions()
         self.store = CloudStore(device, memory)
         self.drawer = share_drawer(device)
-        self._sets: dict[str, VisibleSets] = {}
+        share = int(_SETS_SHARE * device.memory()[0])
+        self.sets_memory = share if sets_memory is None else sets_memory
+        self._sets: OrderedDict[str, VisibleSets] = OrderedDict()  # least recently used first
         self.store.on_drop = self._let_go
 
     def __contains__(self, key: str) -> bool:
@@ -187,7 +198,20 @@ class RendererBatch:
 
         for group in self.store.groups(names):
             self._with_room(partial(draw, group), views_of, parts, group)
+        self._trim_sets(views_of if visible else ())
         return pictures
+
+    def _trim_sets(self, used: Collection[str]) -> None:
+        """Keep the sets of all scenes within their memory; those just `used` go last."""
+        for key in used:
+            if key in self._sets:
+                self._sets.move_to_end(key)
+        total = sum(sets.used for sets in self._sets.values())
+        for sets in self._sets.values():
+            if total <= self.sets_memory:
+                break
+            total -= sets.used
+            sets.clear()
 
     def _with_room(
         self,

@@ -139,6 +139,9 @@ def kernel_source(tuning: Tuning) -> KernelSource:
     return KernelSource("draw", files, (*tuning.defines, *constants))
 
 
+SOURCE = kernel_source(Tuning())  # what is compiled ahead of time
+
+
 class Drawer:
     """Draws on one device; buffers are kept between calls. One thread at a time.
 

@@ -87,7 +87,9 @@ def assert_same_step(env, mine, theirs) -> None:
 
 def build_pair(scenes, episodes, count, seed=3, device=None, **settings):
     settings = {"sensors": SENSORS, "max_steps": 60, "episodes": episodes} | settings
-    own = {k: settings.pop(k) for k in ("memory", "ahead", "strict") if k in settings}
+    own = {
+        k: settings.pop(k) for k in ("memory", "host_memory", "ahead", "strict") if k in settings
+    }
     env = VectorEnvDevice(count, scenes, device=device or DeviceHost(seed), **settings, **own)
     return env, VectorEnv(count, scenes, **settings)
 
@@ -161,15 +163,21 @@ def test_the_host_may_be_behind(plans, ahead) -> None:
     assert all(waits) if ahead == 2 else any(waits)
 
 
-def test_maps_and_fields_stream_in_and_out(plans) -> None:
-    """A memory too small for all of them changes nothing but how often they are built."""
+@pytest.mark.parametrize("host_memory", [0, 200_000, 2**30])
+def test_maps_and_fields_stream_in_and_out(plans, host_memory) -> None:
+    """A memory too small for all of them changes nothing but how often they are brought."""
     scenes, episodes = plans
-    env, twin = build_pair(scenes, episodes, 2, ahead=1, memory=1_200_000, max_steps=9)
+    env, twin = build_pair(
+        scenes, episodes, 2, ahead=1, memory=1_200_000, host_memory=host_memory, max_steps=9
+    )
     assert_same_reset(env, env.reset(seed=4), twin.reset(seed=4))
     play(env, twin, 250, odds=(0.2, 0.4, 0.2, 0.2))
     store = env.simulator.store
     assert store.dropped > 20
-    assert store.fields_built > 30
+    assert (store.fields_built <= len(episodes)) == (host_memory == 2**30)
+    shelf = sum(array.nbytes for pair in store._shelf.values() for array in pair)
+    assert shelf + store._shelf_room == host_memory
+    assert store._shelf_room >= 0
     assert store.pool.used <= store.pool.held <= 1_200_000
     assert store.resident <= len(episodes)
     held = [h.block for k in ("_own", "_fields", "_scenes") for h in getattr(store, k).values()]

@@ -44,6 +44,7 @@ from gn0.sim.sensors import (
 from gn0.sim.tasks import load_tasks
 
 MEMORY = 2**32  # bytes of maps and distance fields
+HOST_MEMORY = 2**31  # bytes of distance fields beside them
 AHEAD = 8  # draws held ready an environment
 Observations = dict[str, DeviceArray]
 
@@ -71,6 +72,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         success_distance: geodesic distance [m] below which STOP succeeds.
         memory: bytes that maps and distance fields may take on the device. What is played, or
             may be within `ahead` episodes, is never dropped, and may take more.
+        host_memory: bytes of maps and fields kept in host memory, from where those that made
+            room on the device come back.
         ahead: draws held ready an environment. The host looks at the device every `ahead` / 2
             steps; fewer draws keep fewer distance fields there.
         visible_sets: draw from the splats visible near each place, not from all.
@@ -108,6 +111,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         max_steps: int | None = None,
         success_distance: float = 3.0,
         memory: int = MEMORY,
+        host_memory: int = HOST_MEMORY,
         ahead: int = AHEAD,
         visible_sets: bool = False,
         map_mode: str | None = None,
@@ -146,6 +150,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             max_steps=self.tasks.max_steps,
             success_distance=success_distance,
             memory=memory,
+            host_memory=host_memory,
             ahead=ahead,
             pictures=None if self._eyes is None else self._eyes.open_look,
         )

@@ -59,6 +59,7 @@ class SimulatorDevice:
         max_steps: actions until an episode is truncated.
         success_distance: geodesic distance [m] below which STOP succeeds.
         memory: bytes of maps and fields.
+        host_memory: bytes of fields kept on the host.
         ahead: draws held ready for each.
         pictures: look → static map pictures, when they are wanted.
 
@@ -83,6 +84,7 @@ class SimulatorDevice:
         max_steps: int,
         success_distance: float,
         memory: int,
+        host_memory: int,
         ahead: int,
         pictures: Callable[[str], MapPictures] | None = None,
     ) -> None:
@@ -98,7 +100,10 @@ class SimulatorDevice:
         if "ranges" in config.active:
             rays = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
         self.store = EpisodeStore(
-            device, self.kernels, scenes, agent, memory, rays=rays, pictures=pictures
+            *(device, self.kernels, scenes, agent, memory),
+            host_memory=host_memory,
+            rays=rays,
+            pictures=pictures,
         )
         self.numbers = self.store.add(episodes)
         self.queue = EpisodeQueue(count, ahead, self.numbers, self.store)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -32,6 +33,7 @@ from gn0.sim.open import name_look
 from gn0.sim.sensors import MapFrame
 
 _log = logging.getLogger(__name__)
+_Goal = tuple[str, float, float]  # scene, x, y
 _WORD = 16  # bytes that a thread of `store_rows` copies
 
 
@@ -64,12 +66,16 @@ class _Held:
 class EpisodeStore:
     """Episodes by number; those that are pinned are ready to be played by kernels.
 
+    A map or a field that had to make room comes back from host memory; one that is not there
+    either is built again, which takes twenty times as long.
+
     Args:
         device: where they are played.
         kernels: of `device_layout.SOURCE`.
         scenes: scene id → how to get the scene; each is loaded when first needed.
         agent: who plays them.
         memory: bytes that maps, fields and headings may take; what is pinned is never dropped.
+        host_memory: bytes of maps and fields kept on the host, beside those on the device.
         rays: angles [R] rad of range rays relative to the yaw, if their directions are wanted.
         pictures: look → the static pictures, if they are wanted.
     """
@@ -82,6 +88,7 @@ class EpisodeStore:
         agent: AgentSpec,
         memory: int,
         *,
+        host_memory: int = 0,
         rays: F64 | None = None,
         pictures: Callable[[str], MapPictures] | None = None,
     ) -> None:
@@ -101,7 +108,10 @@ class EpisodeStore:
         self._slot_of = np.zeros(0, np.int32)  # by episode number; −1: not here
         self._scenes: dict[str, _Held] = {}
         self._looks: dict[str, _Held] = {}
-        self._fields: dict[tuple[str, float, float], _Held] = {}
+        self._fields: dict[_Goal, _Held] = {}
+        self._shelf: OrderedDict[_Goal | str, tuple[NDArray[Any], ...]] = OrderedDict()
+        self._shelf_room = host_memory
+        self._frames: dict[str, tuple[float, ...]] = {}
         self._own: dict[int, _Held] = {}  # by slot: headings
         self._number_of = np.full(64, -1, np.int32)  # by slot
         self._references = np.zeros(64, np.int64)
@@ -185,7 +195,7 @@ class EpisodeStore:
             key = _key(episode)
             field = self._fields.get(key)
             if field is None:
-                field = self._fields[key] = self._build_field(episode)
+                field = self._fields[key] = self._bring_field(key)
                 scene.users += 1  # a field needs its scene
             field.users += 1
             used.append(field)
@@ -309,14 +319,34 @@ class EpisodeStore:
                 self.pool.give(self._scenes.pop(scene_id).block)
 
     def _bring_scene(self, scene_id: str) -> _Held:
-        navigation, _ = self._maps.open(scene_id)
-        compact = number_cells(navigation)
+        (compact,) = self._fetch(scene_id, lambda: self._number_cells(scene_id))
         held = self._put(compact)
-        grid = navigation.grid
-        held.frame = (*map(float, grid.origin), float(grid.resolution))
-        held.shape = grid.shape
+        held.frame, held.shape = self._frames[scene_id], compact.shape
         self._scenes[scene_id] = held
         return held
+
+    def _number_cells(self, scene_id: str) -> tuple[NDArray[np.int32]]:
+        navigation, _ = self._maps.open(scene_id)
+        grid = navigation.grid
+        self._frames[scene_id] = (*map(float, grid.origin), float(grid.resolution))
+        return (number_cells(navigation),)
+
+    def _fetch(
+        self, key: _Goal | str, build: Callable[[], tuple[NDArray[Any], ...]]
+    ) -> tuple[NDArray[Any], ...]:
+        """What was built before and is still on the host, or is built now."""
+        if key in self._shelf:
+            self._shelf.move_to_end(key)
+            return self._shelf[key]
+        arrays = build()
+        size = sum(array.nbytes for array in arrays)
+        while self._shelf and size > self._shelf_room:
+            _, old = self._shelf.popitem(last=False)
+            self._shelf_room += sum(array.nbytes for array in old)
+        if size <= self._shelf_room:
+            self._shelf[key] = arrays
+            self._shelf_room -= size
+        return arrays
 
     def _bring_look(self, name: str) -> _Held:
         assert self._pictures is not None
@@ -329,10 +359,16 @@ class EpisodeStore:
         self._looks[name] = held
         return held
 
-    def _build_field(self, episode: Episode) -> _Held:
-        """The field of a goal: labels of free cells and the roots that they use."""
-        navigation, geodesic_map = self._maps.open(episode.scene_id)
-        field = geodesic_map.build_field(episode.goal)
+    def _bring_field(self, key: _Goal) -> _Held:
+        arrays = self._fetch(key, lambda: self._build_field(key))
+        held = self._put(*arrays)
+        held.wide = arrays[0].dtype == np.uint32
+        return held
+
+    def _build_field(self, key: _Goal) -> tuple[NDArray[Any], F64]:
+        """The field of a goal: labels of free cells, and the roots that they use."""
+        navigation, geodesic_map = self._maps.open(key[0])
+        field = geodesic_map.build_field(key[1:])
         self.fields_built += 1
         label = field.label[~navigation.blocked]
         used = np.zeros(len(field.roots) + 1, np.bool_)
@@ -341,9 +377,7 @@ class EpisodeStore:
         roots = np.vstack([[0.0, 0.0, np.inf], field.roots[used[1:]]])
         wide = len(roots) > 65535
         labels = (np.cumsum(used) - 1)[label + 1].astype(np.uint32 if wide else np.uint16)
-        held = self._put(labels, roots)
-        held.wide = wide
-        return held
+        return labels, roots
 
     def _build_headings(self, episode: Episode) -> _Held:
         """Headings after each number of turns, and the directions of range rays from each.
@@ -373,7 +407,7 @@ def number_cells(navigation: NavigationMap) -> NDArray[np.int32]:
     return np.where(blocked, -1, numbers.reshape(blocked.shape)).astype(np.int32)
 
 
-def _key(episode: Episode) -> tuple[str, float, float]:
+def _key(episode: Episode) -> _Goal:
     x, y = episode.goal
     return episode.scene_id, float(x), float(y)
 

@@ -1,8 +1,9 @@
 """Zero-copy exchange with torch, CuPy, JAX, NumPy: DLPack out and in, CUDA array interface in.
 
-A capsule holds a managed tensor in memory that Python does not own; the array that it shows is
-kept alive until its consumer calls the deleter, from whatever thread. Tensors that outlive the
-interpreter lose their deleter when it ends: their memory ends with the process.
+A capsule of ours is NumPy's: of an array over the very address, which NumPy never reads, with the
+device written in afterwards. So who frees it, from whatever thread, with an exception under way
+or while the interpreter ends, runs NumPy's own code in C. (A deleter in Python would lose that
+exception.) The array that it shows is kept alive until its consumer has done with it.
 
 The work of a device is on the legacy default stream. A consumer that names another stream is made
 to wait for it; one that goes on to use an array on a stream of its own must itself see to it that
@@ -11,7 +12,6 @@ the array lives until that use is over.
 
 from __future__ import annotations
 
-import atexit
 import ctypes
 import math
 import weakref
@@ -24,8 +24,7 @@ from gn0.device.device import Device, DeviceArray
 from gn0.errors import DeviceError
 
 _CPU, _CUDA, _MANAGED = 1, 2, 13  # DLDeviceType
-_CODES = {"i": 0, "u": 1, "f": 2, "c": 5, "b": 6}  # DLDataTypeCode by NumPy's kind of type
-_LETTERS = {code: letter for letter, code in _CODES.items()}
+_LETTERS = {0: "i", 1: "u", 2: "f", 5: "c", 6: "b"}  # NumPy's kind of type by DLDataTypeCode
 _READ_ONLY = 1  # flag of a versioned tensor
 _OWN_STREAMS = {None, -1, 0, 1, 2}  # no wait is wanted, or the order is kept by itself
 _DEVICE_ORDINAL = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL
@@ -67,47 +66,9 @@ _USED = {_PLAIN: b"used_dltensor", _VERSIONED: b"used_dltensor_versioned"}
 _P, _S = ctypes.c_void_p, ctypes.c_char_p
 # Python's own functions, with signatures that no other library changes
 _python = ctypes.PyDLL("python", handle=ctypes.pythonapi._handle)
-_python.PyCapsule_New.argtypes, _python.PyCapsule_New.restype = (_P, _S, _P), ctypes.py_object
 _python.PyCapsule_IsValid.argtypes = (_P, _S)
 _python.PyCapsule_GetPointer.argtypes, _python.PyCapsule_GetPointer.restype = (_P, _S), _P
 _python.PyCapsule_SetName.argtypes = (_P, _S)
-_python.PyMem_RawMalloc.argtypes, _python.PyMem_RawMalloc.restype = (ctypes.c_size_t,), _P
-_python.PyMem_RawFree.argtypes, _python.PyMem_RawFree.restype = (_P,), None
-_python.Py_IncRef.argtypes, _python.Py_IncRef.restype = (ctypes.py_object,), None
-
-# managed tensor -> the array that it shows and its layout, until the deleter is called
-_exported: dict[int, tuple[DeviceArray, Any]] = {}
-
-
-def _forget(address: int) -> None:
-    if _exported.pop(address, None) is not None:
-        _python.PyMem_RawFree(address)
-
-
-@ctypes.CFUNCTYPE(None, _P)
-def _delete(address: int) -> None:
-    """What a consumer calls when it has done with a tensor of ours."""
-    _forget(address)
-
-
-@ctypes.CFUNCTYPE(None, _P)
-def _drop(capsule: int) -> None:
-    """What Python calls when a capsule goes; one that was consumed has another name by then."""
-    for name in _LAYOUTS:
-        if _python.PyCapsule_IsValid(capsule, name):
-            _forget(_python.PyCapsule_GetPointer(capsule, name))
-
-
-for _lasting in (_delete, _drop, *_LAYOUTS, *_USED.values()):
-    _python.Py_IncRef(_lasting)  # they are used while the interpreter ends
-
-
-@atexit.register
-def _disown() -> None:
-    """Take the deleters away: after the end of the interpreter none can run."""
-    for address, (array, layout) in list(_exported.items()):
-        _python.Py_IncRef(array)
-        layout.from_address(address).deleter = None
 
 
 def export_capsule(
@@ -135,34 +96,41 @@ def export_capsule(
         if tuple(dl_device) != (_CPU, 0) or copy is False:
             raise BufferError(f"the array is on {array.device.name}, not on device {dl_device}")
         return array.numpy().__dlpack__(max_version=max_version)
-    code = _CODES.get(array.dtype.kind)
-    if code is None or not array.dtype.isnative:
-        raise BufferError(f"DLPack has no type like {array.dtype}")
     if copy:
         array = array.device.upload(array.numpy())
     if kind == _CUDA and stream not in _OWN_STREAMS:
         getattr(array.device, "precede")(stream)  # noqa: B009 (a card's alone)
-    name = _VERSIONED if max_version is not None and max_version[0] >= 1 else _PLAIN
-    layout = _LAYOUTS[name]
-    dims = len(array.shape)
-    head = ctypes.sizeof(layout)
-    address = _python.PyMem_RawMalloc(head + 16 * max(dims, 1))
-    if not address:
-        raise MemoryError
-    ctypes.memset(address, 0, head)
-    numbers = (ctypes.c_int64 * (2 * dims)).from_address(address + head)
-    numbers[:] = [*array.shape, *_strides(array.shape)]
-    managed = layout.from_address(address)
-    managed.tensor = _Tensor(
-        data=array.pointer, device_type=kind, device_id=ordinal, ndim=dims, code=code,
-        bits=array.dtype.itemsize * 8, lanes=1, shape=address + head,
-        strides=address + head + 8 * dims,
-    )  # fmt: skip
-    managed.deleter = ctypes.cast(_delete, _P).value
-    if name is _VERSIONED:
-        managed.major = 1
-    _exported[address] = (array, layout)
-    return _python.PyCapsule_New(address, name, ctypes.cast(_drop, _P))
+    shown = np.asarray(_Shown(array))
+    try:
+        capsule = shown.__dlpack__(max_version=max_version)
+    except TypeError:  # NumPy 2.0
+        capsule = shown.__dlpack__()
+    _, managed = _open_capsule(capsule)
+    managed.tensor.device_type, managed.tensor.device_id = kind, ordinal
+    return capsule
+
+
+class _Shown:
+    """An array as NumPy can make one of it; keeps it alive."""
+
+    def __init__(self, array: DeviceArray) -> None:
+        self._array = array
+        self.__array_interface__ = {
+            "shape": array.shape,
+            "typestr": array.dtype.str,
+            "descr": array.dtype.descr,
+            "data": (array.pointer, False),
+            "version": 3,
+        }
+
+
+def _open_capsule(capsule: Any) -> tuple[bytes, Any]:
+    """The name of a capsule and the managed tensor in it; b"" when it is of no kind we know."""
+    at = id(capsule)  # the address of the object, in CPython
+    for name, layout in _LAYOUTS.items():
+        if _python.PyCapsule_IsValid(at, name):
+            return name, layout.from_address(_python.PyCapsule_GetPointer(at, name))
+    return b"", None
 
 
 def _strides(shape: Sequence[int]) -> list[int]:
@@ -213,12 +181,9 @@ def _from_dlpack(array: Any, device: Device) -> DeviceArray:
             capsule = array.__dlpack__(**options)
     except (BufferError, RuntimeError, TypeError, ValueError) as error:
         raise _refused(array, str(error)) from error
-    at = id(capsule)  # the address of the object, in CPython
-    name = next((n for n in _LAYOUTS if _python.PyCapsule_IsValid(at, n)), None)
-    if name is None:
+    name, managed = _open_capsule(capsule)
+    if not name:
         raise _refused(array, "its capsule is of no kind that we know")
-    address = _python.PyCapsule_GetPointer(at, name)
-    managed = _LAYOUTS[name].from_address(address)
     tensor = managed.tensor
     if getattr(managed, "flags", 0) & _READ_ONLY:
         raise _refused(array, "it is read-only", "copy it first")
@@ -231,8 +196,9 @@ def _from_dlpack(array: Any, device: Device) -> DeviceArray:
         )
     dtype = np.dtype(f"{letter}{tensor.bits // 8}")
     owner = _Foreign()
+    address = ctypes.addressof(managed)
     weakref.finalize(owner, _return, managed.deleter, address).atexit = False
-    _python.PyCapsule_SetName(at, _USED[name])
+    _python.PyCapsule_SetName(id(capsule), _USED[name])
     return DeviceArray(device, (tensor.data or 0) + tensor.byte_offset, shape, dtype, owner)
 
 

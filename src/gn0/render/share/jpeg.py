@@ -21,7 +21,7 @@ from PIL import Image
 from gn0.device.device import Device, DeviceArray, KernelSource
 from gn0.errors import DeviceError, RenderError
 
-_KERNELS = Path(__file__).parent / "kernels" / "jpeg.cu"
+SOURCE = KernelSource("jpeg", (Path(__file__).parent / "kernels" / "jpeg.cu",))
 _THREADS = 128
 _END = b"\xff\xd9"
 
@@ -123,7 +123,7 @@ class JpegEncoder:
 
     def __init__(self, device: Device) -> None:
         self.device = device
-        self._kernels = device.load(KernelSource("jpeg", (_KERNELS,)))
+        self._kernels = device.load(SOURCE)
         self._tables: dict[int, tuple[DeviceArray, DeviceArray]] = {}
 
     def encode(self, pictures: DeviceArray, quality: int) -> JpegDevice:

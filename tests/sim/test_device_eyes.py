@@ -224,3 +224,18 @@ def test_pictures_are_reduced_as_pillow_reduces_them(size, out) -> None:
         theirs = Image.fromarray(picture).resize(out, Image.Resampling.BOX)
         np.testing.assert_array_equal(mine, np.asarray(theirs))
         np.testing.assert_array_equal(mine, reduce_picture(picture, *out))
+
+
+def test_the_renderer_of_the_device_draws_for_them(rooms, tmp_path, monkeypatch) -> None:
+    """By its name, for two scenes, one of them at dusk; close to what the CPU draws."""
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+    scenes, episodes = rooms
+    settings = {"sensors": ("rgb", "depth", "bev"), "episodes": episodes, "preset": "vlnce"}
+    env = VectorEnvDevice(2, scenes, device=DeviceHost(1), **settings)
+    twin = VectorEnv(2, scenes, backend="cpu", **settings)
+    chosen = {"episode": [0, 4]}
+    mine, theirs = env.reset(seed=0, options=chosen)[0], twin.reset(seed=0, options=chosen)[0]
+    for name, least in (("rgb", 55.0), ("bev", 60.0)):
+        error = mine[name].numpy().astype(float) - theirs[name]
+        assert 10 * np.log10(255**2 / max((error**2).mean(), 1e-9)) > least, name
+    assert np.quantile(np.abs(mine["depth"].numpy() - theirs["depth"]), 0.99) < 1e-3

@@ -30,7 +30,7 @@ from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
 from gn0.sim.vector import VectorEnv
-from gn0.testing.check_renderer import check_renderer, psnr
+from gn0.testing.check_renderer import check_renderer, psnr, random_cloud
 from gn0.testing.scenes import build_room_scene
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
@@ -360,3 +360,39 @@ def test_it_is_a_choice_wherever_backends_are_named(monkeypatch) -> None:
     env = VectorEnv(2, scene, backend="cuda", visible_sets=True)
     assert env._backend == VISIBLE_CUDA
     env.close()
+
+
+@pytest.mark.parametrize("seed", [0, 3, 11])
+def test_many_chunks_are_gathered_in_order(floor, seed: int) -> None:
+    """More chunks than a scan takes at a time, in any order of threads; no drawing."""
+    cloud = random_cloud(70_000, seed=5)
+    full = RendererCuda(cloud, None, DeviceHost(seed))
+    renderer = RendererVisibleCuda(full, "many", floor, EYE, QUICK)
+    stream = random_stream(2, "marks")
+    wanted = {}
+    for share, cell in zip((0.3, 0.0, 1.0), renderer.cells, strict=False):
+        wanted[cell] = (stream.uniform(size=len(cloud)) < share).astype(np.uint8)
+        renderer.files.save(cell, wanted[cell])
+    parts = renderer.sets.open(list(wanted), full.cloud)
+    order = full.cloud.order.numpy()[: full.cloud.alive]
+    splats = full.cloud.splats.numpy()
+    for cell, marks in wanted.items():
+        numbers = np.flatnonzero(marks[order])
+        slots, boxes = parts[cell].slots.numpy(), parts[cell].boxes.numpy()
+        assert (slots[: len(numbers)] == numbers).all()
+        assert (slots[len(numbers) :] == 0xFFFFFFFF).all()
+        assert len(slots) == len(boxes) * CHUNK == -(-len(numbers) // CHUNK) * CHUNK
+        for chunk in range(0, len(boxes), 37):
+            mine = splats[numbers[chunk * CHUNK : (chunk + 1) * CHUNK], :3]
+            assert (boxes[chunk, :3] == mine.min(axis=0)).all()
+            assert (boxes[chunk, 3:6] == mine.max(axis=0)).all()
+    assert renderer.built == 0
+
+
+def test_any_order_of_threads_finds_the_same_sets(cloud, floor) -> None:
+    found = []
+    for seed in (0, 3, 11):
+        full = RendererCuda(cloud, None, DeviceHost(seed))
+        sets = RendererVisibleCuda(full, "same", floor, EYE, QUICK, cache=False)
+        found.append(sets.sets.find(sets.cells[:2], full.cloud).tobytes())
+    assert len(set(found)) == 1

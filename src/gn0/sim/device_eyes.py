@@ -78,6 +78,7 @@ class _OneScene:
 
     def __init__(self, renderer: BatchRenderer, key: str) -> None:
         self.name = renderer.name
+        self.options = getattr(renderer, "options", None)  # part of the key of a BEV
         self._renderer, self._key = renderer, key
 
     def render(self, camera: Camera, views: NDArray[np.floating], **more: Any) -> RenderResult:

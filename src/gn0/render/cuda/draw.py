@@ -166,6 +166,7 @@ class Drawer:
         self._held: dict[str, DeviceArray] = {}
         self._density = 0.5  # entries a splat and view, as seen last
         self._said = False
+        self._plan: tuple[tuple[bytes, ...], Shares, list[DeviceArray]] | None = None
 
     def pictures(
         self, camera: Camera, count: int, outputs: Sequence[Output], rgb_float: bool = False
@@ -304,11 +305,16 @@ class Drawer:
         assert self.memory is not None
         count, tiles = views.stop - views.start, work.tiles
         all_tiles = count * tiles
-        shares = share_work(
-            work.table, work.cloud_of[views], work.tail_of[views], self.tuning.views
-        )
         self._tell("upload")
-        view_table, clouds, groups, members = self._upload(work, views, shares)
+        shares, (clouds, groups, members) = self._share(work, views)
+        table = build_views(
+            work.camera,
+            work.matrices[views],
+            work.cloud_of[views],
+            work.tail_of[views],
+            work.rows[views],
+        )
+        view_table = self._upload("views", table.view(np.uint32))
         blocks = -(-all_tiles // _SCAN)
         counts = self._need("counts", all_tiles, np.uint32)
         starts = self._need("starts", all_tiles + 1, np.uint64)
@@ -347,19 +353,20 @@ class Drawer:
             self._grow(total + total // 8)
         return total
 
-    def _upload(self, work: _Work, views: slice, shares: Shares) -> list[DeviceArray]:
-        """Tables of a batch on the device: views, clouds, groups, members."""
-        table = build_views(
-            work.camera,
-            work.matrices[views],
-            work.cloud_of[views],
-            work.tail_of[views],
-            work.rows[views],
-        )
-        words, where = join_tables(table, work.table, shares.groups, shares.members)
-        held = self._need("tables", len(words), np.uint32)
-        self.device.upload(words, held[: len(words)])
-        return [held[at] for at in where]
+    def _share(self, work: _Work, views: slice) -> tuple[Shares, list[DeviceArray]]:
+        """Who lists what, and its tables on the device; kept while calls show the same clouds."""
+        cloud_of, tail_of = work.cloud_of[views], work.tail_of[views]
+        key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes())
+        if self._plan is None or self._plan[0] != key:
+            shares = share_work(work.table, cloud_of, tail_of, self.tuning.views)
+            words, where = join_tables(work.table, shares.groups, shares.members)
+            held = self._upload("plan", words)
+            self._plan = (key, shares, [held[at] for at in where])
+        return self._plan[1:]
+
+    def _upload(self, name: str, words: NDArray[np.uint32]) -> DeviceArray:
+        held = self._need(name, len(words), np.uint32)
+        return self.device.upload(words, held[: len(words)])
 
     def _need(self, name: str, size: int, kind: type[np.generic]) -> DeviceArray:
         held = self._held.get(name)

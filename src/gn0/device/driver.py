@@ -240,6 +240,10 @@ class DeviceCuda:
         self.call("cuMemGetInfo_v2", ctypes.byref(free), ctypes.byref(total))
         return free.value + self._pool.spare(), total.value
 
+    def spare(self) -> int:
+        """Bytes that we keep and do not use; `trim` gives them back."""
+        return self._pool.spare()
+
     def trim(self) -> None:
         """Give memory that we keep and do not use back, for other libraries and programs."""
         self.synchronize()

@@ -50,6 +50,23 @@ def is_emulation(device: Device) -> bool:
     return device.kind == "host"
 
 
+def trim_memory(device: Device) -> None:
+    """Give memory that the device keeps for later back, for others on the same card."""
+    trim = getattr(device, "trim", None)
+    if trim is not None:
+        trim()
+
+
+def memory_left(device: Device) -> int:
+    """Bytes that nobody holds: what the device keeps for later counts as held.
+
+    Since it keeps all that it was ever given until it is trimmed, the difference of two calls with
+    no trim between them is a peak.
+    """
+    spare = getattr(device, "spare", None)
+    return device.memory()[0] - (spare() if spare is not None else 0)
+
+
 def time_call(device: Device, call: Contender, turn: int) -> float:
     """Milliseconds of a call on the device."""
     begin = device.event()

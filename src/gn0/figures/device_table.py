@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -72,8 +73,12 @@ class Bench:
         self.ctx, self.device = ctx, ctx.device
         self.tiny = is_emulation(ctx.device)
         self.rows: list[FigureRow] = []
-        self.copy, self.operations = measure_ceilings(ctx.device)
         self.rival_absent = ""
+
+    @cached_property
+    def ceilings(self) -> tuple[float, float]:
+        """Bytes and operations a second that the card can do; see `measure_ceilings`."""
+        return measure_ceilings(self.device)
 
     def add(self, row: FigureRow) -> None:
         """A row that outlives what fails later."""
@@ -211,13 +216,14 @@ def _report_floor(
     """How far a full draw is from the least time that its work takes."""
     mean = count_work(judge, camera, batches[0])
     work = mean.scaled(case.views)
+    copy, operations = bench.ceilings
     degree = scene.cloud.sh_degree
-    least = work.floor(degree, bench.copy, bench.operations)
+    least = work.floor(degree, copy, operations)
     moved, done = work.bytes_of(degree), work.operations
     detail = (
         f"{scene.name}; floor {least:.3g} ms: {moved[0] / 1e9:.3g} + {moved[1] / 1e9:.3g} GB at "
-        f"{bench.copy / 1e12:.2f} TB/s, {done[0] / 1e9:.3g} + {done[1] / 1e9:.3g} G operations at "
-        f"{bench.operations / 1e12:.1f} T/s (arranging + blending); a view: "
+        f"{copy / 1e12:.2f} TB/s, {done[0] / 1e9:.3g} + {done[1] / 1e9:.3g} G operations at "
+        f"{operations / 1e12:.1f} T/s (arranging + blending); a view: "
         f"{mean.visible / 1e3:.0f}k splats, {mean.entries / 1e3:.0f}k entries, "
         f"{mean.reached / 1e3:.0f}k reached"
     )

@@ -16,7 +16,7 @@ from typing import Any
 
 from gn0.device.device import Device
 from gn0.errors import ConfigError, DeviceError, DeviceMemoryError
-from gn0.figures.device import Contender, interleave, median
+from gn0.figures.device import Contender, interleave, median, trim_memory
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.render.camera import Camera
@@ -77,6 +77,7 @@ def quickest_call(
     Raises:
         DeviceMemoryError: neither form has the memory, however the views are split.
     """
+    trim_memory(device)
     found: list[tuple[float, Contender, str]] = []
     for packed in (True, False):
         for pieces in _PIECES:

@@ -93,7 +93,7 @@ class VisibleSets:
         self.options, self.floor, self.eye_height = options, floor, float(eye_height)
         self.built = 0  # sets found by looking, for figures
         self._drawer, self._antialiased = drawer, antialiased
-        self._made_for = (-1, -1)  # splats in the cloud and packed, of the sets above
+        self._made_for = (-1, -1)  # splats in the cloud, and packed, that the sets number
         self.used = 0  # bytes of the sets that are on the device
         self._places = places_by_cell(floor, options.cell, options.places)
         self._sets: OrderedDict[Cell, VisibleSetDevice] = OrderedDict()  # least recent first
@@ -216,7 +216,8 @@ class VisibleSets:
             for first in range(0, len(cells), CELLS):
                 some = cells[first : first + CELLS]
                 missing = [cell for cell in some if files.load_bits(cell) is None]
-                bits = self.find(missing, cloud) if missing else np.empty((0, 0), np.uint8)
+                progress("visible sets", done, len(cells))
+                bits = self.find(missing, cloud)
                 saves: dict[Cell, Future[None]] = {
                     cell: writer.submit(files.save_bits, cell, row, strict=True)
                     for cell, row in zip(missing, bits, strict=True)
@@ -240,7 +241,7 @@ class VisibleSets:
         """Which splats show from some cells: uint8 [S, ⌈N/8⌉], bits as `np.packbits` lays them."""
         with lock_of(self._drawer.device):
             marks = self._find_bits(cells, cloud).numpy()
-        rows = marks.view(np.uint8).reshape(len(cells), -1)
+        rows = marks.view(np.uint8).reshape(len(cells), _words(cloud) * 4)
         return rows[:, : -(-cloud.size // 8)]
 
     def _find_bits(self, cells: Sequence[Cell], cloud: CloudDevice) -> DeviceArray:
@@ -248,7 +249,7 @@ class VisibleSets:
         settings, device = self.options, self._drawer.device
         words = _words(cloud)
         bits = device.zeros((len(cells), words), np.uint32)
-        if not cloud.alive:
+        if not cloud.alive or not cells:
             return bits
         views = [look_round(self._places[cell], self.eye_height) for cell in cells]
         rows = np.repeat(np.arange(len(cells)), [len(v) for v in views])

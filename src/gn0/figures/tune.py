@@ -110,6 +110,7 @@ def list_tunings() -> list[Tuning]:
         {"crowded": 96},
         {"crowded": 384},
         {"group": False},
+        {"predicate": True},
         {"large": 4},
         {"large": 9},
         {"views": 16},

@@ -25,6 +25,7 @@ class Tuning:
         large: tiles of a footprint's box above which a whole warp lists it, and only where its
             ellipse reaches.
         group: whether lanes that list into one tile share an atomic operation.
+        predicate: whether colours are added under a predicate, in assembly, instead of times zero.
     """
 
     pixels: int = 2
@@ -39,6 +40,7 @@ class Tuning:
     views: int = 32
     large: int = 6
     group: bool = True
+    predicate: bool = False
 
     def __post_init__(self) -> None:
         sound = (
@@ -49,6 +51,7 @@ class Tuning:
             and self.buckets & (self.buckets - 1) == 0
             and self.buckets % self.threads == 0
             and self.stage % 32 == 0
+            and self.stage <= 1024
             and 0 < self.crowded <= self.capacity <= 2**15
             and 0 < self.views <= 256
         )

@@ -5,14 +5,33 @@ struct Picture {  // of a lane's pixels; a negative transmittance has ended
   float through[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], depth[PIXELS];
 
   __device__ __forceinline__ void pixel(int i, float alpha, float r, float g, float b, float z) {
+#if PREDICATE && !defined(GN0_HOST)  // the same operations, with one selection less
+    asm("{\n\t"
+        ".reg .pred keep;\n\t"
+        ".reg .f32 weight, after, ended;\n\t"
+        "mul.rn.f32 weight, %5, %0;\n\t"
+        "sub.rn.f32 after, %0, weight;\n\t"
+        "setp.gt.f32 keep, after, %10;\n\t"
+        "@keep fma.rn.f32 %1, weight, %6, %1;\n\t"
+        "@keep fma.rn.f32 %2, weight, %7, %2;\n\t"
+        "@keep fma.rn.f32 %3, weight, %8, %3;\n\t"
+        "@keep fma.rn.f32 %4, weight, %9, %4;\n\t"
+        "abs.f32 ended, %0;\n\t"
+        "neg.f32 ended, ended;\n\t"
+        "selp.f32 %0, after, ended, keep;\n\t"
+        "}"
+        : "+f"(through[i]), "+f"(red[i]), "+f"(green[i]), "+f"(blue[i]), "+f"(depth[i])
+        : "f"(alpha), "f"(r), "f"(g), "f"(b), "f"(z), "f"(TRANSMITTANCE_STOP));
+#else
     float weight = alpha * through[i], after = through[i] - weight;
     bool keep = after > TRANSMITTANCE_STOP;  // selected, not branched on: lanes rarely agree
     weight = keep ? weight : 0.f;
     through[i] = keep ? after : -fabsf(through[i]);
     red[i] = fmaf(weight, r, red[i]), green[i] = fmaf(weight, g, green[i]);
     blue[i] = fmaf(weight, b, blue[i]), depth[i] = fmaf(weight, z, depth[i]);
+#endif
   }
-  __device__ __forceinline__ void splat(const TileRoom &, u32) {}
+  __device__ __forceinline__ void splat(const TileRoom &, u32, u32) {}
   __device__ __forceinline__ bool open() const {
     bool any = false;
 #pragma unroll
@@ -33,10 +52,10 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
     shows = shows || (keep && weight > threshold);
     through[i] = keep ? after : 0.f;
   }
-  __device__ __forceinline__ void splat(const TileRoom &t, u32 at) {
+  __device__ __forceinline__ void splat(const TileRoom &t, u32 first, u32 at) {
     if (!shows) return;
     shows = false;
-    u32 index = (u32)t.keys[at];
+    u32 index = (u32)t.keys[first + at / RECORD];
     if (index & TAIL) return;
     if (!t.cloud[0].places) index = __ldg(t.cloud[0].order + index);
     // as np.packbits lays them: the first splat is the highest bit of the first byte

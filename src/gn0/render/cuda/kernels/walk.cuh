@@ -15,21 +15,22 @@
 #define LANES_X (REGION_WIDTH / PIXELS)  // lanes side by side in a region
 #define PER (BUCKETS / THREADS)          // buckets a thread adds up
 #define WORDS (STAGE / WARP)
-#define PAIR 40  // bytes of a staged splat: two float4 and a float2
+#define RECORD 48  // bytes of a staged splat; lists hold multiples of it
 #define LIST_ROW (STAGE + 8)
 #define LOG2_ALPHA_MIN (LOG_ALPHA_MIN * LOG2_E)
 #define SQRT_LOG2_E 1.2011224087864498f
 
-struct Staged {  // of STAGE splats and, at [STAGE], one that shows nowhere
-  float4 a[STAGE + 1];  // qx, qy, c, k: q = qx x + qy y + c
-  float4 b[STAGE + 1];  // s, log2 opacity, red, green: exponent = log2 o - (k y + s)^2 - q^2
-  float2 c[STAGE + 1];  // blue, depth
+struct Staged {
+  float4 a;  // qx, qy, c, k: q = qx x + qy y + c
+  float4 b;  // s, log2 opacity, red, green: exponent = log2 o - (k y + s)^2 - q^2
+  float2 c;  // blue, depth
+  float2 spare;  // 16-byte loads need the room, and lists need no other arithmetic
 };
 
 struct TileRoom {
   union {
     u64 loose[CAPACITY];
-    Staged staged;
+    Staged staged[STAGE + 1];  // the last shows nowhere
     u8 picture[TILE * TILE * 3];
   };
   u64 keys[CAPACITY];  // of the group, in order
@@ -189,16 +190,18 @@ __device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 fla
   if (!project(s, t.view, flags, f)) return 0;
   float x = f.u - left, y = f.v - top;
   float qx = f.qx * SQRT_LOG2_E, qy = f.qy * SQRT_LOG2_E, k = root(f.qk * LOG2_E);
-  t.staged.a[at] = make_float4(qx, qy, -fmaf(qx, x, qy * y), k);
+  Staged &to = t.staged[at];
+  to.a = make_float4(qx, qy, -fmaf(qx, x, qy * y), k);
   float3 colour = make_float3(0.f, 0.f, 0.f);
   u32 mask = find_regions(f, x, y);
   if (COLOUR) colour = find_colour(cloud, s, slot, t.view);
-  t.staged.b[at] = make_float4(-k * y, f.log_o * LOG2_E, colour.x, colour.y);
-  t.staged.c[at] = make_float2(colour.z, f.z);
+  to.b = make_float4(-k * y, f.log_o * LOG2_E, colour.x, colour.y);
+  to.c = make_float2(colour.z, f.z);
   return mask;
 }
 
-// The list of a team's region among the staged splats, padded to the longest of the warp's.
+// The list of a team's region among the staged splats, as offsets in bytes, padded to the longest
+// of the warp's. Returns its length.
 __device__ __forceinline__ u32 list_region(TileRoom &t, u32 region) {
   u32 lane = threadIdx.x % TEAM, n = 0;
 #pragma unroll
@@ -206,11 +209,12 @@ __device__ __forceinline__ u32 list_region(TileRoom &t, u32 region) {
     u32 word = t.words[region][w];
     for (u32 bit = lane; bit < WARP; bit += TEAM)
       if (word >> bit & 1)
-        t.lists[region][n + __popc(word & ((1u << bit) - 1))] = (u16)(w * WARP + bit);
+        t.lists[region][n + __popc(word & ((1u << bit) - 1))] =
+            (u16)((w * WARP + bit) * RECORD);
     n += __popc(word);
   }
   u32 longest = (__reduce_max_sync(FULL, n) + 3) & ~3u;
-  for (u32 k = n + lane; k < longest; k += TEAM) t.lists[region][k] = STAGE;
+  for (u32 k = n + lane; k < longest; k += TEAM) t.lists[region][k] = STAGE * RECORD;
   __syncwarp();
   return longest;
 }
@@ -219,7 +223,8 @@ __device__ __forceinline__ u32 list_region(TileRoom &t, u32 region) {
 //   static const bool COLOUR         whether colours are wanted
 //   void pixel(int i, float alpha, float red, float green, float blue, float depth)
 //                                    alpha is 0 where it would be under 1/255
-//   void splat(room, u32 at)         after the pixels of a lane; `at`: of the key in room.keys
+//   void splat(room, u32 first, u32 at)   after the pixels of a lane; the splat's key is
+//                                    room.keys[first + at / RECORD]
 //   bool open() const                whether a pixel of the lane can still change
 template <class Painter>
 __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const View *__restrict__ views,
@@ -269,9 +274,9 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
           if (lane_id() < REGIONS) t.words[lane_id()][k / WARP] = mine;
         }
         if (threadIdx.x == 0) {
-          t.staged.a[STAGE] = make_float4(0.f, 0.f, 0.f, 0.f);
-          t.staged.b[STAGE] = make_float4(0.f, -1e30f, 0.f, 0.f);
-          t.staged.c[STAGE] = make_float2(0.f, 0.f);
+          t.staged[STAGE].a = make_float4(0.f, 0.f, 0.f, 0.f);
+          t.staged[STAGE].b = make_float4(0.f, -1e30f, 0.f, 0.f);
+          t.staged[STAGE].c = make_float2(0.f, 0.f);
         }
         __syncthreads();
         if (open) {
@@ -282,8 +287,9 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
 #pragma unroll
             for (int j = 0; j < 4; j++) {
               u32 at = j == 0 ? four.x : j == 1 ? four.y : j == 2 ? four.z : four.w;
-              float4 a = t.staged.a[at], b = t.staged.b[at];
-              float2 c = t.staged.c[at];
+              const Staged &one = *(const Staged *)((const u8 *)t.staged + at);
+              float4 a = one.a, b = one.b;
+              float2 c = one.c;
               float across = fmaf(a.y, y, a.z), s = fmaf(a.w, y, b.x), most = fmaf(-s, s, b.y);
 #pragma unroll
               for (int i = 0; i < PIXELS; i++) {
@@ -291,7 +297,7 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
                 float p = fmaf(-q, q, most), alpha = fminf(fast_exp2(p), ALPHA_CAP);
                 painter.pixel(i, p >= LOG2_ALPHA_MIN ? alpha : 0.f, b.z, b.w, c.x, c.y);
               }
-              painter.splat(t, first + at);
+              painter.splat(t, first, at);
             }
             if ((k & 4) && !__any_sync(FULL, painter.open())) break;
           }

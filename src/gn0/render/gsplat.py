@@ -170,19 +170,23 @@ class RendererGsplat:
             return
         placed = self.place(camera, matrices)
         mode = "ED" if result.rgb is None else "RGB" if result.depth is None else "RGB+ED"
-        behind = None
-        if result.rgb is not None:
-            behind = self._tensor(np.tile(background, (len(matrices), 1)))  # [V, 3]
-        colours, alphas = self.rasterize(
-            camera, placed, mode=mode, background=behind, splats=splats, degree=degree
-        )
-        self._guard(lambda: self._store(colours, alphas, result, part))
+        colours, alphas = self.rasterize(camera, placed, mode=mode, splats=splats, degree=degree)
+        self._guard(lambda: self._store(colours, alphas, background, result, part))
 
-    def _store(self, colours: Any, alphas: Any, result: RenderResult, part: slice) -> None:
+    def _store(
+        self,
+        colours: Any,
+        alphas: Any,
+        background: NDArray[np.float32],
+        result: RenderResult,
+        part: slice,
+    ) -> None:
         torch = self._torch
         alpha = alphas[..., 0]  # [V, H, W]
         if result.rgb is not None:
             rgb = colours[..., :3]
+            if background.any():  # gsplat 1.5.3 takes none in packed mode
+                rgb = rgb + (1.0 - alphas) * self._tensor(background)
             if not self.options.rgb_float:
                 rgb = (rgb.clamp(0.0, 1.0) * 255.0 + 0.5).to(torch.uint8)
             result.rgb[part] = rgb.cpu().numpy()
@@ -203,18 +207,16 @@ class RendererGsplat:
         placed: Placed,
         *,
         mode: str = "RGB+ED",
-        background: Any = None,
         packed: bool | None = None,
         splats: Splats | None = None,
         degree: int | None = None,
     ) -> tuple[Any, Any]:
-        """Call gsplat and nothing else: what a figure times.
+        """Call gsplat and nothing else: what a figure times; behind the splats is black.
 
         Args:
             camera: size, model and clipping depths.
             placed: from `place`.
             mode: gsplat's render mode.
-            background: [V, 3] on the GPU, or None for black.
             packed: overrides the renderer's.
             splats: other tensors than the renderer's own.
             degree: their SH degree.
@@ -236,7 +238,6 @@ class RendererGsplat:
             "render_mode": mode,
             "rasterize_mode": "antialiased" if self.options.antialiased else "classic",
             "camera_model": camera.model,
-            "backgrounds": background,
         }
 
         def call() -> tuple[Any, Any]:

@@ -17,7 +17,7 @@ from gn0.device.open import find_device
 from gn0.figures.board import FigureSkipped
 
 WARM = 3  # calls before the first that counts
-_KERNELS = Path(__file__).parent / "kernels" / "ceilings.cu"
+_CEILINGS = KernelSource("ceilings", (Path(__file__).parent / "kernels" / "ceilings.cu",))
 _THREADS = 256
 _CHAINS = 8  # independent operations in flight a thread; ceilings.cu agrees
 
@@ -108,7 +108,7 @@ def measure_ceilings(device: Device) -> tuple[float, float]:
     A lane-operation is one fused multiply-add, or another instruction of the same rate, of one
     thread.
     """
-    kernels = device.load(KernelSource("ceilings", (_KERNELS,)))
+    kernels = device.load(_CEILINGS)
     small = is_emulation(device)
     words = 2**10 if small else 2**26  # of 16 bytes: 1 GiB, far beyond the second-level cache
     source, target = device.zeros((words, 4), np.float32), device.empty((words, 4), np.float32)

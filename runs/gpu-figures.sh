@@ -20,7 +20,7 @@ cd "$(dirname "$0")/.."
 mkdir -p "$OUT/log" "$OUT/done"
 OUT=$(cd "$OUT" && pwd)
 PYTHON=${PYTHON:-python3}
-ALL=(check rival start small large scenes apartment house accuracy memory visible sim data suite sanitizers)
+ALL=(check start stages rival small large scenes apartment house accuracy memory visible sim data suite sanitizers sweep)
 export GN0_CACHE=${GN0_CACHE:-$OUT/cache}
 export TORCH_EXTENSIONS_DIR=${TORCH_EXTENSIONS_DIR:-$OUT/torch_extensions}
 export PYTHONPATH=$PWD/src:$OUT/site${PYTHONPATH:+:$PYTHONPATH}
@@ -34,8 +34,7 @@ fi
 
 limit_of() {  # seconds
   case $1 in
-    check) echo 120 ;; rival) echo 240 ;; small | accuracy | memory | data) echo 300 ;;
-    suite) echo 420 ;; sanitizers) echo 540 ;; *) echo 240 ;;
+    check) echo 120 ;; small | accuracy | memory | data) echo 300 ;; sweep | suite) echo 420 ;; sanitizers) echo 540 ;; *) echo 240 ;;
   esac
 }
 
@@ -47,9 +46,12 @@ group() {
       nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader 2>/dev/null
       "$PYTHON" - <<'END'
 import importlib.util as util
+import sys
 need = "numpy scipy numba msgspec tyro docstring_parser typeguard typing_extensions gymnasium cloudpickle farama_notifications pyarrow PIL yaml pytest pytest_timeout"
 good = "torch gsplat jaxtyping ninja rich cupy"
 print("missing:", [n for n in need.split() if not util.find_spec(n)] or "nothing")
+import numba, numpy, pyarrow, scipy  # one that does not fit the others fails here
+print("Python", sys.version.split()[0], *(f"{m.__name__} {m.__version__}" for m in (numpy, numba, scipy, pyarrow)))
 print("missing, and not needed:", [n for n in good.split() if not util.find_spec(n)] or "nothing")
 from gn0.render.renderer import choose_backend
 print("renderer:", *choose_backend("auto"))
@@ -71,6 +73,8 @@ END
       find "$TORCH_EXTENSIONS_DIR" -name gsplat_cuda.so -exec cp {} "$OUT" \; 2>/dev/null
       true
       ;;
+    stages) "$PYTHON" -m gn0.figures.tune ;;         # milliseconds of each kernel
+    sweep) "$PYTHON" -m gn0.figures.tune --sweep ;;  # other kernel sizes
     data) figures data --backend cuda ;;
     *) figures "render.cuda.$1" ;;
   esac

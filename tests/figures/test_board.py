@@ -5,12 +5,20 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from gn0.cli import figures as verb
 from gn0.errors import ConfigError
 from gn0.figures import catalogue
-from gn0.figures.board import Figure, FigureContext, FigureRow, FigureSkipped, load_board
+from gn0.figures.board import (
+    Figure,
+    FigureContext,
+    FigureRow,
+    FigureSkipped,
+    load_board,
+    write_board,
+)
 
 
 def _row(name: str, passed: bool | None = True) -> FigureRow:
@@ -115,6 +123,13 @@ def test_rows_of_another_machine_are_taken_over(
     board = load_board(out / "here" / "figures.json")
     assert set(board) == {"room.reports", "room.breaks"}, "what has no rows stays where it is"
     assert "room.breaks: 2 rows" in capsys.readouterr().out
+    board["room.breaks"] = msgspec.structs.replace(
+        board["room.breaks"], hardware="host emulation · a CPU", note="pretended"
+    )
+    write_board(out / "there", board.values())
+    assert verb.run(verb.Args(merge=str(there), ids=("room",), out=str(out / "here"))) == 0
+    assert "room.breaks: left where it is" in capsys.readouterr().out
+    assert load_board(out / "here" / "figures.json")["room.breaks"].note != "pretended"
     with pytest.raises(ConfigError, match="no board there"):
         verb.run(verb.Args(merge=str(out / "absent.json"), out=str(out / "here")))
 

@@ -27,6 +27,9 @@ EXAMPLES = """  gn0 figures --list
   gn0 figures --all --out docs"""
 
 
+EMULATION = "host emulation"
+
+
 class Args(Config, frozen=True):
     """Which figures, and where the board is.
 
@@ -106,7 +109,9 @@ def _merge(args: Args) -> int:
     board = load_board(Path(args.out) / "figures.json")
     for name, entry in other.items():
         wanted = not args.ids or any(name == i or name.startswith(i + ".") for i in args.ids)
-        if wanted and entry.rows:
+        if wanted and entry.hardware.startswith(EMULATION):
+            print(f"{name}: left where it is: times of the host emulation mean nothing")
+        elif wanted and entry.rows:
             board[name] = entry
             print(f"{name}: {len(entry.rows)} rows of {entry.date}, {entry.hardware}")
     write_board(Path(args.out), board.values())

@@ -166,8 +166,10 @@ def board_markdown(entries: list[BoardEntry]) -> str:
     rows = [row for entry in entries for row in entry.rows]
     met = sum(row.passed is True for row in rows)
     missed = sum(row.passed is False for row in rows)
+    unmeasured = sum(not entry.rows for entry in entries)
     lines += [
-        f"{met} targets met, {missed} missed, {len(rows) - met - missed} without a target.",
+        f"{met} targets met, {missed} missed, {len(rows) - met - missed} without a target"
+        + (f"; {unmeasured} figures not measured yet." if unmeasured else "."),
         "",
     ]
     for entry in entries:

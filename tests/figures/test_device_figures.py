@@ -96,7 +96,7 @@ def test_every_figure_runs(figure: Figure, ctx: FigureContext, fake_rival: None)
         ratios = [name for name in rows if name.endswith("against gsplat")]
         assert ratios
         assert "packed" in rows[ratios[0]].detail
-        assert any("time over floor" in name for name in rows) or "scenes" in figure.id
+        assert any("time over floor" in name for name in rows)
     missed = [row for row in rows.values() if row.passed is False]
     assert not missed or figure.id == "render.cuda.visible", missed
 

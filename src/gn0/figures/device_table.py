@@ -21,7 +21,7 @@ from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least
 from gn0.figures.device import Contender, interleave, is_emulation, measure_ceilings, median
 from gn0.figures.device_scenes import FigureScene, apartment_scene, flat_scene, house_scene
 from gn0.figures.flat import flat_camera
-from gn0.figures.floor import count_work
+from gn0.figures.floor import Work, count_work
 from gn0.figures.rival import open_rival, quickest_call, rival_version, why_absent
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
@@ -149,7 +149,9 @@ def measure_scene(bench: Bench, scene: FigureScene, cases: Sequence[Case]) -> No
         if rival is not None:
             release_memory()
         judge = judge or RendererCpu(scene.cloud)
-        _report_floor(bench, scene, case, judge, camera, batches, median(times["cuda"]))
+        mean = count_work(judge, camera, batches[0])
+        degree = scene.cloud.sh_degree
+        _report_floor(bench, scene.name, case, degree, mean, 1, median(times["cuda"]))
 
 
 def _batches(scene: FigureScene, views: int) -> list[F64]:
@@ -205,33 +207,22 @@ def _report(
 
 
 def _report_floor(
-    bench: Bench,
-    scene: FigureScene,
-    case: Case,
-    judge: RendererCpu,
-    camera: Camera,
-    batches: Sequence[F64],
-    taken: float,
+    bench: Bench, where: str, case: Case, sh_degree: int, mean: Work, scenes: int, taken: float
 ) -> None:
-    """How far a full draw is from the least time that its work takes."""
-    mean = count_work(judge, camera, batches[0])
-    work = mean.scaled(case.views)
+    """How far a full draw is from the least time that its work takes; `mean` is that of a view."""
+    work = mean.scaled(case.views, scenes)
     copy, operations = bench.ceilings
-    degree = scene.cloud.sh_degree
-    least = work.floor(degree, copy, operations)
-    moved, done = work.bytes_of(degree), work.operations
+    least = work.floor(sh_degree, copy, operations)
+    moved, done = work.bytes_of(sh_degree), work.operations
     detail = (
-        f"{scene.name}; floor {least:.3g} ms: {moved[0] / 1e9:.3g} + {moved[1] / 1e9:.3g} GB at "
+        f"{where}; floor {least:.3g} ms: {moved[0] / 1e9:.3g} + {moved[1] / 1e9:.3g} GB at "
         f"{copy / 1e12:.2f} TB/s, {done[0] / 1e9:.3g} + {done[1] / 1e9:.3g} G operations at "
         f"{operations / 1e12:.1f} T/s (arranging + blending); a view: "
         f"{mean.visible / 1e3:.0f}k splats, {mean.entries / 1e3:.0f}k entries, "
         f"{mean.reached / 1e3:.0f}k reached"
     )
-    bench.add(
-        FigureRow(
-            name=f"{case.name}: time over floor", value=taken / least, unit="times", detail=detail
-        )
-    )
+    name = f"{case.name}: time over floor"
+    bench.add(FigureRow(name=name, value=taken / least, unit="times", detail=detail))
 
 
 SMALL = Case("224x224 x 256, 1 M, SH 0", 224, 224, 256, 4.0, 8.0)
@@ -298,6 +289,8 @@ def measure_scenes(ctx: FigureContext) -> list[FigureRow]:
     times = interleave(bench.device, contenders, case.rounds, warm=bench.warm)
     where = f"{scenes} standard flats of {len(flats[0].cloud) / 1e6:g} M (of {len(flats)} seeds)"
     _report(bench, where, case, times, forms)
+    mean = count_work(RendererCpu(flats[0].cloud), camera, poses[0][:each])
+    _report_floor(bench, where, case, 0, mean, scenes, median(times["cuda"]))
     return bench.rows
 
 

@@ -87,7 +87,7 @@ def test_lists_that_overflow_are_made_again(want: list[bytes]) -> None:
     """A first guess far too low: nothing of it is seen, and the next call guesses better."""
     device = DeviceHost()
     drawer = Drawer(device)
-    drawer._density = 0.0
+    drawer._first_density = 0.0
     drawer._held["entries"] = device.empty(16, np.uint64)
     assert bytes_of(device, drawer) == want
     assert drawer.repeats >= 1
@@ -102,7 +102,7 @@ def test_a_full_device_makes_batches_smaller(
     """The card has room for the lists of two views, whatever was allowed."""
     device = DeviceHost()
     drawer = Drawer(device, memory=2**30)
-    drawer._density = 4.0
+    drawer._first_density = 4.0
     empty = device.empty
     device.empty = lambda shape, kind: empty(shape, kind) if small(shape, kind) else refuse()  # type: ignore[method-assign]
     with caplog.at_level(logging.WARNING):

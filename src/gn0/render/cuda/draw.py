@@ -164,7 +164,8 @@ class Drawer:
         self.on_stage: Callable[[str], None] | None = None  # told of each stage before it begins
         self._loaded: Mapping[str, Kernel] | None = None
         self._held: dict[str, DeviceArray] = {}
-        self._density = 0.5  # entries a splat and view, as seen last
+        self._density: dict[tuple[object, ...], float] = {}  # entries a splat, by picture
+        self._first_density = 0.5
         self._said = False
         self._plan: tuple[tuple[bytes, ...], Shares, list[DeviceArray]] | None = None
 
@@ -293,10 +294,14 @@ class Drawer:
     def _fit(self, work: _Work, begin: int) -> int:
         """How many views from `begin` on will probably have room, at least one."""
         assert self.memory is not None
-        entries = np.cumsum(work.splats[begin:]) * self._density
+        entries = np.cumsum(work.splats[begin:]) * self._expect(work)
         room = entries * _ENTRY + np.arange(1, len(entries) + 1) * work.tiles * 12.0
         fit = int(np.searchsorted(room, self.memory, side="right"))
         return max(min(fit, _BLOCKS_MAX // work.tiles), 1)
+
+    def _expect(self, work: _Work) -> float:
+        """Entries a splat and view, probably."""
+        return self._density.get(work.picture, self._first_density)
 
     def _run_batch(
         self, work: _Work, views: slice, kernel: str, last: tuple[Any, ...], flags: int
@@ -319,7 +324,7 @@ class Drawer:
         counts = self._need("counts", all_tiles, np.uint32)
         starts = self._need("starts", all_tiles + 1, np.uint64)
         sums = self._need("sums", blocks, np.uint64)
-        entries, expected = self._held.get("entries"), work.splats[views].sum() * self._density
+        entries, expected = self._held.get("entries"), work.splats[views].sum() * self._expect(work)
         if entries is None or len(entries) < min(expected, self.memory // _ENTRY):
             guess = int(expected * 1.25) + 64 * all_tiles
             entries = self._grow(min(guess, self.memory // _ENTRY))
@@ -346,7 +351,10 @@ class Drawer:
         self._tell("end")
         total = int(starts[all_tiles : all_tiles + 1].numpy()[0])
         self.entries, splats = total, int(work.splats[views].sum())
-        self._density = total / splats if splats else self._density
+        if splats:  # visible sets list more a splat than whole clouds: forget them slowly
+            self._density[work.picture] = max(
+                total / splats, 0.95 * self._density.get(work.picture, 0.0)
+            )
         if total <= len(entries):
             return 0
         if total * _ENTRY <= self.memory or count == 1:
@@ -418,5 +426,6 @@ class _Work:
         self.held = clouds  # the table only points to them
         sizes = np.array([*(cloud.chunks * CHUNK for cloud in clouds), 0])  # of no tail: the last
         self.splats = sizes[self.cloud_of] + sizes[self.tail_of]
+        self.picture = (camera.width, camera.height, camera.model)
         self.tiles_x = -(-camera.width // TILE)
         self.tiles = self.tiles_x * -(-camera.height // TILE)

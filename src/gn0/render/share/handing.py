@@ -20,6 +20,7 @@ from gn0.render.share.files import Files
 from gn0.render.share.messages import Drawn, lay_files
 from gn0.render.share.request import Request
 
+NOTHING = np.zeros(0, np.uint8)
 IN_FLIGHT = 2  # batches between the renderer and their last byte in an area
 
 
@@ -103,7 +104,7 @@ class Handing:
             sources |= {"files": files.views.data, "tiles": files.tiles}
             sources["mosaics"] = None if files.mosaics is None else files.mosaics.data
         for name, source in sources.items():
-            if isinstance(source, DeviceArray):
+            if isinstance(source, DeviceArray) and source.nbytes:
                 kept = self._blocks.get(name)
                 block = kept.pop() if kept else None
                 if block is None or len(block) < source.nbytes:
@@ -157,10 +158,10 @@ class Handing:
             coded = Coded(piece.request)
             if (files := batch.files) is not None:
                 coded = self._coded.pop(id(piece.request), coded)
-                coded.add("files", arrays["files"], files.views.starts, piece.rows)
+                coded.add("files", arrays.get("files", NOTHING), files.views.starts, piece.rows)
                 if piece.last and files.mosaics is not None:
                     steps = files.steps[id(piece.request)]
-                    coded.add("mosaics", arrays["mosaics"], files.mosaics.starts,
+                    coded.add("mosaics", arrays.get("mosaics", NOTHING), files.mosaics.starts,
                               slice(mosaics, mosaics + steps))  # fmt: skip
                     mosaics += steps
                 if not piece.last:

@@ -356,7 +356,8 @@ def main() -> int:
         server.serve(say)
     except DeviceError as error:
         _log.error("the device is lost: %s", error)
-        return 1
+        sys.stderr.flush()
+        os._exit(1)  # a driver in that state may not let us go otherwise
     return 0
 
 

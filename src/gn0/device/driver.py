@@ -54,6 +54,7 @@ class DeviceCuda:
         multiprocessors: how many.
         shared_max: bytes of shared memory that a block can have.
         l2: bytes of its second-level cache.
+        total: bytes of its memory.
         driver: the driver's library.
         lost: why nothing works any more, or None.
 
@@ -87,6 +88,9 @@ class DeviceCuda:
         self.capability = (self._attribute(_MAJOR), self._attribute(_MINOR))
         self.multiprocessors = self._attribute(_MULTIPROCESSORS)
         self.shared_max, self.l2 = self._attribute(_SHARED), self._attribute(_L2)
+        total = ctypes.c_size_t()
+        self._begin("cuDeviceTotalMem_v2", ctypes.byref(total), self._handle)
+        self.total = total.value
         if self.capability < CAPABILITY_MIN:
             raise DeviceError(
                 f"{self.name} has compute capability {self.capability[0]}.{self.capability[1]}; "
@@ -206,8 +210,8 @@ class DeviceCuda:
         return DeviceArray(self, pointer, dims, kind, owner)
 
     def _take(self, size: int) -> int:
-        pointer = self._pool.take(size)
-        if pointer is None:
+        pointer = self._pool.take(size) if size <= self.total else None
+        if pointer is None and size <= self.total:
             gc.collect()  # arrays that only cycles hold
             self.call("cuStreamSynchronize", None)
             self._pool.trim()

@@ -182,7 +182,7 @@ __device__ __forceinline__ void list_chunk(const View *__restrict__ views,
   if (g.tail) index |= TAIL;
   __syncthreads();
   for (u32 k = 0; k < count; k++)
-    list_splat<EMIT>(s, index, seen[k], flags, tiles_x, who[k] * tiles, to);
+    list_splat<EMIT>(s, index, load_view(seen[k]), flags, tiles_x, who[k] * tiles, to);
 }
 
 KERNEL_BOUNDED(count_entries, CHUNK, COVER_BLOCKS)

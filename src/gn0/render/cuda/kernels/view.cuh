@@ -7,7 +7,7 @@
 #define TAIL 0x80000000u  // top bit of a key's low word: a moving splat, after all others
 #define NOWHERE 0xffffffffu
 
-struct View {  // 32 words
+struct alignas(16) View {  // 32 words
   float r[9], eye[3], fx, fy, cx, cy, near, far;
   float lim_xp, lim_xn, lim_yp, lim_yn, gain_x, gain_y, width, height;
   u32 cloud, tail, row, spare[3];
@@ -30,6 +30,15 @@ struct Group {  // views of one cloud, and the blocks that list it
 struct Splat {
   float x, y, z, extent, m[9], log_opacity;
 };
+
+// A view from shared memory, four words a load.
+__device__ __forceinline__ View load_view(const View &at) {
+  const float4 *p = (const float4 *)&at;
+  float4 a = p[0], b = p[1], c = p[2], d = p[3], e = p[4], f = p[5], g = p[6];
+  return {{a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, c.x}, {c.y, c.z, c.w}, d.x, d.y, d.z, d.w,
+          e.x, e.y, e.z, e.w, f.x, f.y, f.z, f.w, g.x, g.y,
+          __float_as_uint(g.z), __float_as_uint(g.w), 0, {0, 0, 0}};
+}
 
 // Addresses that come from a table are generic to the compiler; __ldg says that they are global.
 __device__ __forceinline__ Splat load_splat(const float4 *at) {

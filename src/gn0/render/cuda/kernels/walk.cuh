@@ -187,14 +187,15 @@ __device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 fla
   const float4 *from = cloud.splats + (u64)slot * 4;
   Splat s = load_splat(from);
   Footprint f;
-  if (!project(s, t.view, flags, f)) return 0;
+  const View w = load_view(t.view);
+  if (!project(s, w, flags, f)) return 0;
   float x = f.u - left, y = f.v - top;
   float qx = f.qx * SQRT_LOG2_E, qy = f.qy * SQRT_LOG2_E, k = root(f.qk * LOG2_E);
   Staged &to = t.staged[at];
   to.a = make_float4(qx, qy, -fmaf(qx, x, qy * y), k);
   float3 colour = make_float3(0.f, 0.f, 0.f);
   u32 mask = find_regions(f, x, y);
-  if (COLOUR) colour = find_colour(cloud, s, slot, t.view);
+  if (COLOUR) colour = find_colour(cloud, s, slot, w);
   to.b = make_float4(-k * y, f.log_o * LOG2_E, colour.x, colour.y);
   to.c = make_float2(colour.z, f.z);
   return mask;

@@ -37,6 +37,7 @@ WALK = [0.01, 0.59, 0.2, 0.2]  # STOP, FORWARD, LEFT, RIGHT: an episode of about
 STEPS = 2e6  # agent-steps a second, at least, of 4096 agents without pictures
 PICTURES = 15e3  # env-steps a second, at least, with 224x224 RGB-D over a million splats
 SUITE = Path(__file__).resolve().parents[3] / "tests" / "gpu"
+CARD = SUITE.parent / "device" / "test_card.py"  # what only a card can answer
 _TOOLS = ("memcheck", "racecheck", "initcheck", "synccheck")
 _SUMMARY = re.compile(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)")
 
@@ -116,14 +117,14 @@ def measure_sim(ctx: FigureContext) -> list[FigureRow]:
 
 
 def measure_suite(ctx: FigureContext) -> list[FigureRow]:
-    """`pytest tests/gpu`, from a checkout.
+    """`pytest tests/gpu tests/device/test_card.py`, from a checkout.
 
     Raises:
         FigureSkipped: this is no checkout.
     """
     report = ctx.work / "suite.xml"
     part = ["-m", "small"] if is_emulation(ctx.device) else []
-    done = _pytest(ctx, [*part, "--junitxml", str(report)], [])
+    done = _pytest(ctx, [str(CARD), *part, "--junitxml", str(report)], [])
     if not report.exists():
         raise RuntimeError(f"the suite did not run: {(done.stdout + done.stderr)[-3000:]}")
     suites = list(ET.parse(report).getroot().iter("testsuite"))  # noqa: S314

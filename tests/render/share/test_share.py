@@ -198,6 +198,39 @@ class BatchLost(RendererBatchCpu):
         raise DeviceError("the card fell off the bus")
 
 
+def test_scenes_are_read_while_others_are_drawn(serve, monkeypatch) -> None:
+    """Once each, by whoever asks first; a slow one holds nobody up but those who want it."""
+    serving = serve(RendererBatchCpu())
+    read: list[int] = []
+    gate = threading.Event()
+
+    def slow(source: dict[str, Any]) -> GaussianCloud:
+        read.append(source["seed"])
+        if source["seed"] == 5:
+            assert gate.wait(10)
+        if source["seed"] == 6:
+            raise ValueError("a broken file")
+        return random_cloud(source["seed"])
+
+    monkeypatch.setattr(serving.server, "_load", slow)
+    waiting = [serving.renderer(5) for _ in range(3)]
+    threads = [
+        threading.Thread(target=renderer.render, args=(CAMERA, views(1))) for renderer in waiting
+    ]
+    for thread in threads:
+        thread.start()
+    serving.renderer(1).render(CAMERA, views(2))  # not held up
+    assert not gate.is_set()
+    for _ in range(2):
+        with pytest.raises(RenderError, match="ValueError: a broken file"):
+            serving.renderer(6).render(CAMERA, views(1))
+    gate.set()
+    for thread in threads:
+        thread.join(10)
+        assert not thread.is_alive()
+    assert sorted(read) == [1, 5, 6, 6]
+
+
 def test_a_lost_device_is_told_to_those_who_wait(serve) -> None:
     serving = serve(BatchLost())
     with pytest.raises(DeviceError, match="fell off the bus"):

@@ -21,6 +21,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -114,6 +115,8 @@ class Server:
     ) -> None:
         self._batch, self._load, self._views, self._note = batch, load, views, note
         self._known: set[str] = set()
+        self._loading: dict[str, Future[GaussianCloud]] = {}
+        self._lock = threading.Lock()
         self._waiting: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._held: Request | None = None  # did not fit into the last batch
         self._said = False
@@ -148,12 +151,48 @@ class Server:
                 if isinstance(message, Area):
                     connection.take_area(message, inbox.descriptors.pop(0))
                 else:
+                    self._load_ahead(message)
                     self._waiting.put(Request(connection, message))
         except (Gn0Error, OSError, ValueError, IndexError) as error:
             _log.warning("a connection ends: %s", error)
         finally:
             connection.closed = True
             connection.socket.close()
+
+    def _load_ahead(self, draw: Draw) -> None:
+        """Read the splats of a new scene in this thread, while others are drawn."""
+        if draw.key in self._known:
+            return
+        with self._lock:
+            loading = self._loading.get(draw.key)
+            mine = loading is None and draw.key not in self._known
+            if mine:
+                loading = self._loading[draw.key] = Future()
+        if loading is None:
+            return
+        if not mine:
+            loading.exception()  # waits for the one who reads them
+            return
+        try:
+            loading.set_result(self._read(draw))
+        except Gn0Error as error:
+            loading.set_exception(error)
+
+    def _read(self, draw: Draw) -> GaussianCloud:
+        try:
+            return self._load(draw.source)
+        except Gn0Error:
+            raise
+        except Exception as error:  # whatever a file does to its reader
+            raise RenderError(
+                f"a scene cannot be read: {type(error).__name__}: {error}", where=str(draw.source)
+            ) from None
+
+    def _take_cloud(self, draw: Draw) -> GaussianCloud:
+        """The splats of a scene: read ahead, or now where they had to give way before."""
+        with self._lock:
+            loading = self._loading.pop(draw.key, None)
+        return self._read(draw) if loading is None else loading.result()
 
     def serve(self, told: Callable[[Tally], None] = lambda tally: None) -> None:
         """Draw for ever; `told` hears now and then what was done.
@@ -242,9 +281,9 @@ class Server:
         if area is None or len(area) < needed or not draw.outputs or not draw.count:
             raise RenderError("a request without room for its pictures", where="drawing socket")
         if draw.key not in self._known:
-            source = draw.source
-            self._batch.add(draw.key, lambda: self._load(source))
-            self._known.add(draw.key)
+            self._batch.add(draw.key, lambda: self._take_cloud(draw))
+            with self._lock:
+                self._known.add(draw.key)
 
     def _draw(self, group: list[Request]) -> None:
         """Draw requests that are alike; another thread puts the pictures into their areas."""

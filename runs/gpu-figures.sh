@@ -11,6 +11,7 @@
 #   SCENES    folder with apartment/ and small_house/ (gn0 scene generate, gn0 scene import)
 #   GN0_DATA  third-party test data
 #   GN0_GSPLAT_LIBRARY  a gsplat_cuda.so built before; else gsplat compiles its own (a minute)
+#   LIMIT     seconds for each group, instead of its own limit
 #   GN0_DEVICE=host     a dry run of everything on the emulation
 set -uo pipefail
 
@@ -33,6 +34,7 @@ if [ -n "${WHEELS:-}" ] && [ ! -d "$OUT/site" ]; then
 fi
 
 limit_of() {  # seconds
+  if [ -n "${LIMIT:-}" ]; then echo "$LIMIT"; return; fi
   case $1 in
     check) echo 120 ;; small | accuracy | memory | data) echo 300 ;; sweep | suite) echo 420 ;; sanitizers) echo 540 ;; *) echo 240 ;;
   esac

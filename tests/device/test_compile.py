@@ -132,6 +132,17 @@ def test_compilers_are_found_in_wheels_and_toolkits(
     ]
 
 
+@compiler
+def test_the_compilers_second_library_is_loaded_from_beside_it(tmp_path: Path) -> None:
+    """CUDA 13's does not look beside itself, and without it nothing compiles."""
+    found = find_nvrtc()
+    assert found is not None
+    if Path(found.path).is_absolute():
+        assert open_nvrtc()._builtins
+    (tmp_path / "libnvrtc-builtins.so.13.0").write_bytes(b"not a library")
+    assert nvrtc._load_builtins(tmp_path / "libnvrtc.so.13") == []
+
+
 def test_a_damaged_compiler_says_so(tmp_path: Path) -> None:
     path = tmp_path / "libnvrtc.so.12"
     path.write_bytes(b"not a library")

@@ -12,6 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -118,6 +119,7 @@ class Nvrtc:
         self.path = file.path
         try:
             library = ctypes.CDLL(file.path)
+            self._builtins = _load_builtins(Path(file.path))
             for name, signature in _SIGNATURES.items():
                 getattr(library, name).argtypes = signature
         except (OSError, AttributeError) as error:
@@ -197,6 +199,18 @@ class Nvrtc:
         data = ctypes.create_string_buffer(size.value)
         self._call(what, program, data)
         return data.raw
+
+
+def _load_builtins(path: Path) -> list[ctypes.CDLL]:
+    """The compiler's second library, from beside it: that of CUDA 13 does not look there itself."""
+    loaded: list[ctypes.CDLL] = []
+    if not path.is_absolute():
+        return loaded  # the system's loader knows where both are
+    pattern = "nvrtc-builtins64_*.dll" if sys.platform == "win32" else "libnvrtc-builtins.so*"
+    for part in sorted(path.parent.glob(pattern)):
+        with suppress(OSError):
+            loaded.append(ctypes.CDLL(str(part)))
+    return loaded
 
 
 @cache

@@ -6,9 +6,12 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from gn0.device.open import find_device
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -40,6 +43,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         alone = item.name.startswith("test_every_command_block_runs")
         item.add_marker(pytest.mark.xdist_group(item.nodeid if alone else str(item.path)))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
+    """On a machine with a card, only the tests that ask for one get it: `auto` is `cpu` else."""
+    asked = "GN0_DEVICE" in os.environ or item.path.parent.name in ("gpu", "device")
+    if asked or find_device()[0] is None:
+        return (yield)
+    os.environ["GN0_DEVICE"] = "none"
+    try:
+        return (yield)
+    finally:
+        del os.environ["GN0_DEVICE"]
 
 
 class Clock:

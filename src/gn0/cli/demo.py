@@ -48,6 +48,7 @@ def run(args: Args) -> int:
     from gn0.bench.report import write_report
     from gn0.bench.runner import run_suite
     from gn0.bench.suite import build_suite
+    from gn0.cli.compile_ahead import compile_ahead
     from gn0.cli.console import draw_progress
     from gn0.cli.tables import print_summaries
     from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
@@ -58,7 +59,8 @@ def run(args: Args) -> int:
     claim_folder(out, args)
     with draw_progress() as progress:
         settings = GenerateSettings(seed=args.seed, size="small", density=args.density)
-        generate_scene(settings, out / "apartment", progress=progress)
+        with compile_ahead():
+            generate_scene(settings, out / "apartment", progress=progress)
         _draw_pictures(out / "apartment", out / "pictures", progress)
         suite = build_suite(
             [out / "apartment"],

@@ -131,8 +131,9 @@ def render_bev(
     corner = np.asarray(bounds, np.float64)[0, :2]
     origin = (float(corner[0]), float(corner[1]))
     antialiased = bool(getattr(getattr(renderer, "options", None), "antialiased", False))
+    drawn_by = str(getattr(renderer, "drawn_by", renderer.name))
     key = content_hash(
-        *(_FORMAT, cloud_hash, renderer.name, int(antialiased), camera.width, camera.height),
+        *(_FORMAT, cloud_hash, drawn_by, int(antialiased), camera.width, camera.height),
         *(float(metres_per_pixel), float(cut_height), *origin, *map(float, background)),
     )
     path = cache_dir() / "bev" / f"{key}.bev"

@@ -10,10 +10,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from gn0.device.open import find_device
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# the same examples on every run, so that a change is judged by itself; `make search` draws new ones
+settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("search", deadline=None, print_blob=True)
+settings.load_profile("steady")
 
 # a shell starts background jobs deaf to Ctrl-C, and their children inherit it: tests that send it
 # to a process of theirs mean it

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gn0.bench.suite import save_suite
@@ -86,6 +86,8 @@ def test_turns_on_the_spot_are_added_up() -> None:
 
 
 @given(st.lists(st.floats(0, 1e4), max_size=60), st.booleans())
+@example(values=[5e-324], whole=False)
+@example(values=[0.0], whole=False)
 def test_a_histogram_holds_every_value(values: list[float], whole: bool) -> None:
     values = [float(math.floor(v)) for v in values] if whole else values
     spread = spread_of(values, whole=whole)

@@ -31,6 +31,7 @@ TURN = math.radians(30)  # least change of heading, summed over a turn on the sp
 BALANCE_FILE = "balance.json"
 _WORD = re.compile(r"[a-z]+(?:'[a-z]+)?")
 _CELL = 0.25  # m, of the coverage maps
+_NARROWEST = 1e-9  # of what is spread over bins: below it a width would round to nothing
 
 
 class Spread(Config, frozen=True):
@@ -216,7 +217,7 @@ def spread_of(values: Sequence[float], bins: int = 24, *, whole: bool = False) -
     if whole:
         width = float(max(1, math.ceil((top + 1) / bins)))
     else:
-        width = _round_width((top or 1.0) / bins)
+        width = _round_width(max(top or 1.0, _NARROWEST) / bins)
     edges = width * np.arange(math.floor(top / width) + 2)
     counts, _ = np.histogram(v, edges)
     low, median, high = (float(q) for q in np.quantile(v, (0.05, 0.5, 0.95)))

@@ -16,22 +16,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gn0.bench.suite import Suite, build_suite
-from gn0.data.build import build_dataset
 from gn0.data.dataset import JOURNAL, open_dataset
 from gn0.data.folder import LOCK, read_done
-from gn0.data.render import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
-from gn0.errors import Gn0Error
+from gn0.errors import Gn0Error, JobError
 from gn0.progress import Progress, no_progress
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.seeds import random_stream
 from gn0.storage import TEMPORARY_PREFIX
 
-EPISODES, CHUNK = 30, 2
+EPISODES, CHUNK = 10, 2
 KINDS = ("webdataset", "lerobot", "render")  # built with pictures, or drawn after the labels
-LONGEST = 4.0  # s from the start of a process to its end by signal
+REACH = 1.1  # of the time that an undisturbed process takes: kills fall anywhere in it
 PATIENCE = 600.0  # s for the last, undisturbed process
 _CODE = """
 import sys
@@ -95,14 +93,19 @@ def run_data_crashes(
         work: scratch folder.
         seed: of the moments.
         progress: progress sink.
+
+    Raises:
+        JobError: a dataset fails without any kill.
     """
     suite = build_crash_suite(work)
-    wholes = {}
+    wholes, longest = {}, {}
     for kind in KINDS:
-        whole = work / f"whole-{kind}"
-        build_dataset(suite, whole, crash_settings(kind))
-        if kind == "render":
-            render_dataset(whole)
+        for again in ("warm", "whole"):  # the first may compile
+            began = time.monotonic()
+            whole = work / f"{again}-{kind}"
+            if _start(suite.folder, whole, kind, 2).wait(timeout=PATIENCE):
+                raise JobError(f"an undisturbed dataset of kind {kind} failed", where=str(whole))
+        longest[kind] = REACH * (time.monotonic() - began)
         wholes[kind] = read_files(whole)
     chance = random_stream(seed, "data crash")
     killed = runs = same = lost = twice = unreadable = forgotten = leftovers = 0
@@ -116,7 +119,7 @@ def run_data_crashes(
             workers = 1 + int(chance.integers(0, 2))
             process = _start(suite.folder, out, kind, workers)
             # some moments lie before the first part, most in the middle of one
-            time.sleep(float(chance.uniform(0.0, LONGEST)))
+            time.sleep(float(chance.uniform(0.0, longest[kind])))
             if process.poll() is not None:
                 break
             _kill(process)

@@ -78,6 +78,7 @@ class _OneScene:
 
     def __init__(self, renderer: BatchRenderer, key: str) -> None:
         self.name = renderer.name
+        self.drawn_by = getattr(renderer, "drawn_by", renderer.name)  # part of it as well
         self.options = getattr(renderer, "options", None)  # part of the key of a BEV
         self._renderer, self._key = renderer, key
 

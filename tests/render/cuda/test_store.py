@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from gn0.device.host import DeviceHost
 from gn0.errors import DeviceMemoryError, FormatError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.render.cuda.pack import cloud_bytes
+from gn0.render.cuda.pack import cloud_bytes, prepare_cloud, upload_cloud
 from gn0.render.cuda.store import CloudStore
 from gn0.render.light import LightCondition
 from gn0.scenes.folder import load_scene, save_scene
@@ -190,3 +191,46 @@ def test_unknown_keys_and_failing_loaders_are_errors() -> None:
     with pytest.raises(FormatError):
         store.open("b")
     store.open("a")
+
+
+def test_the_next_cloud_is_loaded_while_one_is_drawn() -> None:
+    """One ahead and no more, each once and in order, whatever fits beside what."""
+    store, loaders, _ = store_of("abcd", ONE)
+    ahead = threading.Event()
+
+    def load_b() -> GaussianCloud:
+        ahead.set()
+        return loaders["b"]()
+
+    store.add("b", load_b, "another hash")
+    groups = store.groups("abcd")
+    assert list(next(groups)) == ["a"]
+    assert ahead.wait(10) and loaders["d"].times == 0
+    assert [list(group) for group in groups] == [["b"], ["c"], ["d"]]
+    assert [loader.times for loader in loaders.values()] == [1, 1, 1, 1]
+    assert store.holds("d") and not store.holds("a")
+
+
+def test_a_cloud_that_cannot_be_loaded_ahead_is_said_at_its_turn() -> None:
+    store, loaders, _ = store_of("abc", 10 * ONE)
+
+    def broken() -> GaussianCloud:
+        raise FormatError("a broken file", file=Path("b.ply"))
+
+    store.add("b", broken, "another hash")
+    with pytest.raises(FormatError, match="a broken file"):
+        list(store.groups("abc"))
+    assert store.resident == ["a"]
+    assert list(next(store.groups("ac"))) == ["a", "c"]
+    with pytest.raises(RenderError, match="not finite"):
+        prepare_cloud(replace(loaders["a"](), opacities=np.full(SPLATS, np.nan, np.float32)))
+
+
+def test_a_cloud_made_ready_is_packed_as_any_other() -> None:
+    device = DeviceHost()
+    for seed in range(3):
+        cloud = random_cloud(SPLATS, seed=seed)
+        one, other = upload_cloud(device, cloud), upload_cloud(device, prepare_cloud(cloud))
+        for name in ("splats", "order", "boxes"):
+            np.testing.assert_array_equal(getattr(one, name).numpy(), getattr(other, name).numpy())
+        assert (one.alive, one.ordered, one.size) == (other.alive, other.ordered, other.size)

@@ -18,8 +18,8 @@ from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice
-from gn0.render.cuda.pack import upload_clouds
-from gn0.render.cuda.store import CloudStore
+from gn0.render.cuda.pack import CloudReady, prepare_cloud, upload_clouds
+from gn0.render.cuda.store import CloudStore, Load
 from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.renderer import Output, RenderOptions, check_views
 from gn0.render.visible_places import VisibleOptions
@@ -55,6 +55,8 @@ class RendererBatch:
     ) -> None:
         self.device = device
         self.options = options or RenderOptions()
+        # the emulation's last bits are not a card's: what is kept of it goes by another name
+        self.drawn_by = self.name if device.kind == "cuda" else f"{self.name} on {device.kind}"
         self.store = CloudStore(device, memory)
         self.drawer = share_drawer(device)
         share = int(_SETS_SHARE * device.memory()[0])
@@ -65,12 +67,24 @@ class RendererBatch:
     def __contains__(self, key: str) -> bool:
         return key in self.store
 
-    def add(self, key: str, load: Callable[[], GaussianCloud], digest: str = "") -> None:
+    def holds(self, key: str) -> bool:
+        """Whether a scene's splats are on the device; any thread may ask."""
+        return self.store.holds(key)
+
+    def prepare(self, cloud: GaussianCloud) -> CloudReady:
+        """The host's share of bringing a cloud here; any thread may do it, and `load` return it.
+
+        Raises:
+            RenderError: the cloud cannot be drawn.
+        """
+        return prepare_cloud(cloud)
+
+    def add(self, key: str, load: Load, digest: str = "") -> None:
         """Name a scene; its cloud is loaded when it is first drawn, and again after it gave way.
 
         Args:
             key: of the scene, or of the scene in a light (`gn0.sim.open.name_look`).
-            load: gives the cloud.
+            load: gives the cloud, or what `prepare` made of it; may run in a thread of its own.
             digest: content hash of that cloud (`gn0.sim.open.look_hash`). The same key with
                 another hash drops the old splats and sets. Without hashes, another `load` does.
         """

@@ -57,7 +57,48 @@ def cloud_kernels(device: Device) -> Mapping[str, Kernel]:
     return device.load(_SOURCE)
 
 
-def upload_cloud(device: Device, cloud: GaussianCloud, *, sort: bool = True) -> CloudDevice:
+@dataclass(frozen=True, eq=False)
+class CloudReady:
+    """A checked cloud and where its splats go: the host's share of an upload, done beforehand.
+
+    Attributes:
+        cloud: the splats.
+        places: uint32 [N] packed number of each splat; `NOWHERE` for those that cannot show.
+        alive: how many can.
+        ordered: whether packed numbers are the splats' own.
+    """
+
+    cloud: GaussianCloud
+    places: NDArray[np.uint32]
+    alive: int
+    ordered: bool
+
+    def __len__(self) -> int:
+        return len(self.cloud)
+
+    @property
+    def sh_degree(self) -> int:
+        """Of the cloud."""
+        return self.cloud.sh_degree
+
+
+def prepare_cloud(cloud: GaussianCloud, *, sort: bool = True) -> CloudReady:
+    """Check a cloud and choose its packed order; needs no device, so any thread may do it.
+
+    Raises:
+        RenderError: see `upload_cloud`.
+    """
+    check_cloud(cloud)
+    index = choose_splats(cloud, sort=sort)
+    places = np.full(len(cloud), NOWHERE, np.uint32)
+    places[index] = np.arange(len(index), dtype=np.uint32)
+    ordered = len(index) == len(cloud) and bool((index[1:] > index[:-1]).all())
+    return CloudReady(cloud, places, len(index), ordered)
+
+
+def upload_cloud(
+    device: Device, cloud: GaussianCloud | CloudReady, *, sort: bool = True
+) -> CloudDevice:
     """Bring a cloud to a device and pack it there.
 
     Splats that can never reach 1/255 of opacity are left out. `sort` puts them in Morton order;
@@ -71,7 +112,7 @@ def upload_cloud(device: Device, cloud: GaussianCloud, *, sort: bool = True) -> 
 
 
 def upload_clouds(
-    device: Device, clouds: Sequence[GaussianCloud], *, sort: bool = True
+    device: Device, clouds: Sequence[GaussianCloud | CloudReady], *, sort: bool = True
 ) -> list[CloudDevice]:
     """Bring several clouds to a device at once; many small ones cost little more than one.
 
@@ -81,7 +122,11 @@ def upload_clouds(
     found: dict[int, CloudDevice] = {}
     for degree in sorted({cloud.sh_degree for cloud in clouds}):
         which = [k for k, cloud in enumerate(clouds) if cloud.sh_degree == degree]
-        packed = _upload_alike(device, [clouds[k] for k in which], degree, sort)
+        ready = [
+            one if isinstance(one, CloudReady) else prepare_cloud(one, sort=sort)
+            for one in (clouds[k] for k in which)
+        ]
+        packed = _upload_alike(device, ready, degree)
         found |= dict(zip(which, packed, strict=True))
     return [found[k] for k in range(len(clouds))]
 
@@ -130,21 +175,16 @@ class _Layout:
         return -(-self.alive // CHUNK)
 
 
-def _upload_alike(
-    device: Device, clouds: Sequence[GaussianCloud], degree: int, sort: bool
-) -> list[CloudDevice]:
+def _upload_alike(device: Device, ready: Sequence[CloudReady], degree: int) -> list[CloudDevice]:
     """Clouds of one degree, in one piece of memory."""
     layouts: list[_Layout] = []
+    clouds = [one.cloud for one in ready]
     size = sum(map(len, clouds))
-    places = np.full(size, NOWHERE, np.uint32)  # within its own cloud
+    places = ready[0].places if len(ready) == 1 else np.concatenate([one.places for one in ready])
     first = row = 0
-    for cloud in clouds:
-        check_cloud(cloud)
-        index = choose_splats(cloud, sort=sort)
-        ordered = len(index) == len(cloud) and bool((index[1:] > index[:-1]).all())
-        places[first + index] = np.arange(len(index), dtype=np.uint32)
-        layouts.append(_Layout(first, row, len(cloud), len(index), ordered))
-        first, row = first + len(cloud), row + layouts[-1].chunks * CHUNK
+    for one in ready:
+        layouts.append(_Layout(first, row, len(one), one.alive, one.ordered))
+        first, row = first + len(one), row + layouts[-1].chunks * CHUNK
     splats = device.empty((row, SPLAT), np.float32)
     order = device.empty(row, np.uint32)
     boxes = device.empty((row // CHUNK, _BOX), np.float32)

@@ -46,12 +46,11 @@ class RendererCuda:
 
             device = open_device()
         self.device = device
-        # the emulation's last bits are not a card's: what is kept of it goes by another name
-        self.drawn_by = self.name if device.kind == "cuda" else f"{self.name} on {device.kind}"
         self.options = options or RenderOptions()
         self.size = len(cloud)
         memory = cloud_bytes(self.size, cloud.sh_degree)
         self.batch = RendererBatch(device, self.options, memory)
+        self.drawn_by = self.batch.drawn_by
         self.cloud = self.batch.store.keep(_KEY, cloud)
 
     def render(

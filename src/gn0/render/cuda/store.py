@@ -7,18 +7,21 @@ once, so a scene that was swapped on disk is never shown as it was.
 
 from __future__ import annotations
 
+import contextlib
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 from gn0.device.device import Device
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.render.cuda.draw import CloudDevice
-from gn0.render.cuda.pack import cloud_bytes, upload_cloud
+from gn0.render.cuda.pack import CloudReady, cloud_bytes, prepare_cloud, upload_cloud
 
 _SMALLER = "use backend 'cpu', or a scene with fewer splats or a lower SH degree"
 SHARE = 0.6  # of the memory that is free at the start, for clouds; the rest is for drawing
+Load = Callable[[], GaussianCloud | CloudReady]
 
 
 @dataclass(frozen=True)
@@ -26,11 +29,12 @@ class CloudSource:
     """Where a cloud comes from.
 
     Attributes:
-        load: gives the cloud, each time it is brought to the device.
+        load: gives the cloud, each time it is brought to the device; may run in a thread of its
+            own, while another cloud is brought there or drawn.
         digest: content hash of what `load` gives; "" when nobody knows.
     """
 
-    load: Callable[[], GaussianCloud]
+    load: Load
     digest: str = ""
 
 
@@ -64,7 +68,11 @@ class CloudStore:
         """Keys of the clouds that are here, least recently used first."""
         return list(self._held)
 
-    def add(self, key: str, load: Callable[[], GaussianCloud], digest: str = "") -> bool:
+    def holds(self, key: str) -> bool:
+        """Whether a cloud is here; any thread may ask."""
+        return key in self._held
+
+    def add(self, key: str, load: Load, digest: str = "") -> bool:
         """Name a cloud; it is loaded when first drawn.
 
         The same key again keeps what is here only if the hash is the same, or, without hashes, if
@@ -112,7 +120,8 @@ class CloudStore:
         """The clouds of `keys`, in groups that fit together; what is in a group stays for its turn.
 
         One group when all fit; a group is emptied when the next is asked for. What is here already
-        comes first, so that it is not dropped to make room before its turn.
+        comes first, so that it is not dropped to make room before its turn. While one cloud is
+        brought here, or a group is drawn, the next one is loaded beside.
 
         Raises:
             RenderError: no such key, or a cloud that cannot be drawn.
@@ -123,20 +132,26 @@ class CloudStore:
             self._source(key)
         wanted.sort(key=lambda key: key not in self._held)
         group: dict[str, CloudDevice] = {}
-        for key in wanted:
-            found = self._held.get(key)
-            if found is None:
-                cloud = self._source(key).load()
-                found = self._bring(key, cloud, group)
-                if found is None:  # not beside those of the group: draw them first
-                    yield group
-                    group.clear()  # whoever still holds it must not keep the memory
+        missing = [key for key in wanted if key not in self._held]
+        ahead = _load_ahead({key: self._source(key).load for key in missing})
+        with contextlib.closing(ahead):
+            for key in wanted:
+                found = self._held.get(key)
+                if found is None:
+                    if key in missing:
+                        cloud = next(cloud for name, cloud in ahead if name == key)
+                    else:  # it was here when we began
+                        cloud = self._source(key).load()
                     found = self._bring(key, cloud, group)
-                assert found is not None
-            self._held.move_to_end(key)
-            group[key] = found
-        if group:
-            yield group
+                    if found is None:  # not beside those of the group: draw them first
+                        yield group
+                        group.clear()  # whoever still holds it must not keep the memory
+                        found = self._bring(key, cloud, group)
+                    assert found is not None
+                self._held.move_to_end(key)
+                group[key] = found
+            if group:
+                yield group
 
     def open(self, key: str) -> CloudDevice:
         """One cloud, brought here if need be.
@@ -166,7 +181,7 @@ class CloudStore:
         return self._sources[key]
 
     def _bring(
-        self, key: str, cloud: GaussianCloud, pinned: dict[str, CloudDevice]
+        self, key: str, cloud: GaussianCloud | CloudReady, pinned: dict[str, CloudDevice]
     ) -> CloudDevice | None:
         """Upload a cloud; None when there is room only without those `pinned`."""
         need = cloud_bytes(len(cloud), cloud.sh_degree)
@@ -198,6 +213,32 @@ class CloudStore:
         self._held[key] = found
         self.loads += 1
         return found
+
+
+def _load_ahead(
+    loads: Mapping[str, Load],
+) -> Generator[tuple[str, GaussianCloud | CloudReady], None, None]:
+    """What some loaders give, in order; each runs while the one before is made use of.
+
+    One at a time, and one ahead at most: that is what the host must have room for.
+    """
+    if len(loads) < 2:
+        yield from ((key, load()) for key, load in loads.items())
+        return
+    with ThreadPoolExecutor(1, "load clouds") as pool:
+        waiting: tuple[str, Future[CloudReady]] | None = None
+        for key, load in loads.items():
+            begun = key, pool.submit(_get_ready, load)
+            if waiting is not None:
+                yield waiting[0], waiting[1].result()
+            waiting = begun
+        assert waiting is not None
+        yield waiting[0], waiting[1].result()
+
+
+def _get_ready(load: Load) -> CloudReady:
+    cloud = load()
+    return cloud if isinstance(cloud, CloudReady) else prepare_cloud(cloud)
 
 
 def _no_load() -> GaussianCloud:

@@ -26,6 +26,8 @@ static int slot(const char *name) {
   return known++;
 }
 void fake_fail(const char *name, int code, int wait) { int i = slot(name); table[i].code = code; table[i].wait = wait; }
+void fake_once(const char *name, int code) { int i = slot(name); table[i].code = -code; }
+void fake_forget(const char *name) { table[slot(name)].calls = 0; }
 long fake_calls(const char *name) { return table[slot(name)].calls; }
 long fake_total(void) { long n = 0; for (int i = 0; i < known; i++) n += table[i].calls; return n; }
 long fake_live(void) { return live; }
@@ -40,6 +42,7 @@ static int enter(const char *name) {
   const char *plan = getenv("FAKE_CUDA_FAIL");  // "cuInit=100"
   size_t n = strlen(name);
   if (plan && !strncmp(plan, name, n) && plan[n] == '=') return atoi(plan + n + 1);
+  if (table[i].code < 0) { int once = -table[i].code; table[i].code = 0; return once; }
   if (table[i].code && table[i].wait-- <= 0) return table[i].code;
   return 0;
 }
@@ -158,6 +161,7 @@ R cuModuleGetFunction(void **out, void *m, const char *name) {
 R cuFuncGetParamInfo(Function *f, size_t i, size_t *offset, size_t *size) {
   ENTER
   if (!f->sizes) return 801;
+  for (size_t k = 0; k <= i; k++) if (!f->sizes[k]) return 1;
   *offset = 0, *size = f->sizes[i];
   return 0;
 }
@@ -167,7 +171,8 @@ R cuFuncSetAttribute(Function *f, int a, int v) { ENTER if (a != 8) return 1; f-
 R cuOccupancyMaxActiveBlocksPerMultiprocessor(int *n, Function *f, int threads, size_t shared) { ENTER *n = 2048 / threads; return 0; }
 R cuLaunchKernel(Function *f, unsigned gx, unsigned gy, unsigned gz, unsigned bx, unsigned by, unsigned bz, unsigned shared, void *stream, void **p, void **extra) {
   ENTER
-  if (shared > 48 * 1024 && (int)shared > f->shared) return 1;
+  if (shared + 1024 > 48 * 1024 && (int)shared > f->shared) return 1;  // 1024 bytes are static: cuFuncGetAttribute
+  if (!bx || !by || !bz || bx > 1024 || by > 1024 || bz > 64 || (uint64_t)bx * by * bz > 1024) return 1;
   if (!f->entry) return context == &primary ? 0 : 201;
   Step w = {2};
   w.f = f, w.size = shared;
@@ -177,7 +182,7 @@ R cuLaunchKernel(Function *f, unsigned gx, unsigned gy, unsigned gz, unsigned bx
 }
 
 R cuStreamCreate(void **s, unsigned flags) { ENTER OURS if (flags != 1) return 1; *s = &streams[stream_count++ % 8]; return 0; }
-R cuStreamSynchronize(void *s) { ENTER OURS return 0; }
+R cuStreamSynchronize(Graph *s) { ENTER OURS return s && s->recording ? 900 : 0; }
 R cuStreamWaitEvent(void *s, void *e, unsigned f) { ENTER OURS return 0; }
 R cuStreamBeginCapture_v2(Graph *s, int mode) { ENTER OURS if (mode != 2 || s->recording) return 1; s->recording = 1; s->count = 0; s->steps = NULL; return 0; }
 R cuStreamEndCapture(Graph *s, void **g) {

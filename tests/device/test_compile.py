@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 
 import pytest
 
 from gn0.device import nvrtc
+from gn0.device.arguments import parse_prototypes
 from gn0.device.compile import cache_path, compile_source, load_image, read_image
 from gn0.device.device import KernelSource
+from gn0.device.launch import _differs
 from gn0.device.nvrtc import NvrtcFile, find_nvrtc, open_nvrtc
 from gn0.device.sources import kernel_files, kernel_sources
 from gn0.errors import DeviceError
@@ -35,6 +38,29 @@ def test_every_kernel_file_is_in_a_source() -> None:
 @pytest.mark.parametrize("source", kernel_sources(), ids=lambda s: f"{s.name}-{s.digest[:4]}")
 def test_every_source_compiles(source: KernelSource, arch: str) -> None:
     assert compile_source(source, arch).startswith(b"\x7fELF")
+
+
+_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
+
+
+@compiler
+@pytest.mark.parametrize("source", kernel_sources(), ids=lambda s: f"{s.name}-{s.digest[:4]}")
+def test_kernels_take_the_parameters_that_their_prototypes_say(source: KernelSource) -> None:
+    """As they are read from the text: a launch puts each at an address by these."""
+    text = compile_source(source, "compute_90").decode()
+    taken = {
+        name: [
+            int(many[0]) if (many := re.findall(r"\[(\d+)\]", one)) else
+            _BYTES[re.findall(r"\.[usbf](8|16|32|64)\b", one)[0]]
+            for one in re.findall(r"\.param [^,]*", inside)
+        ]
+        for name, inside in re.findall(r"\.entry (\w+)\(([^)]*)\)", text)
+    }  # fmt: skip
+    said = parse_prototypes(source.text)
+    assert taken.keys() == said.keys()
+    for name, types in said.items():
+        assert len(types) == len(taken[name])
+        assert not any(map(_differs, types, taken[name])), (name, types, taken[name])
 
 
 @compiler
@@ -111,6 +137,21 @@ def test_a_compiler_newer_than_the_driver_is_the_last_choice(
     monkeypatch.setattr(nvrtc, "_candidates", tuple)
     assert find_nvrtc() is None
     with pytest.raises(DeviceError, match=r"no CUDA compiler.*pip install 'gn0\[gpu\]'"):
+        open_nvrtc.__wrapped__()
+
+
+@compiler
+def test_a_compiler_that_cannot_be_loaded_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    good, bad = find_nvrtc(), tmp_path / "libnvrtc.so.99"
+    bad.write_bytes(b"not a library")
+    assert good is not None
+    monkeypatch.setattr(nvrtc, "_candidates", lambda: (NvrtcFile(str(bad), 99), good))
+    assert open_nvrtc.__wrapped__().path == good.path
+    assert "cannot be used" in caplog.text and good.path in caplog.text
+    monkeypatch.setattr(nvrtc, "_candidates", lambda: (NvrtcFile(str(bad), 99),))
+    with pytest.raises(DeviceError, match=r"cannot be used"):
         open_nvrtc.__wrapped__()
 
 

@@ -199,6 +199,55 @@ def test_a_cards_arrays_and_streams(device: DeviceCuda, fake: Any) -> None:
         wrap_array(np.zeros(3), device)
 
 
+def test_an_empty_array_shows_no_address(device: DeviceCuda) -> None:
+    shown = device.empty((0, 3), np.float32).__cuda_array_interface__
+    assert shown["data"] == (0, False) and shown["shape"] == (0, 3)
+    assert wrap_array(_Interface(device.empty((0, 3), np.float32)), device).shape == (0, 3)
+
+
+class _OldNumpy:
+    """An array of NumPy 2.0, which knows no versions."""
+
+    def __init__(self, array: Any) -> None:
+        self.array = array
+
+    def __dlpack__(self, *, stream: None = None) -> Any:
+        return self.array.__dlpack__()
+
+
+def test_a_numpy_that_knows_no_versions(
+    host: DeviceHost, device: DeviceCuda, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, far = host.upload(np.arange(3)), device.upload(np.arange(3))
+    monkeypatch.setattr(
+        dlpack, "_numpys", lambda a, v, plain=dlpack._numpys: plain(_OldNumpy(a), v)
+    )
+    assert np.from_dlpack(_Asking(there, (1, 0))).tolist() == [0, 1, 2]
+    capsule = far.__dlpack__(dl_device=(1, 0), max_version=(1, 0), copy=None)
+    assert dlpack._open_capsule(capsule)[0] == b"dltensor"
+
+
+def test_a_layout_of_the_future_is_refused(host: DeviceHost) -> None:
+    class Later:
+        def __dlpack__(self, **_: Any) -> Any:
+            capsule = np.zeros(3).__dlpack__(max_version=(1, 0))
+            dlpack._open_capsule(capsule)[1].major = 2
+            return capsule
+
+        def __dlpack_device__(self) -> tuple[int, int]:
+            return (1, 0)
+
+    with pytest.raises(DeviceError, match=r"DLPack 2\."):
+        wrap_array(Later(), host)
+
+    class Nowhere(Later):
+        def __dlpack_device__(self) -> tuple[int, int]:
+            raise ValueError("no device of the name meta")
+
+    with pytest.raises(DeviceError, match="name meta"):
+        wrap_array(Nowhere(), host)
+
+
 def test_another_cards_tensor_is_refused(device: DeviceCuda) -> None:
     there = device.zeros(3, np.float32)
     other = DeviceCuda(1, device.driver)

@@ -16,6 +16,7 @@ import pytest
 
 from gn0.device.device import KernelSource
 from gn0.device.driver import DeviceCuda
+from gn0.device.host import DeviceHost
 from gn0.device.libcuda import Driver
 from gn0.errors import DeviceError, DeviceMemoryError
 
@@ -36,6 +37,7 @@ def test_no_driver_goes_on_with_the_cpu() -> None:
     [
         ("FAKE_CUDA_FAIL", "cuInit=100", r"cuInit: CUDA_ERROR_NO_DEVICE \(100\).*nvidia-smi"),
         ("FAKE_CUDA_FAIL", "cuInit=803", r"DRIVER_MISMATCH.*restart the machine"),
+        ("FAKE_CUDA_FAIL", "cuInit=999", r"\(999\).*nvidia-modprobe.*backend cpu"),
         ("FAKE_CUDA_FAIL", "cuInit=12345", r"an unknown error \(12345\)"),
         ("FAKE_CUDA_VERSION", "11040", r"speaks CUDA 11\.4; 12\.0 is needed.*update the driver"),
         ("FAKE_CUDA_COUNT", "0", "no card 0: there are 0"),
@@ -249,9 +251,30 @@ def test_parameters_are_refused_as_on_the_host(device: DeviceCuda, kernels: Kern
     y = device.zeros(4, np.float32)
     with pytest.raises(DeviceError, match="struct Line of 32 bytes"):
         loaded["draw_line"].launch(1, 4, a, y, wrong, np.int32(1))
-    for grid, block in [(1, 2048), (1, 0), ((1, 70000), 1), (-1, 1), (2**31, 1)]:
+    blocks: list[Any] = [2048, 0, (1, 1, 65), (-1, -1, 1), (-1, 1, -1), (0, 5, 5)]
+    grids: list[Any] = [(1, 70000), -1, 2**31, (1, 1, 65536)]
+    for grid, block in [*((1, block) for block in blocks), *((grid, 1) for grid in grids)]:
         with pytest.raises(DeviceError, match=r"a (block|grid) of"):
             loaded["add"].launch(grid, block, a, np.int32(1))
+
+
+def test_an_array_of_another_device_is_refused(device: DeviceCuda, kernels: KernelSource) -> None:
+    """Its address means nothing here, and a kernel that reads it loses the card."""
+    add = device.load(kernels)["add"]
+    others: list[Any] = [DeviceCuda(1, device.driver), DeviceHost()]
+    uses: list[Callable[[Any], object]] = [
+        lambda a: add.launch(1, 4, a, np.int32(1)),
+        lambda a: device.fill(a, 1),
+        device.download,
+        lambda a: device.upload(np.zeros(4, np.int32), a),
+        lambda a: device.download_async(a, device.pinned(4, np.int32)),
+    ]
+    for other in others:
+        there = other.zeros(4, np.int32)
+        for use in uses:
+            with pytest.raises(DeviceError, match=r"not on cuda:0.*upload"):
+                use(there)
+    add.launch(1, 4, DeviceCuda(0, device.driver).zeros(4, np.int32), np.int32(1))  # the same card
 
 
 def test_struct_sizes_are_learnt_where_the_driver_is_older(
@@ -270,9 +293,13 @@ def test_much_shared_memory_is_asked_for_once(
     device: DeviceCuda, fake: Any, kernels: KernelSource
 ) -> None:
     share, a = device.load(kernels)["share"], device.zeros(1, np.int32)
-    for shared in (1000, 48 * 1024):
+    for shared in (1000, 47 * 1024):
         share.launch(1, 1, a, shared=shared)
     assert not fake.fake_calls(b"cuFuncSetAttribute")
+    again = device.load(KernelSource("again", kernels.files, (("AGAIN", 1),)))["share"]
+    again.launch(1, 1, a, shared=47 * 1024 + 1)  # with 1 KB of static memory more than 48 KB
+    assert fake.fake_calls(b"cuFuncSetAttribute") == 1
+    fake.fake_forget(b"cuFuncSetAttribute")
     for _ in range(3):
         share.launch(1, 1, a, shared=100_000)
     assert fake.fake_calls(b"cuFuncSetAttribute") == 1 and a.numpy()[0] == 1
@@ -351,6 +378,108 @@ def test_time_between_events(device: DeviceCuda) -> None:
     begin = device.event()
     end = device.event()
     assert end.done and 0 <= device.elapsed(begin, end) < 60_000
+
+
+def test_a_kernel_that_takes_other_parameters_is_refused(
+    device: DeviceCuda, kernels: KernelSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stale or foreign image must not read parameters that nobody gave."""
+    for types in (["int*"], ["int*", "u64"], ["int*", "int", "int"]):
+        monkeypatch.setattr("gn0.device.driver.parse_prototypes", lambda _, t=types: {"add": t})
+        source = KernelSource("other", kernels.files, (("A", len(types)), ("B", len(types[-1]))))
+        with pytest.raises(DeviceError, match=r"kernel add.*parameters of \[8, 4\] bytes"):
+            device.load(source)
+
+
+def test_what_is_spare_makes_room_for_a_launch(
+    device: DeviceCuda, fake: Any, kernels: KernelSource
+) -> None:
+    """The card's own needs (local memory, code) are not met from the pool."""
+    add, a = device.load(kernels)["add"], device.zeros(8, np.int32)
+    trims = fake.fake_calls(b"cuMemPoolTrimTo")
+    for call in (b"cuLaunchKernel", b"cuModuleLoadDataEx"):
+        fake.fake_fail(call, 2, 0)
+        with pytest.raises(DeviceMemoryError):
+            if call == b"cuLaunchKernel":
+                add.launch(1, 8, a, np.int32(2))
+            else:
+                device.load(KernelSource("more", kernels.files, (("A", 3),)))
+        fake.fake_fail(call, 0, 0)
+    assert fake.fake_calls(b"cuMemPoolTrimTo") == trims + 2
+    fake.fake_once(b"cuLaunchKernel", 2)
+    add.launch(1, 8, a, np.int32(2))
+    assert a.numpy().tolist() == [2] * 8
+
+
+def test_a_pool_that_does_not_work_is_done_without(
+    fake: Any, fake_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for call in ("cuMemPoolCreate", "cuMemAllocFromPoolAsync"):
+        os.environ["FAKE_CUDA_FAIL"] = f"{call}=801"
+        try:
+            caplog.clear()
+            device = DeviceCuda(0, Driver(str(fake_path)))
+            assert device.zeros(5, np.int8).numpy().tolist() == [0] * 5
+        finally:
+            del os.environ["FAKE_CUDA_FAIL"]
+        assert "keeps freed memory by itself" in caplog.text and call in caplog.text
+
+
+def test_pinned_memory_is_freed_when_its_copies_are_done(device: DeviceCuda, fake: Any) -> None:
+    there, beside = device.zeros(8, np.int32), device.pinned(8, np.int32)
+    device.download_async(there, beside, beside=True)
+    pinned = device.pinned(8, np.int32)
+    device.upload(pinned, there)
+    waits = fake.fake_calls(b"cuStreamSynchronize")
+    del pinned
+    gc.collect()
+    assert fake.fake_calls(b"cuStreamSynchronize") == waits + 2  # the default stream, and beside
+    assert fake.fake_calls(b"cuMemFreeHost") == 1
+    with device.capture():
+        device.pinned(8, np.int32)  # let go of at once: the recording is not waited for
+
+
+def test_copies_that_are_done_hold_no_memory(device: DeviceCuda, fake: Any) -> None:
+    device.synchronize()
+    before = fake.fake_live()
+    device.download_async(device.zeros(8, np.int32), beside=True)
+    fake.fake_fail(b"cuEventQuery", 600, 0)  # under way
+    device.synchronize()
+    assert fake.fake_live() > before
+    fake.fake_fail(b"cuEventQuery", 0, 0)
+    device.synchronize()
+    assert fake.fake_live() == before
+
+
+def test_threads_may_hold_all_slots(device: DeviceCuda, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(device._staging, "MOST", 2)
+    held = [device._staging._take() for _ in range(3)]
+    a = device.upload(np.arange(5))
+    assert a.numpy().tolist() == [0, 1, 2, 3, 4]
+    device._staging._slots.extend(held)
+
+
+def test_a_second_card_is_not_left_current(fake: Any, fake_path: Path, device: DeviceCuda) -> None:
+    """torch would take it for the card that it is to use."""
+    fake.fake_context(0)
+    DeviceCuda(1, Driver(str(fake_path))).zeros(8, np.int32).numpy()
+    assert fake.fake_current() is None
+    device.zeros(8, np.int32)
+    assert fake.fake_current() == 1
+
+
+def test_a_context_that_cannot_be_made_current_says_so(device: DeviceCuda, fake: Any) -> None:
+    fake.fake_context(0)
+    fake.fake_fail(b"cuCtxSetCurrent", 4, 0)
+    with pytest.raises(DeviceError, match=r"\(4\).*the process is ending"):
+        device.zeros(3, np.int8)
+    fake.fake_fail(b"cuCtxSetCurrent", 0, 0)
+    fake.fake_context(1)
+    fake.fake_fail(b"cuCtxPushCurrent_v2", 201, 0)
+    with pytest.raises(DeviceError, match=r"\(201\)"):
+        device.zeros(3, np.int8)
+    assert fake.fake_current() == 2
+    fake.fake_context(0)
 
 
 def test_another_librarys_context_is_left_as_it_was(

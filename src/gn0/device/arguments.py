@@ -17,6 +17,7 @@ from gn0.device.device import DeviceArray
 from gn0.errors import DeviceError
 
 THREADS_MAX = 1024  # a block, on every card
+THREADS_MAX_Z = 64  # along z
 GRID_MAX = (2**31 - 1, 65535, 65535)  # blocks along x, y, z
 _PROTOTYPE = re.compile(r"^KERNEL(?:_BOUNDED)?\(\s*(\w+)[^)]*\)\s*\(([^)]*)\)", re.MULTILINE)
 SCALARS: Mapping[str, str] = {
@@ -63,8 +64,12 @@ def check_sizes(kernel: str, grid: tuple[int, int, int], block: tuple[int, int, 
     Raises:
         DeviceError: a block of no or too many threads, or a grid of too many blocks.
     """
-    if not 0 < math.prod(block) <= THREADS_MAX:
-        raise DeviceError(f"a block of {block} threads", where=f"kernel {kernel}")
+    if min(block) < 1 or math.prod(block) > THREADS_MAX or block[2] > THREADS_MAX_Z:
+        raise DeviceError(
+            f"a block of {block} threads",
+            where=f"kernel {kernel}",
+            remedy=f"at most {THREADS_MAX}, and {THREADS_MAX_Z} along z",
+        )
     if any(not 0 <= n <= most for n, most in zip(grid, GRID_MAX, strict=True)):
         raise DeviceError(
             f"a grid of {grid} blocks", where=f"kernel {kernel}", remedy=f"at most {GRID_MAX}"

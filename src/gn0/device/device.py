@@ -140,7 +140,7 @@ class DeviceArray:
         return {
             "shape": self.shape,
             "typestr": self.dtype.str,
-            "data": (self.pointer, False),
+            "data": (self.pointer if self.size else 0, False),  # an empty array has no address
             "strides": None,
             "version": 3,
             "stream": 1,  # the legacy default stream, on which all launches run
@@ -313,7 +313,8 @@ class Device(Protocol):
 
         The graph keeps every array that it uses alive. Run the same work once before: a first
         launch may compile and allocate. Within the block nothing can be waited for; `upload`
-        takes pinned arrays alone, which are read each time that the graph runs.
+        takes pinned arrays alone, which are read each time that the graph runs. No other thread
+        may use the device meanwhile: its work would be recorded too.
 
         Raises:
             DeviceError: a recording is under way, or something in the block cannot be recorded.

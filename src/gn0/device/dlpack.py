@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import DeviceError
@@ -26,6 +27,7 @@ from gn0.errors import DeviceError
 _CPU, _CUDA, _MANAGED = 1, 2, 13  # DLDeviceType
 _LETTERS = {0: "i", 1: "u", 2: "f", 5: "c", 6: "b"}  # NumPy's kind of type by DLDataTypeCode
 _READ_ONLY = 1  # flag of a versioned tensor
+_MAJOR = 1  # the newest layout of a versioned tensor that we know
 _OWN_STREAMS = {None, -1, 0, 1, 2}  # no wait is wanted, or the order is kept by itself
 _DEVICE_ORDINAL = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL
 
@@ -95,19 +97,23 @@ def export_capsule(
     if dl_device is not None and tuple(dl_device) != (kind, ordinal):
         if tuple(dl_device) != (_CPU, 0) or copy is False:
             raise BufferError(f"the array is on {array.device.name}, not on device {dl_device}")
-        return array.numpy().__dlpack__(max_version=max_version)
+        return _numpys(array.numpy(), max_version)
     if copy:
         array = array.device.upload(array.numpy())
     if kind == _CUDA and stream not in _OWN_STREAMS:
         getattr(array.device, "precede")(stream)  # noqa: B009 (a card's alone)
-    shown = np.asarray(_Shown(array))
-    try:
-        capsule = shown.__dlpack__(max_version=max_version)
-    except TypeError:  # NumPy 2.0
-        capsule = shown.__dlpack__()
+    capsule = _numpys(np.asarray(_Shown(array)), max_version)
     _, managed = _open_capsule(capsule)
     managed.tensor.device_type, managed.tensor.device_id = kind, ordinal
     return capsule
+
+
+def _numpys(array: NDArray[Any], max_version: tuple[int, int] | None) -> Any:
+    """NumPy's own capsule of an array."""
+    try:
+        return array.__dlpack__(max_version=max_version)
+    except TypeError:  # NumPy 2.0
+        return array.__dlpack__()
 
 
 class _Shown:
@@ -168,7 +174,10 @@ def _refused(array: Any, why: str, remedy: str = "") -> DeviceError:
 
 def _from_dlpack(array: Any, device: Device) -> DeviceArray:
     cuda = device.kind == "cuda"
-    kind, ordinal = array.__dlpack_device__()
+    try:
+        kind, ordinal = array.__dlpack_device__()
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        raise _refused(array, str(error)) from error
     here = getattr(device, "ordinal", 0)
     if kind not in ((_CUDA, _MANAGED) if cuda else (_CPU,)) or (cuda and ordinal != here):
         where = {_CPU: "in host memory", _CUDA: f"on cuda:{ordinal}"}.get(kind, "elsewhere")
@@ -184,6 +193,8 @@ def _from_dlpack(array: Any, device: Device) -> DeviceArray:
     name, managed = _open_capsule(capsule)
     if not name:
         raise _refused(array, "its capsule is of no kind that we know")
+    if getattr(managed, "major", _MAJOR) > _MAJOR:  # all behind the version may be another
+        raise _refused(array, f"it speaks DLPack {managed.major}.{managed.minor}")
     tensor = managed.tensor
     if getattr(managed, "flags", 0) & _READ_ONLY:
         raise _refused(array, "it is read-only", "copy it first")

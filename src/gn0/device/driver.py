@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import logging
 import math
 import os
 import threading
@@ -25,7 +26,7 @@ from gn0.device.arguments import check_copy, parse_prototypes
 from gn0.device.compile import load_image
 from gn0.device.device import DeviceArray, Event, KernelSource
 from gn0.device.launch import KernelCuda
-from gn0.device.libcuda import LOST, REFUSED_IMAGE, Driver
+from gn0.device.libcuda import LOST, OUT_OF_MEMORY, REFUSED_IMAGE, Driver
 from gn0.device.memory import Pool, PoolDriver, PoolList, Staging
 from gn0.device.nvrtc import open_nvrtc
 from gn0.device.pinned import is_pinned, new_pinned, not_pinned
@@ -37,6 +38,7 @@ _MULTIPROCESSORS, _MAJOR, _MINOR, _L2, _SHARED, _POOLS = 16, 75, 76, 38, 97, 115
 _NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING
 _RELAXED = 2  # CU_STREAM_CAPTURE_MODE_RELAXED: other threads and libraries go on as they like
 _ERROR_LOG, _ERROR_LOG_SIZE = 5, 6  # CUjit_option
+_log = logging.getLogger(__name__)
 _devices: weakref.WeakSet[DeviceCuda] = weakref.WeakSet()
 
 
@@ -101,13 +103,13 @@ class DeviceCuda:
         context = ctypes.c_void_p()
         self._begin("cuDevicePrimaryCtxRetain", ctypes.byref(context), self._handle)
         self._context = context.value or 0
-        pools = self._attribute(_POOLS)
-        self._pool: Pool = PoolDriver(self) if pools else PoolList(self)
+        self._pool = self._open_pool()
         self._staging = Staging(self)
         self._loaded: dict[str, dict[str, KernelCuda]] = {}
         self._loading = threading.RLock()
         self._streams: dict[str, int] = {}
         self._flying: deque[DownloadCuda] = deque()
+        self._lock = threading.RLock()  # for the two above
         _devices.add(self)
 
     def __repr__(self) -> str:
@@ -123,21 +125,42 @@ class DeviceCuda:
         self._begin("cuDeviceGetAttribute", ctypes.byref(value), number, self._handle)
         return value.value
 
+    def _open_pool(self) -> Pool:
+        """The driver's pool where it has one that works: not all that are promised do."""
+        if not self._attribute(_POOLS):
+            return PoolList(self)
+        try:
+            pool = PoolDriver(self)
+            pointer = pool.take(1)
+            if pointer is not None:
+                pool.give(pointer, 1)
+            return pool
+        except DeviceMemoryError:
+            raise
+        except DeviceError as error:
+            self.check_lost()
+            _log.warning("%s keeps freed memory by itself: %s", self.name, error)
+            return PoolList(self)
+
     # --- calls ---------------------------------------------------------------------------------
 
     def in_context(self, function: Callable[..., int], *args: Any) -> int:
         """Call a driver function with this card's context current; returns its code.
 
-        Another library may have another card current in this thread, and finds it so again.
+        Another library may have another card current in this thread, and finds it so again. Where
+        none is, the first card stays current, as CUDA's own library has it; another must not,
+        or torch would take it for the one that it is to use.
         """
         current = ctypes.c_void_p()
         self._get_current(ctypes.byref(current))
         if current.value == self._context:
             return function(*args)
-        if current.value is None:
-            self.driver.function("cuCtxSetCurrent")(self._context)
-            return function(*args)
-        self.driver.function("cuCtxPushCurrent_v2")(self._context)
+        if current.value is None and self.ordinal == 0:
+            code: int = self.driver.function("cuCtxSetCurrent")(self._context)
+            return code or function(*args)
+        code = self.driver.function("cuCtxPushCurrent_v2")(self._context)
+        if code:
+            return code
         try:
             return function(*args)
         finally:
@@ -191,6 +214,22 @@ class DeviceCuda:
                 remedy="restart the process",
             )
 
+    def check_here(self, array: DeviceArray) -> None:
+        """Refuse an address that this card does not know: to use it would lose the card.
+
+        Raises:
+            DeviceError: the array is on another card, or the host's.
+        """
+        there = array.device
+        if there is not self and (there.kind, getattr(there, "ordinal", 0)) != (
+            self.kind,
+            self.ordinal,
+        ):
+            raise DeviceError(
+                f"the array is on {there.name}, not on cuda:{self.ordinal}",
+                remedy="bring it over: `device.upload(array.numpy())`",
+            )
+
     # --- memory --------------------------------------------------------------------------------
 
     def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike) -> DeviceArray:
@@ -214,6 +253,9 @@ class DeviceCuda:
         if pointer is None and size <= self.total:
             gc.collect()  # arrays that only cycles hold
             self.call("cuStreamSynchronize", None)
+            if "copy" in self._streams:
+                self.call("cuStreamSynchronize", self._streams["copy"])
+            self._land()
             self._pool.trim()
             pointer = self._pool.take(size)
         if pointer is None:
@@ -234,6 +276,7 @@ class DeviceCuda:
 
     def fill(self, array: DeviceArray, byte: int) -> None:
         """Set every byte."""
+        self.check_here(array)
         if array.nbytes:
             self.call("cuMemsetD8Async", array.pointer, byte, array.nbytes, self.stream)
             self._use(array)
@@ -268,6 +311,7 @@ class DeviceCuda:
         source = np.asarray(array, order="C")
         target = self.empty(source.shape, source.dtype) if out is None else out
         check_copy(source, target)
+        self.check_here(target)
         address, size = source.ctypes.data, source.nbytes
         if not size:
             return target
@@ -285,6 +329,7 @@ class DeviceCuda:
         self._no_recording("download")
         target = np.empty(array.shape, array.dtype) if out is None else out
         check_copy(target, array)
+        self.check_here(array)
         address, size = target.ctypes.data, target.nbytes
         if is_pinned(target) and size:
             self.call("cuMemcpyDtoHAsync_v2", address, array.pointer, size, None)
@@ -305,9 +350,16 @@ class DeviceCuda:
         address = ctypes.c_void_p()
         about = f"{size} bytes of pinned host memory"
         self.call("cuMemHostAlloc", ctypes.byref(address), size, 1, about=about)
-        block = (ctypes.c_uint8 * size).from_address(address.value or 0)
-        weakref.finalize(block, self.quietly, "cuMemFreeHost", address.value).atexit = False
+        place = address.value or 0
+        block = (ctypes.c_uint8 * size).from_address(place)
+        weakref.finalize(block, self._unpin, place).atexit = False
         return block
+
+    def _unpin(self, address: int) -> None:
+        """Free pinned memory. That this waits for copies from and to it is nowhere promised."""
+        for stream in (None, self._streams.get("copy", None)):
+            self.quietly("cuStreamSynchronize", stream)
+        self.quietly("cuMemFreeHost", address)
 
     def download_async(
         self, array: DeviceArray, out: NDArray[Any] | None = None, *, beside: bool = False
@@ -315,6 +367,7 @@ class DeviceCuda:
         """Begin a copy to the host; see `gn0.device.device.Device`."""
         target = self.pinned(array.shape, array.dtype) if out is None else out
         check_copy(target, array)
+        self.check_here(array)
         if not is_pinned(target):
             raise not_pinned("the copy goes on after the call")
         if self.recording is not None:
@@ -329,10 +382,17 @@ class DeviceCuda:
             self.recording.keep((array, target))
             return DownloadCuda(self, array, target, None)
         download = DownloadCuda(self, array, target, self.mark(stream))
-        while self._flying and self._flying[0].done:
-            self._flying.popleft()
-        self._flying.append(download)  # neither side is freed before the copy is done
+        self._land()
+        with self._lock:
+            self._flying.append(download)  # neither side is freed before the copy is done
         return download
+
+    def _land(self) -> None:
+        """Let go of both sides of copies that are done."""
+        landed = []  # let go of when the lock is not held
+        with self._lock:
+            while self._flying and self._flying[0].done:
+                landed.append(self._flying.popleft())
 
     # --- kernels -------------------------------------------------------------------------------
 
@@ -358,6 +418,9 @@ class DeviceCuda:
         for fresh in (False, True):  # a file of the cache may be whole and yet not for us
             image = load_image(source, self.capability, nvrtc, fresh=fresh)
             code, log = self._load_image(image, module)
+            if code == OUT_OF_MEMORY and self.recording is None:
+                self.trim()  # code is not taken from the pool
+                code, log = self._load_image(image, module)
             if code not in REFUSED_IMAGE:
                 break
         if code:
@@ -391,8 +454,9 @@ class DeviceCuda:
         """
         self._no_recording("synchronize")
         self.call("cuStreamSynchronize", None)
-        for stream in self._streams.values():
+        for stream in list(self._streams.values()):
             self.call("cuStreamSynchronize", stream)
+        self._land()
 
     def event(self) -> EventCuda:
         """The present moment in the order of the work."""
@@ -425,11 +489,12 @@ class DeviceCuda:
 
     def _side(self, name: str) -> int:
         """A stream of our own beside the default one."""
-        if name not in self._streams:
-            stream = ctypes.c_void_p()
-            self.call("cuStreamCreate", ctypes.byref(stream), _NON_BLOCKING)
-            self._streams[name] = stream.value or 0
-        return self._streams[name]
+        with self._lock:
+            if name not in self._streams:
+                stream = ctypes.c_void_p()
+                self.call("cuStreamCreate", ctypes.byref(stream), _NON_BLOCKING)
+                self._streams[name] = stream.value or 0
+            return self._streams[name]
 
     def _no_recording(self, what: str) -> None:
         if self.recording is not None:

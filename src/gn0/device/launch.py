@@ -13,6 +13,7 @@ import numpy as np
 from gn0.device.arguments import (
     SCALARS,
     THREADS_MAX,
+    THREADS_MAX_Z,
     check_argument,
     check_count,
     check_sizes,
@@ -20,12 +21,13 @@ from gn0.device.arguments import (
     size3,
 )
 from gn0.device.device import DeviceArray
+from gn0.device.libcuda import OUT_OF_MEMORY
 from gn0.errors import DeviceError
 
 if TYPE_CHECKING:
     from gn0.device.driver import DeviceCuda
 
-SHARED_PLAIN = 48 * 1024  # bytes of dynamic shared memory that need no leave
+SHARED_PLAIN = 48 * 1024  # bytes of shared memory, static ones too, that need no leave
 _CELL = 16  # bytes that parameters are laid out by
 _DYNAMIC_SHARED = 8  # CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 _THREADS, _SHARED, _LOCAL, _REGISTERS = 0, 1, 3, 4  # CU_FUNC_ATTRIBUTE_...
@@ -60,18 +62,33 @@ class KernelCuda:
         self._classes: list[Any] = [_class_of(kind) for kind in types]
         self._packer: struct.Struct | None = None
         self._lock = threading.Lock()  # parameters are packed into one buffer a kernel
-        self._shared = SHARED_PLAIN
+        self._shared = 0  # dynamic bytes that blocks may have as things are
+        self._dynamic_most = 0
 
     def _parameter_sizes(self) -> list[int | None]:
-        """Bytes of each parameter, where the driver tells."""
+        """Bytes of each parameter, where the driver tells.
+
+        Raises:
+            DeviceError: the machine code has other parameters than the source.
+        """
         sizes: list[int | None] = [None] * len(self._types)
-        if self._device.driver.has("cuFuncGetParamInfo"):
-            offset, size = ctypes.c_size_t(), ctypes.c_size_t()
-            for i in range(len(sizes)):
-                to = ctypes.byref(offset), ctypes.byref(size)
-                if not self._device.attempt("cuFuncGetParamInfo", self._function, i, *to):
-                    sizes[i] = size.value
-        return sizes
+        if not self._device.driver.has("cuFuncGetParamInfo"):
+            return sizes
+        offset, size, told = ctypes.c_size_t(), ctypes.c_size_t(), []
+        for i in range(len(sizes) + 1):
+            to = ctypes.byref(offset), ctypes.byref(size)
+            if self._device.attempt("cuFuncGetParamInfo", self._function, i, *to):
+                break
+            told.append(size.value)
+        told = told if told and told[-1] else told[:-1]  # a size of 0 is no parameter
+        if told and (len(told) != len(sizes) or any(map(_differs, self._types, told))):
+            raise DeviceError(
+                f"its machine code takes parameters of {told} bytes, its source says "
+                f"({', '.join(self._types)})",
+                where=f"kernel {self.name}",
+                remedy="remove the folder `cuda` of GN0's cache, and report this",
+            )
+        return [*told] or sizes
 
     def launch(
         self, grid: int | tuple[int, ...], block: int | tuple[int, ...], *args: Any, shared: int = 0
@@ -90,6 +107,8 @@ class KernelCuda:
         x, y, z = blocks
         if not (
             0 < threads[0] * threads[1] * threads[2] <= THREADS_MAX
+            and 0 < threads[2] <= THREADS_MAX_Z
+            and threads[0] > 0
             and 0 <= x < 2**31
             and 0 <= y < 65536
             and 0 <= z < 65536
@@ -102,6 +121,8 @@ class KernelCuda:
             if value.__class__ is not kind:
                 values.append(self._value(len(values), value))
             elif kind is DeviceArray:
+                if value.device is not device:
+                    device.check_here(value)
                 values.append(value.pointer)
             elif kind is np.void:
                 if value.itemsize != self._sizes[len(values)]:
@@ -120,10 +141,13 @@ class KernelCuda:
             if self._packer is None:
                 self._packer = self._prepare(args)
             self._packer.pack_into(self._buffer, 0, *values)
-            code = device.in_context(
-                self._launch, self._function, x, y, z, *threads, shared, device.stream,
-                self._pointers, None,
+            given = (
+                self._function, x, y, z, *threads, shared, device.stream, self._pointers, None
             )  # fmt: skip
+            code = device.in_context(self._launch, *given)
+            if code == OUT_OF_MEMORY and device.recording is None:
+                device.trim()  # local memory is the card's, not the pool's
+                code = device.in_context(self._launch, *given)
         if code:
             about = f"kernel {self.name}, grid {blocks}, block {threads}, {shared} shared bytes"
             raise device.failed(code, "cuLaunchKernel", about)
@@ -135,6 +159,7 @@ class KernelCuda:
         if value is None:
             return 0
         if isinstance(value, DeviceArray):
+            self._device.check_here(value)
             return value.pointer
         return value.tobytes() if isinstance(value, np.void) else value.item()
 
@@ -165,8 +190,14 @@ class KernelCuda:
         return struct.Struct(code)
 
     def _allow(self, shared: int) -> None:
-        """Let blocks have more dynamic shared memory than the usual 48 KB."""
-        most = self._device.shared_max - self.resources().shared
+        """Let blocks have more dynamic shared memory than they may have as things are."""
+        if not self._dynamic_most:  # the first time; what is static counts too
+            static = self.resources().shared
+            self._dynamic_most = self._device.shared_max - static
+            self._shared = max(SHARED_PLAIN - static, 0)
+            if shared <= self._shared:
+                return
+        most = self._dynamic_most
         if shared > most:
             raise DeviceError(
                 f"{shared} bytes of dynamic shared memory are more than the {most} that a block "
@@ -197,6 +228,13 @@ class KernelCuda:
             ctypes.byref(count), self._function, threads, shared, about=self.name,
         )  # fmt: skip
         return count.value
+
+
+def _differs(kind: str, size: int) -> bool:
+    """Whether a parameter of so many bytes cannot be of a C type; any size will do for a struct."""
+    if kind.endswith("*"):
+        return size != 8
+    return kind in SCALARS and size != np.dtype(SCALARS[kind]).itemsize
 
 
 def _class_of(kind: str) -> type:

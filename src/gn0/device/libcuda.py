@@ -84,6 +84,7 @@ _REMEDIES = {
     3: "CUDA does not survive a fork: open the device in the worker alone, or spawn workers",
     4: "the process is ending",
     34: "the toolkit's stub of libcuda was found first: take its folder out of LD_LIBRARY_PATH",
+    36: "the driver is older than what it is asked for: update it",
     46: "another process has the card to itself: see nvidia-smi, compute mode",
     100: "no NVIDIA card is visible: see nvidia-smi and CUDA_VISIBLE_DEVICES; " + CPU,
     101: "see nvidia-smi and CUDA_VISIBLE_DEVICES for the cards that there are",
@@ -91,13 +92,23 @@ _REMEDIES = {
     209: "the kernels are for another architecture: remove the folder `cuda` of GN0's cache",
     214: "the card's memory is at fault: " + _DEAD,
     218: "update the driver, or take an older `nvidia-cuda-nvrtc`",
+    221: "libnvidia-ptxjitcompiler is missing: install the driver's whole package, or a newer "
+    "`nvidia-cuda-nvrtc`, which knows this card",
     222: "the compiler is newer than the driver: update it, or take an older `nvidia-cuda-nvrtc`",
+    223: "a card newer than the compiler needs CUDA_DISABLE_PTX_JIT unset, or a newer "
+    "`nvidia-cuda-nvrtc`",
+    304: "the system refused the driver: see its log (dmesg) for NVRM, and the limits of memory",
     701: "the kernel needs more registers or shared memory than a block has: use smaller blocks",
     702: "the system ended a kernel that took too long (a card that also drives a display)",
     802: "the machine's fabric manager is not ready: wait, or ask whoever runs it",
     803: "the driver's library and its kernel module differ in version: restart the machine",
     804: "the driver is too old for this card and library: update it",
+    805: "CUDA's multi-process service does not answer: start it, or unset CUDA_MPS_PIPE_DIRECTORY",
     999: "the driver failed: " + _DEAD,
+}
+_REMEDIES_OF_START = {
+    999: "the driver's kernel modules do not answer: see nvidia-smi; `nvidia-modprobe -u` loads "
+    "the second one; after sleep or an update, restart the machine; " + CPU,
 }
 
 
@@ -171,6 +182,8 @@ class Driver:
         name = "an unknown error" if unknown else (text.value or b"").decode()
         what = f"{call}: {name} ({code}){f', {about}' if about else ''}"
         remedy = _REMEDIES.get(code, _DEAD if code in LOST else "")
+        if call == "cuInit":
+            remedy = _REMEDIES_OF_START.get(code, remedy)
         kind = DeviceMemoryError if code == OUT_OF_MEMORY else DeviceError
         return kind(what, where="CUDA", remedy=remedy)
 

@@ -6,6 +6,7 @@ import ctypes
 import threading
 from collections import deque
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -114,9 +115,8 @@ class PoolList:
     def take(self, size: int) -> int | None:
         """Address of so many bytes, or None when there are not so many."""
         room = _step(size)
-        kept = self._free.get(room)
-        if kept:
-            return kept.pop()
+        with suppress(KeyError, IndexError):  # another thread may take the last one
+            return self._free[room].pop()
         pointer = ctypes.c_uint64()
         code = self._device.attempt("cuMemAlloc_v2", ctypes.byref(pointer), room)
         if code not in (0, OUT_OF_MEMORY):
@@ -134,8 +134,9 @@ class PoolList:
     def trim(self) -> None:
         """Give what is spare back to the card."""
         for blocks in list(self._free.values()):
-            while blocks:
-                self._device.call("cuMemFree_v2", blocks.pop())
+            with suppress(IndexError):
+                while True:
+                    self._device.call("cuMemFree_v2", blocks.pop())
 
 
 def _step(size: int) -> int:
@@ -153,7 +154,8 @@ class _Slot:
 class Staging:
     """Pinned slots: a copy from pageable memory would make the driver wait for the stream.
 
-    Slots are taken in turn; more are made while all are in use, up to a number.
+    Slots are taken in turn; more are made while all are in use, up to a number, and beyond it
+    only while other threads hold them all.
     """
 
     SIZE, MOST, AHEAD = 1 << 20, 64, 8
@@ -200,7 +202,7 @@ class Staging:
                     return self._slots.popleft()
                 if code != NOT_READY:
                     self._device.call("cuEventQuery", self._slots[0].event)
-            if self._made < self.MOST:
+            if self._made < self.MOST or not self._slots:
                 try:
                     return self._make()
                 except DeviceError:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import logging
 import os
 import re
 import sys
@@ -22,6 +23,7 @@ from gn0.errors import DeviceError
 INSTALL = "pip install 'gn0[gpu]'"
 _MAJORS = (14, 13, 12)  # of libraries that only the system's loader can find
 _P = ctypes.c_void_p
+_log = logging.getLogger(__name__)
 _SIGNATURES: dict[str, tuple[type, ...]] = {
     "nvrtcVersion": (_P, _P),
     "nvrtcGetNumSupportedArchs": (_P,),
@@ -58,9 +60,13 @@ def find_nvrtc(driver: int | None = None) -> NvrtcFile | None:
         driver: version of CUDA that the driver speaks, such as 12. A compiler of a later major
             version is taken only when there is no other: an older driver may refuse its code.
     """
-    found = sorted(_candidates(), key=lambda file: -file.major)
-    fitting = [file for file in found if driver is None or file.major <= driver]
-    return next(iter(fitting or found), None)
+    return next(iter(_ranked(driver)), None)
+
+
+def _ranked(driver: int | None) -> list[NvrtcFile]:
+    """Compilers, the one to take first; those of a later major version than the driver's last."""
+    late = 999 if driver is None else driver
+    return sorted(_candidates(), key=lambda file: (file.major > late, -file.major))
 
 
 @cache
@@ -217,10 +223,19 @@ def _load_builtins(path: Path) -> list[ctypes.CDLL]:
 def open_nvrtc(driver: int | None = None) -> Nvrtc:
     """The compiler, loaded once; `driver` as in `find_nvrtc`.
 
+    Where that one cannot be loaded, the next that is here is taken, with a warning.
+
     Raises:
-        DeviceError: there is none, or it cannot be loaded.
+        DeviceError: there is none, or none can be loaded.
     """
-    file = find_nvrtc(driver)
-    if file is None:
-        raise DeviceError("no CUDA compiler (NVRTC) is here", remedy=INSTALL)
-    return Nvrtc(file)
+    failed: DeviceError | None = None
+    for file in _ranked(driver):
+        try:
+            compiler = Nvrtc(file)
+        except DeviceError as error:
+            failed = failed or error
+            continue
+        if failed is not None:
+            _log.warning("%s; taken instead: %s", failed, file.path)
+        return compiler
+    raise failed or DeviceError("no CUDA compiler (NVRTC) is here", remedy=INSTALL)

@@ -14,13 +14,19 @@ from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, SimError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import GoalPicture, MissionGoal
+from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
+from gn0.render.cuda.batch import RendererBatch
 from gn0.render.light import LightCondition
 from gn0.render.renderer import RenderResult
+from gn0.sim import presets
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_eyes import box_weights
 from gn0.sim.device_layout import SOURCE, blocks_of
+from gn0.sim.device_rollout import RolloutCollector
 from gn0.sim.history import reduce_picture
+from gn0.sim.open import name_look
+from gn0.sim.presets import CameraPreset
 from gn0.sim.vector import VectorEnv
 from gn0.testing.scenes import build_point_episodes, build_room_scene
 
@@ -176,6 +182,97 @@ def test_one_scene_needs_no_word_from_the_device(rooms, monkeypatch) -> None:
     env.reset(seed=0)
     monkeypatch.setattr(device, "download", None)
     env.step(np.ones(2, int))
+
+
+@pytest.fixture
+def tiny(monkeypatch) -> str:
+    """A preset of small pictures, by its name."""
+    camera = Camera.from_hfov(36, 28, 90)
+    monkeypatch.setitem(presets._BY_NAME, "tiny", CameraPreset("tiny", camera, camera))
+    return "tiny"
+
+
+class RendererByHost(RendererBatch):
+    """Is told poses and scenes by the host, as before it could read them on the device."""
+
+    takes_device_views = False
+
+
+@pytest.mark.parametrize("final", [False, True])
+def test_the_host_need_not_know_where_agents_are(rooms, tiny, final, monkeypatch) -> None:
+    """Three looks, episodes that end at their own time: the bytes that the host's way draws."""
+    scenes, episodes = rooms
+    settings = {"episodes": episodes, "sensors": ("rgb", "depth"), "preset": tiny, "max_steps": 4,
+                "ahead": 3, "final_pictures": final}  # fmt: skip
+    envs = [
+        VectorEnvDevice(5, scenes, device=device, renderer=kind(device), **settings)
+        for kind, device in ((RendererBatch, DeviceHost(3)), (RendererByHost, DeviceHost()))
+    ]
+    seen, told = zip(*(env.reset(seed=4) for env in envs), strict=True)
+    rng, shown = np.random.default_rng(2), set()
+    for t in range(9):
+        mine, theirs = seen
+        for name in ("rgb", "depth"):
+            assert mine[name].numpy().tobytes() == theirs[name].numpy().tobytes(), t
+        shown.update(
+            (envs[0].episodes[n].scene_id, envs[0].episodes[n].light is None)
+            for n in told[0]["episode"].numpy()
+        )
+        actions = rng.choice(4, 5, p=[0.1, 0.5, 0.2, 0.2])
+        if not final:
+            device = envs[0].device
+            there = device.upload(actions)
+            with monkeypatch.context() as no_waiting:  # for anything but two words of the lists
+                no_waiting.setattr(device, "download", None)
+                mine = envs[0].step(there)
+            theirs = envs[1].step(actions)
+        else:
+            mine, theirs = (env.step(actions) for env in envs)
+            last = [step[4]["final_obs"] for step in (mine, theirs)]
+            assert last[0]["agents"].tolist() == last[1]["agents"].tolist()
+            for name in ("rgb", "depth") if len(last[0]["agents"]) else ():
+                assert last[0][name].numpy().tobytes() == last[1][name].numpy().tobytes()
+        seen, told = zip(*((step[0], step[4]) for step in (mine, theirs)), strict=True)
+    assert len(shown) == 3
+
+
+def test_looks_get_numbers_again(rooms, tiny) -> None:
+    """With room for few episodes looks come and go; numbers are of those that are in play."""
+    scenes, episodes = rooms
+    device = DeviceHost()
+    env = VectorEnvDevice(
+        2, scenes, episodes=episodes, device=device, sensors=("rgb",), preset=tiny, max_steps=1,
+        ahead=1, memory=100_000,
+    )  # fmt: skip
+    env.reset(seed=0)
+    store = env.simulator.store
+    for _ in range(12):
+        seen, *_, told = env.step(np.ones(2, int))
+        looks = store.looks_in_play()
+        numbers = env._eyes._kept["looks"].numpy() if "looks" in env._eyes._kept else []
+        wanted = [name_look(env.episodes[n]) for n in told["episode"].numpy()]
+        if len([look for look in looks if look is not None]) > 1:
+            assert [looks[n] for n in numbers] == wanted
+        else:
+            assert set(wanted) == set(looks) - {None}
+        assert seen["rgb"].numpy().any()
+    assert store.dropped
+    assert len(store._look_names) <= 3
+
+
+def test_rollouts_hold_pictures(rooms, tiny) -> None:
+    """What is kept of each step is what was seen then."""
+    scenes, episodes = rooms
+    settings = {"episodes": episodes, "sensors": ("rgb", "depth"), "preset": tiny, "max_steps": 3}
+    env, twin = (VectorEnvDevice(3, scenes, device=DeviceHost(), **settings) for _ in range(2))
+    env.reset(seed=1)
+    seen = twin.reset(seed=1)[0]
+    rollout = RolloutCollector(env, 4, ("rgb", "depth")).collect(lambda seen: np.array([1, 2, 1]))
+    for t in range(4):
+        for name in ("rgb", "depth"):
+            assert (rollout.observations[name][t].numpy() == seen[name].numpy()).all()
+        seen = twin.step(np.array([1, 2, 1]))[0]
+    assert np.from_dlpack(rollout.last["rgb"]).tobytes() == seen["rgb"].numpy().tobytes()
 
 
 def test_pictures_need_what_they_are_made_of(rooms) -> None:

@@ -51,7 +51,11 @@ class Pictures(Protocol):
 
 
 class BatchRenderer(Protocol):
-    """Renders views of many scenes at once; `gn0.render.cuda.batch.RendererBatch` is one."""
+    """Renders views of many scenes at once; `gn0.render.cuda.batch.RendererBatch` is one.
+
+    One whose `takes_device_views` is True draws views that are on the device (float64 [V, 4, 4])
+    and, with `chosen=` (int32 [V] there), the scene that each number names among `keys`.
+    """
 
     name: str
 
@@ -63,13 +67,13 @@ class BatchRenderer(Protocol):
         self,
         camera: Camera,
         views: Any,
-        keys: Sequence[str] | str,
+        keys: Any,
         *,
         outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
         background: tuple[float, float, float] | None = None,
         visible: Any = None,
     ) -> Pictures:
-        """Draw views (world-to-camera [V, 4, 4]), each of its own scene."""
+        """Draw views (world-to-camera [V, 4, 4]), each of its own scene, or all of one."""
         ...
 
 
@@ -131,7 +135,6 @@ class EyesDevice:
         self._map_shape = map_shape
         self._visible = visible_sets
         self._kept: dict[str, DeviceArray] = {}
-        self._looks: list[str] = []  # by episode number
         self._goal_numbers: NDArray[np.int32] | None = None  # whose goal pictures are kept
         preset = config.preset
         self._pitch = float(np.radians(preset.pitch_degrees))
@@ -189,16 +192,14 @@ class EyesDevice:
         """
         out: dict[str, DeviceArray] = {}
         count = simulator.count
-        if self._wanted & EYES:
-            numbers = self._numbers(simulator)
-            if self._wanted & {"rgb", "depth", "history"}:
-                views = self._views(simulator)
-                rgb, depth = self._look(simulator, views, self._keys(simulator, numbers))
-                self._rgb = rgb
-                out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
-                out |= {"depth": depth} if depth is not None else {}
-            if "goal_picture" in self._wanted:
-                out["goal_picture"] = self._goal_pictures(simulator, numbers)
+        if self._wanted & {"rgb", "depth", "history"}:
+            rgb, depth = self._look(simulator, *self._ask(simulator))
+            self._rgb = rgb
+            out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
+            out |= {"depth": depth} if depth is not None else {}
+        if "goal_picture" in self._wanted:
+            numbers = simulator.outputs["episode"].numpy()
+            out["goal_picture"] = self._goal_pictures(simulator, numbers)
         if "history" in self._wanted:
             out["history"] = self._mosaics(simulator, "", simulator.views)
         if self._wanted & MAPS:
@@ -262,35 +263,41 @@ class EyesDevice:
             self._kept[name] = simulator.device.zeros((simulator.count, *shape), kind)
         return self._kept[name]
 
-    def _numbers(self, simulator: SimulatorDevice) -> NDArray[np.int32] | None:
-        """Episode numbers [N] of agents; None where the host need not know them.
+    def _ask(
+        self, simulator: SimulatorDevice
+    ) -> tuple[Any, Sequence[str | None] | str, DeviceArray | None]:
+        """What a renderer is asked for: views [N, 4, 4], keys, and which of them each agent sees.
 
-        That is with one look for all and no goal pictures; else it waits for the device.
+        All on the device, where episodes begin and end, if the renderer takes that; else the host
+        waits for the device to know.
         """
-        for episode in simulator.store.episodes[len(self._looks) :]:
-            self._looks.append(name_look(episode))
-        if len(set(self._looks)) == 1 and "goal_picture" not in self._wanted:
-            return None
-        return simulator.outputs["episode"].numpy()
-
-    def _keys(
-        self, simulator: SimulatorDevice, numbers: NDArray[np.int32] | None
-    ) -> list[str] | str:
-        if numbers is None:
-            return self._looks[0]
-        names: list[str] = np.array(self._looks, object)[numbers].tolist()
-        return names
-
-    def _views(self, simulator: SimulatorDevice) -> Any:
+        there = bool(getattr(self._renderer, "takes_device_views", False))
+        looks = simulator.store.looks_in_play()
+        known = [look for look in looks if look is not None]
+        chosen = None
+        if there and len(known) > 1:
+            chosen = self._array(simulator, "looks", (), np.int32)
         views = self._array(simulator, "views", (4, 4), np.float64)
         simulator.launch(
             "build_views", simulator.count, np.float64(self._agent.camera_height),
-            np.float64(np.cos(self._pitch)), np.float64(np.sin(self._pitch)), views,
+            np.float64(np.cos(self._pitch)), np.float64(np.sin(self._pitch)), views, chosen,
         )  # fmt: skip
-        return views if getattr(self._renderer, "takes_device_views", False) else views.numpy()
+        if len(known) == 1:
+            return views if there else views.numpy(), known[0], None
+        if chosen is not None:
+            return views, looks, chosen
+        return views.numpy(), self._keys(simulator, simulator.outputs["episode"].numpy()), None
+
+    def _keys(self, simulator: SimulatorDevice, numbers: NDArray[np.int32]) -> list[str]:
+        episodes = simulator.store.episodes
+        return [name_look(episodes[number]) for number in numbers.tolist()]
 
     def _look(
-        self, simulator: SimulatorDevice, views: Any, keys: list[str] | str
+        self,
+        simulator: SimulatorDevice,
+        views: Any,
+        keys: Sequence[str | None] | str,
+        chosen: DeviceArray | None = None,
     ) -> tuple[DeviceArray | None, DeviceArray | None]:
         """Colour and depth of views; one call of the renderer, two with cameras of their own."""
         preset, renderer = self.config.preset, self._renderer
@@ -299,6 +306,7 @@ class EyesDevice:
         want_depth = "depth" in self._wanted
         both = want_rgb and want_depth and preset.rgb == preset.depth
         more: dict[str, Any] = {"visible": True} if self._visible else {}
+        more |= {"chosen": chosen} if chosen is not None else {}
         rgb: DeviceArray | None = None
         depth: DeviceArray | None = None
         if want_rgb:
@@ -379,11 +387,9 @@ class EyesDevice:
         )
         return found
 
-    def _goal_pictures(
-        self, simulator: SimulatorDevice, numbers: NDArray[np.int32] | None
-    ) -> DeviceArray:
+    def _goal_pictures(self, simulator: SimulatorDevice, numbers: NDArray[np.int32]) -> DeviceArray:
         """Each agent's goal picture; drawn anew for those whose episode is another."""
-        assert numbers is not None and self._renderer is not None
+        assert self._renderer is not None
         width, height = self.config.preset.picture_size
         out = self._array(simulator, "goal_picture", (height, width, 3), np.uint8)
         fresh = (

@@ -25,8 +25,8 @@ EPISODE = np.dtype(
             "map_x", "map_y", "map_scale",
         )),
         *((name, np.int32) for name in (
-            "rows", "cols", "map_rows", "map_cols", "wide", "number", "scene",
-            "spare0", "spare1", "spare2",  # whole words of 16 bytes
+            "rows", "cols", "map_rows", "map_cols", "wide", "number", "scene", "look",
+            "spare0", "spare1",  # whole words of 16 bytes
         )),
     ],
     align=True,

@@ -61,6 +61,7 @@ class _Held:
     wide: bool = False
     frame: tuple[float, ...] = ()
     shape: tuple[int, int] = (0, 0)
+    number: int = 0  # of a look
 
 
 class EpisodeStore:
@@ -108,6 +109,8 @@ class EpisodeStore:
         self._slot_of = np.zeros(0, np.int32)  # by episode number; −1: not here
         self._scenes: dict[str, _Held] = {}
         self._looks: dict[str, _Held] = {}
+        self._look_names: list[str | None] = []  # by number; None: free
+        self._in_play: list[str | None] | None = None  # forgotten when references change
         self._fields: dict[_Goal, _Held] = {}
         self._shelf: OrderedDict[_Goal | str, tuple[NDArray[Any], ...]] = OrderedDict()
         self._shelf_room = host_memory
@@ -143,6 +146,15 @@ class EpisodeStore:
         """Episode numbers at slots."""
         return self._number_of[slots]
 
+    def looks_in_play(self) -> list[str | None]:
+        """Looks by number, as rows of episodes name them; None: of no pinned episode."""
+        if self._in_play is None:
+            shown = set(self._rows["look"][self._references > 0].tolist())
+            self._in_play = [
+                name if number in shown else None for number, name in enumerate(self._look_names)
+            ]
+        return self._in_play
+
     def pin(self, numbers: NDArray[np.integer]) -> NDArray[np.int32]:
         """Slots [K] of episodes [K], brought here where missing; one reference for each of K.
 
@@ -151,6 +163,7 @@ class EpisodeStore:
             DeviceMemoryError: what is pinned does not fit the device.
         """
         self._clock += 1
+        self._in_play = None
         wanted, counts = np.unique(numbers, return_counts=True)
         here = self._slot_of[wanted] >= 0
         self._references[self._slot_of[wanted[here]]] += counts[here]
@@ -178,6 +191,7 @@ class EpisodeStore:
     def release(self, slots: NDArray[np.integer]) -> None:
         """Let go of one reference for each of `slots`."""
         self._clock += 1
+        self._in_play = None
         np.subtract.at(self._references, slots, 1)
         self._used[slots] = self._clock
 
@@ -235,6 +249,7 @@ class EpisodeStore:
             row["grey"], row["bev"] = look.pointers
             row["map_x"], row["map_y"], row["map_scale"] = look.frame
             row["map_rows"], row["map_cols"] = look.shape
+            row["look"] = look.number
         self._own[slot] = own
         self._number_of[slot] = number
         self._slot_of[number] = slot
@@ -313,7 +328,9 @@ class EpisodeStore:
         looks = [] if self._pictures is None else list(self._looks)
         for name in looks:
             if not self._looks[name].users:
-                self.pool.give(self._looks.pop(name).block)
+                held = self._looks.pop(name)
+                self._look_names[held.number] = None
+                self.pool.give(held.block)
         for scene_id in list(self._scenes) if episode is None else [episode.scene_id]:
             if not self._scenes[scene_id].users:
                 self.pool.give(self._scenes.pop(scene_id).block)
@@ -356,6 +373,10 @@ class EpisodeStore:
         held = self._put(empty if grey is None else grey, empty if bev is None else bev)
         held.frame = (frame.x_min, frame.y_min, frame.metres_per_pixel)
         held.shape = shape
+        if None not in self._look_names:
+            self._look_names.append(None)
+        held.number = self._look_names.index(None)
+        self._look_names[held.number] = name
         self._looks[name] = held
         return held
 

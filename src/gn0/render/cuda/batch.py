@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary, ref
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device
+from gn0.device.device import Device, DeviceArray
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
@@ -44,6 +44,7 @@ class RendererBatch:
     """
 
     name = "cuda"
+    takes_device_views = True  # and numbers of keys there, see `render`
 
     def __init__(
         self,
@@ -135,9 +136,10 @@ class RendererBatch:
     def render(
         self,
         camera: Camera,
-        views: NDArray[np.floating],
-        keys: Sequence[str] | str,
+        views: NDArray[np.floating] | DeviceArray,
+        keys: Sequence[str | None] | str,
         *,
+        chosen: DeviceArray | None = None,
         tails: Sequence[GaussianCloud | None] | GaussianCloud | None = None,
         outputs: tuple[Output, ...] = OUTPUTS,
         background: tuple[float, float, float] | None = None,
@@ -145,10 +147,20 @@ class RendererBatch:
     ) -> PicturesDevice:
         """Draw `views`, each of its own scene; the pictures stay on the device.
 
+        Returns when it is certain that they will be drawn; they may still be under way, as
+        everything on the device is that was launched.
+
+        Views on the device are read there: nothing is waited for before all is queued. `tails`,
+        `visible` and scenes that do not fit together are arranged by the host, which then reads
+        the views first.
+
         Args:
             camera: of all views.
-            views: world-to-camera [4, 4] or [V, 4, 4].
+            views: world-to-camera [4, 4] or [V, 4, 4]; on the device float64 [V, 4, 4].
             keys: scene of each view, in any order, or one for all.
+            chosen: int32 [V] on the device, as `views` are: the scene of each view as a number
+                into `keys`, of any length. All of `keys` are brought here; None is a number that
+                no view may choose.
             tails: moving splats of each view, or of all, drawn after the scene's at equal depth.
                 Views may share one cloud: it is brought over once.
             outputs: what to draw.
@@ -164,9 +176,52 @@ class RendererBatch:
             DeviceError: the device is lost.
         """
         with lock_of(self.device):
+            if isinstance(views, DeviceArray):
+                named, chosen = _check_there(views, keys, chosen)
+                if tails is None and not visible and len(views):
+                    there = self._render_there(camera, views, named, chosen, outputs, background)
+                    if there is not None:
+                        return there
+                numbers = [0] * len(views) if chosen is None else chosen.numpy().tolist()
+                views, keys = views.numpy(), _choose_keys(named, numbers)
+            elif chosen is not None:
+                raise RenderError("`chosen` needs views on the device", where="chosen")
             return self._render(
-                camera, check_views(views), keys, tails, outputs, background, visible
+                camera, check_views(views), _all_named(keys), tails, outputs, background, visible
             )
+
+    def _render_there(
+        self,
+        camera: Camera,
+        views: DeviceArray,
+        keys: list[str | None],
+        chosen: DeviceArray | None,
+        outputs: tuple[Output, ...],
+        background: tuple[float, float, float] | None,
+    ) -> PicturesDevice | None:
+        """Draw views that the host does not know; None where only the host can arrange it."""
+        colour = check_picture(
+            outputs, self.options.background if background is None else background
+        )
+        wanted = [key for key in keys if key is not None]
+
+        def draw() -> PicturesDevice | None:
+            found = self.store.together(wanted)
+            if found is None:
+                return None
+            pictures = self.drawer.pictures(camera, len(views), outputs, self.options.rgb_float)
+            self.drawer.draw(
+                *(camera, views, [None if key is None else found[key] for key in keys], chosen),
+                pictures=pictures,
+                background=colour,
+                antialiased=self.options.antialiased,
+            )
+            return pictures
+
+        try:
+            return self._with_room(draw, wanted, [], wanted)
+        except DeviceMemoryError:
+            return None
 
     def _render(
         self,
@@ -318,6 +373,54 @@ def share_drawer(device: Device) -> Drawer:
         drawer = Drawer(device)
         _drawers[device] = ref(drawer)
     return drawer
+
+
+def _check_there(
+    views: DeviceArray, keys: Sequence[str | None] | str, chosen: DeviceArray | None
+) -> tuple[list[str | None], DeviceArray | None]:
+    """Keys, and which of them each view on the device shows; None: all show the first.
+
+    Raises:
+        RenderError: arrays of another shape or type, or keys that are not one a view.
+    """
+    count = len(views)
+    if views.shape != (count, 4, 4) or views.dtype != np.float64:
+        raise RenderError(
+            f"views on the device are {views.dtype} {views.shape}",
+            remedy="give float64 [V, 4, 4], world-to-camera",
+        )
+    if chosen is not None:
+        if isinstance(keys, str) or chosen.shape != (count,) or chosen.dtype != np.int32:
+            raise RenderError(
+                f"`chosen` is {chosen.dtype} {chosen.shape} for {count} views",
+                where="chosen",
+                remedy="give int32 [V], numbers into a list of keys",
+            )
+        return list(keys), chosen
+    if isinstance(keys, str):
+        return [keys], None
+    if len(keys) != count:
+        raise RenderError(f"{len(keys)} keys for {count} views", where="keys")
+    number = {key: n for n, key in enumerate(dict.fromkeys(keys))}
+    if len(number) <= 1:
+        return list(number), None
+    return list(number), views.device.upload(np.array([number[key] for key in keys], np.int32))
+
+
+def _choose_keys(keys: list[str | None], numbers: list[int]) -> list[str | None]:
+    for v, number in enumerate(numbers):
+        if not 0 <= number < len(keys):
+            raise RenderError(f"{number} is the number of no key", where=f"view {v}")
+    return [keys[number] for number in numbers]
+
+
+def _all_named(keys: Sequence[str | None] | str) -> Sequence[str] | str:
+    if isinstance(keys, str):
+        return keys
+    for v, key in enumerate(keys):
+        if key is None:
+            raise RenderError("a view is of no scene that is here", where=f"view {v}")
+    return [key for key in keys if key is not None]
 
 
 def _views_of(names: list[str]) -> dict[str, list[int]]:

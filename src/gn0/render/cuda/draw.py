@@ -19,16 +19,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device, DeviceArray, Kernel, KernelSource
-from gn0.errors import DeviceMemoryError
+from gn0.device.device import Device, DeviceArray, Download, Kernel, KernelSource
+from gn0.errors import DeviceMemoryError, RenderError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.tables import (
+    GROUP,
+    NOWHERE,
+    VIEW,
     Shares,
     build_cloud,
     build_clouds,
+    build_view,
     build_views,
     join_tables,
+    most_blocks,
     share_work,
 )
 from gn0.render.cuda.tune import Tuning
@@ -38,6 +43,7 @@ from gn0.render.renderer import (
     DILATION,
     EXTENT_MAX,
     TRANSMITTANCE_STOP,
+    VIEW_TOLERANCE,
     Output,
     RenderResult,
 )
@@ -45,12 +51,17 @@ from gn0.render.renderer import (
 CHUNK = 256  # splats a chunk
 TILE = 16  # px
 STAGES = ("upload", "count", "scan", "emit", "blend")
-_FILES = ("view.cuh", "project.cuh", "list.cu", "colour.cuh", "walk.cuh", "paint.cu")
+_FILES = ("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh", "walk.cuh", "paint.cu")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
 _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ENTRY = 8  # bytes
 _MEMORY_SHARE = 0.25  # of what is free, for lists
+_WRONG = (  # with a view, as `views.cu` numbers it
+    ("a view is not finite", ""),
+    ("a view is not a rigid transform", "give a rotation and a translation, world to camera"),
+    ("a view is of no scene that is here", "give numbers of keys that are not None"),
+)
 
 _log = logging.getLogger(__name__)
 
@@ -168,6 +179,8 @@ class Drawer:
         self._first_density = 0.5
         self._said = False
         self._plan: tuple[tuple[bytes, ...], Shares, list[DeviceArray]] | None = None
+        self._named: tuple[bytes, DeviceArray] | None = None
+        self._heard: NDArray[np.uint64] | None = None  # pinned
 
     def pictures(
         self, camera: Camera, count: int, outputs: Sequence[Output], rgb_float: bool = False
@@ -188,9 +201,9 @@ class Drawer:
     def draw(
         self,
         camera: Camera,
-        matrices: F64,
-        clouds: Sequence[CloudDevice],
-        cloud_of: NDArray[np.int32],
+        matrices: F64 | DeviceArray,
+        clouds: Sequence[CloudDevice | None],
+        cloud_of: NDArray[np.int32] | DeviceArray | None,
         *,
         tails: Sequence[CloudDevice] = (),
         tail_of: NDArray[np.int32] | None = None,
@@ -201,11 +214,16 @@ class Drawer:
     ) -> None:
         """Draw views into `pictures`.
 
+        Returns when the lists were seen to have room; the pictures may still be under way.
+
         Args:
             camera: of all views.
-            matrices: world-to-camera [V, 4, 4].
-            clouds: different clouds, once each.
-            cloud_of: [V] which of them a view shows.
+            matrices: world-to-camera [V, 4, 4]. On the device (float64) they are read there, and
+                checked; then there are neither `tails` nor `rows`.
+            clouds: different clouds, once each; with `cloud_of` on the device, None is one that
+                no view may show.
+            cloud_of: [V] which of them a view shows; with `matrices` on the device there too
+                (int32), or None: all show the first.
             tails: moving clouds, once each, drawn after all others at equal depth.
             tail_of: [V] which of them a view shows, -1 for none.
             pictures: what to fill; its type decides the type of rgb.
@@ -214,6 +232,7 @@ class Drawer:
             antialiased: compensate opacity for the dilation.
 
         Raises:
+            RenderError: a view on the device is not finite, not rigid, or of no cloud.
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
         """
@@ -223,7 +242,13 @@ class Drawer:
             *((None, pictures.rgb) if as_float else (pictures.rgb, None)),
             *(pictures.depth, pictures.alpha),
         )
-        work = _Work(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows)
+        work: _Work
+        if isinstance(matrices, DeviceArray):
+            assert not tails and rows is None and not isinstance(cloud_of, np.ndarray)
+            work = _WorkDevice(camera, matrices, clouds, cloud_of)
+        else:
+            assert isinstance(cloud_of, np.ndarray)
+            work = _Work(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows)
         self._run(work, "paint_tiles", last, antialiased)
 
     def mark(
@@ -267,9 +292,9 @@ class Drawer:
         flags = (_ORTHO if work.camera.model == "ortho" else 0) | (
             _ANTIALIASED if antialiased else 0
         )
-        begin, most = 0, len(work.matrices)
-        while begin < len(work.matrices):
-            wanted = min(most, len(work.matrices) - begin)
+        begin, most = 0, work.count
+        while begin < work.count:
+            wanted = min(most, work.count - begin)
             count = min(self._fit(work, begin), wanted)
             if count < wanted:
                 self._say_smaller(count)
@@ -311,18 +336,12 @@ class Drawer:
         count, tiles = views.stop - views.start, work.tiles
         all_tiles = count * tiles
         self._tell("upload")
-        shares, (clouds, groups, members) = self._share(work, views)
-        table = build_views(
-            work.camera,
-            work.matrices[views],
-            work.cloud_of[views],
-            work.tail_of[views],
-            work.rows[views],
+        starts = self._need("starts", all_tiles + 2, np.uint64)  # behind them: a view that is none
+        listing_blocks, (clouds, groups, members), group_count, view_table = self._tables(
+            work, views, starts[all_tiles + 1 : all_tiles + 2]
         )
-        view_table = self._upload("views", table.view(np.uint32))
         blocks = -(-all_tiles // _SCAN)
         counts = self._need("counts", all_tiles, np.uint32)
-        starts = self._need("starts", all_tiles + 1, np.uint64)
         sums = self._need("sums", blocks, np.uint64)
         entries, expected = self._held.get("entries"), work.splats[views].sum() * self._expect(work)
         if entries is None or len(entries) < min(expected, self.memory // _ENTRY):
@@ -331,25 +350,30 @@ class Drawer:
         kernels = self._kernels
         capacity, whole = np.uint64(len(entries)), np.uint32(all_tiles)
         sizes = (np.uint32(work.tiles_x), np.uint32(tiles))
-        shared_out = (groups, np.uint32(len(shares.groups)), members)
+        shared_out = (groups, np.uint32(group_count), members)
         listing = (view_table, clouds, *shared_out, *sizes, np.uint32(flags), counts)
         self._tell("count")
         self.device.fill(counts[:all_tiles], 0)
-        kernels["count_entries"].launch(shares.blocks, CHUNK, *listing)
+        kernels["count_entries"].launch(listing_blocks, CHUNK, *listing)
         self._tell("scan")
         if blocks > 1:
             kernels["sum_counts"].launch(blocks, 256, counts, whole, sums)
         kernels["scan_counts"].launch(blocks, 256, counts, whole, sums, starts)
+        # the host waits for this copy alone, and goes on while the device draws
+        words = self._hear(starts[all_tiles : all_tiles + 1 + work.checked])
         self._tell("emit")
         kernels["emit_entries"].launch(
-            shares.blocks, CHUNK, *listing, starts, entries, capacity, whole
+            listing_blocks, CHUNK, *listing, starts, entries, capacity, whole
         )
         self._tell("blend")
         shape = (np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags))
         lists = (view_table, clouds, starts, entries, capacity, whole)
         kernels[kernel].launch(all_tiles, self.tuning.threads, *lists, *sizes, *shape, *last)
         self._tell("end")
-        total = int(starts[all_tiles : all_tiles + 1].numpy()[0])
+        total, *wrong = words.numpy().tolist()
+        if wrong and wrong[0] & NOWHERE != NOWHERE:
+            what, remedy = _WRONG[wrong[0] & 3]
+            raise RenderError(what, where=f"view {(wrong[0] & NOWHERE) >> 2}", remedy=remedy)
         self.entries, splats = total, int(work.splats[views].sum())
         if splats:  # visible sets list more a splat than whole clouds: forget them slowly
             self._density[work.picture] = max(
@@ -361,9 +385,57 @@ class Drawer:
             self._grow(total + total // 8)
         return total
 
-    def _share(self, work: _Work, views: slice) -> tuple[Shares, list[DeviceArray]]:
+    def _tables(
+        self, work: _Work, views: slice, wrong: DeviceArray
+    ) -> tuple[int, list[DeviceArray], int, DeviceArray]:
+        """Blocks that list; clouds, groups and members; how many groups; and the views."""
+        if isinstance(work, _WorkDevice):
+            return self._tables_there(work, views, wrong)
+        shares, tables = self._share(work, work.cloud_of[views], work.tail_of[views])
+        table = build_views(
+            work.camera,
+            work.matrices[views],
+            work.cloud_of[views],
+            work.tail_of[views],
+            work.rows[views],
+        )
+        return shares.blocks, tables, len(shares.groups), self._upload("views", table)
+
+    def _tables_there(
+        self, work: _WorkDevice, views: slice, wrong: DeviceArray
+    ) -> tuple[int, list[DeviceArray], int, DeviceArray]:
+        """The same of views that the host does not know; `wrong` is told of one that is none."""
+        count, known = views.stop - views.start, len(work.table)
+        view_table = self._need("views", count * VIEW.itemsize // 4, np.uint32)
+        if work.chosen is None:  # all show one cloud, so the host can share the work out
+            nothing = np.zeros(count, np.int32)
+            shares, tables = self._share(work, nothing, nothing - 1)
+            blocks, groups = shares.blocks, len(shares.groups)
+        else:
+            tables = [self._clouds(work), *(
+                self._need(name, words, np.uint32) for name, words in (
+                    ("groups", known * GROUP.itemsize // 4), ("members", count))
+            )]  # fmt: skip
+            blocks, groups = most_blocks(work.chunks, count, self.tuning.views), known
+        self.device.fill(wrong, 0xFF)
+        self._kernels["write_views"].launch(
+            *(-(-count // 128), 128, work.poses, work.chosen, tables[0], np.uint32(known)),
+            *(np.float64(VIEW_TOLERANCE), np.uint32(views.start), np.uint32(count)),
+            *(work.like, view_table, wrong),
+        )
+        if work.chosen is not None:
+            shown = self._need("shown", known, np.uint32)
+            self.device.fill(shown[:known], 0)
+            self._kernels["group_views"].launch(
+                *(1, 256, view_table, tables[0], np.uint32(count), np.uint32(known)),
+                *(shown, tables[1], tables[2]),
+            )
+        return blocks, tables, groups, view_table
+
+    def _share(
+        self, work: _Work, cloud_of: NDArray[np.integer], tail_of: NDArray[np.integer]
+    ) -> tuple[Shares, list[DeviceArray]]:
         """Who lists what, and its tables on the device; kept while calls show the same clouds."""
-        cloud_of, tail_of = work.cloud_of[views], work.tail_of[views]
         key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes())
         if self._plan is None or self._plan[0] != key:
             shares = share_work(work.table, cloud_of, tail_of, self.tuning.views)
@@ -372,7 +444,21 @@ class Drawer:
             self._plan = (key, shares, [held[at] for at in where])
         return self._plan[1:]
 
-    def _upload(self, name: str, words: NDArray[np.uint32]) -> DeviceArray:
+    def _clouds(self, work: _Work) -> DeviceArray:
+        """The table of clouds alone; kept while calls name the same ones."""
+        key = work.table.tobytes()
+        if self._named is None or self._named[0] != key:
+            self._named = (key, self._upload("clouds", work.table))
+        return self._named[1]
+
+    def _hear(self, words: DeviceArray) -> Download:
+        """Begin to copy some words to the host."""
+        if self._heard is None:
+            self._heard = self.device.pinned(2, np.uint64)
+        return self.device.download_async(words, self._heard[: len(words)])
+
+    def _upload(self, name: str, table: NDArray[Any]) -> DeviceArray:
+        words = table.view(np.uint32)
         held = self._need(name, len(words), np.uint32)
         return self.device.upload(words, held[: len(words)])
 
@@ -407,25 +493,52 @@ class Drawer:
 class _Work:
     """Views to draw, each of one of `clouds`; the tails lie behind the first `tails`."""
 
+    checked = 0  # words behind the starts that tell of views that are none
+
     def __init__(
         self,
         camera: Camera,
         matrices: F64,
-        clouds: list[CloudDevice],
+        clouds: Sequence[CloudDevice | None],
         cloud_of: NDArray[np.int32],
         tail_of: NDArray[np.int32] | None,
         tails: int,
         rows: NDArray[np.int64] | None,
     ) -> None:
-        count = len(matrices)
-        self.camera, self.matrices, self.cloud_of = camera, matrices, np.asarray(cloud_of)
+        self._of_clouds(camera, clouds)
+        self.count = count = len(matrices)
+        self.matrices, self.cloud_of = matrices, np.asarray(cloud_of)
         moving = np.full(count, -1) if tail_of is None else np.asarray(tail_of)
         self.tail_of = np.where(moving < 0, -1, moving + tails)
         self.rows = np.arange(count) if rows is None else np.asarray(rows)
-        self.table = build_clouds(clouds)
-        self.held = clouds  # the table only points to them
-        sizes = np.array([*(cloud.chunks * CHUNK for cloud in clouds), 0])  # of no tail: the last
+        sizes = np.append(self.chunks * CHUNK, 0)  # of no tail: the last
         self.splats = sizes[self.cloud_of] + sizes[self.tail_of]
-        self.picture = (camera.width, camera.height, camera.model)
+        self.picture: tuple[object, ...] = (camera.width, camera.height, camera.model)
+
+    def _of_clouds(self, camera: Camera, clouds: Sequence[CloudDevice | None]) -> None:
+        self.camera, self.table = camera, build_clouds(clouds)
+        self.held = clouds  # the table only points to them
+        self.chunks = self.table["chunks"].astype(np.int64)
         self.tiles_x = -(-camera.width // TILE)
         self.tiles = self.tiles_x * -(-camera.height // TILE)
+
+
+class _WorkDevice(_Work):
+    """Views whose poses, and which of `clouds` they show, are on the device alone."""
+
+    checked = 1
+
+    def __init__(
+        self,
+        camera: Camera,
+        poses: DeviceArray,
+        clouds: Sequence[CloudDevice | None],
+        chosen: DeviceArray | None,
+    ) -> None:
+        self._of_clouds(camera, clouds)
+        self.count, self.poses, self.chosen = len(poses), poses, chosen
+        self.like = build_view(camera)
+        # as if all showed the largest, so that lists are never thought too short
+        self.splats = np.full(self.count, self.chunks.max(initial=0) * CHUNK)
+        shown = () if chosen is None else (len(clouds),)
+        self.picture = (camera.width, camera.height, camera.model, *shown)

@@ -23,7 +23,7 @@ def time_stages(drawer: Drawer, draw: Callable[[int], object], repeat: int = 7) 
 
     Returns:
         Milliseconds by stage (`gn0.render.cuda.draw.STAGES`), "all", and "host": wall time until
-        the call returns, which is when the device is done.
+        the device is done, after the call has returned.
     """
     taken: dict[str, list[float]] = defaultdict(list)
     before = drawer.on_stage

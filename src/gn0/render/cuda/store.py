@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -53,6 +53,8 @@ class CloudStore:
         self._sources: dict[str, CloudSource] = {}
         self._held: OrderedDict[str, CloudDevice] = OrderedDict()  # least recent first
         self._kept: set[str] = set()  # never dropped to make room
+        self._sizes: dict[str, int] = {}  # bytes of what was here at some time
+        self._apart: frozenset[str] = frozenset()  # what last did not fit together
         self.loads = 0  # clouds brought here so far, for figures
 
     def __contains__(self, key: str) -> bool:
@@ -87,7 +89,7 @@ class CloudStore:
         )
         self._sources[key] = source
         if not same:
-            self._drop(key)
+            self._forget(key)
         return not same
 
     def keep(self, key: str, cloud: GaussianCloud, digest: str = "") -> CloudDevice:
@@ -106,6 +108,11 @@ class CloudStore:
     def remove(self, key: str) -> None:
         """Forget a cloud; one that is not here is no error."""
         self._sources.pop(key, None)
+        self._forget(key)
+
+    def _forget(self, key: str) -> None:
+        self._sizes.pop(key, None)
+        self._apart = frozenset()
         self._drop(key)
 
     def digest(self, key: str) -> str:
@@ -116,7 +123,7 @@ class CloudStore:
         """
         return self._source(key).digest
 
-    def groups(self, keys: Sequence[str]) -> Iterator[dict[str, CloudDevice]]:
+    def groups(self, keys: Sequence[str]) -> Generator[dict[str, CloudDevice]]:
         """The clouds of `keys`, in groups that fit together; what is in a group stays for its turn.
 
         One group when all fit; a group is emptied when the next is asked for. What is here already
@@ -153,6 +160,25 @@ class CloudStore:
             if group:
                 yield group
 
+    def together(self, keys: Sequence[str]) -> dict[str, CloudDevice] | None:
+        """The clouds of `keys`, all here at once; None where they do not fit together.
+
+        Nothing is loaded in vain for keys that did not fit before.
+
+        Raises:
+            RenderError, DeviceMemoryError: see `groups`.
+        """
+        wanted = frozenset(keys)
+        need = sum(self._sizes.get(key, 0) for key in wanted)
+        if need > self.memory or (self._apart and self._apart <= wanted):
+            return None
+        with contextlib.closing(self.groups(keys)) as groups:
+            found = dict(next(groups, {}))
+        if len(found) < len(wanted):
+            self._apart = wanted
+            return None
+        return found
+
     def open(self, key: str) -> CloudDevice:
         """One cloud, brought here if need be.
 
@@ -184,7 +210,7 @@ class CloudStore:
         self, key: str, cloud: GaussianCloud | CloudReady, pinned: dict[str, CloudDevice]
     ) -> CloudDevice | None:
         """Upload a cloud; None when there is room only without those `pinned`."""
-        need = cloud_bytes(len(cloud), cloud.sh_degree)
+        need = self._sizes[key] = cloud_bytes(len(cloud), cloud.sh_degree)
         if need > self.memory:
             raise DeviceMemoryError(
                 f"scene {key!r} needs {need / 2**20:.0f} MiB, more than the "

@@ -48,6 +48,7 @@ GROUP = np.dtype(
         *(("first_member", "<u4"), ("members", "<u4"), ("spare", "<u4", 2)),
     ]
 )
+_NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
 
 
 def build_views(
@@ -61,7 +62,9 @@ def build_views(
     views = np.zeros(len(matrices), VIEW)
     rotation = matrices[:, :3, :3]
     views["rotation"] = rotation.reshape(-1, 9)
-    views["eye"] = -(rotation.transpose(0, 2, 1) @ matrices[:, :3, 3:])[..., 0]
+    # one product after another, as the kernel `write_views` does it: the same bits
+    x, y, z = (rotation[:, k] * matrices[:, k, 3:] for k in range(3))
+    views["eye"] = -(x + y + z)
     views["focal"] = focal = np.array([camera.fx, camera.fy])
     views["centre"] = centre = np.array([camera.cx, camera.cy])
     views["size"] = size = np.array([camera.width, camera.height], np.float64)
@@ -78,9 +81,16 @@ def build_views(
     return views
 
 
-def build_clouds(clouds: Sequence[CloudDevice]) -> NDArray[np.void]:
-    """Clouds [n] as kernels see them."""
-    return np.frombuffer(b"".join([cloud.entry for cloud in clouds]), CLOUD)
+def build_view(camera: Camera) -> np.void:
+    """What all views of a camera have in common: a view from the origin, along the world's z."""
+    none = np.zeros(1, np.int32)
+    view: np.void = build_views(camera, np.eye(4)[None], none, none - 1, none)[0]
+    return view
+
+
+def build_clouds(clouds: Sequence[CloudDevice | None]) -> NDArray[np.void]:
+    """Clouds [n] as kernels see them; None is one that no view may show."""
+    return np.frombuffer(b"".join([_NO_CLOUD if c is None else c.entry for c in clouds]), CLOUD)
 
 
 def build_cloud(cloud: CloudDevice) -> bytes:
@@ -139,6 +149,15 @@ def share_work(
         tables.append(table)
         first, block = first + int(counts.sum()), block + int(blocks.sum())
     return Shares(np.concatenate(tables), np.concatenate(members).astype(np.uint32), block)
+
+
+def most_blocks(chunks: NDArray[np.integer], views: int, views_a_block: int) -> int:
+    """Blocks that suffice to list clouds of so many chunks, however `views` choose among them.
+
+    Each cloud that is shown has one row of blocks that may be nearly empty, the others are full.
+    """
+    each = np.sort(chunks.astype(np.int64))[::-1][:views]
+    return int(each.sum()) + views // views_a_block * int(each[0]) if len(each) else 0
 
 
 def join_tables(*tables: NDArray[np.generic]) -> tuple[NDArray[np.uint32], list[slice]]:

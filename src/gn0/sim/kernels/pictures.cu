@@ -1,9 +1,12 @@
 // Views, map pictures and history mosaics: the pixels of sim/sensors.py and sim/history.py.
 
-// World-to-camera matrices [N, 4, 4] of agents' eyes at `height` [m], looking up by the pitch.
-KERNEL(build_views)(World w, double height, double cos_pitch, double sin_pitch, double *views) {
+// World-to-camera matrices [N, 4, 4] of agents' eyes at `height` [m], looking up by the pitch; and
+// numbers of the looks that they see, if they are wanted.
+KERNEL(build_views)(World w, double height, double cos_pitch, double sin_pitch, double *views,
+                    int *looks) {
   int i = blockIdx.x * blockDim.x + threadIdx.x;
   if (i >= w.count) return;
+  if (looks) looks[i] = w.episodes[w.slot[i]].look;
   const double *heading = w.episodes[w.slot[i]].headings + w.turns[i] * 3;
   double c = heading[1], s = heading[2], x = w.position[i].x, y = w.position[i].y;
   double rows[3][3] = {{s, -c, 0.0},

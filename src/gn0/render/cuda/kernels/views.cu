@@ -1,0 +1,82 @@
+// Views whose poses, and whose clouds, only the device knows: the tables that the host else makes.
+
+#define NO_CLOUD 0xffffffffu  // rows of a cloud that no view may show
+#define NOT_FINITE 0u         // what is wrong with a view
+#define NOT_RIGID 1u
+#define NOT_HERE 2u
+
+// Views [count] from world-to-camera matrices [count, 4, 4]; `like` is any view of their camera.
+// `chosen` numbers their clouds; null means all show the first. A view that is none sees nothing,
+// and the first such is told in `wrong`: its number times four, and what is wrong.
+KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__ chosen,
+                    const Cloud *__restrict__ clouds, u32 cloud_count, double tolerance, u32 first,
+                    u32 count, View like, View *views, u32 *wrong) {
+  u32 v = blockIdx.x * blockDim.x + threadIdx.x;
+  if (v >= count) return;
+  const double *m = matrices + (u64)(first + v) * 16;
+  bool finite = true, rigid = true;
+  for (int k = 0; k < 16; k++) finite = finite && fabs(m[k]) <= 1.7976931348623157e308;
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) {
+      double dot = m[4 * i] * m[4 * j] + m[4 * i + 1] * m[4 * j + 1] + m[4 * i + 2] * m[4 * j + 2];
+      rigid = rigid && fabs(dot - (i == j ? 1.0 : 0.0)) < tolerance;
+    }
+  for (int k = 0; k < 4; k++) rigid = rigid && fabs(m[12 + k] - (k == 3 ? 1.0 : 0.0)) < tolerance;
+  double volume = m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) +
+                  m[2] * (m[4] * m[9] - m[5] * m[8]);
+  rigid = rigid && volume > 0.0;
+  u32 cloud = chosen ? (u32)chosen[first + v] : 0;
+  bool here = cloud < cloud_count && clouds[cloud].rows != NO_CLOUD;
+  if (finite && rigid && here) {
+    for (int i = 0; i < 3; i++)
+      for (int k = 0; k < 3; k++) like.r[3 * i + k] = (float)m[4 * i + k];
+    for (int k = 0; k < 3; k++)  // operation for operation as `tables.build_views` does it
+      like.eye[k] = (float)-(m[k] * m[3] + m[4 + k] * m[7] + m[8 + k] * m[11]);
+    like.cloud = cloud;
+  } else {
+    atomicMin(wrong, (first + v) << 2 | (!finite ? NOT_FINITE : !rigid ? NOT_RIGID : NOT_HERE));
+    for (int k = 0; k < 9; k++) like.r[k] = 0.f;
+    for (int k = 0; k < 3; k++) like.eye[k] = 0.f;
+    like.near = 1.f, like.far = 0.f;
+    like.cloud = NOWHERE;
+  }
+  like.tail = NOWHERE;
+  like.row = first + v;
+  views[v] = like;
+}
+
+// Groups [cloud_count] of the views that show each cloud, and their members; one block of 256. A
+// group may be empty. `counts` [cloud_count] are zero before. In what order a group lists its
+// members is the atomics' business, and cannot show.
+KERNEL(group_views)(const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 count,
+                    u32 cloud_count, u32 *counts, Group *groups, u32 *members) {
+  __shared__ u64 held[256 / WARP];
+  for (u32 v = threadIdx.x; v < count; v += 256)
+    if (views[v].cloud != NOWHERE) atomicAdd(counts + views[v].cloud, 1u);
+  __syncthreads();
+  u64 done = 0;  // of the clouds before: members over blocks
+  for (u32 base = 0; base < cloud_count; base += 256) {
+    u32 c = base + threadIdx.x;
+    u32 mine = c < cloud_count ? counts[c] : 0, chunks = c < cloud_count ? clouds[c].chunks : 0;
+    u64 both = (u64)mine << 32 | (u64)chunks * ((mine + VIEWS - 1) / VIEWS), sum = both;
+    for (u32 d = 1; d < WARP; d <<= 1) {
+      u64 other = __shfl_up_sync(FULL, sum, d);
+      if (lane_id() >= d) sum += other;
+    }
+    if (lane_id() == WARP - 1) held[threadIdx.x / WARP] = sum;
+    __syncthreads();
+    u64 before = done + sum - both;
+    for (u32 w = 0; w < 256 / WARP; w++) {
+      if (w < threadIdx.x / WARP) before += held[w];
+      done += held[w];
+    }
+    if (c < cloud_count) {
+      Group g = {c, 0, (u32)before, max(chunks, 1u), (u32)(before >> 32), mine, {0, 0}};
+      groups[c] = g;
+      counts[c] = (u32)(before >> 32);  // from here on: where its next member goes
+    }
+    __syncthreads();
+  }
+  for (u32 v = threadIdx.x; v < count; v += 256)
+    if (views[v].cloud != NOWHERE) members[atomicAdd(counts + views[v].cloud, 1u)] = v;
+}

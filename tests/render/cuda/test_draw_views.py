@@ -1,0 +1,123 @@
+"""Views that only the device knows are drawn as if the host had named them: the same bytes."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from gn0.device.device import DeviceArray
+from gn0.device.host import DeviceHost
+from gn0.errors import RenderError
+from gn0.figures.flat import build_flat, flat_camera, flat_views
+from gn0.render.cuda.draw import Drawer
+from gn0.render.cuda.pack import upload_cloud
+from gn0.render.cuda.tables import CLOUD, most_blocks, share_work
+from gn0.render.cuda.tune import Tuning
+from gn0.testing.check_renderer import random_cloud
+
+pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+
+CAMERA, VIEWS = flat_camera(40, 33), flat_views(7)
+CLOUDS = [build_flat(1500), random_cloud(0, seed=1), random_cloud(700, seed=2), build_flat(900)]
+SHOWN = np.array([3, 0, 2, 2, 3, 1, 3], np.int32)
+
+
+def draw(drawer: Drawer, there: bool, shown: np.ndarray | None, views=VIEWS) -> list[bytes]:
+    """Pictures with the poses on the device, or on the host; cloud 4 is one that is not here."""
+    device = drawer.device
+    packed = [upload_cloud(device, cloud) for cloud in CLOUDS]
+    pictures = drawer.pictures(CAMERA, len(views), ("rgb", "depth", "alpha"))
+    given: tuple = (views, packed, np.zeros(len(views), np.int32) if shown is None else shown)
+    if there:
+        chosen = None if shown is None else device.upload(shown)
+        given = (device.upload(views), [*packed, None], chosen)
+    drawer.draw(CAMERA, *given, pictures=pictures, background=np.zeros(3, np.float32))
+    got = pictures.numpy()
+    return [a.tobytes() for a in (got.rgb, got.depth, got.alpha)]
+
+
+@pytest.fixture(scope="module")
+def want() -> list[bytes]:
+    return draw(Drawer(DeviceHost()), False, SHOWN)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("shown", [None, SHOWN], ids=["one cloud", "four clouds"])
+def test_the_host_needs_to_know_no_view(shown, seed: int) -> None:
+    device = DeviceHost(seed)
+    there = draw(Drawer(device, Tuning(views=2)), True, shown)
+    assert there == draw(Drawer(device, Tuning(views=2)), False, shown)
+
+
+def test_all_is_queued_before_the_host_waits(want, monkeypatch) -> None:
+    """One copy to the host, of two words, and it begins before the blending."""
+    device, told = DeviceHost(), []
+    drawer = Drawer(device)
+    draw(drawer, True, SHOWN)
+    drawer.on_stage = told.append
+    copy = device.download_async
+
+    def note(array: DeviceArray, out):
+        told.append(f"copy {array.nbytes}")
+        return copy(array, out)
+
+    monkeypatch.setattr(device, "download_async", note)
+    packed = [upload_cloud(device, cloud) for cloud in CLOUDS]
+    pictures = drawer.pictures(CAMERA, len(VIEWS), ("rgb", "depth", "alpha"))
+    poses, chosen = device.upload(VIEWS), device.upload(SHOWN)
+    with monkeypatch.context() as no_waiting:
+        no_waiting.setattr(device, "download", None)
+        no_waiting.setattr(device, "synchronize", None)
+        drawer.draw(CAMERA, poses, packed, chosen,
+                    pictures=pictures, background=np.zeros(3, np.float32))  # fmt: skip
+    assert told == ["upload", "count", "scan", "copy 16", "emit", "blend", "end"]
+    assert pictures.numpy().rgb.tobytes() == want[0]
+
+
+def test_batches_and_lists_that_overflow_cannot_show(want) -> None:
+    device = DeviceHost()
+    assert draw(small := Drawer(device, memory=25_000), True, SHOWN) == want
+    assert small.batches > 2
+    drawer = Drawer(device)
+    drawer._first_density = 0.0
+    drawer._held["entries"] = device.empty(16, np.uint64)
+    assert draw(drawer, True, SHOWN) == want
+    assert drawer.repeats >= 1
+    before = drawer.repeats
+    assert draw(drawer, True, SHOWN) == want
+    assert drawer.repeats == before
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda views, shown: views.__setitem__((4, 1, 3), np.nan), "view 4: .*not finite"),
+        (lambda views, shown: views.__setitem__((4, 1, 3), -np.inf), "view 4: .*not finite"),
+        (lambda views, shown: views.__setitem__((2, 0), 2 * views[2, 0]), "view 2: .*not a rigid"),
+        (lambda views, shown: views.__setitem__((6, 0), -views[6, 0]), "view 6: .*not a rigid"),
+        (lambda views, shown: views.__setitem__((0, 3, 0), 1.0), "view 0: .*not a rigid"),
+        (lambda views, shown: shown.__setitem__(3, 4), "view 3: .*of no scene"),
+        (lambda views, shown: shown.__setitem__(3, -1), "view 3: .*of no scene"),
+        (lambda views, shown: shown.__setitem__(3, 5), "view 3: .*of no scene"),
+    ],
+)
+def test_a_view_that_is_none_is_told(change, match: str) -> None:
+    views, shown = VIEWS.copy(), SHOWN.copy()
+    change(views, shown)
+    drawer = Drawer(DeviceHost())
+    with pytest.raises(RenderError, match=match):
+        draw(drawer, True, shown, views)
+    assert draw(drawer, True, SHOWN), "the next call is not spoilt"
+
+
+def test_a_grid_holds_all_shares_whatever_is_chosen() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        clouds = np.zeros(rng.integers(1, 9), CLOUD)
+        clouds["chunks"] = rng.integers(0, 30, len(clouds))
+        shown = rng.integers(0, len(clouds), rng.integers(1, 40))
+        each = int(rng.integers(1, 6))
+        least = share_work(clouds, shown, 0 * shown - 1, each).blocks
+        assert least <= most_blocks(clouds["chunks"], len(shown), each)

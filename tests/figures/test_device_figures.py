@@ -97,6 +97,8 @@ def test_every_figure_runs(figure: Figure, ctx: FigureContext, fake_rival: None)
         assert ratios
         assert "packed" in rows[ratios[0]].detail
         assert any("time over floor" in name for name in rows)
+        assert any("in float32, against gsplat" in name for name in rows)
+        assert any("sorting counted" in name for name in rows)
     missed = [row for row in rows.values() if row.passed is False]
     assert not missed or figure.id == "render.cuda.visible", missed
 
@@ -113,20 +115,23 @@ def test_without_gsplat_times_are_said_all_the_same(
     assert "no ratio to gsplat: torch is not installed" in next(iter(rows.values())).detail
 
 
-def test_the_rival_takes_its_quickest_form(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rival_is_timed_in_its_quick_forms(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rival, "release_memory", lambda: None)
     fake = FakeRival(build_flat(500))
     batches = [flat_views(6, seed=k) for k in range(2)]
-    call, forms = rival.quickest_call(DeviceHost(), fake, flat_camera(8, 8), batches)  # type: ignore[arg-type]
+    calls, forms = rival.quick_calls(DeviceHost(), fake, flat_camera(8, 8), batches)  # type: ignore[arg-type]
+    assert "packed" in forms
     assert "unpacked" in forms
-    assert len(call(1)) == 1
+    assert {"gsplat packed", "gsplat unpacked"} >= set(calls)
+    assert all(len(call(1)) == 1 for call in calls.values())
     fake.views_that_fit = 3
-    call, forms = rival.quickest_call(DeviceHost(), fake, flat_camera(8, 8), batches)  # type: ignore[arg-type]
+    calls, forms = rival.quick_calls(DeviceHost(), fake, flat_camera(8, 8), batches)  # type: ignore[arg-type]
     assert "in 2 calls" in forms
-    assert [len(pictures.rgb) for pictures, _ in call(0)] == [3, 3]
+    for call in calls.values():
+        assert [len(pictures.rgb) for pictures, _ in call(0)] == [3, 3]
     fake.views_that_fit = 0
     with pytest.raises(DeviceMemoryError):
-        rival.quickest_call(DeviceHost(), fake, flat_camera(8, 8), batches)  # type: ignore[arg-type]
+        rival.quick_calls(DeviceHost(), fake, flat_camera(8, 8), batches)  # type: ignore[arg-type]
 
 
 def test_a_library_that_is_absent_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,6 +151,9 @@ def test_contenders_take_turns_with_new_poses() -> None:
     times = interleave(DeviceHost(), calls, 2, warm=1)
     assert turns == [("a", 0), ("b", 0), ("a", 1), ("b", 1), ("a", 2), ("b", 2)]
     assert [len(taken) for taken in times.values()] == [2, 2]
+    walls: dict[str, list[float]] = {}
+    interleave(DeviceHost(), {"a": lambda _: None}, 3, warm=0, walls=walls)
+    assert len(walls["a"]) == 3
     assert all(value > 0 for value in measure_ceilings(DeviceHost()))
 
 
@@ -166,6 +174,7 @@ def test_work_is_counted() -> None:
     assert one < ten < 10 * one * 1.001
     assert work.bytes_of(3)[1] > work.bytes_of(0)[1], "harmonics are read too"
     assert work.floor(0, 2e12, 2e13) == pytest.approx(one / 2)
+    assert work.sort_bytes == 88 * work.entries
     above = count_work(judge, *flat_bev(64)[:1], flat_bev(64)[1][None])
     assert above.entries > 0
 
@@ -200,6 +209,14 @@ def test_they_are_in_the_catalogue_and_need_a_card() -> None:
         assert figure.minutes <= 3
 
 
+def _sleeper(folder: Path) -> Path:
+    """In Python's place: something that hangs and leaves a process behind."""
+    path = folder / "sleeper"
+    path.write_text("#!/bin/sh\nsetsid sleep 5 &\nexec sleep 60\n")
+    path.chmod(0o755)
+    return path
+
+
 def test_the_script_runs_groups_and_says_what_is_done(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[2]
     script = [str(root / "runs" / "gpu-figures.sh"), str(tmp_path / "out")]
@@ -208,6 +225,8 @@ def test_the_script_runs_groups_and_says_what_is_done(tmp_path: Path) -> None:
         "GN0_DEVICE": "host",
         "PYTHON": sys.executable,
         "GN0_CACHE": str(cache_dir()),
+        "KEEP": str(tmp_path / "kept"),
+        "GN0_GSPLAT_LIBRARY": str(tmp_path / "none.so.xz"),
     }
     done = subprocess.run(
         [*script, "check", "sanitizers"], env=environment, capture_output=True, text=True
@@ -218,6 +237,18 @@ def test_the_script_runs_groups_and_says_what_is_done(tmp_path: Path) -> None:
     assert "sanitizers: done" in done.stdout
     assert "start: not done" in done.stdout
     assert (tmp_path / "out" / "figures.json").exists()
+    assert {p.name for p in (tmp_path / "kept").iterdir()} == {
+        "figures.json", "figures.md", "log.tar.gz"
+    }  # fmt: skip
+    late = subprocess.run(
+        [*script, "check", "small"], env={**environment, "BUDGET": "8"}, capture_output=True,
+        text=True,
+    )  # fmt: skip
+    assert "small: no time left for it" in late.stdout
+    assert "small: not done" in late.stdout
+    hanging = {**environment, "LIMIT": "1", "PYTHON": str(_sleeper(tmp_path))}
+    stuck = subprocess.run([*script, "start"], env=hanging, capture_output=True, text=True)
+    assert "start did not end well (124)" in stuck.stdout
     wrong = subprocess.run([*script, "cellar"], env=environment, capture_output=True, text=True)
     assert wrong.returncode == 2
     assert "no group cellar" in wrong.stdout

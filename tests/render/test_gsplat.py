@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from gn0.errors import ConfigError, DeviceError, DeviceMemoryError, RenderError
-from gn0.gaussians.cloud import GaussianCloud
+from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.geometry import view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.plugins import get_plugin
@@ -75,9 +75,13 @@ class FakeCard:
             cy=float(k[1, 2]), model=settings["camera_model"], near=settings["near_plane"],
             far=settings["far_plane"],
         )  # fmt: skip
-        assert sh.shape[1] >= (settings["sh_degree"] + 1) ** 2
+        if settings["sh_degree"] is None:  # colours all round
+            assert (sh >= 0).all()
+            sh = ((sh - np.float32(0.5)) / np.float32(SH_C0))[:, None]
+        else:
+            assert sh.shape[1] >= (settings["sh_degree"] + 1) ** 2
         assert "backgrounds" not in settings, "gsplat 1.5.3 fails on them in packed mode"
-        cloud = GaussianCloud(*(np.asarray(a) for a in arrays[:5]))
+        cloud = GaussianCloud(*(np.asarray(a) for a in (*arrays[:4], sh)))
         anti = {"antialiased": True, "classic": False}[settings["rasterize_mode"]]
         options = RenderOptions(antialiased=anti, rgb_float=True)
         drawn = RendererCpu(cloud, options).render(camera, np.asarray(viewmats, np.float64))

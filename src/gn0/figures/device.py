@@ -6,6 +6,7 @@ does there; on the host emulation it is the wall clock and shows only that the c
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from gn0.device.open import find_device
 from gn0.figures.board import FigureSkipped
 
 WARM = 3  # calls before the first that counts
+AWAKE = 0.3  # s of work after which a card that had nothing to do has its clocks up
 _CEILINGS = KernelSource("ceilings", (Path(__file__).parent / "kernels" / "ceilings.cu",))
 _THREADS = 256
 _CHAINS = 8  # independent operations in flight a thread; ceilings.cu agrees
@@ -67,18 +69,36 @@ def memory_left(device: Device) -> int:
     return device.memory()[0] - (spare() if spare is not None else 0)
 
 
-def time_call(device: Device, call: Contender, turn: int) -> float:
-    """Milliseconds of a call on the device."""
+def time_call(device: Device, call: Contender, turn: int) -> tuple[float, float]:
+    """Milliseconds of a call between two events, and by the wall clock until all is done."""
+    device.synchronize()
+    start = time.perf_counter()
     begin = device.event()
     held = call(turn)  # its memory is not given back before the clock stops
     end = device.event()
     taken = device.elapsed(begin, end)
+    wall = (time.perf_counter() - start) * 1e3
     del held
-    return taken
+    return taken, wall
+
+
+def wake(device: Device, contenders: Mapping[str, Contender]) -> None:
+    """Call them by turns until the card's clocks are up; nothing on the emulation."""
+    start, turn = time.perf_counter(), 0
+    while not is_emulation(device) and time.perf_counter() - start < AWAKE:
+        for call in contenders.values():
+            call(turn)
+            device.synchronize()
+        turn += 1
 
 
 def interleave(
-    device: Device, contenders: Mapping[str, Contender], rounds: int, *, warm: int = WARM
+    device: Device,
+    contenders: Mapping[str, Contender],
+    rounds: int,
+    *,
+    warm: int = WARM,
+    walls: dict[str, list[float]] | None = None,
 ) -> dict[str, list[float]]:
     """Milliseconds of each contender, by turns, so that a slow moment meets all.
 
@@ -86,14 +106,18 @@ def interleave(
         device: has the clock.
         contenders: called with 0, 1, 2 ... (new poses each time), the first `warm` untimed.
         rounds: timed calls each.
-        warm: untimed calls each.
+        warm: untimed calls each, after the card is awake.
+        walls: takes the same calls' times by the wall clock.
     """
+    wake(device, contenders)
     spent: dict[str, list[float]] = {name: [] for name in contenders}
     for turn in range(warm + rounds):
         for name, call in contenders.items():
-            taken = time_call(device, call, turn)
+            taken, wall = time_call(device, call, turn)
             if turn >= warm:
                 spent[name].append(taken)
+                if walls is not None:
+                    walls.setdefault(name, []).append(wall)
     return spent
 
 

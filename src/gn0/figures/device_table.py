@@ -2,9 +2,9 @@
 
 Each call draws poses that the call before has not drawn; eight batches of views go round. The
 device renderer is timed with what a user gets: RGB as bytes and expected depth, views brought over
-in the call. gsplat is timed with views and intrinsics on the card beforehand and its pictures left
-there as float32, packed or unpacked, whichever is quicker here. Times are medians between CUDA
-events.
+in the call; and once more with RGB as float32. gsplat is timed with views and intrinsics on the
+card beforehand and its pictures left there as float32, packed and unpacked; the quicker median
+counts. Times are medians between CUDA events; the wall clock's stand beside them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least
 from gn0.figures.device import Contender, interleave, is_emulation, measure_ceilings, median
 from gn0.figures.device_scenes import FigureScene, apartment_scene, flat_scene, house_scene
 from gn0.figures.flat import flat_camera
-from gn0.figures.floor import Work, count_work
-from gn0.figures.rival import open_rival, quickest_call, rival_version, why_absent
+from gn0.figures.floor import SORT_PASSES, Work, count_work
+from gn0.figures.rival import RIVAL, open_rival, quick_calls, rival_version, why_absent
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.render.camera import Camera
@@ -31,11 +31,12 @@ from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.visible import RendererVisibleCuda
 from gn0.render.gsplat import RendererGsplat, release_memory
-from gn0.render.renderer import Output
+from gn0.render.renderer import Output, RenderOptions
 from gn0.render.visible_places import VisibleOptions
 
 BATCHES = 8  # different batches of views that go round
 OUTPUTS: tuple[Output, ...] = ("rgb", "depth")
+FLOATS = RenderOptions(rgb_float=True)  # as gsplat delivers
 SCENES, DISTINCT = 64, 4  # scenes of the many-scenes case; clouds that they are copies of
 _TINY_SPLATS, _TINY_PIXELS = 1500, 32
 
@@ -120,6 +121,7 @@ class Bench:
 def measure_scene(bench: Bench, scene: FigureScene, cases: Sequence[Case]) -> None:
     """All cases of one scene."""
     renderer = RendererCuda(scene.cloud, device=bench.device)
+    floats = RendererCuda(scene.cloud, FLOATS, bench.device)
     sets: RendererVisibleCuda | None = None
     rival = bench.rival(scene.cloud)
     judge: RendererCpu | None = None
@@ -132,7 +134,10 @@ def measure_scene(bench: Bench, scene: FigureScene, cases: Sequence[Case]) -> No
         else:
             camera = flat_camera(case.width, case.height)
             batches = _batches(scene, case.views)
-        contenders = {"cuda": _draw_call(renderer, camera, batches)}
+        contenders = {
+            "cuda": _draw_call(renderer, camera, batches),
+            "float": _draw_call(floats, camera, batches),
+        }
         if case.sets and not case.bev:
             sets = sets or _build_sets(bench, renderer, scene)
             for batch in batches:  # read from the cache, before the clock runs
@@ -142,9 +147,12 @@ def measure_scene(bench: Bench, scene: FigureScene, cases: Sequence[Case]) -> No
             contenders["visible"] = _draw_call(sets, camera, batches)
         forms = ""
         if rival is not None:
-            contenders["gsplat"], forms = quickest_call(bench.device, rival, camera, batches)
-        times = interleave(bench.device, contenders, case.rounds, warm=bench.warm)
-        _report(bench, scene.name, case, times, forms)
+            calls, forms = quick_calls(bench.device, rival, camera, batches)
+            contenders |= calls
+            del calls
+        walls: dict[str, list[float]] = {}
+        times = interleave(bench.device, contenders, case.rounds, warm=bench.warm, walls=walls)
+        _report(bench, scene.name, case, (times, walls), forms)
         del contenders
         if rival is not None:
             release_memory()
@@ -182,24 +190,33 @@ def _build_sets(bench: Bench, renderer: RendererCuda, scene: FigureScene) -> Ren
 
 
 def _report(
-    bench: Bench, where: str, case: Case, times: dict[str, list[float]], forms: str
+    bench: Bench,
+    where: str,
+    case: Case,
+    times: tuple[dict[str, list[float]], dict[str, list[float]]],
+    forms: str,
 ) -> None:
-    """Rows of a case: ratios where there is a rival, rates always."""
-    middle = {name: median(values) for name, values in times.items()}
-    spent = ", ".join(f"{name} {taken:.3g} ms" for name, taken in middle.items())
-    detail = f"{where}; medians of {case.rounds} by turns: {spent}"
-    detail += f"; {rival_version()}: {forms}" if forms else f"; {bench.rival_absent}"
-    targets = {"cuda": ("full set", case.least), "visible": ("visible sets", case.least_visible)}
+    """Rows of a case: ratios to the rival's quickest form where there is one, rates always."""
+    middle, walls = ({name: median(values) for name, values in t.items()} for t in times)
+    spent = ", ".join(f"{n} {taken:.3g} ms ({walls[n]:.3g})" for n, taken in middle.items())
+    detail = f"{where}; medians of {case.rounds} by turns (by the wall clock): {spent}"
+    detail += f"; {rival_version()}, a first look: {forms}" if forms else f"; {bench.rival_absent}"
+    targets = {
+        "cuda": ("full set", case.least),
+        "visible": ("visible sets", case.least_visible),
+        "float": ("full set, RGB in float32,", case.least),
+    }
+    rival = min((taken for name, taken in middle.items() if name.startswith(RIVAL)), default=0.0)
     for name, (title, least) in targets.items():
-        if name not in middle or "gsplat" not in middle:
+        if name not in middle or not rival:
             continue
-        ratio, label = middle["gsplat"] / middle[name], f"{case.name}: {title} against gsplat"
+        ratio, label = rival / middle[name], f"{case.name}: {title} against gsplat"
         if least and not bench.tiny:
             bench.add(row_at_least(label, ratio, least, "times", detail))
         else:
             bench.add(FigureRow(name=label, value=ratio, unit="times", detail=detail))
     for name, (title, _) in targets.items():
-        if name in middle:
+        if name in middle and name != "float":
             rate = case.views / middle[name] * 1e3
             bench.add(
                 FigureRow(name=f"{case.name}: {title}", value=rate, unit="frames/s", detail=detail)
@@ -223,6 +240,11 @@ def _report_floor(
     )
     name = f"{case.name}: time over floor"
     bench.add(FigureRow(name=name, value=taken / least, unit="times", detail=detail))
+    passes = least + work.sort_bytes / copy * 1e3
+    detail = f"{where}; floor {passes:.3g} ms: with a radix sort of all entries in global memory, "
+    detail += f"{SORT_PASSES} passes; ours sorts a tile's entries where it blends them"
+    name += ", sorting counted"
+    bench.add(FigureRow(name=name, value=taken / passes, unit="times", detail=detail))
 
 
 SMALL = Case("224x224 x 256, 1 M, SH 0", 224, 224, 256, 4.0, 8.0)
@@ -257,11 +279,12 @@ def measure_scenes(ctx: FigureContext) -> list[FigureRow]:
         flat_scene(_TINY_SPLATS if bench.tiny else 300_000, seed=k)
         for k in range(min(DISTINCT, scenes))
     ]
-    batch = RendererBatch(bench.device)
+    batch, floats = RendererBatch(bench.device), RendererBatch(bench.device, FLOATS)
     keys = [f"scene {k}" for k in range(scenes)]
     for k, key in enumerate(keys):
         flat = flats[k % len(flats)]
         batch.add(key, lambda flat=flat: flat.cloud)  # type: ignore[misc]
+        floats.add(key, lambda flat=flat: flat.cloud)  # type: ignore[misc]
         batch.limit_to_visible(
             key, flat.cloud.content_hash, flat.floor, flat.eye, bench.set_options
         )
@@ -271,24 +294,24 @@ def measure_scenes(ctx: FigureContext) -> list[FigureRow]:
     poses = flats[0].views(BATCHES * case.views, 1).reshape(BATCHES, case.views, 4, 4)
     mine = [key for key in keys for _ in range(each)]
 
-    def draw(visible: bool) -> Contender:
-        return lambda turn: batch.render(
+    def draw(visible: bool, by: RendererBatch = batch) -> Contender:
+        return lambda turn: by.render(
             camera, poses[turn % BATCHES], mine, outputs=OUTPUTS, visible=visible
         )
 
-    contenders = {"cuda": draw(False), "visible": draw(True)}
+    contenders = {"cuda": draw(False), "visible": draw(True), "float": draw(False, floats)}
     for turn in range(BATCHES):  # scenes and sets come in before the clock runs
         bench.ctx.progress("visible sets of all scenes", turn, BATCHES)
         draw(True)(turn)
     forms, loops = "", _loop_calls(bench, flats, scenes, camera, poses)
     if loops:
         tried = interleave(bench.device, loops, 2, warm=1)
-        best = min(tried, key=lambda name: median(tried[name]))
         forms = ", ".join(f"{name} {median(taken):.3g} ms" for name, taken in tried.items())
-        contenders["gsplat"] = loops[best]
-    times = interleave(bench.device, contenders, case.rounds, warm=bench.warm)
+        contenders |= loops
+    walls: dict[str, list[float]] = {}
+    times = interleave(bench.device, contenders, case.rounds, warm=bench.warm, walls=walls)
     where = f"{scenes} standard flats of {len(flats[0].cloud) / 1e6:g} M (of {len(flats)} seeds)"
-    _report(bench, where, case, times, forms)
+    _report(bench, where, case, (times, walls), forms)
     mean = count_work(RendererCpu(flats[0].cloud), camera, poses[0][:each])
     _report_floor(bench, where, case, 0, mean, scenes, median(times["cuda"]))
     return bench.rows
@@ -317,7 +340,7 @@ def _loop_calls(
 
         return call
 
-    return {"packed": loop(True), "unpacked": loop(False)}
+    return {f"{RIVAL} packed": loop(True), f"{RIVAL} unpacked": loop(False)}
 
 
 def _own_cases(count: int) -> Iterator[Case]:

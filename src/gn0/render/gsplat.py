@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import DeviceError, DeviceMemoryError, RenderError
-from gn0.gaussians.cloud import GaussianCloud, join_clouds
+from gn0.gaussians.cloud import SH_C0, GaussianCloud, join_clouds
 from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.renderer import Output, RenderOptions, RenderResult, check_views
@@ -61,6 +61,7 @@ class RendererGsplat:
         self._torch = open_torch()
         self._rasterization = _open_rasterization()
         self._splats, self._degree = self._upload(cloud), cloud.sh_degree
+        self._colours: Any = None  # [N, 3], once asked for, where they are the same all round
         self._batch = 0  # most views a call, once one did not fit
 
     def _upload(self, cloud: GaussianCloud) -> Splats:
@@ -229,9 +230,11 @@ class RendererGsplat:
             DeviceError: the GPU failed.
         """
         means, quats, scales, opacities, sh = splats or self._splats
+        degree = self._degree if degree is None else degree
+        colours, sh_degree = (sh, degree) if degree else (self._base_colours(sh), None)
         near = max(camera.near, 1e-6) if camera.model == "pinhole" else camera.near
         settings = {
-            "sh_degree": self._degree if degree is None else degree,
+            "sh_degree": sh_degree,
             "near_plane": near,
             "far_plane": camera.far,
             "packed": self.packed if packed is None else packed,
@@ -242,14 +245,24 @@ class RendererGsplat:
 
         def call() -> tuple[Any, Any]:
             with self._torch.no_grad():
-                colours, alphas, _ = self._rasterization(  # its third holds all intermediates
-                    *(means, quats, scales, opacities, sh, *placed),
+                pictures, alphas, _ = self._rasterization(  # its third holds all intermediates
+                    *(means, quats, scales, opacities, colours, *placed),
                     *(camera.width, camera.height),
                     **settings,
                 )
-            return colours, alphas
+            return pictures, alphas
 
         return self._guard(call)
+
+    def _base_colours(self, sh: Any) -> Any:
+        """Colours [N, 3] of SH 0: given them, gsplat saves its directions and harmonics."""
+        own = sh is self._splats[-1]
+        if own and self._colours is not None:
+            return self._colours
+        found = self._guard(lambda: (sh[:, 0] * SH_C0 + 0.5).clamp(0.0, float("inf")))
+        if own:
+            self._colours = found
+        return found
 
     def _guard(self, call: Callable[[], Any]) -> Any:
         """Run a call; torch's errors become ours."""

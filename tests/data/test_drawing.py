@@ -6,11 +6,13 @@ import math
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -25,6 +27,7 @@ from gn0.data.draw import look_ahead
 from gn0.data.drawing import choose_drawing, count_workers, open_drawing, with_backend
 from gn0.data.render import choose_cache, render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
+from gn0.data.verify import verify_dataset
 from gn0.errors import ConfigError, DataError, DeviceError
 from gn0.render.share.client import DrawConnection, DrawServer
 from gn0.scenes.folder import load_scene
@@ -82,6 +85,46 @@ def test_pictures_are_drawn_again_by_the_process_that_draws(alone, tmp_path, fil
     shutil.rmtree(folder / "pictures")
     render_dataset(folder, workers=2)
     assert files_of(folder) == files_of(alone)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("served")
+def test_pixels_are_compared_by_the_process_that_draws(alone, monkeypatch) -> None:
+    """One device for all workers, and no file is encoded that nobody reads."""
+    servers: list[DrawServer] = []
+    entered = DrawServer.__enter__
+
+    def enter(server: DrawServer) -> DrawServer:
+        servers.append(entered(server))
+        return servers[-1]
+
+    monkeypatch.setattr(DrawServer, "__enter__", enter)
+    report = verify_dataset(alone, pixels=True, workers=2)
+    assert report.ok and report.pixels == open_dataset(alone).about.rows
+    with DrawServer("cpu", LOADER) as server:
+        assert verify_dataset(alone, pixels=True, workers=2, server=server).ok
+    assert len(servers) == 2 and servers[1] is server
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("served")
+def test_visible_sets_give_the_same_bytes_whoever_draws(
+    walks, tmp_path, files_of, monkeypatch
+) -> None:
+    """The sets are found by the process that draws; the dataset says that they were used."""
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
+                     walks.episodes[1:2], name="few")  # fmt: skip
+    settings = BuildSettings(pictures=PictureSettings(visible_sets=True))
+    build_dataset(few, tmp_path / "shared", settings)
+    assert list((tmp_path / "cache" / "visible").rglob("*.set"))
+    monkeypatch.setattr(looks, "SHARED", frozenset({"cuda"}))
+    build_dataset(few, tmp_path / "alone", settings)
+    assert files_of(tmp_path / "shared") == files_of(tmp_path / "alone")
+    assert verify_dataset(tmp_path / "shared", pixels=True).ok
+    build_dataset(few, tmp_path / "exact", BuildSettings())
+    shard = "pictures/webdataset/example-flat-0000.tar"
+    assert files_of(tmp_path / "exact")[shard] != files_of(tmp_path / "shared")[shard]
 
 
 @pytest.mark.slow
@@ -187,9 +230,7 @@ def test_the_dataset_says_who_drew_it(alone, walks, tmp_path) -> None:
     assert "leave --backend out, or give cpu" in caught.value.remedy
     assert choose_drawing("auto", alone) == ("cpu", "the dataset was begun with it")
     assert choose_drawing("cuda", alone)[0] == "cuda"
-    assert choose_drawing("auto", tmp_path, visible_sets=True)[0] == "cpu"
-    with pytest.raises(ConfigError, match="visible sets"):
-        PictureSettings(visible_sets=True, backend="cuda")
+    assert PictureSettings(visible_sets=True, backend="cuda").visible_sets
 
 
 def test_workers_are_as_many_as_cores_where_a_gpu_draws() -> None:
@@ -237,7 +278,9 @@ class BatchOnHost:
         from gn0.render.share.cpu import RendererBatchCpu
 
         self.device, self._batch = DeviceHost(), RendererBatchCpu()
-        self.add = self._batch.add
+        self.add, self.holds, self.prepare = (
+            self._batch.add, self._batch.holds, self._batch.prepare
+        )  # fmt: skip
 
     def render(self, *args, **more):  # type: ignore[no-untyped-def]
         found = self._batch.render(*args, **more).numpy()
@@ -245,6 +288,84 @@ class BatchOnHost:
             if (array := getattr(found, name)) is not None:
                 object.__setattr__(found, name, self.device.upload(array))
         return found
+
+
+def serve_here(batch: Any) -> tuple[socket.socket, str]:
+    """A server in threads of this process: its listener and its address."""
+    from gn0.render.share.server import Server, open_listener
+
+    server = Server(batch, looks.load_look)
+    listener, address = open_listener()
+    threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
+    threading.Thread(target=server.serve, daemon=True).start()
+    return listener, address
+
+
+def start_at(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let that server stand for every one that is started."""
+
+    def enter(own: DrawServer) -> DrawServer:
+        own.address, own.card = address, "emulated"
+        return own
+
+    monkeypatch.setattr(DrawServer, "__enter__", enter)
+    monkeypatch.setattr(DrawServer, "end", lambda own: None)
+
+
+@pytest.fixture
+def small_camera(monkeypatch: pytest.MonkeyPatch) -> str:
+    """Name of a camera of 48x36, which the emulation draws in a moment."""
+    from gn0.missions.episode import AgentSpec
+    from gn0.render.camera import Camera
+    from gn0.sim import presets
+
+    small = Camera.from_hfov(48, 36, 90.0)
+    preset = presets.CameraPreset(name="small", rgb=small, depth=small, agent=AgentSpec())
+    monkeypatch.setitem(presets._BY_NAME, "small", preset)
+    return "small"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+def test_a_dataset_of_visible_sets_found_on_a_device_is_drawn_again_from_them(
+    walks, tmp_path, monkeypatch, files_of, small_camera
+) -> None:
+    """Found again when the cache is gone, with the same bytes; and not those of all splats."""
+    from gn0.device.host import DeviceHost
+    from gn0.render.cuda.batch import RendererBatch
+    from gn0.render.visible_places import VisibleOptions
+
+    monkeypatch.setenv("GN0_DEVICE", "host")
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    few_looks = VisibleOptions(pixels=24, places=1)
+    limit = RendererBatch.limit_to_visible
+    monkeypatch.setattr(
+        RendererBatch, "limit_to_visible", lambda own, *args: limit(own, *args, few_looks)
+    )
+    scene = load_scene(walks.scene_folder("example-flat"))
+    shortest = min(walks.episodes, key=lambda e: math.dist(e.start[:2], e.goal))
+    few = save_suite(tmp_path / "few", [scene], [shortest], name="few", camera=small_camera)
+    drawn = with_backend(PictureSettings(visible_sets=True), "cuda")
+    first, again = RendererBatch(DeviceHost()), RendererBatch(DeviceHost())
+    listener, address = serve_here(first)
+    start_at(address, monkeypatch)
+    build_dataset(few, tmp_path / "d", BuildSettings(pictures=drawn))
+    made = files_of(tmp_path / "d")
+    assert b'"visible_sets": true' in made["dataset.json"]
+    assert sum(sets.built for sets in first._sets.values()) > 2
+    listener.close()
+    shutil.rmtree(tmp_path / "d" / "pictures")
+    shutil.rmtree(tmp_path / "cache" / "visible")
+    listener, address = serve_here(again)
+    start_at(address, monkeypatch)
+    render_dataset(tmp_path / "d")
+    assert files_of(tmp_path / "d") == made
+    assert verify_dataset(tmp_path / "d", pixels=True).ok
+    exact = with_backend(PictureSettings(), "cuda")
+    build_dataset(few, tmp_path / "exact", BuildSettings(pictures=exact))
+    shard = "pictures/webdataset/example-flat-0000.tar"
+    assert files_of(tmp_path / "exact")[shard] != made[shard]
+    listener.close()
 
 
 @pytest.mark.slow
@@ -255,12 +376,8 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     """A whole dataset with views and mosaics encoded by kernels: no byte of its shards differs."""
     from gn0.data import draw, pictures
     from gn0.render.share.client import RendererShared
-    from gn0.render.share.server import Server, open_listener
 
-    server = Server(BatchOnHost(), looks.load_look)
-    listener, address = open_listener()
-    threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
-    threading.Thread(target=server.serve, daemon=True).start()
+    listener, address = serve_here(BatchOnHost())
     made = [0]
     render_files = RendererShared.render_files
 
@@ -269,13 +386,8 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
         made[0] += len(found.mosaics)
         return found
 
-    def enter(own: DrawServer) -> DrawServer:
-        own.address, own.card = address, "emulated"
-        return own
-
     monkeypatch.setattr(RendererShared, "render_files", counted)
-    monkeypatch.setattr(DrawServer, "__enter__", enter)
-    monkeypatch.setattr(DrawServer, "end", lambda own: None)
+    start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
                      walks.episodes[1:2], name="few")  # fmt: skip
     settings = BuildSettings(pictures=PictureSettings(quality=85))
@@ -294,21 +406,13 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 def test_a_dataset_drawn_on_a_device_is_drawn_again_there_alone(
-    walks, tmp_path, monkeypatch, files_of
+    walks, tmp_path, monkeypatch, files_of, small_camera
 ) -> None:
     """End to end on the emulation, with pictures of 48x36."""
-    from gn0.data.verify import verify_dataset
-    from gn0.missions.episode import AgentSpec
-    from gn0.render.camera import Camera
-    from gn0.sim import presets
-
-    small = Camera.from_hfov(48, 36, 90.0)
-    preset = presets.CameraPreset(name="small", rgb=small, depth=small, agent=AgentSpec())
-    monkeypatch.setitem(presets._BY_NAME, "small", preset)
     monkeypatch.setenv("GN0_DEVICE", "host")
     scene = load_scene(walks.scene_folder("example-flat"))
     shortest = min(walks.episodes, key=lambda e: math.dist(e.start[:2], e.goal))
-    few = save_suite(tmp_path / "few", [scene], [shortest], name="few", camera="small")
+    few = save_suite(tmp_path / "few", [scene], [shortest], name="few", camera=small_camera)
     backend, why = choose_drawing("auto", tmp_path / "d")
     assert backend == "cuda" and why
     settings = BuildSettings(pictures=with_backend(PictureSettings(), backend))
@@ -317,6 +421,7 @@ def test_a_dataset_drawn_on_a_device_is_drawn_again_there_alone(
     shutil.rmtree(tmp_path / "d" / "pictures")
     render_dataset(tmp_path / "d")
     assert files_of(tmp_path / "d") == first
+    assert verify_dataset(tmp_path / "d", pixels=True).ok
     frame = next(built.frames(built.sampled[0], ("rgb", "depth"), exact=True))
     assert frame["rgb"].shape == (36, 48, 3)
     monkeypatch.setenv("GN0_DEVICE", "none")

@@ -92,7 +92,7 @@ def run_suite(
         policy_options: keyword arguments of the policy.
         max_episodes: only the first so many, by id.
         plugin_modules: modules to import first, here and in every worker.
-        backend: renderer backend: "auto", "cpu", "cuda" or one with visible sets. With "cuda" one
+        backend: renderer backend: "auto", "cpu", "cuda" or one with visible sets. With a GPU one
             process draws for all workers of this machine, and the run says on which card.
         executor: where the workers live, see `gn0.bench.executors`; changes no result.
         ray_address: a Ray cluster to join; by default one of this machine alone is started.

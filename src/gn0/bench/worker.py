@@ -32,6 +32,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.maps.release import ReleaseNavigation
 from gn0.missions.episode import mission_name
 from gn0.plugins import get_plugin
+from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged
@@ -125,7 +126,8 @@ class EpisodeWorker:
             return None
         if self._connection is None:
             self._connection = DrawConnection(self.settings.drawing)
-        return RendererShared(self._connection, self.settings.backend, look.key, look.source)
+        drawn_by = VISIBLE_BACKENDS.get(self.settings.backend, self.settings.backend)
+        return RendererShared(self._connection, drawn_by, look.key, look.source)
 
     def run(self, simulator: Simulator, episode: Episode) -> tuple[EpisodeResult, EpisodeTrace]:
         """Run and score one episode.

@@ -82,7 +82,7 @@ def run(args: Args) -> int:
         visible_sets=args.visible_sets,
     )
     if args.layout != "none":
-        backend, why = choose_drawing(args.backend, args.out, visible_sets=args.visible_sets)
+        backend, why = choose_drawing(args.backend, args.out)
         say_aside(f"pictures: drawn by backend {backend} ({why})")
         pictures = with_backend(pictures, backend)
     settings = BuildSettings(

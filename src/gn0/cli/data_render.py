@@ -66,7 +66,7 @@ def run(args: Args) -> int:
     if args.layout == "lerobot":
         chosen.setdefault("maps", "once")  # it knows no other way, whatever the first cache did
     if args.backend != "auto" or not dataset.about.rendered:
-        backend, why = choose_drawing(args.backend, args.dataset, visible_sets=wanted.visible_sets)
+        backend, why = choose_drawing(args.backend, args.dataset)
         say_aside(f"pictures: drawn by backend {backend} ({why})")
         wanted = with_backend(wanted, backend)
     wanted = msgspec.structs.replace(wanted, **chosen)

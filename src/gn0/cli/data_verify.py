@@ -35,12 +35,16 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Read, and say what is damaged."""
-    from gn0.cli.console import draw_progress
+    from gn0.cli.console import draw_progress, say_aside
     from gn0.data.verify import count_damages, verify_dataset
 
     with draw_progress() as progress:
         report = verify_dataset(
-            args.dataset, pixels=args.pixels, workers=args.workers, progress=progress
+            args.dataset,
+            pixels=args.pixels,
+            workers=args.workers,
+            progress=progress,
+            note=say_aside,
         )
     for damage in report.damages[:SHOWN]:
         print(damage)

@@ -83,13 +83,13 @@ class Eyes:
                 key[1],
                 visible_sets=self.settings.visible_sets,
                 backend=self.settings.drawn_by,
-                renderer=self._ask_for(*key),
+                renderer=self.ask_for(*key),
             )
             self._key = key
             self.bev_hash = content_hash(map_picture(self._suite))
         return self._suite
 
-    def _ask_for(self, scene_id: str, light: LightCondition | None) -> RendererShared | None:
+    def ask_for(self, scene_id: str, light: LightCondition | None) -> RendererShared | None:
         """A renderer that asks the process that draws, where there is one."""
         if self._connection is None:
             return None
@@ -150,6 +150,7 @@ class PartDrawer:
         settings: how pictures are drawn.
         check: refuse a picture that has another hash than its row says.
         drawing: address of the process that draws; "" draws here.
+        files: let that process encode, too, where it can.
     """
 
     def __init__(
@@ -160,8 +161,10 @@ class PartDrawer:
         *,
         check: bool = True,
         drawing: str = "",
+        files: bool = True,
     ) -> None:
         self._dataset = dataset
+        self._files = files
         self._check = check
         self._settings = settings
         self._blocks = blocks
@@ -231,7 +234,7 @@ class PartDrawer:
                 goal = (picture, content_hash(np.asarray(picture)))
             yield Opened(eyes, self._eyes.bev_hash, goal)
             if not (number and again[number - 1]):
-                if files_wanted(eyes, self._settings):
+                if self._files and files_wanted(eyes, self._settings):
                     yield from draw_files(eyes, block.poses, self._settings.quality)
                 else:
                     yield from draw_views(eyes, block.poses)

@@ -20,16 +20,13 @@ from gn0.render.share.client import DrawServer
 MOST_WORKERS = 64
 
 
-def choose_drawing(
-    backend: str, out: Path | str, *, visible_sets: bool = False
-) -> tuple[Backend, str]:
+def choose_drawing(backend: str, out: Path | str) -> tuple[Backend, str]:
     """The renderer that is to draw a dataset, and why.
 
     Args:
         backend: "auto", "cpu" or "cuda". "auto" takes what the dataset in `out` was begun with,
             and the best that is here for a new one.
         out: the dataset folder, whether it is there or not.
-        visible_sets: whether pictures are drawn from visible sets, which the CPU alone does.
     """
     if backend != "auto":
         return ("cuda" if backend == "cuda" else "cpu"), "asked for by name"
@@ -37,8 +34,6 @@ def choose_drawing(
         pictures = load_dataset_file(Path(out)).settings.pictures
         if pictures.layout != "none" or pictures.backend is not msgspec.UNSET:
             return pictures.drawn_by, "the dataset was begun with it"
-    if visible_sets:
-        return "cpu", "visible sets are drawn from by the CPU renderer"
     name, why = choose_backend("auto")
     return ("cuda" if name == "cuda" else "cpu"), why
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from importlib import import_module
 
 import msgspec
 
+from gn0.bench.looks import needs_renderer
 from gn0.bench.worker import build_policy, describe_error
 from gn0.data.codec import encode_waypoints
 from gn0.data.dagger import collect_visited
@@ -17,10 +18,14 @@ from gn0.data.samples import EpisodeRows
 from gn0.data.settings import DaggerSettings
 from gn0.errors import ConfigError, DataError, Gn0Error, PolicyError
 from gn0.missions.episode import Episode
+from gn0.render.light import LightCondition
+from gn0.render.renderer import Renderer
 from gn0.sim.open import name_look, open_simulator
 from gn0.sim.policy import Policy
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
+
+Ask = Callable[[str, LightCondition | None], Renderer | None]
 
 
 def import_plugins(modules: Sequence[str]) -> None:
@@ -65,6 +70,7 @@ class Driver:
 
     Args:
         dataset: whose scenes, camera, agent and settings.
+        ask: gives who draws a scene in a light, where another process does; None draws here.
 
     Raises:
         ConfigError: no such policy, or it does not take these options.
@@ -72,7 +78,7 @@ class Driver:
         DataError: the dataset's steps come from the expert alone.
     """
 
-    def __init__(self, dataset: Dataset) -> None:
+    def __init__(self, dataset: Dataset, ask: Ask = lambda scene_id, light: None) -> None:
         settings = dataset.about.settings.dagger
         if settings is None:
             raise DataError(
@@ -80,7 +86,7 @@ class Driver:
                 where=dataset.folder,
                 remedy="collect one with `gn0 data dagger`",
             )
-        self._dataset = dataset
+        self._dataset, self._ask = dataset, ask
         self._settings = settings
         self._policy = _open_policy(msgspec.json.encode(settings, order="deterministic"))
         self._simulator: Simulator | None = None
@@ -106,6 +112,7 @@ class Driver:
         if self._simulator is None or look != self._look:
             self._simulator = None  # let go of the old scene first
             about = self._dataset.about
+            sees = needs_renderer(self._policy.sensors, self._settings.map_mode)
             self._simulator = open_simulator(
                 self._dataset.scene(episode.scene_id),
                 about.camera,
@@ -116,6 +123,7 @@ class Driver:
                 map_mode=self._settings.map_mode,
                 navigation=self._dataset.navigation(episode.scene_id),
                 light=episode.light,
+                renderer=self._ask(episode.scene_id, episode.light) if sees else None,
             )
             self._look = look
         return self._simulator

@@ -125,9 +125,9 @@ def render_part(payload: dict[str, Any]) -> dict[str, Any]:
     known = next(part for part in dataset.about.parts if part.name == plan.name)
     blocks = dataset.part_rows(known)
     drawn, files, notes = draw_part(dataset, plan, blocks)
-    part = known
-    if not all(block.rendered for block in blocks):
-        part = write_part(dataset, plan, drawn, known.skipped)
+    # a run that was killed may have written the table, hashes and all, before anybody noted it
+    noted = dataset.about.rendered and all(block.rendered for block in blocks)
+    part = known if noted else write_part(dataset, plan, drawn, known.skipped)
     answer: dict[str, Any] = msgspec.to_builtins(PartDone(part, tuple(files), notes))
     return answer
 
@@ -163,9 +163,14 @@ def collect_part(
     navigation = dataset.navigation(plan.scene)
     driver = None
     if dataset.about.settings.dagger is not None:
+        from gn0.data.draw import eyes_of
         from gn0.data.driver import Driver  # the expert needs no simulator
 
-        driver = Driver(dataset)
+        settings = plan.pictures or dataset.about.settings.pictures
+        if plan.drawing:
+            driver = Driver(dataset, eyes_of(dataset, settings, plan.drawing).ask_for)
+        else:
+            driver = Driver(dataset)
     blocks: list[EpisodeRows] = []
     skipped: list[SkippedEpisode] = []
     for name in plan.episodes:

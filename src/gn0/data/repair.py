@@ -17,8 +17,9 @@ from gn0.bench.suite import load_suite
 from gn0.data.cache import MANIFEST, CacheManifest, cache_folder, load_manifest
 from gn0.data.dataset import JOURNAL, Dataset, open_dataset
 from gn0.data.draw import PartDrawer
+from gn0.data.drawing import open_drawing
 from gn0.data.folder import lock_folder, parts_journal, read_done, sweep, write_journal
-from gn0.data.part import PartDone, PartPlan, collect_part, file_digest
+from gn0.data.part import PartDone, PartPlan, collect_part, drawn_at, file_digest
 from gn0.data.render import check_rendered, finish_cache, plan_rendering, render_dataset
 from gn0.data.samples import encode_rows, encode_table
 from gn0.data.settings import PictureSettings
@@ -212,15 +213,16 @@ def _redraw(
                 remedy="delete the cache and render all of it: the pixels are the same",
             )
 
-    run_jobs(
-        "gn0.data.part:render_part",
-        [msgspec.to_builtins(plan) for plan in plans],
-        workers=workers,
-        names=[f"part {plan.name}" for plan in plans],
-        done=take,
-        what="parts drawn again",
-        progress=progress,
-    )
+    with open_drawing(settings) as server:
+        run_jobs(
+            "gn0.data.part:render_part",
+            [msgspec.to_builtins(plan) for plan in drawn_at(plans, server)],
+            workers=workers,
+            names=[f"part {plan.name}" for plan in plans],
+            done=take,
+            what="parts drawn again",
+            progress=progress,
+        )
     if broken - covered:  # what the parts have in common
         finish_cache(dataset, settings, [done[part.name] for part in dataset.about.parts])
 

@@ -57,12 +57,6 @@ class PictureSettings(Config, frozen=True):
                 where="--maps every",
                 remedy="keep maps once, or use layout webdataset",
             )
-        if self.backend is not msgspec.UNSET and self.visible_sets:
-            raise ConfigError(
-                "visible sets are drawn from by the CPU renderer alone",
-                where="--visible-sets",
-                remedy="leave them out, or use --backend cpu",
-            )
 
 
 class TokenSettings(Config, frozen=True):

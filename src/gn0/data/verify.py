@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +26,7 @@ from gn0.data.dataset import (
     FileRecord,
     open_dataset,
 )
+from gn0.data.drawing import count_workers, open_drawing
 from gn0.data.folder import parts_journal
 from gn0.data.part import PartPlan, collect_part, file_digest, open_building
 from gn0.data.samples import PICTURES, EpisodeRows, decode_rows, digest_labels, load_sample_table
@@ -33,6 +34,7 @@ from gn0.errors import Gn0Error, StorageError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.jobs.process import count_cores
 from gn0.progress import Progress, no_progress
+from gn0.render.share.client import DrawServer
 from gn0.storage import read_bytes, safe_join, storage_error
 
 Kind = Literal["source", "samples", "cache", "journal"]
@@ -102,7 +104,10 @@ def verify_dataset(
     pixels: bool = False,
     workers: int = 0,
     executor: ExecutorName = "process",
+    batch: int = 0,
+    server: DrawServer | None = None,
     progress: Progress = no_progress,
+    note: Callable[[str], None] = lambda text: None,
 ) -> VerifyReport:
     """Read every file of a dataset and compare it with what was written.
 
@@ -111,11 +116,14 @@ def verify_dataset(
         pixels: also draw every picture again, and compare it with the hash in its row.
         workers: readers (threads), and processes that draw; 0 takes a core each.
         executor: where the processes that draw live.
+        batch: views a call of the GPU's renderer; 0 takes its default.
+        server: a process that draws with the dataset's backend, when one is running already.
         progress: progress sink.
+        note: told once what people should hear.
 
     Raises:
-        StorageError, FormatError, DataError: `dataset.json` itself is missing or damaged, or the
-            build has not ended.
+        StorageError, FormatError, DataError: `dataset.json` itself is missing or damaged, the
+            build has not ended, or the backend that drew its pictures is not here.
     """
     dataset = open_dataset(path)
     expected = list_files(dataset)
@@ -139,7 +147,13 @@ def verify_dataset(
         damages.append(Damage(claim.kind, claim.path, fault, rows, claim.part, claim.layout))
     drawn = 0
     if pixels and not damages and dataset.about.rendered:
-        found, drawn = _compare_pixels(dataset, workers or 1, executor, progress)
+        pictures = dataset.about.settings.pictures
+        with open_drawing(
+            pictures, executor=executor, batch=batch, server=server, note=note
+        ) as drawing:
+            address = "" if drawing is None else drawing.address
+            many = count_workers(workers, pictures)
+            found, drawn = _compare_pixels(dataset, address, many, executor, progress)
         damages += found
     return VerifyReport(
         files=len(expected.claims),
@@ -324,7 +338,7 @@ def _name_rows(dataset: Dataset, part_name: str) -> dict[str, str]:
 
 
 def _compare_pixels(
-    dataset: Dataset, workers: int, executor: ExecutorName, progress: Progress
+    dataset: Dataset, drawing: str, workers: int, executor: ExecutorName, progress: Progress
 ) -> tuple[list[Damage], int]:
     """Draw every part again, and compare the pictures with the hashes in the rows."""
     damages: list[Damage] = []
@@ -344,7 +358,7 @@ def _compare_pixels(
 
     run_jobs(
         "gn0.data.verify:compare_part",
-        [{"folder": str(dataset.folder), "part": part.name} for part in parts],
+        [{"folder": str(dataset.folder), "part": p.name, "drawing": drawing} for p in parts],
         workers=workers,
         executor=executor,
         names=[f"part {part.name}" for part in parts],
@@ -362,7 +376,12 @@ def compare_part(payload: dict[str, str]) -> dict[str, list[str]]:
     dataset = open_building(payload["folder"])
     part = next(own for own in dataset.about.parts if own.name == payload["part"])
     drawer = PartDrawer(
-        dataset, dataset.part_rows(part), dataset.about.settings.pictures, check=False
+        dataset,
+        dataset.part_rows(part),
+        dataset.about.settings.pictures,
+        check=False,
+        drawing=payload.get("drawing", ""),
+        files=False,
     )
     rows = []
     for step in drawer.steps():

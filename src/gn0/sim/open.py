@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -114,8 +115,8 @@ def open_simulator(
     if (
         backend in VISIBLE_BACKENDS and renderer is not None
     ):  # not for the BEV: it is seen from above
-        renderer = limit_to_visible(
-            renderer,
+        limit = getattr(renderer, "limit_to_visible", None)  # of one that asks another process
+        renderer = (limit or partial(limit_to_visible, renderer))(
             scene.cloud_hash or scene.gaussians.content_hash,
             navigation.inflated,
             body.camera_height,

@@ -9,20 +9,27 @@ import sys
 import threading
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image
 
 from gn0.device.host import DeviceHost
-from gn0.errors import DeviceError, DeviceMemoryError, RenderError
+from gn0.errors import DeviceError, DeviceMemoryError, FormatError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import view_from_pose
+from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
+from gn0.render.cuda.batch import RendererBatch
+from gn0.render.cuda.renderer import RendererCuda
+from gn0.render.cuda.visible import RendererVisibleCuda
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.render.share.cpu import RendererBatchCpu
-from gn0.render.share.messages import Encode, lay_out
+from gn0.render.share.messages import Draw, Encode, Floor, lay_out
 from gn0.render.share.server import Server, open_listener
+from gn0.render.visible import RendererVisible
+from gn0.render.visible_places import VisibleOptions
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets"),
@@ -345,6 +352,105 @@ def test_files_without_room_are_left_to_who_asked(serve) -> None:
     with pytest.raises(RenderError, match="no multiple"):
         renderer.render_files(CAMERA, views(2), odd)
     assert len(renderer.render_files(CAMERA, views(2), Encode(85, 10**5)).files) == 2
+
+
+FLOOR = OccupancyGrid(np.zeros((16, 16), np.uint8), 0.25, (-2.0, -2.0))
+
+
+def test_visible_sets_are_found_and_drawn_from_where_the_splats_are(
+    serve, tmp_path, monkeypatch
+) -> None:
+    """The pictures of `RendererVisible`; a scene may have the sets of several floors in turn."""
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+    serving = serve(BatchWithLimit())
+    cloud = random_cloud(1)
+    plain = serving.renderer(1)
+    other = OccupancyGrid(np.tile(np.uint8([0, 1]), (16, 8)), 0.25, (-2.0, -2.0))
+    wanted, shared = [], []
+    for floor, height in ((FLOOR, 0.5), (other, 0.5), (FLOOR, 0.7)):
+        alone = RendererVisible(RendererCpu(cloud), cloud.content_hash, floor, height, cache=False)
+        wanted.append(alone.render(CAMERA, views(4)))
+        shared.append(serving.renderer(1).limit_to_visible(cloud.content_hash, floor, height))
+    expect_same(wanted[2], RendererCpu(cloud).render(CAMERA, views(4)))  # eyes are too low for it
+    assert shared[0].name == "cpu-visible" and not shared[0].encodes
+    found: dict[int, Any] = {}
+
+    def ask(number: int) -> None:
+        for _ in range(3):
+            found[number] = shared[number].render(CAMERA, views(4))
+
+    threads = [threading.Thread(target=ask, args=(number,)) for number in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for number in range(3):
+        expect_same(found[number], wanted[number])
+    expect_same(plain.render(CAMERA, views(4)), RendererCpu(cloud).render(CAMERA, views(4)))
+    assert list((tmp_path / "visible").rglob("*.set"))
+
+
+def test_a_floor_that_is_none_is_refused(serve) -> None:
+    renderer = serve(RendererBatchCpu()).renderer(1)
+    floor = Floor.of_grid("0" * 32, FLOOR, 0.5)
+    assert floor.grid.content_hash == FLOOR.content_hash
+    bad = msgspec.structs.replace(floor, name="bad", shape=(3, 3))
+    with pytest.raises(FormatError, match="another size"):
+        renderer._connection.draw(
+            "scene 1", {"seed": 1}, CAMERA, views(1), ("rgb",), None, floor=bad
+        )
+    draw = Draw(1, "scene 1", {"seed": 1}, CAMERA, views(1).tobytes(), ("rgb",), None, 1,
+                visible=True)  # fmt: skip
+    lonely = serve(RendererBatchCpu()).renderer(1)._connection
+    lonely._open_area(lay_out(CAMERA, ("rgb",), 1)[1])
+    with pytest.raises(RenderError, match="without a floor"):
+        lonely._ask(draw)
+
+
+def test_visible_sets_on_a_device_are_those_of_its_own_renderer(
+    serve, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+    options = VisibleOptions(pixels=16, places=1)
+    limit = RendererBatch.limit_to_visible
+    monkeypatch.setattr(
+        RendererBatch, "limit_to_visible", lambda own, *args: limit(own, *args, options)
+    )
+    cloud = random_cloud(1)
+    serving = serve(RendererBatch(DeviceHost()))
+    shared = serving.renderer(1)
+    assert shared.drawn_by == "cuda on host"
+    limited = shared.limit_to_visible(cloud.content_hash, FLOOR, 0.5)
+    full = RendererCuda(cloud, device=DeviceHost())
+    alone = RendererVisibleCuda(full, cloud.content_hash, FLOOR, 0.5, options, cache=False)
+    expect_same(limited.render(CAMERA, views(3)), alone.render(CAMERA, views(3)))
+    exact = shared.render(CAMERA, views(3))
+    expect_same(exact, full.render(CAMERA, views(3)))
+    assert serving.server._batch._sets["scene 1"].built
+
+
+def test_a_scene_that_gave_way_is_read_ahead_again(serve, monkeypatch) -> None:
+    """By the thread that hears of it, not by the one that draws; each time once."""
+    batch = RendererBatchCpu()
+    monkeypatch.setattr("gn0.render.share.cpu.KEPT", 1)
+    serving = serve(batch)
+    by: list[str] = []
+
+    def note(source: dict[str, Any]) -> GaussianCloud:
+        by.append(threading.current_thread().name)
+        return random_cloud(source["seed"])
+
+    monkeypatch.setattr(serving.server, "_load", note)
+    one, other = serving.renderer(1), serving.renderer(2)
+    for _ in range(2):
+        for seed, renderer in ((1, one), (2, other)):
+            expect_same(
+                renderer.render(CAMERA, views(2)),
+                RendererCpu(random_cloud(seed)).render(CAMERA, views(2)),
+            )
+    assert len(by) == 4 and serving.thread.name not in by
+    one.render(CAMERA, views(1))  # by now the last of them has been let go of
+    assert "scene 2" not in serving.server._loading
 
 
 def test_outputs_lie_apart_in_an_area() -> None:

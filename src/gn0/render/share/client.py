@@ -12,6 +12,7 @@ import tempfile
 import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -22,20 +23,30 @@ from gn0 import errors
 from gn0.errors import DeviceError, Gn0Error, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.process import Ended, WorkerProcess
+from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
-from gn0.render.renderer import Output, RenderResult, check_views
+from gn0.render.renderer import (
+    VISIBLE_BACKENDS,
+    Output,
+    RenderResult,
+    check_views,
+    visible_backend,
+)
 from gn0.render.share.jpeg import join_files, read_tables
 from gn0.render.share.messages import (
     Area,
     Draw,
     Drawn,
+    DrawnBy,
     Encode,
     Failed,
+    Floor,
     Inbox,
     Note,
     Ready,
     Refused,
     Tally,
+    Who,
     find_places,
     lay_files,
     send_message,
@@ -85,9 +96,22 @@ class DrawConnection:
             ) from None
         weakref.finalize(self, self._socket.close)
         self._inbox = Inbox(self._socket)
-        self._decoder = msgspec.msgpack.Decoder(Drawn | Failed)
+        self._decoder = msgspec.msgpack.Decoder(Drawn | Failed | DrawnBy)
         self._area: NDArray[np.uint8] | None = None
         self._number = self._areas = 0
+        self._floor = ""  # that was sent last
+
+    @cached_property
+    def drawn_by(self) -> str:
+        """Who draws, in a name that tells a card from its emulation.
+
+        Raises:
+            DeviceError: the process that draws is gone.
+        """
+        answer = self._ask(Who())
+        if not isinstance(answer, DrawnBy):
+            raise DeviceError(f"no answer of ours: {type(answer).__name__}", where="drawing socket")
+        return answer.name
 
     def close(self) -> None:
         """Let go of the socket; what was asked for is not answered any more."""
@@ -102,8 +126,11 @@ class DrawConnection:
         outputs: tuple[Output, ...],
         background: tuple[float, float, float] | None,
         encode: Encode | None = None,
+        floor: Floor | None = None,
     ) -> DrawnViews:
         """Pictures of views [V, 4, 4], and files of them: copies of one's own.
+
+        `floor`: draw from the visible sets of this one.
 
         Raises:
             DeviceError: the device or the process that draws is lost.
@@ -112,20 +139,20 @@ class DrawConnection:
         self._number += 1
         draw = Draw(
             self._number, key, dict(source), camera, np.ascontiguousarray(views).tobytes(),
-            outputs, background, self._areas, encode,
+            outputs, background, self._areas, encode, floor is not None,
         )  # fmt: skip
         _, coded, size = lay_files(draw)
         try:
             area = self._open_area(size)
             draw = msgspec.structs.replace(draw, area=self._areas)
-            send_message(self._socket, draw)
+            if floor is not None and floor.name != self._floor:
+                send_message(self._socket, floor)
+                self._floor = floor.name
         except OSError:
             raise _lost() from None
-        answer = self._inbox.next(self._decoder)
-        if answer is None:
-            raise _lost()
-        if isinstance(answer, Failed):
-            raise error_of(answer.code, answer.what, answer.where, answer.remedy)
+        answer = self._ask(draw)
+        if not isinstance(answer, Drawn):
+            raise DeviceError(f"no answer of ours: {type(answer).__name__}", where="drawing socket")
         pictures = {name: array.copy() for name, array in find_places(draw, area).items()}
         if encode is None or not answer.files:
             return DrawnViews(pictures)
@@ -140,6 +167,24 @@ class DrawConnection:
             head = read_tables(width, height, encode.quality).head
             mosaics = join_files(head, area, starts[count:])
         return DrawnViews(pictures, files, mosaics)
+
+    def _ask(self, message: msgspec.Struct) -> Drawn | DrawnBy:
+        """The answer to a message.
+
+        Raises:
+            DeviceError: the process that draws is gone.
+            Gn0Error: what it answers.
+        """
+        try:
+            send_message(self._socket, message)
+        except OSError:
+            raise _lost() from None
+        answer = self._inbox.next(self._decoder)
+        if answer is None:
+            raise _lost()
+        if isinstance(answer, Failed):
+            raise error_of(answer.code, answer.what, answer.where, answer.remedy)
+        return answer
 
     def _open_area(self, size: int) -> NDArray[np.uint8]:
         """Shared memory of at least so many bytes; grown when needed."""
@@ -182,17 +227,46 @@ class RendererShared:
         name: of the backend that draws.
         key: of the scene in its light; equal keys mean equal splats.
         source: how that process loads the splats.
+        floor: draw from visible sets where eyes can be there.
 
     Attributes:
         encodes: whether `render_files` is worth a try.
     """
 
     def __init__(
-        self, connection: DrawConnection, name: str, key: str, source: Mapping[str, Any]
+        self,
+        connection: DrawConnection,
+        name: str,
+        key: str,
+        source: Mapping[str, Any],
+        floor: Floor | None = None,
     ) -> None:
         self.name = name
-        self.encodes = name != "cpu"
+        self.encodes = VISIBLE_BACKENDS.get(name, name) != "cpu"
         self._connection, self._key, self._source = connection, key, dict(source)
+        self._floor = floor
+
+    @property
+    def drawn_by(self) -> str:
+        """Who draws, in a name that tells a card from its emulation.
+
+        Raises:
+            DeviceError: the process that draws is gone.
+        """
+        return self._connection.drawn_by
+
+    def limit_to_visible(
+        self, cloud_hash: str, floor: OccupancyGrid, eye_height: float
+    ) -> RendererShared:
+        """The same scene, with views from visible sets; `gn0.render.renderer` says which.
+
+        Raises:
+            ConfigError: the backend has no visible sets.
+        """
+        return RendererShared(
+            self._connection, visible_backend(self.name), self._key, self._source,
+            Floor.of_grid(cloud_hash, floor, eye_height),
+        )  # fmt: skip
 
     def render(
         self,
@@ -220,7 +294,7 @@ class RendererShared:
         parts = [
             self._connection.draw(
                 self._key, self._source, camera, matrices[begin : begin + VIEWS], outputs,
-                background,
+                background, None, self._floor,
             ).pictures
             for begin in range(0, len(matrices), VIEWS)
         ]  # fmt: skip
@@ -245,7 +319,7 @@ class RendererShared:
         if not 0 < len(matrices) <= VIEWS:
             raise RenderError(f"{len(matrices)} views in a request", remedy=f"give 1 to {VIEWS}")
         return self._connection.draw(
-            self._key, self._source, camera, matrices, ("rgb",), background, encode
+            self._key, self._source, camera, matrices, ("rgb",), background, encode, self._floor
         )
 
 

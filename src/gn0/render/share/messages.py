@@ -15,9 +15,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.errors import DeviceError
+from gn0.errors import DeviceError, FormatError
+from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.renderer import Output
+from gn0.storage import content_hash
 
 LIMIT = 2**26  # bytes of a message: 500,000 views
 ALIGNMENT = 64  # bytes, of each output in an area
@@ -35,6 +37,50 @@ class Area(msgspec.Struct, frozen=True, tag="area"):
 
     number: int
     size: int
+
+
+class Floor(msgspec.Struct, frozen=True, tag="floor"):
+    """Where eyes can be in a scene, for its visible sets: of the draws that follow and want them.
+
+    Attributes:
+        name: equal names mean equal sets.
+        cloud: content hash of the scene's splats; light does not matter.
+        cells: of the map that is inflated for the agent, uint8 [H, W] as bytes.
+        shape: H, W.
+        resolution: cell size [m].
+        origin: (x, y) [m] of the outer corner of cell (0, 0).
+        eye_height: of the cameras [m].
+    """
+
+    name: str
+    cloud: str
+    cells: bytes
+    shape: tuple[int, int]
+    resolution: float
+    origin: tuple[float, float]
+    eye_height: float
+
+    @classmethod
+    def of_grid(cls, cloud: str, grid: OccupancyGrid, eye_height: float) -> Floor:
+        """The floor of a map that is inflated for the agent."""
+        name = content_hash(cloud, grid.content_hash, float(eye_height))
+        cells = grid.cells.tobytes()
+        x, y = map(float, grid.origin)
+        return cls(
+            name, cloud, cells, grid.shape, float(grid.resolution), (x, y), float(eye_height)
+        )
+
+    @property
+    def grid(self) -> OccupancyGrid:
+        """The map.
+
+        Raises:
+            FormatError: it is none.
+        """
+        if len(self.cells) != self.shape[0] * self.shape[1]:
+            raise FormatError("a map of another size than said", field="cells")
+        cells = np.frombuffer(self.cells, np.uint8).reshape(self.shape)
+        return OccupancyGrid(cells, self.resolution, self.origin)
 
 
 class Encode(msgspec.Struct, frozen=True):
@@ -72,6 +118,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
         background: colour behind everything, 0..1; None takes the renderer's own.
         area: where they go.
         encode: files that are wanted as well.
+        visible: draw from the visible sets of the `Floor` that was sent last.
     """
 
     number: int
@@ -83,11 +130,22 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
     background: tuple[float, float, float] | None
     area: int
     encode: Encode | None = None
+    visible: bool = False
 
     @property
     def count(self) -> int:
         """How many views."""
         return len(self.views) // 128
+
+
+class Who(msgspec.Struct, frozen=True, tag="who"):
+    """Ask who draws."""
+
+
+class DrawnBy(msgspec.Struct, frozen=True, tag="drawn by"):
+    """Who draws: equal names, equal pictures; "cuda on host" is the emulation."""
+
+    name: str
 
 
 class Drawn(msgspec.Struct, frozen=True, tag="drawn"):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import DeviceError, Gn0Error
-from gn0.render.share.messages import Area, Draw, Failed, find_places, send_message
+from gn0.render.share.messages import Area, Draw, Failed, Floor, find_places, send_message
 
 
 @dataclass(eq=False)
@@ -49,17 +49,19 @@ class Connection:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A `Draw` and who asked for it."""
+    """A `Draw` and who asked for it; with the floor whose visible sets it wants, if any."""
 
     connection: Connection
     draw: Draw
+    floor: Floor | None = None
 
     @property
     def alike(self) -> tuple[Any, ...]:
         """What must be equal for one call of the renderer."""
         draw, wish = self.draw, self.draw.encode
         files = None if wish is None else (wish.quality, wish.tile, wish.cells, wish.columns)
-        return msgspec.json.encode(draw.camera), draw.outputs, draw.background, files
+        visible = self.floor is not None
+        return msgspec.json.encode(draw.camera), draw.outputs, draw.background, files, visible
 
     def fail(self, error: Gn0Error) -> None:
         """Tell who asked what went wrong."""

@@ -34,6 +34,7 @@ from gn0.errors import DeviceError, DeviceMemoryError, Gn0Error, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.child import open_channel
 from gn0.jobs.worker import find_function
+from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.renderer import Output
 from gn0.render.share.files import FileMaker, Files
@@ -41,12 +42,15 @@ from gn0.render.share.handing import Batch, Handing, Piece
 from gn0.render.share.messages import (
     Area,
     Draw,
+    DrawnBy,
     Encode,
+    Floor,
     Inbox,
     Note,
     Ready,
     Refused,
     Tally,
+    Who,
     lay_files,
 )
 from gn0.render.share.request import Connection, Request
@@ -63,8 +67,19 @@ class BatchRenderer(Protocol):
 
     name: str
 
-    def add(self, key: str, load: Callable[[], GaussianCloud]) -> None:
+    def holds(self, key: str) -> bool:
+        """Whether a scene is loaded; any thread may ask."""
+
+    def prepare(self, cloud: GaussianCloud) -> Any:
+        """What may be done beforehand with a cloud, in any thread; `load` may return it."""
+
+    def add(self, key: str, load: Callable[[], Any]) -> None:
         """Name a scene; it is loaded when it is first drawn."""
+
+    def limit_to_visible(
+        self, key: str, cloud_hash: str, floor: OccupancyGrid, eye_height: float
+    ) -> object:
+        """Let `visible` draw a scene from visible sets."""
 
     def render(
         self,
@@ -74,6 +89,7 @@ class BatchRenderer(Protocol):
         *,
         outputs: tuple[Output, ...],
         background: tuple[float, float, float] | None,
+        visible: bool,
     ) -> Any:
         """Pictures with fields rgb, depth, alpha, or with `numpy()` that gives such."""
 
@@ -115,7 +131,8 @@ class Server:
     ) -> None:
         self._batch, self._load, self._views, self._note = batch, load, views, note
         self._known: set[str] = set()
-        self._loading: dict[str, Future[GaussianCloud]] = {}
+        self._limited: dict[str, str] = {}  # floor whose visible sets a scene has
+        self._loading: dict[str, Future[Any]] = {}
         self._lock = threading.Lock()
         self._waiting: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._held: Request | None = None  # did not fit into the last batch
@@ -123,6 +140,7 @@ class Server:
         self._handing = Handing()
         device = getattr(batch, "device", None)
         self._files = None if device is None else FileMaker(device)
+        self._drawn_by = DrawnBy(getattr(batch, "drawn_by", batch.name))
         self.tally = Tally()
 
     @property
@@ -145,14 +163,20 @@ class Server:
     def hear(self, connection: Connection) -> None:
         """Read a connection to its end."""
         inbox = Inbox(connection.socket)
-        decoder = msgspec.msgpack.Decoder(Area | Draw)
+        decoder = msgspec.msgpack.Decoder(Area | Draw | Floor | Who)
+        floor: Floor | None = None
         try:
             while (message := inbox.next(decoder)) is not None:
                 if isinstance(message, Area):
                     connection.take_area(message, inbox.descriptors.pop(0))
+                elif isinstance(message, Floor):
+                    floor = message
+                elif isinstance(message, Who):
+                    connection.send(self._drawn_by)
                 else:
                     self._load_ahead(message)
-                    self._waiting.put(Request(connection, message))
+                    wanted = floor if message.visible else None
+                    self._waiting.put(Request(connection, message, wanted))
         except (Gn0Error, OSError, ValueError, IndexError) as error:
             _log.warning("a connection ends: %s", error)
         finally:
@@ -160,12 +184,12 @@ class Server:
             connection.socket.close()
 
     def _load_ahead(self, draw: Draw) -> None:
-        """Read the splats of a new scene in this thread, while others are drawn."""
-        if draw.key in self._known:
+        """Make a scene that is not there ready in this thread, while others are drawn."""
+        if self._batch.holds(draw.key):
             return
         with self._lock:
             loading = self._loading.get(draw.key)
-            mine = loading is None and draw.key not in self._known
+            mine = loading is None and not self._batch.holds(draw.key)
             if mine:
                 loading = self._loading[draw.key] = Future()
         if loading is None:
@@ -178,9 +202,9 @@ class Server:
         except Gn0Error as error:
             loading.set_exception(error)
 
-    def _read(self, draw: Draw) -> GaussianCloud:
+    def _read(self, draw: Draw) -> Any:
         try:
-            return self._load(draw.source)
+            return self._batch.prepare(self._load(draw.source))
         except Gn0Error:
             raise
         except Exception as error:  # whatever a file does to its reader
@@ -188,11 +212,17 @@ class Server:
                 f"a scene cannot be read: {type(error).__name__}: {error}", where=str(draw.source)
             ) from None
 
-    def _take_cloud(self, draw: Draw) -> GaussianCloud:
-        """The splats of a scene: read ahead, or now where they had to give way before."""
+    def _take_cloud(self, draw: Draw) -> Any:
+        """The splats of a scene: read ahead, or now where they gave way since somebody looked."""
         with self._lock:
-            loading = self._loading.pop(draw.key, None)
+            loading = self._loading.get(draw.key)
         return self._read(draw) if loading is None else loading.result()
+
+    def _forget_read(self, group: Sequence[Request]) -> None:
+        """Let go of what was read ahead: by now it is on the device, or of no use."""
+        with self._lock:
+            for request in group:
+                self._loading.pop(request.draw.key, None)
 
     def serve(self, told: Callable[[Tally], None] = lambda tally: None) -> None:
         """Draw for ever; `told` hears now and then what was done.
@@ -229,8 +259,15 @@ class Server:
             taken.append(request)
             count += request.draw.count
         groups: dict[Any, list[Request]] = {}
+        floors: dict[str, list[str]] = {}  # a scene has the sets of one floor at a time
         for request in taken:
-            groups.setdefault(request.alike, []).append(request)
+            turn = 0
+            if request.floor is not None:
+                known = floors.setdefault(request.draw.key, [])
+                if request.floor.name not in known:
+                    known.append(request.floor.name)
+                turn = known.index(request.floor.name)
+            groups.setdefault((*request.alike, turn), []).append(request)
         for group in groups.values():
             group.sort(key=lambda request: request.draw.key)
             self._serve_group(group)
@@ -256,9 +293,12 @@ class Server:
         except Gn0Error as error:
             if len(good) == 1:
                 good[0].fail(error)
+                self._forget_read(good)
                 return
             for request in good:  # find the one at fault
                 self._serve_group([request])
+            return
+        self._forget_read(good)
 
     def _shrink(self, group: list[Request], error: DeviceMemoryError) -> None:
         """Go on with smaller batches; give up on a single view only."""
@@ -280,10 +320,15 @@ class Server:
         needed = lay_files(draw)[2]
         if area is None or len(area) < needed or not draw.outputs or not draw.count:
             raise RenderError("a request without room for its pictures", where="drawing socket")
+        if draw.visible and request.floor is None:
+            raise RenderError("a request for visible sets without a floor", where="drawing socket")
         if draw.key not in self._known:
             self._batch.add(draw.key, lambda: self._take_cloud(draw))
-            with self._lock:
-                self._known.add(draw.key)
+            self._known.add(draw.key)
+        floor = request.floor
+        if floor is not None and self._limited.get(draw.key) != floor.name:
+            self._batch.limit_to_visible(draw.key, floor.cloud, floor.grid, floor.eye_height)
+            self._limited[draw.key] = floor.name
 
     def _draw(self, group: list[Request]) -> None:
         """Draw requests that are alike; another thread puts the pictures into their areas."""
@@ -304,6 +349,7 @@ class Server:
                 keys[begin:end],
                 outputs=first.outputs,
                 background=first.background,
+                visible=first.visible,
             )
             pieces, at = [], 0
             for request in group:

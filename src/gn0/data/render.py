@@ -76,7 +76,8 @@ def render_dataset(
     out = dataset.folder
     with lock_folder(out):
         sweep(out)
-        if check_cache_free(out, wanted) and (there := load_manifest(out, wanted.layout)):
+        whole = check_cache_free(out, wanted) and dataset.about.rendered  # both are written last
+        if whole and (there := load_manifest(out, wanted.layout)):
             return there
         journal = cache_folder(out, wanted.layout) / JOURNAL
         with open_drawing(wanted, executor=executor, batch=batch, note=note) as server:

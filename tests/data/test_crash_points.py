@@ -1,0 +1,79 @@
+"""A dataset survives a kill after every single write: what is resumed equals what was not cut."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from gn0 import storage
+from gn0.bench.suite import Suite, save_suite
+from gn0.data.build import build_dataset
+from gn0.data.render import render_dataset
+from gn0.data.settings import BuildSettings, PictureSettings
+from gn0.data.verify import verify_dataset
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.goal import sample_goal_episodes
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import load_scene, save_scene
+from gn0.sim.presets import find_preset
+
+CAMERA = "rgbd_224"
+
+
+@pytest.fixture(scope="module")
+def small_suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
+    """Two walks of a small camera: two parts."""
+    root = tmp_path_factory.mktemp("small")
+    save_scene(build_example_scene(), root / "flat")
+    scene = load_scene(root / "flat")
+    agent = find_preset(CAMERA).agent
+    navigation = NavigationMap(scene.grid, agent.radius)
+    episodes = sample_goal_episodes(scene, navigation, 2, 0, maximum_length=5.0, agent=agent)
+    episodes = [msgspec.structs.replace(e, split="train") for e in episodes]
+    return save_suite(root / "suite", [scene], episodes, name="small", camera=CAMERA)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["webdataset", "lerobot", "render"])
+def test_a_kill_after_any_write_loses_nothing(
+    kind: str,
+    small_suite: Suite,
+    tmp_path: Path,
+    files_of: Callable[[Path], dict[str, bytes]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    layout = "none" if kind == "render" else kind
+    settings = BuildSettings(chunk=1, pictures=PictureSettings(layout=layout))
+
+    def make(out: Path) -> None:
+        build_dataset(small_suite, out, settings)
+        if kind == "render":
+            render_dataset(out)
+
+    whole, cuts = tmp_path / "whole", tmp_path / "cuts"
+    fsync = os.fsync
+
+    def cut(descriptor: int) -> None:  # what a kill at this moment leaves behind
+        fsync(descriptor)
+        if whole.is_dir():
+            shutil.copytree(whole, cuts / f"{len(list(cuts.iterdir())):03d}")
+
+    cuts.mkdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(storage.os, "fsync", cut)
+        make(whole)
+    wanted, seen = files_of(whole), []
+    for left in sorted(cuts.iterdir()):
+        state = files_of(left)
+        if seen and state == seen[-1]:
+            continue
+        seen.append(state)
+        make(left)
+        assert verify_dataset(left, workers=1).damages == (), left.name
+        assert files_of(left) == wanted, left.name
+    assert len(seen) > 10

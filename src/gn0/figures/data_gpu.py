@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -25,7 +26,7 @@ from gn0.render.cuda.batch import RendererBatch
 from gn0.render.share.client import DrawServer
 from gn0.render.share.jpeg import JpegEncoder
 from gn0.render.share.messages import Tally
-from gn0.scenes.folder import save_scene
+from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.scene import Scene
 from gn0.sim.history import build_mosaic, reduce_picture
 from gn0.sim.presets import find_preset
@@ -42,8 +43,6 @@ MAP = 512  # px: the map pictures that single costs are measured on
 
 def build_walked_scene(ctx: FigureContext, *, tiny: bool) -> Scene:
     """The apartment in `--scenes`, else one made now with `GAUSSIANS` splats; tiny: a room."""
-    from gn0.scenes.folder import load_scene
-
     if tiny:
         from gn0.testing.scenes import build_room_scene
 
@@ -57,6 +56,21 @@ def build_walked_scene(ctx: FigureContext, *, tiny: bool) -> Scene:
     area = floor_area(KINDS["apartment"].draft(7, size="medium", style=None))
     settings = GenerateSettings(kind="apartment", seed=7, density=GAUSSIANS / area, light="draft")
     return build_generated(settings, "apartment", ctx.progress)
+
+
+def build_wide_scene(ctx: FigureContext) -> Scene:
+    """The warehouse in `--scenes`, else one made now, thinned to `GAUSSIANS`: a map of 606x512."""
+    if ctx.scenes is not None and (ctx.scenes / "warehouse-300k").is_dir():
+        return load_scene(ctx.scenes / "warehouse-300k")
+    from gn0.scenes.procedural.generate import GenerateSettings, build_generated
+
+    settings = GenerateSettings(
+        kind="warehouse", seed=7, size="large", density=1000.0, light="draft"
+    )
+    scene = build_generated(settings, "warehouse", ctx.progress)
+    keep = np.random.default_rng(0).permutation(len(scene.gaussians))[:GAUSSIANS]
+    thin = scene.gaussians.select(np.sort(keep))
+    return replace(scene, load_cloud=lambda: thin, cloud_hash="")
 
 
 class _Clock:
@@ -202,37 +216,39 @@ def measure_gpu(ctx: FigureContext) -> list[FigureRow]:
         ctx.report(row)
     if tiny:  # a dry run: a walk of 480x360 views would take hours on the emulation
         return rows
-    build_suite([ctx.work / "scene"], ctx.work / "suite", EPISODES, 0, minimum_length=5.0)
-    suite = load_suite(ctx.work / "suite")
-    splats = len(scene.gaussians)
-    height, width = scene.grid.shape
-    few = Suite(suite.folder, suite.about, suite.episodes[:8])
-    drawn = with_backend(PictureSettings(quality=QUALITY), "cuda")
+    save_scene(build_wide_scene(ctx), ctx.work / "wide")
     with DrawServer("cuda", LOADER) as server:
-        settings = BuildSettings(chunk=4, pictures=drawn)
-        build_dataset(few, ctx.work / "warm", settings, server=server)  # kernels, and the scene
-        rows += _measure_builds(ctx, suite, drawn, server, f"{splats:,} Gaussians", (width, height))
+        rows += _measure_builds(ctx, server, "scene", ("every", "once"), EPISODES)
+        rows += _measure_builds(ctx, server, "wide", ("every",), EPISODES // 2)
     return rows
 
 
 def _measure_builds(
-    ctx: FigureContext,
-    suite: Suite,
-    drawn: PictureSettings,
-    server: DrawServer,
-    scene: str,
-    size: tuple[int, int],
+    ctx: FigureContext, server: DrawServer, name: str, kinds: tuple[str, ...], episodes: int
 ) -> list[FigureRow]:
-    """Whole builds with the maps in every sample, and with the maps once."""
+    """Whole builds with the maps in every sample, or with the maps once, in a scene of `work`."""
+    begin = time.perf_counter()
+    folder = ctx.work / f"{name}-suite"
+    build_suite([ctx.work / name], folder, episodes, 0, minimum_length=5.0)
+    suite = load_suite(folder)
+    ctx.progress(f"{episodes} walks found in {time.perf_counter() - begin:.0f} s", 0, 1)
+    scene = load_scene(ctx.work / name)
+    size = scene.grid.shape[::-1]
+    drawn = with_backend(PictureSettings(quality=QUALITY), "cuda")
+    settings = BuildSettings(chunk=4, pictures=drawn)
+    few = Suite(suite.folder, suite.about, suite.episodes[:8])
+    build_dataset(few, ctx.work / f"{name}-warm", settings, server=server)  # kernels, the scene
     rows: list[FigureRow] = []
-    for maps, words in (("every", "four JPEGs a sample"), ("once", "two JPEGs a sample")):
+    for maps in kinds:
+        words = {"every": "four JPEGs a sample", "once": "two JPEGs a sample"}[maps]
         pictures = msgspec.structs.replace(drawn, maps=maps)
-        steady, whole, count, tally = _build(ctx, suite, pictures, server, f"data-{maps}")
+        steady, whole, count, tally = _build(ctx, suite, pictures, server, f"{name}-{maps}")
+        maps += "" if name == "scene" else f", of {size[0]}x{size[1]} px"
         detail = (
-            f"generated apartment, {scene}, {count} samples of "
-            f"{len(suite.episodes)} walks, FPV 480x360, mosaic 640x480, map and occupancy "
-            f"{size[0]}x{size[1]}, {words}, quality {QUALITY}, exact pictures; {server.card}, "
-            f"{count_cores()} cores; "
+            f"{scene.source.kind} {scene.id}, {len(scene.gaussians):,} Gaussians, "
+            f"{count} samples of {len(suite.episodes)} walks, FPV 480x360, mosaic 640x480, "
+            f"map and occupancy {size[0]}x{size[1]}, {words}, quality {QUALITY}, "
+            f"exact pictures; {server.card}, {count_cores()} cores; "
         )
         spent = (
             f"the process that draws spent {1e3 * tally.drawing / max(tally.views, 1):.3f} ms a "

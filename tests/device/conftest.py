@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,24 @@ def device(fake: Any, fake_path: Path, monkeypatch: pytest.MonkeyPatch) -> Devic
     monkeypatch.setattr("gn0.device.driver.load_image", image)
     monkeypatch.setattr("gn0.device.driver.open_nvrtc", lambda major: None)
     return DeviceCuda(0, Driver(str(fake_path)))
+
+
+@pytest.fixture
+def orderly(device: DeviceCuda, monkeypatch: pytest.MonkeyPatch) -> DeviceCuda:
+    """The same for several threads: the emulation runs one kernel at a time, as one stream does."""
+    launch, lock = device.driver.function("cuLaunchKernel"), threading.Lock()
+    others = device.driver.function
+
+    def one_at_a_time(*args: Any) -> int:
+        with lock:
+            return int(launch(*args))
+
+    monkeypatch.setattr(
+        device.driver,
+        "function",
+        lambda name: one_at_a_time if name == "cuLaunchKernel" else others(name),
+    )
+    return device
 
 
 @pytest.fixture(scope="session")

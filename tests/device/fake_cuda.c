@@ -130,7 +130,7 @@ static R work(Step *s, void *stream) {
   }
   return run(s);
 }
-R cuMemsetD8Async(P p, unsigned char byte, size_t n, void *s) { ENTER Step w = {0, p, 0, n, byte}; return work(&w, s); }
+R cuMemsetD8Async(P p, unsigned char byte, size_t n, void *s) { ENTER if (getenv("FAKE_CUDA_NO_FILL")) return 0; Step w = {0, p, 0, n, byte}; return work(&w, s); }
 R cuMemcpyHtoDAsync_v2(P d, const void *h, size_t n, void *s) { ENTER Step w = {1, d, h, n}; return work(&w, s); }
 R cuMemcpyDtoHAsync_v2(void *h, P d, size_t n, void *s) { ENTER Step w = {1, (P)h, (void *)d, n}; return work(&w, s); }
 
@@ -167,7 +167,7 @@ R cuFuncGetParamInfo(Function *f, size_t i, size_t *offset, size_t *size) {
 }
 #endif
 R cuFuncGetAttribute(int *v, int a, Function *f) { ENTER *v = a == 0 ? 1024 : a == 1 ? 1024 : a == 3 ? 0 : 40; return 0; }
-R cuFuncSetAttribute(Function *f, int a, int v) { ENTER if (a != 8) return 1; f->shared = v; return 0; }
+R cuFuncSetAttribute(Function *f, int a, int v) { ENTER if (a != 8 || v + 1024 > 227 * 1024) return 1; f->shared = v; return 0; }
 R cuOccupancyMaxActiveBlocksPerMultiprocessor(int *n, Function *f, int threads, size_t shared) { ENTER *n = 2048 / threads; return 0; }
 R cuLaunchKernel(Function *f, unsigned gx, unsigned gy, unsigned gz, unsigned bx, unsigned by, unsigned bz, unsigned shared, void *stream, void **p, void **extra) {
   ENTER

@@ -305,6 +305,8 @@ def test_much_shared_memory_is_asked_for_once(
     assert fake.fake_calls(b"cuFuncSetAttribute") == 1 and a.numpy()[0] == 1
     with pytest.raises(DeviceError, match=r"300000 bytes.*kernel share|kernel share.*300000 bytes"):
         share.launch(1, 1, a, shared=300_000)
+    with pytest.raises(DeviceError, match=r"232448 bytes .* more than the 231424"):
+        share.launch(1, 1, a, shared=227 * 1024)  # with the static kilobyte too many
     assert share.resources().registers == 40 and share.blocks_resident(256) == 8
 
 
@@ -494,8 +496,9 @@ def test_another_librarys_context_is_left_as_it_was(
     fake.fake_context(0)
 
 
-def test_threads_share_a_kernel(device: DeviceCuda, kernels: KernelSource) -> None:
+def test_threads_share_a_kernel(orderly: DeviceCuda, kernels: KernelSource) -> None:
     """Each has its own parameters, though they are packed into one buffer."""
+    device = orderly
     draw = device.load(kernels)["draw_line"]
     x = device.upload(np.arange(16, dtype=np.int32))
     wrong: list[Any] = []
@@ -507,14 +510,6 @@ def test_threads_share_a_kernel(device: DeviceCuda, kernels: KernelSource) -> No
         if y.numpy().tolist() != [slope * i + 1 for i in range(16)]:
             wrong.append(slope)
 
-    # the emulation runs one kernel at a time: a lock around it stands for the one stream
-    launch, lock = draw._launch, threading.Lock()
-
-    def one_at_a_time(*args: Any) -> int:
-        with lock:
-            return int(launch(*args))
-
-    draw._launch = one_at_a_time
     threads = [threading.Thread(target=work, args=(n,)) for n in range(4)]
     for thread in threads:
         thread.start()

@@ -73,6 +73,8 @@ def test_the_doctor_compiles_ahead_of_time(
     monkeypatch.setattr("gn0.device.libcuda.NAMES", {sys.platform: str(fake_path)})
     monkeypatch.setattr("gn0.device.sources.kernel_sources", lambda: [kernels])
     monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    tried: list[str] = []
+    monkeypatch.setattr("gn0.device.trial.try_card", lambda card: tried)
     for compile_all, said in [
         (False, "0 of 1"),
         (True, "1 now"),
@@ -83,7 +85,11 @@ def test_the_doctor_compiles_ahead_of_time(
         found = {name: text for name, text, _ in rows}
         assert healthy and said in found["kernels"] and "sm_90" in found["kernels"]
     assert "Pretended Card 0" in found["gpu"] and "capability 9.0" in found["gpu"]
-    assert "speaks CUDA 12.8" in found["driver"]
+    assert "speaks CUDA 12.8" in found["driver"] and "do as they must" in found["trial"]
+    tried = ["order: a copy: 3 of 7 values differ"]
+    rows, healthy = examine_gpu()
+    assert not healthy and ("trial", tried[0], "✗") in rows
+    tried = []
     (path,) = (tmp_path / "cache" / "cuda").iterdir()
     path.write_bytes(path.read_bytes()[:-1])
     rows, healthy = examine_gpu(compile_all=True, architecture="sm_80")

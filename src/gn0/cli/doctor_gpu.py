@@ -36,13 +36,27 @@ def examine_gpu(*, compile_all: bool = False, architecture: str = "") -> tuple[l
     else:
         rows = [("gpu", reason, "·")]
     rows.append(_compiler(card))
+    tried = card is None or rows[-1][2] != "✓" or _try(card, rows)
     target = _target(card, architecture)
     if not target:
         if compile_all:
             rows.append(("kernels", "no card to compile for: try --architecture sm_90", "✗"))
-        return rows, not compile_all
+        return rows, tried and not compile_all
     kernels, well = _kernels(card, target, compile_all)
-    return [*rows, kernels], well
+    return [*rows, kernels], tried and well
+
+
+def _try(card: Any, rows: list[Row]) -> bool:
+    """Try the card, and add what came of it."""
+    from gn0.device.trial import try_card
+
+    begun = time.perf_counter()
+    wrong = try_card(card)
+    took = time.perf_counter() - begun
+    rows += [("trial", text, "✗") for text in wrong]
+    if not wrong:
+        rows.append(("trial", f"copies, kernels and recordings do as they must; {took:.1f} s", "✓"))
+    return not wrong
 
 
 def _compiler(card: Any) -> Row:

@@ -21,7 +21,7 @@ from gn0.device.arguments import (
     size3,
 )
 from gn0.device.device import DeviceArray
-from gn0.device.libcuda import OUT_OF_MEMORY
+from gn0.device.libcuda import INVALID_VALUE, OUT_OF_MEMORY
 from gn0.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -63,7 +63,6 @@ class KernelCuda:
         self._packer: struct.Struct | None = None
         self._lock = threading.Lock()  # parameters are packed into one buffer a kernel
         self._shared = 0  # dynamic bytes that blocks may have as things are
-        self._dynamic_most = 0
 
     def _parameter_sizes(self) -> list[int | None]:
         """Bytes of each parameter, where the driver tells.
@@ -191,22 +190,22 @@ class KernelCuda:
 
     def _allow(self, shared: int) -> None:
         """Let blocks have more dynamic shared memory than they may have as things are."""
-        if not self._dynamic_most:  # the first time; what is static counts too
-            static = self.resources().shared
-            self._dynamic_most = self._device.shared_max - static
-            self._shared = max(SHARED_PLAIN - static, 0)
-            if shared <= self._shared:
-                return
-        most = self._dynamic_most
-        if shared > most:
+        static = self.resources().shared
+        self._shared = max(SHARED_PLAIN - static, self._shared)
+        if shared <= self._shared:
+            return
+        most, code = self._device.shared_max - static, INVALID_VALUE
+        if shared <= self._device.shared_max:
+            to = self._function, _DYNAMIC_SHARED, shared
+            code = self._device.attempt("cuFuncSetAttribute", *to)
+        if code not in (0, INVALID_VALUE):
+            raise self._device.failed(code, "cuFuncSetAttribute", f"kernel {self.name}")
+        if code:
             raise DeviceError(
                 f"{shared} bytes of dynamic shared memory are more than the {most} that a block "
                 "can have on this card",
                 where=f"kernel {self.name}",
             )
-        self._device.call(
-            "cuFuncSetAttribute", self._function, _DYNAMIC_SHARED, shared, about=self.name
-        )
         self._shared = shared
 
     def resources(self) -> Resources:

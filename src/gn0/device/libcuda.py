@@ -69,7 +69,7 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
 }
 OPTIONAL: dict[str, tuple[Any, ...]] = {"cuFuncGetParamInfo": (_P, _Z, _P, _P)}  # CUDA 12.4
 
-OUT_OF_MEMORY, NOT_READY = 2, 600
+INVALID_VALUE, OUT_OF_MEMORY, NOT_READY = 1, 2, 600
 REFUSED_IMAGE = {200, 209, 218, 222}  # a kernel image that this driver or card cannot run
 # after one of these nothing works in this process any more: the context is dead
 LOST = {

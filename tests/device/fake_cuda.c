@@ -105,7 +105,7 @@ R cuPointerGetAttribute(void *v, int a, P p) { ENTER *(int *)v = 0; return 0; }
 
 // Work: done at once, or noted in the graph that its stream records.
 typedef struct { char name[64]; R (*entry)(const unsigned *, const unsigned *, size_t, uint64_t, void **); const size_t *sizes; int shared; } Function;
-typedef struct { int kind; P to; const void *from; size_t size; int byte; Function *f; unsigned grid[3], block[3]; unsigned char cells[8192]; } Step;
+typedef struct { int kind; P to; const void *from; size_t size; int byte; Function *f; unsigned grid[3], block[3]; unsigned char cells[8192] __attribute__((aligned(16))); } Step;
 typedef struct { Step *steps; int count; int recording; } Graph;
 static Graph streams[8];
 static int stream_count;

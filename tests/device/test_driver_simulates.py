@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,19 @@ from gn0.device.driver import DeviceCuda
 from gn0.errors import DeviceError, SimError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
+from gn0.render.camera import Camera
 from gn0.scenes.scene import Scene
+from gn0.sim import presets
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_rollout import RolloutCollector
+from gn0.sim.presets import CameraPreset
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
+from gn0.testing.scenes import (
+    build_floor_plan,
+    build_map_scene,
+    build_point_episodes,
+    build_room_scene,
+)
 
 WAITING = (
     b"cuStreamSynchronize", b"cuCtxSynchronize", b"cuEventSynchronize", b"cuMemcpyDtoH_v2",
@@ -95,3 +104,32 @@ def test_a_lost_card_is_an_error(device: DeviceCuda, fake: Any, plans: Any) -> N
     with pytest.raises(DeviceError):
         for _ in range(4):
             env.step(np.ones(8, np.int64))
+
+
+def test_a_step_with_pictures_waits_once(
+    device: DeviceCuda, fake: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For two words of the lists, copied before the blending begins; of three looks, too."""
+    camera = Camera.from_hfov(20, 16, 90)
+    monkeypatch.setitem(presets._BY_NAME, "tiny", CameraPreset("tiny", camera, camera))
+    flats = [replace(build_room_scene(), id=f"flat {k}") for k in range(3)]
+    episodes = [
+        episode
+        for flat in flats
+        for episode in build_point_episodes(flat, NavigationMap(flat.grid, 0.2), 3)
+    ]
+    env = VectorEnvDevice(
+        4, flats, episodes=episodes, device=device, sensors=("rgb", "depth"), preset="tiny",
+        max_steps=5, ahead=4,
+    )  # fmt: skip
+    env.reset(seed=0)
+    actions = device.upload(np.full(4, 1))
+    for _ in range(3):
+        env.step(actions)
+    before = {name: fake.fake_calls(name) for name in (*WAITING, b"cuMemcpyDtoHAsync_v2")}
+    for _ in range(8):
+        env.step(actions)
+    counts = {name: fake.fake_calls(name) - n for name, n in before.items()}
+    assert counts.pop(b"cuEventSynchronize") <= 8 + 4, "every few steps for the queues"
+    assert counts.pop(b"cuMemcpyDtoHAsync_v2") <= 8 + 4
+    assert not any(counts.values()), counts

@@ -396,3 +396,63 @@ def test_any_order_of_threads_finds_the_same_sets(cloud, floor) -> None:
         sets = RendererVisibleCuda(full, "same", floor, EYE, QUICK, cache=False)
         found.append(sets.sets.find(sets.cells[:2], full.cloud).tobytes())
     assert len(set(found)) == 1
+
+
+def test_the_device_finds_the_sets_of_its_views(cloud, floor, monkeypatch) -> None:
+    """Views and scenes that only the device knows: once sets are there, the host knows no more."""
+    batch = RendererBatch(DeviceHost(1))
+    device = batch.device
+    batch.add("a", lambda: cloud, "one")
+    batch.add("b", lambda: wall(1.5, 5), "two")
+    batch.add("c", lambda: cloud, "three")
+    sets = [batch.limit_to_visible(key, key, floor, EYE, QUICK, cache=False) for key in "ac"]
+    camera, poses, keys = Camera.from_hfov(40, 30, 90), views(7), list("abcacab")
+    poses[4, :3, 3] += poses[4, :3, 2] * 0.5  # not at the height of eyes
+    poses[5] = view_from_pose(9, 9, EYE, 0)  # over no floor
+    poses[6] = view_from_pose(0.5, -0.5, EYE, 0.3)  # between cells
+    want = batch.render(camera, poses, keys, visible=True).numpy()
+    shown = np.array(["cba".index(key) for key in keys], np.int32)
+    there, chosen = device.upload(poses), device.upload(shown)
+
+    def draw():
+        return batch.render(camera, there, list("cba"), chosen=chosen, visible=True)
+
+    with monkeypatch.context() as no_waiting:
+        no_waiting.setattr(device, "download", None)
+        mine = draw(), draw()
+    for pictures in mine:
+        for name in ("rgb", "depth", "alpha"):
+            assert getattr(pictures.numpy(), name).tobytes() == getattr(want, name).tobytes()
+    whole = batch.render(camera, there, list("cba"), chosen=chosen).numpy()
+    assert whole.rgb.tobytes() != want.rgb.tobytes()
+    built = [some.built for some in sets]
+    sets[0].clear()  # missing sets are brought by the host, and the next call knows them again
+    for _ in range(2):
+        assert draw().numpy().rgb.tobytes() == want.rgb.tobytes()
+    assert sets[0].built == 2 * built[0]
+    assert sets[1].built == built[1]
+    with monkeypatch.context() as no_waiting:
+        no_waiting.setattr(device, "download", None)
+        draw()
+    batch.store.give_way(["b"])  # clouds that come back are those that sets are drawn from
+    assert draw().numpy().rgb.tobytes() == want.rgb.tobytes()
+    alone = batch.render(camera, there, "a", visible=True).numpy()
+    host = batch.render(camera, poses, "a", visible=True).numpy()
+    assert alone.rgb.tobytes() == host.rgb.tobytes()
+    above = Camera.orthographic(40, 30, 0.2)
+    flat = batch.render(above, there, list("cba"), chosen=chosen, visible=True).numpy()
+    assert flat.rgb.tobytes() == batch.render(above, poses, keys).numpy().rgb.tobytes()
+
+
+def test_sets_that_never_fit_are_tried_seldom(cloud, floor) -> None:
+    batch = RendererBatch(DeviceHost(), sets_memory=1)
+    batch.add("a", lambda: cloud, "one")
+    batch.limit_to_visible("a", "one", floor, EYE, QUICK)
+    camera, poses = Camera.from_hfov(16, 16, 90), views(2)
+    want = batch.render(camera, poses, "a", visible=True).numpy().rgb.tobytes()
+    there = batch.device.upload(poses)
+    before = batch.drawer.batches
+    for _ in range(24):
+        assert batch.render(camera, there, "a", visible=True).numpy().rgb.tobytes() == want
+    assert batch.drawer.batches == before + 24
+    assert batch._wait == 15

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 from weakref import WeakKeyDictionary, ref
@@ -17,9 +18,10 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
-from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice
+from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice, SetMissingError
 from gn0.render.cuda.pack import CloudReady, prepare_cloud, upload_clouds
 from gn0.render.cuda.store import CloudStore, Load
+from gn0.render.cuda.tables import FLOOR
 from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.renderer import Output, RenderOptions, check_views
 from gn0.render.visible_places import VisibleOptions
@@ -30,6 +32,23 @@ _drawers: WeakKeyDictionary[Device, ref[Drawer]] = WeakKeyDictionary()
 Cell = tuple[int, int]
 Part = tuple[VisibleSets, Cell]
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class _Arranged:
+    """Clouds of some keys, the visible sets behind them, and where these are drawn from.
+
+    Attributes:
+        stamp: of keys, clouds and sets.
+        clouds: as kernels number them.
+        floors: FLOOR rows as bytes [keys, 48].
+        numbers: what they point to.
+    """
+
+    stamp: tuple[object, ...]
+    clouds: list[CloudDevice | None]
+    floors: DeviceArray
+    numbers: DeviceArray
 
 
 class RendererBatch:
@@ -64,6 +83,8 @@ class RendererBatch:
         self.sets_memory = share if sets_memory is None else sets_memory
         self._sets: OrderedDict[str, VisibleSets] = OrderedDict()  # least recently used first
         self.store.on_drop = self._let_go
+        self._arranged: _Arranged | None = None
+        self._skip = self._wait = 0  # calls until views on the device are tried with sets again
 
     def __contains__(self, key: str) -> bool:
         return key in self.store
@@ -91,11 +112,13 @@ class RendererBatch:
         """
         if self.store.add(key, load, digest):
             self._sets.pop(key, None)
+            self._arranged = None
 
     def remove(self, key: str) -> None:
         """Forget a scene."""
         self.store.remove(key)
         self._sets.pop(key, None)
+        self._arranged = None
 
     def limit_to_visible(
         self,
@@ -130,7 +153,7 @@ class RendererBatch:
             antialiased=self.options.antialiased,
             cache=cache,
         )
-        self._sets[key] = sets
+        self._sets[key], self._arranged = sets, None
         return sets
 
     def render(
@@ -151,8 +174,8 @@ class RendererBatch:
         everything on the device is that was launched.
 
         Views on the device are read there: nothing is waited for before all is queued. `tails`,
-        `visible` and scenes that do not fit together are arranged by the host, which then reads
-        the views first.
+        scenes that do not fit together, and visible sets that are not on the device yet are
+        arranged by the host, which then reads the views first.
 
         Args:
             camera: of all views.
@@ -178,8 +201,10 @@ class RendererBatch:
         with lock_of(self.device):
             if isinstance(views, DeviceArray):
                 named, chosen = _check_there(views, keys, chosen)
-                if tails is None and not visible and len(views):
-                    there = self._render_there(camera, views, named, chosen, outputs, background)
+                if tails is None and isinstance(visible, bool | None) and len(views):
+                    there = self._render_there(
+                        camera, views, named, chosen, outputs, background, bool(visible)
+                    )
                     if there is not None:
                         return there
                 numbers = [0] * len(views) if chosen is None else chosen.numpy().tolist()
@@ -198,20 +223,31 @@ class RendererBatch:
         chosen: DeviceArray | None,
         outputs: tuple[Output, ...],
         background: tuple[float, float, float] | None,
+        visible: bool,
     ) -> PicturesDevice | None:
         """Draw views that the host does not know; None where only the host can arrange it."""
         colour = check_picture(
             outputs, self.options.background if background is None else background
         )
         wanted = [key for key in keys if key is not None]
+        visible = visible and camera.model == "pinhole" and not self._sets.keys().isdisjoint(wanted)
+        if visible and self._skip:
+            self._skip -= 1
+            return None
 
         def draw() -> PicturesDevice | None:
             found = self.store.together(wanted)
             if found is None:
                 return None
             pictures = self.drawer.pictures(camera, len(views), outputs, self.options.rgb_float)
+            clouds = [None if key is None else found[key] for key in keys]
+            floors = None
+            if visible:
+                self._arranged = self._arrange(keys, clouds)
+                clouds, floors = self._arranged.clouds, self._arranged.floors
             self.drawer.draw(
-                *(camera, views, [None if key is None else found[key] for key in keys], chosen),
+                *(camera, views, clouds, chosen),
+                floors=floors,
                 pictures=pictures,
                 background=colour,
                 antialiased=self.options.antialiased,
@@ -219,9 +255,44 @@ class RendererBatch:
             return pictures
 
         try:
-            return self._with_room(draw, wanted, [], wanted)
+            there = self._with_room(draw, wanted, [], wanted)
         except DeviceMemoryError:
             return None
+        except SetMissingError:  # rarer with each one; where they never all fit, try seldom
+            self._skip, self._wait = self._wait, min(2 * self._wait + 1, 15)
+            return None
+        self._wait = 0
+        self._trim_sets(wanted if visible else ())
+        return there
+
+    def _arrange(self, keys: list[str | None], clouds: Sequence[CloudDevice | None]) -> _Arranged:
+        """The clouds of `keys` with the visible sets that are here; kept while those are."""
+        mine = [None if key is None else self._sets.get(key) for key in keys]
+        stamp = (
+            *(tuple(keys), tuple(map(id, clouds)), tuple(map(id, mine))),
+            tuple(-1 if sets is None else sets.version for sets in mine),
+        )
+        if self._arranged is not None and self._arranged.stamp == stamp:
+            return self._arranged
+        every, floors = list(clouds), np.zeros(len(keys), FLOOR)
+        tables: list[NDArray[np.int32]] = []
+        for n, sets in enumerate(mine):
+            cloud = clouds[n]
+            if sets is None or cloud is None:
+                continue
+            numbers, (column, row), parts = sets.arrange(cloud)
+            tables.append(np.where(numbers < 0, numbers, numbers + len(every)).astype(np.int32))
+            every += parts
+            at = sum(table.nbytes for table in tables[:-1]) + 1  # 0 is none
+            options = sets.options
+            floors[n] = (at, options.cell, sets.eye_height, options.height_tolerance,
+                         column, row, *numbers.shape[::-1])  # fmt: skip
+        there = self.device.upload(np.concatenate([table.ravel() for table in tables]))
+        held = floors["numbers"] > 0
+        floors["numbers"][held] += np.uint64(there.pointer - 1)
+        table = self.device.upload(floors.view(np.uint8).reshape(len(keys), -1))
+        sets_now = tuple(-1 if sets is None else sets.version for sets in mine)
+        return _Arranged((*stamp[:3], sets_now), every, table, there)
 
     def _render(
         self,
@@ -281,6 +352,7 @@ class RendererBatch:
                 break
             total -= sets.used
             sets.clear()
+            self._arranged = None
 
     def _with_room(
         self,
@@ -298,6 +370,7 @@ class RendererBatch:
             try:
                 return attempt()
             except DeviceMemoryError:
+                self._arranged = None  # holds sets and clouds
                 if self.store.give_way(wanted) or self.store.give_way(pinned):
                     continue
                 if cleared or not _clear_sets([*self._sets.values(), *_sets_of(parts)]):
@@ -306,6 +379,7 @@ class RendererBatch:
 
     def _let_go(self, key: str) -> None:
         """A cloud is about to give way: its sets must not keep its memory."""
+        self._arranged = None
         if key in self._sets:
             self._sets[key].let_go()
 

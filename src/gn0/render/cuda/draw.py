@@ -57,6 +57,7 @@ _SCAN = 2048  # counts a block of the scan adds up
 _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ENTRY = 8  # bytes
 _MEMORY_SHARE = 0.25  # of what is free, for lists
+_NOT_HELD = 3
 _WRONG = (  # with a view, as `views.cu` numbers it
     ("a view is not finite", ""),
     ("a view is not a rigid transform", "give a rotation and a translation, world to camera"),
@@ -64,6 +65,10 @@ _WRONG = (  # with a view, as `views.cu` numbers it
 )
 
 _log = logging.getLogger(__name__)
+
+
+class SetMissingError(RenderError):
+    """A view on the device is to be drawn from a visible set that is not there."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -205,6 +210,7 @@ class Drawer:
         clouds: Sequence[CloudDevice | None],
         cloud_of: NDArray[np.int32] | DeviceArray | None,
         *,
+        floors: DeviceArray | None = None,
         tails: Sequence[CloudDevice] = (),
         tail_of: NDArray[np.int32] | None = None,
         pictures: PicturesDevice,
@@ -224,6 +230,8 @@ class Drawer:
                 no view may show.
             cloud_of: [V] which of them a view shows; with `matrices` on the device there too
                 (int32), or None: all show the first.
+            floors: where views on the device are drawn from visible sets: a `tables.FLOOR` for
+                each of the first clouds, which alone `cloud_of` may number; sets come after them.
             tails: moving clouds, once each, drawn after all others at equal depth.
             tail_of: [V] which of them a view shows, -1 for none.
             pictures: what to fill; its type decides the type of rgb.
@@ -233,6 +241,7 @@ class Drawer:
 
         Raises:
             RenderError: a view on the device is not finite, not rigid, or of no cloud.
+            SetMissingError: the visible set of one is not here.
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
         """
@@ -245,7 +254,7 @@ class Drawer:
         work: _Work
         if isinstance(matrices, DeviceArray):
             assert not tails and rows is None and not isinstance(cloud_of, np.ndarray)
-            work = _WorkDevice(camera, matrices, clouds, cloud_of)
+            work = _WorkDevice(camera, matrices, clouds, cloud_of, floors)
         else:
             assert isinstance(cloud_of, np.ndarray)
             work = _Work(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows)
@@ -372,8 +381,11 @@ class Drawer:
         self._tell("end")
         total, *wrong = words.numpy().tolist()
         if wrong and wrong[0] & NOWHERE != NOWHERE:
+            where = f"view {(wrong[0] & NOWHERE) >> 2}"
+            if wrong[0] & 3 == _NOT_HELD:
+                raise SetMissingError("its visible set is not on the device", where=where)
             what, remedy = _WRONG[wrong[0] & 3]
-            raise RenderError(what, where=f"view {(wrong[0] & NOWHERE) >> 2}", remedy=remedy)
+            raise RenderError(what, where=where, remedy=remedy)
         self.entries, splats = total, int(work.splats[views].sum())
         if splats:  # visible sets list more a splat than whole clouds: forget them slowly
             self._density[work.picture] = max(
@@ -407,7 +419,7 @@ class Drawer:
         """The same of views that the host does not know; `wrong` is told of one that is none."""
         count, known = views.stop - views.start, len(work.table)
         view_table = self._need("views", count * VIEW.itemsize // 4, np.uint32)
-        if work.chosen is None:  # all show one cloud, so the host can share the work out
+        if not work.grouped:  # all show one cloud, so the host can share the work out
             nothing = np.zeros(count, np.int32)
             shares, tables = self._share(work, nothing, nothing - 1)
             blocks, groups = shares.blocks, len(shares.groups)
@@ -419,11 +431,12 @@ class Drawer:
             blocks, groups = most_blocks(work.chunks, count, self.tuning.views), known
         self.device.fill(wrong, 0xFF)
         self._kernels["write_views"].launch(
-            *(-(-count // 128), 128, work.poses, work.chosen, tables[0], np.uint32(known)),
+            *(-(-count // 128), 128, work.poses, work.chosen, tables[0]),
+            *(np.uint32(work.named), work.floors),
             *(np.float64(VIEW_TOLERANCE), np.uint32(views.start), np.uint32(count)),
             *(work.like, view_table, wrong),
         )
-        if work.chosen is not None:
+        if work.grouped:
             shown = self._need("shown", known, np.uint32)
             self.device.fill(shown[:known], 0)
             self._kernels["group_views"].launch(
@@ -534,11 +547,16 @@ class _WorkDevice(_Work):
         poses: DeviceArray,
         clouds: Sequence[CloudDevice | None],
         chosen: DeviceArray | None,
+        floors: DeviceArray | None,
     ) -> None:
         self._of_clouds(camera, clouds)
-        self.count, self.poses, self.chosen = len(poses), poses, chosen
+        self.count, self.poses, self.chosen, self.floors = len(poses), poses, chosen, floors
+        self.named = len(clouds) if floors is None else len(floors)
+        self.grouped = chosen is not None or floors is not None
         self.like = build_view(camera)
-        # as if all showed the largest, so that lists are never thought too short
-        self.splats = np.full(self.count, self.chunks.max(initial=0) * CHUNK)
-        shown = () if chosen is None else (len(clouds),)
-        self.picture = (camera.width, camera.height, camera.model, *shown)
+        # as if all showed the largest, so that lists are seldom thought too short
+        sets = self.chunks[self.named :]
+        largest = sets if len(sets) else self.chunks
+        self.splats = np.full(self.count, largest.max(initial=0) * CHUNK)
+        kind = ("chosen",) if floors is None else ("sets",)
+        self.picture = (camera.width, camera.height, camera.model, *(kind if self.grouped else ()))

@@ -1,12 +1,13 @@
 """What the drawing kernels read of views, clouds and their shares of the work: one upload a call.
 
-The layouts are those of `kernels/view.cuh`.
+The layouts are those of `kernels/view.cuh` and `kernels/views.cu`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,6 +49,13 @@ GROUP = np.dtype(
         *(("first_member", "<u4"), ("members", "<u4"), ("spare", "<u4", 2)),
     ]
 )
+FLOOR = np.dtype(
+    [
+        *(("numbers", "<u8"), ("cell", "<f8"), ("height", "<f8"), ("tolerance", "<f8")),
+        *((name, "<i4") for name in ("column", "row", "columns", "rows")),
+    ]
+)
+NO_PLACE, NO_SET = -1, -2  # in the numbers of a floor: whole clouds do; a set that is not here
 _NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
 
 
@@ -62,9 +70,7 @@ def build_views(
     views = np.zeros(len(matrices), VIEW)
     rotation = matrices[:, :3, :3]
     views["rotation"] = rotation.reshape(-1, 9)
-    # one product after another, as the kernel `write_views` does it: the same bits
-    x, y, z = (rotation[:, k] * matrices[:, k, 3:] for k in range(3))
-    views["eye"] = -(x + y + z)
+    views["eye"] = find_eyes(matrices)
     views["focal"] = focal = np.array([camera.fx, camera.fy])
     views["centre"] = centre = np.array([camera.cx, camera.cy])
     views["size"] = size = np.array([camera.width, camera.height], np.float64)
@@ -81,6 +87,17 @@ def build_views(
     return views
 
 
+def find_eyes(matrices: F64) -> F64:
+    """Where views [V, 4, 4] are seen from [V, 3] m.
+
+    One product after another, as the kernel `write_views` does it: the same bits.
+    """
+    x, y, z = (matrices[:, k, :3] * matrices[:, k, 3:] for k in range(3))
+    eyes: F64 = -(x + y + z)
+    return eyes
+
+
+@lru_cache(64)
 def build_view(camera: Camera) -> np.void:
     """What all views of a camera have in common: a view from the origin, along the world's z."""
     none = np.zeros(1, np.int32)

@@ -27,6 +27,7 @@ from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.cuda.draw import CHUNK, CloudDevice, Drawer, PicturesDevice
 from gn0.render.cuda.pack import cloud_kernels
+from gn0.render.cuda.tables import NO_PLACE, NO_SET, find_eyes
 from gn0.render.renderer import VISIBLE_CUDA, Output, RenderResult
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_places import VisibleOptions, key_of_sets, look_round, places_by_cell
@@ -95,6 +96,7 @@ class VisibleSets:
         self._drawer, self._antialiased = drawer, antialiased
         self._made_for = (-1, -1)  # splats in the cloud, and packed, that the sets number
         self.used = 0  # bytes of the sets that are on the device
+        self.version = 0  # another one as soon as other sets are
         self._places = places_by_cell(floor, options.cell, options.places)
         self._sets: OrderedDict[Cell, VisibleSetDevice] = OrderedDict()  # least recent first
         self._parts: dict[Cell, CloudDevice] = {}  # the same beside the splats they number
@@ -125,6 +127,7 @@ class VisibleSets:
         held = bool(self._sets)
         self._sets.clear()
         self.used = 0
+        self.version += held
         self.let_go()
         return held
 
@@ -137,7 +140,7 @@ class VisibleSets:
         """The cell whose set draws each view [V, 4, 4]; None for all splats."""
         if camera.model != "pinhole" or not len(matrices):
             return [None] * len(matrices)
-        eyes = -np.einsum("vji,vj->vi", matrices[:, :3, :3], matrices[:, :3, 3])
+        eyes = find_eyes(matrices)
         level = np.abs(eyes[:, 2] - self.eye_height) <= self.options.height_tolerance
         columns, rows = np.floor(eyes[:, :2] / self.options.cell).astype(np.int64).T.tolist()
         return [
@@ -155,12 +158,7 @@ class VisibleSets:
         Raises:
             RenderError: a cell has no free place.
         """
-        if self._made_for != (cloud.size, cloud.alive):
-            self.clear()  # their numbers are of another cloud
-            self._made_for = (cloud.size, cloud.alive)
-        if self._whole is not cloud:
-            self.let_go()
-            self._whole = cloud
+        self._adopt(cloud)
         wanted = list(dict.fromkeys(cells))
         for cell in wanted:
             if cell not in self._places:
@@ -174,6 +172,36 @@ class VisibleSets:
         found = {cell: self._part(cell, cloud) for cell in wanted}
         self._give_way(len(found))
         return found
+
+    def _adopt(self, cloud: CloudDevice) -> None:
+        if self._made_for != (cloud.size, cloud.alive):
+            self.clear()  # their numbers are of another cloud
+            self._made_for = (cloud.size, cloud.alive)
+        if self._whole is not cloud:
+            self.let_go()
+            self._whole = cloud
+
+    def arrange(self, cloud: CloudDevice) -> tuple[NDArray[np.int32], Cell, list[CloudDevice]]:
+        """The sets that are here by cell, for views that only the device knows.
+
+        Args:
+            cloud: all splats, on the device.
+
+        Returns:
+            [rows, columns] numbers into the last, NO_PLACE or NO_SET; (column, row) of its first
+            cell; and the sets.
+        """
+        self._adopt(cloud)
+        cells = np.array(list(self._places), np.int64).reshape(-1, 2)
+        if not len(cells):
+            return np.zeros((0, 0), np.int32), (0, 0), []
+        column, row = cells.min(axis=0).tolist()
+        columns, rows = (cells.max(axis=0) + 1 - (column, row)).tolist()
+        numbers = np.full((rows, columns), NO_PLACE, np.int32)
+        numbers[cells[:, 1] - row, cells[:, 0] - column] = NO_SET
+        for number, (x, y) in enumerate(self._sets):
+            numbers[y - row, x - column] = number
+        return numbers, (column, row), [self._part(cell, cloud) for cell in self._sets]
 
     def _part(self, cell: Cell, cloud: CloudDevice) -> CloudDevice:
         if cell not in self._parts:
@@ -299,6 +327,7 @@ class VisibleSets:
         for cell, one in zip(cells, self._gather(marks, len(cells), cloud), strict=True):
             self._sets[cell] = one
             self.used += one.nbytes
+        self.version += 1
 
     def _gather(self, marks: DeviceArray, sets: int, cloud: CloudDevice) -> list[VisibleSetDevice]:
         """Slot lists and boxes of the marked splats."""
@@ -335,6 +364,7 @@ class VisibleSets:
             cell, one = self._sets.popitem(last=False)
             self._parts.pop(cell, None)
             self.used -= one.nbytes
+            self.version += 1
 
 
 def _words(cloud: CloudDevice) -> int:

@@ -4,13 +4,32 @@
 #define NOT_FINITE 0u         // what is wrong with a view
 #define NOT_RIGID 1u
 #define NOT_HERE 2u
+#define NOT_HELD 3u
+#define NO_PLACE -1  // what a floor says instead of a number of a cloud
+#define NO_SET -2
+
+struct Floor {  // where the eyes of a scene have visible sets; null numbers: nowhere
+  const int *numbers;  // [rows, columns] clouds that are sets, of cells of the floor
+  double cell, height, tolerance;  // m
+  int column, row, columns, rows;  // of the first cell, and how many
+};
+
+// The cloud that a view of `cloud` is drawn from, its eye at (x, y, z); negative without its set.
+__device__ __forceinline__ int find_set(const Floor &f, int cloud, double x, double y, double z) {
+  if (!f.numbers || !(fabs(z - f.height) <= f.tolerance)) return cloud;
+  double column = floor(x / f.cell) - f.column, row = floor(y / f.cell) - f.row;
+  if (!(column >= 0.0 && column < f.columns && row >= 0.0 && row < f.rows)) return cloud;
+  int number = f.numbers[(i64)row * f.columns + (i64)column];
+  return number == NO_PLACE ? cloud : number;
+}
 
 // Views [count] from world-to-camera matrices [count, 4, 4]; `like` is any view of their camera.
-// `chosen` numbers their clouds; null means all show the first. A view that is none sees nothing,
+// `chosen` numbers their clouds, the first `named`; null means all show the first. With `floors`,
+// of each of those, they are drawn from visible sets, which are clouds behind them. A view that is none sees nothing,
 // and the first such is told in `wrong`: its number times four, and what is wrong.
 KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__ chosen,
-                    const Cloud *__restrict__ clouds, u32 cloud_count, double tolerance, u32 first,
-                    u32 count, View like, View *views, u32 *wrong) {
+                    const Cloud *__restrict__ clouds, u32 named, const Floor *__restrict__ floors,
+                    double tolerance, u32 first, u32 count, View like, View *views, u32 *wrong) {
   u32 v = blockIdx.x * blockDim.x + threadIdx.x;
   if (v >= count) return;
   const double *m = matrices + (u64)(first + v) * 16;
@@ -26,15 +45,22 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
                   m[2] * (m[4] * m[9] - m[5] * m[8]);
   rigid = rigid && volume > 0.0;
   u32 cloud = chosen ? (u32)chosen[first + v] : 0;
-  bool here = cloud < cloud_count && clouds[cloud].rows != NO_CLOUD;
+  bool here = cloud < named && clouds[cloud].rows != NO_CLOUD, held = true;
   if (finite && rigid && here) {
+    double eye[3];
+    for (int k = 0; k < 3; k++)  // operation for operation as `tables.find_eyes` does it
+      eye[k] = -(m[k] * m[3] + m[4 + k] * m[7] + m[8 + k] * m[11]);
+    int from = floors ? find_set(floors[cloud], (int)cloud, eye[0], eye[1], eye[2]) : (int)cloud;
+    held = from >= 0;
+    cloud = (u32)from;
     for (int i = 0; i < 3; i++)
       for (int k = 0; k < 3; k++) like.r[3 * i + k] = (float)m[4 * i + k];
-    for (int k = 0; k < 3; k++)  // operation for operation as `tables.build_views` does it
-      like.eye[k] = (float)-(m[k] * m[3] + m[4 + k] * m[7] + m[8 + k] * m[11]);
+    for (int k = 0; k < 3; k++) like.eye[k] = (float)eye[k];
     like.cloud = cloud;
-  } else {
-    atomicMin(wrong, (first + v) << 2 | (!finite ? NOT_FINITE : !rigid ? NOT_RIGID : NOT_HERE));
+  }
+  if (!(finite && rigid && here && held)) {
+    u32 why = !finite ? NOT_FINITE : !rigid ? NOT_RIGID : !here ? NOT_HERE : NOT_HELD;
+    atomicMin(wrong, (first + v) << 2 | why);
     for (int k = 0; k < 9; k++) like.r[k] = 0.f;
     for (int k = 0; k < 3; k++) like.eye[k] = 0.f;
     like.near = 1.f, like.far = 0.f;

@@ -265,6 +265,9 @@ def find_path_fault(relative: str) -> str:
 _SLASHES = str.maketrans(dict.fromkeys("\u2044\u2215\u29f8\u27cb", "/") | {"\u29f5": "\\"})
 
 
+_STRIDE = 16  # rows between the places that a `RowDigest` can go on from
+
+
 def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
     """A hex digest of decoded values (shape, dtype and bytes), never of file bytes."""
     digest = hashlib.blake2b(digest_size=16)
@@ -272,13 +275,45 @@ def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
         if isinstance(value, np.ndarray):
             data = np.asarray(value, order="C")
             little = data.astype(data.dtype.newbyteorder("<"), copy=False)
-            head = f"a{little.dtype.str}{little.shape}".encode()
-            digest.update(len(head).to_bytes(4, "little") + head)
+            digest.update(_array_head(little))
             digest.update(little.reshape(-1).view(np.uint8).data)
         else:
             raw = value if isinstance(value, bytes) else repr(value).encode()
             digest.update(b"v" + len(raw).to_bytes(8, "little") + raw)
     return digest.hexdigest()
+
+
+def _array_head(array: NDArray[Any]) -> bytes:
+    """What a hash says of an array before its bytes."""
+    head = f"a{array.dtype.str}{array.shape}".encode()
+    return len(head).to_bytes(4, "little") + head
+
+
+class RowDigest:
+    """`content_hash` of uint8 arrays of one shape that begin with rows of the one before.
+
+    It goes on from the last row that both have, so it costs the rows below.
+    """
+
+    def __init__(self) -> None:
+        self._shape: tuple[int, ...] = ()
+        self._states: list[Any] = []  # after 0, 1, … times `_STRIDE` rows
+
+    def of(self, array: NDArray[np.uint8], same: int) -> str:
+        """The hash of an array whose first `same` rows are those of the array before."""
+        data = np.ascontiguousarray(array, np.uint8)
+        if data.shape != self._shape:
+            self._shape = data.shape
+            self._states = [hashlib.blake2b(_array_head(data), digest_size=16)]
+        kept = min(max(same, 0) // _STRIDE, len(self._states) - 1)
+        del self._states[kept + 1 :]
+        digest = self._states[kept].copy()
+        for row in range(kept * _STRIDE, len(data), _STRIDE):
+            digest.update(data[row : row + _STRIDE].data)
+            if row + _STRIDE <= len(data):
+                self._states.append(digest.copy())
+        found: str = digest.hexdigest()
+        return found
 
 
 def journal_line(record: Any) -> bytes:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from gn0.errors import StorageError
 from gn0.storage import (
     Journal,
+    RowDigest,
     cache_dir,
     content_hash,
     folder_atomic,
@@ -151,3 +152,15 @@ def test_the_cache_is_where_the_user_says(monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.delenv("GN0_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     assert cache_dir() == tmp_path / "xdg" / "gn0"
+
+
+@pytest.mark.parametrize("shape", [(64, 5, 3), (37, 4), (16, 2, 3), (3, 2)])
+def test_a_digest_goes_on_from_the_rows_that_are_the_same(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    digest, array = RowDigest(), rng.integers(0, 255, shape, dtype=np.uint8)
+    for same in (0, *rng.integers(-5, shape[0] + 9, 40).tolist()):
+        array = array.copy()
+        array[max(same, 0) :] += rng.integers(0, 2, dtype=np.uint8)
+        assert digest.of(array, same) == content_hash(array)
+    other = np.zeros((2, *shape), np.uint8)
+    assert digest.of(other, 2) == content_hash(other)

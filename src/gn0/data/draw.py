@@ -34,7 +34,7 @@ from gn0.render.light import LightCondition
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
-from gn0.storage import content_hash, safe_join
+from gn0.storage import RowDigest, content_hash, safe_join
 
 AHEAD = 64  # views drawn before they are wanted, where another process draws them
 T = TypeVar("T")
@@ -251,6 +251,8 @@ class PartDrawer:
         frame = eyes.map_frame
         start = frame.pixel_of(*episode.start[:2])
         known = {"bev": opened.bev_hash}
+        digest, dot = RowDigest(), 0  # above the agent's dot nothing changes
+        radius = eyes.config.disc_radius
 
         shared: dict[str, bytes] = {}  # the BEV is the same at each step
 
@@ -263,6 +265,8 @@ class PartDrawer:
         for t, pictures in enumerate(draw_episode(eyes, episode, block.poses, views())):
             x, y = map(float, block.poses[t, :2])
             places = (start, frame.pixel_of(x, y))
+            same, dot = min(dot, places[1][0]) - radius, places[1][0]
+            known["occupancy"] = digest.of(pictures.occupancy, same)
             hashes = pictures.hashes(known)
             kept = {**pictures.files, **shared}
             yield DrawnStep(t, t, block, episode, pictures, hashes, places, base, kept=kept)

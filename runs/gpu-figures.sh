@@ -53,7 +53,7 @@ limit_of() {  # seconds
   local limit left
   left=$(left)
   case $1 in
-    check) limit=90 ;; start | stages) limit=120 ;; small | data) limit=300 ;; accuracy | suite | sweep) limit=400 ;;
+    check | start) limit=90 ;; stages) limit=120 ;; small | data) limit=300 ;; accuracy | suite | sweep) limit=400 ;;
     sanitizers) limit=540 ;; *) limit=240 ;;
   esac
   limit=${LIMIT:-$limit}
@@ -147,7 +147,11 @@ for name in "$@"; do
   # no pipe: a process that is left behind would hold it open, and us
   exec 9> >(exec tee "$OUT/log/$name.txt")
   says=$!
-  timeout --signal=INT --kill-after=10 "$(limit_of "$name")" bash -c "group $name" >&9 2>&1 9>&-
+  limit=$(limit_of "$name")
+  # first asked where it is, then stopped, then killed
+  timeout --signal=INT --kill-after=15 "$limit" \
+    timeout --signal=USR1 --kill-after=13 "$((limit > 6 ? limit - 3 : limit))" \
+    bash -c "trap '' USR1; group $name" >&9 2>&1 9>&-
   code=$?
   exec 9>&-
   for _ in 1 2 3 4 5 6 7 8 9 10; do kill -0 "$says" 2>/dev/null || break; sleep 0.1; done
@@ -156,6 +160,7 @@ for name in "$@"; do
   if [ "$code" -le 1 ] && ! grep -q '^Traceback' "$OUT/log/$name.txt"; then echo "$code, $((SECONDS - begin)) s" > "$OUT/done/$name"
   else echo "== $name did not end well ($code) after $((SECONDS - begin)) s; its rows so far are kept"; fi
   keep
+  if [ "$name" = start ] && [ ! -e "$OUT/done/start" ]; then echo "== without a first picture nothing else can come"; break; fi
 done
 
 printf '\n== summary (%d s)\n' "$SECONDS"

@@ -8,7 +8,10 @@ machine: timings are only as good as the machine is idle.
 from __future__ import annotations
 
 import datetime
+import faulthandler
 import os
+import signal
+import sys
 import tempfile
 import traceback
 from pathlib import Path
@@ -82,6 +85,8 @@ def run(args: Args) -> int:
     scenes = Path(args.scenes) if args.scenes else None
     if scenes is not None and not scenes.is_dir():
         raise ConfigError("no such folder", where=f"--scenes {scenes}")
+    if hasattr(signal, "SIGUSR1") and sys.__stderr__ is not None:
+        faulthandler.register(signal.SIGUSR1, file=sys.__stderr__)  # says where a figure hangs
     failed = 0
     with tempfile.TemporaryDirectory(prefix="gn0-figures-") as work, draw_progress() as progress:
         for figure in figures:

@@ -43,6 +43,7 @@ CARD = SUITE.parent / "device" / "test_card.py"  # what only a card can answer
 _TOOLS = ("memcheck", "racecheck", "initcheck", "synccheck")
 _SUMMARY = re.compile(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)")
 FILE_LIMIT, TOOL_LIMIT = 150.0, 130.0  # s, for a file of the suite, and for a tool
+_HANGS = ("-o", f"faulthandler_timeout={FILE_LIMIT - 50:.0f}")  # s; says where
 _LAST = re.compile(r"^=+ (.*) in [\d.]+s.*$", re.MULTILINE)
 _COUNTS = re.compile(r"(\d+) (passed|failed|skipped|errors?|deselected)")
 _RESULT = re.compile(r" (PASSED|FAILED|SKIPPED|ERROR)\b.*\[ *\d+%\]")
@@ -144,7 +145,7 @@ def measure_suite(ctx: FigureContext) -> list[FigureRow]:
 
 def _run_file(ctx: FigureContext, path: Path) -> FigureRow:
     """How many tests of a file fail; those that it did not come to count as one."""
-    done = _pytest(ctx, [path], ["-v", "--tb=short"], [], FILE_LIMIT)
+    done = _pytest(ctx, [path], ["-v", "--tb=short", *_HANGS], [], FILE_LIMIT)
     last = (_LAST.findall(done.said) or [""])[-1]
     counts = {word: int(n) for n, word in _COUNTS.findall(last)}
     failed = sum(counts.get(word, 0) for word in ("failed", "error", "errors"))

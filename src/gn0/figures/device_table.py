@@ -344,9 +344,10 @@ def _loop_calls(
 
 
 def _own_cases(count: int) -> Iterator[Case]:
-    yield Case("224x224 x 256", 224, 224, count)
-    yield Case("640x480 x 1", 640, 480, 1, rounds=40, sets=False)
-    yield Case("BEV 1024x1024", 1024, 1024, 1, bev=True, rounds=20)
+    yield Case("224x224 x 256", 224, 224, count, 4.0, 8.0)
+    yield Case("640x480 x 16", 640, 480, 16, 3.5, 6.0)
+    yield Case("640x480 x 1", 640, 480, 1, 4.0, rounds=40, sets=False)
+    yield Case("BEV 1024x1024", 1024, 1024, 1, 3.0, bev=True, rounds=20)
 
 
 def measure_own(scene: FigureScene, ctx: FigureContext) -> list[FigureRow]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,49 @@ def shared_data() -> Path:
     if folder is None:
         pytest.skip("third-party data not present: set GN0_DATA to its folder")
     return folder
+
+
+@pytest.fixture
+def cut_after_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., tuple[Path, list[Path]]]:
+    """Run `make(folder)`; (the folder, what a kill at each change of it would have left).
+
+    `begin(folder)` prepares it, undisturbed.
+
+    Changes are seen where this process syncs, renames or removes a file, so `make` must not leave
+    its work to others.
+    """
+
+    def record(
+        make: Callable[[Path], object], begin: Callable[[Path], object] = lambda folder: None
+    ) -> tuple[Path, list[Path]]:
+        whole, cuts = tmp_path / "whole" / "out", tmp_path / "cuts"
+        cuts.mkdir()
+        begin(whole)
+        states: list[dict[str, bytes]] = []
+
+        def look() -> None:
+            state = {str(p): p.read_bytes() for p in sorted(whole.rglob("*")) if p.is_file()}
+            if whole.is_dir() and (not states or state != states[-1]):
+                states.append(state)
+                shutil.copytree(whole, cuts / f"{len(states):03d}" / "out")
+
+        def seen(real: Callable[..., object]) -> Callable[..., object]:
+            def call(*given: object, **named: object) -> object:
+                answer = real(*given, **named)
+                look()
+                return answer
+
+            return call
+
+        with monkeypatch.context() as patch:
+            for name in ("fsync", "replace", "unlink"):
+                patch.setattr(os, name, seen(getattr(os, name)))
+            make(whole)
+        return whole, [folder / "out" for folder in sorted(cuts.iterdir())]
+
+    return record
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

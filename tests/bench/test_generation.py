@@ -131,6 +131,20 @@ def test_killed_generations_end_as_if_nothing_had_been(tmp_path: Path) -> None:
     assert report.ok and report.kills == 3, str(report)
 
 
+@pytest.mark.slow
+def test_a_kill_after_any_write_loses_nothing(flat_folder: Path, cut_after_writes) -> None:
+    few = msgspec.structs.replace(SETTINGS, per_scene=2, lights=1)
+
+    def make(out: Path) -> None:
+        generate_missions([flat_folder], out, few, seed=1, name="trial")
+
+    whole, cuts = cut_after_writes(make)
+    assert len(cuts) > 5
+    for left in cuts:
+        make(left)
+        assert folder_digest(left) == folder_digest(whole), left
+
+
 def test_half_a_generation_is_not_gone_on_with_by_other_code(
     homes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,6 +22,7 @@ from gn0.bench.results import load_results, load_summary
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite
 from gn0.errors import BenchError, ConfigError, PolicyError, StorageError
+from gn0.folder import lock_folder
 from gn0.storage import Journal
 
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
@@ -185,6 +186,16 @@ def test_killed_at_random_moments_a_run_resumes_without_losing_or_repeating(
     assert sorted(names) == sorted(e.id for e in flats_suite.episodes), "lost or repeated"
 
 
+@pytest.mark.slow
+def test_a_kill_after_any_write_loses_nothing(flats_suite: Suite, cut_after_writes) -> None:
+    whole, cuts = cut_after_writes(lambda out: run_odd(flats_suite, out, max_episodes=3))
+    assert len(cuts) > 12
+    for left in cuts:
+        run_odd(flats_suite, left, max_episodes=3)
+        assert outputs(left) == outputs(whole), left
+        assert {p.name for p in left.iterdir()} == {p.name for p in whole.iterdir()}
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 def test_ctrl_c_ends_all_workers_and_the_run_goes_on_later(
     flats_suite: Suite, unbroken: Path, tmp_path: Path
@@ -254,7 +265,7 @@ def test_another_run_in_the_same_folder_is_refused(
 
 
 def test_two_runs_at_once_in_one_folder_are_refused(flats_suite: Suite, tmp_path: Path) -> None:
-    with runner._lock(_made(tmp_path / "run")), pytest.raises(BenchError, match="another run is"):
+    with lock_folder(_made(tmp_path / "run")), pytest.raises(BenchError, match="another run is"):
         run_odd(flats_suite, tmp_path / "run")
 
 

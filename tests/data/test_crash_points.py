@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from gn0 import storage
 from gn0.bench.suite import Suite, save_suite
 from gn0.data.build import build_dataset
+from gn0.data.dataset import JOURNAL
 from gn0.data.render import render_dataset
+from gn0.data.repair import repair_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.maps.navigation import NavigationMap
@@ -41,11 +39,7 @@ def small_suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["webdataset", "lerobot", "render"])
 def test_a_kill_after_any_write_loses_nothing(
-    kind: str,
-    small_suite: Suite,
-    tmp_path: Path,
-    files_of: Callable[[Path], dict[str, bytes]],
-    monkeypatch: pytest.MonkeyPatch,
+    kind: str, small_suite: Suite, files_of, cut_after_writes
 ) -> None:
     layout = "none" if kind == "render" else kind
     settings = BuildSettings(chunk=1, pictures=PictureSettings(layout=layout))
@@ -55,25 +49,30 @@ def test_a_kill_after_any_write_loses_nothing(
         if kind == "render":
             render_dataset(out)
 
-    whole, cuts = tmp_path / "whole", tmp_path / "cuts"
-    fsync = os.fsync
-
-    def cut(descriptor: int) -> None:  # what a kill at this moment leaves behind
-        fsync(descriptor)
-        if whole.is_dir():
-            shutil.copytree(whole, cuts / f"{len(list(cuts.iterdir())):03d}")
-
-    cuts.mkdir()
-    with monkeypatch.context() as patch:
-        patch.setattr(storage.os, "fsync", cut)
-        make(whole)
-    wanted, seen = files_of(whole), []
-    for left in sorted(cuts.iterdir()):
-        state = files_of(left)
-        if seen and state == seen[-1]:
-            continue
-        seen.append(state)
+    whole, cuts = cut_after_writes(make)
+    wanted = files_of(whole)
+    assert len(cuts) > 20
+    for left in cuts:
         make(left)
-        assert verify_dataset(left, workers=1).damages == (), left.name
-        assert files_of(left) == wanted, left.name
-    assert len(seen) > 10
+        assert verify_dataset(left, workers=1).damages == (), left
+        assert files_of(left) == wanted, left
+
+
+@pytest.mark.slow
+def test_a_repair_that_is_killed_is_finished_by_the_next(
+    small_suite: Suite, files_of, cut_after_writes
+) -> None:
+    def damage(out: Path) -> None:
+        build_dataset(small_suite, out, BuildSettings(chunk=1))
+        for path in [*out.glob("samples/*"), *out.glob("pictures/*/*.tar"), out / JOURNAL]:
+            path.write_bytes(path.read_bytes()[:-9])
+
+    def repair(out: Path) -> None:
+        assert repair_dataset(out).ok
+
+    whole, cuts = cut_after_writes(repair, damage)
+    wanted = files_of(whole)
+    assert verify_dataset(whole).ok and len(cuts) > 4
+    for left in cuts:
+        repair(left)
+        assert files_of(left) == wanted, left

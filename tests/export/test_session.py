@@ -146,6 +146,20 @@ def test_killed_with_9_and_gone_on_gives_the_same_bytes(tmp_path: Path) -> None:
     assert read_tree(out) == read_tree(whole)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("format", ["gn-matrix", "vlnce-r2r", "streamvln", "lerobot-v3"])
+def test_a_kill_after_any_write_loses_nothing(format: str, cut_after_writes) -> None:
+    source = toy_source(1, longest=9)
+
+    def make(out: Path) -> None:
+        run_export(source, format, out)
+
+    whole, cuts = cut_after_writes(make)
+    for left in cuts:
+        make(left)
+        assert read_tree(left) == read_tree(whole), left
+
+
 def test_a_trip_that_makes_no_sense_is_refused(short_source: ExportSource) -> None:
     trip = next(iter(short_source.trips()))
     for wrong in (

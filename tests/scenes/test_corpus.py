@@ -68,6 +68,17 @@ def test_two_workers_and_a_second_start_write_the_same_bytes(source: Path, whole
     assert os.stat(kept / "scene.json").st_mtime_ns == before  # not made again
 
 
+def test_a_kill_after_any_write_loses_nothing(source: Path, cut_after_writes) -> None:
+    def make(out: Path) -> None:
+        generate_corpus(spec_of(source, 2), out)
+
+    whole, cuts = cut_after_writes(make)
+    assert len(cuts) > 10
+    for left in cuts:
+        make(left)
+        assert contents(left) == contents(whole), left
+
+
 def test_another_corpus_or_something_else_is_not_written_into(source: Path, whole: Path) -> None:
     with pytest.raises(ConfigError, match="holds another corpus"):
         generate_corpus(spec_of(source, 2), whole)

@@ -11,17 +11,18 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 
 from gn0.bench.suite import EPISODE_FILE
 from gn0.config import Config, load_json
 from gn0.errors import BenchError, StorageError
+from gn0.folder import lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
 from gn0.missions.generate.scene import SceneReport
 from gn0.missions.generate.settings import MissionSettings
-from gn0.storage import TEMPORARY_PREFIX, storage_error, write_json
+from gn0.storage import storage_error, write_json
 
 MANIFEST, PATHS, TEXTS = "manifest.json", "paths.parquet", "instructions.parquet"
 WORK, REQUEST, PARTS, REPORT = ".work", "request.json", "parts", "report.json"
@@ -183,25 +184,10 @@ def open_work(out: Path, request: GenerationRequest) -> Iterator[Path]:
     work = out / WORK
     try:
         (work / PARTS).mkdir(parents=True, exist_ok=True)
-        stream: IO[bytes] = open(work / "lock", "ab")  # noqa: SIM115
     except OSError as error:
         raise storage_error(error, work, "write the output folder") from error
-    with stream:
-        try:
-            import fcntl
-
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:  # no such lock on this system
-            pass
-        except OSError:
-            raise BenchError(
-                "another generation is writing to this folder",
-                where=out,
-                remedy="wait for it, or choose another --out",
-            ) from None
-        for path in sorted(out.rglob(f"{TEMPORARY_PREFIX}*")):  # what a killed run left
-            with contextlib.suppress(OSError):
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with lock_folder(work, refuse=BenchError, writer="generation", name="lock"):
+        sweep_folder(out)
         write_json(work / REQUEST, msgspec.to_builtins(request))
         yield work
     shutil.rmtree(work, ignore_errors=True)

@@ -14,10 +14,10 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 
@@ -43,6 +43,7 @@ from gn0.bench.schedule import Schedule
 from gn0.bench.suite import Suite, load_suite_scene
 from gn0.bench.worker import describe_error
 from gn0.errors import BenchError, ConfigError, PolicyError
+from gn0.folder import lock_folder
 from gn0.missions.episode import Episode
 from gn0.plugins import get_plugin
 from gn0.progress import Progress, no_progress
@@ -117,7 +118,7 @@ def run_suite(
     options = dict(policy_options or {})
     backend = choose_run_backend(backend, policy_name, suite.map_mode)
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
-    with _lock(out):
+    with lock_folder(out, refuse=BenchError):
         _sweep(out)
         if not resume:
             _forget(out)
@@ -230,31 +231,6 @@ def check_room(out: Path, episodes: int) -> None:
             out,
             "write results",
         )
-
-
-@contextlib.contextmanager
-def _lock(out: Path) -> Iterator[None]:
-    """One run at a time in a folder; the lock goes with the process, however it ends."""
-    try:
-        import fcntl
-    except ImportError:  # no such lock on this system
-        yield
-        return
-    path = out / ".lock"
-    try:
-        stream: IO[bytes] = open(path, "ab")  # noqa: SIM115
-    except OSError as error:
-        raise storage_error(error, path, "lock the run folder") from error
-    with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise BenchError(
-                "another run is writing to this folder",
-                where=out,
-                remedy="wait for it, or choose another --out",
-            ) from None
-        yield
 
 
 def _sweep(out: Path) -> None:

@@ -33,12 +33,9 @@ from gn0.data.dataset import (
 )
 from gn0.data.drawing import open_drawing
 from gn0.data.folder import (
-    LOCK,
-    lock_folder,
     parts_journal,
     read_done,
     run_parts,
-    sweep,
     write_journal,
 )
 from gn0.data.part import PartDone, PartPlan, check_plan, drawn_at, file_digest
@@ -46,6 +43,7 @@ from gn0.data.render import finish_cache
 from gn0.data.samples import SAMPLE_LAYOUT
 from gn0.data.settings import BuildSettings
 from gn0.errors import DataError
+from gn0.folder import LOCK, lock_folder, sweep_folder
 from gn0.jobs import ExecutorName
 from gn0.progress import Progress, no_progress
 from gn0.render.share.client import DrawServer
@@ -97,9 +95,9 @@ def build_dataset(
     plans = plan_parts(suite, out, about.settings.chunk)
     _check_target(out, about)
     check_room(out, len(suite.episodes))
-    with lock_folder(out):
+    with lock_folder(out, refuse=DataError):
         found = _check_target(out, about)
-        sweep(out)
+        sweep_folder(out)
         if found is not None and found.complete:
             write_journal(out / JOURNAL, parts_journal(found))
             return open_dataset(out)

@@ -1,67 +1,24 @@
-"""A dataset folder while it is written: one writer, a journal, nothing half-written left behind."""
+"""A dataset folder while it is written: its parts, and the journal that names them."""
 
 from __future__ import annotations
 
 import contextlib
-import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 
 from gn0.data.dataset import DatasetFile
 from gn0.data.part import PartDone, PartPlan
-from gn0.errors import DataError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.progress import Progress
 from gn0.storage import (
-    TEMPORARY_PREFIX,
     Journal,
     journal_line,
     read_bytes,
-    storage_error,
     write_bytes,
 )
-
-LOCK = ".lock"
-
-
-@contextlib.contextmanager
-def lock_folder(folder: Path) -> Iterator[None]:
-    """One writer at a time in a dataset; the lock goes with the process, however it ends.
-
-    Raises:
-        DataError: somebody else is writing there.
-        StorageError: the folder cannot be written.
-    """
-    try:
-        import fcntl
-    except ImportError:  # no such lock on this system
-        yield
-        return
-    path = folder / LOCK
-    try:
-        stream: IO[bytes] = open(path, "ab")  # noqa: SIM115
-    except OSError as error:
-        raise storage_error(error, path, "lock the dataset folder") from error
-    with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise DataError(
-                "another run is writing to this folder",
-                where=folder,
-                remedy="wait for it, or choose another --out",
-            ) from None
-        yield
-
-
-def sweep(folder: Path) -> None:
-    """Remove what a killed run left half-written; call it with the folder locked."""
-    for path in sorted(folder.rglob(f"{TEMPORARY_PREFIX}*")):
-        with contextlib.suppress(OSError):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def write_journal(path: Path, data: bytes) -> None:

@@ -25,16 +25,15 @@ from gn0.data.dataset import (
 )
 from gn0.data.drawing import open_drawing
 from gn0.data.folder import (
-    lock_folder,
     parts_journal,
     read_done,
     run_parts,
-    sweep,
     write_journal,
 )
 from gn0.data.part import PartDone, PartPlan, drawn_at
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
+from gn0.folder import lock_folder, sweep_folder
 from gn0.jobs import ExecutorName
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, journal_line, safe_join
@@ -74,8 +73,8 @@ def render_dataset(
     dataset = open_dataset(path)
     wanted = choose_cache(dataset, settings)
     out = dataset.folder
-    with lock_folder(out):
-        sweep(out)
+    with lock_folder(out, refuse=DataError):
+        sweep_folder(out)
         whole = check_cache_free(out, wanted) and dataset.about.rendered  # both are written last
         if whole and (there := load_manifest(out, wanted.layout)):
             return there

@@ -18,13 +18,14 @@ from gn0.data.cache import MANIFEST, CacheManifest, cache_folder, load_manifest
 from gn0.data.dataset import JOURNAL, Dataset, open_dataset
 from gn0.data.draw import PartDrawer
 from gn0.data.drawing import open_drawing
-from gn0.data.folder import lock_folder, parts_journal, read_done, sweep, write_journal
+from gn0.data.folder import parts_journal, read_done, write_journal
 from gn0.data.part import PartDone, PartPlan, collect_part, drawn_at, file_digest
 from gn0.data.render import check_rendered, finish_cache, plan_rendering, render_dataset
 from gn0.data.samples import encode_rows, encode_table
 from gn0.data.settings import PictureSettings
 from gn0.data.verify import Damage, verify_dataset
 from gn0.errors import DataError, Gn0Error
+from gn0.folder import lock_folder, sweep_folder
 from gn0.jobs import run_jobs
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, read_bytes, safe_join, write_bytes
@@ -70,8 +71,8 @@ def repair_dataset(
             writing there.
     """
     dataset = open_dataset(path)
-    with lock_folder(dataset.folder):
-        sweep(dataset.folder)
+    with lock_folder(dataset.folder, refuse=DataError):
+        sweep_folder(dataset.folder)
         found = verify_dataset(path, workers=0, progress=progress).damages
         reasons: dict[str, str] = {}
         for damage in found:

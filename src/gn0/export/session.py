@@ -18,7 +18,6 @@ from typing import Any
 import msgspec
 
 from gn0.config import Config, load_json
-from gn0.data.folder import LOCK, lock_folder, sweep
 from gn0.errors import DataError, FormatError, Gn0Error, StorageError
 from gn0.export.card import write_card
 from gn0.export.exporter import (
@@ -30,6 +29,7 @@ from gn0.export.exporter import (
     get_dataset_exporter,
 )
 from gn0.export.trips import ExportSource, Trip
+from gn0.folder import LOCK, is_swept_bare, lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, content_hash, storage_error, write_json
@@ -191,11 +191,11 @@ def run_export(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(error, folder, "make the folder") from error
-    with lock_folder(folder):
+    with lock_folder(folder, refuse=DataError):
         earlier = _claim(folder, about)  # somebody may have been quicker
         if earlier is not None and earlier.complete:
             return earlier
-        sweep(folder)
+        sweep_folder(folder)
         done = _write_all(exporter, job, plan, about, progress)
     return done
 
@@ -242,7 +242,7 @@ def _claim(folder: Path, about: ExportFile) -> ExportFile | None:
     """The earlier run in this folder, if it is this very export; None for an empty place."""
     if not folder.exists():
         return None
-    if folder.is_dir() and all(path.name == LOCK for path in folder.iterdir()):
+    if is_swept_bare(folder):
         return None
     if not (folder / EXPORT_FILE).is_file():
         raise StorageError(

@@ -13,6 +13,7 @@ import msgspec
 from gn0 import __version__
 from gn0.config import check_config
 from gn0.errors import ConfigError, SceneError, StorageError
+from gn0.folder import LOCK, lock_folder, sweep_folder
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.progress import Progress, no_progress
 from gn0.scenes.corpus import (
@@ -28,7 +29,7 @@ from gn0.scenes.corpus import (
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 from gn0.scenes.sources import import_scene
-from gn0.storage import Journal, content_hash, write_json
+from gn0.storage import Journal, content_hash, storage_error, write_json
 
 JOURNAL_FILE = "corpus.journal"
 _BUILD = "gn0.scenes.corpus_build:build_corpus_scene"
@@ -66,46 +67,52 @@ def generate_corpus(
     spec = check_config(spec)
     plan = plan_corpus(spec)
     digest = content_hash(msgspec.json.encode(spec, order="deterministic"))
-    journal = Journal(out / JOURNAL_FILE)
-    done = _read_journal(journal, out, digest)
-    todo = [item for item in plan if item[0].id not in done]
-    payloads = [_payload(scene, part, seed, out, Path(base)) for scene, part, seed in todo]
-    with journal:
-        if not journal.read():
-            journal.append({"corpus": digest})
+    _read_journal(out, digest)  # the folder of another is not touched
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(error, out, "make the folder") from error
+    with lock_folder(out, writer="corpus"):
+        sweep_folder(out)
+        done = _read_journal(out, digest)
+        todo = [item for item in plan if item[0].id not in done]
+        payloads = [_payload(scene, part, seed, out, Path(base)) for scene, part, seed in todo]
+        with Journal(out / JOURNAL_FILE) as journal:
+            if not journal.read():
+                journal.append({"corpus": digest})
 
-        def note(index: int, answer: dict[str, Any]) -> None:
-            done[todo[index][0].id] = answer
-            journal.append({"scene": todo[index][0].id, **answer})
+            def note(index: int, answer: dict[str, Any]) -> None:
+                done[todo[index][0].id] = answer
+                journal.append({"scene": todo[index][0].id, **answer})
 
-        run_jobs(
-            _BUILD,
-            payloads,
-            workers=workers,
-            executor=executor,
-            ray_address=ray_address,
-            names=[f"scene {scene.id}" for scene, _, _ in todo],
-            done=note,
-            what="scenes",
-            progress=progress,
+            run_jobs(
+                _BUILD,
+                payloads,
+                workers=workers,
+                executor=executor,
+                ray_address=ray_address,
+                names=[f"scene {scene.id}" for scene, _, _ in todo],
+                done=note,
+                what="scenes",
+                progress=progress,
+            )
+        about = CorpusFile(
+            layout=LAYOUT,
+            name=spec.name,
+            seed=spec.seed,
+            spec=digest,
+            scenes=tuple(msgspec.structs.replace(scene, **done[scene.id]) for scene, _, _ in plan),
+            software=f"gn0 {__version__}",
         )
-    about = CorpusFile(
-        layout=LAYOUT,
-        name=spec.name,
-        seed=spec.seed,
-        spec=digest,
-        scenes=tuple(msgspec.structs.replace(scene, **done[scene.id]) for scene, _, _ in plan),
-        software=f"gn0 {__version__}",
-    )
-    write_json(out / CORPUS_FILE, msgspec.to_builtins(about))
+        write_json(out / CORPUS_FILE, msgspec.to_builtins(about))
     return about
 
 
-def _read_journal(journal: Journal, out: Path, digest: str) -> dict[str, dict[str, Any]]:
+def _read_journal(out: Path, digest: str) -> dict[str, dict[str, Any]]:
     """What earlier runs of the same spec have made, by scene id."""
-    records = journal.read()
+    records = Journal(out / JOURNAL_FILE).read()
     if not records:
-        if out.exists() and any(p.name != JOURNAL_FILE for p in out.iterdir()):
+        if out.exists() and any(p.name not in (JOURNAL_FILE, LOCK) for p in out.iterdir()):
             raise StorageError(
                 "the folder holds something else", where=out, remedy="choose another --out"
             )

@@ -17,10 +17,11 @@ from pathlib import Path
 
 from gn0.bench.suite import Suite, build_suite
 from gn0.data.dataset import JOURNAL, open_dataset
-from gn0.data.folder import LOCK, read_done
+from gn0.data.folder import read_done
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import Gn0Error, JobError
+from gn0.folder import LOCK
 from gn0.progress import Progress, no_progress
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene

@@ -1,0 +1,70 @@
+"""A folder while it is written: one writer at a time, nothing half-written left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from gn0.errors import Gn0Error, StorageError
+from gn0.storage import TEMPORARY_PREFIX, storage_error
+
+LOCK = ".lock"
+
+
+@contextlib.contextmanager
+def lock_folder(
+    folder: Path,
+    *,
+    refuse: type[Gn0Error] = StorageError,
+    writer: str = "run",
+    name: str = LOCK,
+) -> Iterator[None]:
+    """One writer at a time in a folder; the lock goes with the process, however it ends.
+
+    Args:
+        folder: it must be there.
+        refuse: the error that says that somebody else is writing.
+        writer: what that somebody is, in words.
+        name: of the lock's file, in the folder.
+
+    Raises:
+        Gn0Error: `refuse`, where somebody else is writing.
+        StorageError: the folder cannot be written.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such lock on this system
+        yield
+        return
+    path = folder / name
+    try:
+        stream: IO[bytes] = open(path, "ab")  # noqa: SIM115
+    except OSError as error:
+        raise storage_error(error, path, "lock the folder") from error
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise refuse(
+                f"another {writer} is writing to this folder",
+                where=folder,
+                remedy="wait for it, or choose another --out",
+            ) from None
+        yield
+
+
+def sweep_folder(folder: Path) -> None:
+    """Remove what a killed writer left half-written; call it with the folder locked."""
+    for path in sorted(folder.rglob(f"{TEMPORARY_PREFIX}*")):
+        with contextlib.suppress(OSError):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def is_swept_bare(folder: Path) -> bool:
+    """Whether a folder holds nothing but what a killed writer leaves before its first file."""
+    return folder.is_dir() and all(
+        path.name == LOCK or path.name.startswith(TEMPORARY_PREFIX) for path in folder.iterdir()
+    )

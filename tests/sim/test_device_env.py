@@ -117,6 +117,12 @@ def test_thousands_of_steps_are_those_of_the_vector_env(plans, order) -> None:
     play(env, twin, 10)
 
 
+def test_no_thread_reads_what_another_may_be_writing(plans) -> None:
+    env, twin = build_pair(*plans, 40, device=DeviceHost(2, checked=True), sensors=SENSORS)
+    assert_same_reset(env, env.reset(seed=1), twin.reset(seed=1))
+    play(env, twin, 12)
+
+
 def test_an_episode_a_step_and_a_queue_of_one(plans) -> None:
     """The queues never run dry, also past the chunks in which draws are made."""
     for ahead in (1, 3):

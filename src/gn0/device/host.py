@@ -4,6 +4,11 @@ Blocks run one after another and their threads as fibers, in an order that `seed
 missing barrier or an order that rests on atomics shows as another result. Each buffer ends at a
 guard page, so that a read or write past its end is an error that names kernel and thread; reads
 of memory that nothing wrote show as NaN. A stand-in for a GPU's logic, not for its speed.
+
+A checked device (some ten times slower) also reports what an emulation one thread at a time
+cannot suffer from: accesses of one byte that nothing orders, reads of memory that nobody wrote,
+vectors that are not aligned, indices beyond an array, and what a card computes differently from a
+CPU (too long shifts, conversions that overflow); see `watch.cpp`.
 """
 
 from __future__ import annotations
@@ -11,6 +16,7 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -40,14 +46,22 @@ from gn0.errors import DeviceError, DeviceMemoryError
 from gn0.storage import cache_dir, content_hash
 
 _SHIM = Path(__file__).with_name("shim.h")
+_WATCH = Path(__file__).with_name("watch.cpp")
 _FLAGS = (
     "-std=c++17",
     "-O1",
-    "-shared",
     "-fPIC",
+    "-fno-gnu-unique",  # or shared memory of templates would be that of the library loaded first
     "-ffp-contract=off",
     "-fno-strict-aliasing",
     "-w",
+)
+_LINK = ("-shared", "-Wl,-Bsymbolic")  # a kernel may be named as a function of the C library
+_CHECKED = (
+    "-DGN0_CHECKED",
+    "-g",
+    "-fsanitize=thread,alignment,bounds,shift,float-cast-overflow,integer-divide-by-zero",
+    *("--param", "tsan-instrument-func-entry-exit=0"),
 )
 _POISON = 0xFF  # NaN as a float, -1 as an integer: what nobody wrote shows
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -59,7 +73,7 @@ class KernelHost:
 
     def __init__(self, device: DeviceHost, name: str, library: Any, types: list[str]) -> None:
         self.name = name
-        self._device, self._types = device, types
+        self._device, self._types, self._library = device, types, library
         self._entry, self._text = library[f"gn0_run_{name}"], library.gn0_message
         self._sizes = list((ctypes.c_size_t * len(types)).in_dll(library, f"gn0_sizes_{name}"))
 
@@ -102,7 +116,7 @@ class KernelHost:
             pointers,
         )
         if failed:
-            what = self._text().decode(errors="replace")
+            what = _name_lines(self._text().decode(errors="replace"), self._library._name)
             raise DeviceError(f"kernel {self.name}: {what}", where="host emulation")
 
 
@@ -112,6 +126,7 @@ class DeviceHost:
     Args:
         seed: order of blocks and threads; 0 takes them as they are numbered.
         limit: bytes that may be in use at once, as if the card had so many.
+        checked: look for races and the like; see the module.
 
     Raises:
         DeviceError: no g++ is here.
@@ -121,7 +136,7 @@ class DeviceHost:
     name = "host emulation"
     multiprocessors = 2
 
-    def __init__(self, seed: int = 0, limit: int = 2**33) -> None:
+    def __init__(self, seed: int = 0, limit: int = 2**33, *, checked: bool = False) -> None:
         self._compiler = shutil.which("g++")
         if self._compiler is None:
             raise DeviceError("the host emulation needs g++", remedy="install g++")
@@ -134,6 +149,21 @@ class DeviceHost:
         self._libc.mprotect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
         self._loaded: dict[str, dict[str, KernelHost]] = {}
         self._recording: GraphHost | None = None
+        self._watch = self._open_watch() if checked else None
+
+    def _open_watch(self) -> Any:
+        text = _WATCH.read_text()
+        path = cache_dir() / "emulation" / f"watch-{content_hash(text, *_FLAGS, *_LINK)[:24]}.so"
+        if not path.exists():
+            self._compile("watch", text, path, (*_FLAGS, "-O2"))
+        watch = ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)  # kernels find it by its names
+        for name in ("allocate", "release", "fill"):
+            getattr(watch, f"gn0_watch_{name}").argtypes = [ctypes.c_size_t] * 2
+        return watch
+
+    def _filled(self, array: DeviceArray) -> None:
+        if self._watch is not None:
+            self._watch.gn0_watch_fill(array.pointer, array.nbytes)
 
     def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike) -> DeviceArray:
         """Memory filled with 0xFF, ending at a guard page."""
@@ -154,11 +184,15 @@ class DeviceHost:
         pointer = base + pages - room
         ctypes.memset(pointer, _POISON, room)
         self.used += size
+        if self._watch is not None:
+            self._watch.gn0_watch_allocate(pointer, room)
         owner = _Memory()
-        weakref.finalize(owner, self._release, base, pages + _PAGE, size)
+        weakref.finalize(owner, self._release, base, pages + _PAGE, size, pointer, room)
         return DeviceArray(self, pointer, tuple(map(int, dims)), kind, owner)
 
-    def _release(self, base: int, pages: int, size: int) -> None:
+    def _release(self, base: int, pages: int, size: int, pointer: int, room: int) -> None:
+        if self._watch is not None:
+            self._watch.gn0_watch_release(pointer, room)
         self._libc.munmap(base, pages)
         self.used -= size
 
@@ -170,7 +204,11 @@ class DeviceHost:
 
     def fill(self, array: DeviceArray, byte: int) -> None:
         """Set every byte."""
-        self.do(lambda: ctypes.memset(array.pointer, byte, array.nbytes), (array,))
+        self.do(lambda: self._fill(array, byte), (array,))
+
+    def _fill(self, array: DeviceArray, byte: int) -> None:
+        ctypes.memset(array.pointer, byte, array.nbytes)
+        self._filled(array)
 
     def upload(self, array: NDArray[Any], out: DeviceArray | None = None) -> DeviceArray:
         """A device copy of a NumPy array."""
@@ -179,11 +217,12 @@ class DeviceHost:
         check_copy(source, target)
         if self._recording and not is_pinned(source):
             raise not_pinned("a graph reads it each time that it runs")
-        self.do(
-            lambda: ctypes.memmove(target.pointer, source.ctypes.data, source.nbytes),
-            (source, target),
-        )
+        self.do(lambda: self._copy(source, target), (source, target))
         return target
+
+    def _copy(self, source: NDArray[Any], target: DeviceArray) -> None:
+        ctypes.memmove(target.pointer, source.ctypes.data, source.nbytes)
+        self._filled(target)
 
     def download(self, array: DeviceArray, out: NDArray[Any] | None = None) -> NDArray[Any]:
         """A NumPy copy of a device array."""
@@ -217,29 +256,30 @@ class DeviceHost:
         """
         found = parse_prototypes(source.text)
         text = f'#include "{_SHIM}"\n{source.text}\n{_wrappers(found)}'
-        key = content_hash(text, _SHIM.read_text(), *_FLAGS)
+        flags = _FLAGS if self._watch is None else (*_FLAGS, *_CHECKED)
+        key = content_hash(text, _SHIM.read_text(), *flags, *_LINK)
         path = cache_dir() / "emulation" / f"{source.name}-{key[:24]}.so"
         if not path.exists():
-            self._compile(source.name, text, path)
+            self._compile(source.name, text, path, flags)
         return path
 
-    def _compile(self, name: str, text: str, path: Path) -> None:
+    def _compile(self, name: str, text: str, path: Path, flags: tuple[str, ...]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            code, built = Path(folder) / "kernels.cpp", Path(folder) / "kernels.so"
+            code, parts, built = (Path(folder) / f"kernels.{kind}" for kind in ("cpp", "o", "so"))
             code.write_text(text)
             assert self._compiler is not None
-            done = subprocess.run(
-                [self._compiler, *_FLAGS, str(code), "-o", str(built)],
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            if done.returncode:
-                raise DeviceError(
-                    f"kernels do not compile for the host:\n{done.stderr[:4000]}",
-                    where=f"module {name}",
+            # in two steps: the linker is not to bring what -fsanitize needs, watch.cpp is that
+            link = (*_LINK, parts, "-o", built)
+            for step in ((*flags, "-c", code, "-o", parts), link):
+                done = subprocess.run(
+                    [self._compiler, *map(str, step)], capture_output=True, text=True, check=False
                 )
+                if done.returncode:
+                    raise DeviceError(
+                        f"kernels do not compile for the host:\n{done.stderr[:4000]}",
+                        where=f"module {name}",
+                    )
             built.replace(path)
 
     def synchronize(self) -> None:
@@ -342,6 +382,17 @@ class GraphHost:
             raise DeviceError("the graph's recording has not ended well")
         for work, _ in self.steps:
             work()
+
+
+def _name_lines(message: str, library: str) -> str:
+    """A message whose places in the code, @ and an offset, are lines of its files."""
+
+    def line(found: re.Match[str]) -> str:
+        call = ["addr2line", "-e", library, found[1]]
+        said = subprocess.run(call, capture_output=True, text=True, check=False).stdout
+        return Path(said.split(" ")[0].strip() or found[0]).name
+
+    return re.sub(r"@([0-9a-f]+)", line, message) if shutil.which("addr2line") else message
 
 
 def _wrappers(found: Mapping[str, list[str]]) -> str:

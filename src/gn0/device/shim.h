@@ -22,7 +22,11 @@
 #define __device__
 #define __host__
 #define __constant__ static const
+#ifdef GN0_CHECKED  // see watch.cpp: shared memory lies together, so that it is known
+#define __shared__ static thread_local
+#else
 #define __shared__ static
+#endif
 #define __forceinline__ inline __attribute__((always_inline))
 #define __noinline__ __attribute__((noinline))
 #define __launch_bounds__(...)
@@ -60,6 +64,22 @@ inline short4 make_short4(short a, short b, short c, short d) { return {a, b, c,
 inline ushort4 make_ushort4(unsigned short a, unsigned short b, unsigned short c, unsigned short d) { return {a, b, c, d}; }
 inline uchar3 make_uchar3(unsigned char a, unsigned char b, unsigned char c) { return {a, b, c}; }
 inline uchar4 make_uchar4(unsigned char a, unsigned char b, unsigned char c, unsigned char d) { return {a, b, c, d}; }
+
+#ifdef GN0_CHECKED
+extern "C" {
+extern unsigned gn0_thread;
+extern int gn0_atomic;
+void gn0_watch_launch(void (*on_fail)(const char *), void *inside, void *dynamic, size_t size);
+void gn0_watch_block(unsigned number);
+void gn0_watch_end();
+void gn0_watch_barrier();
+unsigned gn0_watch_meet();
+void gn0_watch_met(unsigned mask, unsigned at);
+}
+#define WATCH(...) __VA_ARGS__
+#else
+#define WATCH(...)
+#endif
 
 namespace gn0 {
 
@@ -101,6 +121,7 @@ struct Fiber {
   bool done = true;
   uint64_t given[WARP_SIZE];  // what the lanes of the last warp operation gave
   unsigned present = 0;       // which of them took part
+  unsigned met = 0;           // when, in a checked build
 };
 
 struct Warp {
@@ -138,6 +159,7 @@ inline void to_main() {
 
 inline void locate(unsigned t) {
   current = t;
+  WATCH(gn0_thread = t;)
   thread_index = {t % block_size.x, t / block_size.x % block_size.y, t / (block_size.x * block_size.y)};
 }
 
@@ -156,6 +178,7 @@ inline void release_barrier() {
     votes = 0;
     barrier_round++;
     progress++;
+    WATCH(gn0_watch_barrier();)
   }
 }
 
@@ -170,11 +193,13 @@ inline int barrier(int vote) {
 }
 
 inline void complete_warp(Warp &w, unsigned warp, unsigned mask) {
+  WATCH(unsigned met = gn0_watch_meet();)
   for (int l = 0; l < WARP_SIZE; l++)
     if (mask >> l & 1) {
       Fiber &f = fibers[warp * WARP_SIZE + l];
       memcpy(f.given, w.value, sizeof w.value);
       f.present = mask;
+      WATCH(f.met = met;)
     }
   w.arrived &= ~mask;
   progress++;
@@ -258,6 +283,8 @@ inline int run(const unsigned *grid, const unsigned *block, size_t shared, uint6
   message[0] = 0;
   std::vector<unsigned char> pool(shared + 16);
   dynamic_shared = (unsigned char *)(((uintptr_t)pool.data() + 15) & ~(uintptr_t)15);
+  WATCH(static thread_local volatile char touched; touched = 1;)  // or there is no such memory yet
+  WATCH(gn0_watch_launch(fail, (void *)&message, dynamic_shared, shared);)
   std::vector<unsigned> order(threads);
   uint64_t blocks = (uint64_t)grid[0] * grid[1] * grid[2];
   shuffle_state = seed;
@@ -301,6 +328,7 @@ inline int run(const unsigned *grid, const unsigned *block, size_t shared, uint6
     alive = threads;
     arrived = 0;
     votes = 0;
+    WATCH(gn0_watch_block((unsigned)b);)
     while (alive) {
       uint64_t before = progress;
       for (unsigned t : order)
@@ -320,6 +348,7 @@ inline int run(const unsigned *grid, const unsigned *block, size_t shared, uint6
   }
 finish:
   running = false;
+  WATCH(gn0_watch_end();)
   sigaction(SIGSEGV, &old_segv, nullptr);
   sigaction(SIGBUS, &old_bus, nullptr);
   sigaltstack(&old_stack, nullptr);
@@ -350,7 +379,10 @@ inline void __syncthreads() { gn0::barrier(0); }
 inline int __syncthreads_count(int p) { return gn0::barrier(p); }
 inline int __syncthreads_or(int p) { return gn0::barrier(p) != 0; }
 inline int __syncthreads_and(int p) { return gn0::barrier(!p) == 0; }
-inline void __syncwarp(unsigned mask = ~0u) { gn0::exchange(mask, 0); }
+inline void __syncwarp(unsigned mask = ~0u) {
+  gn0::exchange(mask, 0);
+  WATCH(gn0_watch_met(gn0::fibers[gn0::current].present, gn0::fibers[gn0::current].met);)
+}
 inline void __threadfence() {}
 inline void __threadfence_block() {}
 inline unsigned __ballot_sync(unsigned mask, int p) {
@@ -422,15 +454,22 @@ inline unsigned __reduce_or_sync(unsigned mask, unsigned v) {
   return out;
 }
 
-template <class T, class U> inline T atomicAdd(T *p, U v) { T o = *p; *p = o + (T)v; return o; }
-template <class T, class U> inline T atomicSub(T *p, U v) { T o = *p; *p = o - (T)v; return o; }
-template <class T, class U> inline T atomicMax(T *p, U v) { T o = *p; *p = std::max(o, (T)v); return o; }
-template <class T, class U> inline T atomicMin(T *p, U v) { T o = *p; *p = std::min(o, (T)v); return o; }
-template <class T, class U> inline T atomicOr(T *p, U v) { T o = *p; *p = o | (T)v; return o; }
-template <class T, class U> inline T atomicAnd(T *p, U v) { T o = *p; *p = o & (T)v; return o; }
-template <class T, class U> inline T atomicXor(T *p, U v) { T o = *p; *p = o ^ (T)v; return o; }
-template <class T, class U> inline T atomicExch(T *p, U v) { T o = *p; *p = (T)v; return o; }
-template <class T, class U, class V> inline T atomicCAS(T *p, U c, V v) { T o = *p; if (o == (T)c) *p = (T)v; return o; }
+namespace gn0 {
+struct Atomic {  // what is between its ends counts as one operation
+  Atomic() { WATCH(gn0_atomic++;) }
+  ~Atomic() { WATCH(gn0_atomic--;) }
+};
+}  // namespace gn0
+template <class T> inline T read_stale(const T *p) { gn0::Atomic one; return *p; }
+template <class T, class U> inline T atomicAdd(T *p, U v) { gn0::Atomic one; T o = *p; *p = o + (T)v; return o; }
+template <class T, class U> inline T atomicSub(T *p, U v) { gn0::Atomic one; T o = *p; *p = o - (T)v; return o; }
+template <class T, class U> inline T atomicMax(T *p, U v) { gn0::Atomic one; T o = *p; *p = std::max(o, (T)v); return o; }
+template <class T, class U> inline T atomicMin(T *p, U v) { gn0::Atomic one; T o = *p; *p = std::min(o, (T)v); return o; }
+template <class T, class U> inline T atomicOr(T *p, U v) { gn0::Atomic one; T o = *p; *p = o | (T)v; return o; }
+template <class T, class U> inline T atomicAnd(T *p, U v) { gn0::Atomic one; T o = *p; *p = o & (T)v; return o; }
+template <class T, class U> inline T atomicXor(T *p, U v) { gn0::Atomic one; T o = *p; *p = o ^ (T)v; return o; }
+template <class T, class U> inline T atomicExch(T *p, U v) { gn0::Atomic one; T o = *p; *p = (T)v; return o; }
+template <class T, class U, class V> inline T atomicCAS(T *p, U c, V v) { gn0::Atomic one; T o = *p; if (o == (T)c) *p = (T)v; return o; }
 
 inline int __popc(unsigned v) { return __builtin_popcount(v); }
 inline int __popcll(unsigned long long v) { return __builtin_popcountll(v); }

@@ -70,6 +70,15 @@ def test_tiles_are_reduced_as_pillow_does(factor: tuple[int, int]) -> None:
         np.testing.assert_array_equal(tile, np.asarray(wanted))
 
 
+@pytest.mark.parametrize("size", [(33, 17), (16, 48)])
+def test_no_thread_reads_what_another_may_be_writing(size: tuple[int, int]) -> None:
+    device = DeviceHost(seed=4, checked=True)
+    shown, encoder = pictures(*size), JpegEncoder(device)
+    files = encoder.encode(device.upload(shown), 90).files()
+    assert files[1] == pillow(shown[1], 90)
+    assert encoder.reduce(device.upload(shown), size[0], 1).numpy().any()
+
+
 def test_no_pictures_are_no_files() -> None:
     device = DeviceHost()
     assert JpegEncoder(device).encode(device.empty((0, 8, 8, 3), np.uint8), 85).files() == []

@@ -61,6 +61,9 @@ __device__ __forceinline__ u16 float_to_half(float f) {
   return h;
 }
 
+// What another thread may be changing by an atomic operation: a value that it had, maybe an old one.
+template <class T> __device__ __forceinline__ T read_stale(const T *p) { return *p; }
+
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800  // cards before Ampere lack these
 #define REDUCE_SYNC(name, combine)                                                        \
   __device__ __forceinline__ u32 name(u32 mask, u32 v) {                                  \

@@ -100,7 +100,7 @@ __device__ __forceinline__ void tell(const World &w, int i, const Outputs &out) 
 // Actions of any integer type [N] as codes; the first agent with a bad one stops the world.
 KERNEL(read_actions)(World w, const void *actions, int width, int step, u8 *codes) {
   int i = blockIdx.x * blockDim.x + threadIdx.x;
-  if (i >= w.count || w.status[2] < step) return;
+  if (i >= w.count || read_stale(w.status + 2) < step) return;
   i64 action;
   if (width == 8) action = ((const i64 *)actions)[i];
   else if (width == 4) action = ((const int *)actions)[i];

@@ -60,7 +60,7 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
     if (!t.cloud[0].places) index = __ldg(t.cloud[0].order + index);
     // as np.packbits lays them: the first splat is the highest bit of the first byte
     u32 bit = 1u << ((index & 24u) | (7u - (index & 7u)));
-    if (!(row[index >> 5] & bit)) atomicOr(row + (index >> 5), bit);
+    if (!(read_stale(row + (index >> 5)) & bit)) atomicOr(row + (index >> 5), bit);
   }
   __device__ __forceinline__ bool open() const {
     bool any = false;

@@ -95,7 +95,7 @@ __device__ __forceinline__ int2 tile_rows(const Ellipse &e, float u, float v, co
   float low = (float)box.y0, high = (float)box.y1;
   int y0 = (int)fminf(fmaxf(ceilf(v + y.x - 0.5f - EDGE), low), high);
   int y1 = (int)fmaxf(fminf(floorf(v + y.y - 0.5f + EDGE) + 1.f, high), low);
-  return y0 < y1 ? make_int2(y0 / TILE, (y1 + TILE - 1) / TILE) : make_int2(0, 0);
+  return y0 < y1 ? make_int2((u32)y0 / TILE, (u32)(y1 + TILE - 1) / TILE) : make_int2(0, 0);
 }
 
 template <bool EMIT>
@@ -105,8 +105,9 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   Box box = {0, 0, 0, 0};
   bool seen = project(s, w, flags, f) && bound(f, w, box);
   if (!__any_sync(FULL, seen)) return;
-  int tx0 = box.x0 / TILE, tx1 = (box.x1 + TILE - 1) / TILE;
-  int ty0 = box.y0 / TILE, ty1 = (box.y1 + TILE - 1) / TILE;
+  // unsigned: a division of what may be negative takes three instructions
+  int tx0 = (u32)box.x0 / TILE, tx1 = (u32)(box.x1 + TILE - 1) / TILE;
+  int ty0 = (u32)box.y0 / TILE, ty1 = (u32)(box.y1 + TILE - 1) / TILE;
   int tiles = seen ? (tx1 - tx0) * (ty1 - ty0) : 0;
   u64 key = (u64)__float_as_uint(f.z) << 32 | index;
   // small footprints: each lane walks the tiles of its own box, all in step

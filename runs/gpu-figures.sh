@@ -88,6 +88,7 @@ group() {
   case $1 in
     check)  # what is here, and whether all that is needed can be imported
       nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader 2>/dev/null
+      "$PYTHON" -m gn0 doctor
       "$PYTHON" - <<'END'
 import importlib.util as util
 import sys

@@ -77,8 +77,12 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
 def _required() -> list[str]:
     import re
 
-    names = [re.split(r"[\s;<>=!~\[]", line)[0] for line in metadata.requires("gn0") or []]
-    extras = [line for line in metadata.requires("gn0") or [] if "extra ==" in line]
+    try:
+        lines = metadata.requires("gn0") or []
+    except metadata.PackageNotFoundError:  # a checkout that was never installed
+        return []
+    names = [re.split(r"[\s;<>=!~\[]", line)[0] for line in lines]
+    extras = [line for line in lines if "extra ==" in line]
     optional = {re.split(r"[\s;<>=!~\[]", line)[0] for line in extras}
     return [name for name in names if name not in optional]
 
@@ -128,7 +132,10 @@ def _cache() -> tuple[str, bool]:
 
 
 def _video() -> tuple[str, bool]:
-    import av
+    try:
+        import av
+    except ImportError as error:
+        return f"none: {error}", False
 
     for name in ("libvpx-vp9", "libsvtav1", "libaom-av1"):
         if name in av.codecs_available:

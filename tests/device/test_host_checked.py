@@ -37,6 +37,7 @@ BODY(warps) {
   out[t] = held[t ^ 32];
 }
 BODY(vote) { HELD; held[t] = in[t]; if (__any_sync(FULL, 1)) out[t] = held[t ^ 1]; }
+BODY(returned) { if (threadIdx.x < 5) return; out[threadIdx.x] = __ballot_sync(FULL, 1); }
 BODY(half_written) { HELD; if (t != 5) held[t] = 1; __syncthreads(); out[t] = held[63 - t]; }
 BODY(other_blocks) { out[threadIdx.x] = blockIdx.x; }
 BODY(atomics) { atomicMax(out + threadIdx.x / 32, in[threadIdx.x] + blockIdx.x); }
@@ -62,6 +63,7 @@ WRONG = {
     "lanes": "",
     "warps": "a race",
     "vote": "a race|nobody has written",  # it brings lanes together, not what they wrote
+    "returned": "lanes that have returned",
     "half_written": "shared memory that nobody has written",
     "other_blocks": "a race",
     "atomics": "",

@@ -214,7 +214,8 @@ inline const uint64_t *exchange(unsigned mask, uint64_t value) {
   w.arrived |= 1u << lane;
   progress++;
   while (w.arrived >> lane & 1) {
-    unsigned real = mask & w.alive;  // lanes that have returned are not waited for
+    unsigned real = mask & w.alive;  // lanes that have returned are not waited for; a card may
+    WATCH(if (real != mask && threads % WARP_SIZE == 0) fail("a warp operation whose mask names lanes that have returned");)
     if ((w.arrived & real) == real) complete_warp(w, warp, real);
     else yield();
   }

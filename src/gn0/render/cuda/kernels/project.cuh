@@ -61,7 +61,7 @@ __device__ __forceinline__ bool project(const Splat &s, const View &w, u32 flags
     inside = inside && share > 0.f;
     f.log_o += 0.5f * LN_2 * fast_log2(inside ? share : 1.f);
     float squared = 2.f * (f.log_o - LOG_ALPHA_MIN);
-    inside = inside && squared > 0.f;
+    inside = inside && squared > 0.f && s.extent > 0.f;  // a share may be rounded to above 1
     float shrink = root(inside ? squared : 1.f) * fast_rcp(s.extent);
     f.rx *= shrink, f.ry *= shrink;
   }

@@ -9,12 +9,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gn0.device.device import DeviceArray
 from gn0.device.host import DeviceHost
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, EXTENT, FIELDS, LOG_OPACITY, REACH, RED, PackedCloud
 from gn0.render.cpu_raster import TILE, raster_tiles
-from gn0.render.cuda.draw import CloudDevice, Drawer
-from gn0.render.renderer import RenderOptions
+from gn0.render.cuda.draw import CloudDevice, Drawer, SetMissingError
+from gn0.render.renderer import RenderOptions, check_views
 from gn0.render.visible_mark import mark_tiles
 from gn0.testing.check_renderer import random_cloud
 
@@ -55,8 +56,13 @@ class DrawerCpu(Drawer):
 
     def draw(
         self, camera, matrices, clouds, cloud_of, *, tails=(), tail_of=None, pictures, rows=None,
-        background, antialiased=False,
+        background, antialiased=False, floors=None,
     ) -> None:  # fmt: skip
+        if floors is not None:
+            raise SetMissingError("this drawer finds no sets")
+        if isinstance(matrices, DeviceArray):
+            matrices = check_views(matrices.numpy())
+            cloud_of = np.zeros(len(matrices), int) if cloud_of is None else cloud_of.numpy()
         self.batches += 1
         cpu = RendererCpu(random_cloud(0, seed=0), RenderOptions(antialiased=antialiased))
         whole, moving = [unpack_cloud(c) for c in clouds], [unpack_cloud(c) for c in tails]

@@ -423,6 +423,10 @@ def test_the_device_finds_the_sets_of_its_views(cloud, floor, monkeypatch) -> No
     for pictures in mine:
         for name in ("rgb", "depth", "alpha"):
             assert getattr(pictures.numpy(), name).tobytes() == getattr(want, name).tobytes()
+    with monkeypatch.context() as no_arranging:  # nor does it arrange its own view by view
+        no_arranging.setattr(batch, "_render", None)
+        own = batch.render(camera, poses, keys, visible=True).numpy()
+    assert own.rgb.tobytes() == want.rgb.tobytes()
     whole = batch.render(camera, there, list("cba"), chosen=chosen).numpy()
     assert whole.rgb.tobytes() != want.rgb.tobytes()
     built = [some.built for some in sets]

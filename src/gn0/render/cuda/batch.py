@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
@@ -21,7 +21,7 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice, SetMissingError
 from gn0.render.cuda.pack import CloudReady, prepare_cloud, upload_clouds
 from gn0.render.cuda.store import CloudStore, Load
-from gn0.render.cuda.tables import FLOOR
+from gn0.render.cuda.tables import FLOOR, NO_PLACE, NO_SET, find_eyes
 from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.renderer import Output, RenderOptions, check_views
 from gn0.render.visible_places import VisibleOptions
@@ -43,12 +43,43 @@ class _Arranged:
         clouds: as kernels number them.
         floors: FLOOR rows as bytes [keys, 48].
         numbers: what they point to.
+        rows, joined: the same on the host; rows point to bytes of `joined`, counted from 1.
+        cells: whose set each of the clouds behind those of the keys is.
     """
 
     stamp: tuple[object, ...]
     clouds: list[CloudDevice | None]
     floors: DeviceArray
     numbers: DeviceArray
+    rows: NDArray[np.void]
+    joined: NDArray[np.int32]
+    cells: list[Part]
+
+    def holds_all(self, matrices: F64, numbers: NDArray[np.int32] | None) -> bool:
+        """Whether the sets of all views [V, 4, 4] are here; if so, they count as used now.
+
+        Args:
+            matrices: world-to-camera.
+            numbers: of the keys that they show; None: the first.
+        """
+        rows = self.rows[np.zeros(len(matrices), np.int32) if numbers is None else numbers]
+        x, y, z = find_eyes(matrices).T
+        mine = (rows["numbers"] > 0) & (np.abs(z - rows["height"]) <= rows["tolerance"])
+        x, y, rows = x[mine], y[mine], rows[mine]
+        column = np.floor(x / rows["cell"]) - rows["column"]
+        row = np.floor(y / rows["cell"]) - rows["row"]
+        within = (column >= 0) & (column < rows["columns"]) & (row >= 0) & (row < rows["rows"])
+        rows, column, row = rows[within], column[within], row[within]
+        at = (rows["numbers"].astype(np.int64) - 1) // 4 + (row * rows["columns"] + column).astype(
+            np.int64
+        )
+        found = set(self.joined[at].tolist())
+        if NO_SET in found:
+            return False
+        for number in sorted(found - {NO_PLACE}):
+            sets, cell = self.cells[number - len(self.rows)]
+            sets.touch(cell)
+        return True
 
 
 class RendererBatch:
@@ -199,39 +230,52 @@ class RendererBatch:
             DeviceError: the device is lost.
         """
         with lock_of(self.device):
+            poses: F64 | DeviceArray
+            numbers: NDArray[np.int32] | DeviceArray | None
             if isinstance(views, DeviceArray):
-                named, chosen = _check_there(views, keys, chosen)
-                if tails is None and isinstance(visible, bool | None) and len(views):
-                    there = self._render_there(
-                        camera, views, named, chosen, outputs, background, bool(visible)
-                    )
-                    if there is not None:
-                        return there
-                numbers = [0] * len(views) if chosen is None else chosen.numpy().tolist()
-                views, keys = views.numpy(), _choose_keys(named, numbers)
+                poses = views
+                named, numbers = _check_there(views, keys, chosen)
             elif chosen is not None:
                 raise RenderError("`chosen` needs views on the device", where="chosen")
+            else:
+                poses = check_views(views)
+                named, numbers = _number_keys(_all_named(keys), len(poses))
+            if tails is None and isinstance(visible, bool | None) and len(poses):
+                there = self._render_there(
+                    camera, poses, named, numbers, outputs, background, bool(visible)
+                )
+                if there is not None:
+                    return there
+            if isinstance(views, DeviceArray):
+                poses = check_views(views.numpy())
+                if isinstance(numbers, DeviceArray):
+                    numbers = numbers.numpy()
+                keys = _choose_keys(
+                    named, [0] * len(poses) if numbers is None else numbers.tolist()
+                )
+            assert isinstance(poses, np.ndarray)
             return self._render(
-                camera, check_views(views), _all_named(keys), tails, outputs, background, visible
+                camera, poses, _all_named(keys), tails, outputs, background, visible
             )
 
     def _render_there(
         self,
         camera: Camera,
-        views: DeviceArray,
+        views: F64 | DeviceArray,
         keys: list[str | None],
-        chosen: DeviceArray | None,
+        chosen: NDArray[np.int32] | DeviceArray | None,
         outputs: tuple[Output, ...],
         background: tuple[float, float, float] | None,
         visible: bool,
     ) -> PicturesDevice | None:
-        """Draw views that the host does not know; None where only the host can arrange it."""
+        """Draw views with tables made on the device; None where only the host can arrange it."""
         colour = check_picture(
             outputs, self.options.background if background is None else background
         )
         wanted = [key for key in keys if key is not None]
         visible = visible and camera.model == "pinhole" and not self._sets.keys().isdisjoint(wanted)
-        if visible and self._skip:
+        known = isinstance(views, np.ndarray)
+        if visible and self._skip and not known:
             self._skip -= 1
             return None
 
@@ -239,14 +283,23 @@ class RendererBatch:
             found = self.store.together(wanted)
             if found is None:
                 return None
-            pictures = self.drawer.pictures(camera, len(views), outputs, self.options.rgb_float)
             clouds = [None if key is None else found[key] for key in keys]
             floors = None
             if visible:
                 self._arranged = self._arrange(keys, clouds)
                 clouds, floors = self._arranged.clouds, self._arranged.floors
+                if isinstance(views, np.ndarray):
+                    assert not isinstance(chosen, DeviceArray)
+                    if not self._arranged.holds_all(views, chosen):
+                        return None
+            pictures = self.drawer.pictures(camera, len(views), outputs, self.options.rgb_float)
             self.drawer.draw(
-                *(camera, views, clouds, chosen),
+                *(
+                    camera,
+                    self._place(views),
+                    clouds,
+                    None if chosen is None else self._place(chosen),
+                ),
                 floors=floors,
                 pictures=pictures,
                 background=colour,
@@ -261,9 +314,12 @@ class RendererBatch:
         except SetMissingError:  # rarer with each one; where they never all fit, try seldom
             self._skip, self._wait = self._wait, min(2 * self._wait + 1, 15)
             return None
-        self._wait = 0
+        self._wait = self._wait if known else 0
         self._trim_sets(wanted if visible else ())
         return there
+
+    def _place(self, array: NDArray[Any] | DeviceArray) -> DeviceArray:
+        return self.device.upload(array) if isinstance(array, np.ndarray) else array
 
     def _arrange(self, keys: list[str | None], clouds: Sequence[CloudDevice | None]) -> _Arranged:
         """The clouds of `keys` with the visible sets that are here; kept while those are."""
@@ -276,6 +332,7 @@ class RendererBatch:
             return self._arranged
         every, floors = list(clouds), np.zeros(len(keys), FLOOR)
         tables: list[NDArray[np.int32]] = []
+        cells: list[Part] = []
         for n, sets in enumerate(mine):
             cloud = clouds[n]
             if sets is None or cloud is None:
@@ -283,16 +340,17 @@ class RendererBatch:
             numbers, (column, row), parts = sets.arrange(cloud)
             tables.append(np.where(numbers < 0, numbers, numbers + len(every)).astype(np.int32))
             every += parts
+            cells += [(sets, cell) for cell in sets.held]
             at = sum(table.nbytes for table in tables[:-1]) + 1  # 0 is none
             options = sets.options
             floors[n] = (at, options.cell, sets.eye_height, options.height_tolerance,
                          column, row, *numbers.shape[::-1])  # fmt: skip
-        there = self.device.upload(np.concatenate([table.ravel() for table in tables]))
-        held = floors["numbers"] > 0
-        floors["numbers"][held] += np.uint64(there.pointer - 1)
-        table = self.device.upload(floors.view(np.uint8).reshape(len(keys), -1))
+        joined = np.concatenate([table.ravel() for table in tables])
+        there, placed = self.device.upload(joined), floors.copy()
+        placed["numbers"][floors["numbers"] > 0] += np.uint64(there.pointer - 1)
+        table = self.device.upload(placed.view(np.uint8).reshape(len(keys), -1))
         sets_now = tuple(-1 if sets is None else sets.version for sets in mine)
-        return _Arranged((*stamp[:3], sets_now), every, table, there)
+        return _Arranged((*stamp[:3], sets_now), every, table, there, floors, joined, cells)
 
     def _render(
         self,
@@ -451,7 +509,7 @@ def share_drawer(device: Device) -> Drawer:
 
 def _check_there(
     views: DeviceArray, keys: Sequence[str | None] | str, chosen: DeviceArray | None
-) -> tuple[list[str | None], DeviceArray | None]:
+) -> tuple[list[str | None], NDArray[np.int32] | DeviceArray | None]:
     """Keys, and which of them each view on the device shows; None: all show the first.
 
     Raises:
@@ -471,6 +529,13 @@ def _check_there(
                 remedy="give int32 [V], numbers into a list of keys",
             )
         return list(keys), chosen
+    return _number_keys(keys, count)
+
+
+def _number_keys(
+    keys: Sequence[str | None] | str, count: int
+) -> tuple[list[str | None], NDArray[np.int32] | None]:
+    """Different keys, and which of them each view shows; None: all show the first."""
     if isinstance(keys, str):
         return [keys], None
     if len(keys) != count:
@@ -478,7 +543,7 @@ def _check_there(
     number = {key: n for n, key in enumerate(dict.fromkeys(keys))}
     if len(number) <= 1:
         return list(number), None
-    return list(number), views.device.upload(np.array([number[key] for key in keys], np.int32))
+    return list(number), np.array([number[key] for key in keys], np.int32)
 
 
 def _choose_keys(keys: list[str | None], numbers: list[int]) -> list[str | None]:

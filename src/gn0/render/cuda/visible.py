@@ -203,6 +203,15 @@ class VisibleSets:
             numbers[y - row, x - column] = number
         return numbers, (column, row), [self._part(cell, cloud) for cell in self._sets]
 
+    @property
+    def held(self) -> list[Cell]:
+        """Cells whose sets are on the device, in the order of `arrange`."""
+        return list(self._sets)
+
+    def touch(self, cell: Cell) -> None:
+        """The set of a cell is used now: it gives way after the others."""
+        self._sets.move_to_end(cell)
+
     def _part(self, cell: Cell, cloud: CloudDevice) -> CloudDevice:
         if cell not in self._parts:
             one = self._sets[cell]

@@ -38,6 +38,11 @@ if [ -n "${WHEELS:-}" ] && [ ! -d "$OUT/site" ]; then
   for wheel in "$WHEELS"/*.whl; do "$PYTHON" -m zipfile -e "$wheel" "$OUT/site.part" || exit 1; done
   mv "$OUT/site.part" "$OUT/site"
 fi
+if ! "$PYTHON" -c 'from importlib import metadata; metadata.version("gn0")' 2>/dev/null; then  # runs write it down
+  version=$("$PYTHON" -c 'import gn0; print(gn0.__version__)') || exit 1
+  mkdir -p "$OUT/site/gn0-$version.dist-info"
+  printf 'Metadata-Version: 2.1\nName: gn0\nVersion: %s\n' "$version" > "$OUT/site/gn0-$version.dist-info/METADATA"
+fi
 if [ -n "${GN0_GSPLAT_LIBRARY:-}" ] && [ ! -e "$LIBRARY" ]; then
   case $GN0_GSPLAT_LIBRARY in
     *.xz) "$PYTHON" -c 'import lzma, shutil, sys; shutil.copyfileobj(lzma.open(sys.argv[1]), open(sys.argv[2], "wb"))' \

@@ -37,16 +37,17 @@ def small_suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["webdataset", "lerobot", "render"])
+@pytest.mark.parametrize("kind", ["webdataset", "lerobot", "render", "depth"])
 def test_a_kill_after_any_write_loses_nothing(
     kind: str, small_suite: Suite, files_of, cut_after_writes
 ) -> None:
-    layout = "none" if kind == "render" else kind
-    settings = BuildSettings(chunk=1, pictures=PictureSettings(layout=layout))
+    layout = {"render": "none", "depth": "none"}.get(kind, kind)
+    pictures = PictureSettings(layout=layout, depth=kind == "depth")
+    settings = BuildSettings(chunk=1, pictures=pictures)
 
     def make(out: Path) -> None:
         build_dataset(small_suite, out, settings)
-        if kind == "render":
+        if layout == "none":
             render_dataset(out)
 
     whole, cuts = cut_after_writes(make)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
 from gn0.bench import looks
@@ -373,7 +374,10 @@ def test_a_dataset_of_visible_sets_found_on_a_device_is_drawn_again_from_them(
 def test_files_made_on_a_device_are_the_bytes_of_before(
     walks, alone, tmp_path, files_of, monkeypatch
 ) -> None:
-    """A whole dataset with views and mosaics encoded by kernels: no byte of its shards differs."""
+    """A whole dataset with views and mosaics encoded by kernels: no byte of its shards differs.
+
+    Nor of its depth, which a kernel makes millimetres of.
+    """
     from gn0.data import draw, pictures
     from gn0.render.share.client import RendererShared
 
@@ -390,7 +394,7 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
                      walks.episodes[1:2], name="few")  # fmt: skip
-    settings = BuildSettings(pictures=PictureSettings(quality=85))
+    settings = BuildSettings(pictures=PictureSettings(quality=85, depth=True))
     build_dataset(few, tmp_path / "cpu", settings)
     drawn = with_backend(settings.pictures, "cuda")
     built = build_dataset(few, tmp_path / "cuda", msgspec.structs.replace(settings, pictures=drawn))
@@ -415,7 +419,7 @@ def test_a_dataset_drawn_on_a_device_is_drawn_again_there_alone(
     few = save_suite(tmp_path / "few", [scene], [shortest], name="few", camera=small_camera)
     backend, why = choose_drawing("auto", tmp_path / "d")
     assert backend == "cuda" and why
-    settings = BuildSettings(pictures=with_backend(PictureSettings(), backend))
+    settings = BuildSettings(pictures=with_backend(PictureSettings(depth=True), backend))
     built = build_dataset(few, tmp_path / "d", settings)
     first = files_of(tmp_path / "d")
     shutil.rmtree(tmp_path / "d" / "pictures")
@@ -424,6 +428,8 @@ def test_a_dataset_drawn_on_a_device_is_drawn_again_there_alone(
     assert verify_dataset(tmp_path / "d", pixels=True).ok
     frame = next(built.frames(built.sampled[0], ("rgb", "depth"), exact=True))
     assert frame["rgb"].shape == (36, 48, 3)
+    stored = next(built.frames(built.sampled[0], ("depth",)))["depth"]
+    assert 0 < np.abs(stored - frame["depth"]).max() < 0.0005 + 1e-5
     monkeypatch.setenv("GN0_DEVICE", "none")
     built.kept.clear()
     with pytest.raises(DataError, match="drawn by backend 'cuda', which does not run here"):

@@ -19,6 +19,7 @@ EXAMPLES = """  gn0 data build out/suite --out out/data
   gn0 data build out/suite --workers 2 --layout lerobot --out out/data
   gn0 data build out/suite --layout none --out out/labels
   gn0 data build out/suite --backend cuda --quality 85 --out out/data
+  gn0 data build out/suite --depth --out out/rgbd
   gn0 data build out/suite --labels mpc --tokens ego --out out/ego
   gn0 data build out/suite --executor ray --ray-address auto --workers 16 --out out/data"""
 
@@ -36,6 +37,7 @@ class Args(Config, frozen=True):
         maps: BEV and occupancy picture once a scene and light, or in every sample.
         visible_sets: draw from the splats that show near each place: quicker, and nearly the same
             pictures; part of the dataset's identity.
+        depth: store the depth of each view as well, as a 16-bit PNG in millimetres (webdataset).
         labels: next actions by the exact planner (exact), the paper's tracking objective (mpc), or
             as the official release labels (gn0-release).
         tokens: what map tokens count over: the whole map, or a square around the agent.
@@ -56,6 +58,7 @@ class Args(Config, frozen=True):
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 90
     maps: Literal["once", "every"] = "once"
     visible_sets: bool = False
+    depth: bool = False
     labels: Literal["exact", "mpc", "gn0-release"] = "exact"
     tokens: Literal["global", "ego"] = "global"
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
@@ -80,6 +83,7 @@ def run(args: Args) -> int:
         quality=args.quality,
         maps=args.maps,
         visible_sets=args.visible_sets,
+        depth=args.depth,
     )
     if args.layout != "none":
         backend, why = choose_drawing(args.backend, args.out)

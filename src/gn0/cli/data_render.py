@@ -28,6 +28,8 @@ class Args(Config, frozen=True):
         format: of single pictures: jpg or png; by default as built.
         quality: of jpg; by default as built.
         maps: BEV and occupancy picture once a scene and light, or in every sample; as built.
+        depth: store depth as well, 16-bit PNG in millimetres, of a dataset of poses and labels
+            alone; else as built.
         backend: what draws: cpu or cuda. A dataset that has pictures is drawn by what drew them
             first; one of poses and labels alone by the best that is here (auto).
         batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
@@ -42,6 +44,7 @@ class Args(Config, frozen=True):
     format: Literal["jpg", "png"] | None = None
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
     maps: Literal["once", "every"] | None = None
+    depth: bool = False
     backend: Literal["auto", "cpu", "cuda"] = "auto"
     batch: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
@@ -65,6 +68,9 @@ def run(args: Args) -> int:
     }
     if args.layout == "lerobot":
         chosen.setdefault("maps", "once")  # it knows no other way, whatever the first cache did
+        chosen["depth"] = args.depth  # nor any for depth
+    elif args.depth:
+        chosen["depth"] = True
     if args.backend != "auto" or not dataset.about.rendered:
         backend, why = choose_drawing(args.backend, args.dataset)
         say_aside(f"pictures: drawn by backend {backend} ({why})")

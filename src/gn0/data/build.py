@@ -189,6 +189,8 @@ def _check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
     if about.settings.pictures.layout == "none":  # drawn later, by what was there then
         drawn_by = about.settings.pictures.backend
         pictures = msgspec.structs.replace(found.settings.pictures, backend=drawn_by)
+        if found.rendered and not about.settings.pictures.depth:
+            pictures = msgspec.structs.replace(pictures, depth=msgspec.UNSET)
         settings = msgspec.structs.replace(found.settings, pictures=pictures)
         started = msgspec.structs.replace(started, settings=settings)
     if started != about:
@@ -210,7 +212,8 @@ def _difference(found: Any, wanted: Any) -> str:
             return f"{name}.{_difference(theirs, ours)}"
         if isinstance(ours, tuple):
             return f"its {name} differ"
-        return f"{name} is {theirs!r} there and {ours!r} here"
+        words = ["unset" if own is msgspec.UNSET else repr(own) for own in (theirs, ours)]
+        return f"{name} is {words[0]} there and {words[1]} here"
     return "it differs"
 
 

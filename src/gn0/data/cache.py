@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import io
+import struct
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,12 +19,13 @@ from typing import IO, Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from gn0.config import Config, decode_json
 from gn0.data.dataset import PICTURE_FOLDER, FileRecord, compute_seal
 from gn0.data.pictures import StepPictures
-from gn0.data.samples import EpisodeRows
+from gn0.data.samples import DEPTH, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError, FormatError, StorageError
 from gn0.geometry import U8
@@ -33,6 +36,7 @@ MANIFEST = "manifest.json"
 CACHE_LAYOUT = 1  # of the manifest and of the files it names
 _LIMIT = 2**30  # bytes of a manifest
 _PNG_LEVEL = 1  # zlib's quickest: half the time for a tenth more bytes
+_PNG_UP = 2  # filter: a line is its difference from the one above
 
 
 class CacheManifest(Config, frozen=True):
@@ -83,7 +87,10 @@ class DrawnStep:
     def encoded(self, name: str, settings: PictureSettings) -> bytes:
         """A picture as the bytes of a file, encoded once."""
         if name not in self.kept:
-            self.kept[name] = encode_picture(getattr(self.pictures, name), settings)
+            picture = getattr(self.pictures, name)
+            self.kept[name] = (
+                encode_depth(picture) if name == DEPTH else encode_picture(picture, settings)
+            )
         return self.kept[name]
 
 
@@ -103,6 +110,49 @@ def encode_map(rgb: U8) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(rgb).save(stream, "PNG", compress_level=9)
     return stream.getvalue()
+
+
+def encode_depth(millimetres: NDArray[np.uint16]) -> bytes:
+    """A depth picture [H, W] as the bytes of a 16-bit grey png file.
+
+    Each line is written as its difference from the one above, and deflated by runs alone: half
+    the time of Pillow's quickest for a tenth more bytes.
+    """
+    height, width = millimetres.shape
+    lines = np.empty((height, 1 + 2 * width), np.uint8)
+    lines[:, 0] = _PNG_UP
+    data = millimetres.astype(">u2").view(np.uint8)
+    lines[0, 1:] = data[0]
+    np.subtract(data[1:], data[:-1], out=lines[1:, 1:])
+    pressed = zlib.compressobj(_PNG_LEVEL, strategy=zlib.Z_RLE)
+    head = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
+    chunks = (
+        (b"IHDR", head),
+        (b"IDAT", pressed.compress(lines.data) + pressed.flush()),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        for name, body in chunks
+    )
+
+
+def decode_depth(data: bytes, file: Path | str, name: str) -> NDArray[np.uint16]:
+    """A 16-bit grey png picture as uint16 [H, W].
+
+    Raises:
+        FormatError: it is damaged, or none.
+    """
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            if image.mode != "I;16":
+                raise ValueError(f"a picture of mode {image.mode!r}")
+            return np.asarray(image, np.uint16)
+    except Exception as error:  # Pillow raises whatever its decoders do
+        raise FormatError(
+            f"depth cannot be decoded: {error}", file=file, field=name,
+            remedy="run `gn0 data repair`",
+        ) from None  # fmt: skip
 
 
 def decode_picture(data: bytes, file: Path | str, name: str) -> U8:

@@ -1,6 +1,7 @@
 """The cache as WebDataset shards: plain tar files that `webdataset` and `tar` read alike.
 
-    <part>.tar            members <key>.rgb.jpg, <key>.history.jpg, <key>.json, a key a sample
+    <part>.tar            members <key>.rgb.jpg, <key>.history.jpg, <key>.json, a key a sample;
+                          with depth also <key>.depth.png, 16 bits, mm
     <part>.index.parquet  name, offset, size and digest of each member
     maps/<hash>.png       each BEV and each bare occupancy picture once, named by its pixels
     goals/<hash>.jpg      what each goal looks like, for goal missions
@@ -19,12 +20,15 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from gn0.data.cache import (
     DrawnStep,
     cache_folder,
+    decode_depth,
     decode_picture,
     read_cached,
     write_goal,
@@ -33,6 +37,7 @@ from gn0.data.cache import (
 )
 from gn0.data.dataset import FileRecord
 from gn0.data.part import file_digest
+from gn0.data.samples import DEPTH
 from gn0.data.settings import PictureSettings
 from gn0.errors import FormatError
 from gn0.geometry import U8
@@ -81,6 +86,8 @@ def write_shard(
             key = sample_key(part, step.row)
             add(f"{key}.rgb.{settings.format}", step.encoded("rgb", settings))
             add(f"{key}.history.{settings.format}", step.encoded("history", settings))
+            if settings.depth:
+                add(f"{key}.depth.png", step.encoded(DEPTH, settings))
             if settings.maps == "every":
                 add(f"{key}.bev.{settings.format}", step.encoded("bev", settings))
                 add(f"{key}.occupancy.{settings.format}", step.encoded("occupancy", settings))
@@ -192,7 +199,7 @@ class ShardReader:
         return data
 
     def picture(self, row: int, name: str) -> U8:
-        """A picture of a sample: rgb, history, bev, occupancy, or goal_picture."""
+        """A picture [H, W, 3] of a sample: rgb, history, bev, occupancy, or goal_picture."""
         kind = self._settings.format
         if name in ("rgb", "history") or (
             self._settings.maps == "every" and name != "goal_picture"
@@ -208,6 +215,14 @@ class ShardReader:
             self._map(places["map"]), tuple(places["start"]), tuple(places["current"]),
             places["radius"],
         )  # fmt: skip
+
+    def depth(self, row: int) -> NDArray[np.uint16]:
+        """The depth picture [H, W] of a sample in mm, see `gn0.render.depth`.
+
+        Raises:
+            StorageError, FormatError: missing or damaged.
+        """
+        return decode_depth(self.read(row, "depth.png"), self.path, DEPTH)
 
     def _map(self, path: str) -> U8:
         if path not in self._maps:

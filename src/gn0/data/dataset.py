@@ -146,6 +146,11 @@ class DatasetFile(Config, frozen=True):
     seal: str = ""
 
     @property
+    def stores_depth(self) -> bool:
+        """Whether the samples have depth pictures, drawn already."""
+        return self.rendered and bool(self.settings.pictures.depth)
+
+    @property
     def rows(self) -> int:
         """Samples in all."""
         return sum(part.rows for part in self.parts)
@@ -356,8 +361,9 @@ class Dataset:
         Args:
             episode_id: the episode.
             sensors: any of rgb, history, bev, occupancy, goal_picture (uint8 [H, W, 3]) and depth
-                (float32 [H, W] m).
-            exact: render, also where the cache has the picture (which may be compressed).
+                (float32 [H, W] m in the sensor's range).
+            exact: render, also where the cache has the picture (which may be compressed, or
+                rounded: stored depth is within 0.5 mm).
 
         Raises:
             DataError: the episode has no samples, or a sensor is none of these.

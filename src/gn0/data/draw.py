@@ -25,7 +25,7 @@ from gn0.data.pictures import (
     goal_picture,
     map_picture,
 )
-from gn0.data.samples import PICTURES, EpisodeRows
+from gn0.data.samples import DEPTH, PICTURES, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
 from gn0.geometry import U8
@@ -170,6 +170,9 @@ class PartDrawer:
         self._blocks = blocks
         self._eyes = eyes_of(dataset, settings, drawing)
         self._ahead = bool(drawing)
+        # rows have their hashes also where this cache does not keep the pictures
+        self._depth = bool(settings.depth or dataset.about.settings.pictures.depth)
+        self._names = (*PICTURES, DEPTH) if self._depth else PICTURES
         self._hashes: list[dict[str, list[str]]] = []
         self.files: list[FileRecord] = []
 
@@ -190,7 +193,7 @@ class PartDrawer:
             seen = look_ahead(seen, AHEAD)
         with contextlib.closing(seen):  # type: ignore[type-var]
             for number, (episode, block) in enumerate(zip(episodes, self._blocks, strict=True)):
-                own: dict[str, list[str]] = {name: [] for name in PICTURES}
+                own: dict[str, list[str]] = {name: [] for name in self._names}
                 self._hashes.append(own)
                 opened = next(seen)
                 assert isinstance(opened, Opened)
@@ -205,7 +208,7 @@ class PartDrawer:
                     mine = replace(
                         step, row=row, step=t, block=block, episode=episode, goal=opened.goal
                     )
-                    for name in PICTURES:
+                    for name in self._names:
                         own[name].append(mine.hashes[name])
                     if self._check:
                         _check(mine)
@@ -235,9 +238,10 @@ class PartDrawer:
             yield Opened(eyes, self._eyes.bev_hash, goal)
             if not (number and again[number - 1]):
                 if self._files and files_wanted(eyes, self._settings):
-                    yield from draw_files(eyes, block.poses, self._settings.quality)
+                    quality = self._settings.quality
+                    yield from draw_files(eyes, block.poses, quality, depth=self._depth)
                 else:
-                    yield from draw_views(eyes, block.poses)
+                    yield from draw_views(eyes, block.poses, depth=self._depth)
 
     def _draw(
         self,
@@ -328,9 +332,11 @@ def _alike(one: Episode, rows: EpisodeRows, other: Episode, others: EpisodeRows)
 def _check(step: DrawnStep) -> None:
     if not step.block.hashes:
         return
-    for name in PICTURES:
+    for name, found in step.hashes.items():
+        if name not in step.block.hashes:
+            continue
         wanted = step.block.hashes[name][step.step]
-        if wanted and wanted != step.hashes[name]:
+        if wanted and wanted != found:
             raise DataError(
                 f"the {name} picture is drawn otherwise than when the dataset was made",
                 where=f"episode {step.episode.id!r}, step {step.step}",

@@ -14,10 +14,12 @@ from gn0.data.cache_webdataset import ShardReader
 from gn0.data.dataset import Dataset
 from gn0.data.draw import eyes_of
 from gn0.data.pictures import BATCH, draw_episode, goal_picture, map_picture
-from gn0.data.samples import EpisodeRows
+from gn0.data.samples import DEPTH, EpisodeRows
 from gn0.errors import DataError
 from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode, MissionGoal
+from gn0.render.depth import to_metres
+from gn0.sim.presets import find_preset
 
 FRAMES = ("rgb", "depth", "history", "bev", "occupancy", "goal_picture")
 Frame = dict[str, NDArray[Any]]
@@ -33,7 +35,7 @@ def read_frames(
             f"no picture {unknown[0]!r} in a dataset", remedy="known: " + ", ".join(FRAMES)
         )
     rows, episode = dataset.rows(episode_id), dataset.episode(episode_id)
-    drawn = {"depth"}
+    drawn: set[str] = set()
     if not isinstance(episode.mission, MissionGoal):
         drawn.add("goal_picture")
     cached = {} if exact else _find_cached(dataset, rows, sensors - drawn)
@@ -56,9 +58,13 @@ def _find_cached(
         reader = ShardReader(dataset.folder, part.name, manifest.settings)
 
         def read(name: str) -> Iterator[NDArray[Any]]:
+            if name == DEPTH:
+                reach = find_preset(dataset.about.camera).depth_range
+                return (to_metres(reader.depth(row), reach) for row in range(*span))
             return (reader.picture(row, name) for row in range(*span))
 
-        return {name: read(name) for name in sensors}
+        kept = sensors if manifest.settings.depth else sensors - {DEPTH}
+        return {name: read(name) for name in kept}
     if load_manifest(dataset.folder, "lerobot") is not None:
         number = [own.name for own in dataset.about.parts].index(part.name)
         return {

@@ -6,28 +6,33 @@ rendered once a scene and light, and the occupancy picture is the map with two d
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gn0.data.samples import PICTURES
+from gn0.data.samples import DEPTH, PICTURES
 from gn0.data.settings import PictureSettings
 from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.render.camera import Camera
+from gn0.render.depth import to_millimetres
 from gn0.render.light import LightCondition
-from gn0.render.renderer import Renderer, visible_backend
+from gn0.render.renderer import Output, Renderer, visible_backend
 from gn0.render.share.client import RendererShared
 from gn0.render.share.messages import Encode
 from gn0.scenes.scene import Scene
-from gn0.sim.history import COLUMNS, LENGTH, TILE_HEIGHT, TILE_WIDTH, History
+from gn0.sim.history import COLUMNS, LENGTH, TILE_HEIGHT, TILE_WIDTH, History, reduce_pictures
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset
 from gn0.sim.sensors import SensorSuite
 from gn0.sim.simulator import goal_record, goal_view
 from gn0.storage import content_hash
 
+U16 = NDArray[np.uint16]
 BATCH = 32  # views a call of the renderer
 SENSORS = frozenset({"rgb", "depth", "history", "bev", "occupancy"})
 
@@ -78,6 +83,7 @@ class StepPictures:
         bev: uint8 [Hb, Wb, 3], the scene from above.
         occupancy: uint8 [Hb, Wb, 3], the map with start and agent.
         files: encoded pictures by name, where they are made already.
+        depth: uint16 [Hd, Wd] mm, see `gn0.render.depth`; None where it is not stored.
     """
 
     rgb: U8
@@ -85,13 +91,14 @@ class StepPictures:
     bev: U8
     occupancy: U8
     files: Mapping[str, bytes] = field(default_factory=dict)
+    depth: U16 | None = None
 
     def hashes(self, known: Mapping[str, str] | None = None) -> dict[str, str]:
         """Digest of each picture's raw pixels; `known` spares those that are known already."""
         known = known or {}
+        names = PICTURES if self.depth is None else (*PICTURES, DEPTH)
         return {
-            name: known.get(name) or content_hash(np.asarray(getattr(self, name)))
-            for name in PICTURES
+            name: known.get(name) or content_hash(np.asarray(getattr(self, name))) for name in names
         }
 
 
@@ -104,12 +111,14 @@ class Seen:
         rgb: uint8 [H, W, 3].
         tile: the view as it is in later mosaics uint8 [120, 160, 3]; None where it is to be made.
         files: encoded pictures by name, the bytes that `encode_picture` gives.
+        depth: uint16 [Hd, Wd] mm; None where it is not stored.
     """
 
     pose: Pose2D
     rgb: U8
     tile: U8 | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
+    depth: U16 | None = None
 
 
 def draw_episode(
@@ -124,26 +133,67 @@ def draw_episode(
     bev = map_picture(eyes)
     for seen in draw_views(eyes, poses) if views is None else views:
         occupancy = eyes.occupancy_picture(start, seen.pose)
-        yield StepPictures(seen.rgb, history.mosaic(), bev, occupancy, seen.files)
+        yield StepPictures(seen.rgb, history.mosaic(), bev, occupancy, seen.files, seen.depth)
         if seen.tile is None:
             history.add(seen.rgb)
         else:
             history.add_tile(seen.tile)
 
 
-def draw_views(eyes: SensorSuite, poses: F64) -> Iterator[Seen]:
-    """The view at each of some poses [T, 3]; one rendering for equal neighbours."""
+def draw_views(eyes: SensorSuite, poses: F64, *, depth: bool = False) -> Iterator[Seen]:
+    """The view at each of some poses [T, 3], with its depth; one rendering for equal neighbours."""
     for begin in range(0, len(poses), BATCH):
         batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
         distinct = list(dict.fromkeys(batch))
-        rgb, _ = eyes.look_many(distinct, frozenset({"rgb"}))
-        assert rgb is not None
+        rgb, far = _look_deep(eyes, distinct) if depth else _look(eyes, distinct)
         places = {pose: index for index, pose in enumerate(distinct)}
         for pose in batch:
-            yield Seen(pose, rgb[places[pose]])
+            number = places[pose]
+            yield Seen(pose, rgb[number], depth=None if far is None else far[number])
 
 
-def draw_files(eyes: SensorSuite, poses: F64, quality: int) -> Iterator[Seen]:
+def _look(eyes: SensorSuite, poses: Sequence[Pose2D]) -> tuple[U8, None]:
+    rgb, _ = eyes.look_many(poses, frozenset({"rgb"}))
+    assert rgb is not None
+    return rgb, None
+
+
+def _look_deep(eyes: SensorSuite, poses: Sequence[Pose2D]) -> tuple[U8, U16]:
+    """Views [V, H, W, 3] and their depth [V, Hd, Wd] mm, in one call where one camera sees both."""
+    preset, views = eyes.config.preset, eyes.views_of(poses)
+    if preset.depth != preset.rgb:
+        return _look(eyes, poses)[0], draw_millimetres(eyes, views)
+    found = _render(eyes, preset.rgb, views, ("rgb", "depth"))
+    rgb = reduce_pictures(found["rgb"], *preset.picture_size)
+    for array in (rgb, found["depth"]):
+        array.setflags(write=False)
+    return rgb, found["depth"]
+
+
+def draw_millimetres(eyes: SensorSuite, views: F64) -> U16:
+    """Depth [V, Hd, Wd] mm of views [V, 4, 4]: not cut to the sensor's range, 0 for nothing."""
+    depth: U16 = _render(eyes, eyes.config.preset.depth, views, ("depth",))["depth"]
+    depth.setflags(write=False)
+    return depth
+
+
+def _render(
+    eyes: SensorSuite, camera: Camera, views: F64, outputs: tuple[Output, ...]
+) -> dict[str, NDArray[Any]]:
+    """Pictures by output, with depth in millimetres, whoever makes them of metres."""
+    renderer, background = eyes.renderer, eyes.config.preset.background
+    if isinstance(renderer, RendererShared):
+        return renderer.render_millimetres(camera, views, outputs, background)
+    assert renderer is not None
+    found = renderer.render(camera, views, outputs=outputs, background=background)
+    assert found.depth is not None
+    pictures: dict[str, NDArray[Any]] = {"depth": to_millimetres(found.depth)}
+    return pictures if found.rgb is None else {"rgb": found.rgb, **pictures}
+
+
+def draw_files(
+    eyes: SensorSuite, poses: F64, quality: int, *, depth: bool = False
+) -> Iterator[Seen]:
     """As `draw_views`, with jpg files of views and mosaics that the process that draws makes.
 
     The poses are those of one walk, from its first step on. What that process has not made is left
@@ -166,13 +216,19 @@ def draw_files(eyes: SensorSuite, poses: F64, quality: int) -> Iterator[Seen]:
             steps=np.array(numbers, np.int32).tobytes(),
             begin=begin == 0,
         )
-        found = renderer.render_files(preset.rgb, eyes.views_of(distinct), wish, preset.background)
+        views, both = eyes.views_of(distinct), depth and preset.depth == preset.rgb
+        outputs: tuple[Output, ...] = ("rgb", "depth") if both else ("rgb",)
+        found = renderer.render_files(preset.rgb, views, wish, preset.background, outputs)
+        far = found.pictures.get("depth")
+        if depth and far is None:
+            far = draw_millimetres(eyes, views)
         rgb, made = found.pictures["rgb"], bool(found.mosaics)
         for step, (pose, number) in enumerate(zip(batch, numbers, strict=True)):
             files = {}
             if made:
                 files = {"rgb": found.files[number], "history": found.mosaics[step]}
-            yield Seen(pose, rgb[number], found.pictures["tiles"][number] if made else None, files)
+            tile = found.pictures["tiles"][number] if made else None
+            yield Seen(pose, rgb[number], tile, files, None if far is None else far[number])
 
 
 def files_wanted(eyes: SensorSuite, settings: PictureSettings) -> bool:

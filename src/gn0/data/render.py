@@ -123,6 +123,12 @@ def choose_cache(dataset: Dataset, settings: PictureSettings | None) -> PictureS
             where=dataset.folder,
             remedy=f"leave --backend out, or give {built.drawn_by}",
         )
+    if dataset.about.rendered and wanted.depth and not built.depth:
+        raise DataError(
+            "the dataset was made without depth: its rows have no hashes of such pictures",
+            where=dataset.folder,
+            remedy="leave --depth out, or build another dataset with --depth",
+        )
     if wanted.visible_sets != built.visible_sets:
         ways = ("exactly", "from visible sets")
         raise DataError(
@@ -136,8 +142,10 @@ def choose_cache(dataset: Dataset, settings: PictureSettings | None) -> PictureS
 def _now_drawn(
     about: DatasetFile, settings: PictureSettings, parts: Sequence[DatasetPart]
 ) -> DatasetFile:
-    """A dataset whose rows have the hashes of pictures now, and which backend drew them."""
-    pictures = msgspec.structs.replace(about.settings.pictures, backend=settings.backend)
+    """A dataset whose rows have the hashes of pictures now, of which kinds, and who drew them."""
+    built = about.settings.pictures
+    depth = settings.depth or built.depth  # hashed as well where this cache does not keep it
+    pictures = msgspec.structs.replace(built, backend=settings.backend, depth=depth)
     return msgspec.structs.replace(
         about,
         parts=tuple(parts),

@@ -27,6 +27,7 @@ ACTIONS_AHEAD = 6
 POINTS = 13  # where the agent is, and 12 points at 0.25 m of arc length: 3 m
 TOKENS = 1000  # map tokens run from 0 to 999
 PICTURES = ("rgb", "history", "bev", "occupancy")  # hashed, in the order of their columns
+DEPTH = "depth"  # hashed as well where a dataset stores it, in a column behind all others
 NO_TOKEN = -1  # of a table without map tokens
 Source = Literal["expert", "dagger"]
 SOURCES: tuple[Source, ...] = ("expert", "dagger")
@@ -57,10 +58,17 @@ COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
     ("policy_actions", _list(pa.int8())),
     *((f"hash_{name}", _TEXT) for name in PICTURES),
 )
-_SCHEMA = pa.schema(
-    [pa.field(name, kind, nullable=False) for name, kind in COLUMNS],
-    metadata={"gn0.samples": str(SAMPLE_LAYOUT), "gn0.frame": "world frame, m, rad"},
-)
+COLUMNS_DEPTH = (*COLUMNS, (f"hash_{DEPTH}", _TEXT))  # of a dataset with depth pictures
+
+
+def _schema_of(columns: Sequence[tuple[str, pa.DataType]]) -> pa.Schema:
+    return pa.schema(
+        [pa.field(name, kind, nullable=False) for name, kind in columns],
+        metadata={"gn0.samples": str(SAMPLE_LAYOUT), "gn0.frame": "world frame, m, rad"},
+    )
+
+
+_SCHEMA, _SCHEMA_DEPTH = _schema_of(COLUMNS), _schema_of(COLUMNS_DEPTH)
 _NO_HASHES: Mapping[str, tuple[str, ...]] = {}
 
 
@@ -81,7 +89,8 @@ class EpisodeRows:
         collided: [T] whether the action was cut short.
         source: "expert" or "dagger".
         policy_actions: [T] what a policy said there; empty for the expert.
-        hashes: of the raw pixels of each picture, by name ("rgb", …); empty where not rendered.
+        hashes: of the raw pixels of each picture, by name ("rgb", …; "depth" where the dataset
+            stores it); empty where not rendered.
     """
 
     episode_id: str
@@ -107,20 +116,23 @@ class EpisodeRows:
 
     def with_hashes(self, hashes: Mapping[str, Sequence[str]]) -> EpisodeRows:
         """The same rows with the hashes of their pictures."""
-        return replace(self, hashes={name: tuple(hashes[name]) for name in PICTURES})
+        names = (*PICTURES, DEPTH) if DEPTH in hashes else PICTURES
+        return replace(self, hashes={name: tuple(hashes[name]) for name in names})
 
 
 def encode_rows(blocks: Iterable[EpisodeRows]) -> pa.Table:
-    """The sample table of some episodes; see `COLUMNS`.
+    """The sample table of some episodes; see `COLUMNS`, and `COLUMNS_DEPTH` where rows have it.
 
     Raises:
         FormatError: an array of the wrong shape; names the episode.
     """
-    tables = [_encode_block(block) for block in blocks]
+    blocks = list(blocks)
+    depth = any(DEPTH in block.hashes for block in blocks)
+    tables = [_encode_block(block, COLUMNS_DEPTH if depth else COLUMNS) for block in blocks]
     return pa.concat_tables(tables).combine_chunks() if tables else _SCHEMA.empty_table()
 
 
-def _encode_block(block: EpisodeRows) -> pa.Table:
+def _encode_block(block: EpisodeRows, wanted: Sequence[tuple[str, pa.DataType]]) -> pa.Table:
     n = len(block)
     shapes = {
         "poses": (n, 3), "executed": (n,), "actions": (n, ACTIONS_AHEAD),
@@ -153,24 +165,30 @@ def _encode_block(block: EpisodeRows) -> pa.Table:
         flat = np.ascontiguousarray(getattr(block, name)).reshape(-1)
         items = pa.array(flat, kind.value_type)
         values[name] = pa.FixedSizeListArray.from_arrays(items, type=kind)
-    for name in PICTURES:
+    for name in (*PICTURES, DEPTH):
         values[f"hash_{name}"] = pa.array(list(block.hashes.get(name, ("",) * n)), _TEXT)
     columns = [
         value if isinstance(value, pa.Array) else pa.array(np.ascontiguousarray(value), kind)
-        for value, kind in ((values[name], kind) for name, kind in COLUMNS)
+        for value, kind in ((values[name], kind) for name, kind in wanted)
     ]
-    return pa.Table.from_arrays(columns, schema=_SCHEMA)
+    return pa.Table.from_arrays(columns, schema=_schema_of(wanted))
 
 
 def encode_table(table: pa.Table) -> bytes:
     """A sample table as the bytes of a Parquet file; the same table gives the same bytes."""
     stream = io.BytesIO()
     repeats = ["episode_id", "executed", "valid", "source", "hash_bev"]
+    schema = _SCHEMA_DEPTH if has_depth(table) else _SCHEMA
     pq.write_table(
-        table.cast(_SCHEMA), stream, compression="zstd", use_dictionary=repeats,
+        table.cast(schema), stream, compression="zstd", use_dictionary=repeats,
         store_schema=True, write_statistics=False,
     )  # fmt: skip
     return stream.getvalue()
+
+
+def has_depth(table: pa.Table) -> bool:
+    """Whether a sample table has the hashes of depth pictures."""
+    return f"hash_{DEPTH}" in table.column_names
 
 
 def load_sample_table(path: Path | str) -> pa.Table:
@@ -183,7 +201,8 @@ def load_sample_table(path: Path | str) -> pa.Table:
     """
     table = read_table(Path(path))
     check_layout(table, path)
-    for name, kind in COLUMNS:
+    columns = COLUMNS_DEPTH if has_depth(table) else COLUMNS
+    for name, kind in columns:
         if name not in table.column_names:
             raise FormatError(
                 "column is missing", file=path, field=name, remedy="build the dataset again"
@@ -193,13 +212,13 @@ def load_sample_table(path: Path | str) -> pa.Table:
                 f"column is {table.schema.field(name).type}, expected {kind}", file=path,
                 field=name, remedy="build the dataset again",
             )  # fmt: skip
-    unknown = sorted(set(table.column_names) - {name for name, _ in COLUMNS})
-    if unknown or len(table.column_names) != len(COLUMNS):
+    unknown = sorted(set(table.column_names) - {name for name, _ in columns})
+    if unknown or len(table.column_names) != len(columns):
         raise FormatError(
             "unknown or repeated column", file=path, field=(unknown or ["?"])[0],
             remedy="remove it",
         )  # fmt: skip
-    table = table.select([name for name, _ in COLUMNS]).combine_chunks()
+    table = table.select([name for name, _ in columns]).combine_chunks()
     _check_values(table, path)
     return table
 
@@ -248,7 +267,7 @@ def _check_values(table: pa.Table, path: Path | str) -> None:
                 remedy="run `gn0 data repair` on the dataset",
             )  # fmt: skip
 
-    for name, _ in COLUMNS:
+    for name in table.column_names:
         column = table.column(name)
         holes = np.asarray(column.is_null().to_numpy(zero_copy_only=False), bool)
         refuse(name, holes, "is null")
@@ -298,15 +317,16 @@ def decode_rows(table: pa.Table) -> Iterator[EpisodeRows]:
         return
     columns = {
         name: _column(table, name)
-        for name, _ in COLUMNS
+        for name in table.column_names
         if name not in ("episode_id", "policy_actions")
     }
     said = table.column("policy_actions").to_pylist()
+    hashed = (*PICTURES, DEPTH) if has_depth(table) else PICTURES
     poses = np.column_stack([columns["x"], columns["y"], columns["yaw"]])
     starts = np.flatnonzero(np.r_[True, ids[1:] != ids[:-1]]).tolist()
     for begin, end in zip(starts, [*starts[1:], len(ids)], strict=True):
         part = slice(begin, end)
-        hashes = {name: tuple(columns[f"hash_{name}"][part].tolist()) for name in PICTURES}
+        hashes = {name: tuple(columns[f"hash_{name}"][part].tolist()) for name in hashed}
         actions = tuple(tuple(codes) for codes in said[part])
         yield EpisodeRows(
             episode_id=str(ids[begin]),

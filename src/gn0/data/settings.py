@@ -33,6 +33,7 @@ class PictureSettings(Config, frozen=True):
         crf: constant rate factor of AV1 videos, 0 (best) to 63.
         visible_sets: draw from the splats that show near each place: quicker, and nearly the same
             pictures (at least 60 dB). Off, the pictures are exactly the simulator's.
+        depth: store depth pictures as well, and hash them; unset in files where it is off.
         backend: the renderer that draws, where it is not the CPU's: its pictures differ by
             rounding, so their hashes do, and they can only be made again by the same.
     """
@@ -43,6 +44,7 @@ class PictureSettings(Config, frozen=True):
     maps: Literal["once", "every"] = "once"
     crf: Annotated[int, msgspec.Meta(ge=0, le=63)] = 30
     visible_sets: bool = False
+    depth: bool | msgspec.UnsetType = msgspec.UNSET
     backend: Literal["cuda"] | msgspec.UnsetType = msgspec.UNSET
 
     @property
@@ -51,6 +53,14 @@ class PictureSettings(Config, frozen=True):
         return "cpu" if self.backend is msgspec.UNSET else self.backend
 
     def __post_init__(self) -> None:
+        if self.depth is False:  # one way to say it: files say nothing, as before there was depth
+            msgspec.structs.force_setattr(self, "depth", msgspec.UNSET)
+        if self.layout == "lerobot" and self.depth:
+            raise ConfigError(
+                "LeRobot v3.0 has no settled way to keep depth: its videos have 8 bits",
+                where="--depth",
+                remedy="use layout webdataset, or leave depth out: Dataset.frames draws it",
+            )
         if self.layout == "lerobot" and self.maps == "every":
             raise ConfigError(
                 "a LeRobot feature has one size, and maps have that of their scene",

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import textwrap
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from gn0.data.dataset import Dataset
 from gn0.data.samples import EpisodeRows
 from gn0.errors import DataError
-from gn0.geometry import F64, U8
+from gn0.geometry import F32, F64, U8
+from gn0.sim.presets import find_preset
 from gn0.sim.sensors import MapFrame
 
 HEIGHT = 240  # px of every picture
@@ -19,11 +22,19 @@ WORDS = ("STOP", "FWD", "LEFT", "RIGHT")
 INK, PAPER, SOFT = (20, 22, 26), (255, 255, 255), (100, 104, 112)
 WAY, AGENT, ENDED = (0, 114, 178), (213, 94, 0), (160, 164, 172)
 REACH = 4.0  # m of map shown around the agent
-CAPTIONS = ("view", "history: the last 16 views", "BEV, the next 3 m", "occupancy, the next 3 m")
+CAPTIONS = {
+    "rgb": "view",
+    "depth": "depth: white is near, black {far:g} m or nothing",
+    "history": "history: the last 16 views",
+    "bev": "BEV, the next 3 m",
+    "occupancy": "occupancy, the next 3 m",
+}
 
 
 def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.Image:
     """Steps of an episode, one a line: view, history, BEV and occupancy with waypoints.
+
+    A dataset that stores depth shows it beside the view.
 
     Args:
         dataset: a dataset.
@@ -41,12 +52,12 @@ def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.
     episode = dataset.episode(rows.episode_id)
     chosen = sorted({round(t) for t in np.linspace(0, len(rows) - 1, max(steps, 1))})
     frame = MapFrame.of_grid(dataset.navigation(episode.scene_id).grid)
+    shown = [name for name in CAPTIONS if name != "depth" or dataset.about.stores_depth]
+    far = find_preset(dataset.about.camera).depth_range[1]
     lines = []
-    for t, pictures in enumerate(
-        dataset.frames(rows.episode_id, ("rgb", "history", "bev", "occupancy"))
-    ):
+    for t, pictures in enumerate(dataset.frames(rows.episode_id, shown)):
         if t in chosen:
-            lines.append(_draw_line(pictures, rows, t, frame))
+            lines.append(_draw_line(pictures, rows, t, frame, far))
     width = max(line.width for line in lines)
     sheet = Image.new("RGB", (width + 2 * GAP, HEAD + sum(line.height for line in lines)), PAPER)
     draw = ImageDraw.Draw(sheet)
@@ -62,12 +73,19 @@ def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.
     return sheet
 
 
-def _draw_line(pictures: dict[str, U8], rows: EpisodeRows, t: int, frame: MapFrame) -> Image.Image:
-    tiles = [_fit(Image.fromarray(pictures["rgb"])), _fit(Image.fromarray(pictures["history"]))]
+def _draw_line(
+    pictures: dict[str, NDArray[Any]], rows: EpisodeRows, t: int, frame: MapFrame, far: float
+) -> Image.Image:
+    tiles = []
     points = _world_points(rows, t)
-    for name in ("bev", "occupancy"):
-        arrow = name == "bev"  # the occupancy picture has its own dots
-        tiles.append(_draw_map(pictures[name], rows, t, points, frame, arrow=arrow))
+    for name in (name for name in CAPTIONS if name in pictures):
+        if name in ("bev", "occupancy"):
+            arrow = name == "bev"  # the occupancy picture has its own dots
+            tiles.append(_draw_map(pictures[name], rows, t, points, frame, arrow=arrow))
+        elif name == "depth":
+            tiles.append(_fit(_paint_depth(pictures[name], far)))
+        else:
+            tiles.append(_fit(Image.fromarray(pictures[name])))
     width = sum(tile.width for tile in tiles) + GAP * (len(tiles) - 1)
     line = Image.new("RGB", (width, HEIGHT + FOOT), PAPER)
     x = 0
@@ -76,8 +94,9 @@ def _draw_line(pictures: dict[str, U8], rows: EpisodeRows, t: int, frame: MapFra
         x += tile.width + GAP
     draw = ImageDraw.Draw(line)
     x = 0
-    for tile, caption in zip(tiles, CAPTIONS, strict=True):
-        draw.text((x, HEIGHT + 4), caption, SOFT, ImageFont.load_default(12))
+    captions = [text for name, text in CAPTIONS.items() if name in pictures]
+    for tile, caption in zip(tiles, captions, strict=True):
+        draw.text((x, HEIGHT + 4), caption.format(far=far), SOFT, ImageFont.load_default(12))
         x += tile.width + GAP
     ahead = " ".join(WORDS[code] for code in rows.actions[t].tolist())
     text = (
@@ -89,6 +108,12 @@ def _draw_line(pictures: dict[str, U8], rows: EpisodeRows, t: int, frame: MapFra
         text += f" · policy said {said}"
     draw.text((0, HEIGHT + 20), text, INK, ImageFont.load_default(14))
     return line
+
+
+def _paint_depth(depth: F32, far: float) -> Image.Image:
+    """Depth [H, W] m as grey that halves about every sixth of the range: most of a room is near."""
+    grey = 255 * np.exp(-4 * depth / far)
+    return Image.fromarray(grey.round().astype(np.uint8)).convert("RGB")
 
 
 def _fit(image: Image.Image) -> Image.Image:

@@ -29,7 +29,7 @@ from gn0.data.dataset import (
 from gn0.data.drawing import count_workers, open_drawing
 from gn0.data.folder import parts_journal
 from gn0.data.part import PartPlan, collect_part, file_digest, open_building
-from gn0.data.samples import PICTURES, EpisodeRows, decode_rows, digest_labels, load_sample_table
+from gn0.data.samples import EpisodeRows, decode_rows, digest_labels, load_sample_table
 from gn0.errors import Gn0Error, StorageError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.jobs.process import count_cores
@@ -385,9 +385,9 @@ def compare_part(payload: dict[str, str]) -> dict[str, list[str]]:
     )
     rows = []
     for step in drawer.steps():
-        for name in PICTURES:
-            wanted = step.block.hashes[name][step.step] if step.block.hashes else ""
-            if wanted != step.hashes[name]:
+        for name, found in step.hashes.items():
+            known = step.block.hashes.get(name)
+            if known is None or known[step.step] != found:
                 rows.append(
                     f"{name} of row {step.row + 1} (episode {step.episode.id!r}, step {step.step})"
                 )

@@ -6,7 +6,7 @@ import io
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -15,7 +15,7 @@ from PIL import Image
 from gn0.bench.looks import LOADER
 from gn0.bench.suite import Suite, build_suite, load_suite
 from gn0.data.build import build_dataset
-from gn0.data.cache import encode_picture
+from gn0.data.cache import encode_depth, encode_picture
 from gn0.data.drawing import count_workers, with_backend
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least
@@ -23,7 +23,9 @@ from gn0.figures.device import describe_device, is_emulation
 from gn0.geometry import view_from_pose
 from gn0.jobs.process import count_cores
 from gn0.render.cuda.batch import RendererBatch
+from gn0.render.renderer import Output
 from gn0.render.share.client import DrawServer
+from gn0.render.share.depth import scale_on_device
 from gn0.render.share.jpeg import JpegEncoder
 from gn0.render.share.messages import Tally
 from gn0.scenes.folder import load_scene, save_scene
@@ -38,6 +40,10 @@ GAUSSIANS = 300_000
 QUALITY = 85
 EPISODES = 600  # about 30,000 samples: ten seconds at the rate that is wanted
 VIEWS = 256
+Maps = Literal["every", "once"]
+EVERY: tuple[Maps, bool] = ("every", False)  # maps, and whether depth is stored
+ONCE: tuple[Maps, bool] = ("once", False)
+EVERY_DEEP: tuple[Maps, bool] = ("every", True)
 MAP = 512  # px: the map pictures that single costs are measured on
 
 
@@ -147,8 +153,8 @@ def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
     ])  # fmt: skip
     encoder = JpegEncoder(device)
 
-    def draw() -> Any:
-        found = batch.render(camera, views, "scene", outputs=("rgb",))
+    def draw(outputs: tuple[Output, ...] = ("rgb",)) -> Any:
+        found = batch.render(camera, views, "scene", outputs=outputs)
         device.synchronize()
         return found
 
@@ -175,6 +181,21 @@ def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
             f"{where}, quality {QUALITY}, byte for byte libjpeg's",
         ),
     ]
+    deep: tuple[Output, ...] = ("rgb", "depth")
+    depth = draw(deep).depth
+    found.append((
+        "draw with depth, on the device",
+        _median_ms(lambda: draw(deep), rounds) / views_count, where,
+    ))  # fmt: skip
+
+    def scale() -> None:
+        scale_on_device(device, depth)
+        device.synchronize()
+
+    found.append((
+        "depth to millimetres, on the device", _median_ms(scale, rounds) / views_count, where,
+    ))  # fmt: skip
+    millimetres = np.array(scale_on_device(device, depth).numpy()[0])
     target = device.pinned(pictures.rgb.shape, np.uint8)
     found.append((
         "copy of the view to pinned memory",
@@ -192,6 +213,11 @@ def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
             _median_ms(lambda p=picture: encode_picture(p, settings)),  # type: ignore[misc]
             f"{core}, quality {QUALITY}",
         ))  # fmt: skip
+    found.append((
+        "PNG of a depth picture, on a core",
+        _median_ms(lambda: encode_depth(millimetres)),
+        f"one core of this machine, zlib; {len(encode_depth(millimetres)) / 1e3:.0f} kB",
+    ))  # fmt: skip
     found.append((
         "digests of view, mosaic and occupancy picture, on a core",
         _median_ms(lambda: [content_hash(p) for p in (rgb, mosaic, square)]),
@@ -218,15 +244,19 @@ def measure_gpu(ctx: FigureContext) -> list[FigureRow]:
         return rows
     save_scene(build_wide_scene(ctx), ctx.work / "wide")
     with DrawServer("cuda", LOADER) as server:
-        rows += _measure_builds(ctx, server, "scene", ("every", "once"), EPISODES)
-        rows += _measure_builds(ctx, server, "wide", ("every",), EPISODES // 2)
+        rows += _measure_builds(ctx, server, "scene", (EVERY, ONCE, EVERY_DEEP), EPISODES)
+        rows += _measure_builds(ctx, server, "wide", (EVERY, EVERY_DEEP), EPISODES // 2)
     return rows
 
 
 def _measure_builds(
-    ctx: FigureContext, server: DrawServer, name: str, kinds: tuple[str, ...], episodes: int
+    ctx: FigureContext,
+    server: DrawServer,
+    name: str,
+    kinds: tuple[tuple[Maps, bool], ...],
+    episodes: int,
 ) -> list[FigureRow]:
-    """Whole builds with the maps in every sample, or with the maps once, in a scene of `work`."""
+    """Whole builds in a scene of `work`: maps in every sample or once, with depth or without."""
     begin = time.perf_counter()
     folder = ctx.work / f"{name}-suite"
     build_suite([ctx.work / name], folder, episodes, 0, minimum_length=5.0)
@@ -239,11 +269,14 @@ def _measure_builds(
     few = Suite(suite.folder, suite.about, suite.episodes[:8])
     build_dataset(few, ctx.work / f"{name}-warm", settings, server=server)  # kernels, the scene
     rows: list[FigureRow] = []
-    for maps in kinds:
+    for maps, depth in kinds:
         words = {"every": "four JPEGs a sample", "once": "two JPEGs a sample"}[maps]
-        pictures = msgspec.structs.replace(drawn, maps=maps)
-        steady, whole, count, tally = _build(ctx, suite, pictures, server, f"{name}-{maps}")
-        maps += "" if name == "scene" else f", of {size[0]}x{size[1]} px"
+        pictures = msgspec.structs.replace(drawn, maps=maps, depth=depth)
+        folder_name = f"{name}-{maps}{'-depth' * depth}"
+        steady, whole, count, tally = _build(ctx, suite, pictures, server, folder_name)
+        kind = maps + ("" if name == "scene" else f", of {size[0]}x{size[1]} px")
+        kind += ", with depth" * depth
+        words += " and a depth PNG of 16 bits" * depth
         detail = (
             f"{scene.source.kind} {scene.id}, {len(scene.gaussians):,} Gaussians, "
             f"{count} samples of {len(suite.episodes)} walks, FPV 480x360, mosaic 640x480, "
@@ -258,15 +291,15 @@ def _measure_builds(
         )
         new = [
             row_at_least(
-                f"full samples on a GPU, maps {maps}", steady, LEAST, "samples/s",
+                f"full samples on a GPU, maps {kind}", steady, LEAST, "samples/s",
                 detail + "from the first tenth to the last; " + spent,
             ),
             FigureRow(
-                name=f"full samples on a GPU, maps {maps}, whole build", value=whole,
+                name=f"full samples on a GPU, maps {kind}, whole build", value=whole,
                 unit="samples/s", detail=detail + "from the start of the workers to the last byte",
             ),
             FigureRow(
-                name=f"47 M samples, GPU, maps {maps}", value=SAMPLES / steady / 3600,
+                name=f"47 M samples, GPU, maps {kind}", value=SAMPLES / steady / 3600,
                 unit="GPU-hours", detail=detail + f"at {steady:.0f} samples/s",
             ),
         ]  # fmt: skip

@@ -24,6 +24,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.visible import RendererVisibleCuda
+from gn0.render.depth import to_millimetres
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.render.share.cpu import RendererBatchCpu
 from gn0.render.share.messages import Draw, Encode, Floor, lay_out
@@ -279,6 +280,32 @@ def test_pictures_of_a_device_come_through_pinned_memory(serve) -> None:
             shared.render(CAMERA, views(count)),
             RendererCpu(random_cloud(1)).render(CAMERA, views(count)),
         )
+
+
+@pytest.mark.parametrize("most", [64, 3])
+@pytest.mark.parametrize("on_device", [False, True])
+def test_depth_comes_in_millimetres_beside_the_same_pictures(serve, on_device, most) -> None:
+    """Made where the pictures are; with files and without, in batches of any size."""
+    batch = BatchOnDevice(DeviceHost()) if on_device else RendererBatchCpu()
+    shared = serve(batch, most=most).renderer(1)
+    alone = RendererCpu(random_cloud(1)).render(CAMERA, views(7))
+    wanted = to_millimetres(alone.depth)
+    assert (wanted == 0).any() and (wanted > 0).any()
+    found = shared.render_millimetres(CAMERA, views(7), ("rgb", "depth"))
+    np.testing.assert_array_equal(found["rgb"], alone.rgb)
+    assert found["depth"].dtype == np.uint16
+    np.testing.assert_array_equal(found["depth"], wanted)
+    (depth,) = shared.render_millimetres(CAMERA, views(7)[:2], ("depth",)).values()
+    np.testing.assert_array_equal(depth, wanted[:2])
+    expect_same(shared.render(CAMERA, views(7)), alone)  # metres, as ever
+    steps = np.arange(7, dtype=np.int32).tobytes()
+    wish = Encode(85, 200_000, (16, 12), 4, 2, steps)
+    made = shared.render_files(CAMERA, views(7), wish, None, ("rgb", "depth"))
+    np.testing.assert_array_equal(made.pictures["depth"], wanted)
+    plain = shared.render_files(CAMERA, views(7), wish)
+    assert "depth" not in plain.pictures
+    assert (made.files, made.mosaics) == (plain.files, plain.mosaics)
+    assert made.files == ([jpeg_of(picture) for picture in alone.rgb] if on_device else [])
 
 
 def jpeg_of(picture: np.ndarray) -> bytes:

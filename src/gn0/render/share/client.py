@@ -127,10 +127,13 @@ class DrawConnection:
         background: tuple[float, float, float] | None,
         encode: Encode | None = None,
         floor: Floor | None = None,
+        *,
+        millimetres: bool = False,
     ) -> DrawnViews:
         """Pictures of views [V, 4, 4], and files of them: copies of one's own.
 
-        `floor`: draw from the visible sets of this one.
+        `floor`: draw from the visible sets of this one. `millimetres`: depth as uint16, see
+        `gn0.render.depth`.
 
         Raises:
             DeviceError: the device or the process that draws is lost.
@@ -139,7 +142,7 @@ class DrawConnection:
         self._number += 1
         draw = Draw(
             self._number, key, dict(source), camera, np.ascontiguousarray(views).tobytes(),
-            outputs, background, self._areas, encode, floor is not None,
+            outputs, background, self._areas, encode, floor is not None, millimetres,
         )  # fmt: skip
         _, coded, size = lay_files(draw)
         try:
@@ -308,19 +311,47 @@ class RendererShared:
         views: NDArray[np.floating],
         encode: Encode,
         background: tuple[float, float, float] | None = None,
+        outputs: tuple[Output, ...] = ("rgb",),
     ) -> DrawnViews:
-        """Colour pictures of at most `VIEWS` views [V, 4, 4], and their files.
+        """Pictures of at most `VIEWS` views [V, 4, 4], and files of the colour ones.
+
+        Depth, where `outputs` name it, comes as uint16 millimetres, see `gn0.render.depth`.
 
         Raises:
             RenderError: a view is none, or there are too many.
             DeviceError: the device or the process that draws is lost.
         """
+        return self._draw(camera, views, outputs, background, encode)
+
+    def render_millimetres(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        outputs: tuple[Output, ...],
+        background: tuple[float, float, float] | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        """Pictures of at most `VIEWS` views by output, with depth as uint16 millimetres.
+
+        Raises:
+            RenderError, DeviceError: as `render_files`.
+        """
+        return self._draw(camera, views, outputs, background, None).pictures
+
+    def _draw(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        outputs: tuple[Output, ...],
+        background: tuple[float, float, float] | None,
+        encode: Encode | None,
+    ) -> DrawnViews:
         matrices = check_views(views)
         if not 0 < len(matrices) <= VIEWS:
             raise RenderError(f"{len(matrices)} views in a request", remedy=f"give 1 to {VIEWS}")
         return self._connection.draw(
-            self._key, self._source, camera, matrices, ("rgb",), background, encode, self._floor
-        )
+            self._key, self._source, camera, matrices, outputs, background, encode, self._floor,
+            millimetres="depth" in outputs,
+        )  # fmt: skip
 
 
 @dataclass(eq=False)

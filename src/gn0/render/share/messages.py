@@ -119,6 +119,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
         area: where they go.
         encode: files that are wanted as well.
         visible: draw from the visible sets of the `Floor` that was sent last.
+        millimetres: depth as uint16, see `gn0.render.depth`.
     """
 
     number: int
@@ -131,6 +132,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
     area: int
     encode: Encode | None = None
     visible: bool = False
+    millimetres: bool = False
 
     @property
     def count(self) -> int:
@@ -218,23 +220,26 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True, tag="tally"):
     waiting: float = 0.0
 
 
-def lay_out(camera: Camera, outputs: tuple[Output, ...], count: int) -> tuple[list[int], int]:
+def lay_out(
+    camera: Camera, outputs: tuple[Output, ...], count: int, *, millimetres: bool = False
+) -> tuple[list[int], int]:
     """Offset of each output's pictures in an area, and the bytes of all.
 
-    Tiles of the history [V, h, w, 3], where they are wanted, follow; then files.
+    `millimetres`: depth takes two bytes a pixel. Tiles of the history [V, h, w, 3], where they are
+    wanted, follow; then files.
     """
     places, end = [], 0
     pixels = count * camera.width * camera.height
     for output in outputs:
         places.append(end)
-        size = pixels * (3 if output == "rgb" else 4)
+        size = pixels * (3 if output == "rgb" else 2 if output == "depth" and millimetres else 4)
         end += -(-size // ALIGNMENT) * ALIGNMENT
     return places, end
 
 
 def lay_files(draw: Draw) -> tuple[int, int, int]:
     """Offset of the tiles and of the files of a request in its area, and the bytes of all."""
-    end = lay_out(draw.camera, draw.outputs, draw.count)[1]
+    end = lay_out(draw.camera, draw.outputs, draw.count, millimetres=draw.millimetres)[1]
     wish = draw.encode
     if wish is None:
         return end, end, end
@@ -247,15 +252,17 @@ def lay_files(draw: Draw) -> tuple[int, int, int]:
 def find_places(draw: Draw, area: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
     """Where in an area the pictures of a request are, by output: uint8 or float32 [V, H, W, …].
 
-    With mosaics also "tiles" uint8 [V, h, w, 3].
+    Depth in millimetres is uint16. With mosaics also "tiles" uint8 [V, h, w, 3].
     """
-    places, _ = lay_out(draw.camera, draw.outputs, draw.count)
+    places, _ = lay_out(draw.camera, draw.outputs, draw.count, millimetres=draw.millimetres)
     shape = (draw.count, draw.camera.height, draw.camera.width)
     pixels = draw.count * draw.camera.height * draw.camera.width
     found: dict[str, NDArray[Any]] = {}
     for name, place in zip(draw.outputs, places, strict=True):
         if name == "rgb":
             found[name] = area[place : place + pixels * 3].reshape(*shape, 3)
+        elif name == "depth" and draw.millimetres:
+            found[name] = area[place : place + pixels * 2].view(np.uint16).reshape(shape)
         else:
             found[name] = area[place : place + pixels * 4].view(np.float32).reshape(shape)
     if draw.encode is not None and draw.encode.tile is not None:

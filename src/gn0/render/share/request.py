@@ -61,7 +61,8 @@ class Request:
         draw, wish = self.draw, self.draw.encode
         files = None if wish is None else (wish.quality, wish.tile, wish.cells, wish.columns)
         visible = self.floor is not None
-        return msgspec.json.encode(draw.camera), draw.outputs, draw.background, files, visible
+        camera = msgspec.json.encode(draw.camera)
+        return camera, draw.outputs, draw.background, files, visible, draw.millimetres
 
     def fail(self, error: Gn0Error) -> None:
         """Tell who asked what went wrong."""

@@ -37,6 +37,7 @@ from gn0.jobs.worker import find_function
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.renderer import Output
+from gn0.render.share.depth import with_millimetres
 from gn0.render.share.files import FileMaker, Files
 from gn0.render.share.handing import Batch, Handing, Piece
 from gn0.render.share.messages import (
@@ -351,6 +352,8 @@ class Server:
                 background=first.background,
                 visible=first.visible,
             )
+            if first.millimetres:
+                pictures = with_millimetres(pictures)
             pieces, at = [], 0
             for request in group:
                 size = request.draw.count

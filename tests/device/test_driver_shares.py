@@ -16,6 +16,7 @@ from gn0.errors import DeviceError
 from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
+from gn0.render.depth import to_millimetres
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.render.share.messages import Encode
 from gn0.render.share.server import Server, open_listener
@@ -64,7 +65,12 @@ def test_pictures_and_files_come_through_the_drivers_calls(device: DeviceCuda) -
             Image.fromarray(np.asarray(picture)).save(stream, "JPEG", quality=85, subsampling=2)
             assert file == stream.getvalue()
         assert len(made.mosaics) == len(wish.steps) // 4
-    assert server.tally.views == 5 * 7 and not lost
+    assert wanted.depth is not None
+    for _ in range(2):
+        deep = renderer.render_millimetres(CAMERA, views, ("rgb", "depth"))
+        np.testing.assert_array_equal(deep["depth"], to_millimetres(wanted.depth))
+        np.testing.assert_array_equal(deep["rgb"], wanted.rgb)
+    assert server.tally.views == 7 * 7 and not lost
 
 
 def test_a_card_lost_while_it_draws_for_others_is_told(device: DeviceCuda, fake: Any) -> None:

@@ -17,6 +17,8 @@ from gn0.data.render import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.device.device import Device
+from gn0.render.depth import to_millimetres
+from gn0.render.share.depth import scale_on_device
 from gn0.render.share.jpeg import JpegEncoder
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
@@ -67,12 +69,21 @@ def test_views_and_mosaics_of_their_real_sizes(card: Device) -> None:
         assert file == pillow(np.concatenate(rows), 85)
 
 
+@pytest.mark.small
+def test_depth_becomes_the_hosts_millimetres(device: Device) -> None:
+    """Every half millimetre as well, where rounding shows, and what is no distance."""
+    depth = (np.arange(1 << 14, dtype=np.float32) / 16).reshape(2, 64, 128)
+    depth[0, 0, :6] = np.inf, np.nan, -1.0, 0.0004, 65.5354, 3e38
+    found = scale_on_device(device, device.upload(depth)).numpy()
+    np.testing.assert_array_equal(found, to_millimetres(depth))
+
+
 def test_a_dataset_comes_out_the_same_twice(card: Device, tmp_path: Path) -> None:
     """Drawn by the process that owns the card: files are Pillow's, workers change nothing."""
     save_scene(build_example_scene(), tmp_path / "flat")
     build_suite([tmp_path / "flat"], tmp_path / "suite", 6, 0)
     suite = load_suite(tmp_path / "suite")
-    pictures = with_backend(PictureSettings(quality=85), "cuda")
+    pictures = with_backend(PictureSettings(quality=85, depth=True), "cuda")
     settings = BuildSettings(chunk=2, pictures=pictures)
     one = build_dataset(suite, tmp_path / "one", settings, workers=1)
     build_dataset(suite, tmp_path / "two", settings, workers=3, batch=17)
@@ -90,7 +101,11 @@ def test_a_dataset_comes_out_the_same_twice(card: Device, tmp_path: Path) -> Non
     assert files(tmp_path / "one") == before
     name = one.sampled[0]
     reader = ShardReader(one.folder, one.part_of(name).name, pictures)
-    for row, frame in enumerate(one.frames(name, ("rgb", "history"), exact=True)):
+    for row, frame in enumerate(one.frames(name, ("rgb", "history", "depth"), exact=True)):
+        stored = reader.depth(row)
+        near = (stored > 0) & (stored < 10_000)  # mm: the sensor's range
+        np.testing.assert_array_equal(stored[near], to_millimetres(frame["depth"])[near])
+        assert near.mean() > 0.5
         for kind in ("rgb", "history"):
             encoded = Image.open(io.BytesIO(pillow(frame[kind], 85)))
             np.testing.assert_array_equal(reader.picture(row, kind), np.asarray(encoded))

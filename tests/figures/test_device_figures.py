@@ -210,9 +210,10 @@ def test_they_are_in_the_catalogue_and_need_a_card() -> None:
 
 
 def _sleeper(folder: Path) -> Path:
-    """In Python's place: something that hangs and leaves a process behind."""
+    """In Python's place: something that hangs in modules and leaves a process behind."""
     path = folder / "sleeper"
-    path.write_text("#!/bin/sh\nsetsid sleep 5 &\nexec sleep 60\n")
+    scripts = f'[ "$1" = -c ] && exec {sys.executable} "$@"'
+    path.write_text(f"#!/bin/sh\n{scripts}\nsetsid sleep 5 &\nexec sleep 60\n")
     path.chmod(0o755)
     return path
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+import struct
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -268,6 +269,24 @@ def test_side_file_is_checked(copy):
         aux.write_bytes(data)
         with pytest.raises(FormatError, match="gaussians_aux"):
             _ = load_scene(copy).gaussians
+    for packing in (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
+        with zipfile.ZipFile(aux, "w", packing) as packed:
+            packed.writestr("label.npy", zipfile.ZipFile(io.BytesIO(good)).read("label.npy"))
+        data = bytearray(aux.read_bytes())
+        data[60:160] = bytes(byte ^ 0x5A for byte in data[60:160])
+        aux.write_bytes(data)
+        with pytest.raises(FormatError, match="gaussians_aux"):
+            _ = load_scene(copy).gaussians
+    locked = bytearray(good)
+    locked[good.rindex(b"PK\x01\x02") + 8] |= 1  # says that its last entry is encrypted
+    aux.write_bytes(locked)
+    with pytest.raises(FormatError, match="gaussians_aux"):
+        _ = load_scene(copy).gaussians
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000000,), }"
+    with zipfile.ZipFile(aux, "w") as vast:
+        vast.writestr("label.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header)
+    with pytest.raises(FormatError, match="gaussians_aux"):
+        _ = load_scene(copy).gaussians
     with zipfile.ZipFile(aux, "w", zipfile.ZIP_DEFLATED) as bomb:
         bomb.writestr("label.npy", b"\0" * (64 * 2**20))
     with pytest.raises(FormatError, match="claims"):

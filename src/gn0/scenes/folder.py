@@ -15,8 +15,10 @@ ones to 55 dB on average and 48 dB at worst (`gn0 figures scenes.folder`).
 from __future__ import annotations
 
 import io
+import lzma
 import re
 import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -55,6 +57,12 @@ AUX_FILE = "gaussians_aux.npz"
 CloudForm = Literal["exact", "packed"]
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}\Z")
 _AUX = {"label": np.int32, "albedo": np.float16, "irradiance": np.float16, "normal": np.float16}
+# what a damaged archive raises: of zip, of its three packers, where it says that it is encrypted or
+# packed in a way nobody knows (RuntimeError), and of NumPy, whose header may claim any size
+_NPZ_FAULTS = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError),
+    *(RuntimeError, ValueError, KeyError, MemoryError),
+)
 
 
 class SceneFile(Config, frozen=True):
@@ -308,7 +316,7 @@ def _attach_aux(cloud: GaussianCloud, path: Path) -> GaussianCloud:
         with np.load(io.BytesIO(data), allow_pickle=False) as bundle_arrays:
             for key in bundle_arrays.files:
                 arrays[key] = bundle_arrays[key]
-    except (zipfile.BadZipFile, ValueError, OSError, EOFError, KeyError, NotImplementedError) as e:
+    except _NPZ_FAULTS as e:
         raise FormatError(
             f"not a readable npz: {e}", file=path, remedy="restore the file, or delete it"
         ) from None

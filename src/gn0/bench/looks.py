@@ -13,7 +13,7 @@ from gn0.bench.suite import load_suite_scene
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.plugins import get_plugin
 from gn0.render.light import LightCondition, relight_cloud
-from gn0.render.renderer import VISIBLE_BACKENDS, choose_backend
+from gn0.render.renderer import choose_backend, name_drawing
 from gn0.render.share.client import DrawServer
 from gn0.sim.sensors import EYES, MAPS
 
@@ -78,7 +78,7 @@ def choose_run_backend(backend: str, policy: str, map_mode: str) -> str:
     """
     sensors = getattr(get_plugin("policy", policy), "sensors", None)
     if isinstance(sensors, frozenset) and not needs_renderer(sensors, map_mode):
-        return "auto" if VISIBLE_BACKENDS.get(backend, backend) == "cuda" else backend
+        return "auto" if name_drawing(backend) == "cuda" else backend
     if backend == "auto" and choose_backend("auto")[0] == "cuda":
         return "cuda"
     return backend
@@ -91,7 +91,7 @@ def open_run_drawing(backend: str, executor: str) -> Iterator[DrawServer | None]
     Raises:
         DeviceError: the GPU cannot be used; says why.
     """
-    drawn_by = VISIBLE_BACKENDS.get(backend, backend)
+    drawn_by = name_drawing(backend)
     if drawn_by not in SHARED or executor != "process":
         yield None
         return

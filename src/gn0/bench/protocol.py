@@ -14,7 +14,7 @@ import gn0
 from gn0.bench.profiles import DIFFERENCES, RELEASE
 from gn0.bench.results import PolicyCard
 from gn0.bench.suite import Suite
-from gn0.render.renderer import VISIBLE_BACKENDS
+from gn0.render.renderer import VISIBLE_BACKENDS, name_drawing
 from gn0.sim.presets import find_preset
 from gn0.sim.state import MapMode
 from gn0.storage import content_hash
@@ -100,7 +100,7 @@ def protocol_card(
             f"pitch {preset.pitch_degrees:g}°",
         ),
         *((("pictures", VISIBLE_WORDS),) if backend in VISIBLE_BACKENDS else ()),
-        *((("pictures", CUDA_WORDS),) if VISIBLE_BACKENDS.get(backend, backend) == "cuda" else ()),
+        *((("pictures", CUDA_WORDS),) if name_drawing(backend) == "cuda" else ()),
         ("agent", f"disc of radius {agent.radius:g} m"),
         (
             "actions",

@@ -32,7 +32,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.maps.release import ReleaseNavigation
 from gn0.missions.episode import mission_name
 from gn0.plugins import get_plugin
-from gn0.render.renderer import VISIBLE_BACKENDS
+from gn0.render.renderer import name_drawing
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged
@@ -126,7 +126,7 @@ class EpisodeWorker:
             return None
         if self._connection is None:
             self._connection = DrawConnection(self.settings.drawing)
-        drawn_by = VISIBLE_BACKENDS.get(self.settings.backend, self.settings.backend)
+        drawn_by = name_drawing(self.settings.backend)
         return RendererShared(self._connection, drawn_by, look.key, look.source)
 
     def run(self, simulator: Simulator, episode: Episode) -> tuple[EpisodeResult, EpisodeTrace]:

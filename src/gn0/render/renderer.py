@@ -139,6 +139,11 @@ def choose_backend(backend: str = "auto") -> tuple[str, str]:
     return backend, "asked for by name"
 
 
+def name_drawing(backend: str) -> str:
+    """The backend that draws for one with visible sets; any other draws for itself."""
+    return VISIBLE_BACKENDS.get(backend, backend)
+
+
 def visible_backend(backend: str = "auto") -> str:
     """The name of a backend with visible sets: "cpu-visible" or "cuda-visible".
 

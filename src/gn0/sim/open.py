@@ -15,7 +15,13 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
-from gn0.render.renderer import VISIBLE_BACKENDS, Renderer, build_renderer, limit_to_visible
+from gn0.render.renderer import (
+    VISIBLE_BACKENDS,
+    Renderer,
+    build_renderer,
+    limit_to_visible,
+    name_drawing,
+)
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import CEILING_CUT, EYES, MAPS, SensorConfig, check_map_mode, check_sensors
@@ -102,7 +108,7 @@ def open_simulator(
     bev: BevPicture | None = None
     if renderer is None and (active & EYES or "bev" in active or explores):
         cloud = scene.gaussians if light is None else relight_cloud(scene.gaussians, light)
-        renderer = build_renderer(cloud, VISIBLE_BACKENDS.get(backend, backend))
+        renderer = build_renderer(cloud, name_drawing(backend))
     if "bev" in active and renderer is not None and not explores:
         bev = render_bev(
             look_hash(scene, light),

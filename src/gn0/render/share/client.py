@@ -26,10 +26,10 @@ from gn0.jobs.process import Ended, WorkerProcess
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.renderer import (
-    VISIBLE_BACKENDS,
     Output,
     RenderResult,
     check_views,
+    name_drawing,
     visible_backend,
 )
 from gn0.render.share.jpeg import join_files, read_tables
@@ -245,7 +245,7 @@ class RendererShared:
         floor: Floor | None = None,
     ) -> None:
         self.name = name
-        self.encodes = VISIBLE_BACKENDS.get(name, name) != "cpu"
+        self.encodes = name_drawing(name) != "cpu"
         self._connection, self._key, self._source = connection, key, dict(source)
         self._floor = floor
 

@@ -128,11 +128,11 @@ def encode_rows(blocks: Iterable[EpisodeRows]) -> pa.Table:
     """
     blocks = list(blocks)
     depth = any(DEPTH in block.hashes for block in blocks)
-    tables = [_encode_block(block, COLUMNS_DEPTH if depth else COLUMNS) for block in blocks]
+    tables = [_encode_block(block, _SCHEMA_DEPTH if depth else _SCHEMA) for block in blocks]
     return pa.concat_tables(tables).combine_chunks() if tables else _SCHEMA.empty_table()
 
 
-def _encode_block(block: EpisodeRows, wanted: Sequence[tuple[str, pa.DataType]]) -> pa.Table:
+def _encode_block(block: EpisodeRows, schema: pa.Schema) -> pa.Table:
     n = len(block)
     shapes = {
         "poses": (n, 3), "executed": (n,), "actions": (n, ACTIONS_AHEAD),
@@ -169,9 +169,9 @@ def _encode_block(block: EpisodeRows, wanted: Sequence[tuple[str, pa.DataType]])
         values[f"hash_{name}"] = pa.array(list(block.hashes.get(name, ("",) * n)), _TEXT)
     columns = [
         value if isinstance(value, pa.Array) else pa.array(np.ascontiguousarray(value), kind)
-        for value, kind in ((values[name], kind) for name, kind in wanted)
+        for value, kind in ((values[field.name], field.type) for field in schema)
     ]
-    return pa.Table.from_arrays(columns, schema=_schema_of(wanted))
+    return pa.Table.from_arrays(columns, schema=schema)
 
 
 def encode_table(table: pa.Table) -> bytes:

@@ -63,7 +63,7 @@ def sweep_folder(folder: Path) -> None:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-def is_swept_bare(folder: Path) -> bool:
+def holds_leftovers_only(folder: Path) -> bool:
     """Whether a folder holds nothing but what a killed writer leaves before its first file."""
     return folder.is_dir() and all(
         path.name == LOCK or path.name.startswith(TEMPORARY_PREFIX) for path in folder.iterdir()

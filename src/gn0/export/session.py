@@ -29,7 +29,7 @@ from gn0.export.exporter import (
     get_dataset_exporter,
 )
 from gn0.export.trips import ExportSource, Trip
-from gn0.folder import LOCK, is_swept_bare, lock_folder, sweep_folder
+from gn0.folder import LOCK, holds_leftovers_only, lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, content_hash, storage_error, write_json
@@ -242,7 +242,7 @@ def _claim(folder: Path, about: ExportFile) -> ExportFile | None:
     """The earlier run in this folder, if it is this very export; None for an empty place."""
     if not folder.exists():
         return None
-    if is_swept_bare(folder):
+    if holds_leftovers_only(folder):
         return None
     if not (folder / EXPORT_FILE).is_file():
         raise StorageError(

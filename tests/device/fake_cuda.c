@@ -183,7 +183,9 @@ R cuLaunchKernel(Function *f, unsigned gx, unsigned gy, unsigned gz, unsigned bx
 
 R cuStreamCreate(void **s, unsigned flags) { ENTER OURS if (flags != 1) return 1; *s = &streams[stream_count++ % 8]; return 0; }
 R cuStreamSynchronize(Graph *s) { ENTER OURS return s && s->recording ? 900 : 0; }
-R cuStreamWaitEvent(void *s, void *e, unsigned f) { ENTER OURS return 0; }
+// Events are never freed: a card answers 709 to one that was destroyed.
+typedef struct { double at; int destroyed; } Event;
+R cuStreamWaitEvent(void *s, Event *e, unsigned f) { ENTER OURS return e->destroyed ? 709 : 0; }
 R cuStreamBeginCapture_v2(Graph *s, int mode) { ENTER OURS if (mode != 2 || s->recording) return 1; s->recording = 1; s->count = 0; s->steps = NULL; return 0; }
 R cuStreamEndCapture(Graph *s, void **g) {
   ENTER OURS
@@ -211,9 +213,9 @@ R cuGraphLaunch(Graph *g, void *s) {
   return 0;
 }
 static double now(void) { struct timespec t; clock_gettime(CLOCK_MONOTONIC, &t); return t.tv_sec * 1e3 + t.tv_nsec * 1e-6; }
-R cuEventCreate(double **e, unsigned f) { ENTER OURS *e = calloc(1, sizeof **e); live++; return 0; }
-R cuEventDestroy_v2(double *e) { ENTER free(e); live--; return 0; }
-R cuEventRecord(double *e, void *s) { ENTER OURS *e = now(); return 0; }
-R cuEventQuery(double *e) { ENTER return 0; }
-R cuEventSynchronize(double *e) { ENTER return 0; }
-R cuEventElapsedTime(float *ms, double *a, double *b) { ENTER *ms = *b - *a; return 0; }
+R cuEventCreate(Event **e, unsigned f) { ENTER OURS *e = calloc(1, sizeof **e); live++; return 0; }
+R cuEventDestroy_v2(Event *e) { ENTER if (e->destroyed) return 709; e->destroyed = 1; live--; return 0; }
+R cuEventRecord(Event *e, void *s) { ENTER OURS e->at = now(); return e->destroyed ? 709 : 0; }
+R cuEventQuery(Event *e) { ENTER return e->destroyed ? 709 : 0; }
+R cuEventSynchronize(Event *e) { ENTER return e->destroyed ? 709 : 0; }
+R cuEventElapsedTime(float *ms, Event *a, Event *b) { ENTER *ms = b->at - a->at; return a->destroyed || b->destroyed ? 709 : 0; }

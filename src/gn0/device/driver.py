@@ -374,7 +374,7 @@ class DeviceCuda:
             beside = False
         stream = self._side("copy") if beside else self.stream
         if beside:
-            self.call("cuStreamWaitEvent", stream, self.event().handle, 0)
+            self._hold_back(stream, self.event())
         if array.nbytes:
             address = target.ctypes.data
             self.call("cuMemcpyDtoHAsync_v2", address, array.pointer, array.nbytes, stream)
@@ -481,11 +481,19 @@ class DeviceCuda:
 
     def follow(self, stream: int) -> None:
         """Let our later work wait for what another library has put on its stream."""
-        self.call("cuStreamWaitEvent", None, self.mark(stream).handle, 0)
+        self._hold_back(None, self.mark(stream))
 
     def precede(self, stream: int) -> None:
         """Let later work on another library's stream wait for what we have launched."""
-        self.call("cuStreamWaitEvent", stream, self.event().handle, 0)
+        self._hold_back(stream, self.event())
+
+    def _hold_back(self, stream: int | None, event: EventCuda) -> None:
+        """Let later work on a stream wait for an event.
+
+        The event is an argument, so that it lives until the driver has heard of it: a handle
+        taken from one that nobody holds is already destroyed.
+        """
+        self.call("cuStreamWaitEvent", stream, event.handle, 0)
 
     def _side(self, name: str) -> int:
         """A stream of our own beside the default one."""

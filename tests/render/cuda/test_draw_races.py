@@ -23,8 +23,8 @@ from gn0.testing.check_renderer import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 
-# several groups of splats a tile, crowded buckets, several stages a group, blocks for two views
-SMALL = Tuning(capacity=64, buckets=128, crowded=8, stage=32, views=2, large=2)
+# several groups of splats a tile, parts that fit no group, several stages a group, blocks for two views
+SMALL = Tuning(pixels=4, capacity=64, buckets=128, stage=32, views=2, large=2)
 
 
 @pytest.mark.parametrize("tuning, degree", [(SMALL, 3), (Tuning(pixels=4, group=False), 0)])

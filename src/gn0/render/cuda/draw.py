@@ -55,7 +55,8 @@ _FILES = ("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh", "walk.
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
 _BLOCKS_MAX = 2**31 - 1  # of a launch
-_ENTRY = 8  # bytes
+_ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
+_CLASSES = 8  # of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
 _NOT_HELD = 3
 _WRONG = (  # with a view, as `views.cu` numbers it
@@ -350,24 +351,27 @@ class Drawer:
             work, views, starts[all_tiles + 1 : all_tiles + 2]
         )
         blocks = -(-all_tiles // _SCAN)
-        counts = self._need("counts", all_tiles, np.uint32)
+        counts = self._need("counts", all_tiles + 2 * _CLASSES, np.uint32)
+        classes = counts[all_tiles : all_tiles + 2 * _CLASSES]
+        order = self._need("order", all_tiles, np.uint32)
         sums = self._need("sums", blocks, np.uint64)
         entries, expected = self._held.get("entries"), work.splats[views].sum() * self._expect(work)
-        if entries is None or len(entries) < min(expected, self.memory // _ENTRY):
+        if entries is None or len(entries) // 2 < min(expected, self.memory // _ENTRY):
             guess = int(expected * 1.25) + 64 * all_tiles
             entries = self._grow(min(guess, self.memory // _ENTRY))
         kernels = self._kernels
-        capacity, whole = np.uint64(len(entries)), np.uint32(all_tiles)
+        room = len(entries) // 2
+        capacity, whole = np.uint64(room), np.uint32(all_tiles)
         sizes = (np.uint32(work.tiles_x), np.uint32(tiles))
         shared_out = (groups, np.uint32(group_count), members)
         listing = (view_table, clouds, *shared_out, *sizes, np.uint32(flags), counts)
         self._tell("count")
-        self.device.fill(counts[:all_tiles], 0)
+        self.device.fill(counts[: all_tiles + 2 * _CLASSES], 0)
         kernels["count_entries"].launch(listing_blocks, CHUNK, *listing)
         self._tell("scan")
         if blocks > 1:
-            kernels["sum_counts"].launch(blocks, 256, counts, whole, sums)
-        kernels["scan_counts"].launch(blocks, 256, counts, whole, sums, starts)
+            kernels["sum_counts"].launch(blocks, 256, counts, whole, sums, classes)
+        kernels["scan_counts"].launch(blocks, 256, counts, whole, sums, starts, classes, order)
         # the host waits for this copy alone, and goes on while the device draws
         words = self._hear(starts[all_tiles : all_tiles + 1 + work.checked])
         self._tell("emit")
@@ -376,7 +380,7 @@ class Drawer:
         )
         self._tell("blend")
         shape = (np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags))
-        lists = (view_table, clouds, starts, entries, capacity, whole)
+        lists = (view_table, clouds, starts, entries, capacity, order, whole)
         kernels[kernel].launch(all_tiles, self.tuning.threads, *lists, *sizes, *shape, *last)
         self._tell("end")
         total, *wrong = words.numpy().tolist()
@@ -391,7 +395,7 @@ class Drawer:
             self._density[work.picture] = max(
                 total / splats, 0.95 * self._density.get(work.picture, 0.0)
             )
-        if total <= len(entries):
+        if total <= room:
             return 0
         if total * _ENTRY <= self.memory or count == 1:
             self._grow(total + total // 8)
@@ -484,7 +488,7 @@ class Drawer:
 
     def _grow(self, entries: int) -> DeviceArray:
         self._held.pop("entries", None)
-        self._held["entries"] = held = self.device.empty(max(entries, 1024), np.uint64)
+        self._held["entries"] = held = self.device.empty(2 * max(entries, 1024), np.uint64)
         return held
 
     @property

@@ -16,8 +16,7 @@ class Tuning:
             loads of a splat.
         region_width, region_height: of the part of a tile whose lanes walk one list [px].
         capacity: entries that a tile sorts at a time.
-        buckets: of the first step of that sort, a power of two.
-        crowded: entries of one bucket above which it is cut into buckets of its own.
+        buckets: of that sort, a power of two.
         stage: splats projected into shared memory at a time.
         blocks: raster blocks a multiprocessor that registers must leave room for.
         cover_blocks: the same for the kernels that list splats.
@@ -33,7 +32,6 @@ class Tuning:
     region_height: int = 4
     capacity: int = 512
     buckets: int = 512
-    crowded: int = 192
     stage: int = 128
     blocks: int = 8
     cover_blocks: int = 4
@@ -52,7 +50,9 @@ class Tuning:
             and self.buckets % self.threads == 0
             and self.stage % 32 == 0
             and self.stage <= 1024
-            and 0 < self.crowded <= self.capacity <= 2**15
+            and self.capacity % self.threads == 0
+            and self.threads <= self.capacity <= 2**15
+            and self.capacity & (self.capacity - 1) == 0
             and 0 < self.views <= 256
         )
         if not sound:

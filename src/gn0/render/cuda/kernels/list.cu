@@ -216,30 +216,63 @@ __device__ __forceinline__ u64 sum_block(u64 mine, u64 *held) {
   return sum;
 }
 
-KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u64 *sums) {
-  __shared__ u64 held[256 / WARP];
-  u64 mine = 0;
-  for (u32 k = 0; k < EACH; k++) {
-    u64 at = (u64)blockIdx.x * SCAN + k * 256 + threadIdx.x;
-    if (at < all_tiles) mine += counts[at];
-  }
-  u64 sum = sum_block(mine, held);
-  if (threadIdx.x == 0) sums[blockIdx.x] = sum;
+// Tiles are drawn longest list first, by class, so that no long one is left over at the end.
+#define CLASSES 8
+#define SHORT_BITS 10  // lists shorter than 2^10 are one class, in their own order
+
+__device__ __forceinline__ u32 class_of(u32 count) {
+  u32 bits = 32 - __clz(count | 1);
+  return bits <= SHORT_BITS ? 0 : min(bits - SHORT_BITS, (u32)CLASSES - 1);
 }
 
-// Starts of all lists; counts go back to zero.
-KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u64 *starts) {
+// How many of these counts are of each class, to be seen behind the next barrier.
+__device__ __forceinline__ void count_classes(const u32 *count, u32 n, u32 *classes) {
+  u32 plain = 0;
+  for (u32 k = 0; k < n; k++) {
+    u32 c = class_of(count[k]);
+    if (c) atomicAdd(classes + c, 1u);
+    else plain++;
+  }
+  if (plain) atomicAdd(classes, plain);
+}
+
+KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u64 *sums, u32 *classes) {
   __shared__ u64 held[256 / WARP];
+  __shared__ u32 mine_of[CLASSES];
+  if (threadIdx.x < CLASSES) mine_of[threadIdx.x] = 0;
+  __syncthreads();
+  u64 mine = 0;
+  u32 count[EACH], n = 0;
+  for (u32 k = 0; k < EACH; k++) {
+    u64 at = (u64)blockIdx.x * SCAN + k * 256 + threadIdx.x;
+    if (at < all_tiles) mine += count[n++] = counts[at];
+  }
+  count_classes(count, n, mine_of);
+  u64 sum = sum_block(mine, held);
+  if (threadIdx.x == 0) sums[blockIdx.x] = sum;
+  if (threadIdx.x < CLASSES && mine_of[threadIdx.x]) atomicAdd(classes + threadIdx.x, mine_of[threadIdx.x]);
+}
+
+// Starts of all lists, and the order in which they are drawn; counts go back to zero. `classes`
+// holds how many lists are of each class, if there are more blocks than one, and behind them
+// zeros.
+KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u64 *starts,
+                    u32 *classes, u32 *order) {
+  __shared__ u64 held[256 / WARP];
+  __shared__ u32 mine_of[CLASSES], place[CLASSES];
+  if (threadIdx.x < CLASSES) mine_of[threadIdx.x] = 0;
   u64 mine = 0;
   for (u32 b = threadIdx.x; b < blockIdx.x; b += 256) mine += sums[b];
   u64 before = sum_block(mine, held);
   u64 first = (u64)blockIdx.x * SCAN + threadIdx.x * EACH;
-  u32 count[EACH];
+  u32 count[EACH], n = 0;
   u64 total = 0;
   for (u32 k = 0; k < EACH; k++) {
     count[k] = first + k < all_tiles ? counts[first + k] : 0;
+    n += first + k < all_tiles;
     total += count[k];
   }
+  count_classes(count, n, mine_of);
   u64 sum = total;
   for (u32 d = 1; d < WARP; d <<= 1) {
     u64 other = __shfl_up_sync(FULL, sum, d);
@@ -247,10 +280,20 @@ KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u6
   }
   if (lane_id() == WARP - 1) held[threadIdx.x / WARP] = sum;
   __syncthreads();
+  if (threadIdx.x < CLASSES) {
+    u32 ahead = 0;
+    for (u32 c = threadIdx.x + 1; c < CLASSES; c++) ahead += gridDim.x > 1 ? classes[c] : mine_of[c];
+    place[threadIdx.x] = ahead + (gridDim.x > 1 ? atomicAdd(classes + CLASSES + threadIdx.x, mine_of[threadIdx.x]) : 0);
+  }
   for (u32 w = 0; w < threadIdx.x / WARP; w++) before += held[w];
   before += sum - total;
-  for (u32 k = 0; k < EACH; k++) {
-    if (first + k >= all_tiles) break;
+  __syncthreads();
+  u32 plain = 0;
+  for (u32 k = 0; k < n; k++) plain += !class_of(count[k]);
+  u32 at = plain ? atomicAdd(place, plain) : 0;
+  for (u32 k = 0; k < n; k++) {
+    u32 c = class_of(count[k]);
+    order[c ? atomicAdd(place + c, 1u) : at++] = (u32)first + k;
     starts[first + k] = before;
     counts[first + k] = 0;
     before += count[k];

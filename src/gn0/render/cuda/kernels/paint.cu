@@ -71,13 +71,14 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
 };
 
 struct Corner {  // of this block's tile and of the lane's first pixel
-  u32 view;
+  u32 all, view;  // the tile's number among those of all views
   int x_px, y_px, x, y;
 };
 
-__device__ __forceinline__ Corner find_corner(u32 tiles_x, u32 tiles) {
-  u32 tile = blockIdx.x % tiles, region = threadIdx.x / TEAM, lane = threadIdx.x % TEAM;
-  Corner c = {blockIdx.x / tiles, (int)(tile % tiles_x * TILE), (int)(tile / tiles_x * TILE)};
+__device__ __forceinline__ Corner find_corner(const u32 *__restrict__ order, u32 tiles_x, u32 tiles) {
+  u32 all = order[blockIdx.x];
+  u32 tile = all % tiles, region = threadIdx.x / TEAM, lane = threadIdx.x % TEAM;
+  Corner c = {all, all / tiles, (int)(tile % tiles_x * TILE), (int)(tile / tiles_x * TILE)};
   c.x = c.x_px + (int)(region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
   c.y = c.y_px + (int)(region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
   return c;
@@ -89,19 +90,19 @@ __device__ __forceinline__ u8 level(float value) {
 
 KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
- const u64 *__restrict__ entries, u64 capacity, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
+ u64 *entries, u64 capacity, const u32 *__restrict__ order, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
  int height, u32 flags, float back_red, float back_green, float back_blue, u8 *rgb_u8,
  float *rgb_f32, float *depth, float *alpha) {
   __shared__ __align__(16) TileRoom t;
   if (starts[all_tiles] > capacity) return;
-  Corner at = find_corner(tiles_x, tiles);
+  Corner at = find_corner(order, tiles_x, tiles);
   Picture p;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
     p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : -1.f;
     p.red[i] = p.green[i] = p.blue[i] = p.depth[i] = 0.f;
   }
-  walk_tile(t, p, views, clouds, starts, entries, at.view, at.x_px, at.y_px, flags);
+  walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
   u64 row = (u64)views[at.view].row * height;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
@@ -144,15 +145,15 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
 
 KERNEL_BOUNDED(mark_tiles, THREADS, BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
- const u64 *__restrict__ entries, u64 capacity, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
+ u64 *entries, u64 capacity, const u32 *__restrict__ order, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
  int height, u32 flags, float threshold, u32 *marks, u64 words) {
   __shared__ __align__(16) TileRoom t;
   if (starts[all_tiles] > capacity) return;
-  Corner at = find_corner(tiles_x, tiles);
+  Corner at = find_corner(order, tiles_x, tiles);
   Marks p;
   p.threshold = threshold, p.row = marks + views[at.view].row * words, p.shows = false;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++)
     p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : 0.f;
-  walk_tile(t, p, views, clouds, starts, entries, at.view, at.x_px, at.y_px, flags);
+  walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
 }

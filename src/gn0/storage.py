@@ -49,6 +49,7 @@ def storage_error(error: OSError, path: Path | str, doing: str) -> StorageError:
         errno.ENOENT: "check that the path exists",
         errno.ENOTDIR: "part of the path is a file, not a folder",
         errno.EISDIR: "this is a folder, not a file",
+        errno.EEXIST: "a file is in the way: choose another --out",
         errno.EIO: "the disk itself failed: check the disk, and use another --out meanwhile",
         errno.ENAMETOOLONG: "the name is too long for this file system",
     }
@@ -132,15 +133,41 @@ def read_bytes(path: Path | str, limit: int | None = None) -> bytes:
         raise storage_error(error, path, "read") from error
 
 
-def check_replaceable(path: Path | str, *, overwrite: bool, marker: str) -> None:
-    """Make sure that writing the folder `path` destroys nothing but an earlier one of its kind.
+def check_writable(path: Path | str) -> None:
+    """Make sure, before any work, that a file or folder can be written at `path`.
 
     Raises:
-        StorageError: it is not empty and `overwrite` is off, or it has no file named `marker`.
+        StorageError: the system refuses; with its reason.
     """
     path = Path(path)
-    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+    try:
+        folder = path.absolute().parent
+        while not folder.exists():
+            folder = folder.parent
+        os.rmdir(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=folder))
+    except OSError as error:
+        raise storage_error(error, path, "write") from error
+
+
+def check_replaceable(path: Path | str, *, overwrite: bool, marker: str) -> None:
+    """Make sure that the folder `path` can be written and destroys but an earlier one of its kind.
+
+    Raises:
+        StorageError: it is a file; it is not empty and `overwrite` is off, or it has no file named
+            `marker`; or the system refuses to write there.
+    """
+    path = Path(path)
+    check_writable(path)
+    try:
+        free = not path.exists() or (path.is_dir() and not any(path.iterdir()))
+    except OSError as error:
+        raise storage_error(error, path, "read") from error
+    if free:
         return
+    if not path.is_dir():
+        raise StorageError(
+            "is a file, not a folder", where=path, remedy="choose another --out, or remove the file"
+        )
     if not overwrite:
         raise StorageError(
             "the output folder exists and is not empty",

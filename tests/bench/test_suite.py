@@ -13,6 +13,7 @@ import pytest
 
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite, build_suite, load_suite, open_suite, save_suite
+from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, EpisodeError, FormatError, Gn0Error, StorageError
 from gn0.missions.episode import Episode
 from gn0.missions.files import save_episodes
@@ -110,6 +111,10 @@ def test_building_refuses_what_cannot_be_done(
         build_suite([flat_folder], tmp_path / "out", camera="fisheye")
     with pytest.raises(StorageError):
         build_suite([tmp_path / "nowhere"], tmp_path / "out")
+    before = sorted(flat_folder.iterdir())
+    with pytest.raises(StorageError, match="inside the scene folder"):
+        open_suite(flat_folder, beside=flat_folder)
+    assert sorted(flat_folder.iterdir()) == before
     assert list(tmp_path.iterdir()) == []
 
 
@@ -120,7 +125,23 @@ def test_an_existing_folder_is_not_overwritten_by_accident(
     (tmp_path / "out" / "thesis.tex").write_text("years of work")
     with pytest.raises(StorageError, match="not empty"):
         build_suite([flat_folder], tmp_path / "out", 2)
-    assert (tmp_path / "out" / "thesis.tex").exists()
+    for overwrite in (False, True):
+        with pytest.raises(StorageError):
+            build_suite([flat_folder], tmp_path / "out" / "thesis.tex", 2, overwrite=overwrite)
+    assert (tmp_path / "out" / "thesis.tex").read_text() == "years of work"
+
+
+def test_the_body_is_chosen_on_the_command_line(
+    flat_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    body = ["--radius", "0.3", "--camera-height", "0.8"]
+    out = str(tmp_path / "out")
+    assert main(["bench", "suite", str(flat_folder), "--episodes", "2", *body, "--out", out]) == 0
+    assert "2 episodes in 1 scene," in capsys.readouterr().out
+    agent = load_suite(out).about.agent
+    assert (agent.radius, agent.camera_height, agent.forward_step) == (0.3, 0.8, 0.25)
+    assert main(["bench", "suite", str(flat_folder), "--radius", "-1", "--out", out + "2"]) == 2
+    assert "--radius" in capsys.readouterr().err
 
 
 CLIMBERS = [
@@ -132,8 +153,16 @@ CLIMBERS = [
 @pytest.mark.parametrize("path", CLIMBERS)
 def test_a_scene_path_that_climbs_out_is_refused(copy: Path, path: str) -> None:
     edit_json(copy / "suite.json", lambda v: v["scenes"][0].update(folder=path))
-    with pytest.raises(StorageError, match="path"):
+    with pytest.raises(StorageError, match="path") as caught:
         load_suite(copy)
+    assert "suite.json, folder of scene 'flat'" in caught.value.where
+
+
+def test_a_camera_that_nobody_knows_is_named_with_its_file(copy: Path) -> None:
+    edit_json(copy / "suite.json", lambda v: v.update(camera="fisheye"))
+    with pytest.raises(ConfigError, match="fisheye") as caught:
+        load_suite(copy)
+    assert "suite.json, field 'camera'" in caught.value.where and "vlnce" in caught.value.remedy
 
 
 def test_a_scene_behind_a_link_is_refused(copy: Path, flat_folder: Path) -> None:

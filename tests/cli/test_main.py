@@ -5,11 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
 from gn0.cli.main import VERBS, find_verb, format_error, main, top_help
 from gn0.errors import FormatError
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import save_scene
 
 
 def test_help_names_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
@@ -84,3 +87,24 @@ def test_a_setting_out_of_range_is_named_as_it_was_typed(
     assert main(["scene", "generate", "--density", "3", "--out", f"{tmp_path}/flat"]) == 2
     err = capsys.readouterr().err
     assert "--density" in err and "5000" in err
+
+
+def test_unwritable_places_are_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(*args: object, **more: object) -> None:
+        raise AssertionError("began to work")
+
+    monkeypatch.setattr("gn0.scenes.procedural.generate.build_generated", work)
+    monkeypatch.setattr("gn0.scenes.sources.find_source", work)
+    monkeypatch.setattr("gn0.viewer.sheet.render_sheet", work)
+    save_scene(build_example_scene(spacing=0.2), tmp_path / "flat")
+    (tmp_path / "file").write_text("mine")
+    for place in (f"{tmp_path}/file", f"{tmp_path}/file/below"):
+        assert main(["scene", "generate", "--overwrite", "--out", place]) == 2
+        assert main(["scene", "import", f"{tmp_path}/flat", "--overwrite", "--out", place]) == 2
+    assert main(["scene", "show", f"{tmp_path}/flat", "--out", f"{tmp_path}/file/a.png"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("a file, not a folder") == 5
+    assert (tmp_path / "file").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "flat"]

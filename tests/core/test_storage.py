@@ -16,6 +16,8 @@ from gn0.storage import (
     Journal,
     RowDigest,
     cache_dir,
+    check_replaceable,
+    check_writable,
     content_hash,
     folder_atomic,
     read_bytes,
@@ -47,6 +49,31 @@ def test_unwritable_folder_is_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(StorageError, match="cannot write"):
         write_bytes(tmp_path / "file" / "below", b"x")
+
+
+def test_what_cannot_be_written_is_said_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check_writable(tmp_path / "new" / "folder" / "file")
+    assert names(tmp_path) == []
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(StorageError, match="cannot write") as caught:
+        check_writable(tmp_path / "file" / "below")
+    assert "a file, not a folder" in caught.value.remedy
+    for overwrite in (False, True):
+        with pytest.raises(StorageError, match="is a file, not a folder") as caught:
+            check_replaceable(tmp_path / "file", overwrite=overwrite, marker="scene.json")
+        assert "another --out" in caught.value.remedy
+    with pytest.raises(StorageError, match="cannot write"):
+        check_replaceable(tmp_path / ("a" * 300) / "b", overwrite=False, marker="scene.json")
+
+    def refuse(*args: object, **more: object) -> str:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("gn0.storage.tempfile.mkdtemp", refuse)
+    with pytest.raises(StorageError, match="Read-only") as caught:
+        check_replaceable(tmp_path / "new", overwrite=False, marker="scene.json")
+    assert "read-only" in caught.value.remedy
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:

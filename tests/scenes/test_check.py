@@ -66,6 +66,8 @@ def test_regions_and_goals_cut_off(scene):
     assert found["regions-cut-off"] == "warning"
     assert found["goals-cut-off"] == "warning"
     assert found["room-unreachable"] == "warning"
+    (cut,) = (f for f in check_scene(with_cells(scene, wall)) if f.code == "regions-cut-off")
+    assert "in 1 patch, cannot be reached" in cut.text
 
 
 def test_tiny_space(scene):

@@ -33,7 +33,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.state import MapMode
-from gn0.storage import content_hash, folder_atomic, safe_join, write_json
+from gn0.storage import check_replaceable, content_hash, folder_atomic, safe_join, write_json
 
 SUITE_FILE, EPISODE_FILE, SCENE_FOLDER = "suite.json", "episodes.parquet", "scenes"
 SUITE_VERSION = 1  # layout of suite.json
@@ -204,12 +204,22 @@ def load_suite(path: Path | str) -> Suite:
             where=about_path,
             remedy="build the suite again",
         )
-    find_preset(about.camera)
+    try:
+        find_preset(about.camera)
+    except ConfigError as error:
+        raise ConfigError(
+            error.what, where=f"{about_path}, field 'camera'", remedy=error.remedy
+        ) from None
     ids = [scene.id for scene in about.scenes]
     if len(set(ids)) != len(ids) or not ids:
         raise BenchError("scenes are missing or named twice", where=about_path, remedy="rebuild it")
     for scene in about.scenes:
-        if not (safe_join(folder, scene.folder) / "scene.json").is_file():
+        try:
+            inside = safe_join(folder, scene.folder)
+        except StorageError as error:
+            where = f"{about_path}, folder of scene {scene.id!r}"
+            raise StorageError(error.what, where=where, remedy=error.remedy) from None
+        if not (inside / "scene.json").is_file():
             raise StorageError(
                 f"scene {scene.id!r} is missing",
                 where=folder / scene.folder,
@@ -359,12 +369,12 @@ def build_suite(
         StorageError: a scene is missing, or `out` exists or cannot be written.
     """
     body = agent or find_preset(camera).agent
-    if Path(out).exists() and any(Path(out).iterdir()) and not overwrite:
-        raise StorageError(
-            "the output folder exists and is not empty",
-            where=out,
-            remedy="choose another --out, or pass --overwrite",
-        )
+    check_replaceable(out, overwrite=overwrite, marker=SUITE_FILE)
+    for path in scene_paths:  # a scene would be copied into itself
+        if Path(out).resolve().is_relative_to(Path(path).resolve()):
+            raise StorageError(
+                f"lies inside the scene folder {path}", where=out, remedy="choose another --out"
+            )
     scenes: list[Scene] = []
     episodes: list[Episode] = []
     for number, path in enumerate(scene_paths):

@@ -10,7 +10,8 @@ import tyro
 from gn0.config import Config
 
 EXAMPLES = """  gn0 bench suite out/flat out/house --episodes 50 --minimum-length 5 --out out/suite
-  gn0 bench suite out/flat --map-mode explored --out out/unknown-flat"""
+  gn0 bench suite out/flat --map-mode explored --out out/unknown-flat
+  gn0 bench suite out/flat --radius 0.35 --camera-height 0.8 --out out/wide-robot"""
 
 
 class Args(Config, frozen=True):
@@ -23,6 +24,8 @@ class Args(Config, frozen=True):
         seed: seed of the sampler.
         minimum_length: shortest geodesic from start to goal [m].
         camera: name of a camera preset.
+        radius: of the agent's body [m], instead of the preset's.
+        camera_height: of the agent's eye above the floor [m], instead of the preset's.
         map_mode: what the maps shown to a policy hold: the whole scene (prior), what the agent has
             seen (explored), or nothing (none).
         overwrite: replace an existing suite.
@@ -34,6 +37,8 @@ class Args(Config, frozen=True):
     seed: int = 0
     minimum_length: Annotated[float, msgspec.Meta(ge=0)] = 3.0
     camera: str = "gn_bench"
+    radius: Annotated[float, msgspec.Meta(ge=0, le=5)] | None = None
+    camera_height: Annotated[float, msgspec.Meta(gt=0, le=10)] | None = None
     map_mode: Literal["prior", "explored", "none"] = "prior"
     overwrite: bool = False
 
@@ -43,9 +48,14 @@ def run(args: Args) -> int:
     from gn0.bench.suite import build_suite
     from gn0.cli.console import draw_progress
     from gn0.errors import ConfigError
+    from gn0.sim.presets import find_preset
 
     if not args.scenes:
         raise ConfigError("no scene folder given", remedy="gn0 bench suite SCENE [SCENE ...]")
+    body = {"radius": args.radius, "camera_height": args.camera_height}
+    agent = msgspec.structs.replace(
+        find_preset(args.camera).agent, **{k: v for k, v in body.items() if v is not None}
+    )
     with draw_progress() as progress:
         suite = build_suite(
             args.scenes,
@@ -54,9 +64,14 @@ def run(args: Args) -> int:
             seed=args.seed,
             minimum_length=args.minimum_length,
             camera=args.camera,
+            agent=agent,
             map_mode=args.map_mode,
             overwrite=args.overwrite,
             progress=progress,
         )
-    print(f"{len(suite.episodes)} episodes in {len(args.scenes)} scenes, written to {args.out}")
+    count = len(args.scenes)
+    print(
+        f"{len(suite.episodes)} episodes in {count} scene{'' if count == 1 else 's'}, "
+        f"written to {args.out}"
+    )
     return 0

@@ -1,6 +1,7 @@
 """Say in plain words what is wrong with a scene, before anyone wastes an hour on it.
 
-Exit code 0: nothing wrong (notes do not count); 1: something is.
+Errors (the scene should not be used) end with exit code 1; warnings (it can be, but look) and notes
+with 0.
 """
 
 from __future__ import annotations

@@ -39,7 +39,8 @@ class Args(Config, frozen=True):
         density: Gaussians per square metre of floor, 5000 fast to 20000 sharp; by default
             10000 for homes, fewer for halls.
         light: normal, or draft for a quicker bake.
-        refine: fit the Gaussians to ray-traced pictures: sharper by about 8 dB, for minutes more.
+        refine: fit the Gaussians to ray-traced pictures: 34 dB instead of 26 at density 20000, for
+            a quarter of an hour and more.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
     """

@@ -30,12 +30,13 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.render.renderer import build_renderer
     from gn0.scenes.folder import load_scene
-    from gn0.storage import write_atomic
+    from gn0.storage import check_writable, write_atomic
     from gn0.viewer.sheet import render_sheet
 
     folder = Path(args.folder)
     scene = load_scene(folder)
     out = Path(args.out) if args.out else folder.resolve().parent / f"{folder.resolve().name}.png"
+    check_writable(out)
     with draw_progress() as progress:
         progress("drawing", 0, 1)
         sheet = render_sheet(scene, build_renderer(scene.gaussians))

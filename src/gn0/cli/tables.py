@@ -57,7 +57,8 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
     for summary in summaries:
         if summary.failed:
             policy = plain_text(summary.policy)
-            print(f"{policy}: {len(summary.failed)} episodes did not run:")
+            count = len(summary.failed)
+            print(f"{policy}: {count} episode{'' if count == 1 else 's'} did not run:")
             for failure in summary.failed:
                 print(f"  {plain_text(str(failure))}")
 

@@ -119,6 +119,6 @@ FIGURES = [
         id="procedural.psnr",
         title="Surfels against ray tracing",
         measure=measure_psnr,
-        minutes=30.0,
+        minutes=60.0,
     )
 ]

@@ -319,7 +319,9 @@ def read_column(table: pa.Table, name: str, kind: pa.DataType, path: Path | str)
     places = [i for i, column in enumerate(table.column_names) if column == name]
     if len(places) != 1:
         what = "column is missing" if not places else "column appears more than once"
-        raise FormatError(what, file=path, field=name, remedy="see docs: episode columns")
+        raise FormatError(
+            what, file=path, field=name, remedy="see docs/suites.md: its table of columns"
+        )
     column = table.column(places[0])
     if not _fits(column.type, kind):
         raise FormatError(

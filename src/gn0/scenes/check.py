@@ -149,8 +149,9 @@ def _check_walkable(scene: Scene, radius: float) -> Iterator[Finding]:
         yield Finding(
             level="warning",
             code="regions-cut-off",
-            text=f"{total - largest:.1f} of {total:.1f} m² walkable, in {cut} patches, cannot be "
-            f"reached from the largest region ({largest:.1f} m²)",
+            text=f"{total - largest:.1f} of {total:.1f} m² walkable, in {cut} patch"
+            f"{'' if cut == 1 else 'es'}, cannot be reached from the largest region "
+            f"({largest:.1f} m²)",
             remedy="open the doors between them, or use a smaller agent; episodes never cross",
         )
     main = int(np.argmax(areas))

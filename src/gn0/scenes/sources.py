@@ -13,6 +13,7 @@ from gn0.scenes.capture.settings import CaptureSettings, check_capture_settings
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION
 from gn0.scenes.scene import Scene
+from gn0.storage import check_replaceable
 
 
 class ImportSettings(Config, frozen=True):
@@ -128,21 +129,19 @@ def import_scene(
             remedy="give two heights above the floor, the lower first, e.g. 0.10 1.50",
         )
     if not 1 <= density <= 1_000_000:
-        raise SceneError(f"density {density:g} is not in 1..1,000,000 Gaussians a m²")
+        raise SceneError(
+            f"density {density:g} is not in 1..1,000,000 Gaussians a m²", remedy="use e.g. 10000"
+        )
     if not 0.005 <= resolution <= 1:
-        raise SceneError(f"resolution {resolution:g} m is not in 0.005..1")
+        raise SceneError(f"resolution {resolution:g} m is not in 0.005..1", remedy="use e.g. 0.05")
     if light not in ("home", "flat"):
         raise SceneError(f"light {light!r} is unknown", remedy='use "home" or "flat"')
-    if out.exists() and not overwrite and (not out.is_dir() or any(out.iterdir())):
-        raise StorageError(  # said now, not after a minute of work
-            "the output folder exists and is not empty",
-            where=out,
-            remedy="choose another --out, or pass --overwrite",
-        )
     if out.resolve() == path.resolve() or path.resolve().is_relative_to(out.resolve()):
         raise StorageError(
             "the output folder holds the source", where=out, remedy="choose another --out"
         )
+    # said now, not after a minute of work
+    check_replaceable(out, overwrite=overwrite, marker="scene.json")
     settings = check_config(
         ImportSettings(
             height_band=(float(low), float(high)),

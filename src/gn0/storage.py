@@ -302,7 +302,7 @@ def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
         if isinstance(value, np.ndarray):
             data = np.asarray(value, order="C")
             little = data.astype(data.dtype.newbyteorder("<"), copy=False)
-            digest.update(_array_head(little))
+            digest.update(array_head(little.dtype, little.shape))
             digest.update(little.reshape(-1).view(np.uint8).data)
         else:
             raw = value if isinstance(value, bytes) else repr(value).encode()
@@ -310,9 +310,9 @@ def content_hash(*arrays: NDArray[Any] | str | bytes | int | float) -> str:
     return digest.hexdigest()
 
 
-def _array_head(array: NDArray[Any]) -> bytes:
-    """What a hash says of an array before its bytes."""
-    head = f"a{array.dtype.str}{array.shape}".encode()
+def array_head(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+    """What `content_hash` says of an array before its bytes; `dtype` is little-endian."""
+    head = f"a{dtype.str}{shape}".encode()
     return len(head).to_bytes(4, "little") + head
 
 
@@ -331,7 +331,7 @@ class RowDigest:
         data = np.ascontiguousarray(array, np.uint8)
         if data.shape != self._shape:
             self._shape = data.shape
-            self._states = [hashlib.blake2b(_array_head(data), digest_size=16)]
+            self._states = [hashlib.blake2b(array_head(data.dtype, data.shape), digest_size=16)]
         kept = min(max(same, 0) // _STRIDE, len(self._states) - 1)
         del self._states[kept + 1 :]
         digest = self._states[kept].copy()

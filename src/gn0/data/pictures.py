@@ -84,6 +84,7 @@ class StepPictures:
         occupancy: uint8 [Hb, Wb, 3], the map with start and agent.
         files: encoded pictures by name, where they are made already.
         depth: uint16 [Hd, Wd] mm, see `gn0.render.depth`; None where it is not stored.
+        digests: of raw pixels by name, where they are made already.
     """
 
     rgb: U8
@@ -92,10 +93,11 @@ class StepPictures:
     occupancy: U8
     files: Mapping[str, bytes] = field(default_factory=dict)
     depth: U16 | None = None
+    digests: Mapping[str, str] = field(default_factory=dict)
 
     def hashes(self, known: Mapping[str, str] | None = None) -> dict[str, str]:
         """Digest of each picture's raw pixels; `known` spares those that are known already."""
-        known = known or {}
+        known = {**self.digests, **(known or {})}
         names = PICTURES if self.depth is None else (*PICTURES, DEPTH)
         return {
             name: known.get(name) or content_hash(np.asarray(getattr(self, name))) for name in names
@@ -112,6 +114,7 @@ class Seen:
         tile: the view as it is in later mosaics uint8 [120, 160, 3]; None where it is to be made.
         files: encoded pictures by name, the bytes that `encode_picture` gives.
         depth: uint16 [Hd, Wd] mm; None where it is not stored.
+        digests: of raw pixels by name, those that `content_hash` gives.
     """
 
     pose: Pose2D
@@ -119,6 +122,7 @@ class Seen:
     tile: U8 | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
     depth: U16 | None = None
+    digests: Mapping[str, str] = field(default_factory=dict)
 
 
 def draw_episode(
@@ -133,7 +137,9 @@ def draw_episode(
     bev = map_picture(eyes)
     for seen in draw_views(eyes, poses) if views is None else views:
         occupancy = eyes.occupancy_picture(start, seen.pose)
-        yield StepPictures(seen.rgb, history.mosaic(), bev, occupancy, seen.files, seen.depth)
+        yield StepPictures(
+            seen.rgb, history.mosaic(), bev, occupancy, seen.files, seen.depth, seen.digests
+        )
         if seen.tile is None:
             history.add(seen.rgb)
         else:
@@ -223,12 +229,17 @@ def draw_files(
         if depth and far is None:
             far = draw_millimetres(eyes, views)
         rgb, made = found.pictures["rgb"], bool(found.mosaics)
+        hashes = found.hashes
         for step, (pose, number) in enumerate(zip(batch, numbers, strict=True)):
-            files = {}
+            files, digests = {}, {}
             if made:
                 files = {"rgb": found.files[number], "history": found.mosaics[step]}
+                digests = {"rgb": hashes["rgb"][number], "history": hashes["mosaics"][step]}
+                if both and hashes["depth"]:
+                    digests[DEPTH] = hashes["depth"][number]
             tile = found.pictures["tiles"][number] if made else None
-            yield Seen(pose, rgb[number], tile, files, None if far is None else far[number])
+            deep = None if far is None else far[number]
+            yield Seen(pose, rgb[number], tile, files, deep, digests)
 
 
 def files_wanted(eyes: SensorSuite, settings: PictureSettings) -> bool:

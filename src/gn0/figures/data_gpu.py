@@ -26,6 +26,7 @@ from gn0.render.cuda.batch import RendererBatch
 from gn0.render.renderer import Output
 from gn0.render.share.client import DrawServer
 from gn0.render.share.depth import scale_on_device
+from gn0.render.share.digest import Mosaics, digest_on_device
 from gn0.render.share.jpeg import JpegEncoder
 from gn0.render.share.messages import Tally
 from gn0.scenes.folder import load_scene, save_scene
@@ -172,6 +173,10 @@ def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
         encoder.encode_mosaics(table, (160, 120), 4, QUALITY)
         device.synchronize()
 
+    def digest() -> None:
+        digest_on_device(device, [pictures.rgb, Mosaics(table, (160, 120), 4)])
+        device.synchronize()
+
     where = f"{describe_device(device)}; {views_count} views {camera.width}x{camera.height} a call"
     found = [
         ("draw, on the device", _median_ms(draw, rounds) / views_count, where),
@@ -179,6 +184,11 @@ def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
             "JPEG of view and mosaic, on the device",
             _median_ms(encode, rounds) / views_count,
             f"{where}, quality {QUALITY}, byte for byte libjpeg's",
+        ),
+        (
+            "digests of view and mosaic, on the device",
+            _median_ms(digest, rounds) / views_count,
+            f"{where}, blake2b of the raw pixels, a thread a picture",
         ),
     ]
     deep: tuple[Output, ...] = ("rgb", "depth")

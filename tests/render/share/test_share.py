@@ -31,6 +31,7 @@ from gn0.render.share.messages import Draw, Encode, Floor, lay_out
 from gn0.render.share.server import Server, open_listener
 from gn0.render.visible import RendererVisible
 from gn0.render.visible_places import VisibleOptions
+from gn0.storage import content_hash
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets"),
@@ -306,6 +307,11 @@ def test_depth_comes_in_millimetres_beside_the_same_pictures(serve, on_device, m
     assert "depth" not in plain.pictures
     assert (made.files, made.mosaics) == (plain.files, plain.mosaics)
     assert made.files == ([jpeg_of(picture) for picture in alone.rgb] if on_device else [])
+    if on_device:
+        assert made.hashes["depth"] == [content_hash(depth) for depth in wanted]
+        assert plain.hashes["depth"] == []
+        assert plain.hashes["rgb"] == made.hashes["rgb"] == [content_hash(p) for p in alone.rgb]
+        assert plain.hashes["mosaics"] == made.hashes["mosaics"] and len(plain.mosaics) == 7
 
 
 def jpeg_of(picture: np.ndarray) -> bytes:
@@ -321,6 +327,7 @@ def test_files_of_views_and_of_what_was_seen_before(serve, most) -> None:
     assert serving.server.encodes
     alone = RendererCpu(random_cloud(1)).render(CAMERA, views(7)).rgb
     expected: list[bytes] = []
+    laid: list[str] = []
     tiles: list[np.ndarray] = []
     order = [0, 1, 1, 2, 3, 4, 5, 6]  # a turn back shows the same view again
     for number in order:
@@ -329,12 +336,14 @@ def test_files_of_views_and_of_what_was_seen_before(serve, most) -> None:
             y, x = divmod(place, 2)
             mosaic[y * 12 : y * 12 + 12, x * 16 : x * 16 + 16] = tile
         expected.append(jpeg_of(mosaic))
+        laid.append(content_hash(mosaic))
         small = Image.fromarray(alone[number]).resize((16, 12), Image.Resampling.BOX)
         tiles.append(np.asarray(small))
 
     def walk(renderer: RendererShared) -> None:
         files: list[bytes] = []
         mosaics: list[bytes] = []
+        hashes: list[str] = []
         for begin, end, steps in ((0, 4, [0, 1, 1, 2, 3]), (4, 7, [0, 1, 2])):
             wish = Encode(
                 85, 200_000, (16, 12), 4, 2, np.array(steps, np.int32).tobytes(), begin == 0
@@ -346,6 +355,9 @@ def test_files_of_views_and_of_what_was_seen_before(serve, most) -> None:
                 np.testing.assert_array_equal(found.pictures["tiles"][index], np.asarray(wanted))
             files += found.files
             mosaics += found.mosaics
+            hashes += found.hashes["mosaics"]
+            assert found.hashes["rgb"] == [content_hash(p) for p in alone[begin:end]]
+        assert hashes == laid
         assert files == [jpeg_of(picture) for picture in alone]
         assert mosaics == expected
 
@@ -369,7 +381,7 @@ def test_files_of_views_and_of_what_was_seen_before(serve, most) -> None:
 def test_files_without_room_are_left_to_who_asked(serve) -> None:
     renderer = serve(BatchOnDevice(DeviceHost())).renderer(1)
     found = renderer.render_files(CAMERA, views(2), Encode(85, 10))
-    assert found.files == [] and found.pictures["rgb"].shape == (2, 36, 48, 3)
+    assert found.files == [] and not found.hashes and found.pictures["rgb"].shape == (2, 36, 48, 3)
     none = serve(RendererBatchCpu()).renderer(1)
     assert none.render_files(CAMERA, views(2), Encode(85, 10**6, (16, 12))).files == []
     bad = Encode(85, 10**5, (16, 12), steps=np.int32([2]).tobytes())

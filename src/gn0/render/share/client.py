@@ -66,11 +66,14 @@ class DrawnViews:
         pictures: by output, and "tiles" uint8 [V, h, w, 3] where mosaics were wanted.
         files: JPEG file of each view; empty where the server made none.
         mosaics: JPEG file of each step's mosaic; empty where the server made none.
+        hashes: `content_hash` of each view ("rgb"), mosaic ("mosaics") and depth in millimetres
+            ("depth"); without a name, or empty, where the server made none.
     """
 
     pictures: dict[str, NDArray[Any]]
     files: list[bytes] = field(default_factory=list)
     mosaics: list[bytes] = field(default_factory=list)
+    hashes: dict[str, list[str]] = field(default_factory=dict)
 
 
 class DrawConnection:
@@ -169,7 +172,10 @@ class DrawConnection:
             width, height = encode.tile[0] * encode.columns, encode.tile[1] * rows
             head = read_tables(width, height, encode.quality).head
             mosaics = join_files(head, area, starts[count:])
-        return DrawnViews(pictures, files, mosaics)
+        hashes = [answer.digests[at : at + 16].hex() for at in range(0, len(answer.digests), 16)]
+        steps = count + len(answer.mosaics)
+        named = {"rgb": hashes[:count], "mosaics": hashes[count:steps], "depth": hashes[steps:]}
+        return DrawnViews(pictures, files, mosaics, named)
 
     def _ask(self, message: msgspec.Struct) -> Drawn | DrawnBy:
         """The answer to a message.

@@ -102,6 +102,7 @@ class Handing:
         }
         if (files := batch.files) is not None:
             sources |= {"files": files.views.data, "tiles": files.tiles}
+            sources["digests"] = files.digests
             sources["mosaics"] = None if files.mosaics is None else files.mosaics.data
         for name, source in sources.items():
             if isinstance(source, DeviceArray) and source.nbytes:
@@ -147,7 +148,7 @@ class Handing:
                 arrays[output] = getattr(batch.pictures.numpy(), output)
             if arrays[output] is None:
                 raise RenderError(f"the renderer gave no {output}")
-        mosaics = 0
+        mosaics, rows = 0, sum(piece.rows.stop - piece.rows.start for piece in batch.pieces)
         for piece in batch.pieces:
             for wanted, target in piece.request.targets().items():
                 if wanted == "tiles" and wanted not in arrays:
@@ -159,11 +160,18 @@ class Handing:
             if (files := batch.files) is not None:
                 coded = self._coded.pop(id(piece.request), coded)
                 coded.add("files", arrays.get("files", NOTHING), files.views.starts, piece.rows)
+                views, laid, deep = np.split(
+                    arrays["digests"], np.cumsum([rows, sum(files.steps.values())])
+                )
+                coded.add_digests("files", views[piece.rows])
+                coded.add_digests("depth", deep[piece.rows])
                 if piece.last and files.mosaics is not None:
-                    steps = files.steps[id(piece.request)]
-                    coded.add("mosaics", arrays.get("mosaics", NOTHING), files.mosaics.starts,
-                              slice(mosaics, mosaics + steps))  # fmt: skip
-                    mosaics += steps
+                    steps = slice(mosaics, mosaics + files.steps[id(piece.request)])
+                    coded.add(
+                        "mosaics", arrays.get("mosaics", NOTHING), files.mosaics.starts, steps
+                    )
+                    coded.add_digests("mosaics", laid[steps])
+                    mosaics = steps.stop
                 if not piece.last:
                     self._coded[id(piece.request)] = coded
             if piece.last:
@@ -171,12 +179,13 @@ class Handing:
 
 
 class Coded:
-    """The files of a request as they come into its area, one behind the other."""
+    """The files of a request as they come into its area, one behind the other, and digests."""
 
     def __init__(self, request: Request) -> None:
         self._request = request
         _, self._at, self._end = lay_files(request.draw)
         self._sizes: dict[str, list[int]] = {"files": [], "mosaics": []}
+        self._digests = {"files": b"", "mosaics": b"", "depth": b""}
         self._fits = True
 
     def add(
@@ -192,9 +201,16 @@ class Coded:
             self._at += end - begin
             self._sizes[kind] += np.diff(starts[rows.start : rows.stop + 1]).tolist()
 
+    def add_digests(self, kind: str, digests: NDArray[np.uint8]) -> None:
+        """Take digests [n, 16]."""
+        self._digests[kind] += digests.tobytes()
+
     def answer(self) -> Drawn:
         """What the request is told."""
         number = self._request.draw.number
         if not self._fits:
             return Drawn(number)
-        return Drawn(number, tuple(self._sizes["files"]), tuple(self._sizes["mosaics"]))
+        sizes = self._sizes
+        return Drawn(
+            number, tuple(sizes["files"]), tuple(sizes["mosaics"]), b"".join(self._digests.values())
+        )

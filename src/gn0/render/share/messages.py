@@ -158,11 +158,14 @@ class Drawn(msgspec.Struct, frozen=True, tag="drawn"):
         files: bytes of each view's JPEG file without what all have in common; they follow each
             other behind the pictures. Empty where none were wanted, or they had no room.
         mosaics: of each step's mosaic; they follow the files.
+        digests: 16 bytes each, of the raw pixels: of the views, of the mosaics, and of the views'
+            depth in millimetres where it is drawn. Empty without files.
     """
 
     number: int
     files: tuple[int, ...] = ()
     mosaics: tuple[int, ...] = ()
+    digests: bytes = b""
 
 
 class Failed(msgspec.Struct, frozen=True, tag="failed"):

@@ -44,7 +44,6 @@ from gn0.render.share.messages import (
     Area,
     Draw,
     DrawnBy,
-    Encode,
     Floor,
     Inbox,
     Note,
@@ -365,7 +364,7 @@ class Server:
                     )
                 at += size
             middle = time.perf_counter()
-            files = self._make_files(pictures, first.encode, pieces)
+            files = self._make_files(pictures, first, pieces)
             self._handing.take(Batch(pictures, first.outputs, pieces, files))
             self._count(
                 views=end - begin,
@@ -374,15 +373,14 @@ class Server:
                 encoding=time.perf_counter() - middle,
             )
 
-    def _make_files(
-        self, pictures: Any, encode: Encode | None, pieces: list[Piece]
-    ) -> Files | None:
+    def _make_files(self, pictures: Any, draw: Draw, pieces: list[Piece]) -> Files | None:
         """Files of a batch, where they are wanted and its pictures are on a device."""
-        rgb = getattr(pictures, "rgb", None)
+        rgb, encode = getattr(pictures, "rgb", None), draw.encode
         if encode is None or self._files is None or not isinstance(rgb, DeviceArray):
             return None
         owners = [(piece.request, piece.rows, piece.last) for piece in pieces]
-        return self._files.make(rgb, encode, owners)
+        depth = pictures.depth if draw.millimetres else None
+        return self._files.make(rgb, encode, owners, depth)
 
     def _count(self, **more: float) -> None:
         more["copying"] = self._handing.seconds - self.tally.copying

@@ -1,0 +1,85 @@
+"""Digests of pictures made where the pictures are: those of `gn0.storage.content_hash`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import Device, DeviceArray, KernelSource
+from gn0.storage import array_head
+
+SOURCE = KernelSource("digest", (Path(__file__).parent / "kernels" / "digest.cu",))
+SIZE = 16  # bytes of a digest
+_THREADS = 8  # a block: each reads a line of memory of its own, so few share a multiprocessor
+_HEAD = 64
+_KIND = np.dtype(
+    [
+        ("pixels", "u8"), ("table", "u8"), ("size", "u4"), ("line", "u4"), ("height", "u4"),
+        ("columns", "u4"), ("cells", "u4"), ("first", "u4"), ("said", "u4"),
+        ("head", "u1", _HEAD),
+    ],
+    align=True,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Mosaics:
+    """Mosaics that are not laid out: which tiles each has.
+
+    Attributes:
+        table: address on the device of each mosaic's tiles uint8 [h, w, 3] [V, cells], row by row;
+            0 is black.
+        tile: their width and height [px].
+        columns: of a mosaic.
+    """
+
+    table: NDArray[np.uint64]
+    tile: tuple[int, int]
+    columns: int
+
+
+def digest_on_device(device: Device, kinds: Sequence[DeviceArray | Mosaics]) -> DeviceArray:
+    """Digests of pictures on a device: `content_hash` of each.
+
+    Args:
+        device: hashes.
+        kinds: arrays of pictures [V, …], each picture an array of its own, and mosaics. What they
+            name must stay until the work is done.
+
+    Returns:
+        uint8 [n, 16], of all pictures, in order.
+    """
+    rows = np.zeros(len(kinds), _KIND)
+    held, count = [], 0
+    for row, kind in zip(rows, kinds, strict=True):
+        row["first"] = count
+        if isinstance(kind, Mosaics):
+            width, height = kind.tile
+            cells = kind.table.shape[1]
+            shape: tuple[int, ...] = (height * (cells // kind.columns), width * kind.columns, 3)
+            dtype = np.dtype(np.uint8)
+            table = device.upload(np.ascontiguousarray(kind.table, np.uint64))
+            held.append(table)
+            row["table"], row["line"], row["height"] = table.pointer, 3 * width, height
+            row["columns"], row["cells"] = kind.columns, cells
+            count += len(kind.table)
+        else:
+            shape, dtype = kind.shape[1:], kind.dtype
+            row["pixels"], row["line"] = kind.pointer, kind.nbytes // max(len(kind), 1)
+            row["height"] = row["columns"] = row["cells"] = 1
+            count += len(kind)
+        row["size"] = int(np.prod(shape)) * dtype.itemsize
+        head = array_head(dtype, shape)
+        row["said"] = len(head)
+        row["head"][: len(head)] = np.frombuffer(head, np.uint8)
+    found = device.empty((count, SIZE), np.uint8)
+    if count:
+        device.load(SOURCE)["digest_pictures"].launch(
+            -(-count // _THREADS), _THREADS, device.upload(rows), np.int32(len(rows)),
+            np.uint32(count), found,
+        )  # fmt: skip
+    return found

@@ -24,7 +24,7 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.draw import STAGES, CloudDevice, Drawer, PicturesDevice
 from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.stages import time_stages
-from gn0.render.cuda.tune import Tuning
+from gn0.render.cuda.tune import FEW, Tuning
 
 _POSES = 4  # different sets of poses, taken in turn
 _BLACK = np.zeros(3, np.float32)
@@ -116,7 +116,27 @@ def list_tunings() -> list[Tuning]:
         {"cover_blocks": 3},
         {"cover_blocks": 5},
     ]
-    return [base, *(replace(base, **change) for change in changes)]
+    few = [
+        {},
+        {"region_height": 2},
+        {"region_width": 8},
+        {"pixels": 2},
+        {"pixels": 2, "stage": 128},
+        {"stage": 128},
+        {"capacity": 512, "buckets": 512, "stage": 128, "blocks": 10},
+        {"blocks": 12},
+        {"large": 12},
+    ]
+    large = [
+        {"pixels": 1, "stage": 256, "capacity": 1024, "buckets": 1024, "blocks": 3},
+        {"pixels": 1, "stage": 256, "blocks": 4},
+        {"pixels": 1, "stage": 256, "blocks": 3},
+    ]
+    return [
+        base,
+        *(replace(base, **change) for change in changes + large),
+        *(replace(FEW, **change) for change in few),
+    ]
 
 
 def name_tuning(tuning: Tuning) -> str:

@@ -13,7 +13,7 @@ from gn0.errors import ConfigError, DeviceMemoryError
 from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import upload_cloud
-from gn0.render.cuda.tune import Tuning
+from gn0.render.cuda.tune import FEW, Tuning
 from gn0.testing.check_renderer import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
@@ -55,6 +55,8 @@ TUNINGS = [
     Tuning(pixels=1, buckets=256, stage=64, views=1, large=0),  # whole warps list everything
     Tuning(pixels=4, region_height=4, group=False, views=3, large=10**6),
     Tuning(pixels=1, region_width=4, region_height=2, stage=32),
+    FEW,
+    Tuning(tile=8, pixels=2, capacity=64, buckets=64, stage=32),  # a block is one warp
     Tuning(pixels=1, region_width=8, region_height=4, large=16),
     Tuning(pixels=2, region_height=8, capacity=1024, buckets=1024, stage=160),
 ]

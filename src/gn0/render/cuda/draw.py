@@ -36,7 +36,7 @@ from gn0.render.cuda.tables import (
     most_blocks,
     share_work,
 )
-from gn0.render.cuda.tune import Tuning
+from gn0.render.cuda.tune import Tuning, choose_tuning
 from gn0.render.renderer import (
     ALPHA_CAP,
     ALPHA_MIN,
@@ -49,7 +49,6 @@ from gn0.render.renderer import (
 )
 
 CHUNK = 256  # splats a chunk
-TILE = 16  # px
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _FILES = ("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh", "walk.cuh", "paint.cu")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
@@ -164,7 +163,7 @@ class Drawer:
 
     Args:
         device: draws.
-        tuning: sizes that the kernels are compiled for.
+        tuning: sizes that the kernels are compiled for; chosen for each call when None.
         memory: bytes that the lists of one batch of views may take; a quarter of what is free
             at the first call when None.
     """
@@ -173,13 +172,14 @@ class Drawer:
         self, device: Device, tuning: Tuning | None = None, memory: int | None = None
     ) -> None:
         self.device = device
-        self.tuning = tuning or Tuning()
+        self._given = tuning
+        self.tuning = tuning or Tuning()  # of the last call
         self.memory = memory
         self.batches = 0  # drawn so far, repeats not counted
         self.repeats = 0  # batches begun again with more room or fewer views
         self.entries = 0  # tile entries of the last batch
         self.on_stage: Callable[[str], None] | None = None  # told of each stage before it begins
-        self._loaded: Mapping[str, Kernel] | None = None
+        self._loaded: dict[Tuning, Mapping[str, Kernel]] = {}
         self._held: dict[str, DeviceArray] = {}
         self._density: dict[tuple[object, ...], float] = {}  # entries a splat, by picture
         self._first_density = 0.5
@@ -297,6 +297,8 @@ class Drawer:
 
     def _run(self, work: _Work, kernel: str, last: tuple[Any, ...], antialiased: bool) -> None:
         """List and blend all views, in batches that have room."""
+        self.tuning = self._given or choose_tuning(work.camera, work.count)
+        work.cut(self.tuning.tile)
         if self.memory is None:
             self.memory = int(_MEMORY_SHARE * self.device.memory()[0])
         flags = (_ORTHO if work.camera.model == "ortho" else 0) | (
@@ -493,9 +495,10 @@ class Drawer:
 
     @property
     def _kernels(self) -> Mapping[str, Kernel]:
-        if self._loaded is None:
-            self._loaded = self.device.load(kernel_source(self.tuning))
-        return self._loaded
+        loaded = self._loaded.get(self.tuning)
+        if loaded is None:
+            loaded = self._loaded[self.tuning] = self.device.load(kernel_source(self.tuning))
+        return loaded
 
     def _tell(self, stage: str) -> None:
         if self.on_stage is not None:
@@ -536,8 +539,11 @@ class _Work:
         self.camera, self.table = camera, build_clouds(clouds)
         self.held = clouds  # the table only points to them
         self.chunks = self.table["chunks"].astype(np.int64)
-        self.tiles_x = -(-camera.width // TILE)
-        self.tiles = self.tiles_x * -(-camera.height // TILE)
+
+    def cut(self, tile: int) -> None:
+        """Cut pictures into squares of so many pixels a side."""
+        self.tiles_x = -(-self.camera.width // tile)
+        self.tiles = self.tiles_x * -(-self.camera.height // tile)
 
 
 class _WorkDevice(_Work):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from gn0.errors import ConfigError
+from gn0.render.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -12,6 +13,7 @@ class Tuning:
     """What may be tried on a card. No value changes a byte of the pictures.
 
     Attributes:
+        tile: side of the squares of pixels that have a list and a block each [px]: 8 or 16.
         pixels: pixels a lane blends, side by side in a row: 1, 2 or 4. More of them share the
             loads of a splat.
         region_width, region_height: of the part of a tile whose lanes walk one list [px].
@@ -27,6 +29,7 @@ class Tuning:
         predicate: whether colours are added under a predicate, in assembly, instead of times zero.
     """
 
+    tile: int = 16
     pixels: int = 2
     region_width: int = 4
     region_height: int = 4
@@ -42,9 +45,12 @@ class Tuning:
 
     def __post_init__(self) -> None:
         sound = (
-            self.pixels in (1, 2, 4)
+            self.tile in (8, 16)
+            and self.pixels in (1, 2, 4)
             and self.region_width in (4, 8, 16)
             and self.region_height in (2, 4, 8, 16)
+            and max(self.region_width, self.region_height) <= self.tile
+            and self.threads >= 32
             and self.pixels <= self.team <= 32
             and self.buckets & (self.buckets - 1) == 0
             and self.buckets % self.threads == 0
@@ -66,9 +72,20 @@ class Tuning:
     @property
     def threads(self) -> int:
         """Threads of a raster block."""
-        return 256 // self.pixels
+        return self.tile**2 // self.pixels
 
     @property
     def defines(self) -> tuple[tuple[str, int], ...]:
         """Macros of the kernels."""
         return tuple((f.name.upper(), int(getattr(self, f.name))) for f in fields(self))
+
+
+MANY = Tuning()
+FEW = Tuning(tile=8, pixels=1, capacity=256, buckets=256, stage=64, blocks=16)
+_MANY_TILES = 4000  # of 16x16; fewer do not fill a large card, and the longest list decides
+
+
+def choose_tuning(camera: Camera, views: int) -> Tuning:
+    """Sizes for a call: small tiles where it has few of them."""
+    tiles = -(-camera.width // MANY.tile) * -(-camera.height // MANY.tile) * views
+    return MANY if tiles > _MANY_TILES else FEW

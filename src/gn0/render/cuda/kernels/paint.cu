@@ -70,15 +70,15 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
   }
 };
 
-struct Corner {  // of this block's tile and of the lane's first pixel
+struct Place {  // of this block's tile and of the lane's first pixel
   u32 all, view;  // the tile's number among those of all views
   int x_px, y_px, x, y;
 };
 
-__device__ __forceinline__ Corner find_corner(const u32 *__restrict__ order, u32 tiles_x, u32 tiles) {
+__device__ __forceinline__ Place find_place(const u32 *__restrict__ order, u32 tiles_x, u32 tiles) {
   u32 all = order[blockIdx.x];
   u32 tile = all % tiles, region = threadIdx.x / TEAM, lane = threadIdx.x % TEAM;
-  Corner c = {all, all / tiles, (int)(tile % tiles_x * TILE), (int)(tile / tiles_x * TILE)};
+  Place c = {all, all / tiles, (int)(tile % tiles_x * TILE), (int)(tile / tiles_x * TILE)};
   c.x = c.x_px + (int)(region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
   c.y = c.y_px + (int)(region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
   return c;
@@ -95,7 +95,7 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
  float *rgb_f32, float *depth, float *alpha) {
   __shared__ __align__(16) TileRoom t;
   if (starts[all_tiles] > capacity) return;
-  Corner at = find_corner(order, tiles_x, tiles);
+  Place at = find_place(order, tiles_x, tiles);
   Picture p;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
@@ -132,9 +132,10 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
   __syncthreads();
   int columns = min(TILE, width - at.x_px), lines = min(TILE, height - at.y_px);
   u8 *out = rgb_u8 + ((row + at.y_px) * width + at.x_px) * 3;
-  if (width % 4 == 0 && columns == TILE) {  // whole words, twelve a line
-    for (int k = threadIdx.x; k < lines * 12; k += THREADS)
-      *(u32 *)(out + (u64)(k / 12) * width * 3 + k % 12 * 4) = ((const u32 *)t.picture)[k];
+  if (width % 4 == 0 && columns == TILE) {  // whole words
+    const int words = TILE * 3 / 4;  // of a line
+    for (int k = threadIdx.x; k < lines * words; k += THREADS)
+      *(u32 *)(out + (u64)(k / words) * width * 3 + k % words * 4) = ((const u32 *)t.picture)[k];
   } else {
     for (int k = threadIdx.x; k < lines * columns * 3; k += THREADS) {
       int line = k / (columns * 3), byte = k % (columns * 3);
@@ -149,7 +150,7 @@ KERNEL_BOUNDED(mark_tiles, THREADS, BLOCKS)
  int height, u32 flags, float threshold, u32 *marks, u64 words) {
   __shared__ __align__(16) TileRoom t;
   if (starts[all_tiles] > capacity) return;
-  Corner at = find_corner(order, tiles_x, tiles);
+  Place at = find_place(order, tiles_x, tiles);
   Marks p;
   p.threshold = threshold, p.row = marks + views[at.view].row * words, p.shows = false;
 #pragma unroll

@@ -8,7 +8,7 @@
 // STAGE splats at a time, with a bit for each region of the tile that a splat reaches; then each
 // team of lanes walks the list of its own region.
 
-#define THREADS (256 / PIXELS)
+#define THREADS (TILE * TILE / PIXELS)
 #define TEAM (REGION_WIDTH * REGION_HEIGHT / PIXELS)
 #define REGION_ROWS (TILE / REGION_HEIGHT)
 #define REGION_COLUMNS (TILE / REGION_WIDTH)
@@ -231,29 +231,44 @@ __device__ __forceinline__ void sort_group(TileRoom &t, const u64 *from, u32 siz
   __syncthreads();
 }
 
+// Where a tile lies: pixels are counted from the corner of a square of ORIGIN, so that smaller tiles
+// blend with the same numbers.
+#define ORIGIN 16
+
+struct Corner {
+  float left, top;    // centre of the square's first pixel
+  u32 x, y;           // the tile's first pixel in it
+};
+
+__device__ __forceinline__ Corner find_corner(int x_px, int y_px) {
+  u32 x = TILE < ORIGIN ? x_px % ORIGIN : 0, y = TILE < ORIGIN ? y_px % ORIGIN : 0;
+  return {(float)(x_px - (int)x) + 0.5f, (float)(y_px - (int)y) + 0.5f, x, y};
+}
+
 // Regions that a footprint reaches, a bit each, column by column. x, y: of its centre, from the
-// tile's first pixel centre.
-__device__ __forceinline__ u32 find_regions(const Footprint &f, float x, float y) {
+// square's first pixel centre.
+__device__ __forceinline__ u32 find_regions(const Footprint &f, float x, float y, const Corner &at) {
   Ellipse e = outline(f);
   u32 mask = 0;
 #pragma unroll
   for (int column = 0; column < REGION_COLUMNS; column++) {
-    float dx0 = (float)(column * REGION_WIDTH) - x, dx1 = dx0 + (float)(REGION_WIDTH - 1);
+    float dx0 = (float)(at.x + column * REGION_WIDTH) - x, dx1 = dx0 + (float)(REGION_WIDTH - 1);
     float2 cut = cut_rows(e, dx0, dx1);
-    float y0 = fmaxf(ceilf(y + cut.x - EDGE), 0.f);
-    float y1 = fminf(floorf(y + cut.y + EDGE) + 1.f, (float)TILE);
+    float y0 = fmaxf(ceilf(y + cut.x - EDGE), (float)at.y);
+    float y1 = fminf(floorf(y + cut.y + EDGE) + 1.f, (float)(at.y + TILE));
     if (y0 < y1 && dx0 <= f.rx + EDGE && dx1 >= -f.rx - EDGE) {
-      u32 r0 = (u32)y0 / REGION_HEIGHT, r1 = ((u32)y1 + REGION_HEIGHT - 1) / REGION_HEIGHT;
+      u32 r0 = ((u32)y0 - at.y) / REGION_HEIGHT;
+      u32 r1 = ((u32)y1 - at.y + REGION_HEIGHT - 1) / REGION_HEIGHT;
       mask |= ((1u << r1) - (1u << r0)) << (column * REGION_ROWS);
     }
   }
   return mask;
 }
 
-// Stages one entry at `at`; returns its regions. left, top: the tile's first pixel centre.
+// Stages one entry at `at`; returns its regions.
 template <bool COLOUR>
-__device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 flags, float left,
-                                           float top) {
+__device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 flags,
+                                           const Corner &corner) {
   u32 index = (u32)key;
   const Cloud &cloud = t.cloud[index >> 31];
   index &= ~TAIL;
@@ -264,12 +279,12 @@ __device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 fla
   Footprint f;
   const View w = load_view(t.view);
   if (!project(s, w, flags, f)) return 0;
-  float x = f.u - left, y = f.v - top;
+  float x = f.u - corner.left, y = f.v - corner.top;
   float qx = f.qx * SQRT_LOG2_E, qy = f.qy * SQRT_LOG2_E, k = root(f.qk * LOG2_E);
   Staged &to = t.staged[at];
   to.a = make_float4(qx, qy, -fmaf(qx, x, qy * y), k);
   float3 colour = make_float3(0.f, 0.f, 0.f);
-  u32 mask = find_regions(f, x, y);
+  u32 mask = find_regions(f, x, y, corner);
   if (COLOUR) colour = find_colour(cloud, s, slot, w);
   to.b = make_float4(-k * y, f.log_o * LOG2_E, colour.x, colour.y);
   to.c = make_float2(colour.z, f.z);
@@ -312,16 +327,16 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
   u64 *spare = entries + capacity + starts[tile];
   u32 n = (u32)(starts[tile + 1] - starts[tile]);
   if (!n) return;
-  if (threadIdx.x < sizeof(View) / 4) ((u32 *)&t.view)[threadIdx.x] = ((const u32 *)(views + view))[threadIdx.x];
-  if (threadIdx.x >= WARP && threadIdx.x < 2 * WARP) {
-    u32 k = threadIdx.x - WARP, words = sizeof(Cloud) / 4;
-    u32 cloud = k < words ? views[view].cloud : views[view].tail;
+  if (threadIdx.x < WARP) {
+    const u32 words = sizeof(Cloud) / 4;
+    u32 k = threadIdx.x, cloud = k < words ? views[view].cloud : views[view].tail;
+    ((u32 *)&t.view)[k] = ((const u32 *)(views + view))[k];
     ((u32 *)t.cloud)[k] = cloud == NOWHERE ? 0 : ((const u32 *)(clouds + cloud))[k % words];
   }
   u32 region = threadIdx.x / TEAM, lane = threadIdx.x % TEAM;
-  float x = (float)(region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
-  float y = (float)(region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
-  float left = (float)x_px + 0.5f, top = (float)y_px + 0.5f;
+  const Corner corner = find_corner(x_px, y_px);
+  float x = (float)(corner.x + region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
+  float y = (float)(corner.y + region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
   bool open = __any_sync(FULL, painter.open());  // of the warp
   bool parted = n > CAPACITY;
   const u64 *from = list;            // the next group
@@ -353,7 +368,7 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
       for (u32 k = threadIdx.x; k < STAGE; k += THREADS) {
         u32 mask = 0;
         if (first + k < size)
-          mask = stage_splat<Painter::COLOUR>(t, k, t.keys[first + k], flags, left, top);
+          mask = stage_splat<Painter::COLOUR>(t, k, t.keys[first + k], flags, corner);
         __syncwarp();
         u32 mine = 0;
 #pragma unroll

@@ -313,8 +313,8 @@ class Device(Protocol):
 
         The graph keeps every array that it uses alive. Run the same work once before: a first
         launch may compile and allocate. Within the block nothing can be waited for; `upload`
-        takes pinned arrays alone, which are read each time that the graph runs. No other thread
-        may use the device meanwhile: its work would be recorded too.
+        takes pinned arrays alone, which are read each time that the graph runs. Only what this
+        thread does is recorded.
 
         Raises:
             DeviceError: a recording is under way, or something in the block cannot be recorded.

@@ -70,8 +70,8 @@ class DeviceCuda:
         self.driver = driver or Driver()
         self.ordinal = ordinal
         self.lost: str | None = None
-        self.stream: int | None = None  # the legacy default stream, but while recording
-        self.recording: GraphCuda | None = None
+        self._recorder: tuple[int, int, GraphCuda] | None = None  # thread, stream, graph
+        self._record_lock = threading.Lock()
         self.last_kernel = ""
         self._get_current = self.driver.function("cuCtxGetCurrent")
         count = self.driver.count()
@@ -119,6 +119,18 @@ class DeviceCuda:
         """A call that needs no context."""
         code = self.driver.function(name)(*args)
         self.driver.check(code, name, f"cuda:{self.ordinal}")
+
+    @property
+    def recording(self) -> GraphCuda | None:
+        """What this thread records; other threads go on as ever."""
+        now = self._recorder
+        return now[2] if now is not None and now[0] == threading.get_ident() else None
+
+    @property
+    def stream(self) -> int | None:
+        """Where this thread's work goes: the legacy default stream, but while it records."""
+        now = self._recorder
+        return now[1] if now is not None and now[0] == threading.get_ident() else None
 
     def _attribute(self, number: int) -> int:
         value = ctypes.c_int()
@@ -512,18 +524,19 @@ class DeviceCuda:
     def capture(self) -> Iterator[GraphCuda]:
         """Record launches, fills and copies; see `gn0.device.device.Device`."""
         self._no_recording("a recording")
-        stream = self._side("capture")
-        self.call("cuStreamBeginCapture_v2", stream, _RELAXED)
-        graph = GraphCuda(self)
-        self.stream, self.recording = stream, graph
-        try:
-            yield graph
-        except BaseException:
-            self.stream = self.recording = None
-            graph.abandon(stream)
-            raise
-        self.stream = self.recording = None
-        graph.finish(stream)
+        with self._record_lock:
+            stream = self._side("capture")
+            self.call("cuStreamBeginCapture_v2", stream, _RELAXED)
+            graph = GraphCuda(self)
+            self._recorder = threading.get_ident(), stream, graph
+            try:
+                yield graph
+            except BaseException:
+                self._recorder = None
+                graph.abandon(stream)
+                raise
+            self._recorder = None
+            graph.finish(stream)
 
 
 class _Memory:

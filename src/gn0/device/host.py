@@ -20,6 +20,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -148,7 +149,7 @@ class DeviceHost:
         self._libc.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
         self._libc.mprotect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
         self._loaded: dict[str, dict[str, KernelHost]] = {}
-        self._recording: GraphHost | None = None
+        self._recorder: tuple[int, GraphHost] | None = None  # thread, graph
         self._watch = self._open_watch() if checked else None
 
     def _open_watch(self) -> Any:
@@ -286,6 +287,12 @@ class DeviceHost:
         """Nothing is ever under way."""
         self._no_recording("synchronize")
 
+    @property
+    def _recording(self) -> GraphHost | None:
+        """What this thread records."""
+        now = self._recorder
+        return now[1] if now is not None and now[0] == threading.get_ident() else None
+
     def do(self, work: Callable[[], object], used: Sequence[Any]) -> None:
         """Work now, or note it in the graph that is being recorded, with what it uses."""
         if self._recording is None:
@@ -329,11 +336,12 @@ class DeviceHost:
     def capture(self) -> Iterator[GraphHost]:
         """Record launches, fills and copies; see `gn0.device.device.Device`."""
         self._no_recording("a recording")
-        graph = self._recording = GraphHost()
+        graph = GraphHost()
+        self._recorder = threading.get_ident(), graph
         try:
             yield graph
         finally:
-            self._recording = None
+            self._recorder = None
         graph.whole = True
 
     def memory(self) -> tuple[int, int]:

@@ -1,8 +1,7 @@
 """Times the drawing kernels stage by stage, and tries their sizes.
 
 `python -m gn0.figures.tune` prints milliseconds a stage for the standard cases on the device that
-`GN0_DEVICE` names (the host emulation draws tiny ones); `--sweep` also tries other kernel sizes on
-the first case and says whether their pictures are the same bytes. Nothing is written.
+`GN0_DEVICE` names (the host emulation draws tiny ones); `--sweep` also tries other kernel sizes and says whether their pictures are the same bytes. Nothing is written.
 """
 
 from __future__ import annotations
@@ -177,6 +176,8 @@ def main(arguments: list[str]) -> None:
     print(f"{'ms':32} {head}    frames   entries  bytes")  # noqa: T201
     for case in build_cases(device, only):
         tunings = list_tunings() if sweep else [Tuning()]
+        if "--few" in arguments:  # those for calls with few tiles
+            tunings = [Tuning(), *(t for t in list_tunings() if t.tile == FEW.tile or t.stage > 128)]
         print(case.name, flush=True)  # noqa: T201
         for tuning in tunings:
             try:

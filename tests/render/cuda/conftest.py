@@ -14,7 +14,8 @@ from gn0.device.host import DeviceHost
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, EXTENT, FIELDS, LOG_OPACITY, REACH, RED, PackedCloud
 from gn0.render.cpu_raster import TILE, raster_tiles
-from gn0.render.cuda.draw import CloudDevice, Drawer, SetMissingError
+from gn0.render.cuda.draw import CloudDevice, Drawer
+from gn0.render.cuda.replay import SetMissingError
 from gn0.render.renderer import RenderOptions, check_views
 from gn0.render.visible_mark import mark_tiles
 from gn0.testing.check_renderer import random_cloud
@@ -53,6 +54,9 @@ class DrawerCpu(Drawer):
 
     def __init__(self, device: DeviceHost) -> None:
         super().__init__(device)
+
+    def record(self, *args, **options) -> None:
+        """It draws each call anew."""
 
     def draw(
         self, camera, matrices, clouds, cloud_of, *, tails=(), tail_of=None, pictures, rows=None,

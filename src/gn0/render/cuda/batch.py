@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
@@ -18,14 +19,16 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
-from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice, SetMissingError
+from gn0.render.cuda.draw import CloudDevice, Drawer
 from gn0.render.cuda.pack import CloudReady, prepare_cloud, upload_clouds
+from gn0.render.cuda.replay import PicturesDevice, Replay, SetMissingError
 from gn0.render.cuda.store import CloudStore, Load
 from gn0.render.cuda.tables import FLOOR, NO_PLACE, NO_SET, find_eyes
 from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.renderer import Output, RenderOptions, check_views
 from gn0.render.visible_places import VisibleOptions
 
+_CALLS = 8  # kinds of calls that are remembered
 _SETS_SHARE = 0.1  # of the memory that is free at the start, for visible sets
 OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
 _drawers: WeakKeyDictionary[Device, ref[Drawer]] = WeakKeyDictionary()
@@ -45,6 +48,7 @@ class _Arranged:
         numbers: what they point to.
         rows, joined: the same on the host; rows point to bytes of `joined`, counted from 1.
         cells: whose set each of the clouds behind those of the keys is.
+        sets: those of the keys.
     """
 
     stamp: tuple[object, ...]
@@ -54,6 +58,7 @@ class _Arranged:
     rows: NDArray[np.void]
     joined: NDArray[np.int32]
     cells: list[Part]
+    sets: list[VisibleSets]
 
     def holds_all(self, matrices: F64, numbers: NDArray[np.int32] | None) -> bool:
         """Whether the sets of all views [V, 4, 4] are here; if so, they count as used now.
@@ -80,6 +85,39 @@ class _Arranged:
             sets, cell = self.cells[number - len(self.rows)]
             sets.touch(cell)
         return True
+
+
+class _Call(NamedTuple):
+    """What makes two calls alike: all but the poses."""
+
+    camera: Camera
+    keys: tuple[str | None, ...] | str
+    shape: tuple[int, ...]
+    outputs: tuple[Output, ...]
+    background: tuple[float, ...] | None
+    visible: bool | VisibleSets | None
+
+
+@dataclass(eq=False)
+class _Again:
+    """A kind of call that has come before, and how to draw the next without its preparations.
+
+    Attributes:
+        sets: the visible sets that it is drawn from, in the versions that they had.
+        replay: None until it comes again.
+    """
+
+    sets: list[tuple[VisibleSets, int]]
+    replay: Replay | None = None
+
+    @property
+    def alive(self) -> bool:
+        """Whether it holds as it was recorded."""
+        return (
+            self.replay is not None
+            and self.replay.alive
+            and all(sets.version == version for sets, version in self.sets)
+        )
 
 
 class RendererBatch:
@@ -115,6 +153,7 @@ class RendererBatch:
         self._sets: OrderedDict[str, VisibleSets] = OrderedDict()  # least recently used first
         self.store.on_drop = self._let_go
         self._arranged: _Arranged | None = None
+        self._again: OrderedDict[_Call, _Again] = OrderedDict()  # last used last
         self._skip = self._wait = 0  # calls until views on the device are tried with sets again
 
     def __contains__(self, key: str) -> bool:
@@ -143,13 +182,13 @@ class RendererBatch:
         """
         if self.store.add(key, load, digest):
             self._sets.pop(key, None)
-            self._arranged = None
+            self._forget_calls()
 
     def remove(self, key: str) -> None:
         """Forget a scene."""
         self.store.remove(key)
         self._sets.pop(key, None)
-        self._arranged = None
+        self._forget_calls()
 
     def limit_to_visible(
         self,
@@ -184,7 +223,8 @@ class RendererBatch:
             antialiased=self.options.antialiased,
             cache=cache,
         )
-        self._sets[key], self._arranged = sets, None
+        self._sets[key] = sets
+        self._forget_calls()
         return sets
 
     def render(
@@ -230,6 +270,13 @@ class RendererBatch:
             DeviceError: the device is lost.
         """
         with lock_of(self.device):
+            asked: _Call | None = None
+            if tails is None and chosen is None and not isinstance(views, DeviceArray):
+                views = np.asarray(views)
+                asked = _name_call(camera, views, keys, outputs, background, visible)
+                there = None if asked is None else self._draw_again(asked, camera, views)
+                if there is not None:
+                    return there
             poses: F64 | DeviceArray
             numbers: NDArray[np.int32] | DeviceArray | None
             if isinstance(views, DeviceArray):
@@ -240,9 +287,12 @@ class RendererBatch:
             else:
                 poses = check_views(views)
                 named, numbers = _number_keys(_all_named(keys), len(poses))
-            if tails is None and isinstance(visible, bool | None) and len(poses):
+            simple = visible is None or isinstance(visible, bool | VisibleSets)
+            if isinstance(visible, VisibleSets) and len(named) > 1:
+                simple = False  # they are of one scene
+            if tails is None and simple and len(poses):
                 there = self._render_there(
-                    camera, poses, named, numbers, outputs, background, bool(visible)
+                    *(camera, poses, named, numbers, outputs, background, visible or False, asked)
                 )
                 if there is not None:
                     return there
@@ -266,27 +316,32 @@ class RendererBatch:
         chosen: NDArray[np.int32] | DeviceArray | None,
         outputs: tuple[Output, ...],
         background: tuple[float, float, float] | None,
-        visible: bool,
+        visible: bool | VisibleSets,
+        asked: _Call | None,
     ) -> PicturesDevice | None:
         """Draw views with tables made on the device; None where only the host can arrange it."""
         colour = check_picture(
             outputs, self.options.background if background is None else background
         )
         wanted = [key for key in keys if key is not None]
-        visible = visible and camera.model == "pinhole" and not self._sets.keys().isdisjoint(wanted)
+        if camera.model != "pinhole" or (visible is True and self._sets.keys().isdisjoint(wanted)):
+            visible = False
         known = isinstance(views, np.ndarray)
         if visible and self._skip and not known:
             self._skip -= 1
             return None
 
+        record: Callable[[], Replay | None] = lambda: None  # noqa: E731
+
         def draw() -> PicturesDevice | None:
+            nonlocal record
             found = self.store.together(wanted)
             if found is None:
                 return None
             clouds = [None if key is None else found[key] for key in keys]
             floors = None
             if visible:
-                self._arranged = self._arrange(keys, clouds)
+                self._arranged = self._arrange(keys, clouds, visible)
                 clouds, floors = self._arranged.clouds, self._arranged.floors
                 if isinstance(views, np.ndarray):
                     assert not isinstance(chosen, DeviceArray)
@@ -305,6 +360,12 @@ class RendererBatch:
                 background=colour,
                 antialiased=self.options.antialiased,
             )
+            if not isinstance(chosen, DeviceArray):
+                record = partial(
+                    *(self.drawer.record, camera, len(views), clouds, chosen),
+                    floors=floors,
+                    antialiased=self.options.antialiased,
+                )
             return pictures
 
         try:
@@ -316,14 +377,64 @@ class RendererBatch:
             return None
         self._wait = self._wait if known else 0
         self._trim_sets(wanted if visible else ())
+        if there is not None and asked is not None and not (visible and self._arranged is None):
+            self._remember(asked, record, bool(visible))
         return there
+
+    def _draw_again(
+        self, asked: _Call, camera: Camera, views: NDArray[np.floating]
+    ) -> PicturesDevice | None:
+        """Draw as a call like it was drawn; None where none was, or it cannot be done so."""
+        again = self._again.get(asked)
+        if again is None or not again.alive:
+            return None
+        assert again.replay is not None
+        try:
+            count = 1 if views.ndim == 2 else len(views)
+            pictures = self.drawer.pictures(camera, count, asked.outputs, self.options.rgb_float)
+            colour = self.options.background if asked.background is None else asked.background
+            if again.replay.draw(views, pictures, np.array(colour, np.float32)) is not None:
+                self._again.move_to_end(asked)
+                return pictures
+        except (DeviceMemoryError, SetMissingError):
+            pass
+        del self._again[asked]  # the long way makes room for it, or says what is wrong
+        return None
+
+    def _remember(
+        self, asked: _Call, record: Callable[[], Replay | None], visible: bool
+    ) -> None:
+        """Note that a call was drawn; one that came before is recorded."""
+        arranged = self._arranged if visible else None
+        sets = [] if arranged is None else [(one, one.version) for one in arranged.sets]
+        again = self._again.get(asked)
+        if again is None:
+            self._again[asked] = _Again(sets)
+            while len(self._again) > _CALLS:
+                self._again.popitem(last=False)
+        elif not again.alive:
+            with suppress(DeviceMemoryError):
+                again.replay, again.sets = record(), sets
+        self._again.move_to_end(asked)
+
+    def _forget_calls(self) -> None:
+        """Something that calls were prepared with has changed, or its memory is wanted."""
+        self._arranged = None
+        self._again.clear()
 
     def _place(self, array: NDArray[Any] | DeviceArray) -> DeviceArray:
         return self.device.upload(array) if isinstance(array, np.ndarray) else array
 
-    def _arrange(self, keys: list[str | None], clouds: Sequence[CloudDevice | None]) -> _Arranged:
+    def _arrange(
+        self,
+        keys: list[str | None],
+        clouds: Sequence[CloudDevice | None],
+        visible: bool | VisibleSets,
+    ) -> _Arranged:
         """The clouds of `keys` with the visible sets that are here; kept while those are."""
         mine = [None if key is None else self._sets.get(key) for key in keys]
+        if isinstance(visible, VisibleSets):
+            mine = [None if key is None else visible for key in keys]
         stamp = (
             *(tuple(keys), tuple(map(id, clouds)), tuple(map(id, mine))),
             tuple(-1 if sets is None else sets.version for sets in mine),
@@ -350,7 +461,10 @@ class RendererBatch:
         placed["numbers"][floors["numbers"] > 0] += np.uint64(there.pointer - 1)
         table = self.device.upload(placed.view(np.uint8).reshape(len(keys), -1))
         sets_now = tuple(-1 if sets is None else sets.version for sets in mine)
-        return _Arranged((*stamp[:3], sets_now), every, table, there, floors, joined, cells)
+        return _Arranged(
+            *((*stamp[:3], sets_now), every, table, there, floors, joined, cells),
+            [sets for sets in mine if sets is not None],
+        )
 
     def _render(
         self,
@@ -410,7 +524,7 @@ class RendererBatch:
                 break
             total -= sets.used
             sets.clear()
-            self._arranged = None
+            self._forget_calls()
 
     def _with_room(
         self,
@@ -428,7 +542,7 @@ class RendererBatch:
             try:
                 return attempt()
             except DeviceMemoryError:
-                self._arranged = None  # holds sets and clouds
+                self._forget_calls()  # they hold sets and clouds
                 if self.store.give_way(wanted) or self.store.give_way(pinned):
                     continue
                 if cleared or not _clear_sets([*self._sets.values(), *_sets_of(parts)]):
@@ -437,7 +551,7 @@ class RendererBatch:
 
     def _let_go(self, key: str) -> None:
         """A cloud is about to give way: its sets must not keep its memory."""
-        self._arranged = None
+        self._forget_calls()
         if key in self._sets:
             self._sets[key].let_go()
 
@@ -530,6 +644,26 @@ def _check_there(
             )
         return list(keys), chosen
     return _number_keys(keys, count)
+
+
+def _name_call(
+    camera: Camera,
+    views: NDArray[np.floating],
+    keys: Sequence[str | None] | str,
+    outputs: tuple[Output, ...],
+    background: Sequence[float] | None,
+    visible: bool | VisibleSets | Sequence[Cell | None] | None,
+) -> _Call | None:
+    """What a call is remembered by; None if it is not of a kind that is."""
+    if not (visible is None or isinstance(visible, bool | VisibleSets)):
+        return None
+    if views.dtype.kind not in "fiu" or views.shape[-2:] != (4, 4) or not 2 <= views.ndim <= 3:
+        return None
+    if not views.size:
+        return None
+    named = keys if isinstance(keys, str) else tuple(keys)
+    behind = None if background is None else tuple(background)
+    return _Call(camera, named, views.shape, tuple(outputs), behind, visible)
 
 
 def _number_keys(

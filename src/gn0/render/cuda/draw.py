@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +24,10 @@ from gn0.device.device import Device, DeviceArray, Download, Kernel, KernelSourc
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
+from gn0.render.cuda.replay import PicturesDevice, Replay, ReplayHeader, build_target, raise_wrong
 from gn0.render.cuda.tables import (
     GROUP,
-    NOWHERE,
+    TARGET,
     VIEW,
     Shares,
     build_cloud,
@@ -49,6 +51,7 @@ from gn0.render.renderer import (
 )
 
 CHUNK = 256  # splats a chunk
+_FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _FILES = ("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh", "walk.cuh", "paint.cu")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
@@ -57,18 +60,10 @@ _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
 _CLASSES = 8  # of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
-_NOT_HELD = 3
-_WRONG = (  # with a view, as `views.cu` numbers it
-    ("a view is not finite", ""),
-    ("a view is not a rigid transform", "give a rotation and a translation, world to camera"),
-    ("a view is of no scene that is here", "give numbers of keys that are not None"),
-)
+_ROW = 256  # bytes that pictures sharing memory are laid out by
+_TOGETHER = 2**26  # bytes of pictures up to which they share memory
 
 _log = logging.getLogger(__name__)
-
-
-class SetMissingError(RenderError):
-    """A view on the device is to be drawn from a visible set that is not there."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -119,26 +114,8 @@ class CloudDevice:
         return sum(array.nbytes for array in arrays if array is not None)
 
 
-@dataclass(frozen=True, eq=False)
-class PicturesDevice:
-    """Pictures of V views on a device; a field is None when it was not asked for.
-
-    Attributes:
-        rgb: uint8 [V, H, W, 3], or float32 with `rgb_float`.
-        depth: camera z of the expected surface [V, H, W] float32 m; +inf where alpha < 0.5.
-        alpha: accumulated opacity [V, H, W] float32 in 0..1.
-    """
-
-    rgb: DeviceArray | None
-    depth: DeviceArray | None
-    alpha: DeviceArray | None
-
-    def numpy(self) -> RenderResult:
-        """Copies in host memory."""
-        rgb, depth, alpha = (
-            None if a is None else a.numpy() for a in (self.rgb, self.depth, self.alpha)
-        )
-        return RenderResult(rgb, depth, alpha)
+def _flags(camera: Camera, antialiased: bool) -> int:
+    return (_ORTHO if camera.model == "ortho" else 0) | (_ANTIALIASED if antialiased else 0)
 
 
 def kernel_source(tuning: Tuning) -> KernelSource:
@@ -187,6 +164,7 @@ class Drawer:
         self._plan: tuple[tuple[bytes, ...], Shares, list[DeviceArray]] | None = None
         self._named: tuple[bytes, DeviceArray] | None = None
         self._heard: NDArray[np.uint64] | None = None  # pinned
+        self._replays: WeakSet[Replay] = WeakSet()
 
     def pictures(
         self, camera: Camera, count: int, outputs: Sequence[Output], rgb_float: bool = False
@@ -197,12 +175,26 @@ class Drawer:
             DeviceMemoryError: there is not so much.
         """
         shape = (count, camera.height, camera.width)
-        kind = np.float32 if rgb_float else np.uint8
-        return PicturesDevice(
-            self.device.empty((*shape, 3), kind) if "rgb" in outputs else None,
-            self.device.empty(shape, np.float32) if "depth" in outputs else None,
-            self.device.empty(shape, np.float32) if "alpha" in outputs else None,
-        )
+        pixels, kind = math.prod(shape), np.dtype(np.float32 if rgb_float else np.uint8)
+        parts = [
+            (name in outputs, pixels * size, dims, what)
+            for name, size, dims, what in (
+                ("rgb", 3 * kind.itemsize, (*shape, 3), kind),
+                ("depth", 4, shape, _FLOAT),
+                ("alpha", 4, shape, _FLOAT),
+            )
+        ]
+        size = sum(-(-size // _ROW) * _ROW for wanted, size, _, _ in parts if wanted)
+        if size > _TOGETHER:  # whoever keeps one of them should not keep all
+            return PicturesDevice(
+                *(self.device.empty(dims, what) if wanted else None for wanted, _, dims, what in parts)
+            )
+        whole, at, arrays = self.device.empty(size, np.uint8), 0, []
+        for wanted, size, dims, what in parts:
+            place = whole.pointer + at
+            arrays.append(DeviceArray(self.device, place, dims, what, whole.owner) if wanted else None)
+            at += -(-size // _ROW) * _ROW if wanted else 0
+        return PicturesDevice(*arrays)
 
     def draw(
         self,
@@ -246,12 +238,7 @@ class Drawer:
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
         """
-        as_float = pictures.rgb is not None and pictures.rgb.dtype == np.float32
-        last = (
-            *(np.float32(value) for value in background),
-            *((None, pictures.rgb) if as_float else (pictures.rgb, None)),
-            *(pictures.depth, pictures.alpha),
-        )
+        last = (None, build_target(pictures, background))
         work: _Work
         if isinstance(matrices, DeviceArray):
             assert not tails and rows is None and not isinstance(cloud_of, np.ndarray)
@@ -297,13 +284,8 @@ class Drawer:
 
     def _run(self, work: _Work, kernel: str, last: tuple[Any, ...], antialiased: bool) -> None:
         """List and blend all views, in batches that have room."""
-        self.tuning = self._given or choose_tuning(work.camera, work.count)
-        work.cut(self.tuning.tile)
-        if self.memory is None:
-            self.memory = int(_MEMORY_SHARE * self.device.memory()[0])
-        flags = (_ORTHO if work.camera.model == "ortho" else 0) | (
-            _ANTIALIASED if antialiased else 0
-        )
+        self._begin(work)
+        flags = _flags(work.camera, antialiased)
         begin, most = 0, work.count
         while begin < work.count:
             wanted = min(most, work.count - begin)
@@ -313,7 +295,7 @@ class Drawer:
             try:
                 need = self._run_batch(work, slice(begin, begin + count), kernel, last, flags)
             except DeviceMemoryError:
-                self._held.pop("entries", None)
+                self._let_go("entries")
                 if count == 1:
                     raise
                 most = count // 2
@@ -327,6 +309,13 @@ class Drawer:
                 continue
             self.batches += 1
             begin += count
+
+    def _begin(self, work: _Work) -> None:
+        """Choose the kernels' sizes, and how much memory lists may take."""
+        self.tuning = self._given or choose_tuning(work.camera, work.count)
+        work.cut(self.tuning.tile)
+        if self.memory is None:
+            self.memory = int(_MEMORY_SHARE * self.device.memory()[0])
 
     def _fit(self, work: _Work, begin: int) -> int:
         """How many views from `begin` on will probably have room, at least one."""
@@ -344,72 +333,101 @@ class Drawer:
         self, work: _Work, views: slice, kernel: str, last: tuple[Any, ...], flags: int
     ) -> int:
         """List and blend one batch; returns 0, or the entries that it needs and has no room for."""
-        assert self.memory is not None
-        count, tiles = views.stop - views.start, work.tiles
-        all_tiles = count * tiles
         self._tell("upload")
-        starts = self._need("starts", all_tiles + 2, np.uint64)  # behind them: a view that is none
-        listing_blocks, (clouds, groups, members), group_count, view_table = self._tables(
-            work, views, starts[all_tiles + 1 : all_tiles + 2]
-        )
-        blocks = -(-all_tiles // _SCAN)
-        counts = self._need("counts", all_tiles + 2 * _CLASSES, np.uint32)
-        classes = counts[all_tiles : all_tiles + 2 * _CLASSES]
-        order = self._need("order", all_tiles, np.uint32)
-        sums = self._need("sums", blocks, np.uint64)
-        entries, expected = self._held.get("entries"), work.splats[views].sum() * self._expect(work)
-        if entries is None or len(entries) // 2 < min(expected, self.memory // _ENTRY):
-            guess = int(expected * 1.25) + 64 * all_tiles
-            entries = self._grow(min(guess, self.memory // _ENTRY))
-        kernels = self._kernels
-        room = len(entries) // 2
-        capacity, whole = np.uint64(room), np.uint32(all_tiles)
-        sizes = (np.uint32(work.tiles_x), np.uint32(tiles))
-        shared_out = (groups, np.uint32(group_count), members)
-        listing = (view_table, clouds, *shared_out, *sizes, np.uint32(flags), counts)
-        self._tell("count")
-        self.device.fill(counts[: all_tiles + 2 * _CLASSES], 0)
-        kernels["count_entries"].launch(listing_blocks, CHUNK, *listing)
-        self._tell("scan")
-        if blocks > 1:
-            kernels["sum_counts"].launch(blocks, 256, counts, whole, sums, classes)
-        kernels["scan_counts"].launch(blocks, 256, counts, whole, sums, starts, classes, order)
+        lists = self._lay_out(work, views, flags)
+        self._list(work, lists)
         # the host waits for this copy alone, and goes on while the device draws
-        words = self._hear(starts[all_tiles : all_tiles + 1 + work.checked])
-        self._tell("emit")
-        kernels["emit_entries"].launch(
-            listing_blocks, CHUNK, *listing, starts, entries, capacity, whole
-        )
-        self._tell("blend")
-        shape = (np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags))
-        lists = (view_table, clouds, starts, entries, capacity, order, whole)
-        kernels[kernel].launch(all_tiles, self.tuning.threads, *lists, *sizes, *shape, *last)
+        words = self._hear(lists.told)
+        self._blend(lists, kernel, last)
         self._tell("end")
         total, *wrong = words.numpy().tolist()
-        if wrong and wrong[0] & NOWHERE != NOWHERE:
-            where = f"view {(wrong[0] & NOWHERE) >> 2}"
-            if wrong[0] & 3 == _NOT_HELD:
-                raise SetMissingError("its visible set is not on the device", where=where)
-            what, remedy = _WRONG[wrong[0] & 3]
-            raise RenderError(what, where=where, remedy=remedy)
+        if wrong:
+            raise_wrong(wrong[0])
         self.entries, splats = total, int(work.splats[views].sum())
         if splats:  # visible sets list more a splat than whole clouds: forget them slowly
             self._density[work.picture] = max(
                 total / splats, 0.95 * self._density.get(work.picture, 0.0)
             )
-        if total <= room:
+        if total <= lists.room:
             return 0
-        if total * _ENTRY <= self.memory or count == 1:
+        assert self.memory is not None
+        if total * _ENTRY <= self.memory or lists.count == 1:
             self._grow(total + total // 8)
-        return total
+        return int(total)
+
+    def _lay_out(self, work: _Work, views: slice, flags: int, own: bool = False) -> _Lists:
+        """Buffers and tables of a batch; `own`: tables that no other call writes over."""
+        assert self.memory is not None
+        count, tiles = views.stop - views.start, work.tiles
+        all_tiles = count * tiles
+        starts = self._need("starts", all_tiles + 2, np.uint64)  # behind them: a view that is none
+        blocks = -(-all_tiles // _SCAN)
+        counts = self._need("counts", all_tiles + 2 * _CLASSES, np.uint32)
+        sums = self._need("sums", blocks, np.uint64)
+        order = self._need("order", all_tiles, np.uint32)
+        entries, expected = self._held.get("entries"), work.splats[views].sum() * self._expect(work)
+        if entries is None or len(entries) // 2 < min(expected, self.memory // _ENTRY):
+            guess = int(expected * 1.25) + 64 * all_tiles
+            entries = self._grow(min(guess, self.memory // _ENTRY))
+        listing_blocks, (clouds, groups, members), group_count, view_table = self._tables(
+            work, views, own
+        )
+        return _Lists(
+            *(views.start, count, all_tiles, blocks, listing_blocks),
+            room=len(entries) // 2,
+            views=view_table,
+            clouds=clouds,
+            groups=groups,
+            group_count=group_count,
+            members=members,
+            starts=starts,
+            told=starts[all_tiles : all_tiles + 1 + work.checked],
+            counts=counts[: all_tiles + 2 * _CLASSES],
+            classes=counts[all_tiles : all_tiles + 2 * _CLASSES],
+            sums=sums,
+            order=order,
+            entries=entries,
+            sizes=(np.uint32(work.tiles_x), np.uint32(tiles)),
+            shape=(np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags)),
+        )
+
+    def _list(self, work: _Work, lists: _Lists) -> None:
+        """Launch all that comes before the blending but the filling of lists."""
+        if isinstance(work, _WorkDevice):
+            self._write_views(work, lists)
+        kernels, counts, whole = self._kernels, lists.counts, np.uint32(lists.all_tiles)
+        self._tell("count")
+        self.device.fill(counts, 0)
+        kernels["count_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing)
+        self._tell("scan")
+        rest = (lists.sums, lists.classes)
+        if lists.blocks > 1:
+            kernels["sum_counts"].launch(lists.blocks, 256, counts, whole, *rest)
+        kernels["scan_counts"].launch(
+            *(lists.blocks, 256, counts, whole, lists.sums, lists.starts),
+            *(lists.classes, lists.order),
+        )
+
+    def _blend(self, lists: _Lists, kernel: str, last: tuple[Any, ...]) -> None:
+        """Launch the filling of lists and the blending."""
+        kernels, whole, capacity = self._kernels, np.uint32(lists.all_tiles), np.uint64(lists.room)
+        self._tell("emit")
+        kernels["emit_entries"].launch(
+            lists.listing_blocks, CHUNK, *lists.listing, lists.starts, lists.entries, capacity, whole
+        )
+        self._tell("blend")
+        kernels[kernel].launch(
+            *(lists.all_tiles, self.tuning.threads, lists.views, lists.clouds, lists.starts),
+            *(lists.entries, capacity, lists.order, whole, *lists.sizes, *lists.shape, *last),
+        )
 
     def _tables(
-        self, work: _Work, views: slice, wrong: DeviceArray
+        self, work: _Work, views: slice, own: bool
     ) -> tuple[int, list[DeviceArray], int, DeviceArray]:
         """Blocks that list; clouds, groups and members; how many groups; and the views."""
         if isinstance(work, _WorkDevice):
-            return self._tables_there(work, views, wrong)
-        shares, tables = self._share(work, work.cloud_of[views], work.tail_of[views])
+            return self._tables_there(work, views, own)
+        shares, tables = self._share(work, work.cloud_of[views], work.tail_of[views], own)
         table = build_views(
             work.camera,
             work.matrices[views],
@@ -420,51 +438,100 @@ class Drawer:
         return shares.blocks, tables, len(shares.groups), self._upload("views", table)
 
     def _tables_there(
-        self, work: _WorkDevice, views: slice, wrong: DeviceArray
+        self, work: _WorkDevice, views: slice, own: bool
     ) -> tuple[int, list[DeviceArray], int, DeviceArray]:
-        """The same of views that the host does not know; `wrong` is told of one that is none."""
+        """The same of views that the host does not know: room for what the device will write."""
         count, known = views.stop - views.start, len(work.table)
         view_table = self._need("views", count * VIEW.itemsize // 4, np.uint32)
         if not work.grouped:  # all show one cloud, so the host can share the work out
             nothing = np.zeros(count, np.int32)
-            shares, tables = self._share(work, nothing, nothing - 1)
-            blocks, groups = shares.blocks, len(shares.groups)
-        else:
-            tables = [self._clouds(work), *(
-                self._need(name, words, np.uint32) for name, words in (
-                    ("groups", known * GROUP.itemsize // 4), ("members", count))
-            )]  # fmt: skip
-            blocks, groups = most_blocks(work.chunks, count, self.tuning.views), known
+            shares, tables = self._share(work, nothing, nothing - 1, own)
+            return shares.blocks, tables, len(shares.groups), view_table
+        self._need("shown", known, np.uint32)
+        tables = [self._clouds(work, own), *(
+            self._need(name, words, np.uint32) for name, words in (
+                ("groups", known * GROUP.itemsize // 4), ("members", count))
+        )]  # fmt: skip
+        return most_blocks(work.chunks, count, self.tuning.views), tables, known, view_table
+
+    def _write_views(self, work: _WorkDevice, lists: _Lists) -> None:
+        """Let the device make the tables of views; `wrong` is told of one that is none."""
+        count, known, wrong = lists.count, len(work.table), lists.told[1:2]
         self.device.fill(wrong, 0xFF)
         self._kernels["write_views"].launch(
-            *(-(-count // 128), 128, work.poses, work.chosen, tables[0]),
+            *(-(-count // 128), 128, work.poses, work.chosen, lists.clouds),
             *(np.uint32(work.named), work.floors),
-            *(np.float64(VIEW_TOLERANCE), np.uint32(views.start), np.uint32(count)),
-            *(work.like, view_table, wrong),
+            *(np.float64(VIEW_TOLERANCE), np.uint32(lists.first), np.uint32(count)),
+            *(work.like, lists.views, wrong),
         )
         if work.grouped:
             shown = self._need("shown", known, np.uint32)
             self.device.fill(shown[:known], 0)
             self._kernels["group_views"].launch(
-                *(1, 256, view_table, tables[0], np.uint32(count), np.uint32(known)),
-                *(shown, tables[1], tables[2]),
+                *(1, 256, lists.views, lists.clouds, np.uint32(count), np.uint32(known)),
+                *(shown, lists.groups, lists.members),
             )
-        return blocks, tables, groups, view_table
+
+    def record(
+        self,
+        camera: Camera,
+        count: int,
+        clouds: Sequence[CloudDevice | None],
+        chosen: NDArray[np.int32] | None,
+        *,
+        floors: DeviceArray | None = None,
+        antialiased: bool = False,
+    ) -> Replay | None:
+        """A call of `draw` with views of the host, to be drawn again with other poses.
+
+        None where all views do not fit at once. It holds until a buffer of the drawer is replaced.
+
+        Args:
+            camera, clouds, floors, antialiased: as in `draw`.
+            count: of views.
+            chosen: [V] which of `clouds` a view shows; all show the first when None.
+
+        Raises:
+            DeviceMemoryError: there is no room for its tables.
+            DeviceError: the device is lost.
+        """
+        header = ReplayHeader(self.device, count)
+        which = None if chosen is None else self.device.upload(chosen)
+        work = _WorkDevice(camera, header.poses, clouds, which, floors)
+        self._begin(work)
+        if self._fit(work, 0) < count:
+            return None
+        flags = _flags(camera, antialiased)
+        lists = self._lay_out(work, slice(0, count), flags, own=True)
+        _ = self._kernels  # compiled before it records
+        with self.device.capture() as graph:
+            header.upload()
+            self._list(work, lists)
+            header.hear(lists.told)
+            self._blend(lists, "paint_tiles", (header.target, np.zeros((), TARGET)[()]))
+        replay = Replay(header, graph, lists.room, (lists, clouds, floors))
+        self._replays.add(replay)
+        return replay
 
     def _share(
-        self, work: _Work, cloud_of: NDArray[np.integer], tail_of: NDArray[np.integer]
+        self, work: _Work, cloud_of: NDArray[np.integer], tail_of: NDArray[np.integer], own: bool
     ) -> tuple[Shares, list[DeviceArray]]:
         """Who lists what, and its tables on the device; kept while calls show the same clouds."""
         key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes())
-        if self._plan is None or self._plan[0] != key:
+        if own or self._plan is None or self._plan[0] != key:
             shares = share_work(work.table, cloud_of, tail_of, self.tuning.views)
             words, where = join_tables(work.table, shares.groups, shares.members)
-            held = self._upload("plan", words)
-            self._plan = (key, shares, [held[at] for at in where])
+            held = self.device.upload(words) if own else self._upload("plan", words)
+            plan = (key, shares, [held[at] for at in where])
+            if own:
+                return plan[1:]
+            self._plan = plan
         return self._plan[1:]
 
-    def _clouds(self, work: _Work) -> DeviceArray:
+    def _clouds(self, work: _Work, own: bool) -> DeviceArray:
         """The table of clouds alone; kept while calls name the same ones."""
+        if own:
+            return self.device.upload(work.table.view(np.uint32))
         key = work.table.tobytes()
         if self._named is None or self._named[0] != key:
             self._named = (key, self._upload("clouds", work.table))
@@ -484,14 +551,25 @@ class Drawer:
     def _need(self, name: str, size: int, kind: type[np.generic]) -> DeviceArray:
         held = self._held.get(name)
         if held is None or len(held) < size:
-            self._held.pop(name, None)  # let go of the old one first
+            self._let_go(name)
             self._held[name] = held = self.device.empty(size + size // 4 + 16, kind)
         return held
 
     def _grow(self, entries: int) -> DeviceArray:
-        self._held.pop("entries", None)
+        self._let_go("entries")
         self._held["entries"] = held = self.device.empty(2 * max(entries, 1024), np.uint64)
         return held
+
+    def _let_go(self, name: str) -> None:
+        """Let go of a buffer, and of what was recorded with it, before there is a larger one."""
+        self.forget()
+        self._held.pop(name, None)
+
+    def forget(self) -> None:
+        """Let go of all that was recorded, and of the memory that only that holds."""
+        for replay in list(self._replays):
+            replay.drop()
+        self._replays.clear()
 
     @property
     def _kernels(self) -> Mapping[str, Kernel]:
@@ -508,6 +586,40 @@ class Drawer:
         if not self._said:
             self._said = True
             _log.warning("too little device memory for all views at once: %d at a time", views)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lists:
+    """A batch on the device: sizes, tables and buffers, as kernels take them."""
+
+    first: int
+    count: int
+    all_tiles: int
+    blocks: int  # of the scan
+    listing_blocks: int
+    room: int  # entries
+    views: DeviceArray
+    clouds: DeviceArray
+    groups: DeviceArray
+    group_count: int
+    members: DeviceArray
+    starts: DeviceArray
+    told: DeviceArray  # how many entries there are, and a view that is none
+    counts: DeviceArray
+    classes: DeviceArray
+    sums: DeviceArray
+    order: DeviceArray
+    entries: DeviceArray
+    sizes: tuple[np.uint32, np.uint32]
+    shape: tuple[np.int32, np.int32, np.uint32]
+
+    @property
+    def listing(self) -> tuple[Any, ...]:
+        """What both listing kernels take first."""
+        return (
+            *(self.views, self.clouds, self.groups, np.uint32(self.group_count), self.members),
+            *(*self.sizes, self.shape[2], self.counts),
+        )
 
 
 class _Work:

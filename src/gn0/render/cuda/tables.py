@@ -55,6 +55,12 @@ FLOOR = np.dtype(
         *((name, "<i4") for name in ("column", "row", "columns", "rows")),
     ]
 )
+TARGET = np.dtype(
+    [
+        *((name, "<u8") for name in ("rgb_u8", "rgb_f32", "depth", "alpha")),
+        *(("background", "<f4", 3), ("spare", "<u4")),
+    ]
+)
 NO_PLACE, NO_SET = -1, -2  # in the numbers of a floor: whole clouds do; a set that is not here
 _NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
 

@@ -88,11 +88,18 @@ __device__ __forceinline__ u8 level(float value) {
   return (u8)(int)(fminf(fmaxf(value, 0.f), 1.f) * 255.f + 0.5f);
 }
 
+struct Target {  // where pictures go; null for what is not wanted
+  u8 *rgb_u8;
+  float *rgb_f32, *depth, *alpha;
+  float back_red, back_green, back_blue;
+  u32 spare;
+};
+
+// `listed`, where there is one, stands for `given`.
 KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
  u64 *entries, u64 capacity, const u32 *__restrict__ order, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
- int height, u32 flags, float back_red, float back_green, float back_blue, u8 *rgb_u8,
- float *rgb_f32, float *depth, float *alpha) {
+ int height, u32 flags, const Target *__restrict__ listed, Target given) {
   __shared__ __align__(16) TileRoom t;
   if (starts[all_tiles] > capacity) return;
   Place at = find_place(order, tiles_x, tiles);
@@ -103,35 +110,36 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
     p.red[i] = p.green[i] = p.blue[i] = p.depth[i] = 0.f;
   }
   walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
+  const Target to = listed ? *listed : given;
   u64 row = (u64)views[at.view].row * height;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
     int x = at.x + i * LANES_X;
     float left = fabsf(p.through[i]), opacity = 1.f - left;
-    p.red[i] = p.red[i] + left * back_red;
-    p.green[i] = p.green[i] + left * back_green;
-    p.blue[i] = p.blue[i] + left * back_blue;
+    p.red[i] = p.red[i] + left * to.back_red;
+    p.green[i] = p.green[i] + left * to.back_green;
+    p.blue[i] = p.blue[i] + left * to.back_blue;
     if (x < width && at.y < height) {
       u64 pixel = (row + at.y) * width + x;
-      if (depth) depth[pixel] = opacity >= 0.5f ? p.depth[i] / opacity : INFINITY;
-      if (alpha) alpha[pixel] = opacity;
-      if (rgb_f32) {
-        rgb_f32[pixel * 3] = p.red[i];
-        rgb_f32[pixel * 3 + 1] = p.green[i];
-        rgb_f32[pixel * 3 + 2] = p.blue[i];
+      if (to.depth) to.depth[pixel] = opacity >= 0.5f ? p.depth[i] / opacity : INFINITY;
+      if (to.alpha) to.alpha[pixel] = opacity;
+      if (to.rgb_f32) {
+        to.rgb_f32[pixel * 3] = p.red[i];
+        to.rgb_f32[pixel * 3 + 1] = p.green[i];
+        to.rgb_f32[pixel * 3 + 2] = p.blue[i];
       }
     }
   }
-  if (!rgb_u8) return;
+  if (!to.rgb_u8) return;
   __syncthreads();  // all have left the walk
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
-    u8 *to = t.picture + ((at.y - at.y_px) * TILE + at.x + i * LANES_X - at.x_px) * 3;
-    to[0] = level(p.red[i]), to[1] = level(p.green[i]), to[2] = level(p.blue[i]);
+    u8 *pixel = t.picture + ((at.y - at.y_px) * TILE + at.x + i * LANES_X - at.x_px) * 3;
+    pixel[0] = level(p.red[i]), pixel[1] = level(p.green[i]), pixel[2] = level(p.blue[i]);
   }
   __syncthreads();
   int columns = min(TILE, width - at.x_px), lines = min(TILE, height - at.y_px);
-  u8 *out = rgb_u8 + ((row + at.y_px) * width + at.x_px) * 3;
+  u8 *out = to.rgb_u8 + ((row + at.y_px) * width + at.x_px) * 3;
   if (width % 4 == 0 && columns == TILE) {  // whole words
     const int words = TILE * 3 / 4;  // of a line
     for (int k = threadIdx.x; k < lines * words; k += THREADS)

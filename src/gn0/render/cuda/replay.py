@@ -1,0 +1,200 @@
+"""A drawing call that was recorded: other poses and other pictures, all else as it was.
+
+A call of few views is over on the device before the host has said all that it consists of. So a
+call that comes again is recorded as one graph; then only poses and addresses of pictures go over.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import Device, DeviceArray, Graph
+from gn0.errors import RenderError
+from gn0.geometry import F32, F64
+from gn0.render.cuda.tables import NOWHERE, TARGET
+from gn0.render.renderer import RenderResult
+
+_NOT_HELD = 3
+_WRONG = (  # with a view, as `views.cu` numbers it
+    ("a view is not finite", ""),
+    ("a view is not a rigid transform", "give a rotation and a translation, world to camera"),
+    ("a view is of no scene that is here", "give numbers of keys that are not None"),
+)
+
+_SILENCE = 0xFEFEFEFEFEFEFEFE  # where no word has come yet: never a word
+_EAGER = 2e-4  # s that the host waits without sleeping
+_NAP = 2e-5  # s
+
+
+class SetMissingError(RenderError):
+    """A view on the device is to be drawn from a visible set that is not there."""
+
+
+@dataclass(frozen=True, eq=False)
+class PicturesDevice:
+    """Pictures of V views on a device; a field is None when it was not asked for.
+
+    Attributes:
+        rgb: uint8 [V, H, W, 3], or float32 with `rgb_float`.
+        depth: camera z of the expected surface [V, H, W] float32 m; +inf where alpha < 0.5.
+        alpha: accumulated opacity [V, H, W] float32 in 0..1.
+    """
+
+    rgb: DeviceArray | None
+    depth: DeviceArray | None
+    alpha: DeviceArray | None
+
+    def numpy(self) -> RenderResult:
+        """Copies in host memory."""
+        rgb, depth, alpha = (
+            None if a is None else a.numpy() for a in (self.rgb, self.depth, self.alpha)
+        )
+        return RenderResult(rgb, depth, alpha)
+
+
+def build_target(pictures: PicturesDevice, background: F32) -> np.void:
+    """Where pictures go, as kernels see it."""
+    rgb, depth, alpha = pictures.rgb, pictures.depth, pictures.alpha
+    target = np.zeros((), TARGET)
+    if rgb is not None:
+        target["rgb_f32" if rgb.dtype == np.float32 else "rgb_u8"] = rgb.pointer
+    target["depth"] = 0 if depth is None else depth.pointer
+    target["alpha"] = 0 if alpha is None else alpha.pointer
+    target["background"] = background
+    found: np.void = target[()]
+    return found
+
+
+def raise_wrong(word: int) -> None:
+    """Raise the error that the device told of, if any.
+
+    Raises:
+        SetMissingError: the visible set of a view is not there.
+        RenderError: a view is not finite, not rigid, or of no scene.
+    """
+    if word & NOWHERE == NOWHERE:
+        return
+    where = f"view {(word & NOWHERE) >> 2}"
+    if word & 3 == _NOT_HELD:
+        raise SetMissingError("its visible set is not on the device", where=where)
+    what, remedy = _WRONG[word & 3]
+    raise RenderError(what, where=where, remedy=remedy)
+
+
+class ReplayHeader:
+    """What goes over for each call, and what comes back: one pinned block each.
+
+    Args:
+        device: draws.
+        count: of views.
+    """
+
+    def __init__(self, device: Device, count: int) -> None:
+        size = TARGET.itemsize + count * 128
+        self.device, self.count = device, count
+        self._sent = device.pinned(size, np.uint8)
+        self._there = device.empty(size, np.uint8)
+        self._heard = device.pinned(2, np.uint64)
+        there = self._there
+        self.target = there[: TARGET.itemsize]
+        self.poses = DeviceArray(
+            device, there.pointer + TARGET.itemsize, (count, 4, 4), np.dtype(np.float64), there.owner
+        )
+        self._target = self._sent[: TARGET.itemsize].view(TARGET)
+        self._words = self._sent[:32].view(np.uint64)  # its addresses
+        self._background = self._sent[32:44].view(np.float32)
+        self._poses = self._sent[TARGET.itemsize :].view(np.float64).reshape(count, 4, 4)
+
+    def upload(self) -> None:
+        """Record that it goes over."""
+        self.device.upload(self._sent, self._there)
+
+    def hear(self, words: DeviceArray) -> None:
+        """Record that two words come back."""
+        self.device.download_async(words, self._heard)
+
+    def write(self, poses: NDArray[np.floating], pictures: PicturesDevice, background: F32) -> None:
+        """Say what is to be drawn; only when the words of the call before have come."""
+        rgb, depth, alpha = pictures.rgb, pictures.depth, pictures.alpha
+        as_float = rgb is not None and rgb.dtype == np.float32
+        place = 0 if rgb is None else rgb.pointer
+        self._words[:] = (
+            *((0, place) if as_float else (place, 0)),
+            0 if depth is None else depth.pointer,
+            0 if alpha is None else alpha.pointer,
+        )
+        self._background[:] = background
+        self._poses[:] = poses
+        self._heard[:] = _SILENCE
+
+    def wait(self) -> tuple[int, int]:
+        """The two words, when both have come.
+
+        Raises:
+            DeviceError: the device is lost.
+        """
+        heard, begin, asked = self._heard, time.perf_counter(), 0.0
+        while True:
+            total, wrong = heard.tolist()
+            if total != _SILENCE and wrong != _SILENCE:
+                return total, wrong
+            waited = time.perf_counter() - begin
+            time.sleep(0.0 if waited < _EAGER else _NAP)
+            if waited > asked + 0.05:  # a device that is lost never says a word
+                asked = waited
+                self.device.event().done  # noqa: B018
+
+
+class Replay:
+    """A recorded call; see `Drawer.record`.
+
+    Args:
+        header: what goes over and comes back.
+        graph: does all the rest.
+        room: entries that the lists can hold.
+        held: what the graph's work uses.
+    """
+
+    def __init__(self, header: ReplayHeader, graph: Graph, room: int, held: Any) -> None:
+        self._header, self._room = header, room
+        self._graph: Graph | None = graph
+        self._held = held
+
+    @property
+    def alive(self) -> bool:
+        """Whether what it was recorded with is still there."""
+        return self._graph is not None
+
+    def drop(self) -> None:
+        """Let go of everything."""
+        self._graph = self._held = None
+
+    def draw(
+        self, poses: NDArray[np.floating], pictures: PicturesDevice, background: F32
+    ) -> int | None:
+        """Draw as many views as were recorded; the pictures may still be under way.
+
+        Args:
+            poses: world-to-camera [V, 4, 4].
+            pictures: what to fill.
+            background: float32 [3].
+
+        Returns:
+            Entries of the lists; None when they had no room, and nothing was drawn.
+
+        Raises:
+            RenderError: a view is not finite or not rigid.
+            SetMissingError: the visible set of one is not here.
+            DeviceError: the device is lost.
+        """
+        assert self._graph is not None
+        self._header.write(poses, pictures, background)
+        self._graph.launch()
+        total, wrong = self._header.wait()
+        raise_wrong(wrong)
+        return total if total <= self._room else None

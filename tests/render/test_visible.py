@@ -172,8 +172,22 @@ def test_a_damaged_file_is_found_again(make, caplog, damage: str) -> None:
     assert path.read_bytes() == raw, "written again, to the byte"
 
 
+def test_coarse_pictures_only_add_to_a_set(make) -> None:
+    """The places of the fine ones are the first of the coarse ones."""
+    fine, both = (
+        make(VisibleOptions(places=2, pixels=96, coarse=coarse), cache=False) for coarse in (0, 5)
+    )
+    added = 0
+    for cell in both.cells[:4]:
+        kept, found = fine.find(cell), both.find(cell)
+        assert (found >= kept).all()
+        added += int(found.sum()) - int(kept.sum())
+    assert added > 0
+
+
 def test_other_settings_have_other_files(make, cloud, floor) -> None:
-    keys = {make(o).key for o in (QUICK, VisibleOptions(places=3), VisibleOptions(pixels=96))}
+    others = (VisibleOptions(places=3), VisibleOptions(pixels=96))
+    keys = {make(o).key for o in (QUICK, *others, VisibleOptions(places=3, pixels=96, coarse=2))}
     full = RendererCpu(cloud)
     keys |= {
         RendererVisible(full, cloud.content_hash, floor, EYE + 0.2, QUICK).key,
@@ -182,7 +196,7 @@ def test_other_settings_have_other_files(make, cloud, floor) -> None:
             full, cloud.content_hash, floor.with_cells(np.zeros_like(floor.cells)), EYE, QUICK
         ).key,
     }
-    assert len(keys) == 6
+    assert len(keys) == 7
 
 
 def test_the_cache_stays_within_its_size(make) -> None:
@@ -228,6 +242,8 @@ def test_refusals_say_what_to_do(make, cloud, floor) -> None:
         make().open((99, 99))
     with pytest.raises(RenderError, match="cells"):
         VisibleOptions(cell=0)
+    with pytest.raises(RenderError, match="coarse places"):
+        VisibleOptions(coarse=65)
     with pytest.raises(RenderError, match="threshold"):
         VisibleOptions(threshold=2)
     with pytest.raises(ConfigError, match="no visible sets"):

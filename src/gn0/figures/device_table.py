@@ -110,7 +110,11 @@ class Bench:
     @property
     def set_options(self) -> VisibleOptions:
         """How visible sets are found: as always, or very coarsely on the emulation."""
-        return VisibleOptions(cell=4.0, places=1, pixels=16) if self.tiny else VisibleOptions()
+        return (
+            VisibleOptions(cell=4.0, places=1, pixels=16, coarse=1)
+            if self.tiny
+            else VisibleOptions()
+        )
 
     @property
     def warm(self) -> int:

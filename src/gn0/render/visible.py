@@ -30,7 +30,7 @@ from gn0.render.cpu_pack import CHUNK, FIELDS, REACH, PackedCloud
 from gn0.render.renderer import VISIBLE, Output, RenderResult, check_views
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_mark import gather_chunks
-from gn0.render.visible_places import VisibleOptions, key_of_sets, look_round, places_by_cell
+from gn0.render.visible_places import VisibleOptions, key_of_sets
 
 _PER_SPLAT = (FIELDS + 1) * 4  # bytes of a packed splat
 
@@ -81,7 +81,7 @@ class RendererVisible:
         self.floor = floor
         self.eye_height = float(eye_height)
         settings = self.options
-        self._places = places_by_cell(floor, settings.cell, settings.places)
+        self._places = settings.places_of(floor)
         self._sets: OrderedDict[tuple[int, int], VisibleSet] = OrderedDict()
         self._held = 0
         reach = renderer.cloud.pack.reshape(-1, FIELDS, CHUNK)[-1:, REACH]
@@ -187,8 +187,8 @@ class RendererVisible:
         """Which splats show from a cell: uint8 [N], 1 for those that do."""
         places = self._places[cell]
         marks = np.zeros(self.full.size, np.uint8)
-        views = look_round(places, self.eye_height)
-        self.full.mark_visible(self.options.camera(), views, self.options.threshold, marks)
+        for camera, views in self.options.looks_from(places, self.eye_height):
+            self.full.mark_visible(camera, views, self.options.threshold, marks)
         self._mark_near(places, marks)
         self.built += 1
         return marks

@@ -16,7 +16,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.storage import content_hash
 
-_FORMAT = 1  # raise when a set changes for another reason than its inputs
+_FORMAT = 2  # raise when a set changes for another reason than its inputs
 _HEADINGS = tuple((quarter * math.pi / 2, 0.0) for quarter in range(4))
 _FACES = (*_HEADINGS, (0.0, math.pi / 2), (0.0, -math.pi / 2))  # yaw, pitch: all round
 
@@ -27,7 +27,9 @@ class VisibleOptions(Config, frozen=True):
     Attributes:
         cell: side of a floor cell [m].
         places: places in a cell that are looked from.
-        pixels: side of each of the six pictures a place [px]; finer finds more.
+        pixels: side of each of the six pictures a place [px].
+        coarse: places that are looked from once more, with half the pixels. No splat is drawn
+            narrower than about a pixel, so small views show splats that fine pictures do not.
         threshold: weight above which a splat counts.
         near: what is nearer than this to a place [m] always counts and hides nothing.
         height_tolerance: eyes this far [m] from the sets' height still use them.
@@ -38,6 +40,7 @@ class VisibleOptions(Config, frozen=True):
     cell: float = 0.5
     places: int = 5
     pixels: int = 640
+    coarse: int = 13
     threshold: float = 1.0 / 255.0
     near: float = 0.2
     height_tolerance: float = 0.02
@@ -50,12 +53,28 @@ class VisibleOptions(Config, frozen=True):
                 f"visible sets of {self.cell} m cells, {self.places} places, {self.pixels} px",
                 remedy="give cells of 0.05 to 10 m, 1 to 64 places and 16 to 2048 px",
             )
+        if not 0 <= self.coarse <= 64:
+            raise RenderError(
+                f"visible sets from {self.coarse} coarse places", remedy="give 0 to 64"
+            )
         if not (0 < self.threshold < 1 and 0 < self.near < 5 and 0 <= self.height_tolerance < 1):
             raise RenderError("visible sets: threshold, near or height_tolerance out of range")
 
-    def camera(self) -> Camera:
-        """What looks from each place: a sixth of all round, 90 degrees wide and high."""
-        return Camera.from_hfov(self.pixels, self.pixels, 90.0, near=self.near)
+    def places_of(self, floor: OccupancyGrid) -> dict[tuple[int, int], F64]:
+        """Places [K, 2] m of each cell, the most important first; see `places_by_cell`."""
+        return places_by_cell(floor, self.cell, max(self.places, self.coarse))
+
+    def looks_from(self, places: F64, eye_height: float) -> list[tuple[Camera, F64]]:
+        """Cameras, and the views [V, 4, 4] that each takes from the places of a cell."""
+        looks = ((self.pixels, self.places), (self.pixels // 2, self.coarse))
+        return [
+            (
+                Camera.from_hfov(side, side, 90.0, near=self.near),
+                look_round(places[:count], eye_height),
+            )
+            for side, count in looks
+            if count
+        ]
 
 
 def key_of_sets(
@@ -72,7 +91,8 @@ def key_of_sets(
     """
     return content_hash(
         *(_FORMAT, cloud_hash, floor.content_hash, eye_height, int(antialiased)),
-        *(options.cell, options.places, options.pixels, options.threshold, options.near),
+        *(options.cell, options.places, options.pixels, options.coarse),
+        *(options.threshold, options.near),
         *((backend,) if backend else ()),
     )
 

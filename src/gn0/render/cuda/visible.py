@@ -30,13 +30,13 @@ from gn0.render.cuda.pack import cloud_kernels
 from gn0.render.cuda.tables import NO_PLACE, NO_SET, find_eyes
 from gn0.render.renderer import VISIBLE_CUDA, Output, RenderResult
 from gn0.render.visible_files import VisibleFiles
-from gn0.render.visible_places import VisibleOptions, key_of_sets, look_round, places_by_cell
+from gn0.render.visible_places import VisibleOptions, key_of_sets
 
 if TYPE_CHECKING:
     from gn0.render.cuda.renderer import RendererCuda
 
 Cell = tuple[int, int]
-CELLS = 8  # found in one call: 240 pictures keep a card busy, and their lists are small
+CELLS = 8  # found at once: 240 pictures a call keep a card busy, and their lists are small
 WRITERS = 4  # threads that pack and write files: a disk's answer takes longer than a card's
 _BOX = 7
 _locks: WeakKeyDictionary[Device, RLock] = WeakKeyDictionary()
@@ -97,7 +97,7 @@ class VisibleSets:
         self._made_for = (-1, -1)  # splats in the cloud, and packed, that the sets number
         self.used = 0  # bytes of the sets that are on the device
         self.version = 0  # another one as soon as other sets are
-        self._places = places_by_cell(floor, options.cell, options.places)
+        self._places = options.places_of(floor)
         self._sets: OrderedDict[Cell, VisibleSetDevice] = OrderedDict()  # least recent first
         self._parts: dict[Cell, CloudDevice] = {}  # the same beside the splats they number
         self._whole: CloudDevice | None = None  # whose splats
@@ -288,18 +288,20 @@ class VisibleSets:
         bits = device.zeros((len(cells), words), np.uint32)
         if not cloud.alive or not cells:
             return bits
-        views = [look_round(self._places[cell], self.eye_height) for cell in cells]
-        rows = np.repeat(np.arange(len(cells)), [len(v) for v in views])
-        self._drawer.mark(
-            settings.camera(),
-            np.concatenate(views),
-            [cloud],
-            np.zeros(len(rows), np.int32),
-            threshold=settings.threshold,
-            marks=bits,
-            rows=rows,
-            antialiased=self._antialiased,
-        )
+        looks = [settings.looks_from(self._places[cell], self.eye_height) for cell in cells]
+        for look in zip(*looks, strict=True):  # of one camera, from all cells
+            views = [v for _, v in look]
+            rows = np.repeat(np.arange(len(cells)), [len(v) for v in views])
+            self._drawer.mark(
+                look[0][0],
+                np.concatenate(views),
+                [cloud],
+                np.zeros(len(rows), np.int32),
+                threshold=settings.threshold,
+                marks=bits,
+                rows=rows,
+                antialiased=self._antialiased,
+            )
         near = [
             (x, y, self.eye_height, np.uint32(row).view(np.float32))
             for row, cell in enumerate(cells)

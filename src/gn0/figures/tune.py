@@ -1,7 +1,8 @@
 """Times the drawing kernels stage by stage, and tries their sizes.
 
 `python -m gn0.figures.tune` prints milliseconds a stage for the standard cases on the device that
-`GN0_DEVICE` names (the host emulation draws tiny ones); `--sweep` also tries other kernel sizes and says whether their pictures are the same bytes. Nothing is written.
+`GN0_DEVICE` names (the host emulation draws tiny ones); `--sweep` also tries other kernel sizes and
+says whether their pictures are the same bytes. Nothing is written.
 """
 
 from __future__ import annotations
@@ -17,13 +18,16 @@ import numpy as np
 from gn0.device.device import Device
 from gn0.errors import Gn0Error
 from gn0.figures.device import describe_device, is_emulation, open_figure_device
+from gn0.figures.device_scenes import flat_scene
 from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.draw import STAGES, CloudDevice, Drawer, PicturesDevice
 from gn0.render.cuda.pack import upload_cloud
+from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.stages import time_stages
-from gn0.render.cuda.tune import FEW, Tuning
+from gn0.render.cuda.tune import FEW, Tuning, choose_tuning
+from gn0.render.cuda.visible import RendererVisibleCuda
 
 _POSES = 4  # different sets of poses, taken in turn
 _BLACK = np.zeros(3, np.float32)
@@ -60,6 +64,28 @@ class TuneCase:
         )  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class SetsCase(TuneCase):
+    """The same from visible sets, which are found once."""
+
+    sets: RendererVisibleCuda
+
+    def draw(self, drawer: Drawer, pictures: PicturesDevice, turn: int) -> None:
+        """Draw the views of a turn, the long way."""
+        batch = self.sets.full.batch
+        batch.drawer = drawer
+        views = self.views[turn % len(self.views)]
+        drawn = batch.render(
+            self.camera, views, "scene", outputs=("rgb", "depth"), visible=self.sets.sets
+        )
+        for into, array in zip(
+            (pictures.rgb, pictures.depth), (drawn.rgb, drawn.depth), strict=True
+        ):
+            assert into is not None and array is not None
+            if turn == 0:
+                drawer.device.upload(array.numpy(), into)
+
+
 def build_cases(device: Device, only: str = "") -> Iterator[TuneCase]:
     """The standard cases (tiny ones on the host emulation) whose names hold `only`."""
     tiny = is_emulation(device)
@@ -82,6 +108,19 @@ def build_cases(device: Device, only: str = "") -> Iterator[TuneCase]:
                 if only in name:
                     yield TuneCase(name, camera, np.ascontiguousarray(views), clouds)
             del clouds
+    name = f"sets 224x224 x{many} SH0"
+    if only in name and not tiny:
+        for camera, count in ((small, many), (large, some)):
+            scene = flat_scene(million)
+            renderer = RendererCuda(scene.cloud, device=device)
+            sets = RendererVisibleCuda(renderer, scene.cloud.content_hash, scene.floor, scene.eye)
+            views = scene.views(_POSES * count, 1).reshape(_POSES, count, 4, 4)
+            for batch in views:
+                found = [c for c in sets.sets.locate(camera, batch) if c is not None]
+                sets.sets.open(found, renderer.cloud)
+            title = f"sets {camera.width}x{camera.height} x{count} SH0"
+            yield SetsCase(title, camera, np.ascontiguousarray(views), [], sets)
+            del renderer, sets
     name = f"224x224 x{many} of {scenes} scenes"
     if only in name:
         flats = [build_flat(part, seed=seed) for seed in range(min(scenes, 8))]
@@ -89,52 +128,52 @@ def build_cases(device: Device, only: str = "") -> Iterator[TuneCase]:
         yield TuneCase(name, small, poses, clouds)
 
 
-def list_tunings() -> list[Tuning]:
-    """What to try, one change at a time and a few that belong together."""
+def list_tunings(few_tiles: bool) -> list[Tuning]:
+    """What to try on calls with few tiles, or with many."""
     base = Tuning()
-    changes: list[dict[str, Any]] = [
+    many: list[dict[str, Any]] = [
         {"region_width": 8},
-        {"pixels": 1, "blocks": 4},
-        {"pixels": 1, "region_height": 2, "blocks": 4},
-        {"pixels": 1, "region_width": 8, "blocks": 4},
-        {"pixels": 4, "blocks": 12},
-        {"pixels": 4, "region_width": 8, "blocks": 12},
+        {"region_width": 8, "blocks": 7},
+        {"region_width": 8, "predicate": True},
+        {"region_width": 8, "capacity": 256},
+        {"region_width": 8, "region_height": 8, "pixels": 4, "blocks": 12},
+        {"region_width": 8, "stage": 256},
         {"blocks": 7},
         {"blocks": 6},
-        {"capacity": 1024},
-        {"capacity": 1024, "buckets": 1024, "stage": 256},
         {"capacity": 256},
-        {"stage": 64},
-        {"stage": 256},
-        {"group": False},
         {"predicate": True},
-        {"large": 4},
-        {"large": 9},
+        {"puts": 1},
+        {"puts": 3},
+        {"chunks": 1},
+        {"chunks": 4},
+        {"chunks": 16},
         {"views": 16},
-        {"views": 64},
-        {"cover_blocks": 3},
+        {"large": 9},
         {"cover_blocks": 5},
     ]
-    few = [
-        {},
-        {"region_height": 2},
-        {"region_width": 8},
-        {"pixels": 2},
-        {"pixels": 2, "stage": 128},
-        {"stage": 128},
-        {"capacity": 512, "buckets": 512, "stage": 128, "blocks": 10},
-        {"blocks": 12},
-        {"large": 12},
+    few: list[dict[str, Any]] = [
+        {"crews": 2, "stage": 128, "blocks": 8},
+        {"crews": 2, "stage": 128, "blocks": 8, "region_width": 8},
+        {"crews": 2, "stage": 128, "blocks": 8, "chunks": 1},
+        {"crews": 2, "stage": 128, "blocks": 8, "chunks": 2},
+        {"crews": 2, "stage": 128, "blocks": 8, "chunks": 2, "large": 12, "puts": 3},
+        {"crews": 2, "stage": 128, "blocks": 8, "chunks": 2, "large": 4},
+        {"crews": 2, "stage": 128, "blocks": 8, "capacity": 512, "buckets": 512},
+        {"crews": 4, "stage": 256, "blocks": 4, "capacity": 512, "buckets": 512},
+        {"crews": 4, "stage": 256, "blocks": 4, "capacity": 1024, "buckets": 1024},
     ]
-    large = [
-        {"pixels": 1, "stage": 256, "capacity": 1024, "buckets": 1024, "blocks": 3},
+    large: list[dict[str, Any]] = [
         {"pixels": 1, "stage": 256, "blocks": 4},
-        {"pixels": 1, "stage": 256, "blocks": 3},
+        {"pixels": 1, "stage": 256, "blocks": 4, "region_width": 8},
+        {"pixels": 1, "stage": 256, "blocks": 4, "capacity": 1024, "chunks": 2},
+        {"crews": 2, "stage": 256, "blocks": 4},
+        {"crews": 2, "stage": 256, "blocks": 4, "chunks": 2},
+        {"crews": 4, "stage": 512, "blocks": 2},
     ]
     return [
         base,
-        *(replace(base, **change) for change in changes + large),
-        *(replace(FEW, **change) for change in few),
+        *(replace(base, **change) for change in (large if few_tiles else many)),
+        *(replace(FEW, **change) for change in ([{}, *few] if few_tiles else [])),
     ]
 
 
@@ -175,9 +214,10 @@ def main(arguments: list[str]) -> None:
     print(describe_device(device))  # noqa: T201
     print(f"{'ms':32} {head}    frames   entries  bytes")  # noqa: T201
     for case in build_cases(device, only):
-        tunings = list_tunings() if sweep else [Tuning()]
-        if "--few" in arguments:  # those for calls with few tiles
-            tunings = [Tuning(), *(t for t in list_tunings() if t.tile == FEW.tile or t.stage > 128)]
+        few_tiles = choose_tuning(case.camera, case.views.shape[1]) == FEW
+        tunings = (
+            list_tunings(few_tiles) if sweep else [choose_tuning(case.camera, case.views.shape[1])]
+        )
         print(case.name, flush=True)  # noqa: T201
         for tuning in tunings:
             try:

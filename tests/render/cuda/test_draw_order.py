@@ -52,10 +52,13 @@ def test_the_order_of_threads_and_blocks_cannot_show(want: list[bytes], seed: in
 
 TUNINGS = [
     Tuning(pixels=4, capacity=64, buckets=128, stage=32),  # several groups; parts that fit none
-    Tuning(pixels=1, buckets=256, stage=64, views=1, large=0),  # whole warps list everything
+    Tuning(
+        pixels=1, buckets=256, stage=64, views=1, chunks=3, large=0
+    ),  # whole warps list everything
     Tuning(pixels=4, region_height=4, group=False, views=3, large=10**6),
     Tuning(pixels=1, region_width=4, region_height=2, stage=32),
     FEW,
+    Tuning(crews=2, stage=256, chunks=1),
     Tuning(tile=8, pixels=2, capacity=64, buckets=64, stage=32),  # a block is one warp
     Tuning(pixels=1, region_width=8, region_height=4, large=16),
     Tuning(pixels=2, region_height=8, capacity=1024, buckets=1024, stage=160),
@@ -69,7 +72,13 @@ def test_the_sizes_of_the_kernels_cannot_show(want: list[bytes], tuning: Tuning)
 
 
 def test_kernels_refuse_sizes_that_do_not_fit() -> None:
-    for wrong in ({"pixels": 3}, {"buckets": 300}, {"capacity": 96}, {"capacity": 64}, {"stage": 33}):
+    for wrong in (
+        {"pixels": 3},
+        {"buckets": 300},
+        {"capacity": 96},
+        {"capacity": 64},
+        {"stage": 33},
+    ):
         with pytest.raises(ConfigError):
             Tuning(**wrong)
 

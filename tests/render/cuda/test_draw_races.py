@@ -23,7 +23,7 @@ from gn0.testing.check_renderer import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 
-# several groups of splats a tile, parts that fit no group, several stages a group, blocks for two views
+# several groups of splats a tile, parts that fit no group, several stages, blocks for two views
 SMALL = Tuning(pixels=4, capacity=64, buckets=128, stage=32, views=2, large=2)
 
 

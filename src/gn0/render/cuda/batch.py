@@ -386,7 +386,7 @@ class RendererBatch:
     ) -> PicturesDevice | None:
         """Draw as a call like it was drawn; None where none was, or it cannot be done so."""
         again = self._again.get(asked)
-        if again is None or not again.alive:
+        if again is None or not again.alive or self.drawer.on_stage is not None:
             return None
         assert again.replay is not None
         try:
@@ -401,9 +401,7 @@ class RendererBatch:
         del self._again[asked]  # the long way makes room for it, or says what is wrong
         return None
 
-    def _remember(
-        self, asked: _Call, record: Callable[[], Replay | None], visible: bool
-    ) -> None:
+    def _remember(self, asked: _Call, record: Callable[[], Replay | None], visible: bool) -> None:
         """Note that a call was drawn; one that came before is recorded."""
         arranged = self._arranged if visible else None
         sets = [] if arranged is None else [(one, one.version) for one in arranged.sets]

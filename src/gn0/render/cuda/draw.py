@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray, Download, Kernel, KernelSource
-from gn0.errors import DeviceMemoryError, RenderError
+from gn0.errors import DeviceMemoryError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.replay import PicturesDevice, Replay, ReplayHeader, build_target, raise_wrong
@@ -47,7 +47,6 @@ from gn0.render.renderer import (
     TRANSMITTANCE_STOP,
     VIEW_TOLERANCE,
     Output,
-    RenderResult,
 )
 
 CHUNK = 256  # splats a chunk
@@ -57,6 +56,7 @@ _FILES = ("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh", "walk.
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
 _BLOCKS_MAX = 2**31 - 1  # of a launch
+_ENTRIES_MAX = 2**32 - 1  # that a place of 32 bits can tell apart
 _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
 _CLASSES = 8  # of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
@@ -161,7 +161,7 @@ class Drawer:
         self._density: dict[tuple[object, ...], float] = {}  # entries a splat, by picture
         self._first_density = 0.5
         self._said = False
-        self._plan: tuple[tuple[bytes, ...], Shares, list[DeviceArray]] | None = None
+        self._plan: tuple[tuple[object, ...], Shares, list[DeviceArray]] | None = None
         self._named: tuple[bytes, DeviceArray] | None = None
         self._heard: NDArray[np.uint64] | None = None  # pinned
         self._replays: WeakSet[Replay] = WeakSet()
@@ -187,12 +187,17 @@ class Drawer:
         size = sum(-(-size // _ROW) * _ROW for wanted, size, _, _ in parts if wanted)
         if size > _TOGETHER:  # whoever keeps one of them should not keep all
             return PicturesDevice(
-                *(self.device.empty(dims, what) if wanted else None for wanted, _, dims, what in parts)
+                *(
+                    self.device.empty(dims, what) if wanted else None
+                    for wanted, _, dims, what in parts
+                )
             )
         whole, at, arrays = self.device.empty(size, np.uint8), 0, []
         for wanted, size, dims, what in parts:
             place = whole.pointer + at
-            arrays.append(DeviceArray(self.device, place, dims, what, whole.owner) if wanted else None)
+            arrays.append(
+                DeviceArray(self.device, place, dims, what, whole.owner) if wanted else None
+            )
             at += -(-size // _ROW) * _ROW if wanted else 0
         return PicturesDevice(*arrays)
 
@@ -413,7 +418,13 @@ class Drawer:
         kernels, whole, capacity = self._kernels, np.uint32(lists.all_tiles), np.uint64(lists.room)
         self._tell("emit")
         kernels["emit_entries"].launch(
-            lists.listing_blocks, CHUNK, *lists.listing, lists.starts, lists.entries, capacity, whole
+            lists.listing_blocks,
+            CHUNK,
+            *lists.listing,
+            lists.starts,
+            lists.entries,
+            capacity,
+            whole,
         )
         self._tell("blend")
         kernels[kernel].launch(
@@ -452,7 +463,7 @@ class Drawer:
             self._need(name, words, np.uint32) for name, words in (
                 ("groups", known * GROUP.itemsize // 4), ("members", count))
         )]  # fmt: skip
-        return most_blocks(work.chunks, count, self.tuning.views), tables, known, view_table
+        return most_blocks(work.chunks, count, *self.tuning.shares), tables, known, view_table
 
     def _write_views(self, work: _WorkDevice, lists: _Lists) -> None:
         """Let the device make the tables of views; `wrong` is told of one that is none."""
@@ -487,9 +498,12 @@ class Drawer:
         None where all views do not fit at once. It holds until a buffer of the drawer is replaced.
 
         Args:
-            camera, clouds, floors, antialiased: as in `draw`.
+            camera: of all views.
             count: of views.
+            clouds: as in `draw`.
             chosen: [V] which of `clouds` a view shows; all show the first when None.
+            floors: as in `draw`.
+            antialiased: as in `draw`.
 
         Raises:
             DeviceMemoryError: there is no room for its tables.
@@ -517,9 +531,9 @@ class Drawer:
         self, work: _Work, cloud_of: NDArray[np.integer], tail_of: NDArray[np.integer], own: bool
     ) -> tuple[Shares, list[DeviceArray]]:
         """Who lists what, and its tables on the device; kept while calls show the same clouds."""
-        key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes())
+        key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes(), self.tuning.shares)
         if own or self._plan is None or self._plan[0] != key:
-            shares = share_work(work.table, cloud_of, tail_of, self.tuning.views)
+            shares = share_work(work.table, cloud_of, tail_of, *self.tuning.shares)
             words, where = join_tables(work.table, shares.groups, shares.members)
             held = self.device.upload(words) if own else self._upload("plan", words)
             plan = (key, shares, [held[at] for at in where])
@@ -557,7 +571,8 @@ class Drawer:
 
     def _grow(self, entries: int) -> DeviceArray:
         self._let_go("entries")
-        self._held["entries"] = held = self.device.empty(2 * max(entries, 1024), np.uint64)
+        entries = min(max(entries, 1024), _ENTRIES_MAX)
+        self._held["entries"] = held = self.device.empty(2 * entries, np.uint64)
         return held
 
     def _let_go(self, name: str) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray, Graph
 from gn0.errors import RenderError
-from gn0.geometry import F32, F64
+from gn0.geometry import F32
 from gn0.render.cuda.tables import NOWHERE, TARGET
 from gn0.render.renderer import RenderResult
 
@@ -103,7 +103,11 @@ class ReplayHeader:
         there = self._there
         self.target = there[: TARGET.itemsize]
         self.poses = DeviceArray(
-            device, there.pointer + TARGET.itemsize, (count, 4, 4), np.dtype(np.float64), there.owner
+            device,
+            there.pointer + TARGET.itemsize,
+            (count, 4, 4),
+            np.dtype(np.float64),
+            there.owner,
         )
         self._target = self._sent[: TARGET.itemsize].view(TARGET)
         self._words = self._sent[:32].view(np.uint64)  # its addresses

@@ -149,6 +149,7 @@ def share_work(
     cloud_of: NDArray[np.integer],
     tail_of: NDArray[np.integer],
     views_a_block: int,
+    chunks_a_block: int = 1,
 ) -> Shares:
     """Group views by the clouds, and by the tails, that they show."""
     tables, members = [], []
@@ -163,7 +164,7 @@ def share_work(
         drawn = chunks > 0
         members.append(by_cloud[np.repeat(drawn, counts)])
         numbers, counts, chunks = numbers[drawn], counts[drawn], chunks[drawn]
-        blocks = chunks.astype(np.int64) * -(-counts // views_a_block)
+        blocks = -(-chunks.astype(np.int64) // chunks_a_block) * -(-counts // views_a_block)
         table = np.zeros(len(numbers), GROUP)
         table["cloud"], table["tail"], table["chunks"] = numbers, is_tail, chunks
         table["first_block"] = block + np.cumsum(blocks) - blocks
@@ -174,12 +175,14 @@ def share_work(
     return Shares(np.concatenate(tables), np.concatenate(members).astype(np.uint32), block)
 
 
-def most_blocks(chunks: NDArray[np.integer], views: int, views_a_block: int) -> int:
+def most_blocks(
+    chunks: NDArray[np.integer], views: int, views_a_block: int, chunks_a_block: int = 1
+) -> int:
     """Blocks that suffice to list clouds of so many chunks, however `views` choose among them.
 
     Each cloud that is shown has one row of blocks that may be nearly empty, the others are full.
     """
-    each = np.sort(chunks.astype(np.int64))[::-1][:views]
+    each = np.sort(-(-chunks.astype(np.int64) // chunks_a_block))[::-1][:views]
     return int(each.sum()) + views // views_a_block * int(each[0]) if len(each) else 0
 
 

@@ -16,21 +16,25 @@ class Tuning:
         tile: side of the squares of pixels that have a list and a block each [px]: 8 or 16.
         pixels: pixels a lane blends, side by side in a row: 1, 2 or 4. More of them share the
             loads of a splat.
+        crews: how many times more threads sort and stage than blend.
         region_width, region_height: of the part of a tile whose lanes walk one list [px].
         capacity: entries that a tile sorts at a time.
         buckets: of that sort, a power of two.
         stage: splats projected into shared memory at a time.
         blocks: raster blocks a multiprocessor that registers must leave room for.
         cover_blocks: the same for the kernels that list splats.
-        views: that a block of the listing kernels projects its chunk for.
+        views: that a block of the listing kernels projects its chunks for.
+        chunks: of such a block.
         large: tiles of a footprint's box above which a whole warp lists it, and only where its
             ellipse reaches.
+        puts: tiles that a lane lists into before it waits for its places.
         group: whether lanes that list into one tile share an atomic operation.
         predicate: whether colours are added under a predicate, in assembly, instead of times zero.
     """
 
     tile: int = 16
     pixels: int = 2
+    crews: int = 1
     region_width: int = 4
     region_height: int = 4
     capacity: int = 512
@@ -39,7 +43,9 @@ class Tuning:
     blocks: int = 8
     cover_blocks: int = 4
     views: int = 32
+    chunks: int = 8
     large: int = 6
+    puts: int = 2
     group: bool = True
     predicate: bool = False
 
@@ -50,7 +56,7 @@ class Tuning:
             and self.region_width in (4, 8, 16)
             and self.region_height in (2, 4, 8, 16)
             and max(self.region_width, self.region_height) <= self.tile
-            and self.threads >= 32
+            and self.tile**2 // self.pixels >= 32
             and self.pixels <= self.team <= 32
             and self.buckets & (self.buckets - 1) == 0
             and self.buckets % self.threads == 0
@@ -59,7 +65,11 @@ class Tuning:
             and self.capacity % self.threads == 0
             and self.threads <= self.capacity <= 2**15
             and self.capacity & (self.capacity - 1) == 0
-            and 0 < self.views <= 256
+            and 0 < self.views <= 32
+            and 0 < self.chunks <= 32
+            and self.crews > 0
+            and 0 < self.puts <= 4
+            and self.threads <= min(self.buckets, 1024)
         )
         if not sound:
             raise ConfigError(f"the kernels cannot be built for {self}")
@@ -72,7 +82,12 @@ class Tuning:
     @property
     def threads(self) -> int:
         """Threads of a raster block."""
-        return self.tile**2 // self.pixels
+        return self.tile**2 // self.pixels * self.crews
+
+    @property
+    def shares(self) -> tuple[int, int]:
+        """Views and chunks of a listing block."""
+        return self.views, self.chunks
 
     @property
     def defines(self) -> tuple[tuple[str, int], ...]:

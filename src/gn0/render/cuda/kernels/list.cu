@@ -1,8 +1,9 @@
 // Lists of entries a (view, tile): counted, placed by a scan, then written, in any order.
 //
-// A block takes one chunk of a cloud for up to VIEWS of the views that show that cloud: it tests
-// the chunk's box against them, holds a splat a thread in registers, and projects it for each view
-// that can see it. An entry is a key, depth bits over index, so that entries need no order here.
+// A block takes CHUNKS chunks of a cloud for up to VIEWS of the views that show that cloud: a warp a
+// chunk tests its box against them; then the block holds each chunk that is in sight, a splat a
+// thread in registers, and projects it for each view that can see it. An entry is a key, depth bits
+// over index, so that entries need no order here.
 
 // Whether a chunk may touch the picture; dropped only if `project` would drop each of its splats.
 __device__ __forceinline__ bool is_in_sight(const float *at, const View &w, u32 flags) {
@@ -41,50 +42,43 @@ __device__ __forceinline__ bool is_in_sight(const float *at, const View &w, u32 
 }
 
 struct Lists {
-  u32 *counts;         // [views, tiles]; entries so far
-  const u64 *starts;   // [views * tiles + 1]
-  u64 *entries;
+  u32 *counts;   // [views, tiles]: entries so far; where the next goes when they are written
+  u64 *entries;  // null while they are counted
   u64 capacity;
 };
 
-// Where `n` entries more of a tile go, at most 32: (place, how many of them fit).
-__device__ __forceinline__ u64 take_places(const Lists &to, u32 tile, u32 n, u32 &room) {
-  u64 place = to.starts[tile] + atomicAdd(to.counts + tile, n);
-  u64 end = min(to.starts[tile + 1], to.capacity);
-  room = place < end ? (u32)min(end - place, (u64)WARP) : 0;
-  return place;
-}
-
 template <bool EMIT>
 __device__ __forceinline__ void put_one(const Lists &to, u32 tile, u64 key) {
-  if (EMIT) {
-    u32 room;
-    u64 place = take_places(to, tile, 1, room);
-    if (room) to.entries[place] = key;
-  } else {
-    atomicAdd(to.counts + tile, 1u);
-  }
+  u32 place = atomicAdd(to.counts + tile, 1u);
+  if (EMIT && place < to.capacity) to.entries[place] = key;
 }
 
 // All lanes call this; neighbours in Morton order mostly list into the same tile.
 template <bool EMIT>
-__device__ __forceinline__ void put(const Lists &to, bool active, u32 tile, u64 key) {
+__device__ __forceinline__ void put(const Lists &to, const bool (&active)[PUTS],
+                                    const u32 (&tile)[PUTS], u64 key) {
 #if GROUP
-  u32 peers = __match_any_sync(FULL, active ? tile : NOWHERE);
-  u32 lane = lane_id(), leader = __ffs(peers) - 1, n = __popc(peers);
-  if (!EMIT) {
-    if (active && lane == leader) atomicAdd(to.counts + tile, n);
-  } else {
-    u64 place = 0;
-    u32 room = 0;
-    if (active && lane == leader) place = take_places(to, tile, n, room);
-    place = __shfl_sync(FULL, place | (u64)room << 56, leader);
-    room = (u32)(place >> 56), place &= 0xffffffffffffffull;
-    u32 rank = __popc(peers & ((1u << lane) - 1));
-    if (active && rank < room) to.entries[place + rank] = key;
+  u32 peers[PUTS], place[PUTS], lane = lane_id();
+#pragma unroll
+  for (int j = 0; j < PUTS; j++) {
+    peers[j] = place[j] = 0;
+    if (j && !__any_sync(FULL, active[j])) break;
+    peers[j] = __match_any_sync(FULL, active[j] ? tile[j] : NOWHERE);
+    if (active[j] && lane == (u32)__ffs(peers[j]) - 1)
+      place[j] = atomicAdd(to.counts + tile[j], (u32)__popc(peers[j]));
+  }
+  if (!EMIT) return;
+#pragma unroll
+  for (int j = 0; j < PUTS; j++) {
+    if (!peers[j]) break;
+    u64 at = __shfl_sync(FULL, place[j], __ffs(peers[j]) - 1);
+    at += __popc(peers[j] & ((1u << lane) - 1));
+    if (active[j] && at < to.capacity) to.entries[at] = key;
   }
 #else
-  if (active) put_one<EMIT>(to, tile, key);
+#pragma unroll
+  for (int j = 0; j < PUTS; j++)
+    if (active[j]) put_one<EMIT>(to, tile[j], key);
 #endif
 }
 
@@ -114,10 +108,15 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   bool large = tiles > LARGE;
   int column = tx0, row = large || tiles == 0 ? ty1 : ty0;
   while (true) {
-    bool active = row < ty1;
-    if (!__any_sync(FULL, active)) break;
-    put<EMIT>(to, active, first_tile + row * tiles_x + column, key);
-    if (++column == tx1) column = tx0, row++;
+    bool active[PUTS];
+    u32 tile[PUTS];
+#pragma unroll
+    for (int j = 0; j < PUTS; j++) {
+      active[j] = row < ty1, tile[j] = first_tile + row * tiles_x + column;
+      if (++column == tx1) column = tx0, row++;
+    }
+    if (!__any_sync(FULL, active[0])) break;
+    put<EMIT>(to, active, tile, key);
   }
   // large ones: the whole warp walks one, a column a lane, where the ellipse reaches
   u32 left = __ballot_sync(FULL, large);
@@ -140,57 +139,74 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   }
 }
 
-template <bool EMIT>
-__device__ __forceinline__ void list_chunk(const View *__restrict__ views,
-                                           const Cloud *__restrict__ clouds,
-                                           const Group *__restrict__ groups, u32 group_count,
-                                           const u32 *__restrict__ members, u32 tiles_x,
-                                           u32 tiles, u32 flags, const Lists &to) {
-  __shared__ View seen[VIEWS];
-  __shared__ u32 who[VIEWS], n;
-  u32 low = 0, high = group_count;  // the last group that begins at or before this block
+// The last group that begins at or before this block.
+__device__ __forceinline__ u32 find_group(const Group *__restrict__ groups, u32 count) {
+  u32 low = 0, high = count;
   while (high - low > 1) {
-    u32 middle = (low + high) / 2;
-    if (groups[middle].first_block <= blockIdx.x) low = middle;
-    else high = middle;
+    u32 step = (high - low + WARP - 1) / WARP, at = low + lane_id() * step;
+    bool before = at < high && groups[at].first_block <= blockIdx.x;
+    low += (__popc(__ballot_sync(FULL, before)) - 1) * step;
+    high = min(low + step, high);
   }
-  const Group g = groups[low];
+  return low;
+}
+
+struct alignas(16) ViewHeld {  // 36 words: lanes that read one word of many views meet few conflicts
+  View view;
+  u32 who, spare[3];
+};
+
+template <bool EMIT>
+__device__ __forceinline__ void list_chunks(const View *__restrict__ views,
+                                            const Cloud *__restrict__ clouds,
+                                            const Group *__restrict__ groups, u32 group_count,
+                                            const u32 *__restrict__ members, u32 tiles_x,
+                                            u32 tiles, u32 flags, const Lists &to) {
+  __shared__ ViewHeld held[VIEWS];
+  __shared__ u32 seen_by[CHUNKS];
+  const Group g = groups[find_group(groups, group_count)];
   const Cloud &cloud = clouds[g.cloud];
-  u32 local = blockIdx.x - g.first_block, chunk = local % g.chunks;
-  u32 first = local / g.chunks * VIEWS;
-  if (threadIdx.x == 0) n = 0;
+  u32 rows = (g.chunks + CHUNKS - 1) / CHUNKS, local = blockIdx.x - g.first_block;
+  u32 first_chunk = local % rows * CHUNKS, first = local / rows * VIEWS;
+  u32 count = first < g.members ? min(g.members - first, (u32)VIEWS) : 0;
+  if (!count) return;
+  for (u32 k = threadIdx.x; k < count * 8; k += blockDim.x) {
+    u32 view = members[g.first_member + first + k / 8];
+    ((float4 *)&held[k / 8])[k % 8] = ((const float4 *)(views + view))[k % 8];
+    if (k % 8 == 0) held[k / 8].who = view;
+  }
   __syncthreads();
-  if (threadIdx.x < VIEWS && first + threadIdx.x < g.members) {
-    u32 view = members[g.first_member + first + threadIdx.x];
-    if (is_in_sight(cloud.boxes + (u64)chunk * 7, views[view], flags)) {
-      u32 at = atomicAdd(&n, 1u);
-      who[at] = view;
+  for (u32 c = threadIdx.x / WARP; c < CHUNKS; c += blockDim.x / WARP) {
+    bool seen = lane_id() < count && first_chunk + c < g.chunks &&
+                is_in_sight(cloud.boxes + (u64)(first_chunk + c) * 7, held[lane_id()].view, flags);
+    u32 mask = __ballot_sync(FULL, seen);
+    if (lane_id() == 0) seen_by[c] = mask;
+  }
+  __syncthreads();
+  for (u32 c = 0; c < CHUNKS; c++) {
+    u32 mask = seen_by[c];
+    if (!mask) continue;
+    u32 slot = (first_chunk + c) * CHUNK + threadIdx.x;
+    if (cloud.slots) slot = __ldg(cloud.slots + slot);
+    Splat s = {0.f, 0.f, 0.f, -1.f, {0.f}, 0.f};
+    u32 index = slot;
+    if (slot < cloud.rows) {
+      s = load_splat(cloud.splats + (u64)slot * 4);
+      if (EMIT && cloud.places) index = __ldg(cloud.order + slot);
+    }
+    if (g.tail) index |= TAIL;
+    for (; mask; mask &= mask - 1) {
+      const ViewHeld &one = held[__ffs(mask) - 1];
+      list_splat<EMIT>(s, index, load_view(one.view), flags, tiles_x, one.who * tiles, to);
     }
   }
-  __syncthreads();
-  u32 count = n;
-  if (!count) return;
-  for (u32 k = threadIdx.x; k < count * 8; k += blockDim.x)
-    ((float4 *)seen)[k] = ((const float4 *)(views + who[k / 8]))[k % 8];
-  u32 slot = chunk * CHUNK + threadIdx.x;
-  if (cloud.slots) slot = __ldg(cloud.slots + slot);
-  Splat s = {0.f, 0.f, 0.f, -1.f, {0.f}, 0.f};
-  u32 index = slot;
-  if (slot < cloud.rows) {
-    s = load_splat(cloud.splats + (u64)slot * 4);
-    if (EMIT && cloud.places) index = __ldg(cloud.order + slot);
-  }
-  if (g.tail) index |= TAIL;
-  __syncthreads();
-  for (u32 k = 0; k < count; k++)
-    list_splat<EMIT>(s, index, load_view(seen[k]), flags, tiles_x, who[k] * tiles, to);
 }
 
 KERNEL_BOUNDED(count_entries, CHUNK, COVER_BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
  u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 *counts) {
-  Lists to = {counts, nullptr, nullptr, 0};
-  list_chunk<false>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, to);
+  Lists to = {counts, nullptr, 0};
+  list_chunks<false>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, to);
 }
 
 KERNEL_BOUNDED(emit_entries, CHUNK, COVER_BLOCKS)
@@ -198,8 +214,8 @@ KERNEL_BOUNDED(emit_entries, CHUNK, COVER_BLOCKS)
  u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 *counts,
  const u64 *__restrict__ starts, u64 *entries, u64 capacity, u32 all_tiles) {
   if (starts[all_tiles] > capacity) return;  // the host sees it too, and repeats with more room
-  Lists to = {counts, starts, entries, capacity};
-  list_chunk<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, to);
+  Lists to = {counts, entries, capacity};
+  list_chunks<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, to);
 }
 
 // A block of 256 threads adds up SCAN counts.
@@ -253,7 +269,7 @@ KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u64 *sums, u32
   if (threadIdx.x < CLASSES && mine_of[threadIdx.x]) atomicAdd(classes + threadIdx.x, mine_of[threadIdx.x]);
 }
 
-// Starts of all lists, and the order in which they are drawn; counts go back to zero. `classes`
+// Starts of all lists, and the order in which they are drawn; counts become starts. `classes`
 // holds how many lists are of each class, if there are more blocks than one, and behind them
 // zeros.
 KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u64 *starts,
@@ -295,7 +311,7 @@ KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u6
     u32 c = class_of(count[k]);
     order[c ? atomicAdd(place + c, 1u) : at++] = (u32)first + k;
     starts[first + k] = before;
-    counts[first + k] = 0;
+    counts[first + k] = (u32)before;  // lists of more than 2^32 entries have no room anyhow
     before += count[k];
     if (first + k == all_tiles - 1) starts[all_tiles] = before;
   }

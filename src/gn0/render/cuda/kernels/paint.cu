@@ -106,7 +106,7 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
   Picture p;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
-    p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : -1.f;
+    p.through[i] = threadIdx.x < LANES && at.x + i * LANES_X < width && at.y < height ? 1.f : -1.f;
     p.red[i] = p.green[i] = p.blue[i] = p.depth[i] = 0.f;
   }
   walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
@@ -119,7 +119,7 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
     p.red[i] = p.red[i] + left * to.back_red;
     p.green[i] = p.green[i] + left * to.back_green;
     p.blue[i] = p.blue[i] + left * to.back_blue;
-    if (x < width && at.y < height) {
+    if (threadIdx.x < LANES && x < width && at.y < height) {
       u64 pixel = (row + at.y) * width + x;
       if (to.depth) to.depth[pixel] = opacity >= 0.5f ? p.depth[i] / opacity : INFINITY;
       if (to.alpha) to.alpha[pixel] = opacity;
@@ -134,6 +134,7 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
   __syncthreads();  // all have left the walk
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
+    if (threadIdx.x >= LANES) break;
     u8 *pixel = t.picture + ((at.y - at.y_px) * TILE + at.x + i * LANES_X - at.x_px) * 3;
     pixel[0] = level(p.red[i]), pixel[1] = level(p.green[i]), pixel[2] = level(p.blue[i]);
   }
@@ -163,6 +164,6 @@ KERNEL_BOUNDED(mark_tiles, THREADS, BLOCKS)
   p.threshold = threshold, p.row = marks + views[at.view].row * words, p.shows = false;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++)
-    p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : 0.f;
+    p.through[i] = threadIdx.x < LANES && at.x + i * LANES_X < width && at.y < height ? 1.f : 0.f;
   walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
 }

@@ -84,7 +84,7 @@ KERNEL(group_views)(const View *__restrict__ views, const Cloud *__restrict__ cl
   for (u32 base = 0; base < cloud_count; base += 256) {
     u32 c = base + threadIdx.x;
     u32 mine = c < cloud_count ? counts[c] : 0, chunks = c < cloud_count ? clouds[c].chunks : 0;
-    u64 both = (u64)mine << 32 | (u64)chunks * ((mine + VIEWS - 1) / VIEWS), sum = both;
+    u64 both = (u64)mine << 32 | (u64)((chunks + CHUNKS - 1) / CHUNKS) * ((mine + VIEWS - 1) / VIEWS), sum = both;
     for (u32 d = 1; d < WARP; d <<= 1) {
       u64 other = __shfl_up_sync(FULL, sum, d);
       if (lane_id() >= d) sum += other;

@@ -8,7 +8,8 @@
 // STAGE splats at a time, with a bit for each region of the tile that a splat reaches; then each
 // team of lanes walks the list of its own region.
 
-#define THREADS (TILE * TILE / PIXELS)
+#define LANES (TILE * TILE / PIXELS)  // that blend
+#define THREADS (LANES * CREWS)        // that sort and stage
 #define TEAM (REGION_WIDTH * REGION_HEIGHT / PIXELS)
 #define REGION_ROWS (TILE / REGION_HEIGHT)
 #define REGION_COLUMNS (TILE / REGION_WIDTH)

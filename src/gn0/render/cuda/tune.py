@@ -97,7 +97,7 @@ class Tuning:
 
 MANY = Tuning()
 FEW = Tuning(tile=8, pixels=1, capacity=256, buckets=256, stage=64, blocks=16)
-_MANY_TILES = 4000  # of 16x16; fewer do not fill a large card, and the longest list decides
+_MANY_TILES = 4500  # of 16x16; fewer do not fill a large card, and the longest list decides
 
 
 def choose_tuning(camera: Camera, views: int) -> Tuning:

@@ -26,7 +26,7 @@ from gn0.render.cuda.draw import STAGES, CloudDevice, Drawer, PicturesDevice
 from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.stages import time_stages
-from gn0.render.cuda.tune import FEW, Tuning, choose_tuning
+from gn0.render.cuda.tune import FEW, MANY, Tuning, choose_tuning
 from gn0.render.cuda.visible import RendererVisibleCuda
 
 _POSES = 4  # different sets of poses, taken in turn
@@ -130,51 +130,40 @@ def build_cases(device: Device, only: str = "") -> Iterator[TuneCase]:
 
 def list_tunings(few_tiles: bool) -> list[Tuning]:
     """What to try on calls with few tiles, or with many."""
-    base = Tuning()
     many: list[dict[str, Any]] = [
-        {"region_width": 8},
-        {"region_width": 8, "blocks": 7},
-        {"region_width": 8, "predicate": True},
-        {"region_width": 8, "capacity": 256},
-        {"region_width": 8, "region_height": 8, "pixels": 4, "blocks": 12},
-        {"region_width": 8, "stage": 256},
+        {"region_width": 4},
+        {"predicate": False},
+        {"pixels": 1, "blocks": 4},
         {"blocks": 7},
-        {"blocks": 6},
         {"capacity": 256},
-        {"predicate": True},
+        {"capacity": 1024},
+        {"stage": 64},
+        {"stage": 256},
         {"puts": 1},
         {"puts": 3},
-        {"chunks": 1},
         {"chunks": 4},
-        {"chunks": 16},
         {"views": 16},
+        {"large": 4},
         {"large": 9},
+        {"cover_blocks": 3},
         {"cover_blocks": 5},
     ]
     few: list[dict[str, Any]] = [
-        {"crews": 2, "stage": 128, "blocks": 8},
-        {"crews": 2, "stage": 128, "blocks": 8, "region_width": 8},
-        {"crews": 2, "stage": 128, "blocks": 8, "chunks": 1},
-        {"crews": 2, "stage": 128, "blocks": 8, "chunks": 2},
-        {"crews": 2, "stage": 128, "blocks": 8, "chunks": 2, "large": 12, "puts": 3},
-        {"crews": 2, "stage": 128, "blocks": 8, "chunks": 2, "large": 4},
-        {"crews": 2, "stage": 128, "blocks": 8, "capacity": 512, "buckets": 512},
-        {"crews": 4, "stage": 256, "blocks": 4, "capacity": 512, "buckets": 512},
-        {"crews": 4, "stage": 256, "blocks": 4, "capacity": 1024, "buckets": 1024},
+        {"region_width": 8},
+        {"blocks": 3},
+        {"stage": 128},
+        {"capacity": 1024},
+        {"capacity": 1024, "buckets": 1024},
+        {"capacity": 256, "buckets": 256},
+        {"puts": 1},
+        {"puts": 3},
+        {"large": 2},
+        {"large": 4},
+        {"large": 9},
+        {"pixels": 2, "stage": 128, "blocks": 8},
     ]
-    large: list[dict[str, Any]] = [
-        {"pixels": 1, "stage": 256, "blocks": 4},
-        {"pixels": 1, "stage": 256, "blocks": 4, "region_width": 8},
-        {"pixels": 1, "stage": 256, "blocks": 4, "capacity": 1024, "chunks": 2},
-        {"crews": 2, "stage": 256, "blocks": 4},
-        {"crews": 2, "stage": 256, "blocks": 4, "chunks": 2},
-        {"crews": 4, "stage": 512, "blocks": 2},
-    ]
-    return [
-        base,
-        *(replace(base, **change) for change in (large if few_tiles else many)),
-        *(replace(FEW, **change) for change in ([{}, *few] if few_tiles else [])),
-    ]
+    base = FEW if few_tiles else MANY
+    return [base, *(replace(base, **change) for change in (few if few_tiles else many))]
 
 
 def name_tuning(tuning: Tuning) -> str:

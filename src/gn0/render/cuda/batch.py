@@ -410,7 +410,7 @@ class RendererBatch:
             self._again[asked] = _Again(sets)
             while len(self._again) > _CALLS:
                 self._again.popitem(last=False)
-        elif not again.alive:
+        elif not again.alive and self.drawer.on_stage is None:
             with suppress(DeviceMemoryError):
                 again.replay, again.sets = record(), sets
         self._again.move_to_end(asked)

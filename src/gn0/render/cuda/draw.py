@@ -34,6 +34,7 @@ from gn0.render.cuda.tables import (
     build_clouds,
     build_view,
     build_views,
+    choose_chunks,
     join_tables,
     most_blocks,
     share_work,
@@ -50,6 +51,7 @@ from gn0.render.renderer import (
 )
 
 CHUNK = 256  # splats a chunk
+TILE = 16  # px
 _FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _FILES = ("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh", "walk.cuh", "paint.cu")
@@ -318,7 +320,6 @@ class Drawer:
     def _begin(self, work: _Work) -> None:
         """Choose the kernels' sizes, and how much memory lists may take."""
         self.tuning = self._given or choose_tuning(work.camera, work.count)
-        work.cut(self.tuning.tile)
         if self.memory is None:
             self.memory = int(_MEMORY_SHARE * self.device.memory()[0])
 
@@ -374,11 +375,11 @@ class Drawer:
         if entries is None or len(entries) // 2 < min(expected, self.memory // _ENTRY):
             guess = int(expected * 1.25) + 64 * all_tiles
             entries = self._grow(min(guess, self.memory // _ENTRY))
-        listing_blocks, (clouds, groups, members), group_count, view_table = self._tables(
+        blocks_each, (clouds, groups, members), group_count, view_table = self._tables(
             work, views, own
         )
         return _Lists(
-            *(views.start, count, all_tiles, blocks, listing_blocks),
+            *(views.start, count, all_tiles, blocks, *blocks_each),
             room=len(entries) // 2,
             views=view_table,
             clouds=clouds,
@@ -434,8 +435,8 @@ class Drawer:
 
     def _tables(
         self, work: _Work, views: slice, own: bool
-    ) -> tuple[int, list[DeviceArray], int, DeviceArray]:
-        """Blocks that list; clouds, groups and members; how many groups; and the views."""
+    ) -> tuple[tuple[int, int], list[DeviceArray], int, DeviceArray]:
+        """Listing blocks and chunks of each; clouds, groups, members; number of groups; views."""
         if isinstance(work, _WorkDevice):
             return self._tables_there(work, views, own)
         shares, tables = self._share(work, work.cloud_of[views], work.tail_of[views], own)
@@ -446,24 +447,26 @@ class Drawer:
             work.tail_of[views],
             work.rows[views],
         )
-        return shares.blocks, tables, len(shares.groups), self._upload("views", table)
+        return shares.sizes, tables, len(shares.groups), self._upload("views", table)
 
     def _tables_there(
         self, work: _WorkDevice, views: slice, own: bool
-    ) -> tuple[int, list[DeviceArray], int, DeviceArray]:
+    ) -> tuple[tuple[int, int], list[DeviceArray], int, DeviceArray]:
         """The same of views that the host does not know: room for what the device will write."""
         count, known = views.stop - views.start, len(work.table)
         view_table = self._need("views", count * VIEW.itemsize // 4, np.uint32)
         if not work.grouped:  # all show one cloud, so the host can share the work out
             nothing = np.zeros(count, np.int32)
             shares, tables = self._share(work, nothing, nothing - 1, own)
-            return shares.blocks, tables, len(shares.groups), view_table
+            return shares.sizes, tables, len(shares.groups), view_table
         self._need("shown", known, np.uint32)
         tables = [self._clouds(work, own), *(
             self._need(name, words, np.uint32) for name, words in (
                 ("groups", known * GROUP.itemsize // 4), ("members", count))
         )]  # fmt: skip
-        return most_blocks(work.chunks, count, *self.tuning.shares), tables, known, view_table
+        each = choose_chunks(most_blocks(work.chunks, count, self.tuning.views), self.tuning.chunks)
+        blocks = most_blocks(work.chunks, count, self.tuning.views, each)
+        return (blocks, each), tables, known, view_table
 
     def _write_views(self, work: _WorkDevice, lists: _Lists) -> None:
         """Let the device make the tables of views; `wrong` is told of one that is none."""
@@ -480,7 +483,7 @@ class Drawer:
             self.device.fill(shown[:known], 0)
             self._kernels["group_views"].launch(
                 *(1, 256, lists.views, lists.clouds, np.uint32(count), np.uint32(known)),
-                *(shown, lists.groups, lists.members),
+                *(np.uint32(lists.each), shown, lists.groups, lists.members),
             )
 
     def record(
@@ -612,6 +615,7 @@ class _Lists:
     all_tiles: int
     blocks: int  # of the scan
     listing_blocks: int
+    each: int  # chunks that one of those lists
     room: int  # entries
     views: DeviceArray
     clouds: DeviceArray
@@ -633,7 +637,7 @@ class _Lists:
         """What both listing kernels take first."""
         return (
             *(self.views, self.clouds, self.groups, np.uint32(self.group_count), self.members),
-            *(*self.sizes, self.shape[2], self.counts),
+            *(*self.sizes, self.shape[2], np.uint32(self.each), self.counts),
         )
 
 
@@ -666,11 +670,8 @@ class _Work:
         self.camera, self.table = camera, build_clouds(clouds)
         self.held = clouds  # the table only points to them
         self.chunks = self.table["chunks"].astype(np.int64)
-
-    def cut(self, tile: int) -> None:
-        """Cut pictures into squares of so many pixels a side."""
-        self.tiles_x = -(-self.camera.width // tile)
-        self.tiles = self.tiles_x * -(-self.camera.height // tile)
+        self.tiles_x = -(-camera.width // TILE)
+        self.tiles = self.tiles_x * -(-camera.height // TILE)
 
 
 class _WorkDevice(_Work):

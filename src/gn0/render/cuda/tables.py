@@ -61,6 +61,7 @@ TARGET = np.dtype(
         *(("background", "<f4", 3), ("spare", "<u4")),
     ]
 )
+_BLOCKS = 8192  # of the listing kernels, at least, before one lists several chunks
 NO_PLACE, NO_SET = -1, -2  # in the numbers of a floor: whole clouds do; a set that is not here
 _NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
 
@@ -137,11 +138,18 @@ class Shares:
         groups: [G] of views that show one cloud.
         members: uint32 [M] numbers of their views.
         blocks: of the listing kernels.
+        each: chunks that one of them lists.
     """
 
     groups: NDArray[np.void]
     members: NDArray[np.uint32]
     blocks: int
+    each: int
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Blocks, and chunks of each."""
+        return self.blocks, self.each
 
 
 def share_work(
@@ -149,11 +157,11 @@ def share_work(
     cloud_of: NDArray[np.integer],
     tail_of: NDArray[np.integer],
     views_a_block: int,
-    chunks_a_block: int = 1,
+    most_chunks: int = 1,
 ) -> Shares:
     """Group views by the clouds, and by the tails, that they show."""
-    tables, members = [], []
-    first, block = 0, 0
+    tables, members, all_rows = [], [], []
+    first = 0
     for is_tail, shown in ((0, cloud_of), (1, tail_of)):
         shown = np.asarray(shown)
         by_cloud = np.argsort(shown, kind="stable")
@@ -164,15 +172,24 @@ def share_work(
         drawn = chunks > 0
         members.append(by_cloud[np.repeat(drawn, counts)])
         numbers, counts, chunks = numbers[drawn], counts[drawn], chunks[drawn]
-        blocks = -(-chunks.astype(np.int64) // chunks_a_block) * -(-counts // views_a_block)
         table = np.zeros(len(numbers), GROUP)
         table["cloud"], table["tail"], table["chunks"] = numbers, is_tail, chunks
-        table["first_block"] = block + np.cumsum(blocks) - blocks
         table["first_member"] = first + np.cumsum(counts) - counts
         table["members"] = counts
         tables.append(table)
-        first, block = first + int(counts.sum()), block + int(blocks.sum())
-    return Shares(np.concatenate(tables), np.concatenate(members).astype(np.uint32), block)
+        all_rows.append(-(-counts // views_a_block))
+        first += int(counts.sum())
+    table, rows = np.concatenate(tables), np.concatenate(all_rows)
+    chunks = table["chunks"].astype(np.int64)
+    each = choose_chunks(int((chunks * rows).sum()), most_chunks)
+    blocks = -(-chunks // each) * rows
+    table["first_block"] = np.cumsum(blocks) - blocks
+    return Shares(table, np.concatenate(members).astype(np.uint32), int(blocks.sum()), each)
+
+
+def choose_chunks(rows: int, most: int) -> int:
+    """Chunks for a block to list, where there are so many: enough blocks must be left."""
+    return max(min(rows // _BLOCKS, most), 1)
 
 
 def most_blocks(

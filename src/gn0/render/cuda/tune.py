@@ -13,10 +13,8 @@ class Tuning:
     """What may be tried on a card. No value changes a byte of the pictures.
 
     Attributes:
-        tile: side of the squares of pixels that have a list and a block each [px]: 8 or 16.
         pixels: pixels a lane blends, side by side in a row: 1, 2 or 4. More of them share the
             loads of a splat.
-        crews: how many times more threads sort and stage than blend.
         region_width, region_height: of the part of a tile whose lanes walk one list [px].
         capacity: entries that a tile sorts at a time.
         buckets: of that sort, a power of two.
@@ -24,7 +22,7 @@ class Tuning:
         blocks: raster blocks a multiprocessor that registers must leave room for.
         cover_blocks: the same for the kernels that list splats.
         views: that a block of the listing kernels projects its chunks for.
-        chunks: of such a block.
+        chunks: of such a block, at most: fewer where there would be too few blocks.
         large: tiles of a footprint's box above which a whole warp lists it, and only where its
             ellipse reaches.
         puts: tiles that a lane lists into before it waits for its places.
@@ -32,10 +30,8 @@ class Tuning:
         predicate: whether colours are added under a predicate, in assembly, instead of times zero.
     """
 
-    tile: int = 16
     pixels: int = 2
-    crews: int = 1
-    region_width: int = 4
+    region_width: int = 8
     region_height: int = 4
     capacity: int = 512
     buckets: int = 512
@@ -47,16 +43,13 @@ class Tuning:
     large: int = 6
     puts: int = 2
     group: bool = True
-    predicate: bool = False
+    predicate: bool = True
 
     def __post_init__(self) -> None:
         sound = (
-            self.tile in (8, 16)
-            and self.pixels in (1, 2, 4)
+            self.pixels in (1, 2, 4)
             and self.region_width in (4, 8, 16)
             and self.region_height in (2, 4, 8, 16)
-            and max(self.region_width, self.region_height) <= self.tile
-            and self.tile**2 // self.pixels >= 32
             and self.pixels <= self.team <= 32
             and self.buckets & (self.buckets - 1) == 0
             and self.buckets % self.threads == 0
@@ -67,7 +60,6 @@ class Tuning:
             and self.capacity & (self.capacity - 1) == 0
             and 0 < self.views <= 32
             and 0 < self.chunks <= 32
-            and self.crews > 0
             and 0 < self.puts <= 4
             and self.threads <= min(self.buckets, 1024)
         )
@@ -82,7 +74,7 @@ class Tuning:
     @property
     def threads(self) -> int:
         """Threads of a raster block."""
-        return self.tile**2 // self.pixels * self.crews
+        return 256 // self.pixels
 
     @property
     def shares(self) -> tuple[int, int]:
@@ -96,11 +88,11 @@ class Tuning:
 
 
 MANY = Tuning()
-FEW = Tuning(tile=8, pixels=1, capacity=256, buckets=256, stage=64, blocks=16)
-_MANY_TILES = 4500  # of 16x16; fewer do not fill a large card, and the longest list decides
+FEW = Tuning(pixels=1, region_width=4, stage=256, blocks=4)
+_MANY_TILES = 4500  # fewer do not fill a large card: the longest list decides
 
 
 def choose_tuning(camera: Camera, views: int) -> Tuning:
-    """Sizes for a call: small tiles where it has few of them."""
-    tiles = -(-camera.width // MANY.tile) * -(-camera.height // MANY.tile) * views
+    """Sizes for a call: more threads a tile where it has few of them."""
+    tiles = -(-camera.width // 16) * -(-camera.height // 16) * views
     return MANY if tiles > _MANY_TILES else FEW

@@ -1,6 +1,6 @@
 // Lists of entries a (view, tile): counted, placed by a scan, then written, in any order.
 //
-// A block takes CHUNKS chunks of a cloud for up to VIEWS of the views that show that cloud: a warp a
+// A block takes `each` chunks (at most CHUNKS) of a cloud for up to VIEWS of the views that show that cloud: a warp a
 // chunk tests its box against them; then the block holds each chunk that is in sight, a splat a
 // thread in registers, and projects it for each view that can see it. An entry is a key, depth bits
 // over index, so that entries need no order here.
@@ -118,24 +118,47 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
     if (!__any_sync(FULL, active[0])) break;
     put<EMIT>(to, active, tile, key);
   }
-  // large ones: the whole warp walks one, a column a lane, where the ellipse reaches
-  u32 left = __ballot_sync(FULL, large);
-  if (!left) return;
+  // large ones: their tiles are dealt out among the lanes, those that the ellipse reaches are listed
+  if (!__any_sync(FULL, large)) return;
   Ellipse e = outline(f);
-  for (; left; left &= left - 1) {
-    int from = __ffs(left) - 1;
-    Ellipse one = {__shfl_sync(FULL, e.peak, from), __shfl_sync(FULL, e.inner, from),
-                   __shfl_sync(FULL, e.steep, from), __shfl_sync(FULL, e.mixed, from),
-                   __shfl_sync(FULL, e.scale, from)};
-    Box its = {__shfl_sync(FULL, tx0, from), __shfl_sync(FULL, tx1, from),
-               __shfl_sync(FULL, box.y0, from), __shfl_sync(FULL, box.y1, from)};
-    float u = __shfl_sync(FULL, f.u, from), v = __shfl_sync(FULL, f.v, from);
-    u64 its_key = EMIT ? __shfl_sync(FULL, key, from) : 0;
-    for (int x = its.x0 + (int)lane_id(); x < its.x1; x += WARP) {
-      int2 rows = tile_rows(one, u, v, its, x);
-      for (int y = rows.x; y < rows.y; y++)
-        put_one<EMIT>(to, first_tile + y * tiles_x + x, its_key);
+  u32 mine = large ? (u32)tiles : 0, upto = mine;
+#pragma unroll
+  for (u32 d = 1; d < WARP; d <<= 1) {
+    u32 other = __shfl_up_sync(FULL, upto, d);
+    if (lane_id() >= d) upto += other;
+  }
+  u32 total = __shfl_sync(FULL, upto, WARP - 1), before = upto - mine, across = tx1 - tx0;
+  for (u32 first = 0; first < total; first += WARP * PUTS) {
+    u32 tile[PUTS];
+    u64 its_key[PUTS];
+    bool reached[PUTS];
+#pragma unroll
+    for (int j = 0; j < PUTS; j++) {
+      u32 item = first + j * WARP + lane_id(), from = 0;
+#pragma unroll
+      for (u32 step = WARP / 2; step; step >>= 1)  // whose tile it is
+        if (__shfl_sync(FULL, upto, from + step - 1) <= item) from += step;
+      u32 rest = item - __shfl_sync(FULL, before, from), wide = __shfl_sync(FULL, across, from);
+      u32 down = rest / max(wide, 1u), x = __shfl_sync(FULL, tx0, from) + rest - down * wide;
+      u32 y = __shfl_sync(FULL, ty0, from) + down;
+      Ellipse one = {__shfl_sync(FULL, e.peak, from), __shfl_sync(FULL, e.inner, from),
+                     __shfl_sync(FULL, e.steep, from), __shfl_sync(FULL, e.mixed, from),
+                     __shfl_sync(FULL, e.scale, from)};
+      Box its = {0, 0, __shfl_sync(FULL, box.y0, from), __shfl_sync(FULL, box.y1, from)};
+      float u = __shfl_sync(FULL, f.u, from), v = __shfl_sync(FULL, f.v, from);
+      its_key[j] = EMIT ? __shfl_sync(FULL, key, from) : 0;
+      int2 rows = tile_rows(one, u, v, its, (int)x);
+      reached[j] = item < total && rows.x <= (int)y && (int)y < rows.y;
+      tile[j] = first_tile + y * tiles_x + x;
     }
+    u32 place[PUTS];
+#pragma unroll
+    for (int j = 0; j < PUTS; j++)
+      if (reached[j]) place[j] = atomicAdd(to.counts + tile[j], 1u);
+    if (!EMIT) continue;
+#pragma unroll
+    for (int j = 0; j < PUTS; j++)
+      if (reached[j] && place[j] < to.capacity) to.entries[place[j]] = its_key[j];
   }
 }
 
@@ -161,13 +184,13 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
                                             const Cloud *__restrict__ clouds,
                                             const Group *__restrict__ groups, u32 group_count,
                                             const u32 *__restrict__ members, u32 tiles_x,
-                                            u32 tiles, u32 flags, const Lists &to) {
+                                            u32 tiles, u32 flags, u32 each, const Lists &to) {
   __shared__ ViewHeld held[VIEWS];
   __shared__ u32 seen_by[CHUNKS];
   const Group g = groups[find_group(groups, group_count)];
   const Cloud &cloud = clouds[g.cloud];
-  u32 rows = (g.chunks + CHUNKS - 1) / CHUNKS, local = blockIdx.x - g.first_block;
-  u32 first_chunk = local % rows * CHUNKS, first = local / rows * VIEWS;
+  u32 rows = (g.chunks + each - 1) / each, local = blockIdx.x - g.first_block;
+  u32 first_chunk = local % rows * each, first = local / rows * VIEWS;
   u32 count = first < g.members ? min(g.members - first, (u32)VIEWS) : 0;
   if (!count) return;
   for (u32 k = threadIdx.x; k < count * 8; k += blockDim.x) {
@@ -176,14 +199,14 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
     if (k % 8 == 0) held[k / 8].who = view;
   }
   __syncthreads();
-  for (u32 c = threadIdx.x / WARP; c < CHUNKS; c += blockDim.x / WARP) {
+  for (u32 c = threadIdx.x / WARP; c < each; c += blockDim.x / WARP) {
     bool seen = lane_id() < count && first_chunk + c < g.chunks &&
                 is_in_sight(cloud.boxes + (u64)(first_chunk + c) * 7, held[lane_id()].view, flags);
     u32 mask = __ballot_sync(FULL, seen);
     if (lane_id() == 0) seen_by[c] = mask;
   }
   __syncthreads();
-  for (u32 c = 0; c < CHUNKS; c++) {
+  for (u32 c = 0; c < each; c++) {
     u32 mask = seen_by[c];
     if (!mask) continue;
     u32 slot = (first_chunk + c) * CHUNK + threadIdx.x;
@@ -204,18 +227,20 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
 
 KERNEL_BOUNDED(count_entries, CHUNK, COVER_BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
- u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 *counts) {
+ u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 each,
+ u32 *counts) {
   Lists to = {counts, nullptr, 0};
-  list_chunks<false>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, to);
+  list_chunks<false>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, to);
 }
 
 KERNEL_BOUNDED(emit_entries, CHUNK, COVER_BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
- u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 *counts,
+ u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 each,
+ u32 *counts,
  const u64 *__restrict__ starts, u64 *entries, u64 capacity, u32 all_tiles) {
   if (starts[all_tiles] > capacity) return;  // the host sees it too, and repeats with more room
   Lists to = {counts, entries, capacity};
-  list_chunks<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, to);
+  list_chunks<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, to);
 }
 
 // A block of 256 threads adds up SCAN counts.

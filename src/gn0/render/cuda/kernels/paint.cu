@@ -70,15 +70,15 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
   }
 };
 
-struct Place {  // of this block's tile and of the lane's first pixel
+struct Corner {  // of this block's tile and of the lane's first pixel
   u32 all, view;  // the tile's number among those of all views
   int x_px, y_px, x, y;
 };
 
-__device__ __forceinline__ Place find_place(const u32 *__restrict__ order, u32 tiles_x, u32 tiles) {
+__device__ __forceinline__ Corner find_corner(const u32 *__restrict__ order, u32 tiles_x, u32 tiles) {
   u32 all = order[blockIdx.x];
   u32 tile = all % tiles, region = threadIdx.x / TEAM, lane = threadIdx.x % TEAM;
-  Place c = {all, all / tiles, (int)(tile % tiles_x * TILE), (int)(tile / tiles_x * TILE)};
+  Corner c = {all, all / tiles, (int)(tile % tiles_x * TILE), (int)(tile / tiles_x * TILE)};
   c.x = c.x_px + (int)(region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
   c.y = c.y_px + (int)(region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
   return c;
@@ -102,11 +102,11 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
  int height, u32 flags, const Target *__restrict__ listed, Target given) {
   __shared__ __align__(16) TileRoom t;
   if (starts[all_tiles] > capacity) return;
-  Place at = find_place(order, tiles_x, tiles);
+  Corner at = find_corner(order, tiles_x, tiles);
   Picture p;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
-    p.through[i] = threadIdx.x < LANES && at.x + i * LANES_X < width && at.y < height ? 1.f : -1.f;
+    p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : -1.f;
     p.red[i] = p.green[i] = p.blue[i] = p.depth[i] = 0.f;
   }
   walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
@@ -119,7 +119,7 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
     p.red[i] = p.red[i] + left * to.back_red;
     p.green[i] = p.green[i] + left * to.back_green;
     p.blue[i] = p.blue[i] + left * to.back_blue;
-    if (threadIdx.x < LANES && x < width && at.y < height) {
+    if (x < width && at.y < height) {
       u64 pixel = (row + at.y) * width + x;
       if (to.depth) to.depth[pixel] = opacity >= 0.5f ? p.depth[i] / opacity : INFINITY;
       if (to.alpha) to.alpha[pixel] = opacity;
@@ -134,7 +134,6 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
   __syncthreads();  // all have left the walk
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
-    if (threadIdx.x >= LANES) break;
     u8 *pixel = t.picture + ((at.y - at.y_px) * TILE + at.x + i * LANES_X - at.x_px) * 3;
     pixel[0] = level(p.red[i]), pixel[1] = level(p.green[i]), pixel[2] = level(p.blue[i]);
   }
@@ -159,11 +158,11 @@ KERNEL_BOUNDED(mark_tiles, THREADS, BLOCKS)
  int height, u32 flags, float threshold, u32 *marks, u64 words) {
   __shared__ __align__(16) TileRoom t;
   if (starts[all_tiles] > capacity) return;
-  Place at = find_place(order, tiles_x, tiles);
+  Corner at = find_corner(order, tiles_x, tiles);
   Marks p;
   p.threshold = threshold, p.row = marks + views[at.view].row * words, p.shows = false;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++)
-    p.through[i] = threadIdx.x < LANES && at.x + i * LANES_X < width && at.y < height ? 1.f : 0.f;
+    p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : 0.f;
   walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
 }

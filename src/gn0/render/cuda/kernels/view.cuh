@@ -1,6 +1,7 @@
 // What kernels see of views, clouds and the work to share; the host's tables are in `tables.py`.
 
 #define CHUNK 256
+#define TILE 16
 #define ORTHO 1u        // flags of a draw
 #define ANTIALIASED 2u
 #define TAIL 0x80000000u  // top bit of a key's low word: a moving splat, after all others

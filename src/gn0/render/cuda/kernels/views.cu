@@ -75,7 +75,7 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
 // group may be empty. `counts` [cloud_count] are zero before. In what order a group lists its
 // members is the atomics' business, and cannot show.
 KERNEL(group_views)(const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 count,
-                    u32 cloud_count, u32 *counts, Group *groups, u32 *members) {
+                    u32 cloud_count, u32 each, u32 *counts, Group *groups, u32 *members) {
   __shared__ u64 held[256 / WARP];
   for (u32 v = threadIdx.x; v < count; v += 256)
     if (views[v].cloud != NOWHERE) atomicAdd(counts + views[v].cloud, 1u);
@@ -84,7 +84,7 @@ KERNEL(group_views)(const View *__restrict__ views, const Cloud *__restrict__ cl
   for (u32 base = 0; base < cloud_count; base += 256) {
     u32 c = base + threadIdx.x;
     u32 mine = c < cloud_count ? counts[c] : 0, chunks = c < cloud_count ? clouds[c].chunks : 0;
-    u64 both = (u64)mine << 32 | (u64)((chunks + CHUNKS - 1) / CHUNKS) * ((mine + VIEWS - 1) / VIEWS), sum = both;
+    u64 both = (u64)mine << 32 | (u64)((chunks + each - 1) / each) * ((mine + VIEWS - 1) / VIEWS), sum = both;
     for (u32 d = 1; d < WARP; d <<= 1) {
       u64 other = __shfl_up_sync(FULL, sum, d);
       if (lane_id() >= d) sum += other;

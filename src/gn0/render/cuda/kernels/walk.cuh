@@ -8,8 +8,7 @@
 // STAGE splats at a time, with a bit for each region of the tile that a splat reaches; then each
 // team of lanes walks the list of its own region.
 
-#define LANES (TILE * TILE / PIXELS)  // that blend
-#define THREADS (LANES * CREWS)        // that sort and stage
+#define THREADS (TILE * TILE / PIXELS)
 #define TEAM (REGION_WIDTH * REGION_HEIGHT / PIXELS)
 #define REGION_ROWS (TILE / REGION_HEIGHT)
 #define REGION_COLUMNS (TILE / REGION_WIDTH)
@@ -232,44 +231,29 @@ __device__ __forceinline__ void sort_group(TileRoom &t, const u64 *from, u32 siz
   __syncthreads();
 }
 
-// Where a tile lies: pixels are counted from the corner of a square of ORIGIN, so that smaller tiles
-// blend with the same numbers.
-#define ORIGIN 16
-
-struct Corner {
-  float left, top;    // centre of the square's first pixel
-  u32 x, y;           // the tile's first pixel in it
-};
-
-__device__ __forceinline__ Corner find_corner(int x_px, int y_px) {
-  u32 x = TILE < ORIGIN ? x_px % ORIGIN : 0, y = TILE < ORIGIN ? y_px % ORIGIN : 0;
-  return {(float)(x_px - (int)x) + 0.5f, (float)(y_px - (int)y) + 0.5f, x, y};
-}
-
 // Regions that a footprint reaches, a bit each, column by column. x, y: of its centre, from the
-// square's first pixel centre.
-__device__ __forceinline__ u32 find_regions(const Footprint &f, float x, float y, const Corner &at) {
+// tile's first pixel centre.
+__device__ __forceinline__ u32 find_regions(const Footprint &f, float x, float y) {
   Ellipse e = outline(f);
   u32 mask = 0;
 #pragma unroll
   for (int column = 0; column < REGION_COLUMNS; column++) {
-    float dx0 = (float)(at.x + column * REGION_WIDTH) - x, dx1 = dx0 + (float)(REGION_WIDTH - 1);
+    float dx0 = (float)(column * REGION_WIDTH) - x, dx1 = dx0 + (float)(REGION_WIDTH - 1);
     float2 cut = cut_rows(e, dx0, dx1);
-    float y0 = fmaxf(ceilf(y + cut.x - EDGE), (float)at.y);
-    float y1 = fminf(floorf(y + cut.y + EDGE) + 1.f, (float)(at.y + TILE));
+    float y0 = fmaxf(ceilf(y + cut.x - EDGE), 0.f);
+    float y1 = fminf(floorf(y + cut.y + EDGE) + 1.f, (float)TILE);
     if (y0 < y1 && dx0 <= f.rx + EDGE && dx1 >= -f.rx - EDGE) {
-      u32 r0 = ((u32)y0 - at.y) / REGION_HEIGHT;
-      u32 r1 = ((u32)y1 - at.y + REGION_HEIGHT - 1) / REGION_HEIGHT;
+      u32 r0 = (u32)y0 / REGION_HEIGHT, r1 = ((u32)y1 + REGION_HEIGHT - 1) / REGION_HEIGHT;
       mask |= ((1u << r1) - (1u << r0)) << (column * REGION_ROWS);
     }
   }
   return mask;
 }
 
-// Stages one entry at `at`; returns its regions.
+// Stages one entry at `at`; returns its regions. left, top: the tile's first pixel centre.
 template <bool COLOUR>
-__device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 flags,
-                                           const Corner &corner) {
+__device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 flags, float left,
+                                           float top) {
   u32 index = (u32)key;
   const Cloud &cloud = t.cloud[index >> 31];
   index &= ~TAIL;
@@ -280,12 +264,12 @@ __device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 fla
   Footprint f;
   const View w = load_view(t.view);
   if (!project(s, w, flags, f)) return 0;
-  float x = f.u - corner.left, y = f.v - corner.top;
+  float x = f.u - left, y = f.v - top;
   float qx = f.qx * SQRT_LOG2_E, qy = f.qy * SQRT_LOG2_E, k = root(f.qk * LOG2_E);
   Staged &to = t.staged[at];
   to.a = make_float4(qx, qy, -fmaf(qx, x, qy * y), k);
   float3 colour = make_float3(0.f, 0.f, 0.f);
-  u32 mask = find_regions(f, x, y, corner);
+  u32 mask = find_regions(f, x, y);
   if (COLOUR) colour = find_colour(cloud, s, slot, w);
   to.b = make_float4(-k * y, f.log_o * LOG2_E, colour.x, colour.y);
   to.c = make_float2(colour.z, f.z);
@@ -335,9 +319,9 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
     ((u32 *)t.cloud)[k] = cloud == NOWHERE ? 0 : ((const u32 *)(clouds + cloud))[k % words];
   }
   u32 region = threadIdx.x / TEAM, lane = threadIdx.x % TEAM;
-  const Corner corner = find_corner(x_px, y_px);
-  float x = (float)(corner.x + region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
-  float y = (float)(corner.y + region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
+  float x = (float)(region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
+  float y = (float)(region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
+  float left = (float)x_px + 0.5f, top = (float)y_px + 0.5f;
   bool open = __any_sync(FULL, painter.open());  // of the warp
   bool parted = n > CAPACITY;
   const u64 *from = list;            // the next group
@@ -369,7 +353,7 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
       for (u32 k = threadIdx.x; k < STAGE; k += THREADS) {
         u32 mask = 0;
         if (first + k < size)
-          mask = stage_splat<Painter::COLOUR>(t, k, t.keys[first + k], flags, corner);
+          mask = stage_splat<Painter::COLOUR>(t, k, t.keys[first + k], flags, left, top);
         __syncwarp();
         u32 mine = 0;
 #pragma unroll

@@ -371,40 +371,76 @@ def test_a_dataset_of_visible_sets_found_on_a_device_is_drawn_again_from_them(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+@pytest.mark.parametrize(
+    ("maps", "depth"), [("once", True), ("once", False), ("every", True), ("every", False)]
+)
 def test_files_made_on_a_device_are_the_bytes_of_before(
-    walks, alone, tmp_path, files_of, monkeypatch
+    walks, alone, tmp_path, files_of, monkeypatch, maps, depth
 ) -> None:
-    """A whole dataset with views and mosaics encoded by kernels: no byte of its shards differs.
+    """A whole dataset with its pictures encoded and hashed by kernels: no byte of a shard differs.
 
-    Nor of its depth, which a kernel makes millimetres of.
+    Nor of its depth, which a kernel makes millimetres of. Nothing is left to the worker but what
+    an episode has once: what its goal looks like, and the map from above.
     """
     from gn0.data import draw, pictures
     from gn0.render.share.client import RendererShared
 
     listener, address = serve_here(BatchOnHost())
-    made = [0]
-    render_files = RendererShared.render_files
+    made, maps_made, left = [0], [0], [0]
+    render_files, encode = RendererShared.render_files, cache.encode_picture
 
     def counted(*args):
         found = render_files(*args)
         made[0] += len(found.mosaics)
+        maps_made[0] += len(found.hashes["maps"])
+        assert len(found.maps) == (len(found.hashes["maps"]) if maps == "every" else 0)
         return found
+
+    def encoded_here(*args):
+        left[0] += 1
+        return encode(*args)
 
     monkeypatch.setattr(RendererShared, "render_files", counted)
     start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
                      walks.episodes[1:2], name="few")  # fmt: skip
-    settings = BuildSettings(pictures=PictureSettings(quality=85, depth=True))
+    settings = BuildSettings(pictures=PictureSettings(quality=85, depth=depth, maps=maps))
     build_dataset(few, tmp_path / "cpu", settings)
-    drawn = with_backend(settings.pictures, "cuda")
-    built = build_dataset(few, tmp_path / "cuda", msgspec.structs.replace(settings, pictures=drawn))
-    listener.close()
+    drawn = msgspec.structs.replace(settings, pictures=with_backend(settings.pictures, "cuda"))
+    monkeypatch.setattr(cache, "encode_picture", encoded_here)
+    built = build_dataset(few, tmp_path / "cuda", drawn)
     assert made[0] == built.about.rows > 16
+    assert made[0] >= maps_made[0] > 8  # a turn leaves the dots where they are
+    assert left[0] == (2 if maps == "every" else 1)
+    assert verify_dataset(tmp_path / "cuda", pixels=True).ok  # hashed by the worker, from pixels
+    assert made[0] == built.about.rows
+    build_dataset(few, tmp_path / "again", drawn)
+    assert files_of(tmp_path / "again") == files_of(tmp_path / "cuda")
+    listener.close()
     one, other = files_of(tmp_path / "cpu"), files_of(tmp_path / "cuda")
     shards = [name for name in one if name.endswith((".tar", ".index.parquet", ".png", ".jpg"))]
     assert shards and all(one[name] == other[name] for name in shards)
     assert b'"backend": "cuda"' in other["dataset.json"]
     assert pictures.BATCH == 32 and draw.AHEAD == 64
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+def test_maps_too_large_for_a_device_are_painted_by_the_worker(
+    walks, tmp_path, files_of, monkeypatch
+) -> None:
+    from gn0.data import draw
+
+    listener, address = serve_here(BatchOnHost())
+    start_at(address, monkeypatch)
+    few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
+                     walks.episodes[1:2], name="few")  # fmt: skip
+    pictures = with_backend(PictureSettings(maps="every"), "cuda")
+    for name, most in (("painted", draw.PAINTED), ("left", 10)):
+        monkeypatch.setattr(draw, "PAINTED", most)
+        build_dataset(few, tmp_path / name, BuildSettings(pictures=pictures))
+    listener.close()
+    assert files_of(tmp_path / "painted") == files_of(tmp_path / "left")
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from gn0.data.cache import DrawnStep
 from gn0.data.dataset import Dataset, FileRecord
 from gn0.data.drawing import check_drawn_here
 from gn0.data.pictures import (
+    Painting,
     Seen,
     build_eyes,
     draw_episode,
@@ -28,14 +29,16 @@ from gn0.data.pictures import (
 from gn0.data.samples import DEPTH, PICTURES, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
-from gn0.geometry import U8
+from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.light import LightCondition
 from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.render.share.messages import MapPicture
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
 from gn0.storage import RowDigest, content_hash, safe_join
 
+PAINTED = 2**22  # pixels of a map at most that the process that draws paints dots on
 AHEAD = 64  # views drawn before they are wanted, where another process draws them
 T = TypeVar("T")
 KEPT_STEPS = 256  # longer walks are drawn again for each mission of their path
@@ -60,6 +63,7 @@ class Eyes:
     _key: tuple[str, LightCondition | None] | None = None
     _suite: SensorSuite | None = field(default=None, repr=False)
     _connection: DrawConnection | None = field(default=None, repr=False)
+    _bare: MapPicture | None = field(default=None, repr=False)
     bev_hash: str = ""
 
     def __post_init__(self) -> None:
@@ -73,7 +77,7 @@ class Eyes:
         light = episode.light
         key = (episode.scene_id, None if light is None or light.is_neutral else light)
         if self._suite is None or self._key != key:
-            self._suite = None  # let go of the old splats first
+            self._suite = self._bare = None  # let go of the old splats first
             about = self.dataset.about
             self._suite = build_eyes(
                 self.dataset.scene(episode.scene_id),
@@ -88,6 +92,19 @@ class Eyes:
             self._key = key
             self.bev_hash = content_hash(map_picture(self._suite))
         return self._suite
+
+    def painting(self, episode: Episode, *, encode: bool) -> Painting | None:
+        """What the process that draws needs for the occupancy pictures of an episode.
+
+        None where the map is too large for it. `encode`: let it make files, too.
+        """
+        eyes = self.of(episode)
+        if eyes.map_frame.width * eyes.map_frame.height > PAINTED:
+            return None
+        if self._bare is None:
+            grey = paint_grid(eyes.grid, eyes.map_frame)[:, :, 0]
+            self._bare = MapPicture.of_pixels(np.ascontiguousarray(grey))
+        return Painting(self._bare, Pose2D(*episode.start), encode)
 
     def ask_for(self, scene_id: str, light: LightCondition | None) -> RendererShared | None:
         """A renderer that asks the process that draws, where there is one."""
@@ -238,8 +255,11 @@ class PartDrawer:
             yield Opened(eyes, self._eyes.bev_hash, goal)
             if not (number and again[number - 1]):
                 if self._files and files_wanted(eyes, self._settings):
-                    quality = self._settings.quality
-                    yield from draw_files(eyes, block.poses, quality, depth=self._depth)
+                    every = self._settings.maps == "every"
+                    yield from draw_files(
+                        eyes, block.poses, self._settings.quality, depth=self._depth,
+                        painting=self._eyes.painting(episode, encode=every),
+                    )  # fmt: skip
                 else:
                     yield from draw_views(eyes, block.poses, depth=self._depth)
 
@@ -254,7 +274,6 @@ class PartDrawer:
         eyes = opened.eyes
         frame = eyes.map_frame
         start = frame.pixel_of(*episode.start[:2])
-        known = {"bev": opened.bev_hash}
         digest, dot = RowDigest(), 0  # above the agent's dot nothing changes
         radius = eyes.config.disc_radius
 
@@ -269,8 +288,10 @@ class PartDrawer:
         for t, pictures in enumerate(draw_episode(eyes, episode, block.poses, views())):
             x, y = map(float, block.poses[t, :2])
             places = (start, frame.pixel_of(x, y))
-            same, dot = min(dot, places[1][0]) - radius, places[1][0]
-            known["occupancy"] = digest.of(pictures.occupancy, same)
+            known = {"bev": opened.bev_hash}
+            if "occupancy" not in pictures.digests:
+                same, dot = min(dot, places[1][0]) - radius, places[1][0]
+                known["occupancy"] = digest.of(pictures.occupancy, same)
             hashes = pictures.hashes(known)
             kept = {**pictures.files, **shared}
             yield DrawnStep(t, t, block, episode, pictures, hashes, places, base, kept=kept)

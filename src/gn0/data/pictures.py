@@ -6,8 +6,9 @@ rendered once a scene and light, and the occupancy picture is the map with two d
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,17 @@ from gn0.render.depth import to_millimetres
 from gn0.render.light import LightCondition
 from gn0.render.renderer import Output, Renderer, visible_backend
 from gn0.render.share.client import RendererShared
-from gn0.render.share.messages import Encode
+from gn0.render.share.messages import Dots, Encode, MapPicture
 from gn0.scenes.scene import Scene
-from gn0.sim.history import COLUMNS, LENGTH, TILE_HEIGHT, TILE_WIDTH, History, reduce_pictures
+from gn0.sim.history import (
+    COLUMNS,
+    LENGTH,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    History,
+    build_mosaic,
+    reduce_pictures,
+)
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset
 from gn0.sim.sensors import SensorSuite
@@ -34,6 +43,7 @@ from gn0.storage import content_hash
 
 U16 = NDArray[np.uint16]
 BATCH = 32  # views a call of the renderer
+FAR = 2**24  # px: dots are kept that near, which is outside of any map that is sent
 SENSORS = frozenset({"rgb", "depth", "history", "bev", "occupancy"})
 
 
@@ -79,21 +89,30 @@ class StepPictures:
 
     Attributes:
         rgb: uint8 [H, W, 3], the view.
-        history: uint8 [480, 640, 3], the mosaic of earlier views.
         bev: uint8 [Hb, Wb, 3], the scene from above.
-        occupancy: uint8 [Hb, Wb, 3], the map with start and agent.
+        lay, paint: make `history` and `occupancy`, where somebody looks at them.
         files: encoded pictures by name, where they are made already.
         depth: uint16 [Hd, Wd] mm, see `gn0.render.depth`; None where it is not stored.
         digests: of raw pixels by name, where they are made already.
     """
 
     rgb: U8
-    history: U8
     bev: U8
-    occupancy: U8
+    lay: Callable[[], U8]
+    paint: Callable[[], U8]
     files: Mapping[str, bytes] = field(default_factory=dict)
     depth: U16 | None = None
     digests: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def history(self) -> U8:
+        """The mosaic of earlier views uint8 [480, 640, 3]."""
+        return self.lay()
+
+    @cached_property
+    def occupancy(self) -> U8:
+        """The map with start and agent uint8 [Hb, Wb, 3]."""
+        return self.paint()
 
     def hashes(self, known: Mapping[str, str] | None = None) -> dict[str, str]:
         """Digest of each picture's raw pixels; `known` spares those that are known already."""
@@ -136,10 +155,9 @@ def draw_episode(
     start = Pose2D(*episode.start)
     bev = map_picture(eyes)
     for seen in draw_views(eyes, poses) if views is None else views:
-        occupancy = eyes.occupancy_picture(start, seen.pose)
-        yield StepPictures(
-            seen.rgb, history.mosaic(), bev, occupancy, seen.files, seen.depth, seen.digests
-        )
+        lay = partial(build_mosaic, history.tiles)
+        paint = partial(eyes.occupancy_picture, start, seen.pose)
+        yield StepPictures(seen.rgb, bev, lay, paint, seen.files, seen.depth, seen.digests)
         if seen.tile is None:
             history.add(seen.rgb)
         else:
@@ -197,13 +215,43 @@ def _render(
     return pictures if found.rgb is None else {"rgb": found.rgb, **pictures}
 
 
+@dataclass(frozen=True, eq=False)
+class Painting:
+    """Occupancy pictures that the process that draws is to paint.
+
+    Attributes:
+        bare: the map before dots are drawn.
+        start: of the walk.
+        encode: whether files are wanted, too; else digests alone.
+    """
+
+    bare: MapPicture
+    start: Pose2D
+    encode: bool
+
+    def place(self, eyes: SensorSuite, poses: Sequence[Pose2D]) -> tuple[Dots, list[int]]:
+        """The pictures of some steps, equal ones once, and the number of each step's."""
+        frame, start = eyes.map_frame, self.start
+        first = frame.pixel_of(start.x, start.y)
+        rows = [(*first, *frame.pixel_of(pose.x, pose.y)) for pose in poses]
+        distinct = {row: number for number, row in enumerate(dict.fromkeys(rows))}
+        places = np.clip(np.array(list(distinct)), -FAR, FAR).astype(np.int32)
+        dots = Dots(places.tobytes(), eyes.config.disc_radius, self.encode)
+        return dots, [distinct[row] for row in rows]
+
+
 def draw_files(
-    eyes: SensorSuite, poses: F64, quality: int, *, depth: bool = False
+    eyes: SensorSuite,
+    poses: F64,
+    quality: int,
+    *,
+    depth: bool = False,
+    painting: Painting | None = None,
 ) -> Iterator[Seen]:
     """As `draw_views`, with jpg files of views and mosaics that the process that draws makes.
 
     The poses are those of one walk, from its first step on. What that process has not made is left
-    to who needs it.
+    to who needs it. `painting`: let it make the occupancy pictures, too.
     """
     renderer, preset = eyes.renderer, eyes.config.preset
     assert isinstance(renderer, RendererShared)
@@ -213,18 +261,25 @@ def draw_files(
         distinct = list(dict.fromkeys(batch))
         places = {pose: index for index, pose in enumerate(distinct)}
         numbers = [places[pose] for pose in batch]
+        dots, shown, spots = None, None, [0] * len(batch)
+        room = len(batch) * pixels * 3 // 2
+        if painting is not None:
+            shown = painting.bare
+            dots, spots = painting.place(eyes, batch)
+            room += dots.count * len(shown.grey) * 3 // 2 if dots.encode else 0
         wish = Encode(
             quality=quality,
-            room=len(batch) * pixels * 3 // 2,
+            room=room,
             tile=(TILE_WIDTH, TILE_HEIGHT),
             cells=LENGTH,
             columns=COLUMNS,
             steps=np.array(numbers, np.int32).tobytes(),
             begin=begin == 0,
+            dots=dots,
         )
         views, both = eyes.views_of(distinct), depth and preset.depth == preset.rgb
         outputs: tuple[Output, ...] = ("rgb", "depth") if both else ("rgb",)
-        found = renderer.render_files(preset.rgb, views, wish, preset.background, outputs)
+        found = renderer.render_files(preset.rgb, views, wish, preset.background, outputs, shown)
         far = found.pictures.get("depth")
         if depth and far is None:
             far = draw_millimetres(eyes, views)
@@ -237,6 +292,10 @@ def draw_files(
                 digests = {"rgb": hashes["rgb"][number], "history": hashes["mosaics"][step]}
                 if both and hashes["depth"]:
                     digests[DEPTH] = hashes["depth"][number]
+                if found.maps:
+                    files["occupancy"] = found.maps[spots[step]]
+                if hashes["maps"]:
+                    digests["occupancy"] = hashes["maps"][spots[step]]
             tile = found.pictures["tiles"][number] if made else None
             deep = None if far is None else far[number]
             yield Seen(pose, rgb[number], tile, files, deep, digests)

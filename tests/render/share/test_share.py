@@ -27,10 +27,11 @@ from gn0.render.cuda.visible import RendererVisibleCuda
 from gn0.render.depth import to_millimetres
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.render.share.cpu import RendererBatchCpu
-from gn0.render.share.messages import Draw, Encode, Floor, lay_out
+from gn0.render.share.messages import Dots, Draw, Encode, Floor, MapPicture, lay_out
 from gn0.render.share.server import Server, open_listener
 from gn0.render.visible import RendererVisible
 from gn0.render.visible_places import VisibleOptions
+from gn0.sim.sensors import GREEN, RED, draw_disc
 from gn0.storage import content_hash
 
 pytestmark = [
@@ -391,6 +392,86 @@ def test_files_without_room_are_left_to_who_asked(serve) -> None:
     with pytest.raises(RenderError, match="no multiple"):
         renderer.render_files(CAMERA, views(2), odd)
     assert len(renderer.render_files(CAMERA, views(2), Encode(85, 10**5)).files) == 2
+
+
+def paint(shown: MapPicture, dots: Dots) -> list[np.ndarray]:
+    """The occupancy pictures that are wanted, as the simulator paints them."""
+    found = []
+    for start, agent in np.frombuffer(dots.places, np.int32).reshape(-1, 2, 2).tolist():
+        found.append(np.repeat(shown.pixels[:, :, None], 3, axis=2))
+        draw_disc(found[-1], *start, dots.radius, GREEN)
+        draw_disc(found[-1], *agent, dots.radius, RED)
+    return found
+
+
+@pytest.mark.parametrize("most", [64, 3])
+@pytest.mark.parametrize("encode", [True, False])
+@pytest.mark.parametrize("depth", [True, False])
+def test_occupancy_pictures_come_with_the_views(serve, most, encode, depth) -> None:
+    """Each asks for its own map, of its own size, at the same time; maps are sent once."""
+    serving = serve(BatchOnDevice(DeviceHost()), most=most)
+    outputs = ("rgb", "depth") if depth else ("rgb",)
+
+    def walk(renderer: RendererShared, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        sizes = [(30, 41), (41, 30), (30, 41)]
+        for turn in range(4):
+            height, width = sizes[(seed + turn // 2) % 3]
+            grey = np.random.default_rng(seed + turn // 2).integers(0, 256, (height, width))
+            shown = MapPicture.of_pixels(grey.astype(np.uint8))
+            places = rng.integers(-3, 40, (turn + 1, 2, 2)).astype(np.int32)
+            dots = Dots(places.tobytes(), 3, encode)
+            steps = np.arange(5, dtype=np.int32).tobytes()
+            wish = Encode(85, 200_000, (16, 12), 4, 2, steps, dots=dots)
+            found = renderer.render_files(CAMERA, views(5), wish, None, outputs, shown)
+            wanted = paint(shown, dots)
+            assert found.hashes["maps"] == [content_hash(picture) for picture in wanted]
+            assert found.maps == ([jpeg_of(picture) for picture in wanted] if encode else [])
+            assert len(found.files) == len(found.mosaics) == len(found.hashes["mosaics"]) == 5
+            assert len(found.hashes["depth"]) == (5 if depth else 0)
+            plain = renderer.render_files(CAMERA, views(5), Encode(85, 200_000))
+            assert plain.files == found.files and not plain.maps and not plain.hashes["maps"]
+
+    wrong: list[BaseException] = []
+
+    def attempt(renderer: RendererShared, seed: int) -> None:
+        try:
+            walk(renderer, seed)
+        except BaseException as error:
+            wrong.append(error)
+
+    threads = [
+        threading.Thread(target=attempt, args=(serving.renderer(1), seed)) for seed in range(3)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong, wrong[0]
+
+
+def test_dots_without_a_map_or_room(serve) -> None:
+    renderer = serve(BatchOnDevice(DeviceHost())).renderer(1)
+    one = Dots(bytes(16), 3, True)
+    with pytest.raises(RenderError, match="without a map"):
+        renderer.render_files(CAMERA, views(1), Encode(85, 10**5, dots=one))
+    shown = MapPicture.of_pixels(np.random.default_rng(0).integers(0, 256, (40, 40), np.uint8))
+    for bad in (Dots(bytes(15), 3, True), Dots(bytes(16), 101, True), Dots(bytes(16), -1, True)):
+        with pytest.raises(RenderError, match="without a map"):
+            renderer.render_files(CAMERA, views(1), Encode(85, 10**5, dots=bad), shown=shown)
+    size = len(renderer.render_files(CAMERA, views(1), Encode(85, 10**5)).files[0])
+    tight = renderer.render_files(CAMERA, views(1), Encode(85, size, dots=one), shown=shown)
+    assert (tight.files, tight.maps, tight.hashes) == ([], [], {})
+    none = renderer.render_files(
+        CAMERA, views(1), Encode(85, 10**5, dots=Dots(b"", 3, True)), shown=shown
+    )
+    assert len(none.files) == 1 and none.maps == none.hashes["maps"] == []
+    broken = msgspec.structs.replace(shown, name="broken", shape=(3, 3))
+    with pytest.raises(FormatError, match="another size"):
+        renderer.render_files(CAMERA, views(1), Encode(85, 10**5, dots=one), shown=broken)
+    plain = serve(RendererBatchCpu()).renderer(1)
+    found = plain.render_files(CAMERA, views(1), Encode(85, 10**5, dots=one), shown=shown)
+    assert found.files == [] and not found.hashes
 
 
 FLOOR = OccupancyGrid(np.zeros((16, 16), np.uint8), 0.25, (-2.0, -2.0))

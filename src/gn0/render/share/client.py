@@ -42,6 +42,7 @@ from gn0.render.share.messages import (
     Failed,
     Floor,
     Inbox,
+    MapPicture,
     Note,
     Ready,
     Refused,
@@ -66,13 +67,16 @@ class DrawnViews:
         pictures: by output, and "tiles" uint8 [V, h, w, 3] where mosaics were wanted.
         files: JPEG file of each view; empty where the server made none.
         mosaics: JPEG file of each step's mosaic; empty where the server made none.
-        hashes: `content_hash` of each view ("rgb"), mosaic ("mosaics") and depth in millimetres
-            ("depth"); without a name, or empty, where the server made none.
+        maps: JPEG file of each occupancy picture; empty where the server made none.
+        hashes: `content_hash` of each view ("rgb"), mosaic ("mosaics"), depth in millimetres
+            ("depth") and occupancy picture ("maps"); without a name, or empty, where the server
+            made none.
     """
 
     pictures: dict[str, NDArray[Any]]
     files: list[bytes] = field(default_factory=list)
     mosaics: list[bytes] = field(default_factory=list)
+    maps: list[bytes] = field(default_factory=list)
     hashes: dict[str, list[str]] = field(default_factory=dict)
 
 
@@ -102,7 +106,7 @@ class DrawConnection:
         self._decoder = msgspec.msgpack.Decoder(Drawn | Failed | DrawnBy)
         self._area: NDArray[np.uint8] | None = None
         self._number = self._areas = 0
-        self._floor = ""  # that was sent last
+        self._floor = self._shown = ""  # that was sent last
 
     @cached_property
     def drawn_by(self) -> str:
@@ -132,11 +136,12 @@ class DrawConnection:
         floor: Floor | None = None,
         *,
         millimetres: bool = False,
+        shown: MapPicture | None = None,
     ) -> DrawnViews:
         """Pictures of views [V, 4, 4], and files of them: copies of one's own.
 
         `floor`: draw from the visible sets of this one. `millimetres`: depth as uint16, see
-        `gn0.render.depth`.
+        `gn0.render.depth`. `shown`: the map that the dots of `encode` are on.
 
         Raises:
             DeviceError: the device or the process that draws is lost.
@@ -154,6 +159,9 @@ class DrawConnection:
             if floor is not None and floor.name != self._floor:
                 send_message(self._socket, floor)
                 self._floor = floor.name
+            if shown is not None and shown.name != self._shown:
+                send_message(self._socket, shown)
+                self._shown = shown.name
         except OSError:
             raise _lost() from None
         answer = self._ask(draw)
@@ -162,8 +170,10 @@ class DrawConnection:
         pictures = {name: array.copy() for name, array in find_places(draw, area).items()}
         if encode is None or not answer.files:
             return DrawnViews(pictures)
-        starts = coded + np.concatenate([[0], np.cumsum(answer.files + answer.mosaics)])
+        sizes = answer.files + answer.mosaics + answer.maps
+        starts = coded + np.concatenate([[0], np.cumsum(sizes)])
         count = len(answer.files)
+        steps = count + len(answer.mosaics)
         head = read_tables(camera.width, camera.height, encode.quality).head
         files = join_files(head, area, starts[: count + 1])
         mosaics: list[bytes] = []
@@ -171,11 +181,18 @@ class DrawConnection:
             rows = encode.cells // encode.columns
             width, height = encode.tile[0] * encode.columns, encode.tile[1] * rows
             head = read_tables(width, height, encode.quality).head
-            mosaics = join_files(head, area, starts[count:])
+            mosaics = join_files(head, area, starts[count : steps + 1])
+        maps: list[bytes] = []
+        if shown is not None and answer.maps:
+            head = read_tables(shown.shape[1], shown.shape[0], encode.quality).head
+            maps = join_files(head, area, starts[steps:])
         hashes = [answer.digests[at : at + 16].hex() for at in range(0, len(answer.digests), 16)]
-        steps = count + len(answer.mosaics)
-        named = {"rgb": hashes[:count], "mosaics": hashes[count:steps], "depth": hashes[steps:]}
-        return DrawnViews(pictures, files, mosaics, named)
+        last = len(hashes) - (0 if encode.dots is None else encode.dots.count)
+        named = {
+            "rgb": hashes[:count], "mosaics": hashes[count:steps], "depth": hashes[steps:last],
+            "maps": hashes[last:],
+        }  # fmt: skip
+        return DrawnViews(pictures, files, mosaics, maps, named)
 
     def _ask(self, message: msgspec.Struct) -> Drawn | DrawnBy:
         """The answer to a message.
@@ -318,16 +335,18 @@ class RendererShared:
         encode: Encode,
         background: tuple[float, float, float] | None = None,
         outputs: tuple[Output, ...] = ("rgb",),
+        shown: MapPicture | None = None,
     ) -> DrawnViews:
         """Pictures of at most `VIEWS` views [V, 4, 4], and files of the colour ones.
 
-        Depth, where `outputs` name it, comes as uint16 millimetres, see `gn0.render.depth`.
+        `shown` is the map that the dots of `encode` are on. Depth, where `outputs` name it, comes
+        as uint16 millimetres, see `gn0.render.depth`.
 
         Raises:
             RenderError: a view is none, or there are too many.
             DeviceError: the device or the process that draws is lost.
         """
-        return self._draw(camera, views, outputs, background, encode)
+        return self._draw(camera, views, outputs, background, encode, shown)
 
     def render_millimetres(
         self,
@@ -350,13 +369,14 @@ class RendererShared:
         outputs: tuple[Output, ...],
         background: tuple[float, float, float] | None,
         encode: Encode | None,
+        shown: MapPicture | None = None,
     ) -> DrawnViews:
         matrices = check_views(views)
         if not 0 < len(matrices) <= VIEWS:
             raise RenderError(f"{len(matrices)} views in a request", remedy=f"give 1 to {VIEWS}")
         return self._connection.draw(
             self._key, self._source, camera, matrices, outputs, background, encode, self._floor,
-            millimetres="depth" in outputs,
+            millimetres="depth" in outputs, shown=shown,
         )  # fmt: skip
 
 

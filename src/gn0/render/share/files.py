@@ -1,20 +1,35 @@
-"""JPEG files and digests of what is drawn, and of mosaics of what was seen, on the device."""
+"""JPEG files and digests of what is drawn, of mosaics of what was seen, and of maps with dots."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import RenderError
 from gn0.render.share.digest import Mosaics, digest_on_device
 from gn0.render.share.jpeg import JpegDevice, JpegEncoder
-from gn0.render.share.messages import Encode
+from gn0.render.share.maps import MapPainter
+from gn0.render.share.messages import Dots, Encode, MapPicture
 from gn0.render.share.request import Connection, Request
 
 Tile = tuple[DeviceArray, int]  # tiles of a batch, and which of them
+
+
+@dataclass(frozen=True, eq=False)
+class MapFiles:
+    """Occupancy pictures of one size.
+
+    Attributes:
+        coded: files of them; None where digests alone are wanted.
+        rows: which of them are a request's, by its identity.
+    """
+
+    coded: JpegDevice | None
+    rows: dict[int, slice]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,18 +38,22 @@ class Files:
 
     Attributes:
         views: of each view of the batch, in order.
-        digests: uint8 [n, 16] of the raw pixels of each view, of each mosaic, and of each view's
-            depth where it is wanted.
+        digests: uint8 [n, 16] of raw pixels.
+        hashed: rows of `digests` by what they are of: "files" for the views, "mosaics", "depth"
+            where it is wanted, and "maps 0", "maps 1", … in the order of `maps`.
         tiles: reduced views [V, h, w, 3]; None without mosaics.
         mosaics: of each step of the requests that ended in this batch; None without.
         steps: of those requests, how many steps each has, in order.
+        maps: occupancy pictures of those requests that want them.
     """
 
     views: JpegDevice
     digests: DeviceArray
+    hashed: dict[str, slice]
     tiles: DeviceArray | None = None
     mosaics: JpegDevice | None = None
     steps: dict[int, int] = field(default_factory=dict)
+    maps: Sequence[MapFiles] = ()
 
 
 class FileMaker:
@@ -46,6 +65,7 @@ class FileMaker:
 
     def __init__(self, device: Device) -> None:
         self._device, self._encoder = device, JpegEncoder(device)
+        self._painter = MapPainter(device)
         self._seen: dict[Connection, list[Tile]] = {}
         self._parts: dict[int, list[Tile]] = {}  # views of requests that are not whole yet
 
@@ -70,12 +90,50 @@ class FileMaker:
         """
         self._seen = {one: past for one, past in self._seen.items() if not one.closed}
         views = self._encoder.encode(rgb, encode.quality)
-        deep = [] if depth is None else [depth]
-        if encode.tile is None:
-            return Files(views, digest_on_device(self._device, [rgb, *deep]))
-        tiles = self._encoder.reduce(rgb, *encode.tile)
-        tables, steps, seen = [], {}, []
-        size = 3 * encode.tile[0] * encode.tile[1]
+        kinds: dict[str, DeviceArray | Mosaics] = {"files": rgb}
+        tiles, mosaics = None, None
+        steps: dict[int, int] = {}
+        seen: list[tuple[Request, list[Tile], list[Tile]]] = []
+        if encode.tile is not None:
+            tiles = self._encoder.reduce(rgb, *encode.tile)
+            table, steps, seen = self._look_back(tiles, encode.tile, pieces)
+            if steps:
+                kinds["mosaics"] = Mosaics(table, encode.tile, encode.columns)
+                mosaics = self._encoder.encode_mosaics(
+                    table, encode.tile, encode.columns, encode.quality
+                )
+        if depth is not None:
+            kinds["depth"] = depth
+        maps = []
+        for group, (coded, pictures) in enumerate(self._paint(encode.quality, pieces)):
+            kinds[f"maps {group}"] = pictures
+            maps.append(coded)
+        hashed, at = {}, 0
+        for name, kind in kinds.items():
+            count = len(kind.table) if isinstance(kind, Mosaics) else len(kind)
+            hashed[name] = slice(at, at + count)
+            at += count
+        digests = digest_on_device(self._device, list(kinds.values()))
+        for request, past, _ in seen:  # only now: a batch that is drawn again begins where it did
+            self._seen[request.connection] = past
+        return Files(views, digests, hashed, tiles, mosaics, steps, maps)
+
+    def _look_back(
+        self,
+        tiles: DeviceArray,
+        tile: tuple[int, int],
+        pieces: Sequence[tuple[Request, slice, bool]],
+    ) -> tuple[NDArray[np.uint64], dict[int, int], list[tuple[Request, list[Tile], list[Tile]]]]:
+        """Where the tiles of each step's mosaic are, of requests that are whole now.
+
+        Returns:
+            Addresses uint64 [steps, cells]; how many steps each request has; what each has seen
+            last, and its own tiles, which must stay until its mosaics are made.
+        """
+        tables: list[NDArray[np.uint64]] = []
+        steps: dict[int, int] = {}
+        seen: list[tuple[Request, list[Tile], list[Tile]]] = []
+        size = 3 * tile[0] * tile[1]
         for request, rows, last in pieces:
             own = self._parts.pop(id(request), [])
             own += [(tiles, row) for row in range(rows.start, rows.stop)]
@@ -94,18 +152,25 @@ class FileMaker:
                 past = [own[number], *past][: wish.cells]
             steps[id(request)] = len(numbers)
             tables.append(table)
-            seen.append((request, past))
-        mosaics, laid = None, []
-        if tables:
-            table = np.concatenate(tables)
-            laid = [Mosaics(table, encode.tile, encode.columns)]
-            mosaics = self._encoder.encode_mosaics(
-                table, encode.tile, encode.columns, encode.quality
-            )
-        digests = digest_on_device(self._device, [rgb, *laid, *deep])
-        for request, past in seen:  # only now: a batch that is drawn again begins where it did
-            self._seen[request.connection] = past
-        return Files(views, digests, tiles, mosaics, steps)
+            seen.append((request, past, own))
+        return np.concatenate(tables) if tables else np.zeros((0, 1), np.uint64), steps, seen
+
+    def _paint(
+        self, quality: int, pieces: Sequence[tuple[Request, slice, bool]]
+    ) -> Iterator[tuple[MapFiles, DeviceArray]]:
+        """Occupancy pictures of requests that are whole now, and files of them."""
+        owners: list[Request] = []
+        wishes: list[tuple[MapPicture, Dots]] = []
+        for request, _, last in pieces:
+            wish = request.draw.encode
+            if last and wish is not None and wish.dots is not None and wish.dots.count:
+                assert request.shown is not None
+                owners.append(request)
+                wishes.append((request.shown, wish.dots))
+        for painted in self._painter.paint(wishes) if wishes else ():
+            coded = self._encoder.encode(painted.pictures, quality) if painted.encode else None
+            rows = {id(owners[number]): rows for number, rows in painted.rows.items()}
+            yield MapFiles(coded, rows), painted.pictures
 
     def forget(self, requests: Sequence[Request]) -> None:
         """Begin these requests anew."""

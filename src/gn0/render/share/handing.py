@@ -104,6 +104,8 @@ class Handing:
             sources |= {"files": files.views.data, "tiles": files.tiles}
             sources["digests"] = files.digests
             sources["mosaics"] = None if files.mosaics is None else files.mosaics.data
+            for group, shown in enumerate(files.maps):
+                sources[f"maps {group}"] = None if shown.coded is None else shown.coded.data
         for name, source in sources.items():
             if isinstance(source, DeviceArray) and source.nbytes:
                 kept = self._blocks.get(name)
@@ -148,7 +150,7 @@ class Handing:
                 arrays[output] = getattr(batch.pictures.numpy(), output)
             if arrays[output] is None:
                 raise RenderError(f"the renderer gave no {output}")
-        mosaics, rows = 0, sum(piece.rows.stop - piece.rows.start for piece in batch.pieces)
+        mosaics = 0
         for piece in batch.pieces:
             for wanted, target in piece.request.targets().items():
                 if wanted == "tiles" and wanted not in arrays:
@@ -159,19 +161,25 @@ class Handing:
             coded = Coded(piece.request)
             if (files := batch.files) is not None:
                 coded = self._coded.pop(id(piece.request), coded)
+                hashes = {name: arrays["digests"][rows] for name, rows in files.hashed.items()}
                 coded.add("files", arrays.get("files", NOTHING), files.views.starts, piece.rows)
-                views, laid, deep = np.split(
-                    arrays["digests"], np.cumsum([rows, sum(files.steps.values())])
-                )
-                coded.add_digests("files", views[piece.rows])
-                coded.add_digests("depth", deep[piece.rows])
+                coded.add_digests("files", hashes["files"][piece.rows])
+                if "depth" in hashes:
+                    coded.add_digests("depth", hashes["depth"][piece.rows])
                 if piece.last and files.mosaics is not None:
                     steps = slice(mosaics, mosaics + files.steps[id(piece.request)])
                     coded.add(
                         "mosaics", arrays.get("mosaics", NOTHING), files.mosaics.starts, steps
                     )
-                    coded.add_digests("mosaics", laid[steps])
+                    coded.add_digests("mosaics", hashes["mosaics"][steps])
                     mosaics = steps.stop
+                for group, shown in enumerate(files.maps):
+                    if (own := shown.rows.get(id(piece.request))) is None:
+                        continue
+                    name = f"maps {group}"
+                    if shown.coded is not None:
+                        coded.add("maps", arrays.get(name, NOTHING), shown.coded.starts, own)
+                    coded.add_digests("maps", hashes[name][own])
                 if not piece.last:
                     self._coded[id(piece.request)] = coded
             if piece.last:
@@ -184,8 +192,8 @@ class Coded:
     def __init__(self, request: Request) -> None:
         self._request = request
         _, self._at, self._end = lay_files(request.draw)
-        self._sizes: dict[str, list[int]] = {"files": [], "mosaics": []}
-        self._digests = {"files": b"", "mosaics": b"", "depth": b""}
+        self._sizes: dict[str, list[int]] = {"files": [], "mosaics": [], "maps": []}
+        self._digests = {"files": b"", "mosaics": b"", "depth": b"", "maps": b""}
         self._fits = True
 
     def add(
@@ -210,7 +218,5 @@ class Coded:
         number = self._request.draw.number
         if not self._fits:
             return Drawn(number)
-        sizes = self._sizes
-        return Drawn(
-            number, tuple(sizes["files"]), tuple(sizes["mosaics"]), b"".join(self._digests.values())
-        )
+        sizes = {name: tuple(each) for name, each in self._sizes.items()}
+        return Drawn(number, **sizes, digests=b"".join(self._digests.values()))

@@ -83,6 +83,57 @@ class Floor(msgspec.Struct, frozen=True, tag="floor"):
         return OccupancyGrid(cells, self.resolution, self.origin)
 
 
+class MapPicture(msgspec.Struct, frozen=True, tag="map"):
+    """The bare occupancy picture of a scene: of the draws that follow and want dots on it.
+
+    Attributes:
+        name: equal names mean equal pixels.
+        grey: of its pixels, uint8 [H, W] as bytes.
+        shape: H, W.
+    """
+
+    name: str
+    grey: bytes
+    shape: tuple[int, int]
+
+    @classmethod
+    def of_pixels(cls, grey: NDArray[np.uint8]) -> MapPicture:
+        """The map with these pixels [H, W]."""
+        height, width = grey.shape
+        return cls(content_hash(grey), grey.tobytes(), (height, width))
+
+    @property
+    def pixels(self) -> NDArray[np.uint8]:
+        """Its pixels [H, W].
+
+        Raises:
+            FormatError: they are of another size than said.
+        """
+        if min(self.shape) < 1 or len(self.grey) != self.shape[0] * self.shape[1]:
+            raise FormatError("a map picture of another size than said", field="grey")
+        return np.frombuffer(self.grey, np.uint8).reshape(self.shape)
+
+
+class Dots(msgspec.Struct, frozen=True):
+    """Occupancy pictures that are wanted: the last `MapPicture` with start and agent.
+
+    Attributes:
+        places: row and column of the start, then of the agent, of each picture
+            int32 [P, 2, 2] as bytes.
+        radius: of both discs [px].
+        encode: make files of them; else their digests alone.
+    """
+
+    places: bytes
+    radius: int
+    encode: bool
+
+    @property
+    def count(self) -> int:
+        """How many pictures."""
+        return len(self.places) // 16
+
+
 class Encode(msgspec.Struct, frozen=True):
     """Make JPEG files of the views of a request too, and of the history at each step.
 
@@ -94,6 +145,7 @@ class Encode(msgspec.Struct, frozen=True):
         columns: of a mosaic.
         steps: number of each step's view int32 [T] as bytes; a mosaic a step.
         begin: forget the views of earlier requests: a new walk begins.
+        dots: occupancy pictures that are wanted, too.
     """
 
     quality: int
@@ -103,6 +155,7 @@ class Encode(msgspec.Struct, frozen=True):
     columns: int = 4
     steps: bytes = b""
     begin: bool = True
+    dots: Dots | None = None
 
 
 class Draw(msgspec.Struct, frozen=True, tag="draw"):
@@ -158,13 +211,16 @@ class Drawn(msgspec.Struct, frozen=True, tag="drawn"):
         files: bytes of each view's JPEG file without what all have in common; they follow each
             other behind the pictures. Empty where none were wanted, or they had no room.
         mosaics: of each step's mosaic; they follow the files.
-        digests: 16 bytes each, of the raw pixels: of the views, of the mosaics, and of the views'
-            depth in millimetres where it is drawn. Empty without files.
+        maps: of each occupancy picture; they follow the mosaics.
+        digests: 16 bytes each, of the raw pixels: of the views, of the mosaics, of the views'
+            depth in millimetres where it is drawn, and of the occupancy pictures. Empty without
+            files.
     """
 
     number: int
     files: tuple[int, ...] = ()
     mosaics: tuple[int, ...] = ()
+    maps: tuple[int, ...] = ()
     digests: bytes = b""
 
 

@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import DeviceError, Gn0Error
-from gn0.render.share.messages import Area, Draw, Failed, Floor, find_places, send_message
+from gn0.render.share.messages import (
+    Area,
+    Draw,
+    Failed,
+    Floor,
+    MapPicture,
+    find_places,
+    send_message,
+)
 
 
 @dataclass(eq=False)
@@ -49,11 +57,15 @@ class Connection:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A `Draw` and who asked for it; with the floor whose visible sets it wants, if any."""
+    """A `Draw` and who asked for it; with the floor whose visible sets it wants, if any.
+
+    `shown`: the map that its dots are on.
+    """
 
     connection: Connection
     draw: Draw
     floor: Floor | None = None
+    shown: MapPicture | None = None
 
     @property
     def alike(self) -> tuple[Any, ...]:

@@ -46,6 +46,7 @@ from gn0.render.share.messages import (
     DrawnBy,
     Floor,
     Inbox,
+    MapPicture,
     Note,
     Ready,
     Refused,
@@ -163,20 +164,23 @@ class Server:
     def hear(self, connection: Connection) -> None:
         """Read a connection to its end."""
         inbox = Inbox(connection.socket)
-        decoder = msgspec.msgpack.Decoder(Area | Draw | Floor | Who)
+        decoder = msgspec.msgpack.Decoder(Area | Draw | Floor | MapPicture | Who)
         floor: Floor | None = None
+        shown: MapPicture | None = None
         try:
             while (message := inbox.next(decoder)) is not None:
                 if isinstance(message, Area):
                     connection.take_area(message, inbox.descriptors.pop(0))
                 elif isinstance(message, Floor):
                     floor = message
+                elif isinstance(message, MapPicture):
+                    shown = message
                 elif isinstance(message, Who):
                     connection.send(self._drawn_by)
                 else:
                     self._load_ahead(message)
                     wanted = floor if message.visible else None
-                    self._waiting.put(Request(connection, message, wanted))
+                    self._waiting.put(Request(connection, message, wanted, shown))
         except (Gn0Error, OSError, ValueError, IndexError) as error:
             _log.warning("a connection ends: %s", error)
         finally:
@@ -322,6 +326,11 @@ class Server:
             raise RenderError("a request without room for its pictures", where="drawing socket")
         if draw.visible and request.floor is None:
             raise RenderError("a request for visible sets without a floor", where="drawing socket")
+        dots = None if draw.encode is None else draw.encode.dots
+        if dots is not None:
+            if request.shown is None or len(dots.places) % 16 or not 0 <= dots.radius <= 100:
+                raise RenderError("a request for dots without a map", where="drawing socket")
+            _ = request.shown.pixels  # raises where they are none
         if draw.key not in self._known:
             self._batch.add(draw.key, lambda: self._take_cloud(draw))
             self._known.add(draw.key)

@@ -426,6 +426,40 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+@pytest.mark.parametrize("maps", ["once", "every"])
+def test_what_had_no_room_is_made_by_the_worker(
+    walks, tmp_path, files_of, monkeypatch, maps
+) -> None:
+    """In the midst of a walk: its mosaics go on."""
+    from gn0.data import pictures
+    from gn0.render.share.client import RendererShared
+
+    listener, address = serve_here(BatchOnHost())
+    start_at(address, monkeypatch)
+    few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
+                     walks.episodes[1:2], name="few")  # fmt: skip
+    render_files = RendererShared.render_files
+    made: list[bool] = []
+
+    def cramped(own, camera, views, wish, *args):
+        if len(made) % 2:
+            wish = msgspec.structs.replace(wish, room=1000)
+        found = render_files(own, camera, views, wish, *args)
+        made.append(bool(found.files))
+        return found
+
+    drawn = with_backend(PictureSettings(maps=maps), "cuda")
+    build_dataset(few, tmp_path / "roomy", BuildSettings(pictures=drawn))
+    monkeypatch.setattr(RendererShared, "render_files", cramped)
+    monkeypatch.setattr(pictures, "BATCH", 5)
+    build_dataset(few, tmp_path / "cramped", BuildSettings(pictures=drawn))
+    listener.close()
+    assert made[:4] == [True, False, True, False]
+    assert files_of(tmp_path / "cramped") == files_of(tmp_path / "roomy")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 def test_maps_too_large_for_a_device_are_painted_by_the_worker(
     walks, tmp_path, files_of, monkeypatch
 ) -> None:

@@ -88,7 +88,7 @@ class StepPictures:
     """What the agent sees at a step.
 
     Attributes:
-        rgb: uint8 [H, W, 3], the view.
+        rgb: uint8 [H, W, 3], the view; None where its file and its digest are made already.
         bev: uint8 [Hb, Wb, 3], the scene from above.
         lay, paint: make `history` and `occupancy`, where somebody looks at them.
         files: encoded pictures by name, where they are made already.
@@ -96,7 +96,7 @@ class StepPictures:
         digests: of raw pixels by name, where they are made already.
     """
 
-    rgb: U8
+    rgb: U8 | None
     bev: U8
     lay: Callable[[], U8]
     paint: Callable[[], U8]
@@ -129,7 +129,7 @@ class Seen:
 
     Attributes:
         pose: where the agent stands.
-        rgb: uint8 [H, W, 3].
+        rgb: uint8 [H, W, 3]; None where its file and its digest are made already.
         tile: the view as it is in later mosaics uint8 [120, 160, 3]; None where it is to be made.
         files: encoded pictures by name, the bytes that `encode_picture` gives.
         depth: uint16 [Hd, Wd] mm; None where it is not stored.
@@ -137,7 +137,7 @@ class Seen:
     """
 
     pose: Pose2D
-    rgb: U8
+    rgb: U8 | None
     tile: U8 | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
     depth: U16 | None = None
@@ -158,10 +158,11 @@ def draw_episode(
         lay = partial(build_mosaic, history.tiles)
         paint = partial(eyes.occupancy_picture, start, seen.pose)
         yield StepPictures(seen.rgb, bev, lay, paint, seen.files, seen.depth, seen.digests)
-        if seen.tile is None:
-            history.add(seen.rgb)
-        else:
+        if seen.tile is not None:
             history.add_tile(seen.tile)
+        else:
+            assert seen.rgb is not None
+            history.add(seen.rgb)
 
 
 def draw_views(eyes: SensorSuite, poses: F64, *, depth: bool = False) -> Iterator[Seen]:
@@ -248,7 +249,7 @@ def draw_files(
     depth: bool = False,
     painting: Painting | None = None,
 ) -> Iterator[Seen]:
-    """As `draw_views`, with jpg files of views and mosaics that the process that draws makes.
+    """As `draw_views`, but jpg files and digests that the process that draws makes, not pixels.
 
     The poses are those of one walk, from its first step on. What that process has not made is left
     to who needs it. `painting`: let it make the occupancy pictures, too.
@@ -276,6 +277,7 @@ def draw_files(
             steps=np.array(numbers, np.int32).tobytes(),
             begin=begin == 0,
             dots=dots,
+            pixels=False,
         )
         views, both = eyes.views_of(distinct), depth and preset.depth == preset.rgb
         outputs: tuple[Output, ...] = ("rgb", "depth") if both else ("rgb",)
@@ -283,7 +285,8 @@ def draw_files(
         far = found.pictures.get("depth")
         if depth and far is None:
             far = draw_millimetres(eyes, views)
-        rgb, made = found.pictures["rgb"], bool(found.mosaics)
+        rgb, made = found.pictures.get("rgb"), bool(found.mosaics)
+        assert made or rgb is not None
         hashes = found.hashes
         for step, (pose, number) in enumerate(zip(batch, numbers, strict=True)):
             files, digests = {}, {}
@@ -298,7 +301,7 @@ def draw_files(
                     digests["occupancy"] = hashes["maps"][spots[step]]
             tile = found.pictures["tiles"][number] if made else None
             deep = None if far is None else far[number]
-            yield Seen(pose, rgb[number], tile, files, deep, digests)
+            yield Seen(pose, None if rgb is None else rgb[number], tile, files, deep, digests)
 
 
 def files_wanted(eyes: SensorSuite, settings: PictureSettings) -> bool:

@@ -450,6 +450,33 @@ def test_occupancy_pictures_come_with_the_views(serve, most, encode, depth) -> N
     assert not wrong, wrong[0]
 
 
+@pytest.mark.parametrize("most", [64, 3])
+def test_views_stay_on_the_device_where_files_stand_for_them(serve, most) -> None:
+    """They come after all where there was no room for files, or nobody makes any."""
+    renderer = serve(BatchOnDevice(DeviceHost()), most=most).renderer(1)
+    alone = RendererCpu(random_cloud(1)).render(CAMERA, views(7))
+    steps = np.arange(7, dtype=np.int32).tobytes()
+    for outputs in (("rgb",), ("depth", "rgb")):
+        wish = Encode(85, 200_000, (16, 12), 4, 2, steps)
+        whole = renderer.render_files(CAMERA, views(7), wish, None, outputs)
+        spare = msgspec.structs.replace(wish, pixels=False)
+        found = renderer.render_files(CAMERA, views(7), spare, None, outputs)
+        assert found.pictures.keys() == whole.pictures.keys() - {"rgb"}
+        for name, array in found.pictures.items():
+            np.testing.assert_array_equal(array, whole.pictures[name])
+        assert (found.files, found.mosaics, found.hashes) == (
+            whole.files, whole.mosaics, whole.hashes,
+        )  # fmt: skip
+        tight = msgspec.structs.replace(spare, room=10)
+        found = renderer.render_files(CAMERA, views(7), tight, None, outputs)
+        assert found.files == [] and not found.hashes and found.pictures.keys() == set(outputs)
+        np.testing.assert_array_equal(found.pictures["rgb"], alone.rgb)
+        if "depth" in outputs:
+            np.testing.assert_array_equal(found.pictures["depth"], to_millimetres(alone.depth))
+    plain = serve(RendererBatchCpu()).renderer(1).render_files(CAMERA, views(7), spare)
+    np.testing.assert_array_equal(plain.pictures["rgb"], alone.rgb)
+
+
 def test_dots_without_a_map_or_room(serve) -> None:
     renderer = serve(BatchOnDevice(DeviceHost())).renderer(1)
     one = Dots(bytes(16), 3, True)

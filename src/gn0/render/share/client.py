@@ -64,7 +64,8 @@ class DrawnViews:
     """What came of a request.
 
     Attributes:
-        pictures: by output, and "tiles" uint8 [V, h, w, 3] where mosaics were wanted.
+        pictures: by output, and "tiles" uint8 [V, h, w, 3] where mosaics were wanted; without
+            "rgb" where files stand for it.
         files: JPEG file of each view; empty where the server made none.
         mosaics: JPEG file of each step's mosaic; empty where the server made none.
         maps: JPEG file of each occupancy picture; empty where the server made none.
@@ -167,7 +168,17 @@ class DrawConnection:
         answer = self._ask(draw)
         if not isinstance(answer, Drawn):
             raise DeviceError(f"no answer of ours: {type(answer).__name__}", where="drawing socket")
-        pictures = {name: array.copy() for name, array in find_places(draw, area).items()}
+        spared = encode is not None and not encode.pixels
+        if spared and not answer.files:
+            return self.draw(  # nothing stands for the views: bring them after all
+                key, source, camera, views, outputs, background, None, floor,
+                millimetres=millimetres,
+            )  # fmt: skip
+        pictures = {
+            name: array.copy()
+            for name, array in find_places(draw, area).items()
+            if name != "rgb" or not answer.files or not spared
+        }
         if encode is None or not answer.files:
             return DrawnViews(pictures)
         sizes = answer.files + answer.mosaics + answer.maps

@@ -47,7 +47,7 @@ class Batch:
 
     Attributes:
         pictures: with fields rgb, depth, alpha on a device, or with `numpy()`.
-        outputs: which of them.
+        outputs: which of them go to the areas.
         pieces: in the order of their rows.
         files: of the pictures, where they are wanted.
         copies: under way to pinned memory, by output.
@@ -153,8 +153,8 @@ class Handing:
         mosaics = 0
         for piece in batch.pieces:
             for wanted, target in piece.request.targets().items():
-                if wanted == "tiles" and wanted not in arrays:
-                    continue
+                if wanted in ("tiles", "rgb") and wanted not in arrays:
+                    continue  # none are made, or nobody looks at them
                 if target.dtype != arrays[wanted].dtype:
                     raise RenderError(f"the renderer gave {wanted} of {arrays[wanted].dtype}")
                 np.copyto(target[piece.places], arrays[wanted][piece.rows])

@@ -146,6 +146,8 @@ class Encode(msgspec.Struct, frozen=True):
         steps: number of each step's view int32 [T] as bytes; a mosaic a step.
         begin: forget the views of earlier requests: a new walk begins.
         dots: occupancy pictures that are wanted, too.
+        pixels: whether views are wanted as they are, too; else files and digests stand for them,
+            and their place in the area is left alone. Without files it is as well.
     """
 
     quality: int
@@ -156,6 +158,7 @@ class Encode(msgspec.Struct, frozen=True):
     steps: bytes = b""
     begin: bool = True
     dots: Dots | None = None
+    pixels: bool = True
 
 
 class Draw(msgspec.Struct, frozen=True, tag="draw"):

@@ -71,7 +71,9 @@ class Request:
     def alike(self) -> tuple[Any, ...]:
         """What must be equal for one call of the renderer."""
         draw, wish = self.draw, self.draw.encode
-        files = None if wish is None else (wish.quality, wish.tile, wish.cells, wish.columns)
+        files = None
+        if wish is not None:
+            files = wish.quality, wish.tile, wish.cells, wish.columns, wish.pixels
         visible = self.floor is not None
         camera = msgspec.json.encode(draw.camera)
         return camera, draw.outputs, draw.background, files, visible, draw.millimetres

@@ -374,7 +374,10 @@ class Server:
                 at += size
             middle = time.perf_counter()
             files = self._make_files(pictures, first, pieces)
-            self._handing.take(Batch(pictures, first.outputs, pieces, files))
+            outputs = first.outputs
+            if files is not None and first.encode is not None and not first.encode.pixels:
+                outputs = tuple(output for output in outputs if output != "rgb")
+            self._handing.take(Batch(pictures, outputs, pieces, files))
             self._count(
                 views=end - begin,
                 calls=1,

@@ -18,6 +18,7 @@ from gn0.data.build import build_dataset
 from gn0.data.cache import encode_depth, encode_picture
 from gn0.data.drawing import count_workers, with_backend
 from gn0.data.settings import BuildSettings, PictureSettings
+from gn0.device.device import DeviceArray
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least
 from gn0.figures.device import describe_device, is_emulation
 from gn0.geometry import view_from_pose
@@ -28,7 +29,8 @@ from gn0.render.share.client import DrawServer
 from gn0.render.share.depth import scale_on_device
 from gn0.render.share.digest import Mosaics, digest_on_device
 from gn0.render.share.jpeg import JpegEncoder
-from gn0.render.share.messages import Tally
+from gn0.render.share.maps import MapPainter
+from gn0.render.share.messages import Dots, MapPicture, Tally
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.scene import Scene
 from gn0.sim.history import build_mosaic, reduce_picture
@@ -177,6 +179,26 @@ def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
         digest_on_device(device, [pictures.rgb, Mosaics(table, (160, 120), 4)])
         device.synchronize()
 
+    cells = rng.choice(np.array([0, 127, 255], np.uint8), (MAP // 16, MAP // 16))
+    bare = MapPicture.of_pixels(np.kron(cells, np.ones((16, 16), np.uint8)))
+    places = rng.integers(0, MAP, (views_count, 2, 2)).astype(np.int32)
+    painter, dots = MapPainter(device), Dots(places.tobytes(), 3, encode=True)
+
+    def paint() -> DeviceArray:
+        (painted,) = painter.paint([(bare, dots)])
+        device.synchronize()
+        return painted.pictures
+
+    maps = paint()
+
+    def encode_maps() -> None:
+        encoder.encode(maps, QUALITY)
+        device.synchronize()
+
+    def digest_all() -> None:
+        digest_on_device(device, [pictures.rgb, Mosaics(table, (160, 120), 4), maps])
+        device.synchronize()
+
     where = f"{describe_device(device)}; {views_count} views {camera.width}x{camera.height} a call"
     found = [
         ("draw, on the device", _median_ms(draw, rounds) / views_count, where),
@@ -189,6 +211,21 @@ def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
             "digests of view and mosaic, on the device",
             _median_ms(digest, rounds) / views_count,
             f"{where}, blake2b of the raw pixels, a thread a picture",
+        ),
+        (
+            f"occupancy picture {MAP}x{MAP} painted, on the device",
+            _median_ms(paint, rounds) / views_count,
+            f"{where}, a map and two dots",
+        ),
+        (
+            f"JPEG of an occupancy picture {MAP}x{MAP}, on the device",
+            _median_ms(encode_maps, rounds) / views_count,
+            f"{where}, quality {QUALITY}; squares of 16 px at random",
+        ),
+        (
+            "digests of view, mosaic and occupancy picture, on the device",
+            _median_ms(digest_all, rounds) / views_count,
+            f"{where}, in one launch",
         ),
     ]
     deep: tuple[Output, ...] = ("rgb", "depth")

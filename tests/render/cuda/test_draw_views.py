@@ -7,12 +7,12 @@ import shutil
 import numpy as np
 import pytest
 
-from gn0.device.device import DeviceArray
 from gn0.device.host import DeviceHost
 from gn0.errors import RenderError
 from gn0.figures.flat import build_flat, flat_camera, flat_views
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import upload_cloud
+from gn0.render.cuda.replay import Heard
 from gn0.render.cuda.tables import CLOUD, most_blocks, share_work
 from gn0.render.cuda.tune import Tuning
 from gn0.testing.check_renderer import random_cloud
@@ -52,27 +52,30 @@ def test_the_host_needs_to_know_no_view(shown, seed: int) -> None:
 
 
 def test_all_is_queued_before_the_host_waits(want, monkeypatch) -> None:
-    """One copy to the host, of two words, and it begins before the blending."""
+    """No copy to the host: the device writes three words there before the blending."""
     device, told = DeviceHost(), []
     drawer = Drawer(device)
-    draw(drawer, True, SHOWN)
     drawer.on_stage = told.append
-    copy = device.download_async
+    wait = Heard.wait
 
-    def note(array: DeviceArray, out):
-        told.append(f"copy {array.nbytes}")
-        return copy(array, out)
+    def note(heard: Heard) -> tuple[int, int, int]:
+        told.append("wait")
+        return wait(heard)
 
-    monkeypatch.setattr(device, "download_async", note)
+    monkeypatch.setattr(Heard, "wait", note)
     packed = [upload_cloud(device, cloud) for cloud in CLOUDS]
     pictures = drawer.pictures(CAMERA, len(VIEWS), ("rgb", "depth", "alpha"))
     poses, chosen = device.upload(VIEWS), device.upload(SHOWN)
     with monkeypatch.context() as no_waiting:
         no_waiting.setattr(device, "download", None)
+        no_waiting.setattr(device, "download_async", None)
         no_waiting.setattr(device, "synchronize", None)
-        drawer.draw(CAMERA, poses, packed, chosen,
-                    pictures=pictures, background=np.zeros(3, np.float32))  # fmt: skip
-    assert told == ["upload", "count", "scan", "copy 16", "emit", "blend", "end"]
+        for _ in range(2):
+            drawer.draw(CAMERA, poses, packed, chosen,
+                        pictures=pictures, background=np.zeros(3, np.float32))  # fmt: skip
+    # the second call knows how long lists are
+    assert told[:7] == ["upload", "count", "scan", "emit", "blend", "end", "wait"]
+    assert told[7:] == ["upload", "emit", "scan", "blend", "end", "wait"]
     assert pictures.numpy().rgb.tobytes() == want[0]
 
 

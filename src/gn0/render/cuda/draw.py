@@ -20,19 +20,25 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device, DeviceArray, Download, Kernel, KernelSource
+from gn0.device.device import Device, DeviceArray, Kernel, KernelSource
 from gn0.errors import DeviceMemoryError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
-from gn0.render.cuda.replay import PicturesDevice, Replay, ReplayHeader, build_target, raise_wrong
+from gn0.render.cuda.replay import (
+    Heard,
+    PicturesDevice,
+    Replay,
+    ReplayHeader,
+    build_target,
+    raise_wrong,
+)
 from gn0.render.cuda.tables import (
+    CHUNK,
     GROUP,
     TARGET,
     VIEW,
     Shares,
     build_cloud,
-    build_clouds,
-    build_view,
     build_views,
     choose_chunks,
     join_tables,
@@ -40,6 +46,7 @@ from gn0.render.cuda.tables import (
     share_work,
 )
 from gn0.render.cuda.tune import Tuning, choose_tuning
+from gn0.render.cuda.work import Lists, Work, WorkDevice
 from gn0.render.renderer import (
     ALPHA_CAP,
     ALPHA_MIN,
@@ -50,17 +57,16 @@ from gn0.render.renderer import (
     Output,
 )
 
-CHUNK = 256  # splats a chunk
-TILE = 16  # px
 _FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _FILES = ("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh", "walk.cuh", "paint.cu")
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
 _BLOCKS_MAX = 2**31 - 1  # of a launch
+_ROOMS_SHARE = 1 / 16  # of the memory for lists, where all have the same room
 _ENTRIES_MAX = 2**32 - 1  # that a place of 32 bits can tell apart
 _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
-_CLASSES = 8  # of lists by length
+_CLASSES = 17  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
 _ROW = 256  # bytes that pictures sharing memory are laid out by
 _TOGETHER = 2**26  # bytes of pictures up to which they share memory
@@ -165,7 +171,8 @@ class Drawer:
         self._said = False
         self._plan: tuple[tuple[object, ...], Shares, list[DeviceArray]] | None = None
         self._named: tuple[bytes, DeviceArray] | None = None
-        self._heard: NDArray[np.uint64] | None = None  # pinned
+        self._longest: dict[tuple[object, ...], int] = {}  # entries of a list, by picture
+        self._heard: Heard | None = None
         self._replays: WeakSet[Replay] = WeakSet()
 
     def pictures(
@@ -246,13 +253,13 @@ class Drawer:
             DeviceError: the device is lost.
         """
         last = (None, build_target(pictures, background))
-        work: _Work
+        work: Work
         if isinstance(matrices, DeviceArray):
             assert not tails and rows is None and not isinstance(cloud_of, np.ndarray)
-            work = _WorkDevice(camera, matrices, clouds, cloud_of, floors)
+            work = WorkDevice(camera, matrices, clouds, cloud_of, floors)
         else:
             assert isinstance(cloud_of, np.ndarray)
-            work = _Work(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows)
+            work = Work(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows)
         self._run(work, "paint_tiles", last, antialiased)
 
     def mark(
@@ -286,13 +293,12 @@ class Drawer:
             DeviceError: the device is lost.
         """
         last = (np.float32(threshold), marks, np.uint64(marks.shape[1]))
-        work = _Work(camera, matrices, list(clouds), cloud_of, None, len(clouds), rows)
+        work = Work(camera, matrices, list(clouds), cloud_of, None, len(clouds), rows)
         self._run(work, "mark_tiles", last, antialiased)
 
-    def _run(self, work: _Work, kernel: str, last: tuple[Any, ...], antialiased: bool) -> None:
+    def _run(self, work: Work, kernel: str, last: tuple[Any, ...], antialiased: bool) -> None:
         """List and blend all views, in batches that have room."""
-        self._begin(work)
-        flags = _flags(work.camera, antialiased)
+        memory, flags = self._begin(work), _flags(work.camera, antialiased)
         begin, most = 0, work.count
         while begin < work.count:
             wanted = min(most, work.count - begin)
@@ -310,20 +316,21 @@ class Drawer:
                 continue
             if need:  # the lists did not fit, and nothing was blended
                 self.repeats += 1
-                if need * _ENTRY > self.memory and count > 1:
-                    most = max(min(count - 1, int(count * self.memory / (need * _ENTRY))), 1)
+                if need * _ENTRY > memory and count > 1:
+                    most = max(min(count - 1, int(count * memory / (need * _ENTRY))), 1)
                     self._say_smaller(most)
                 continue
             self.batches += 1
             begin += count
 
-    def _begin(self, work: _Work) -> None:
-        """Choose the kernels' sizes, and how much memory lists may take."""
+    def _begin(self, work: Work) -> int:
+        """Choose the kernels' sizes; returns how much memory lists may take."""
         self.tuning = self._given or choose_tuning(work.camera, work.count)
         if self.memory is None:
             self.memory = int(_MEMORY_SHARE * self.device.memory()[0])
+        return self.memory
 
-    def _fit(self, work: _Work, begin: int) -> int:
+    def _fit(self, work: Work, begin: int) -> int:
         """How many views from `begin` on will probably have room, at least one."""
         assert self.memory is not None
         entries = np.cumsum(work.splats[begin:]) * self._expect(work)
@@ -331,113 +338,140 @@ class Drawer:
         fit = int(np.searchsorted(room, self.memory, side="right"))
         return max(min(fit, _BLOCKS_MAX // work.tiles), 1)
 
-    def _expect(self, work: _Work) -> float:
+    def _expect(self, work: Work) -> float:
         """Entries a splat and view, probably."""
         return self._density.get(work.picture, self._first_density)
 
     def _run_batch(
-        self, work: _Work, views: slice, kernel: str, last: tuple[Any, ...], flags: int
+        self, work: Work, views: slice, kernel: str, last: tuple[Any, ...], flags: int
     ) -> int:
         """List and blend one batch; returns 0, or the entries that it needs and has no room for."""
         self._tell("upload")
         lists = self._lay_out(work, views, flags)
-        self._list(work, lists)
-        # the host waits for this copy alone, and goes on while the device draws
-        words = self._hear(lists.told)
-        self._blend(lists, kernel, last)
+        if self._heard is None:
+            self._heard = Heard(self.device)
+        self._heard.hush()
+        self._launch(work, lists, self._heard, kernel, last)
         self._tell("end")
-        total, *wrong = words.numpy().tolist()
-        if wrong:
-            raise_wrong(wrong[0])
+        # all that the host waits for; it goes on while the device draws
+        total, longest, wrong = self._heard.wait()
+        raise_wrong(wrong)
         self.entries, splats = total, int(work.splats[views].sum())
-        if splats:  # visible sets list more a splat than whole clouds: forget them slowly
-            self._density[work.picture] = max(
-                total / splats, 0.95 * self._density.get(work.picture, 0.0)
-            )
-        if total <= lists.room:
+        # visible sets list more a splat than whole clouds: forget them slowly
+        if splats:
+            expected = 0.95 * self._density.get(work.picture, 0.0)
+            self._density[work.picture] = max(total / splats, expected)
+        self._longest[work.picture] = max(longest, int(0.95 * self._longest.get(work.picture, 0)))
+        if lists.holds(total, longest):
             return 0
         assert self.memory is not None
+        if lists.room:  # longer than ever: the next try knows
+            return 1
         if total * _ENTRY <= self.memory or lists.count == 1:
             self._grow(total + total // 8)
-        return int(total)
+        return total
 
-    def _lay_out(self, work: _Work, views: slice, flags: int, own: bool = False) -> _Lists:
+    def _choose_room(self, work: Work, all_tiles: int) -> int:
+        """Entries for each list where all can have as many as the longest ever seen, else 0."""
+        assert self.memory is not None
+        longest = self._longest.get(work.picture, 0)
+        room = 1 << (longest + longest // 4).bit_length()
+        fits = room * all_tiles * _ENTRY <= _ROOMS_SHARE * self.memory
+        return room if longest and fits and room * all_tiles <= _ENTRIES_MAX else 0
+
+    def _lay_out(self, work: Work, views: slice, flags: int, own: bool = False) -> Lists:
         """Buffers and tables of a batch; `own`: tables that no other call writes over."""
         assert self.memory is not None
         count, tiles = views.stop - views.start, work.tiles
         all_tiles = count * tiles
-        starts = self._need("starts", all_tiles + 2, np.uint64)  # behind them: a view that is none
         blocks = -(-all_tiles // _SCAN)
-        counts = self._need("counts", all_tiles + 2 * _CLASSES, np.uint32)
+        starts = self._need("starts", all_tiles + 1, np.uint64)
+        counts = self._need("counts", all_tiles + _CLASSES, np.uint32)
         sums = self._need("sums", blocks, np.uint64)
         order = self._need("order", all_tiles, np.uint32)
-        entries, expected = self._held.get("entries"), work.splats[views].sum() * self._expect(work)
+        state = self._need("state", 3, np.uint64)
+        entries, room = self._held.get("entries"), self._choose_room(work, all_tiles)
+        expected = room * all_tiles or work.splats[views].sum() * self._expect(work)
         if entries is None or len(entries) // 2 < min(expected, self.memory // _ENTRY):
-            guess = int(expected * 1.25) + 64 * all_tiles
+            guess = room * all_tiles or int(expected * 1.25) + 64 * all_tiles
             entries = self._grow(min(guess, self.memory // _ENTRY))
-        blocks_each, (clouds, groups, members), group_count, view_table = self._tables(
-            work, views, own
-        )
-        return _Lists(
-            *(views.start, count, all_tiles, blocks, *blocks_each),
-            room=len(entries) // 2,
+        capacity = len(entries) // 2
+        shares, (clouds, groups, members), group_count, view_table = self._tables(work, views, own)
+        return Lists(
+            first=views.start,
+            count=count,
+            all_tiles=all_tiles,
+            scan_blocks=blocks,
+            listing_blocks=shares[0],
+            each=shares[1],
+            capacity=capacity,
+            room=room if room * all_tiles <= capacity else 0,
             views=view_table,
             clouds=clouds,
             groups=groups,
             group_count=group_count,
             members=members,
             starts=starts,
-            told=starts[all_tiles : all_tiles + 1 + work.checked],
-            counts=counts[: all_tiles + 2 * _CLASSES],
-            classes=counts[all_tiles : all_tiles + 2 * _CLASSES],
+            counts=counts,
             sums=sums,
+            classes=counts[all_tiles : all_tiles + _CLASSES],
             order=order,
+            state=state,
             entries=entries,
-            sizes=(np.uint32(work.tiles_x), np.uint32(tiles)),
+            tiles=(np.uint32(work.tiles_x), np.uint32(tiles)),
             shape=(np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags)),
         )
 
-    def _list(self, work: _Work, lists: _Lists) -> None:
-        """Launch all that comes before the blending but the filling of lists."""
-        if isinstance(work, _WorkDevice):
-            self._write_views(work, lists)
-        kernels, counts, whole = self._kernels, lists.counts, np.uint32(lists.all_tiles)
-        self._tell("count")
-        self.device.fill(counts, 0)
-        kernels["count_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing)
+    def _launch(
+        self,
+        work: Work,
+        lists: Lists,
+        heard: Heard,
+        kernel: str,
+        last: tuple[Any, ...],
+        header: ReplayHeader | None = None,
+    ) -> None:
+        """Launch all kernels of a batch."""
+        kernels, whole = self._kernels, np.uint32(lists.all_tiles)
+        zeros = lists.all_tiles + _CLASSES
+        checked = 0
+        if isinstance(work, WorkDevice):
+            checked = lists.count
+            self._write_views(work, lists, zeros, header)
+        else:
+            self.device.fill(lists.counts[:zeros], 0)
+        emit = (lists.state, lists.entries, np.uint64(lists.capacity), np.uint32(lists.room))
+        if lists.room:
+            self._tell("emit")
+            kernels["emit_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing, *emit)
+        else:
+            self._tell("count")
+            kernels["count_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing)
         self._tell("scan")
-        rest = (lists.sums, lists.classes)
-        if lists.blocks > 1:
-            kernels["sum_counts"].launch(lists.blocks, 256, counts, whole, *rest)
+        if lists.scan_blocks > 1:
+            kernels["sum_counts"].launch(
+                lists.scan_blocks, 256, lists.counts, whole, lists.sums, lists.classes
+            )
         kernels["scan_counts"].launch(
-            *(lists.blocks, 256, counts, whole, lists.sums, lists.starts),
-            *(lists.classes, lists.order),
+            *(lists.scan_blocks, 256, lists.counts, whole, np.uint32(lists.room), lists.sums),
+            *(lists.starts, lists.classes, lists.order, lists.views, np.uint32(checked)),
+            *(lists.state, heard.words),
         )
-
-    def _blend(self, lists: _Lists, kernel: str, last: tuple[Any, ...]) -> None:
-        """Launch the filling of lists and the blending."""
-        kernels, whole, capacity = self._kernels, np.uint32(lists.all_tiles), np.uint64(lists.room)
-        self._tell("emit")
-        kernels["emit_entries"].launch(
-            lists.listing_blocks,
-            CHUNK,
-            *lists.listing,
-            lists.starts,
-            lists.entries,
-            capacity,
-            whole,
-        )
+        if not lists.room:
+            self._tell("emit")
+            kernels["emit_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing, *emit)
         self._tell("blend")
         kernels[kernel].launch(
             *(lists.all_tiles, self.tuning.threads, lists.views, lists.clouds, lists.starts),
-            *(lists.entries, capacity, lists.order, whole, *lists.sizes, *lists.shape, *last),
+            *(lists.counts, lists.entries, np.uint64(lists.capacity), np.uint32(lists.room)),
+            *(lists.order, lists.state, *lists.tiles, *lists.shape, *last),
         )
 
     def _tables(
-        self, work: _Work, views: slice, own: bool
+        self, work: Work, views: slice, own: bool
     ) -> tuple[tuple[int, int], list[DeviceArray], int, DeviceArray]:
         """Listing blocks and chunks of each; clouds, groups, members; number of groups; views."""
-        if isinstance(work, _WorkDevice):
+        if isinstance(work, WorkDevice):
             return self._tables_there(work, views, own)
         shares, tables = self._share(work, work.cloud_of[views], work.tail_of[views], own)
         table = build_views(
@@ -450,7 +484,7 @@ class Drawer:
         return shares.sizes, tables, len(shares.groups), self._upload("views", table)
 
     def _tables_there(
-        self, work: _WorkDevice, views: slice, own: bool
+        self, work: WorkDevice, views: slice, own: bool
     ) -> tuple[tuple[int, int], list[DeviceArray], int, DeviceArray]:
         """The same of views that the host does not know: room for what the device will write."""
         count, known = views.stop - views.start, len(work.table)
@@ -468,19 +502,20 @@ class Drawer:
         blocks = most_blocks(work.chunks, count, self.tuning.views, each)
         return (blocks, each), tables, known, view_table
 
-    def _write_views(self, work: _WorkDevice, lists: _Lists) -> None:
-        """Let the device make the tables of views; `wrong` is told of one that is none."""
-        count, known, wrong = lists.count, len(work.table), lists.told[1:2]
-        self.device.fill(wrong, 0xFF)
+    def _write_views(
+        self, work: WorkDevice, lists: Lists, zeros: int, header: ReplayHeader | None
+    ) -> None:
+        """Let the device make the tables of views, and zeros of the counts."""
+        count, known = lists.count, len(work.table)
+        sent = (None, None, np.uint32(0)) if header is None else header.sent
         self._kernels["write_views"].launch(
-            *(-(-count // 128), 128, work.poses, work.chosen, lists.clouds),
-            *(np.uint32(work.named), work.floors),
+            *(max(-(-count // 128), -(-zeros // 1024)), 128),
+            *(work.poses, work.chosen, lists.clouds, np.uint32(work.named), work.floors),
             *(np.float64(VIEW_TOLERANCE), np.uint32(lists.first), np.uint32(count)),
-            *(work.like, lists.views, wrong),
+            *(work.like, lists.views, lists.counts, np.uint32(zeros), *sent),
         )
         if work.grouped:
             shown = self._need("shown", known, np.uint32)
-            self.device.fill(shown[:known], 0)
             self._kernels["group_views"].launch(
                 *(1, 256, lists.views, lists.clouds, np.uint32(count), np.uint32(known)),
                 *(np.uint32(lists.each), shown, lists.groups, lists.members),
@@ -514,24 +549,22 @@ class Drawer:
         """
         header = ReplayHeader(self.device, count)
         which = None if chosen is None else self.device.upload(chosen)
-        work = _WorkDevice(camera, header.poses, clouds, which, floors)
+        work = WorkDevice(camera, header.poses, clouds, which, floors)
         self._begin(work)
         if self._fit(work, 0) < count:
             return None
         flags = _flags(camera, antialiased)
         lists = self._lay_out(work, slice(0, count), flags, own=True)
         _ = self._kernels  # compiled before it records
+        last = (header.target, np.zeros(1, TARGET)[0])
         with self.device.capture() as graph:
-            header.upload()
-            self._list(work, lists)
-            header.hear(lists.told)
-            self._blend(lists, "paint_tiles", (header.target, np.zeros((), TARGET)[()]))
-        replay = Replay(header, graph, lists.room, (lists, clouds, floors))
+            self._launch(work, lists, header.heard, "paint_tiles", last, header)
+        replay = Replay(header, graph, lists, (clouds, floors))
         self._replays.add(replay)
         return replay
 
     def _share(
-        self, work: _Work, cloud_of: NDArray[np.integer], tail_of: NDArray[np.integer], own: bool
+        self, work: Work, cloud_of: NDArray[np.integer], tail_of: NDArray[np.integer], own: bool
     ) -> tuple[Shares, list[DeviceArray]]:
         """Who lists what, and its tables on the device; kept while calls show the same clouds."""
         key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes(), self.tuning.shares)
@@ -545,7 +578,7 @@ class Drawer:
             self._plan = plan
         return self._plan[1:]
 
-    def _clouds(self, work: _Work, own: bool) -> DeviceArray:
+    def _clouds(self, work: Work, own: bool) -> DeviceArray:
         """The table of clouds alone; kept while calls name the same ones."""
         if own:
             return self.device.upload(work.table.view(np.uint32))
@@ -553,12 +586,6 @@ class Drawer:
         if self._named is None or self._named[0] != key:
             self._named = (key, self._upload("clouds", work.table))
         return self._named[1]
-
-    def _hear(self, words: DeviceArray) -> Download:
-        """Begin to copy some words to the host."""
-        if self._heard is None:
-            self._heard = self.device.pinned(2, np.uint64)
-        return self.device.download_async(words, self._heard[: len(words)])
 
     def _upload(self, name: str, table: NDArray[Any]) -> DeviceArray:
         words = table.view(np.uint32)
@@ -604,97 +631,3 @@ class Drawer:
         if not self._said:
             self._said = True
             _log.warning("too little device memory for all views at once: %d at a time", views)
-
-
-@dataclass(frozen=True, eq=False)
-class _Lists:
-    """A batch on the device: sizes, tables and buffers, as kernels take them."""
-
-    first: int
-    count: int
-    all_tiles: int
-    blocks: int  # of the scan
-    listing_blocks: int
-    each: int  # chunks that one of those lists
-    room: int  # entries
-    views: DeviceArray
-    clouds: DeviceArray
-    groups: DeviceArray
-    group_count: int
-    members: DeviceArray
-    starts: DeviceArray
-    told: DeviceArray  # how many entries there are, and a view that is none
-    counts: DeviceArray
-    classes: DeviceArray
-    sums: DeviceArray
-    order: DeviceArray
-    entries: DeviceArray
-    sizes: tuple[np.uint32, np.uint32]
-    shape: tuple[np.int32, np.int32, np.uint32]
-
-    @property
-    def listing(self) -> tuple[Any, ...]:
-        """What both listing kernels take first."""
-        return (
-            *(self.views, self.clouds, self.groups, np.uint32(self.group_count), self.members),
-            *(*self.sizes, self.shape[2], np.uint32(self.each), self.counts),
-        )
-
-
-class _Work:
-    """Views to draw, each of one of `clouds`; the tails lie behind the first `tails`."""
-
-    checked = 0  # words behind the starts that tell of views that are none
-
-    def __init__(
-        self,
-        camera: Camera,
-        matrices: F64,
-        clouds: Sequence[CloudDevice | None],
-        cloud_of: NDArray[np.int32],
-        tail_of: NDArray[np.int32] | None,
-        tails: int,
-        rows: NDArray[np.int64] | None,
-    ) -> None:
-        self._of_clouds(camera, clouds)
-        self.count = count = len(matrices)
-        self.matrices, self.cloud_of = matrices, np.asarray(cloud_of)
-        moving = np.full(count, -1) if tail_of is None else np.asarray(tail_of)
-        self.tail_of = np.where(moving < 0, -1, moving + tails)
-        self.rows = np.arange(count) if rows is None else np.asarray(rows)
-        sizes = np.append(self.chunks * CHUNK, 0)  # of no tail: the last
-        self.splats = sizes[self.cloud_of] + sizes[self.tail_of]
-        self.picture: tuple[object, ...] = (camera.width, camera.height, camera.model)
-
-    def _of_clouds(self, camera: Camera, clouds: Sequence[CloudDevice | None]) -> None:
-        self.camera, self.table = camera, build_clouds(clouds)
-        self.held = clouds  # the table only points to them
-        self.chunks = self.table["chunks"].astype(np.int64)
-        self.tiles_x = -(-camera.width // TILE)
-        self.tiles = self.tiles_x * -(-camera.height // TILE)
-
-
-class _WorkDevice(_Work):
-    """Views whose poses, and which of `clouds` they show, are on the device alone."""
-
-    checked = 1
-
-    def __init__(
-        self,
-        camera: Camera,
-        poses: DeviceArray,
-        clouds: Sequence[CloudDevice | None],
-        chosen: DeviceArray | None,
-        floors: DeviceArray | None,
-    ) -> None:
-        self._of_clouds(camera, clouds)
-        self.count, self.poses, self.chosen, self.floors = len(poses), poses, chosen, floors
-        self.named = len(clouds) if floors is None else len(floors)
-        self.grouped = chosen is not None or floors is not None
-        self.like = build_view(camera)
-        # as if all showed the largest, so that lists are seldom thought too short
-        sets = self.chunks[self.named :]
-        largest = sets if len(sets) else self.chunks
-        self.splats = np.full(self.count, largest.max(initial=0) * CHUNK)
-        kind = ("chosen",) if floors is None else ("sets",)
-        self.picture = (camera.width, camera.height, camera.model, *(kind if self.grouped else ()))

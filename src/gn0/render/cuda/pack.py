@@ -25,8 +25,8 @@ from gn0.errors import RenderError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32
-from gn0.render.cuda.draw import CHUNK, CloudDevice
-from gn0.render.cuda.tables import NOWHERE
+from gn0.render.cuda.draw import CloudDevice
+from gn0.render.cuda.tables import CHUNK, NOWHERE
 from gn0.render.renderer import ALPHA_MIN
 
 SPLAT = 16  # floats a packed splat

@@ -17,6 +17,7 @@ from gn0.device.device import Device, DeviceArray, Graph
 from gn0.errors import RenderError
 from gn0.geometry import F32
 from gn0.render.cuda.tables import NOWHERE, TARGET
+from gn0.render.cuda.work import Lists
 from gn0.render.renderer import RenderResult
 
 _NOT_HELD = 3
@@ -29,6 +30,7 @@ _WRONG = (  # with a view, as `views.cu` numbers it
 _SILENCE = 0xFEFEFEFEFEFEFEFE  # where no word has come yet: never a word
 _EAGER = 2e-4  # s that the host waits without sleeping
 _NAP = 2e-5  # s
+_DOUBT = 0.05  # s after which it asks whether the device is lost
 
 
 class SetMissingError(RenderError):
@@ -60,13 +62,13 @@ class PicturesDevice:
 def build_target(pictures: PicturesDevice, background: F32) -> np.void:
     """Where pictures go, as kernels see it."""
     rgb, depth, alpha = pictures.rgb, pictures.depth, pictures.alpha
-    target = np.zeros((), TARGET)
+    target = np.zeros(1, TARGET)
     if rgb is not None:
         target["rgb_f32" if rgb.dtype == np.float32 else "rgb_u8"] = rgb.pointer
     target["depth"] = 0 if depth is None else depth.pointer
     target["alpha"] = 0 if alpha is None else alpha.pointer
     target["background"] = background
-    found: np.void = target[()]
+    found: np.void = target[0]
     return found
 
 
@@ -86,8 +88,42 @@ def raise_wrong(word: int) -> None:
     raise RenderError(what, where=where, remedy=remedy)
 
 
+class Heard:
+    """Words in pinned memory that the device writes while it works on.
+
+    Args:
+        device: writes.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._device, self._said = device, device.pinned(3, np.uint64)
+        place = self._said.ctypes.data
+        self.words = DeviceArray(device, place, (3,), self._said.dtype, self._said)
+
+    def hush(self) -> None:
+        """Forget the last words; only when nothing is under way that writes others."""
+        self._said[:] = _SILENCE
+
+    def wait(self) -> tuple[int, int, int]:
+        """Entries of all lists and of the longest, and a view that is none (see `raise_wrong`).
+
+        Raises:
+            DeviceError: the device is lost.
+        """
+        said, begin, asked = self._said, time.perf_counter(), 0.0
+        while True:
+            total, longest, wrong = said.tolist()
+            if total != _SILENCE and longest != _SILENCE and wrong != _SILENCE:
+                return total, longest, wrong
+            waited = time.perf_counter() - begin
+            time.sleep(0.0 if waited < _EAGER else _NAP)
+            if waited > asked + _DOUBT:  # a device that is lost never says a word
+                asked = waited
+                self._device.event().done  # noqa: B018
+
+
 class ReplayHeader:
-    """What goes over for each call, and what comes back: one pinned block each.
+    """What goes over for each call, and what comes back: a pinned block each.
 
     Args:
         device: draws.
@@ -96,62 +132,34 @@ class ReplayHeader:
 
     def __init__(self, device: Device, count: int) -> None:
         size = TARGET.itemsize + count * 128
-        self.device, self.count = device, count
-        self._sent = device.pinned(size, np.uint8)
-        self._there = device.empty(size, np.uint8)
-        self._heard = device.pinned(2, np.uint64)
-        there = self._there
-        self.target = there[: TARGET.itemsize]
+        block = device.pinned(size, np.uint8)
+        self.heard = Heard(device)
+        self.target = device.empty(TARGET.itemsize // 4, np.uint32)
         self.poses = DeviceArray(
-            device,
-            there.pointer + TARGET.itemsize,
-            (count, 4, 4),
-            np.dtype(np.float64),
-            there.owner,
+            *(device, block.ctypes.data + TARGET.itemsize, (count, 4, 4), np.dtype(np.float64)),
+            block,
         )
-        self._target = self._sent[: TARGET.itemsize].view(TARGET)
-        self._words = self._sent[:32].view(np.uint64)  # its addresses
-        self._background = self._sent[32:44].view(np.float32)
-        self._poses = self._sent[TARGET.itemsize :].view(np.float64).reshape(count, 4, 4)
-
-    def upload(self) -> None:
-        """Record that it goes over."""
-        self.device.upload(self._sent, self._there)
-
-    def hear(self, words: DeviceArray) -> None:
-        """Record that two words come back."""
-        self.device.download_async(words, self._heard)
+        words = DeviceArray(
+            device, block.ctypes.data, (len(self.target),), np.dtype(np.uint32), block
+        )
+        self.sent = (words, self.target, np.uint32(len(self.target)))
+        self._places = block[:32].view(np.uint64)
+        self._background = block[32:44].view(np.float32)
+        self._poses = block[TARGET.itemsize :].view(np.float64).reshape(count, 4, 4)
 
     def write(self, poses: NDArray[np.floating], pictures: PicturesDevice, background: F32) -> None:
         """Say what is to be drawn; only when the words of the call before have come."""
         rgb, depth, alpha = pictures.rgb, pictures.depth, pictures.alpha
         as_float = rgb is not None and rgb.dtype == np.float32
         place = 0 if rgb is None else rgb.pointer
-        self._words[:] = (
+        self._places[:] = (
             *((0, place) if as_float else (place, 0)),
             0 if depth is None else depth.pointer,
             0 if alpha is None else alpha.pointer,
         )
         self._background[:] = background
         self._poses[:] = poses
-        self._heard[:] = _SILENCE
-
-    def wait(self) -> tuple[int, int]:
-        """The two words, when both have come.
-
-        Raises:
-            DeviceError: the device is lost.
-        """
-        heard, begin, asked = self._heard, time.perf_counter(), 0.0
-        while True:
-            total, wrong = heard.tolist()
-            if total != _SILENCE and wrong != _SILENCE:
-                return total, wrong
-            waited = time.perf_counter() - begin
-            time.sleep(0.0 if waited < _EAGER else _NAP)
-            if waited > asked + 0.05:  # a device that is lost never says a word
-                asked = waited
-                self.device.event().done  # noqa: B018
+        self.heard.hush()
 
 
 class Replay:
@@ -160,13 +168,14 @@ class Replay:
     Args:
         header: what goes over and comes back.
         graph: does all the rest.
-        room: entries that the lists can hold.
-        held: what the graph's work uses.
+        lists: with what room.
+        held: what else the graph's work uses.
     """
 
-    def __init__(self, header: ReplayHeader, graph: Graph, room: int, held: Any) -> None:
-        self._header, self._room = header, room
+    def __init__(self, header: ReplayHeader, graph: Graph, lists: Lists, held: Any) -> None:
+        self._header = header
         self._graph: Graph | None = graph
+        self._lists: Lists | None = lists
         self._held = held
 
     @property
@@ -176,7 +185,7 @@ class Replay:
 
     def drop(self) -> None:
         """Let go of everything."""
-        self._graph = self._held = None
+        self._graph = self._lists = self._held = None
 
     def draw(
         self, poses: NDArray[np.floating], pictures: PicturesDevice, background: F32
@@ -196,9 +205,9 @@ class Replay:
             SetMissingError: the visible set of one is not here.
             DeviceError: the device is lost.
         """
-        assert self._graph is not None
+        assert self._graph is not None and self._lists is not None
         self._header.write(poses, pictures, background)
         self._graph.launch()
-        total, wrong = self._header.wait()
+        total, longest, wrong = self._header.heard.wait()
         raise_wrong(wrong)
-        return total if total <= self._room else None
+        return total if self._lists.holds(total, longest) else None

@@ -19,6 +19,8 @@ from gn0.render.camera import Camera
 if TYPE_CHECKING:
     from gn0.render.cuda.draw import CloudDevice
 
+CHUNK = 256  # splats a chunk
+TILE = 16  # px
 NOWHERE = 0xFFFFFFFF
 VIEW = np.dtype(
     [

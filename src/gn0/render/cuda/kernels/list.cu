@@ -41,16 +41,30 @@ __device__ __forceinline__ bool is_in_sight(const float *at, const View &w, u32 
   return keep;
 }
 
+// What is known of all lists when they are arranged.
+struct State {
+  u64 total, longest;  // entries
+  u64 wrong;           // a view that is none: its number times four, and what is wrong
+};
+
+// Lists lie one behind another, where a first pass has counted them; or each has the same `room`,
+// where the longest is known from calls before.
 struct Lists {
-  u32 *counts;   // [views, tiles]: entries so far; where the next goes when they are written
+  u32 *counts;   // [views, tiles]: entries so far; without `room`, where the next goes
   u64 *entries;  // null while they are counted
   u64 capacity;
+  u32 room;
+
+  __device__ __forceinline__ void store(u32 tile, u32 place, u64 key) const {
+    u64 at = room ? (u64)tile * room + place : place;
+    if (room ? place < room : at < capacity) entries[at] = key;
+  }
 };
 
 template <bool EMIT>
 __device__ __forceinline__ void put_one(const Lists &to, u32 tile, u64 key) {
   u32 place = atomicAdd(to.counts + tile, 1u);
-  if (EMIT && place < to.capacity) to.entries[place] = key;
+  if (EMIT) to.store(tile, place, key);
 }
 
 // All lanes call this; neighbours in Morton order mostly list into the same tile.
@@ -71,9 +85,8 @@ __device__ __forceinline__ void put(const Lists &to, const bool (&active)[PUTS],
 #pragma unroll
   for (int j = 0; j < PUTS; j++) {
     if (!peers[j]) break;
-    u64 at = __shfl_sync(FULL, place[j], __ffs(peers[j]) - 1);
-    at += __popc(peers[j] & ((1u << lane) - 1));
-    if (active[j] && at < to.capacity) to.entries[at] = key;
+    u32 at = __shfl_sync(FULL, place[j], __ffs(peers[j]) - 1);
+    if (active[j]) to.store(tile[j], at + __popc(peers[j] & ((1u << lane) - 1)), key);
   }
 #else
 #pragma unroll
@@ -158,7 +171,7 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
     if (!EMIT) continue;
 #pragma unroll
     for (int j = 0; j < PUTS; j++)
-      if (reached[j] && place[j] < to.capacity) to.entries[place[j]] = its_key[j];
+      if (reached[j]) to.store(tile[j], place[j], its_key[j]);
   }
 }
 
@@ -229,7 +242,7 @@ KERNEL_BOUNDED(count_entries, CHUNK, COVER_BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
  u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 each,
  u32 *counts) {
-  Lists to = {counts, nullptr, 0};
+  Lists to = {counts, nullptr, 0, 0};
   list_chunks<false>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, to);
 }
 
@@ -237,9 +250,9 @@ KERNEL_BOUNDED(emit_entries, CHUNK, COVER_BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
  u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 each,
  u32 *counts,
- const u64 *__restrict__ starts, u64 *entries, u64 capacity, u32 all_tiles) {
-  if (starts[all_tiles] > capacity) return;  // the host sees it too, and repeats with more room
-  Lists to = {counts, entries, capacity};
+ const State *__restrict__ state, u64 *entries, u64 capacity, u32 room) {
+  if (!room && state->total > capacity) return;  // the host sees it too, and repeats with more room
+  Lists to = {counts, entries, capacity, room};
   list_chunks<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, to);
 }
 
@@ -261,26 +274,33 @@ __device__ __forceinline__ u64 sum_block(u64 mine, u64 *held) {
 #define CLASSES 8
 #define SHORT_BITS 10  // lists shorter than 2^10 are one class, in their own order
 
+struct Classes {  // zeros before
+  u32 many[CLASSES], taken[CLASSES], longest;
+};
+
 __device__ __forceinline__ u32 class_of(u32 count) {
   u32 bits = 32 - __clz(count | 1);
   return bits <= SHORT_BITS ? 0 : min(bits - SHORT_BITS, (u32)CLASSES - 1);
 }
 
-// How many of these counts are of each class, to be seen behind the next barrier.
-__device__ __forceinline__ void count_classes(const u32 *count, u32 n, u32 *classes) {
-  u32 plain = 0;
+// Adds these counts to the block's classes, to be seen behind the next barrier.
+__device__ __forceinline__ void count_classes(const u32 *count, u32 n, Classes &to) {
+  u32 plain = 0, longest = 0;
   for (u32 k = 0; k < n; k++) {
     u32 c = class_of(count[k]);
-    if (c) atomicAdd(classes + c, 1u);
+    if (c) atomicAdd(to.many + c, 1u);
     else plain++;
+    longest = max(longest, count[k]);
   }
-  if (plain) atomicAdd(classes, plain);
+  if (plain) atomicAdd(to.many, plain);
+  if (longest) atomicMax(&to.longest, longest);
 }
 
-KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u64 *sums, u32 *classes) {
+// Only where the scan takes more blocks than one.
+KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u64 *sums, Classes *classes) {
   __shared__ u64 held[256 / WARP];
-  __shared__ u32 mine_of[CLASSES];
-  if (threadIdx.x < CLASSES) mine_of[threadIdx.x] = 0;
+  __shared__ Classes mine_of;
+  if (threadIdx.x < sizeof(Classes) / 4) ((u32 *)&mine_of)[threadIdx.x] = 0;
   __syncthreads();
   u64 mine = 0;
   u32 count[EACH], n = 0;
@@ -290,18 +310,25 @@ KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u64 *sums, u32
   }
   count_classes(count, n, mine_of);
   u64 sum = sum_block(mine, held);
-  if (threadIdx.x == 0) sums[blockIdx.x] = sum;
-  if (threadIdx.x < CLASSES && mine_of[threadIdx.x]) atomicAdd(classes + threadIdx.x, mine_of[threadIdx.x]);
+  if (threadIdx.x == 0) {
+    sums[blockIdx.x] = sum;
+    atomicMax(&classes->longest, mine_of.longest);
+  }
+  if (threadIdx.x < CLASSES && mine_of.many[threadIdx.x])
+    atomicAdd(classes->many + threadIdx.x, mine_of.many[threadIdx.x]);
 }
 
-// Starts of all lists, and the order in which they are drawn; counts become starts. `classes`
-// holds how many lists are of each class, if there are more blocks than one, and behind them
-// zeros.
-KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u64 *starts,
-                    u32 *classes, u32 *order) {
-  __shared__ u64 held[256 / WARP];
-  __shared__ u32 mine_of[CLASSES], place[CLASSES];
-  if (threadIdx.x < CLASSES) mine_of[threadIdx.x] = 0;
+// The order in which lists are drawn, what is known of them all, also for the host (`told`), and
+// whether a view is none (`written`: by `write_views`). Without `room`: their starts, which
+// `counts` become, too.
+KERNEL(scan_counts)(u32 *counts, u32 all_tiles, u32 room, const u64 *__restrict__ sums, u64 *starts,
+                    Classes *classes, u32 *order, const View *__restrict__ written, u32 views,
+                    State *state, u64 *told) {
+  __shared__ u64 held[256 / WARP], whole;
+  __shared__ Classes mine_of;
+  __shared__ u32 place[CLASSES], wrong;
+  if (threadIdx.x < sizeof(Classes) / 4) ((u32 *)&mine_of)[threadIdx.x] = 0;
+  if (threadIdx.x == 0) wrong = NOWHERE;
   u64 mine = 0;
   for (u32 b = threadIdx.x; b < blockIdx.x; b += 256) mine += sums[b];
   u64 before = sum_block(mine, held);
@@ -321,10 +348,12 @@ KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u6
   }
   if (lane_id() == WARP - 1) held[threadIdx.x / WARP] = sum;
   __syncthreads();
+  bool alone = gridDim.x == 1, last = blockIdx.x == gridDim.x - 1;
   if (threadIdx.x < CLASSES) {
-    u32 ahead = 0;
-    for (u32 c = threadIdx.x + 1; c < CLASSES; c++) ahead += gridDim.x > 1 ? classes[c] : mine_of[c];
-    place[threadIdx.x] = ahead + (gridDim.x > 1 ? atomicAdd(classes + CLASSES + threadIdx.x, mine_of[threadIdx.x]) : 0);
+    const u32 *many = alone ? mine_of.many : classes->many;
+    u32 ahead = 0, c = threadIdx.x;
+    for (u32 k = c + 1; k < CLASSES; k++) ahead += many[k];
+    place[c] = ahead + (alone ? 0 : atomicAdd(classes->taken + c, mine_of.many[c]));
   }
   for (u32 w = 0; w < threadIdx.x / WARP; w++) before += held[w];
   before += sum - total;
@@ -335,9 +364,23 @@ KERNEL(scan_counts)(u32 *counts, u32 all_tiles, const u64 *__restrict__ sums, u6
   for (u32 k = 0; k < n; k++) {
     u32 c = class_of(count[k]);
     order[c ? atomicAdd(place + c, 1u) : at++] = (u32)first + k;
-    starts[first + k] = before;
-    counts[first + k] = (u32)before;  // lists of more than 2^32 entries have no room anyhow
+    if (!room) {
+      starts[first + k] = before;
+      counts[first + k] = (u32)before;  // lists of more than 2^32 entries have no room anyhow
+    }
     before += count[k];
-    if (first + k == all_tiles - 1) starts[all_tiles] = before;
+    if (first + k == all_tiles - 1) {
+      if (!room) starts[all_tiles] = before;
+      whole = before;
+    }
   }
+  if (!last) return;
+  u32 found = NOWHERE;
+  for (u32 v = threadIdx.x; v < views; v += 256) found = min(found, written[v].spare[0]);
+  if (found != NOWHERE) atomicMin(&wrong, found);
+  __syncthreads();
+  if (threadIdx.x) return;
+  State now = {whole, alone ? mine_of.longest : classes->longest, wrong};
+  *state = now;
+  told[0] = now.total, told[1] = now.longest, told[2] = now.wrong;
 }

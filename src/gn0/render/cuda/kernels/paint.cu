@@ -98,10 +98,11 @@ struct Target {  // where pictures go; null for what is not wanted
 // `listed`, where there is one, stands for `given`.
 KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
- u64 *entries, u64 capacity, const u32 *__restrict__ order, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
+ const u32 *__restrict__ counts, u64 *entries, u64 capacity, u32 room,
+ const u32 *__restrict__ order, const State *__restrict__ state, u32 tiles_x, u32 tiles, int width,
  int height, u32 flags, const Target *__restrict__ listed, Target given) {
   __shared__ __align__(16) TileRoom t;
-  if (starts[all_tiles] > capacity) return;
+  if (room ? state->longest > room : state->total > capacity) return;
   Corner at = find_corner(order, tiles_x, tiles);
   Picture p;
 #pragma unroll
@@ -109,7 +110,7 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
     p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : -1.f;
     p.red[i] = p.green[i] = p.blue[i] = p.depth[i] = 0.f;
   }
-  walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
+  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, at.all, at.view, at.x_px, at.y_px, flags);
   const Target to = listed ? *listed : given;
   u64 row = (u64)views[at.view].row * height;
 #pragma unroll
@@ -154,15 +155,16 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
 
 KERNEL_BOUNDED(mark_tiles, THREADS, BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
- u64 *entries, u64 capacity, const u32 *__restrict__ order, u32 all_tiles, u32 tiles_x, u32 tiles, int width,
+ const u32 *__restrict__ counts, u64 *entries, u64 capacity, u32 room,
+ const u32 *__restrict__ order, const State *__restrict__ state, u32 tiles_x, u32 tiles, int width,
  int height, u32 flags, float threshold, u32 *marks, u64 words) {
   __shared__ __align__(16) TileRoom t;
-  if (starts[all_tiles] > capacity) return;
+  if (room ? state->longest > room : state->total > capacity) return;
   Corner at = find_corner(order, tiles_x, tiles);
   Marks p;
   p.threshold = threshold, p.row = marks + views[at.view].row * words, p.shows = false;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++)
     p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : 0.f;
-  walk_tile(t, p, views, clouds, starts, entries, capacity, at.all, at.view, at.x_px, at.y_px, flags);
+  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, at.all, at.view, at.x_px, at.y_px, flags);
 }

@@ -25,12 +25,16 @@ __device__ __forceinline__ int find_set(const Floor &f, int cloud, double x, dou
 
 // Views [count] from world-to-camera matrices [count, 4, 4]; `like` is any view of their camera.
 // `chosen` numbers their clouds, the first `named`; null means all show the first. With `floors`,
-// of each of those, they are drawn from visible sets, which are clouds behind them. A view that is none sees nothing,
-// and the first such is told in `wrong`: its number times four, and what is wrong.
+// of each of those, they are drawn from visible sets, which are clouds behind them. A view that is none
+// sees nothing, and holds its number times four and what is wrong. Beside that, `zeros` become
+// zeros, and the words of `sent` (on the host) are `here`.
 KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__ chosen,
                     const Cloud *__restrict__ clouds, u32 named, const Floor *__restrict__ floors,
-                    double tolerance, u32 first, u32 count, View like, View *views, u32 *wrong) {
+                    double tolerance, u32 first, u32 count, View like, View *views, u32 *zeros,
+                    u32 zero_count, const u32 *__restrict__ sent, u32 *here, u32 words) {
   u32 v = blockIdx.x * blockDim.x + threadIdx.x;
+  for (u32 k = v; k < zero_count; k += gridDim.x * blockDim.x) zeros[k] = 0;
+  if (v < words) here[v] = sent[v];
   if (v >= count) return;
   const double *m = matrices + (u64)(first + v) * 16;
   bool finite = true, rigid = true;
@@ -45,8 +49,8 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
                   m[2] * (m[4] * m[9] - m[5] * m[8]);
   rigid = rigid && volume > 0.0;
   u32 cloud = chosen ? (u32)chosen[first + v] : 0;
-  bool here = cloud < named && clouds[cloud].rows != NO_CLOUD, held = true;
-  if (finite && rigid && here) {
+  bool known = cloud < named && clouds[cloud].rows != NO_CLOUD, held = true;
+  if (finite && rigid && known) {
     double eye[3];
     for (int k = 0; k < 3; k++)  // operation for operation as `tables.find_eyes` does it
       eye[k] = -(m[k] * m[3] + m[4 + k] * m[7] + m[8 + k] * m[11]);
@@ -58,9 +62,10 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
     for (int k = 0; k < 3; k++) like.eye[k] = (float)eye[k];
     like.cloud = cloud;
   }
-  if (!(finite && rigid && here && held)) {
-    u32 why = !finite ? NOT_FINITE : !rigid ? NOT_RIGID : !here ? NOT_HERE : NOT_HELD;
-    atomicMin(wrong, (first + v) << 2 | why);
+  like.spare[0] = NOWHERE;
+  if (!(finite && rigid && known && held)) {
+    u32 why = !finite ? NOT_FINITE : !rigid ? NOT_RIGID : !known ? NOT_HERE : NOT_HELD;
+    like.spare[0] = (first + v) << 2 | why;
     for (int k = 0; k < 9; k++) like.r[k] = 0.f;
     for (int k = 0; k < 3; k++) like.eye[k] = 0.f;
     like.near = 1.f, like.far = 0.f;
@@ -72,11 +77,13 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
 }
 
 // Groups [cloud_count] of the views that show each cloud, and their members; one block of 256. A
-// group may be empty. `counts` [cloud_count] are zero before. In what order a group lists its
+// group may be empty. In what order a group lists its
 // members is the atomics' business, and cannot show.
 KERNEL(group_views)(const View *__restrict__ views, const Cloud *__restrict__ clouds, u32 count,
                     u32 cloud_count, u32 each, u32 *counts, Group *groups, u32 *members) {
   __shared__ u64 held[256 / WARP];
+  for (u32 c = threadIdx.x; c < cloud_count; c += 256) counts[c] = 0;
+  __syncthreads();
   for (u32 v = threadIdx.x; v < count; v += 256)
     if (views[v].cloud != NOWHERE) atomicAdd(counts + views[v].cloud, 1u);
   __syncthreads();

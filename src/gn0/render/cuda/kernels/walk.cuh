@@ -305,12 +305,14 @@ __device__ __forceinline__ u32 list_region(TileRoom &t, u32 region) {
 template <class Painter>
 __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const View *__restrict__ views,
                                           const Cloud *__restrict__ clouds,
-                                          const u64 *__restrict__ starts, u64 *entries,
-                                          u64 capacity, u32 tile, u32 view, int x_px, int y_px,
+                                          const u64 *__restrict__ starts,
+                                          const u32 *__restrict__ counts, u64 *entries,
+                                          u64 capacity, u32 room, u32 tile, u32 view, int x_px, int y_px,
                                           u32 flags) {
-  const u64 *list = entries + starts[tile];
-  u64 *spare = entries + capacity + starts[tile];
-  u32 n = (u32)(starts[tile + 1] - starts[tile]);
+  u64 start = room ? (u64)tile * room : starts[tile];
+  const u64 *list = entries + start;
+  u64 *spare = entries + capacity + start;
+  u32 n = room ? counts[tile] : (u32)(starts[tile + 1] - start);
   if (!n) return;
   if (threadIdx.x < WARP) {
     const u32 words = sizeof(Cloud) / 4;

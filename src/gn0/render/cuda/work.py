@@ -1,0 +1,127 @@
+"""What a drawing call is to do, and how a batch of it lies on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import DeviceArray
+from gn0.geometry import F64
+from gn0.render.camera import Camera
+from gn0.render.cuda.tables import CHUNK, TILE, build_clouds, build_view
+
+if TYPE_CHECKING:
+    from gn0.render.cuda.draw import CloudDevice
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Lists:
+    """A batch on the device: sizes, tables and buffers, as kernels take them.
+
+    Attributes:
+        first, count: views of the call that it draws.
+        all_tiles: lists.
+        scan_blocks: of the scan.
+        listing_blocks, each: blocks that list, and the chunks that one of them lists.
+        capacity: entries that all lists together can hold.
+        room: entries that each can hold; 0 where they are counted first.
+        views, clouds, groups, members: see `gn0.render.cuda.tables`.
+        starts, counts, sums, classes, order, state: of the lists, see `list.cu`.
+        entries: [2 * capacity], of which the second half is spare.
+        tiles: across a picture, and of it.
+        shape: width, height and flags.
+    """
+
+    first: int
+    count: int
+    all_tiles: int
+    scan_blocks: int
+    listing_blocks: int
+    each: int
+    capacity: int
+    room: int
+    views: DeviceArray
+    clouds: DeviceArray
+    groups: DeviceArray
+    group_count: int
+    members: DeviceArray
+    starts: DeviceArray
+    counts: DeviceArray
+    sums: DeviceArray
+    classes: DeviceArray
+    order: DeviceArray
+    state: DeviceArray
+    entries: DeviceArray
+    tiles: tuple[np.uint32, np.uint32]
+    shape: tuple[np.int32, np.int32, np.uint32]
+
+    @property
+    def listing(self) -> tuple[Any, ...]:
+        """What both listing kernels take first."""
+        return (
+            *(self.views, self.clouds, self.groups, np.uint32(self.group_count), self.members),
+            *(*self.tiles, self.shape[2], np.uint32(self.each), self.counts),
+        )
+
+    def holds(self, total: int, longest: int) -> bool:
+        """Whether so many entries, so many of them in one list, had room."""
+        return longest <= self.room if self.room else total <= self.capacity
+
+
+class Work:
+    """Views to draw, each of one of `clouds`; the tails lie behind the first `tails`."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        matrices: F64,
+        clouds: Sequence[CloudDevice | None],
+        cloud_of: NDArray[np.int32],
+        tail_of: NDArray[np.int32] | None,
+        tails: int,
+        rows: NDArray[np.int64] | None,
+    ) -> None:
+        self._of_clouds(camera, clouds)
+        self.count = count = len(matrices)
+        self.matrices, self.cloud_of = matrices, np.asarray(cloud_of)
+        moving = np.full(count, -1) if tail_of is None else np.asarray(tail_of)
+        self.tail_of = np.where(moving < 0, -1, moving + tails)
+        self.rows = np.arange(count) if rows is None else np.asarray(rows)
+        sizes = np.append(self.chunks * CHUNK, 0)  # of no tail: the last
+        self.splats = sizes[self.cloud_of] + sizes[self.tail_of]
+        self.picture: tuple[object, ...] = (camera.width, camera.height, camera.model)
+
+    def _of_clouds(self, camera: Camera, clouds: Sequence[CloudDevice | None]) -> None:
+        self.camera, self.table = camera, build_clouds(clouds)
+        self.held = clouds  # the table only points to them
+        self.chunks = self.table["chunks"].astype(np.int64)
+        self.tiles_x = -(-camera.width // TILE)
+        self.tiles = self.tiles_x * -(-camera.height // TILE)
+
+
+class WorkDevice(Work):
+    """Views whose poses, and which of `clouds` they show, are on the device alone."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        poses: DeviceArray,
+        clouds: Sequence[CloudDevice | None],
+        chosen: DeviceArray | None,
+        floors: DeviceArray | None,
+    ) -> None:
+        self._of_clouds(camera, clouds)
+        self.count, self.poses, self.chosen, self.floors = len(poses), poses, chosen, floors
+        self.named = len(clouds) if floors is None else len(floors)
+        self.grouped = chosen is not None or floors is not None
+        self.like = build_view(camera)
+        # as if all showed the largest, so that lists are seldom thought too short
+        sets = self.chunks[self.named :]
+        largest = sets if len(sets) else self.chunks
+        self.splats = np.full(self.count, largest.max(initial=0) * CHUNK)
+        kind = ("chosen",) if floors is None else ("sets",)
+        self.picture = (camera.width, camera.height, camera.model, *(kind if self.grouped else ()))

@@ -6,6 +6,8 @@ fails, it is clear who is wrong.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, EXTENT, FIELDS, LOG_OPACITY, REACH, RED, PackedCloud
 from gn0.render.cpu_raster import TILE, raster_tiles
 from gn0.render.cuda.draw import CloudDevice, Drawer
-from gn0.render.cuda.replay import SetMissingError
+from gn0.render.cuda.replay import Replay, SetMissingError
 from gn0.render.renderer import RenderOptions, check_views
 from gn0.render.visible_mark import mark_tiles
 from gn0.testing.check_renderer import random_cloud
@@ -117,3 +119,19 @@ def either_drawer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatc
     """Batches draw with the emulated kernels, then with the CPU's code."""
     if request.param == "cpu code":
         monkeypatch.setattr("gn0.render.cuda.batch.Drawer", DrawerCpu)
+
+
+@pytest.fixture
+def replays(monkeypatch: pytest.MonkeyPatch) -> list[Replay]:
+    """Those that have drawn something, in order."""
+    drawn: list[Replay] = []
+    works = Replay.draw
+
+    def draw(self: Replay, *args: Any, **named: Any) -> Any:
+        found = works(self, *args, **named)
+        if found is not None:
+            drawn.append(self)
+        return found
+
+    monkeypatch.setattr(Replay, "draw", draw)
+    return drawn

@@ -466,8 +466,9 @@ class DeviceCuda:
         """
         self._no_recording("synchronize")
         self.call("cuStreamSynchronize", None)
-        for stream in list(self._streams.values()):
-            self.call("cuStreamSynchronize", stream)
+        for name, stream in list(self._streams.items()):
+            if name != "capture":  # nothing runs on it, and another thread may be recording there
+                self.call("cuStreamSynchronize", stream)
         self._land()
 
     def event(self) -> EventCuda:

@@ -139,6 +139,8 @@ def list_tunings(few_tiles: bool) -> list[Tuning]:
         {"capacity": 1024},
         {"stage": 64},
         {"stage": 256},
+        {"early": True},
+        {"early": True, "blocks": 6},
         {"puts": 1},
         {"puts": 3},
         {"chunks": 4},
@@ -150,8 +152,9 @@ def list_tunings(few_tiles: bool) -> list[Tuning]:
     ]
     few: list[dict[str, Any]] = [
         {"region_width": 8},
-        {"blocks": 3},
-        {"stage": 128},
+        {"early": False, "blocks": 4},
+        {"blocks": 4},
+        {"early": False, "stage": 128},
         {"capacity": 1024},
         {"capacity": 1024, "buckets": 1024},
         {"capacity": 256, "buckets": 256},
@@ -160,7 +163,7 @@ def list_tunings(few_tiles: bool) -> list[Tuning]:
         {"large": 2},
         {"large": 4},
         {"large": 9},
-        {"pixels": 2, "stage": 128, "blocks": 8},
+        {"pixels": 2, "stage": 128, "early": False, "blocks": 8},
     ]
     base = FEW if few_tiles else MANY
     return [base, *(replace(base, **change) for change in (few if few_tiles else many))]

@@ -59,6 +59,7 @@ TUNINGS = [
     Tuning(pixels=1, region_width=4, region_height=2, stage=32),
     FEW,
     Tuning(stage=256, chunks=1, puts=3, predicate=False),
+    Tuning(early=True, capacity=256),
     Tuning(pixels=1, region_width=8, region_height=4, large=16),
     Tuning(pixels=2, region_height=8, capacity=1024, buckets=1024, stage=160),
 ]

@@ -19,6 +19,8 @@ class Tuning:
         capacity: entries that a tile sorts at a time.
         buckets: of that sort, a power of two.
         stage: splats projected into shared memory at a time.
+        early: whether the splats of the next stage are fetched while one is blended; then a thread
+            stages one.
         blocks: raster blocks a multiprocessor that registers must leave room for.
         cover_blocks: the same for the kernels that list splats.
         views: that a block of the listing kernels projects its chunks for.
@@ -36,6 +38,7 @@ class Tuning:
     capacity: int = 512
     buckets: int = 512
     stage: int = 128
+    early: bool = False
     blocks: int = 8
     cover_blocks: int = 4
     views: int = 32
@@ -61,6 +64,7 @@ class Tuning:
             and 0 < self.views <= 32
             and 0 < self.chunks <= 32
             and 0 < self.puts <= 4
+            and (not self.early or self.stage == self.threads)
             and self.threads <= min(self.buckets, 1024)
         )
         if not sound:
@@ -88,7 +92,7 @@ class Tuning:
 
 
 MANY = Tuning()
-FEW = Tuning(pixels=1, region_width=4, stage=256, blocks=4)
+FEW = Tuning(pixels=1, region_width=4, stage=256, early=True, blocks=3)
 _MANY_TILES = 4500  # fewer do not fill a large card: the longest list decides
 
 

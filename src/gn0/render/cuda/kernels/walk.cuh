@@ -250,27 +250,40 @@ __device__ __forceinline__ u32 find_regions(const Footprint &f, float x, float y
   return mask;
 }
 
-// Stages one entry at `at`; returns its regions. left, top: the tile's first pixel centre.
+struct Fetched {  // what an entry names
+  Splat splat;
+  u32 cloud, slot;
+  bool there;
+};
+
+// The splat of entry `at` of a group of `size`.
+__device__ __forceinline__ Fetched fetch_splat(const TileRoom &t, u32 at, u32 size) {
+  Fetched f;
+  f.there = false;
+  if (at >= size) return f;
+  u32 index = (u32)t.keys[at];
+  f.cloud = index >> 31, index &= ~TAIL;
+  const Cloud &cloud = t.cloud[f.cloud];
+  f.slot = cloud.places ? __ldg(cloud.places + index) : index;
+  f.there = f.slot < cloud.rows;
+  if (f.there) f.splat = load_splat(cloud.splats + (u64)f.slot * 4);
+  return f;
+}
+
+// Stages one splat at `at`; returns its regions. left, top: the tile's first pixel centre.
 template <bool COLOUR>
-__device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, u64 key, u32 flags, float left,
-                                           float top) {
-  u32 index = (u32)key;
-  const Cloud &cloud = t.cloud[index >> 31];
-  index &= ~TAIL;
-  u32 slot = cloud.places ? __ldg(cloud.places + index) : index;
-  if (slot >= cloud.rows) return 0;
-  const float4 *from = cloud.splats + (u64)slot * 4;
-  Splat s = load_splat(from);
+__device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, const Fetched &one, u32 flags,
+                                           float left, float top) {
   Footprint f;
   const View w = load_view(t.view);
-  if (!project(s, w, flags, f)) return 0;
+  if (!one.there || !project(one.splat, w, flags, f)) return 0;
   float x = f.u - left, y = f.v - top;
   float qx = f.qx * SQRT_LOG2_E, qy = f.qy * SQRT_LOG2_E, k = root(f.qk * LOG2_E);
   Staged &to = t.staged[at];
   to.a = make_float4(qx, qy, -fmaf(qx, x, qy * y), k);
   float3 colour = make_float3(0.f, 0.f, 0.f);
   u32 mask = find_regions(f, x, y);
-  if (COLOUR) colour = find_colour(cloud, s, slot, w);
+  if (COLOUR) colour = find_colour(t.cloud[one.cloud], one.splat, one.slot, w);
   to.b = make_float4(-k * y, f.log_o * LOG2_E, colour.x, colour.y);
   to.c = make_float2(colour.z, f.z);
   return mask;
@@ -351,11 +364,17 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
       if (!size) continue;
     }
     sort_group(t, from, size);
+#if EARLY
+    Fetched next_splat = fetch_splat(t, threadIdx.x, size);
+#endif
     for (u32 first = 0; first < size; first += STAGE) {
       for (u32 k = threadIdx.x; k < STAGE; k += THREADS) {
-        u32 mask = 0;
-        if (first + k < size)
-          mask = stage_splat<Painter::COLOUR>(t, k, t.keys[first + k], flags, left, top);
+#if EARLY
+        const Fetched one = next_splat;
+#else
+        const Fetched one = fetch_splat(t, first + k, size);
+#endif
+        u32 mask = stage_splat<Painter::COLOUR>(t, k, one, flags, left, top);
         __syncwarp();
         u32 mine = 0;
 #pragma unroll
@@ -371,6 +390,9 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
         t.staged[STAGE].c = make_float2(0.f, 0.f);
       }
       __syncthreads();
+#if EARLY  // under way while this stage is blended
+      next_splat = fetch_splat(t, first + STAGE + threadIdx.x, size);
+#endif
       if (open) {
         u32 length = list_region(t, region);
         const u16 *mine = t.lists[region];

@@ -25,7 +25,7 @@ mkdir -p "$OUT/log" "$OUT/done"
 OUT=$(cd "$OUT" && pwd)
 if [ -n "${KEEP:-}" ]; then mkdir -p "$KEEP"; KEEP=$(cd "$KEEP" && pwd); fi
 PYTHON=${PYTHON:-python3}
-ALL=(check start rival small large scenes accuracy suite visible memory sim data apartment house sanitizers stages sweep)
+ALL=(check start rival small large scenes accuracy suite visible memory sim data apartment house others sanitizers stages sweep)
 LIBRARY=$OUT/gsplat_cuda.so
 export GN0_CACHE=${GN0_CACHE:-$OUT/cache}
 export TORCH_EXTENSIONS_DIR=${TORCH_EXTENSIONS_DIR:-$OUT/torch_extensions}
@@ -58,7 +58,7 @@ limit_of() {  # seconds
   local limit left
   left=$(left)
   case $1 in
-    check | start) limit=90 ;; stages) limit=120 ;; small | data) limit=300 ;; accuracy | suite | sweep) limit=400 ;;
+    check | start) limit=90 ;; stages) limit=120 ;; small | data | others) limit=300 ;; accuracy | suite | sweep) limit=400 ;;
     sanitizers) limit=540 ;; *) limit=240 ;;
   esac
   limit=${LIMIT:-$limit}
@@ -67,7 +67,7 @@ limit_of() {  # seconds
 
 least_of() {  # seconds without which a group is not begun
   case $1 in
-    check | start | stages) echo 10 ;; suite | sanitizers | data) echo 60 ;; *) echo 30 ;;
+    check | start | stages) echo 10 ;; suite | sanitizers | data | others) echo 60 ;; *) echo 30 ;;
   esac
 }
 
@@ -122,7 +122,8 @@ END
       ;;
     stages) "$PYTHON" -m gn0.figures.tune ;;         # milliseconds of each kernel
     sweep) "$PYTHON" -m gn0.figures.tune --sweep "224x224 x" ;;  # other kernel sizes
-    data) figures data --backend cuda ;;
+    data) figures data.gpu --backend cuda ;;
+    others) figures data.gpu_others --backend cuda ;;
     *) figures "render.cuda.$1" ;;
   esac
 }

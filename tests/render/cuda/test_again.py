@@ -151,6 +151,24 @@ def test_with_sets_for_this_call_alone(replays: list[Replay]) -> None:
     assert len(replays) == 2
 
 
+def test_with_and_without_sets_in_turns(replays: list[Replay]) -> None:
+    batch, other = batch_of(sets="a"), batch_of(sets="a")
+    bring_sets(batch)
+    few = other._sets["a"]
+    wanted = (False, True, batch._sets["a"], None)
+
+    def draw(turn: int) -> list[list[bytes | None]]:
+        return [bytes_of(batch.render(CAMERA, poses(turn), "a", visible=v)) for v in wanted]
+
+    settle(batch, replays, draw)
+    for turn in range(4):
+        whole = bytes_of(other.render(CAMERA, poses(turn), "a", tails=NOTHING))
+        part = bytes_of(other.render(CAMERA, poses(turn), "a", visible=few, tails=NOTHING))
+        assert draw(turn) == [whole, part, part, whole]
+        assert whole != part
+    assert len(replays) == 4 * 2
+
+
 @pytest.mark.parametrize("options", [RenderOptions(rgb_float=True), RenderOptions(antialiased=True),
                                      RenderOptions(background=(0.5, 0.1, 0.3))])  # fmt: skip
 def test_with_options(options: RenderOptions, replays: list[Replay]) -> None:

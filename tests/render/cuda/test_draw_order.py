@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,12 +67,9 @@ TUNINGS = [
 
 
 @pytest.mark.parametrize("tuning", TUNINGS, ids=range(len(TUNINGS)))
-def test_the_sizes_of_the_kernels_cannot_show(
-    want: list[bytes], tuning: Tuning, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("gn0.render.cuda.tables._BLOCKS", 4)  # several chunks a block
+def test_the_sizes_of_the_kernels_cannot_show(want: list[bytes], tuning: Tuning) -> None:
     device = DeviceHost(seed=7)
-    assert bytes_of(device, Drawer(device, tuning)) == want
+    assert bytes_of(device, Drawer(device, replace(tuning, spread=4))) == want
 
 
 def test_kernels_refuse_sizes_that_do_not_fit() -> None:

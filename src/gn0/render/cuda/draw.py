@@ -498,8 +498,9 @@ class Drawer:
             self._need(name, words, np.uint32) for name, words in (
                 ("groups", known * GROUP.itemsize // 4), ("members", count))
         )]  # fmt: skip
-        each = choose_chunks(most_blocks(work.chunks, count, self.tuning.views), self.tuning.chunks)
-        blocks = most_blocks(work.chunks, count, self.tuning.views, each)
+        by, most, spread = self.tuning.shares
+        each = choose_chunks(most_blocks(work.chunks, count, by), most, spread)
+        blocks = most_blocks(work.chunks, count, by, each)
         return (blocks, each), tables, known, view_table
 
     def _write_views(

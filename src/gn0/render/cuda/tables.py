@@ -63,7 +63,6 @@ TARGET = np.dtype(
         *(("background", "<f4", 3), ("spare", "<u4")),
     ]
 )
-_BLOCKS = 8192  # of the listing kernels, at least, before one lists several chunks
 NO_PLACE, NO_SET = -1, -2  # in the numbers of a floor: whole clouds do; a set that is not here
 _NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
 
@@ -160,6 +159,7 @@ def share_work(
     tail_of: NDArray[np.integer],
     views_a_block: int,
     most_chunks: int = 1,
+    spread: int = 1,
 ) -> Shares:
     """Group views by the clouds, and by the tails, that they show."""
     tables, members, all_rows = [], [], []
@@ -183,15 +183,15 @@ def share_work(
         first += int(counts.sum())
     table, rows = np.concatenate(tables), np.concatenate(all_rows)
     chunks = table["chunks"].astype(np.int64)
-    each = choose_chunks(int((chunks * rows).sum()), most_chunks)
+    each = choose_chunks(int((chunks * rows).sum()), most_chunks, spread)
     blocks = -(-chunks // each) * rows
     table["first_block"] = np.cumsum(blocks) - blocks
     return Shares(table, np.concatenate(members).astype(np.uint32), int(blocks.sum()), each)
 
 
-def choose_chunks(rows: int, most: int) -> int:
+def choose_chunks(rows: int, most: int, spread: int) -> int:
     """Chunks for a block to list, where there are so many: enough blocks must be left."""
-    return max(min(rows // _BLOCKS, most), 1)
+    return max(min(rows // spread, most), 1)
 
 
 def most_blocks(

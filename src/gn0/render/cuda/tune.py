@@ -24,7 +24,8 @@ class Tuning:
         blocks: raster blocks a multiprocessor that registers must leave room for.
         cover_blocks: the same for the kernels that list splats.
         views: that a block of the listing kernels projects its chunks for.
-        chunks: of such a block, at most: fewer where there would be too few blocks.
+        chunks: of such a block, at most.
+        spread: listing blocks that there should be before one takes several chunks.
         large: tiles of a footprint's box above which a whole warp lists it, and only where its
             ellipse reaches.
         puts: tiles that a lane lists into before it waits for its places.
@@ -43,6 +44,7 @@ class Tuning:
     cover_blocks: int = 4
     views: int = 32
     chunks: int = 8
+    spread: int = 8192
     large: int = 6
     puts: int = 2
     group: bool = True
@@ -63,6 +65,7 @@ class Tuning:
             and self.capacity & (self.capacity - 1) == 0
             and 0 < self.views <= 32
             and 0 < self.chunks <= 32
+            and self.spread > 0
             and 0 < self.puts <= 4
             and (not self.early or self.stage == self.threads)
             and self.threads <= min(self.buckets, 1024)
@@ -81,9 +84,9 @@ class Tuning:
         return 256 // self.pixels
 
     @property
-    def shares(self) -> tuple[int, int]:
-        """Views and chunks of a listing block."""
-        return self.views, self.chunks
+    def shares(self) -> tuple[int, int, int]:
+        """Views and most chunks of a listing block, and how many blocks there should be."""
+        return self.views, self.chunks, self.spread
 
     @property
     def defines(self) -> tuple[tuple[str, int], ...]:

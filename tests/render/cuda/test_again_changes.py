@@ -21,7 +21,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.pack import cloud_bytes
-from gn0.render.cuda.replay import PicturesDevice, Replay
+from gn0.render.cuda.replay import Heard, PicturesDevice, Replay
 from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.visible_places import VisibleOptions
 from gn0.testing.check_renderer import random_cloud
@@ -404,3 +404,35 @@ def test_many_threads_draw_and_copy() -> None:
         for thread in threads:
             thread.join()
     assert not wrong, wrong
+
+
+def test_a_scene_that_is_replayed_gives_way_last() -> None:
+    need = cloud_bytes(SPLATS, 0)
+    batch = batch_of(memory=2 * need + need // 2)
+    batch.render(CAMERA, poses(0), "b")
+    repeat(batch)
+    batch.render(CAMERA, poses(0), "b")
+    repeat(batch)  # replayed
+    batch.render(CAMERA, poses(0), "c")
+    assert batch.holds("a")
+    assert not batch.holds("b")
+
+
+@pytest.mark.parametrize("replayed", [False, True])
+def test_an_interrupt_while_the_host_waits(
+    replayed: bool, monkeypatch: pytest.MonkeyPatch, replays: list[Replay]
+) -> None:
+    batch = batch_of()
+    repeat(batch, turns=4 if replayed else 1)
+
+    def interrupt(heard: Heard) -> tuple[int, int, int]:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as pressed:
+        pressed.setattr(Heard, "wait", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            batch.render(CAMERA, poses(7), "a")
+    assert not any(replay.alive for replay in replays)
+    for turn in range(4):
+        got = bytes_of(batch.render(CAMERA, poses(turn), "a"))
+        assert got == fresh(poses(turn), cloud_of("a"))

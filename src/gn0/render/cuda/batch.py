@@ -205,6 +205,7 @@ class RendererBatch:
                 asked = name_call(camera, views, keys, outputs, background, visible)
                 there = None if asked is None else self._calls.draw(asked, self.drawer, views)
                 if there is not None:
+                    self.store.touch([keys] if isinstance(keys, str) else dict.fromkeys(keys))
                     return there
             poses: F64 | DeviceArray
             numbers: NDArray[np.int32] | DeviceArray | None

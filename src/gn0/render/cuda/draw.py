@@ -354,14 +354,16 @@ class Drawer:
         self._launch(work, lists, self._heard, kernel, last)
         self._tell("end")
         # all that the host waits for; it goes on while the device draws
-        total, longest, wrong = self._heard.wait()
+        heard, self._heard = self._heard, None  # one that nobody waited for may yet be written to
+        total, longest, wrong = heard.wait()
+        self._heard = heard
         raise_wrong(wrong)
         self.entries, splats = total, int(work.splats[views].sum())
         # visible sets list more a splat than whole clouds: forget them slowly
         if splats:
             expected = 0.95 * self._density.get(work.picture, 0.0)
             self._density[work.picture] = max(total / splats, expected)
-        self._longest[work.picture] = max(longest, int(0.95 * self._longest.get(work.picture, 0)))
+        self._longest[work.picture] = max(longest, int(0.99 * self._longest.get(work.picture, 0)))
         if lists.holds(total, longest):
             return 0
         assert self.memory is not None

@@ -207,7 +207,12 @@ class Replay:
         """
         assert self._graph is not None and self._lists is not None
         self._header.write(poses, pictures, background)
-        self._graph.launch()
-        total, longest, wrong = self._header.heard.wait()
+        lists = self._lists
+        try:
+            self._graph.launch()
+            total, longest, wrong = self._header.heard.wait()
+        except BaseException:
+            self.drop()  # it may still be at work with what the next call would write over
+            raise
         raise_wrong(wrong)
-        return total if self._lists.holds(total, longest) else None
+        return total if lists.holds(total, longest) else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -178,6 +178,12 @@ class CloudStore:
             self._apart = wanted
             return None
         return found
+
+    def touch(self, keys: Iterable[str | None]) -> None:
+        """Clouds are used now: they give way after the others."""
+        for key in keys:
+            if key is not None and key in self._held:
+                self._held.move_to_end(key)
 
     def open(self, key: str) -> CloudDevice:
         """One cloud, brought here if need be.

@@ -14,12 +14,15 @@ from gn0.storage import array_head
 
 SOURCE = KernelSource("digest", (Path(__file__).parent / "kernels" / "digest.cu",))
 SIZE = 16  # bytes of a digest
-_THREADS = 8  # a block: each reads a line of memory of its own, so few share a multiprocessor
+_LANES = 4  # of a picture
+_PICTURES = 8  # at most that a warp takes
+_SCHEDULERS = 4  # of a multiprocessor: a warp each, while there are enough
 _HEAD = 64
 _KIND = np.dtype(
     [
         ("pixels", "u8"), ("table", "u8"), ("size", "u4"), ("line", "u4"), ("height", "u4"),
-        ("columns", "u4"), ("cells", "u4"), ("first", "u4"), ("said", "u4"),
+        ("columns", "u4"), ("rows", "u4"), ("first", "u4"), ("count", "u4"), ("begin", "u4"),
+        ("said", "u4"),
         ("head", "u1", _HEAD),
     ],
     align=True,
@@ -53,33 +56,40 @@ def digest_on_device(device: Device, kinds: Sequence[DeviceArray | Mosaics]) -> 
     Returns:
         uint8 [n, 16], of all pictures, in order.
     """
-    rows = np.zeros(len(kinds), _KIND)
-    held, count = [], 0
-    for row, kind in zip(rows, kinds, strict=True):
-        row["first"] = count
+    given = [kind for kind in kinds if _count(kind)]
+    count = sum(map(_count, given))
+    found = device.empty((count, SIZE), np.uint8)
+    if not count:
+        return found
+    each = min(-(-count // (_SCHEDULERS * device.multiprocessors)), _PICTURES)  # a block
+    rows = np.zeros(len(given), _KIND)
+    held, first, begin = [], 0, 0
+    for row, kind in zip(rows, given, strict=True):
+        row["first"], row["count"], row["begin"] = first, _count(kind), begin
         if isinstance(kind, Mosaics):
             width, height = kind.tile
-            cells = kind.table.shape[1]
-            shape: tuple[int, ...] = (height * (cells // kind.columns), width * kind.columns, 3)
+            grid = kind.table.shape[1] // kind.columns
+            shape: tuple[int, ...] = (height * grid, width * kind.columns, 3)
             dtype = np.dtype(np.uint8)
             table = device.upload(np.ascontiguousarray(kind.table, np.uint64))
             held.append(table)
             row["table"], row["line"], row["height"] = table.pointer, 3 * width, height
-            row["columns"], row["cells"] = kind.columns, cells
-            count += len(kind.table)
+            row["columns"], row["rows"] = kind.columns, grid
         else:
             shape, dtype = kind.shape[1:], kind.dtype
-            row["pixels"], row["line"] = kind.pointer, kind.nbytes // max(len(kind), 1)
-            row["height"] = row["columns"] = row["cells"] = 1
-            count += len(kind)
+            row["pixels"], row["line"] = kind.pointer, kind.nbytes // len(kind)
+            row["height"] = row["columns"] = row["rows"] = 1
         row["size"] = int(np.prod(shape)) * dtype.itemsize
         head = array_head(dtype, shape)
         row["said"] = len(head)
         row["head"][: len(head)] = np.frombuffer(head, np.uint8)
-    found = device.empty((count, SIZE), np.uint8)
-    if count:
-        device.load(SOURCE)["digest_pictures"].launch(
-            -(-count // _THREADS), _THREADS, device.upload(rows), np.int32(len(rows)),
-            np.uint32(count), found,
-        )  # fmt: skip
+        first += _count(kind)
+        begin += -(-_count(kind) // each)
+    device.load(SOURCE)["digest_pictures"].launch(
+        begin, _LANES * each, device.upload(rows), np.int32(len(rows)), found
+    )
     return found
+
+
+def _count(kind: DeviceArray | Mosaics) -> int:
+    return len(kind.table) if isinstance(kind, Mosaics) else len(kind)

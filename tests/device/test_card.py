@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -176,30 +177,64 @@ def test_a_thread_without_a_context_can_work(card: DeviceCuda, source: KernelSou
     assert seen == [[4] * 32]
 
 
-@pytest.mark.skipif(real_card() is None, reason="needs a card: a lost one is pretended elsewhere")
-def test_a_lost_card_ends_a_process_well(tmp_path: Path) -> None:
-    (tmp_path / "wild.cu").write_text(WILD)
-    code = f"""
+LOSE = """
 import numpy as np
 from pathlib import Path
 from gn0.device.device import KernelSource
 from gn0.device.open import find_device, open_device
 from gn0.errors import DeviceError
-device = open_device()
+device = open_device("cuda")
 a = device.zeros(8, np.int32)
-device.load(KernelSource("wild", (Path({str(tmp_path / "wild.cu")!r}),)))["wild"].launch(
-    1, 1, a, np.uint64(1 << 44))
-for call in (device.synchronize, a.numpy, device.memory):
+flying = device.download_async(a, beside=True)
+event = device.event()
+pretended = "Pretended" in device.name
+device.load(KernelSource("wild", (Path(PATH),)))["wild"].launch(
+    1, 1, a, np.uint64(0 if pretended else 1 << 44))
+for call in (device.synchronize, a.numpy, device.memory, device.trim, device.event, event.wait,
+             flying.numpy, lambda: flying.done, lambda: device.zeros(1 << 24, np.uint8)):
     try:
         call()
     except DeviceError as error:
         print(error)
 print(find_device())
 """
+PRETEND = """
+from gn0.device import driver, nvrtc
+from gn0.device.host import DeviceHost
+driver.load_image = lambda source, *_, **__: b"FAKE:" + bytes(DeviceHost().build(source))
+driver.open_nvrtc = lambda major: None
+nvrtc.find_nvrtc = lambda driver=None: nvrtc.NvrtcFile("x", 12)
+"""
+
+
+def lose_card(tmp_path: Path, before: str = "", **env: str) -> None:
+    (tmp_path / "wild.cu").write_text(WILD)
+    code = before + LOSE.replace("PATH", repr(str(tmp_path / "wild.cu")))
+    path = os.pathsep.join(filter(None, sys.path))  # the same code as here
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": path, **env},
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
-    lines = done.stdout.splitlines()
-    assert "ILLEGAL_ADDRESS (700)" in lines[0] and "wild" in lines[0]
-    assert "lost earlier" in lines[1] and "lost earlier" in lines[2] and "(None" in lines[3]
-    assert not done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
+    first, *others, found = done.stdout.splitlines()
+    assert "ILLEGAL_ADDRESS (700)" in first and "wild" in first, done.stdout
+    assert len(others) == 8 and all("lost earlier" in line for line in others), done.stdout
+    assert "(None" in found, found
+    assert not done.stderr, done.stderr
+
+
+@pytest.mark.skipif(real_card() is None, reason="needs a card: a lost one is pretended below")
+def test_a_lost_card_ends_a_process_well(tmp_path: Path) -> None:
+    # a launch that waits would be where it is noticed
+    lose_card(tmp_path, CUDA_LAUNCH_BLOCKING="0", GN0_DEVICE="")
+
+
+@pytest.mark.parametrize("pools", ["0", "1"])
+def test_a_card_pretended_lost_ends_a_process_well(
+    fake_path: Path, tmp_path: Path, pools: str
+) -> None:
+    place = {"LD_LIBRARY_PATH": str(fake_path.parent), "FAKE_CUDA_POOLS": pools, "GN0_DEVICE": ""}
+    lose_card(tmp_path, PRETEND, FAKE_CUDA_FAIL="cuStreamSynchronize=700", **place)

@@ -74,12 +74,11 @@ class KernelCuda:
         if not self._device.driver.has("cuFuncGetParamInfo"):
             return sizes
         offset, size, told = ctypes.c_size_t(), ctypes.c_size_t(), []
-        for i in range(len(sizes) + 1):
+        for i in range(len(sizes)):  # one more would be an error, which checkers report
             to = ctypes.byref(offset), ctypes.byref(size)
             if self._device.attempt("cuFuncGetParamInfo", self._function, i, *to):
                 break
             told.append(size.value)
-        told = told if told and told[-1] else told[:-1]  # a size of 0 is no parameter
         if told and (len(told) != len(sizes) or any(map(_differs, self._types, told))):
             raise DeviceError(
                 f"its machine code takes parameters of {told} bytes, its source says "

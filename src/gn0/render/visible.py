@@ -30,7 +30,7 @@ from gn0.render.cpu_pack import CHUNK, FIELDS, REACH, PackedCloud
 from gn0.render.renderer import VISIBLE, Output, RenderResult, check_views
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_mark import gather_chunks
-from gn0.render.visible_places import VisibleOptions, key_of_sets
+from gn0.render.visible_places import MEMORY, VisibleOptions, key_of_sets
 
 _PER_SPLAT = (FIELDS + 1) * 4  # bytes of a packed splat
 
@@ -152,7 +152,8 @@ class RendererVisible:
         found = self._pack(marks)
         self._sets[cell] = found
         self._held += found.nbytes
-        while self._held > self.options.memory and len(self._sets) > 1:
+        memory = MEMORY if self.options.memory is None else self.options.memory
+        while self._held > memory and len(self._sets) > 1:
             self._held -= self._sets.popitem(last=False)[1].nbytes
         return found
 

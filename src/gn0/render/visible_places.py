@@ -16,6 +16,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.storage import content_hash
 
+MEMORY = 2**29  # bytes of sets held ready, where nothing else is said
 _FORMAT = 2  # raise when a set changes for another reason than its inputs
 _HEADINGS = tuple((quarter * math.pi / 2, 0.0) for quarter in range(4))
 _FACES = (*_HEADINGS, (0.0, math.pi / 2), (0.0, -math.pi / 2))  # yaw, pitch: all round
@@ -33,7 +34,8 @@ class VisibleOptions(Config, frozen=True):
         threshold: weight above which a splat counts.
         near: what is nearer than this to a place [m] always counts and hides nothing.
         height_tolerance: eyes this far [m] from the sets' height still use them.
-        memory: bytes of sets held ready.
+        memory: bytes of sets held ready; when None half a gigabyte, or a twentieth of what is free
+            on a device that has more.
         disk: bytes of sets kept in the cache folder, of all scenes together.
     """
 
@@ -44,7 +46,7 @@ class VisibleOptions(Config, frozen=True):
     threshold: float = 1.0 / 255.0
     near: float = 0.2
     height_tolerance: float = 0.02
-    memory: int = 2**29
+    memory: int | None = None
     disk: int = 2**31
 
     def __post_init__(self) -> None:

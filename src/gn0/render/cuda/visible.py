@@ -30,7 +30,7 @@ from gn0.render.cuda.pack import cloud_kernels
 from gn0.render.cuda.tables import CHUNK, NO_PLACE, NO_SET, find_eyes
 from gn0.render.renderer import VISIBLE_CUDA, Output, RenderResult
 from gn0.render.visible_files import VisibleFiles
-from gn0.render.visible_places import VisibleOptions, key_of_sets
+from gn0.render.visible_places import MEMORY, VisibleOptions, key_of_sets
 
 if TYPE_CHECKING:
     from gn0.render.cuda.renderer import RendererCuda
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 Cell = tuple[int, int]
 CELLS = 8  # found at once: 240 pictures a call keep a card busy, and their lists are small
 WRITERS = 4  # threads that pack and write files: a disk's answer takes longer than a card's
+_SHARE = 0.05  # of the memory that is free, for the sets of one cloud
 _BOX = 7
 _locks: WeakKeyDictionary[Device, RLock] = WeakKeyDictionary()
 
@@ -96,6 +97,8 @@ class VisibleSets:
         self._drawer, self._antialiased = drawer, antialiased
         self._made_for = (-1, -1)  # splats in the cloud, and packed, that the sets number
         self.used = 0  # bytes of the sets that are on the device
+        share = int(_SHARE * drawer.device.memory()[0])
+        self.memory = max(MEMORY, share) if options.memory is None else options.memory
         self.version = 0  # another one as soon as other sets are
         self._places = options.places_of(floor)
         self._sets: OrderedDict[Cell, VisibleSetDevice] = OrderedDict()  # least recent first
@@ -371,7 +374,7 @@ class VisibleSets:
 
     def _give_way(self, keep: int) -> None:
         """Drop least recent sets beyond the memory, but not the last `keep`."""
-        while self.used > self.options.memory and len(self._sets) > max(keep, 1):
+        while self.used > self.memory and len(self._sets) > max(keep, 1):
             cell, one = self._sets.popitem(last=False)
             self._parts.pop(cell, None)
             self.used -= one.nbytes

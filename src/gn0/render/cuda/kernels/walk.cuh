@@ -250,44 +250,59 @@ __device__ __forceinline__ u32 find_regions(const Footprint &f, float x, float y
   return mask;
 }
 
-struct Fetched {  // what an entry names
-  Splat splat;
-  u32 cloud, slot;
-  bool there;
-};
-
-// The splat of entry `at` of a group of `size`.
-__device__ __forceinline__ Fetched fetch_splat(const TileRoom &t, u32 at, u32 size) {
-  Fetched f;
-  f.there = false;
-  if (at >= size) return f;
-  u32 index = (u32)t.keys[at];
-  f.cloud = index >> 31, index &= ~TAIL;
-  const Cloud &cloud = t.cloud[f.cloud];
-  f.slot = cloud.places ? __ldg(cloud.places + index) : index;
-  f.there = f.slot < cloud.rows;
-  if (f.there) f.splat = load_splat(cloud.splats + (u64)f.slot * 4);
-  return f;
-}
-
-// Stages one splat at `at`; returns its regions. left, top: the tile's first pixel centre.
+// Stages a splat at `at`; returns its regions. left, top: the tile's first pixel centre.
 template <bool COLOUR>
-__device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, const Fetched &one, u32 flags,
-                                           float left, float top) {
+__device__ __forceinline__ u32 stage_splat(TileRoom &t, u32 at, const Splat &s, const Cloud &cloud,
+                                           u32 slot, u32 flags, float left, float top) {
   Footprint f;
   const View w = load_view(t.view);
-  if (!one.there || !project(one.splat, w, flags, f)) return 0;
+  if (!project(s, w, flags, f)) return 0;
   float x = f.u - left, y = f.v - top;
   float qx = f.qx * SQRT_LOG2_E, qy = f.qy * SQRT_LOG2_E, k = root(f.qk * LOG2_E);
   Staged &to = t.staged[at];
   to.a = make_float4(qx, qy, -fmaf(qx, x, qy * y), k);
   float3 colour = make_float3(0.f, 0.f, 0.f);
   u32 mask = find_regions(f, x, y);
-  if (COLOUR) colour = find_colour(t.cloud[one.cloud], one.splat, one.slot, w);
+  if (COLOUR) colour = find_colour(cloud, s, slot, w);
   to.b = make_float4(-k * y, f.log_o * LOG2_E, colour.x, colour.y);
   to.c = make_float2(colour.z, f.z);
   return mask;
 }
+
+// Where the splat of an entry lies in its cloud; NOWHERE if it is not there.
+__device__ __forceinline__ u32 find_slot(const TileRoom &t, u64 key) {
+  const Cloud &cloud = t.cloud[(u32)key >> 31];
+  u32 index = (u32)key & ~TAIL, slot = cloud.places ? __ldg(cloud.places + index) : index;
+  return slot < cloud.rows ? slot : NOWHERE;
+}
+
+// Stages the entry of a key at `at`; returns its regions.
+template <bool COLOUR>
+__device__ __forceinline__ u32 stage_entry(TileRoom &t, u32 at, u64 key, u32 flags, float left,
+                                           float top) {
+  const Cloud &cloud = t.cloud[(u32)key >> 31];
+  u32 slot = find_slot(t, key);
+  if (slot == NOWHERE) return 0;
+  Splat s = load_splat(cloud.splats + (u64)slot * 4);
+  return stage_splat<COLOUR>(t, at, s, cloud, slot, flags, left, top);
+}
+
+#if EARLY
+struct Fetched {  // of one entry
+  Splat splat;
+  u32 cloud, slot;
+};
+
+// The splat of entry `at` of a group of `size`.
+__device__ __forceinline__ Fetched fetch_splat(const TileRoom &t, u32 at, u32 size) {
+  Fetched f;
+  f.slot = NOWHERE;
+  if (at >= size) return f;
+  f.cloud = (u32)t.keys[at] >> 31, f.slot = find_slot(t, t.keys[at]);
+  if (f.slot != NOWHERE) f.splat = load_splat(t.cloud[f.cloud].splats + (u64)f.slot * 4);
+  return f;
+}
+#endif
 
 // The list of a team's region among the staged splats, as offsets in bytes, padded to the longest
 // of the warp's. Returns its length.
@@ -369,12 +384,16 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
 #endif
     for (u32 first = 0; first < size; first += STAGE) {
       for (u32 k = threadIdx.x; k < STAGE; k += THREADS) {
+        u32 mask = 0;
 #if EARLY
-        const Fetched one = next_splat;
+        const Fetched &one = next_splat;
+        if (one.slot != NOWHERE)
+          mask = stage_splat<Painter::COLOUR>(t, k, one.splat, t.cloud[one.cloud], one.slot, flags,
+                                              left, top);
 #else
-        const Fetched one = fetch_splat(t, first + k, size);
+        if (first + k < size)
+          mask = stage_entry<Painter::COLOUR>(t, k, t.keys[first + k], flags, left, top);
 #endif
-        u32 mask = stage_splat<Painter::COLOUR>(t, k, one, flags, left, top);
         __syncwarp();
         u32 mine = 0;
 #pragma unroll

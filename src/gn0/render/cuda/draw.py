@@ -45,7 +45,7 @@ from gn0.render.cuda.tables import (
     most_blocks,
     share_work,
 )
-from gn0.render.cuda.tune import Tuning, choose_tuning
+from gn0.render.cuda.tune import FEW, MANY, Tuning, choose_tuning
 from gn0.render.cuda.work import Lists, Work, WorkDevice
 from gn0.render.renderer import (
     ALPHA_CAP,
@@ -140,7 +140,7 @@ def kernel_source(tuning: Tuning) -> KernelSource:
     return KernelSource("draw", files, (*tuning.defines, *constants))
 
 
-SOURCE = kernel_source(Tuning())  # what is compiled ahead of time
+SOURCES = (kernel_source(MANY), kernel_source(FEW))  # what is compiled ahead of time
 
 
 class Drawer:
@@ -158,7 +158,7 @@ class Drawer:
     ) -> None:
         self.device = device
         self._given = tuning
-        self.tuning = tuning or Tuning()  # of the last call
+        self.tuning = tuning or MANY  # of the last call
         self.memory = memory
         self.batches = 0  # drawn so far, repeats not counted
         self.repeats = 0  # batches begun again with more room or fewer views

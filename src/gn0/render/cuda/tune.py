@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 from gn0.errors import ConfigError
 from gn0.render.camera import Camera
+from gn0.render.cuda.tables import TILE
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,8 @@ class Tuning:
         views: that a block of the listing kernels projects its chunks for.
         chunks: of such a block, at most.
         spread: listing blocks that there should be before one takes several chunks.
-        large: tiles of a footprint's box above which a whole warp lists it, and only where its
-            ellipse reaches.
+        large: tiles of a footprint's box above which they are dealt out among the lanes of a warp,
+            and listed only where its ellipse reaches.
         puts: tiles that a lane lists into before it waits for its places.
         group: whether lanes that list into one tile share an atomic operation.
         predicate: whether colours are added under a predicate, in assembly, instead of times zero.
@@ -101,5 +102,5 @@ _MANY_TILES = 4500  # fewer do not fill a large card: the longest list decides
 
 def choose_tuning(camera: Camera, views: int) -> Tuning:
     """Sizes for a call: more threads a tile where it has few of them."""
-    tiles = -(-camera.width // 16) * -(-camera.height // 16) * views
+    tiles = -(-camera.width // TILE) * -(-camera.height // TILE) * views
     return MANY if tiles > _MANY_TILES else FEW

@@ -1,9 +1,9 @@
 // Lists of entries a (view, tile): counted, placed by a scan, then written, in any order.
 //
-// A block takes `each` chunks (at most CHUNKS) of a cloud for up to VIEWS of the views that show that cloud: a warp a
-// chunk tests its box against them; then the block holds each chunk that is in sight, a splat a
-// thread in registers, and projects it for each view that can see it. An entry is a key, depth bits
-// over index, so that entries need no order here.
+// A block takes `each` chunks (at most CHUNKS) of a cloud for up to VIEWS of the views that show
+// that cloud: a warp a chunk tests its box against them; then the block holds each chunk that is in
+// sight, a splat a thread in registers, and projects it for each view that can see it. An entry is a
+// key, depth bits over index, so that entries need no order here.
 
 // Whether a chunk may touch the picture; dropped only if `project` would drop each of its splats.
 __device__ __forceinline__ bool is_in_sight(const float *at, const View &w, u32 flags) {
@@ -249,8 +249,7 @@ KERNEL_BOUNDED(count_entries, CHUNK, COVER_BLOCKS)
 KERNEL_BOUNDED(emit_entries, CHUNK, COVER_BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
  u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 each,
- u32 *counts,
- const State *__restrict__ state, u64 *entries, u64 capacity, u32 room) {
+ u32 *counts, const State *__restrict__ state, u64 *entries, u64 capacity, u32 room) {
   if (!room && state->total > capacity) return;  // the host sees it too, and repeats with more room
   Lists to = {counts, entries, capacity, room};
   list_chunks<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, to);

@@ -22,9 +22,11 @@ from gn0.figures.device_scenes import flat_scene
 from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.geometry import F64
 from gn0.render.camera import Camera
-from gn0.render.cuda.draw import STAGES, CloudDevice, Drawer, PicturesDevice
+from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.draw import STAGES, Drawer
 from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.renderer import RendererCuda
+from gn0.render.cuda.replay import PicturesDevice
 from gn0.render.cuda.stages import time_stages
 from gn0.render.cuda.tune import FEW, MANY, Tuning, choose_tuning
 from gn0.render.cuda.visible import RendererVisibleCuda

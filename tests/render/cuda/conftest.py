@@ -16,7 +16,8 @@ from gn0.device.host import DeviceHost
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, EXTENT, FIELDS, LOG_OPACITY, REACH, RED, PackedCloud
 from gn0.render.cpu_raster import TILE, raster_tiles
-from gn0.render.cuda.draw import CloudDevice, Drawer
+from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.replay import Replay, SetMissingError
 from gn0.render.renderer import RenderOptions, check_views
 from gn0.render.visible_mark import mark_tiles

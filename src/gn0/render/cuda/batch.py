@@ -18,7 +18,8 @@ from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cuda.calls import Call, Record, RecordedCalls, name_call
-from gn0.render.cuda.draw import CloudDevice, Drawer
+from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.floors import Arranged, arrange_floors
 from gn0.render.cuda.pack import CloudReady, prepare_cloud
 from gn0.render.cuda.parts import (

@@ -11,8 +11,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 from weakref import WeakSet
@@ -24,6 +22,7 @@ from gn0.device.device import Device, DeviceArray, Kernel, KernelSource
 from gn0.errors import DeviceMemoryError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
+from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.replay import (
     Heard,
     PicturesDevice,
@@ -38,7 +37,6 @@ from gn0.render.cuda.tables import (
     TARGET,
     VIEW,
     Shares,
-    build_cloud,
     build_views,
     choose_chunks,
     join_tables,
@@ -72,54 +70,6 @@ _ROW = 256  # bytes that pictures sharing memory are laid out by
 _TOGETHER = 2**26  # bytes of pictures up to which they share memory
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CloudDevice:
-    """A packed cloud on a device, or a part of one.
-
-    Attributes:
-        splats: float32 [rows, 16], see `gn0.render.cuda.pack`.
-        order: uint32 [rows], a packed splat's index in its cloud.
-        places: uint32 [size], the inverse: where a splat of the cloud lies among the packed
-            (anything for those left out). None when `ordered`: keys then hold packed numbers.
-        sh: halves as uint16 [rows, 16, 32 or 48]: coefficients 1, 2, ... of three colours,
-            padded; None at degree 0.
-        boxes: float32 [chunks, 7]: lowest and highest centre, largest reach [m], of each chunk.
-        degree: SH degree.
-        ordered: whether packed order is cloud order.
-        size: splats of the cloud before packing.
-        alive: splats packed.
-        slots: for a part, uint32 [chunks * 256]: packed numbers in packed order, then 0xffffffff;
-            `boxes` are those of its own chunks. None for the whole.
-    """
-
-    splats: DeviceArray
-    order: DeviceArray
-    places: DeviceArray | None
-    sh: DeviceArray | None
-    boxes: DeviceArray
-    degree: int
-    ordered: bool
-    size: int
-    alive: int
-    slots: DeviceArray | None = None
-
-    @property
-    def chunks(self) -> int:
-        """Number of chunks."""
-        return len(self.boxes)
-
-    @cached_property
-    def entry(self) -> bytes:
-        """What kernels see of it."""
-        return build_cloud(self)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes on the device."""
-        arrays = (self.splats, self.order, self.places, self.sh, self.boxes, self.slots)
-        return sum(array.nbytes for array in arrays if array is not None)
 
 
 def _flags(camera: Camera, antialiased: bool) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 from gn0.geometry import F64
-from gn0.render.cuda.draw import CloudDevice
+from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.tables import FLOOR, NO_PLACE, NO_SET, find_eyes
 from gn0.render.cuda.visible import Cell, VisibleSets
 

@@ -25,7 +25,7 @@ from gn0.errors import RenderError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32
-from gn0.render.cuda.draw import CloudDevice
+from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.tables import CHUNK, NOWHERE
 from gn0.render.renderer import ALPHA_MIN
 

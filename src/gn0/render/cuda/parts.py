@@ -12,7 +12,7 @@ from gn0.errors import RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.render.camera import Camera
-from gn0.render.cuda.draw import CloudDevice
+from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.pack import upload_clouds
 from gn0.render.cuda.visible import Cell, VisibleSets
 

@@ -9,8 +9,8 @@ from gn0.device.device import Device
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import OUTPUTS, RendererBatch
-from gn0.render.cuda.draw import PicturesDevice
 from gn0.render.cuda.pack import cloud_bytes
+from gn0.render.cuda.replay import PicturesDevice
 from gn0.render.cuda.visible import VisibleSets
 from gn0.render.renderer import Output, RenderOptions, RenderResult
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from gn0.device.device import Device
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.render.cuda.draw import CloudDevice
+from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.pack import CloudReady, cloud_bytes, prepare_cloud, upload_cloud
 
 _SMALLER = "use backend 'cpu', or a scene with fewer splats or a lower SH degree"

@@ -5,19 +5,14 @@ The layouts are those of `kernels/view.cuh` and `kernels/views.cu`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.render.camera import Camera
-
-if TYPE_CHECKING:
-    from gn0.render.cuda.draw import CloudDevice
 
 CHUNK = 256  # splats a chunk
 TILE = 16  # px
@@ -64,7 +59,6 @@ TARGET = np.dtype(
     ]
 )
 NO_PLACE, NO_SET = -1, -2  # in the numbers of a floor: whole clouds do; a set that is not here
-_NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
 
 
 def build_views(
@@ -111,24 +105,6 @@ def build_view(camera: Camera) -> np.void:
     none = np.zeros(1, np.int32)
     view: np.void = build_views(camera, np.eye(4)[None], none, none - 1, none)[0]
     return view
-
-
-def build_clouds(clouds: Sequence[CloudDevice | None]) -> NDArray[np.void]:
-    """Clouds [n] as kernels see them; None is one that no view may show."""
-    return np.frombuffer(b"".join([_NO_CLOUD if c is None else c.entry for c in clouds]), CLOUD)
-
-
-def build_cloud(cloud: CloudDevice) -> bytes:
-    """A cloud as kernels see it."""
-    entry = np.zeros((), CLOUD)
-    for name in ("splats", "order", "sh", "boxes", "slots"):
-        array = getattr(cloud, name)
-        entry[name] = 0 if array is None else array.pointer
-    entry["places"] = 0 if cloud.ordered or cloud.places is None else cloud.places.pointer
-    entry["chunks"], entry["degree"] = cloud.chunks, cloud.degree
-    entry["sh_row"] = 0 if cloud.sh is None else cloud.sh.shape[1]
-    entry["rows"] = len(cloud.splats)
-    return entry.tobytes()
 
 
 @dataclass(frozen=True, eq=False)

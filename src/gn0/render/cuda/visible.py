@@ -25,8 +25,10 @@ from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
-from gn0.render.cuda.draw import CloudDevice, Drawer, PicturesDevice
+from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import cloud_kernels
+from gn0.render.cuda.replay import PicturesDevice
 from gn0.render.cuda.tables import CHUNK, NO_PLACE, NO_SET, find_eyes
 from gn0.render.renderer import VISIBLE_CUDA, Output, RenderResult
 from gn0.render.visible_files import VisibleFiles

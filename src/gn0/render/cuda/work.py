@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from gn0.device.device import DeviceArray
 from gn0.geometry import F64
 from gn0.render.camera import Camera
-from gn0.render.cuda.tables import CHUNK, TILE, build_clouds, build_view
-
-if TYPE_CHECKING:
-    from gn0.render.cuda.draw import CloudDevice
+from gn0.render.cuda.cloud import CloudDevice, build_clouds
+from gn0.render.cuda.tables import CHUNK, TILE, build_view
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,0 +1,81 @@
+"""Clouds on a device, and the table by which the drawing kernels find them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import DeviceArray
+from gn0.render.cuda.tables import CLOUD, NOWHERE
+
+_NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CloudDevice:
+    """A packed cloud on a device, or a part of one.
+
+    Attributes:
+        splats: float32 [rows, 16], see `gn0.render.cuda.pack`.
+        order: uint32 [rows], a packed splat's index in its cloud.
+        places: uint32 [size], the inverse: where a splat of the cloud lies among the packed
+            (anything for those left out). None when `ordered`: keys then hold packed numbers.
+        sh: halves as uint16 [rows, 16, 32 or 48]: coefficients 1, 2, ... of three colours,
+            padded; None at degree 0.
+        boxes: float32 [chunks, 7]: lowest and highest centre, largest reach [m], of each chunk.
+        degree: SH degree.
+        ordered: whether packed order is cloud order.
+        size: splats of the cloud before packing.
+        alive: splats packed.
+        slots: for a part, uint32 [chunks * 256]: packed numbers in packed order, then 0xffffffff;
+            `boxes` are those of its own chunks. None for the whole.
+    """
+
+    splats: DeviceArray
+    order: DeviceArray
+    places: DeviceArray | None
+    sh: DeviceArray | None
+    boxes: DeviceArray
+    degree: int
+    ordered: bool
+    size: int
+    alive: int
+    slots: DeviceArray | None = None
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks."""
+        return len(self.boxes)
+
+    @cached_property
+    def entry(self) -> bytes:
+        """What kernels see of it."""
+        return build_cloud(self)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        arrays = (self.splats, self.order, self.places, self.sh, self.boxes, self.slots)
+        return sum(array.nbytes for array in arrays if array is not None)
+
+
+def build_clouds(clouds: Sequence[CloudDevice | None]) -> NDArray[np.void]:
+    """Clouds [n] as kernels see them; None is one that no view may show."""
+    return np.frombuffer(b"".join([_NO_CLOUD if c is None else c.entry for c in clouds]), CLOUD)
+
+
+def build_cloud(cloud: CloudDevice) -> bytes:
+    """A cloud as kernels see it."""
+    entry = np.zeros((), CLOUD)
+    for name in ("splats", "order", "sh", "boxes", "slots"):
+        array = getattr(cloud, name)
+        entry[name] = 0 if array is None else array.pointer
+    entry["places"] = 0 if cloud.ordered or cloud.places is None else cloud.places.pointer
+    entry["chunks"], entry["degree"] = cloud.chunks, cloud.degree
+    entry["sh_row"] = 0 if cloud.sh is None else cloud.sh.shape[1]
+    entry["rows"] = len(cloud.splats)
+    return entry.tobytes()

@@ -1,16 +1,20 @@
 """Times the drawing kernels stage by stage, and tries their sizes.
 
 `python -m gn0.figures.tune` prints milliseconds a stage for the standard cases on the device that
-`GN0_DEVICE` names (the host emulation draws tiny ones); `--sweep` also tries other kernel sizes and
-says whether their pictures are the same bytes. Nothing is written.
+`GN0_DEVICE` names (the host emulation draws tiny ones), and for the scenes of our own in the folder
+that `GN0_FIGURE_SCENES` names; `--sweep` also tries other kernel sizes and says whether their
+pictures are the same bytes. Nothing is written.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +22,7 @@ import numpy as np
 from gn0.device.device import Device
 from gn0.errors import Gn0Error
 from gn0.figures.device import describe_device, is_emulation, open_figure_device
-from gn0.figures.device_scenes import flat_scene
+from gn0.figures.device_scenes import FigureScene, flat_scene, scene_of
 from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.geometry import F64
 from gn0.render.camera import Camera
@@ -110,24 +114,56 @@ def build_cases(device: Device, only: str = "") -> Iterator[TuneCase]:
                 if only in name:
                     yield TuneCase(name, camera, np.ascontiguousarray(views), clouds)
             del clouds
-    name = f"sets 224x224 x{many} SH0"
-    if only in name and not tiny:
-        for camera, count in ((small, many), (large, some)):
-            scene = flat_scene(million)
-            renderer = RendererCuda(scene.cloud, device=device)
-            sets = RendererVisibleCuda(renderer, scene.cloud.content_hash, scene.floor, scene.eye)
-            views = scene.views(_POSES * count, 1).reshape(_POSES, count, 4, 4)
-            for batch in views:
-                found = [c for c in sets.sets.locate(camera, batch) if c is not None]
-                sets.sets.open(found, renderer.cloud)
-            title = f"sets {camera.width}x{camera.height} x{count} SH0"
-            yield SetsCase(title, camera, np.ascontiguousarray(views), [], sets)
-            del renderer, sets
+    if not tiny:
+        yield from _scene_cases(device, "sets", partial(flat_scene, million), only, (True,))
+        for folder in _own_scenes():
+            yield from _scene_cases(
+                device, folder.name, partial(_load, folder), only, (False, True)
+            )
     name = f"224x224 x{many} of {scenes} scenes"
     if only in name:
         flats = [build_flat(part, seed=seed) for seed in range(min(scenes, 8))]
         clouds = [upload_cloud(device, flats[k % len(flats)]) for k in range(scenes)]
         yield TuneCase(name, small, poses, clouds)
+
+
+def _own_scenes() -> list[Path]:
+    folder = os.environ.get("GN0_FIGURE_SCENES")
+    if not folder:
+        return []
+    return [path for name in ("apartment", "small_house") if (path := Path(folder) / name).is_dir()]
+
+
+def _load(folder: Path) -> FigureScene:
+    from gn0.scenes.folder import load_scene
+
+    return scene_of(load_scene(folder), folder.name)
+
+
+def _scene_cases(
+    device: Device, name: str, load: Callable[[], FigureScene], only: str, forms: Sequence[bool]
+) -> Iterator[TuneCase]:
+    """The cases of a scene whose names hold `only`: from visible sets, or from all splats."""
+    scene: FigureScene | None = None
+    renderer: RendererCuda | None = None
+    for sets_only in forms:
+        for width, height, count in ((224, 224, 256), (640, 480, 16), (640, 480, 1)):
+            form = " sets" if sets_only and name != "sets" else ""
+            title = f"{name}{form} {width}x{height} x{count}"
+            if only not in title or (sets_only and count == 1):
+                continue
+            scene = scene or load()
+            camera = flat_camera(width, height)
+            views = scene.views(_POSES * count, 1).reshape(_POSES, count, 4, 4)
+            renderer = renderer or RendererCuda(scene.cloud, device=device)
+            if not sets_only:
+                yield TuneCase(title, camera, views, [upload_cloud(device, scene.cloud)])
+                continue
+            sets = RendererVisibleCuda(renderer, scene.cloud.content_hash, scene.floor, scene.eye)
+            for batch in views:
+                found = [c for c in sets.sets.locate(camera, batch) if c is not None]
+                sets.sets.open(found, renderer.cloud)
+            yield SetsCase(title, camera, views, [], sets)
 
 
 def list_tunings(few_tiles: bool) -> list[Tuning]:

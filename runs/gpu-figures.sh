@@ -67,7 +67,7 @@ limit_of() {  # seconds
 
 least_of() {  # seconds without which a group is not begun
   case $1 in
-    check | start | stages) echo 10 ;; suite | sanitizers | data | others) echo 60 ;; *) echo 30 ;;
+    check | start | stages) echo 10 ;; suite | data | others) echo 60 ;; sanitizers) echo 120 ;; *) echo 30 ;;
   esac
 }
 
@@ -124,6 +124,7 @@ END
     sweep) "$PYTHON" -m gn0.figures.tune --sweep "224x224 x" ;;  # other kernel sizes
     data) figures data.gpu --backend cuda ;;
     others) figures data.gpu_others --backend cuda ;;
+    sanitizers) GN0_FIGURE_SECONDS=$((LIMIT_NOW - 30)) figures render.cuda.sanitizers ;;  # rows of what was reached by then
     *) figures "render.cuda.$1" ;;
   esac
 }
@@ -155,6 +156,7 @@ for name in "$@"; do
   exec 9> >(exec tee "$OUT/log/$name.txt")
   says=$!
   limit=$(limit_of "$name")
+  export LIMIT_NOW=$limit
   # first asked where it is, then stopped, then killed
   timeout --signal=INT --kill-after=15 "$limit" \
     timeout --signal=USR1 --kill-after=13 "$((limit > 6 ? limit - 3 : limit))" \

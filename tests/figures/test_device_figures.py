@@ -14,7 +14,14 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.errors import DeviceError, DeviceMemoryError
-from gn0.figures import device_checks, device_rates, device_table, rival
+from gn0.figures import (
+    device_checks,
+    device_rates,
+    device_sanitizers,
+    device_suite,
+    device_table,
+    rival,
+)
 from gn0.figures.agreement import tail_before
 from gn0.figures.board import Figure, FigureContext, FigureSkipped
 from gn0.figures.catalogue import all_figures
@@ -29,7 +36,8 @@ from gn0.storage import cache_dir
 from gn0.testing.scenes import build_room_scene
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the emulation needs g++")
-FIGURES = [*device_checks.FIGURES, *device_table.FIGURES, *device_rates.FIGURES]
+MODULES = (device_checks, device_table, device_rates, device_suite, device_sanitizers)
+FIGURES = [figure for module in MODULES for figure in module.FIGURES]
 
 
 class FakeRival(RendererCpu):
@@ -206,7 +214,7 @@ def test_they_are_in_the_catalogue_and_need_a_card() -> None:
     for figure in FIGURES:
         assert known[figure.id] is figure
         assert figure.backend == "cuda"
-        assert figure.minutes <= 3
+        assert figure.minutes <= 5
 
 
 def _sleeper(folder: Path) -> Path:

@@ -478,6 +478,12 @@ inline int __ffs(int v) { return __builtin_ffs(v); }
 inline int __ffsll(long long v) { return __builtin_ffsll(v); }
 inline int __clz(int v) { return v ? __builtin_clz((unsigned)v) : 32; }
 inline int __clzll(long long v) { return v ? __builtin_clzll((unsigned long long)v) : 64; }
+inline unsigned __byte_perm(unsigned x, unsigned y, unsigned select) {
+  unsigned long long both = (unsigned long long)y << 32 | x;
+  unsigned out = 0;
+  for (int k = 0; k < 4; k++) out |= (unsigned)(both >> (select >> 4 * k & 7) * 8 & 255) << 8 * k;
+  return out;
+}
 inline unsigned __brev(unsigned v) {
   unsigned r = 0;
   for (int i = 0; i < 32; i++) r |= (v >> i & 1) << (31 - i);

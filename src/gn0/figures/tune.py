@@ -169,16 +169,17 @@ def _scene_cases(
 def list_tunings(few_tiles: bool) -> list[Tuning]:
     """What to try on calls with few tiles, or with many."""
     many: list[dict[str, Any]] = [
-        {"region_width": 4},
         {"predicate": False},
-        {"pixels": 1, "blocks": 4},
-        {"blocks": 7},
+        {"threads": 256, "stage": 256, "blocks": 4},
+        {"blocks": 6},
+        {"blocks": 8},
         {"capacity": 256},
         {"capacity": 1024},
         {"stage": 64},
+        {"stage": 128},
         {"stage": 256},
-        {"early": True},
-        {"early": True, "blocks": 6},
+        {"turns": 1},
+        {"turns": 4},
         {"puts": 1},
         {"puts": 3},
         {"chunks": 4},
@@ -190,26 +191,29 @@ def list_tunings(few_tiles: bool) -> list[Tuning]:
         {"cover_blocks": 5},
     ]
     few: list[dict[str, Any]] = [
-        {"region_width": 8},
-        {"early": False, "blocks": 4},
+        {"turns": 1},
+        {"turns": 4},
+        {"blocks": 2},
+        {"blocks": 4},
+        {"stage": 128},
+        {"split": 0},
+        {"split": 64},
+        {"split": 256},
         {"spread": 2048},
         {"spread": 1024},
         {"spread": 512},
         {"large": 4, "spread": 1024},
-        {"blocks": 4},
-        {"early": False, "stage": 128},
         {"capacity": 1024},
-        {"capacity": 1024, "buckets": 1024},
         {"capacity": 256, "buckets": 256},
         {"puts": 1},
         {"puts": 3},
         {"large": 2},
         {"large": 4},
         {"large": 9},
-        {"pixels": 2, "stage": 128, "early": False, "blocks": 8},
     ]
     base = FEW if few_tiles else MANY
-    return [base, *(replace(base, **change) for change in (few if few_tiles else many))]
+    tried = (replace(base, **change) for change in (few if few_tiles else many))
+    return [base, *(tuning for tuning in tried if tuning != base)]
 
 
 def name_tuning(tuning: Tuning) -> str:

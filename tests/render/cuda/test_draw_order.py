@@ -12,6 +12,7 @@ import pytest
 from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, DeviceMemoryError
 from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
+from gn0.render.cuda import draw
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.tune import FEW, Tuning
@@ -52,17 +53,17 @@ def test_the_order_of_threads_and_blocks_cannot_show(want: list[bytes], seed: in
 
 
 TUNINGS = [
-    Tuning(pixels=4, capacity=64, buckets=128, stage=32),  # several groups; parts that fit none
+    Tuning(capacity=128, buckets=128, stage=32),  # several groups; parts that fit none
     Tuning(
-        pixels=1, buckets=256, stage=64, views=1, chunks=3, large=0
+        threads=256, buckets=256, stage=64, views=1, chunks=3, large=0
     ),  # whole warps list everything
-    Tuning(pixels=4, region_height=4, group=False, views=3, large=10**6),
-    Tuning(pixels=1, region_width=4, region_height=2, stage=32),
+    Tuning(stage=64, group=False, views=3, large=10**6),
+    Tuning(threads=256, stage=32, buckets=256, capacity=256),
     FEW,
     Tuning(stage=256, chunks=1, puts=3, predicate=False),
-    Tuning(early=True, capacity=256),
-    Tuning(pixels=1, region_width=8, region_height=4, large=16),
-    Tuning(pixels=2, region_height=8, capacity=1024, buckets=1024, stage=160),
+    Tuning(turns=1, capacity=256),
+    Tuning(threads=256, stage=256, large=16, turns=3),
+    Tuning(capacity=1024, buckets=1024, stage=160),
 ]
 
 
@@ -72,9 +73,68 @@ def test_the_sizes_of_the_kernels_cannot_show(want: list[bytes], tuning: Tuning)
     assert bytes_of(device, Drawer(device, replace(tuning, spread=4))) == want
 
 
+@pytest.mark.parametrize("width", [52, 50, 37])
+def test_quarters_of_tiles_cannot_show(width: int) -> None:
+    """Once lists have equal room, the longest tiles are drawn by four blocks each."""
+    scenes = ((flat_camera(width, 43), flat_views(2)), (flat_bev(72)[0], flat_bev(72)[1][None]))
+    device = DeviceHost(seed=3)
+    want = bytes_of(device, Drawer(device), scenes)
+    small = Tuning(capacity=128, buckets=128, stage=64, split=7)
+    for tuning in (small, replace(small, threads=256, capacity=256, buckets=256, split=500)):
+        drawer = Drawer(device, tuning)
+        assert bytes_of(device, drawer, scenes) == want
+        assert max(drawer._longest.values()) > 2 * tuning.capacity
+        assert bytes_of(device, drawer, scenes) == want
+        assert "aside" in drawer._held
+
+
+@pytest.mark.parametrize("sample", [2, 4])
+def test_a_sample_of_the_count_cannot_show(
+    want: list[bytes], sample: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lists get room by some of the splats, many chunks a block or one, and a tail counts too."""
+    monkeypatch.setattr(draw, "_SAMPLED", 1)
+    for more in ({"spread": 4}, {"spread": 10**6}, {"views": 2, "large": 0}):
+        drawer = Drawer(DeviceHost(seed=5), Tuning(sample=sample, **more))
+        drawer._first_density = 8.0
+        assert bytes_of(drawer.device, drawer) == want
+        assert drawer.repeats == 0
+
+
+def test_lists_that_a_sample_misses_are_counted_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that is counted lies behind the camera: what is drawn is the same, a try later."""
+    monkeypatch.setattr(draw, "_SAMPLED", 1)
+    camera, views = flat_camera(48, 40), flat_views(1)
+    _, _, ahead, at = np.linalg.inv(views[0])[:3].T
+    near = random_cloud(2048, seed=9)
+    near = near.select(np.arange(2048) % 1)  # one splat again and again: none is left out
+    spread = np.random.default_rng(0).normal(size=(2048, 3)) * 0.02
+    number = np.arange(2048)
+    counted = number % 4 == 0  # of the first chunk of a block, and blocks have one
+    centres = at + np.where(counted, -2.0, 2.0)[:, None] * ahead + spread
+    cloud = replace(near, means=centres.astype(np.float32))
+    device, pictures = DeviceHost(), []
+    packed = upload_cloud(device, cloud, sort=False)
+    for tuning in (Tuning(sample=1), Tuning()):
+        drawer = Drawer(device, tuning)
+        drawer._first_density = 100.0
+        for _ in range(2):
+            drawn = drawer.pictures(camera, 1, ("rgb", "depth"))
+            drawer.draw(
+                camera, views, [packed], np.zeros(1, np.int32), pictures=drawn,
+                background=np.zeros(3, np.float32),
+            )  # fmt: skip
+            pictures.append(drawn.numpy().rgb.tobytes())
+    assert drawer.repeats == 1, "later its lists have equal room"
+    assert len(set(pictures)) == 1
+    assert any(pictures[0])
+
+
 def test_kernels_refuse_sizes_that_do_not_fit() -> None:
     for wrong in (
-        {"pixels": 3},
+        {"threads": 64},
+        {"split": -1},
+        {"sample": 3},
         {"buckets": 300},
         {"capacity": 96},
         {"capacity": 64},

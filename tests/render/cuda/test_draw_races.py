@@ -24,10 +24,10 @@ from gn0.testing.check_renderer import random_cloud
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 
 # several groups of splats a tile, parts that fit no group, several stages, blocks for two views
-SMALL = Tuning(pixels=4, capacity=64, buckets=128, stage=32, views=2, large=2)
+SMALL = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2)
 
 
-@pytest.mark.parametrize("tuning, degree", [(SMALL, 3), (Tuning(pixels=4, group=False), 0)])
+@pytest.mark.parametrize("tuning, degree", [(SMALL, 3), (Tuning(threads=256, group=False), 0)])
 def test_pictures(tuning: Tuning, degree: int) -> None:
     device = DeviceHost(seed=degree + 1, checked=True)
     drawer = Drawer(device, tuning)

@@ -9,48 +9,65 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.render.cuda.draw import kernel_source
+from gn0.render.cuda.replay import NO_ROOM
 from gn0.render.cuda.tables import NOWHERE, VIEW
 from gn0.render.cuda.tune import MANY
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 
-SCAN, CLASSES = 2048, 17  # counts a block; words of `Classes`
+SCAN, CLASSES = 2048, 18  # counts a block; words of `Classes`
 
 
 @pytest.mark.parametrize("checked", [False, True])
-@pytest.mark.parametrize("room", [0, 4096])
+@pytest.mark.parametrize("stride, over", [(0, False), (1, False), (4, False), (4, True)])
 @pytest.mark.parametrize("tiles", [1, 700, SCAN, SCAN + 1, 3 * SCAN + 77])
-def test_a_scan_arranges_all_lists(tiles: int, room: int, checked: bool) -> None:
-    """One block or several; every tile once, longer classes of lists first."""
+def test_scans_arrange_all_lists(tiles: int, stride: int, over: bool, checked: bool) -> None:
+    """One block or several; every tile once, longer classes of lists first.
+
+    stride: 0 where all lists have the same room, else of what was counted before.
+    """
     device = DeviceHost(seed=tiles, checked=checked)
     kernels = device.load(kernel_source(MANY))
     stream = np.random.default_rng(tiles)
     many = np.minimum(stream.lognormal(5, 2.5, tiles), 2.0**20).astype(np.uint32)
-    counts = device.upload(np.append(many, np.zeros(CLASSES, np.uint32)))
+    counted = many // 4 if stride == 4 else many
+    room = counted * 4 + counted + 256 if stride == 4 else counted
+    if over:
+        many[tiles // 2] = room[tiles // 2] + 1
+    begins = counted if stride else many
+    counts = device.upload(np.append(begins, np.zeros(CLASSES, np.uint32)))
     classes, whole = counts[tiles:], np.uint32(tiles)
     blocks = -(-tiles // SCAN)
-    sums, starts = device.empty(blocks, np.uint64), device.empty(tiles + 1, np.uint64)
+    sums, starts = device.empty(blocks, np.uint64), None
     order = device.empty(tiles, np.uint32)
-    state, told = device.empty(3, np.uint64), device.empty(3, np.uint64)
+    state, told = device.empty(4, np.uint64), device.empty(4, np.uint64)
     views = np.zeros(300, VIEW)
     views["spare"] = NOWHERE
     views["spare"][[290, 17], 0] = 290 << 2, 17 << 2 | 1
     table = device.upload(views.view(np.uint32))
+    needed = int(many.sum())
+    if stride:
+        starts = device.empty(tiles + 1, np.uint64)
+        scan = (blocks, 256, counts, whole, np.uint32(stride))
+        if blocks > 1:
+            kernels["sum_counts"].launch(*scan, None, sums, None)
+        kernels["place_lists"].launch(*scan, sums, starts)
+        begin = np.append(0, np.cumsum(room.astype(np.uint64)))
+        assert starts.numpy().tolist() == begin.tolist()
+        assert counts.numpy()[:tiles].tolist() == begin[:-1].tolist(), "where the first goes"
+        device.upload((begin[:-1] + many).astype(np.uint32), counts[:tiles])
+        needed = NO_ROOM if over else int(begin[-1])
     if blocks > 1:
-        kernels["sum_counts"].launch(blocks, 256, counts, whole, sums, classes)
+        kernels["sum_counts"].launch(
+            blocks, 256, counts, whole, np.uint32(0), starts, sums, classes
+        )
     kernels["scan_counts"].launch(
-        *(blocks, 256, counts, whole, np.uint32(room), sums, starts, classes, order),
+        *(blocks, 256, counts, whole, starts, sums, classes, order),
         *(table, np.uint32(len(views)), state, told),
     )
-    expected = [int(many.sum()), int(many.max()), 17 << 2 | 1]
+    expected = [needed, int(many.max()), 17 << 2 | 1, int(many.sum())]
     assert told.numpy().tolist() == state.numpy().tolist() == expected
     drawn = order.numpy()
     assert sorted(drawn.tolist()) == list(range(tiles))
     bits = np.array([max(int(n).bit_length() - 10, 0) for n in many[drawn]])
     assert (np.diff(np.minimum(bits, 7)) <= 0).all(), "longer classes first"
-    if room:
-        assert counts.numpy()[:tiles].tolist() == many.tolist(), "lists have their places already"
-    else:
-        begin = np.append(0, np.cumsum(many.astype(np.uint64)))
-        assert starts.numpy().tolist() == begin.tolist()
-        assert counts.numpy()[:tiles].tolist() == begin[:-1].tolist()

@@ -52,13 +52,13 @@ def test_the_host_needs_to_know_no_view(shown, seed: int) -> None:
 
 
 def test_all_is_queued_before_the_host_waits(want, monkeypatch) -> None:
-    """No copy to the host: the device writes three words there before the blending."""
+    """No copy to the host: the device writes four words there before the blending."""
     device, told = DeviceHost(), []
     drawer = Drawer(device)
     drawer.on_stage = told.append
     wait = Heard.wait
 
-    def note(heard: Heard) -> tuple[int, int, int]:
+    def note(heard: Heard) -> tuple[int, int, int, int]:
         told.append("wait")
         return wait(heard)
 
@@ -74,8 +74,8 @@ def test_all_is_queued_before_the_host_waits(want, monkeypatch) -> None:
             drawer.draw(CAMERA, poses, packed, chosen,
                         pictures=pictures, background=np.zeros(3, np.float32))  # fmt: skip
     # the second call knows how long lists are
-    assert told[:7] == ["upload", "count", "scan", "emit", "blend", "end", "wait"]
-    assert told[7:] == ["upload", "emit", "scan", "blend", "end", "wait"]
+    assert told[:8] == ["upload", "count", "scan", "emit", "scan", "blend", "end", "wait"]
+    assert told[8:] == ["upload", "emit", "scan", "blend", "end", "wait"]
     assert pictures.numpy().rgb.tobytes() == want[0]
 
 

@@ -1,9 +1,10 @@
 """Drawing on a device: tile lists for many views of many clouds, then a picture a view.
 
-Three kernels and a scan: `count` and `emit` project each chunk of splats once for all views that
-can see it and list what touches a tile; `paint` sorts each list by (float32 depth, index in the
-cloud), projects the splats that are reached again and blends them. Entries are the sort keys
-themselves, so the order in which atomics served them cannot show. See `docs/renderer_cuda.md`.
+Three kernels and scans: `count` (of all splats, or of some) and `emit` project each chunk of splats
+once for all views that can see it and list what touches a tile; `paint` sorts each list by (float32
+depth, index in the cloud), projects the splats that are reached again and blends them. Entries are
+the sort keys themselves, so the order in which atomics served them cannot show. See
+`docs/renderer_cuda.md`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.replay import (
+    NO_ROOM,
     Heard,
     PicturesDevice,
     Replay,
@@ -57,14 +59,18 @@ from gn0.render.renderer import (
 
 _FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
-_FILES = ("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh", "walk.cuh", "paint.cu")
+_FILES = (
+    *("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh"),
+    *("group.cuh", "reach.cuh", "walk.cuh", "paint.cu"),
+)
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
+_SAMPLED = 4096  # lists from which on they get room by a sample of the splats
 _BLOCKS_MAX = 2**31 - 1  # of a launch
-_ROOMS_SHARE = 1 / 16  # of the memory for lists, where all have the same room
+_ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
 _ENTRIES_MAX = 2**32 - 1  # that a place of 32 bits can tell apart
 _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
-_CLASSES = 17  # words behind the counts: classes of lists by length
+_CLASSES = 18  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
 _ROW = 256  # bytes that pictures sharing memory are laid out by
 _TOGETHER = 2**26  # bytes of pictures up to which they share memory
@@ -122,6 +128,8 @@ class Drawer:
         self._plan: tuple[tuple[object, ...], Shares, list[DeviceArray]] | None = None
         self._named: tuple[bytes, DeviceArray] | None = None
         self._longest: dict[tuple[object, ...], int] = {}  # entries of a list, by picture
+        self._exact = False  # whether the next batch counts all splats: a sample fell short
+        self._roomy = True  # whether lists may have equal room; not again on a full device
         self._heard: Heard | None = None
         self._replays: WeakSet[Replay] = WeakSet()
 
@@ -259,6 +267,10 @@ class Drawer:
                 need = self._run_batch(work, slice(begin, begin + count), kernel, last, flags)
             except DeviceMemoryError:
                 self._let_go("entries")
+                if self._roomy:  # equal room for all lists takes most
+                    self._roomy = False
+                    self._let_go("aside")
+                    continue
                 if count == 1:
                     raise
                 most = count // 2
@@ -305,10 +317,14 @@ class Drawer:
         self._tell("end")
         # all that the host waits for; it goes on while the device draws
         heard, self._heard = self._heard, None  # one that nobody waited for may yet be written to
-        total, longest, wrong = heard.wait()
+        total, longest, wrong, self.entries = heard.wait()
         self._heard = heard
         raise_wrong(wrong)
-        self.entries, splats = total, int(work.splats[views].sum())
+        if total == NO_ROOM and not lists.room:
+            self._exact = True
+            return 1
+        self._exact = False
+        splats = int(work.splats[views].sum())
         # visible sets list more a splat than whole clouds: forget them slowly
         if splats:
             expected = 0.95 * self._density.get(work.picture, 0.0)
@@ -327,9 +343,13 @@ class Drawer:
         """Entries for each list where all can have as many as the longest ever seen, else 0."""
         assert self.memory is not None
         longest = self._longest.get(work.picture, 0)
-        room = 1 << (longest + longest // 4).bit_length()
-        fits = room * all_tiles * _ENTRY <= _ROOMS_SHARE * self.memory
-        return room if longest and fits and room * all_tiles <= _ENTRIES_MAX else 0
+        wanted = longest + longest // 4
+        step = 1 << max(wanted.bit_length() - 3, 8)  # coarse, so that it rarely changes
+        room = -(-wanted // step) * step
+        lists = all_tiles + 2 * min(self.tuning.split, all_tiles)  # four halves without a spare one
+        fits = room * lists * _ENTRY <= _ROOMS_SHARE * self.memory
+        known = longest and self._roomy
+        return room if known and fits and room * all_tiles <= _ENTRIES_MAX else 0
 
     def _lay_out(self, work: Work, views: slice, flags: int, own: bool = False) -> Lists:
         """Buffers and tables of a batch; `own`: tables that no other call writes over."""
@@ -341,13 +361,16 @@ class Drawer:
         counts = self._need("counts", all_tiles + _CLASSES, np.uint32)
         sums = self._need("sums", blocks, np.uint64)
         order = self._need("order", all_tiles, np.uint32)
-        state = self._need("state", 3, np.uint64)
+        state = self._need("state", 4, np.uint64)
         entries, room = self._held.get("entries"), self._choose_room(work, all_tiles)
         expected = room * all_tiles or work.splats[views].sum() * self._expect(work)
         if entries is None or len(entries) // 2 < min(expected, self.memory // _ENTRY):
             guess = room * all_tiles or int(expected * 1.25) + 64 * all_tiles
             entries = self._grow(min(guess, self.memory // _ENTRY))
         capacity = len(entries) // 2
+        room = room if room * all_tiles <= capacity else 0
+        split = min(self.tuning.split, all_tiles) if room else 0
+        aside = self._need("aside", 4 * split * room, np.uint64) if split else None
         shares, (clouds, groups, members), group_count, view_table = self._tables(work, views, own)
         return Lists(
             first=views.start,
@@ -357,7 +380,8 @@ class Drawer:
             listing_blocks=shares[0],
             each=shares[1],
             capacity=capacity,
-            room=room if room * all_tiles <= capacity else 0,
+            room=room,
+            stride=1 if self._exact or all_tiles < _SAMPLED else self.tuning.sample,
             views=view_table,
             clouds=clouds,
             groups=groups,
@@ -370,6 +394,8 @@ class Drawer:
             order=order,
             state=state,
             entries=entries,
+            aside=aside,
+            split=split,
             tiles=(np.uint32(work.tiles_x), np.uint32(tiles)),
             shape=(np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags)),
         )
@@ -392,31 +418,38 @@ class Drawer:
             self._write_views(work, lists, zeros, header)
         else:
             self.device.fill(lists.counts[:zeros], 0)
-        emit = (lists.state, lists.entries, np.uint64(lists.capacity), np.uint32(lists.room))
-        if lists.room:
-            self._tell("emit")
-            kernels["emit_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing, *emit)
-        else:
+        starts = None if lists.room else lists.starts
+        needed = None if lists.room else lists.starts[lists.all_tiles :]
+        stride, many = np.uint32(lists.stride), lists.scan_blocks > 1
+        if not lists.room:
             self._tell("count")
-            kernels["count_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing)
+            kernels["count_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing, stride)
+            self._tell("scan")
+            scan = (lists.scan_blocks, 256, lists.counts, whole, stride)
+            if many:
+                kernels["sum_counts"].launch(*scan, None, lists.sums, None)
+            kernels["place_lists"].launch(*scan, lists.sums, lists.starts)
+        self._tell("emit")
+        kernels["emit_entries"].launch(
+            *(lists.listing_blocks, CHUNK, *lists.listing, needed, lists.entries),
+            *(np.uint64(lists.capacity), np.uint32(lists.room)),
+        )
         self._tell("scan")
-        if lists.scan_blocks > 1:
+        if many:
             kernels["sum_counts"].launch(
-                lists.scan_blocks, 256, lists.counts, whole, lists.sums, lists.classes
+                *(lists.scan_blocks, 256, lists.counts, whole, np.uint32(0), starts),
+                *(lists.sums, lists.classes),
             )
         kernels["scan_counts"].launch(
-            *(lists.scan_blocks, 256, lists.counts, whole, np.uint32(lists.room), lists.sums),
-            *(lists.starts, lists.classes, lists.order, lists.views, np.uint32(checked)),
-            *(lists.state, heard.words),
+            *(lists.scan_blocks, 256, lists.counts, whole, starts, lists.sums, lists.classes),
+            *(lists.order, lists.views, np.uint32(checked), lists.state, heard.words),
         )
-        if not lists.room:
-            self._tell("emit")
-            kernels["emit_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing, *emit)
         self._tell("blend")
         kernels[kernel].launch(
-            *(lists.all_tiles, self.tuning.threads, lists.views, lists.clouds, lists.starts),
-            *(lists.counts, lists.entries, np.uint64(lists.capacity), np.uint32(lists.room)),
-            *(lists.order, lists.state, *lists.tiles, *lists.shape, *last),
+            *(lists.all_tiles + 3 * lists.split, self.tuning.threads),
+            *(lists.views, lists.clouds, lists.starts, lists.counts, lists.entries),
+            *(np.uint64(lists.capacity), np.uint32(lists.room), lists.aside),
+            *(np.uint32(lists.split), lists.order, lists.state, *lists.tiles, *lists.shape, *last),
         )
 
     def _tables(

@@ -26,7 +26,7 @@ from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32
 from gn0.render.cuda.cloud import CloudDevice
-from gn0.render.cuda.tables import CHUNK, NOWHERE
+from gn0.render.cuda.tables import CHUNK, NOWHERE, SPLATS_MAX
 from gn0.render.renderer import ALPHA_MIN
 
 SPLAT = 16  # floats a packed splat
@@ -88,6 +88,11 @@ def prepare_cloud(cloud: GaussianCloud, *, sort: bool = True) -> CloudReady:
     Raises:
         RenderError: see `upload_cloud`.
     """
+    if len(cloud) > SPLATS_MAX:
+        raise RenderError(
+            f"a cloud of {len(cloud):,} splats; the device renderer numbers {SPLATS_MAX:,}",
+            remedy="split the scene",
+        )
     check_cloud(cloud)
     index = choose_splats(cloud, sort=sort)
     places = np.full(len(cloud), NOWHERE, np.uint32)
@@ -105,7 +110,8 @@ def upload_cloud(
     small moving clouds are packed as they come.
 
     Raises:
-        RenderError: an array holds a value that is not finite, or a scale or opacity out of range.
+        RenderError: an array holds a value that is not finite, a scale or opacity is out of range,
+            or there are more splats than keys can number.
         DeviceMemoryError: the device has no room for it; nothing of it stays there.
     """
     return upload_clouds(device, [cloud], sort=sort)[0]
@@ -135,7 +141,8 @@ def check_cloud(cloud: GaussianCloud) -> None:
     """The CPU renderer's own checks, a piece at a time.
 
     Raises:
-        RenderError: an array holds a value that is not finite, or a scale or opacity out of range.
+        RenderError: an array holds a value that is not finite, a scale or opacity is out of range,
+            or there are more splats than keys can number.
     """
     for name in ("means", "quats", "scales", "opacities", "sh"):
         array = getattr(cloud, name)

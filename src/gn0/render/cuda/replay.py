@@ -27,6 +27,7 @@ _WRONG = (  # with a view, as `views.cu` numbers it
     ("a view is of no scene that is here", "give numbers of keys that are not None"),
 )
 
+NO_ROOM = 2**64 - 1  # where a list has outgrown its own
 _SILENCE = 0xFEFEFEFEFEFEFEFE  # where no word has come yet: never a word
 _EAGER = 2e-4  # s that the host waits without sleeping
 _NAP = 2e-5  # s
@@ -96,25 +97,29 @@ class Heard:
     """
 
     def __init__(self, device: Device) -> None:
-        self._device, self._said = device, device.pinned(3, np.uint64)
+        self._device, self._said = device, device.pinned(4, np.uint64)
         place = self._said.ctypes.data
-        self.words = DeviceArray(device, place, (3,), self._said.dtype, self._said)
+        self.words = DeviceArray(device, place, (4,), self._said.dtype, self._said)
 
     def hush(self) -> None:
         """Forget the last words; only when nothing is under way that writes others."""
         self._said[:] = _SILENCE
 
-    def wait(self) -> tuple[int, int, int]:
-        """Entries of all lists and of the longest, and a view that is none (see `raise_wrong`).
+    def wait(self) -> tuple[int, int, int, int]:
+        """What the lists are, and a view that is none (see `raise_wrong`).
+
+        Returns:
+            Entries that all lists need room for (`NO_ROOM`: one has outgrown its own), those of
+            the longest, the view, and the entries that there are.
 
         Raises:
             DeviceError: the device is lost.
         """
         said, begin, asked = self._said, time.perf_counter(), 0.0
         while True:
-            total, longest, wrong = said.tolist()
-            if total != _SILENCE and longest != _SILENCE and wrong != _SILENCE:
-                return total, longest, wrong
+            needed, longest, wrong, entries = said.tolist()
+            if _SILENCE not in (needed, longest, wrong, entries):
+                return needed, longest, wrong, entries
             waited = time.perf_counter() - begin
             time.sleep(0.0 if waited < _EAGER else _NAP)
             if waited > asked + _DOUBT:  # a device that is lost never says a word
@@ -210,9 +215,9 @@ class Replay:
         lists = self._lists
         try:
             self._graph.launch()
-            total, longest, wrong = self._header.heard.wait()
+            needed, longest, wrong, entries = self._header.heard.wait()
         except BaseException:
             self.drop()  # it may still be at work with what the next call would write over
             raise
         raise_wrong(wrong)
-        return total if lists.holds(total, longest) else None
+        return entries if lists.holds(needed, longest) else None

@@ -14,16 +14,16 @@ class Tuning:
     """What may be tried on a card. No value changes a byte of the pictures.
 
     Attributes:
-        pixels: pixels a lane blends, side by side in a row: 1, 2 or 4. More of them share the
-            loads of a splat.
-        region_width, region_height: of the part of a tile whose lanes walk one list [px].
+        threads: of a raster block; 128 have two pixels each, what more there are sort and stage.
         capacity: entries that a tile sorts at a time.
         buckets: of that sort, a power of two.
         stage: splats projected into shared memory at a time.
-        early: whether the splats of the next stage are fetched while one is blended; then a thread
-            stages one.
+        turns: of blending between two votes whether to go on.
+        split: tiles with the longest lists, of which four blocks draw a quarter each where lists
+            have equal room.
         blocks: raster blocks a multiprocessor that registers must leave room for.
         cover_blocks: the same for the kernels that list splats.
+        sample: one splat of so many is counted where there are many lists: 1, 2 or 4.
         views: that a block of the listing kernels projects its chunks for.
         chunks: of such a block, at most.
         spread: listing blocks that there should be before one takes several chunks.
@@ -34,15 +34,15 @@ class Tuning:
         predicate: whether colours are added under a predicate, in assembly, instead of times zero.
     """
 
-    pixels: int = 2
-    region_width: int = 8
-    region_height: int = 4
+    threads: int = 128
     capacity: int = 512
     buckets: int = 512
-    stage: int = 128
-    early: bool = False
-    blocks: int = 8
+    stage: int = 256
+    turns: int = 4
+    split: int = 0
+    blocks: int = 7
     cover_blocks: int = 4
+    sample: int = 4
     views: int = 32
     chunks: int = 8
     spread: int = 8192
@@ -53,36 +53,25 @@ class Tuning:
 
     def __post_init__(self) -> None:
         sound = (
-            self.pixels in (1, 2, 4)
-            and self.region_width in (4, 8, 16)
-            and self.region_height in (2, 4, 8, 16)
-            and self.pixels <= self.team <= 32
-            and self.buckets & (self.buckets - 1) == 0
+            self.buckets & (self.buckets - 1) == 0
             and self.buckets % self.threads == 0
             and self.stage % 32 == 0
+            and self.threads % 32 == 0
             and self.stage <= 1024
             and self.capacity % self.threads == 0
             and self.threads <= self.capacity <= 2**15
             and self.capacity & (self.capacity - 1) == 0
+            and self.sample in (1, 2, 4)
             and 0 < self.views <= 32
             and 0 < self.chunks <= 32
             and self.spread > 0
             and 0 < self.puts <= 4
-            and (not self.early or self.stage == self.threads)
-            and self.threads <= min(self.buckets, 1024)
+            and 0 < self.turns <= 8
+            and self.split >= 0
+            and 128 <= self.threads <= min(self.buckets, 1024)
         )
         if not sound:
             raise ConfigError(f"the kernels cannot be built for {self}")
-
-    @property
-    def team(self) -> int:
-        """Lanes that walk one list."""
-        return self.region_width * self.region_height // self.pixels
-
-    @property
-    def threads(self) -> int:
-        """Threads of a raster block."""
-        return 256 // self.pixels
 
     @property
     def shares(self) -> tuple[int, int, int]:
@@ -96,8 +85,8 @@ class Tuning:
 
 
 MANY = Tuning()
-FEW = Tuning(pixels=1, region_width=4, stage=256, early=True, blocks=3)
-_MANY_TILES = 4500  # fewer do not fill a large card: the longest list decides
+FEW = Tuning(threads=256, blocks=4, split=128)
+_MANY_TILES = 2400  # fewer do not fill a large card: the longest list decides
 
 
 def choose_tuning(camera: Camera, views: int) -> Tuning:

@@ -27,9 +27,12 @@ class Lists:
         listing_blocks, each: blocks that list, and the chunks that one of them lists.
         capacity: entries that all lists together can hold.
         room: entries that each can hold; 0 where they are counted first.
+        stride: then, one splat of so many is counted.
         views, clouds, groups, members: see `gn0.render.cuda.tables`.
         starts, counts, sums, classes, order, state: of the lists, see `list.cu`.
         entries: [2 * capacity], of which the second half is spare.
+        aside: spare entries of the quarters of tiles that are split, `room` each.
+        split: tiles, of which four blocks draw a quarter each.
         tiles: across a picture, and of it.
         shape: width, height and flags.
     """
@@ -42,6 +45,7 @@ class Lists:
     each: int
     capacity: int
     room: int
+    stride: int
     views: DeviceArray
     clouds: DeviceArray
     groups: DeviceArray
@@ -54,6 +58,8 @@ class Lists:
     order: DeviceArray
     state: DeviceArray
     entries: DeviceArray
+    aside: DeviceArray | None
+    split: int
     tiles: tuple[np.uint32, np.uint32]
     shape: tuple[np.int32, np.int32, np.uint32]
 
@@ -65,9 +71,9 @@ class Lists:
             *(*self.tiles, self.shape[2], np.uint32(self.each), self.counts),
         )
 
-    def holds(self, total: int, longest: int) -> bool:
-        """Whether so many entries, so many of them in one list, had room."""
-        return longest <= self.room if self.room else total <= self.capacity
+    def holds(self, needed: int, longest: int) -> bool:
+        """Whether lists that need room for so many entries, the longest for so many, had it."""
+        return longest <= self.room if self.room else needed <= self.capacity
 
 
 class Work:

@@ -1,4 +1,5 @@
-// Lists of entries a (view, tile): counted, placed by a scan, then written, in any order.
+// Lists of entries a (view, tile): counted, or some of them, given room by a scan, then written, in
+// any order; a second scan tells how long they are.
 //
 // A block takes `each` chunks (at most CHUNKS) of a cloud for up to VIEWS of the views that show
 // that cloud: a warp a chunk tests its box against them; then the block holds each chunk that is in
@@ -41,14 +42,16 @@ __device__ __forceinline__ bool is_in_sight(const float *at, const View &w, u32 
   return keep;
 }
 
-// What is known of all lists when they are arranged.
+// What is known of all lists when they are written.
 struct State {
-  u64 total, longest;  // entries
-  u64 wrong;           // a view that is none: its number times four, and what is wrong
+  u64 needed, longest;  // entries: room for all, NO_ROOM if a list has outgrown its own; of a list
+  u64 wrong;            // a view that is none: its number times four, and what is wrong
+  u64 entries;
 };
+#define NO_ROOM 0xffffffffffffffffull
 
-// Lists lie one behind another, where a first pass has counted them; or each has the same `room`,
-// where the longest is known from calls before.
+// Lists lie one behind another, with room by what a first pass has counted; or each has the same
+// `room`, where the longest is known from calls before.
 struct Lists {
   u32 *counts;   // [views, tiles]: entries so far; without `room`, where the next goes
   u64 *entries;  // null while they are counted
@@ -70,7 +73,7 @@ __device__ __forceinline__ void put_one(const Lists &to, u32 tile, u64 key) {
 // All lanes call this; neighbours in Morton order mostly list into the same tile.
 template <bool EMIT>
 __device__ __forceinline__ void put(const Lists &to, const bool (&active)[PUTS],
-                                    const u32 (&tile)[PUTS], u64 key) {
+                                    const u32 (&tile)[PUTS], const u32 (&parts)[PUTS], u64 key) {
 #if GROUP
   u32 peers[PUTS], place[PUTS], lane = lane_id();
 #pragma unroll
@@ -86,13 +89,20 @@ __device__ __forceinline__ void put(const Lists &to, const bool (&active)[PUTS],
   for (int j = 0; j < PUTS; j++) {
     if (!peers[j]) break;
     u32 at = __shfl_sync(FULL, place[j], __ffs(peers[j]) - 1);
-    if (active[j]) to.store(tile[j], at + __popc(peers[j] & ((1u << lane) - 1)), key);
+    if (active[j]) to.store(tile[j], at + __popc(peers[j] & ((1u << lane) - 1)), key | parts[j]);
   }
 #else
 #pragma unroll
   for (int j = 0; j < PUTS; j++)
-    if (active[j]) put_one<EMIT>(to, tile[j], key);
+    if (active[j]) put_one<EMIT>(to, tile[j], key | parts[j]);
 #endif
+}
+
+// Quarters of a tile that a footprint's box meets.
+__device__ __forceinline__ u32 find_parts(const Box &box, int column, int row) {
+  int x = column * TILE + TILE / 2, y = row * TILE + TILE / 2;
+  u32 down = (u32)(box.y0 < y) | (u32)(box.y1 > y) << 1;
+  return (box.x0 < x ? down : 0) | (box.x1 > x ? down << 2 : 0);
 }
 
 // Tile rows of column `column` that the ellipse reaches within its box.
@@ -122,14 +132,15 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   int column = tx0, row = large || tiles == 0 ? ty1 : ty0;
   while (true) {
     bool active[PUTS];
-    u32 tile[PUTS];
+    u32 tile[PUTS], parts[PUTS];
 #pragma unroll
     for (int j = 0; j < PUTS; j++) {
       active[j] = row < ty1, tile[j] = first_tile + row * tiles_x + column;
+      parts[j] = EMIT && SPLIT ? find_parts(box, column, row) : ALL_PARTS;
       if (++column == tx1) column = tx0, row++;
     }
     if (!__any_sync(FULL, active[0])) break;
-    put<EMIT>(to, active, tile, key);
+    put<EMIT>(to, active, tile, parts, key);
   }
   // large ones: their tiles are dealt out among the lanes, those that the ellipse reaches are listed
   if (!__any_sync(FULL, large)) return;
@@ -159,7 +170,7 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
                      __shfl_sync(FULL, e.scale, from)};
       Box its = {0, 0, __shfl_sync(FULL, box.y0, from), __shfl_sync(FULL, box.y1, from)};
       float u = __shfl_sync(FULL, f.u, from), v = __shfl_sync(FULL, f.v, from);
-      its_key[j] = EMIT ? __shfl_sync(FULL, key, from) : 0;
+      its_key[j] = EMIT ? __shfl_sync(FULL, key, from) | ALL_PARTS : 0;
       int2 rows = tile_rows(one, u, v, its, (int)x);
       reached[j] = item < total && rows.x <= (int)y && (int)y < rows.y;
       tile[j] = first_tile + y * tiles_x + x;
@@ -197,7 +208,7 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
                                             const Cloud *__restrict__ clouds,
                                             const Group *__restrict__ groups, u32 group_count,
                                             const u32 *__restrict__ members, u32 tiles_x,
-                                            u32 tiles, u32 flags, u32 each, const Lists &to) {
+                                            u32 tiles, u32 flags, u32 each, u32 stride, const Lists &to) {
   __shared__ ViewHeld held[VIEWS];
   __shared__ u32 seen_by[CHUNKS];
   const Group g = groups[find_group(groups, group_count)];
@@ -212,17 +223,23 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
     if (k % 8 == 0) held[k / 8].who = view;
   }
   __syncthreads();
-  for (u32 c = threadIdx.x / WARP; c < each; c += blockDim.x / WARP) {
+  u32 mask = 0;
+  for (u32 c = each == 1 ? 0 : threadIdx.x / WARP; c < each; c += blockDim.x / WARP) {
     bool seen = lane_id() < count && first_chunk + c < g.chunks &&
                 is_in_sight(cloud.boxes + (u64)(first_chunk + c) * 7, held[lane_id()].view, flags);
-    u32 mask = __ballot_sync(FULL, seen);
-    if (lane_id() == 0) seen_by[c] = mask;
+    mask = __ballot_sync(FULL, seen);
+    if (each > 1 && lane_id() == 0) seen_by[c] = mask;
   }
-  __syncthreads();
-  for (u32 c = 0; c < each; c++) {
-    u32 mask = seen_by[c];
-    if (!mask) continue;
-    u32 slot = (first_chunk + c) * CHUNK + threadIdx.x;
+  if (each > 1) __syncthreads();  // else each warp has tested the one chunk
+  for (u32 at = 0; at < each; at += stride) {
+    u32 c = at, number = threadIdx.x;  // of the chunk, and of the splat in it
+    if (stride > 1) {                  // some of several chunks' at once
+      c += threadIdx.x / (CHUNK / stride);
+      number = threadIdx.x % (CHUNK / stride) * stride + c % stride;
+    }
+    if (each > 1) mask = c < each ? seen_by[c] : 0;
+    if (!mask || c >= each) continue;
+    u32 slot = (first_chunk + c) * CHUNK + number;
     if (cloud.slots) slot = __ldg(cloud.slots + slot);
     Splat s = {0.f, 0.f, 0.f, -1.f, {0.f}, 0.f};
     u32 index = slot;
@@ -230,29 +247,31 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
       s = load_splat(cloud.splats + (u64)slot * 4);
       if (EMIT && cloud.places) index = __ldg(cloud.order + slot);
     }
+    index <<= PART_BITS;
     if (g.tail) index |= TAIL;
-    for (; mask; mask &= mask - 1) {
-      const ViewHeld &one = held[__ffs(mask) - 1];
+    for (u32 rest = mask; rest; rest &= rest - 1) {
+      const ViewHeld &one = held[__ffs(rest) - 1];
       list_splat<EMIT>(s, index, load_view(one.view), flags, tiles_x, one.who * tiles, to);
     }
   }
 }
 
+// Counts one splat in `stride`.
 KERNEL_BOUNDED(count_entries, CHUNK, COVER_BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
  u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 each,
- u32 *counts) {
+ u32 *counts, u32 stride) {
   Lists to = {counts, nullptr, 0, 0};
-  list_chunks<false>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, to);
+  list_chunks<false>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, stride, to);
 }
 
 KERNEL_BOUNDED(emit_entries, CHUNK, COVER_BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const Group *__restrict__ groups,
  u32 group_count, const u32 *__restrict__ members, u32 tiles_x, u32 tiles, u32 flags, u32 each,
- u32 *counts, const State *__restrict__ state, u64 *entries, u64 capacity, u32 room) {
-  if (!room && state->total > capacity) return;  // the host sees it too, and repeats with more room
+ u32 *counts, const u64 *__restrict__ needed, u64 *entries, u64 capacity, u32 room) {
+  if (!room && *needed > capacity) return;  // the host sees it too, and repeats with more room
   Lists to = {counts, entries, capacity, room};
-  list_chunks<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, to);
+  list_chunks<true>(views, clouds, groups, group_count, members, tiles_x, tiles, flags, each, 1, to);
 }
 
 // A block of 256 threads adds up SCAN counts.
@@ -274,7 +293,7 @@ __device__ __forceinline__ u64 sum_block(u64 mine, u64 *held) {
 #define SHORT_BITS 10  // lists shorter than 2^10 are one class, in their own order
 
 struct Classes {  // zeros before
-  u32 many[CLASSES], taken[CLASSES], longest;
+  u32 many[CLASSES], taken[CLASSES], longest, over;
 };
 
 __device__ __forceinline__ u32 class_of(u32 count) {
@@ -295,58 +314,113 @@ __device__ __forceinline__ void count_classes(const u32 *count, u32 n, Classes &
   if (longest) atomicMax(&to.longest, longest);
 }
 
-// Only where the scan takes more blocks than one.
-KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u64 *sums, Classes *classes) {
+// Room for a list of which a pass over one splat in `stride` has counted so many: what was counted
+// if it was all, else a quarter more than expected and SLACK (eight standard deviations at 1,000).
+#define SLACK 256
+__device__ __forceinline__ u32 room_for(u32 counted, u32 stride) {
+  return stride == 1 ? counted : counted * stride + counted * stride / 4 + SLACK;
+}
+
+struct Written {  // lists behind `emit_entries`
+  const u32 *counts;
+  const u64 *starts;  // null where all have the same room
+
+  __device__ __forceinline__ u32 length(u64 tile) const {
+    return starts ? counts[tile] - (u32)starts[tile] : counts[tile];
+  }
+  __device__ __forceinline__ bool over(u64 tile, u32 length) const {
+    return starts && length > starts[tile + 1] - starts[tile];
+  }
+};
+
+// Only where a scan takes more blocks than one. With `stride`: of the room for lists; else of their
+// lengths, and their classes.
+KERNEL(sum_counts)(const u32 *__restrict__ counts, u32 all_tiles, u32 stride,
+                   const u64 *__restrict__ starts, u64 *sums, Classes *classes) {
   __shared__ u64 held[256 / WARP];
   __shared__ Classes mine_of;
   if (threadIdx.x < sizeof(Classes) / 4) ((u32 *)&mine_of)[threadIdx.x] = 0;
   __syncthreads();
+  const Written lists = {counts, starts};
   u64 mine = 0;
   u32 count[EACH], n = 0;
   for (u32 k = 0; k < EACH; k++) {
     u64 at = (u64)blockIdx.x * SCAN + k * 256 + threadIdx.x;
-    if (at < all_tiles) mine += count[n++] = counts[at];
+    if (at >= all_tiles) continue;
+    if (stride) {
+      mine += room_for(counts[at], stride);
+      continue;
+    }
+    mine += count[n] = lists.length(at);
+    if (lists.over(at, count[n++])) atomicMax(&mine_of.over, 1u);
   }
-  count_classes(count, n, mine_of);
+  if (!stride) count_classes(count, n, mine_of);
   u64 sum = sum_block(mine, held);
+  if (threadIdx.x == 0) sums[blockIdx.x] = sum;
+  if (stride) return;
   if (threadIdx.x == 0) {
-    sums[blockIdx.x] = sum;
     atomicMax(&classes->longest, mine_of.longest);
+    if (mine_of.over) atomicMax(&classes->over, 1u);
   }
   if (threadIdx.x < CLASSES && mine_of.many[threadIdx.x])
     atomicAdd(classes->many + threadIdx.x, mine_of.many[threadIdx.x]);
 }
 
-// The order in which lists are drawn, what is known of them all, also for the host (`told`), and
-// whether a view is none (`written`: by `write_views`). Without `room`: their starts, which
-// `counts` become, too.
-KERNEL(scan_counts)(u32 *counts, u32 all_tiles, u32 room, const u64 *__restrict__ sums, u64 *starts,
-                    Classes *classes, u32 *order, const View *__restrict__ written, u32 views,
-                    State *state, u64 *told) {
-  __shared__ u64 held[256 / WARP], whole;
-  __shared__ Classes mine_of;
-  __shared__ u32 place[CLASSES], wrong;
-  if (threadIdx.x < sizeof(Classes) / 4) ((u32 *)&mine_of)[threadIdx.x] = 0;
-  if (threadIdx.x == 0) wrong = NOWHERE;
-  u64 mine = 0;
-  for (u32 b = threadIdx.x; b < blockIdx.x; b += 256) mine += sums[b];
-  u64 before = sum_block(mine, held);
-  u64 first = (u64)blockIdx.x * SCAN + threadIdx.x * EACH;
-  u32 count[EACH], n = 0;
-  u64 total = 0;
-  for (u32 k = 0; k < EACH; k++) {
-    count[k] = first + k < all_tiles ? counts[first + k] : 0;
-    n += first + k < all_tiles;
-    total += count[k];
-  }
-  count_classes(count, n, mine_of);
-  u64 sum = total;
+// How much lies before this thread's share, which is `mine`; all threads of all blocks call it.
+__device__ __forceinline__ u64 scan_block(u64 mine, const u64 *__restrict__ sums, u64 *held) {
+  u64 others = 0;
+  for (u32 b = threadIdx.x; b < blockIdx.x; b += 256) others += sums[b];
+  u64 before = sum_block(others, held), sum = mine;
   for (u32 d = 1; d < WARP; d <<= 1) {
     u64 other = __shfl_up_sync(FULL, sum, d);
     if (lane_id() >= d) sum += other;
   }
   if (lane_id() == WARP - 1) held[threadIdx.x / WARP] = sum;
   __syncthreads();
+  for (u32 w = 0; w < threadIdx.x / WARP; w++) before += held[w];
+  return before + sum - mine;
+}
+
+// Where lists begin, by what was counted; `counts` become where the next entry goes.
+KERNEL(place_lists)(u32 *counts, u32 all_tiles, u32 stride, const u64 *__restrict__ sums, u64 *starts) {
+  __shared__ u64 held[256 / WARP];
+  u64 first = (u64)blockIdx.x * SCAN + threadIdx.x * EACH, total = 0;
+  u32 room[EACH];
+  for (u32 k = 0; k < EACH; k++) {
+    room[k] = first + k < all_tiles ? room_for(counts[first + k], stride) : 0;
+    total += room[k];
+  }
+  u64 before = scan_block(total, sums, held);
+  for (u32 k = 0; k < EACH && first + k < all_tiles; k++) {
+    starts[first + k] = before;
+    counts[first + k] = (u32)before;  // lists of more than 2^32 entries have no room anyhow
+    before += room[k];
+    if (first + k == all_tiles - 1) starts[all_tiles] = before;
+  }
+}
+
+// The order in which lists are drawn, what is known of them all, also for the host (`told`), and
+// whether a view is none (`written`: by `write_views`).
+KERNEL(scan_counts)(const u32 *__restrict__ counts, u32 all_tiles, const u64 *__restrict__ starts,
+                    const u64 *__restrict__ sums, Classes *classes, u32 *order,
+                    const View *__restrict__ written, u32 views, State *state, u64 *told) {
+  __shared__ u64 held[256 / WARP], whole;
+  __shared__ Classes mine_of;
+  __shared__ u32 place[CLASSES], wrong;
+  if (threadIdx.x < sizeof(Classes) / 4) ((u32 *)&mine_of)[threadIdx.x] = 0;
+  if (threadIdx.x == 0) wrong = NOWHERE;
+  __syncthreads();
+  const Written lists = {counts, starts};
+  u64 first = (u64)blockIdx.x * SCAN + threadIdx.x * EACH, total = 0;
+  u32 count[EACH], n = 0;
+  for (u32 k = 0; k < EACH; k++) {
+    count[k] = first + k < all_tiles ? lists.length(first + k) : 0;
+    if (first + k < all_tiles && lists.over(first + k, count[k])) atomicMax(&mine_of.over, 1u);
+    n += first + k < all_tiles;
+    total += count[k];
+  }
+  count_classes(count, n, mine_of);
+  u64 before = scan_block(total, sums, held);
   bool alone = gridDim.x == 1, last = blockIdx.x == gridDim.x - 1;
   if (threadIdx.x < CLASSES) {
     const u32 *many = alone ? mine_of.many : classes->many;
@@ -354,8 +428,7 @@ KERNEL(scan_counts)(u32 *counts, u32 all_tiles, u32 room, const u64 *__restrict_
     for (u32 k = c + 1; k < CLASSES; k++) ahead += many[k];
     place[c] = ahead + (alone ? 0 : atomicAdd(classes->taken + c, mine_of.many[c]));
   }
-  for (u32 w = 0; w < threadIdx.x / WARP; w++) before += held[w];
-  before += sum - total;
+  if (n && first + n == all_tiles) whole = before + total;
   __syncthreads();
   u32 plain = 0;
   for (u32 k = 0; k < n; k++) plain += !class_of(count[k]);
@@ -363,15 +436,6 @@ KERNEL(scan_counts)(u32 *counts, u32 all_tiles, u32 room, const u64 *__restrict_
   for (u32 k = 0; k < n; k++) {
     u32 c = class_of(count[k]);
     order[c ? atomicAdd(place + c, 1u) : at++] = (u32)first + k;
-    if (!room) {
-      starts[first + k] = before;
-      counts[first + k] = (u32)before;  // lists of more than 2^32 entries have no room anyhow
-    }
-    before += count[k];
-    if (first + k == all_tiles - 1) {
-      if (!room) starts[all_tiles] = before;
-      whole = before;
-    }
   }
   if (!last) return;
   u32 found = NOWHERE;
@@ -379,7 +443,9 @@ KERNEL(scan_counts)(u32 *counts, u32 all_tiles, u32 room, const u64 *__restrict_
   if (found != NOWHERE) atomicMin(&wrong, found);
   __syncthreads();
   if (threadIdx.x) return;
-  State now = {whole, alone ? mine_of.longest : classes->longest, wrong};
+  bool over = alone ? mine_of.over : classes->over;
+  State now = {over ? NO_ROOM : starts ? starts[all_tiles] : whole,
+               alone ? mine_of.longest : classes->longest, wrong, whole};
   *state = now;
-  told[0] = now.total, told[1] = now.longest, told[2] = now.wrong;
+  told[0] = now.needed, told[1] = now.longest, told[2] = now.wrong, told[3] = now.entries;
 }

@@ -31,7 +31,7 @@ struct Picture {  // of a lane's pixels; a negative transmittance has ended
     blue[i] = fmaf(weight, b, blue[i]), depth[i] = fmaf(weight, z, depth[i]);
 #endif
   }
-  __device__ __forceinline__ void splat(const TileRoom &, u32, u32) {}
+  __device__ __forceinline__ void splat(const TileRoom &, u32) {}
   __device__ __forceinline__ bool open() const {
     bool any = false;
 #pragma unroll
@@ -52,11 +52,12 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
     shows = shows || (keep && weight > threshold);
     through[i] = keep ? after : 0.f;
   }
-  __device__ __forceinline__ void splat(const TileRoom &t, u32 first, u32 at) {
+  __device__ __forceinline__ void splat(const TileRoom &t, u32 at) {
     if (!shows) return;
     shows = false;
-    u32 index = (u32)t.keys[first + at / RECORD];
+    u32 index = t.indices[at];
     if (index & TAIL) return;
+    index >>= PART_BITS;
     if (!t.cloud[0].places) index = __ldg(t.cloud[0].order + index);
     // as np.packbits lays them: the first splat is the highest bit of the first byte
     u32 bit = 1u << ((index & 24u) | (7u - (index & 7u)));
@@ -69,20 +70,6 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
     return any;
   }
 };
-
-struct Corner {  // of this block's tile and of the lane's first pixel
-  u32 all, view;  // the tile's number among those of all views
-  int x_px, y_px, x, y;
-};
-
-__device__ __forceinline__ Corner find_corner(const u32 *__restrict__ order, u32 tiles_x, u32 tiles) {
-  u32 all = order[blockIdx.x];
-  u32 tile = all % tiles, region = threadIdx.x / TEAM, lane = threadIdx.x % TEAM;
-  Corner c = {all, all / tiles, (int)(tile % tiles_x * TILE), (int)(tile / tiles_x * TILE)};
-  c.x = c.x_px + (int)(region / REGION_ROWS * REGION_WIDTH + lane % LANES_X);
-  c.y = c.y_px + (int)(region % REGION_ROWS * REGION_HEIGHT + lane / LANES_X);
-  return c;
-}
 
 __device__ __forceinline__ u8 level(float value) {
   return (u8)(int)(fminf(fmaxf(value, 0.f), 1.f) * 255.f + 0.5f);
@@ -98,24 +85,28 @@ struct Target {  // where pictures go; null for what is not wanted
 // `listed`, where there is one, stands for `given`.
 KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
- const u32 *__restrict__ counts, u64 *entries, u64 capacity, u32 room,
- const u32 *__restrict__ order, const State *__restrict__ state, u32 tiles_x, u32 tiles, int width,
+ const u32 *__restrict__ counts, u64 *entries, u64 capacity, u32 room, u64 *aside,
+ u32 split, const u32 *__restrict__ order, const State *__restrict__ state, u32 tiles_x, u32 tiles, int width,
  int height, u32 flags, const Target *__restrict__ listed, Target given) {
   __shared__ __align__(16) TileRoom t;
-  if (room ? state->longest > room : state->total > capacity) return;
-  Corner at = find_corner(order, tiles_x, tiles);
+  if (room ? state->longest > room : state->needed > capacity) return;
+  Corner c;
+  if (!find_corner(c, order, counts, split, tiles_x, tiles)) return;
+  int2 at = find_first(c);
   Picture p;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
-    p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : -1.f;
+    p.through[i] = at.x + i < width && at.y < height ? 1.f : -1.f;
     p.red[i] = p.green[i] = p.blue[i] = p.depth[i] = 0.f;
   }
-  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, at.all, at.view, at.x_px, at.y_px, flags);
+  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, aside, c, flags);
+  __syncthreads();  // all have left the walk
+  c = t.corner, at = find_first(c);
   const Target to = listed ? *listed : given;
-  u64 row = (u64)views[at.view].row * height;
+  u64 row = (u64)views[c.view].row * height;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++) {
-    int x = at.x + i * LANES_X;
+    int x = at.x + i;
     float left = fabsf(p.through[i]), opacity = 1.f - left;
     p.red[i] = p.red[i] + left * to.back_red;
     p.green[i] = p.green[i] + left * to.back_green;
@@ -132,39 +123,46 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
     }
   }
   if (!to.rgb_u8) return;
-  __syncthreads();  // all have left the walk
 #pragma unroll
-  for (int i = 0; i < PIXELS; i++) {
-    u8 *pixel = t.picture + ((at.y - at.y_px) * TILE + at.x + i * LANES_X - at.x_px) * 3;
+  for (int i = 0; i < PIXELS && at.x < NO_PIXEL; i++) {
+    u8 *pixel = t.picture + ((at.y - c.y) * TILE + at.x + i - c.x) * 3;
     pixel[0] = level(p.red[i]), pixel[1] = level(p.green[i]), pixel[2] = level(p.blue[i]);
   }
   __syncthreads();
-  int columns = min(TILE, width - at.x_px), lines = min(TILE, height - at.y_px);
-  u8 *out = to.rgb_u8 + ((row + at.y_px) * width + at.x_px) * 3;
-  if (width % 4 == 0 && columns == TILE) {  // whole words
-    const int words = TILE * 3 / 4;  // of a line
-    for (int k = threadIdx.x; k < lines * words; k += THREADS)
-      *(u32 *)(out + (u64)(k / words) * width * 3 + k % words * 4) = ((const u32 *)t.picture)[k];
-  } else {
+  bool apart = c.part != NOWHERE;
+  int x0 = apart ? c.part / 2 * SIDE : 0, y0 = apart ? c.part % 2 * SIDE : 0;  // in the tile
+  int side = apart ? SIDE : TILE;
+  int columns = min(side, width - c.x - x0), lines = min(side, height - c.y - y0);
+  u8 *out = to.rgb_u8 + ((row + c.y + y0) * width + c.x + x0) * 3;
+  const u8 *in = t.picture + (y0 * TILE + x0) * 3;
+  if (width % 4 == 0 && columns == side) {  // whole words
+    int words = side * 3 / 4;               // of a line
+    for (int k = threadIdx.x; k < lines * words; k += THREADS) {
+      int line = k / words, word = k % words;
+      *(u32 *)(out + (u64)line * width * 3 + word * 4) = *(const u32 *)(in + line * TILE * 3 + word * 4);
+    }
+  } else if (columns > 0) {
     for (int k = threadIdx.x; k < lines * columns * 3; k += THREADS) {
       int line = k / (columns * 3), byte = k % (columns * 3);
-      out[(u64)line * width * 3 + byte] = t.picture[line * TILE * 3 + byte];
+      out[(u64)line * width * 3 + byte] = in[line * TILE * 3 + byte];
     }
   }
 }
 
 KERNEL_BOUNDED(mark_tiles, THREADS, BLOCKS)
 (const View *__restrict__ views, const Cloud *__restrict__ clouds, const u64 *__restrict__ starts,
- const u32 *__restrict__ counts, u64 *entries, u64 capacity, u32 room,
- const u32 *__restrict__ order, const State *__restrict__ state, u32 tiles_x, u32 tiles, int width,
+ const u32 *__restrict__ counts, u64 *entries, u64 capacity, u32 room, u64 *aside,
+ u32 split, const u32 *__restrict__ order, const State *__restrict__ state, u32 tiles_x, u32 tiles, int width,
  int height, u32 flags, float threshold, u32 *marks, u64 words) {
   __shared__ __align__(16) TileRoom t;
-  if (room ? state->longest > room : state->total > capacity) return;
-  Corner at = find_corner(order, tiles_x, tiles);
+  if (room ? state->longest > room : state->needed > capacity) return;
+  Corner c;
+  if (!find_corner(c, order, counts, split, tiles_x, tiles)) return;
+  int2 at = find_first(c);
   Marks p;
-  p.threshold = threshold, p.row = marks + views[at.view].row * words, p.shows = false;
+  p.threshold = threshold, p.row = marks + views[c.view].row * words, p.shows = false;
 #pragma unroll
   for (int i = 0; i < PIXELS; i++)
-    p.through[i] = at.x + i * LANES_X < width && at.y < height ? 1.f : 0.f;
-  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, at.all, at.view, at.x_px, at.y_px, flags);
+    p.through[i] = at.x + i < width && at.y < height ? 1.f : 0.f;
+  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, aside, c, flags);
 }

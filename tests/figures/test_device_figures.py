@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -155,10 +156,13 @@ def test_a_library_that_is_absent_is_said(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_contenders_take_turns_with_new_poses() -> None:
     turns: list[tuple[str, int]] = []
-    calls = {name: lambda k, name=name: turns.append((name, k)) for name in "ab"}
-    times = interleave(DeviceHost(), calls, 2, warm=1)
-    assert turns == [("a", 0), ("b", 0), ("a", 1), ("b", 1), ("a", 2), ("b", 2)]
-    assert [len(taken) for taken in times.values()] == [2, 2]
+    calls = {name: lambda k, name=name: turns.append((name, k)) for name in "abc"}
+    times = interleave(DeviceHost(), calls, 7, warm=1)
+    rounds = [turns[k : k + 3] for k in range(0, len(turns), 3)]
+    assert [sorted(one) for one in rounds] == [[(n, k) for n in "abc"] for k in range(8)]
+    behind = {(x[0], y[0]) for one in rounds for x, y in pairwise(one)}
+    assert behind == {(x, y) for x in "abc" for y in "abc" if x != y}, "each comes behind each"
+    assert [len(taken) for taken in times.values()] == [7, 7, 7]
     walls: dict[str, list[float]] = {}
     interleave(DeviceHost(), {"a": lambda _: None}, 3, warm=0, walls=walls)
     assert len(walls["a"]) == 3

@@ -16,6 +16,7 @@ from gn0.device.device import Device, KernelSource
 from gn0.device.libcuda import say_driver, say_version
 from gn0.device.open import find_device
 from gn0.figures.board import FigureSkipped
+from gn0.seeds import random_stream
 
 WARM = 3  # calls before the first that counts
 AWAKE = 0.3  # s of work after which a card that had nothing to do has its clocks up
@@ -102,6 +103,9 @@ def interleave(
 ) -> dict[str, list[float]]:
     """Milliseconds of each contender, by turns, so that a slow moment meets all.
 
+    Each round has an order of its own: whoever always came behind itself would find its data in the
+    caches, and whoever came behind another would not.
+
     Args:
         device: has the clock.
         contenders: called with 0, 1, 2 ... (new poses each time), the first `warm` untimed.
@@ -111,9 +115,11 @@ def interleave(
     """
     wake(device, contenders)
     spent: dict[str, list[float]] = {name: [] for name in contenders}
+    names = list(contenders)
     for turn in range(warm + rounds):
-        for name, call in contenders.items():
-            taken, wall = time_call(device, call, turn)
+        for k in random_stream(0, "figure rounds", str(turn)).permutation(len(names)):
+            name = names[k]
+            taken, wall = time_call(device, contenders[name], turn)
             if turn >= warm:
                 spent[name].append(taken)
                 if walls is not None:

@@ -129,6 +129,7 @@ class Drawer:
         self._named: tuple[bytes, DeviceArray] | None = None
         self._longest: dict[tuple[object, ...], int] = {}  # entries of a list, by picture
         self._exact = False  # whether the next batch counts all splats: a sample fell short
+        self._misses: dict[tuple[object, ...], int] = {}  # such samples, by picture
         self._roomy = True  # whether lists may have equal room; not again on a full device
         self._heard: Heard | None = None
         self._replays: WeakSet[Replay] = WeakSet()
@@ -322,6 +323,7 @@ class Drawer:
         raise_wrong(wrong)
         if total == NO_ROOM and not lists.room:
             self._exact = True
+            self._misses[work.picture] = self._misses.get(work.picture, 0) + 1
             return 1
         self._exact = False
         splats = int(work.splats[views].sum())
@@ -350,6 +352,11 @@ class Drawer:
         fits = room * lists * _ENTRY <= _ROOMS_SHARE * self.memory
         known = longest and self._roomy
         return room if known and fits and room * all_tiles <= _ENTRIES_MAX else 0
+
+    def _may_sample(self, work: Work, all_tiles: int) -> bool:
+        """Whether lists may get room by some of the splats: not where that has failed twice."""
+        trusted = not self._exact and self._misses.get(work.picture, 0) < 2
+        return trusted and all_tiles >= _SAMPLED
 
     def _lay_out(self, work: Work, views: slice, flags: int, own: bool = False) -> Lists:
         """Buffers and tables of a batch; `own`: tables that no other call writes over."""
@@ -381,7 +388,7 @@ class Drawer:
             each=shares[1],
             capacity=capacity,
             room=room,
-            stride=1 if self._exact or all_tiles < _SAMPLED else self.tuning.sample,
+            stride=self.tuning.sample if self._may_sample(work, all_tiles) else 1,
             views=view_table,
             clouds=clouds,
             groups=groups,

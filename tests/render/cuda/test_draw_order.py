@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from gn0.device.host import DeviceHost
-from gn0.errors import ConfigError, DeviceMemoryError
+from gn0.errors import ConfigError, DeviceError, DeviceMemoryError
 from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.render.cuda import draw
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import upload_cloud
+from gn0.render.cuda.replay import NO_ROOM, Heard
+from gn0.render.cuda.tables import NOWHERE
 from gn0.render.cuda.tune import FEW, Tuning
 from gn0.testing.check_renderer import random_cloud
 
@@ -129,6 +131,15 @@ def test_lists_that_a_sample_misses_are_counted_in_full(monkeypatch: pytest.Monk
     assert drawer.repeats == 2, "then no sample is trusted any more"
     assert len(set(pictures)) == 1
     assert any(pictures[0])
+
+
+def test_a_device_that_cannot_count_is_said_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lists that outgrow a full count, too: an error, no endless trying."""
+    device = DeviceHost()
+    drawer = Drawer(device)
+    monkeypatch.setattr(Heard, "wait", lambda self: (NO_ROOM, 1, NOWHERE, 1))
+    with pytest.raises(DeviceError, match="more than was counted"):
+        bytes_of(device, drawer)
 
 
 def test_kernels_refuse_sizes_that_do_not_fit() -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray, Kernel, KernelSource
-from gn0.errors import DeviceMemoryError
+from gn0.errors import DeviceError, DeviceMemoryError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
@@ -322,6 +322,10 @@ class Drawer:
         self._heard = heard
         raise_wrong(wrong)
         if total == NO_ROOM and not lists.room:
+            if self._exact:  # never, or for ever
+                raise DeviceError(
+                    "a list holds more than was counted of it", remedy="run gn0 doctor"
+                )
             self._exact = True
             self._misses[work.picture] = self._misses.get(work.picture, 0) + 1
             return 1

@@ -17,7 +17,7 @@ from gn0.render.camera import Camera
 CHUNK = 256  # splats a chunk
 TILE = 16  # px
 NOWHERE = 0xFFFFFFFF
-SPLATS_MAX = 2**27  # of a cloud: what indices in keys have room for, see `PART_BITS`
+SPLATS_MAX = 2**27  # of a cloud: what indices in keys have room for, see `QUARTER_BITS`
 VIEW = np.dtype(
     [
         ("rotation", "<f4", 9),

@@ -37,7 +37,7 @@ struct Plan {  // of the walk through a list; the same for all threads
 struct Corner {  // of what a block draws
   u32 all, view;   // the tile's number among those of all views
   int x, y;        // the tile's first pixel
-  u32 part;        // quarter of it, NOWHERE for all
+  u32 quarter;     // of it; NOWHERE for all
 };
 
 struct TileRoom {
@@ -262,7 +262,7 @@ __device__ __forceinline__ u32 sort_group(TileRoom &t, const u64 *from, u32 size
 // Brings the next group of the list, in order, into `indices`; returns how many, 0 behind the last.
 __device__ __forceinline__ u32 bring_group(TileRoom &t) {
   Plan p = t.plan;
-  u32 size, open = SPLIT ? find_open(t) : ALL_PARTS;  // known of keys only where tiles are split
+  u32 size, open = SPLIT ? find_open(t) : ALL_QUARTERS;  // known of keys only where tiles are split
   do {
     const u64 *from = p.list;
     size = p.n;

@@ -73,7 +73,7 @@ __device__ __forceinline__ void put_one(const Lists &to, u32 tile, u64 key) {
 // All lanes call this; neighbours in Morton order mostly list into the same tile.
 template <bool EMIT>
 __device__ __forceinline__ void put(const Lists &to, const bool (&active)[PUTS],
-                                    const u32 (&tile)[PUTS], const u32 (&parts)[PUTS], u64 key) {
+                                    const u32 (&tile)[PUTS], const u32 (&quarters)[PUTS], u64 key) {
 #if GROUP
   u32 peers[PUTS], place[PUTS], lane = lane_id();
 #pragma unroll
@@ -89,17 +89,17 @@ __device__ __forceinline__ void put(const Lists &to, const bool (&active)[PUTS],
   for (int j = 0; j < PUTS; j++) {
     if (!peers[j]) break;
     u32 at = __shfl_sync(FULL, place[j], __ffs(peers[j]) - 1);
-    if (active[j]) to.store(tile[j], at + __popc(peers[j] & ((1u << lane) - 1)), key | parts[j]);
+    if (active[j]) to.store(tile[j], at + __popc(peers[j] & ((1u << lane) - 1)), key | quarters[j]);
   }
 #else
 #pragma unroll
   for (int j = 0; j < PUTS; j++)
-    if (active[j]) put_one<EMIT>(to, tile[j], key | parts[j]);
+    if (active[j]) put_one<EMIT>(to, tile[j], key | quarters[j]);
 #endif
 }
 
 // Quarters of a tile that a footprint's box meets.
-__device__ __forceinline__ u32 find_parts(const Box &box, int column, int row) {
+__device__ __forceinline__ u32 find_quarters(const Box &box, int column, int row) {
   int x = column * TILE + TILE / 2, y = row * TILE + TILE / 2;
   u32 down = (u32)(box.y0 < y) | (u32)(box.y1 > y) << 1;
   return (box.x0 < x ? down : 0) | (box.x1 > x ? down << 2 : 0);
@@ -132,15 +132,15 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
   int column = tx0, row = large || tiles == 0 ? ty1 : ty0;
   while (true) {
     bool active[PUTS];
-    u32 tile[PUTS], parts[PUTS];
+    u32 tile[PUTS], quarters[PUTS];
 #pragma unroll
     for (int j = 0; j < PUTS; j++) {
       active[j] = row < ty1, tile[j] = first_tile + row * tiles_x + column;
-      parts[j] = EMIT && SPLIT ? find_parts(box, column, row) : ALL_PARTS;
+      quarters[j] = EMIT && SPLIT ? find_quarters(box, column, row) : ALL_QUARTERS;
       if (++column == tx1) column = tx0, row++;
     }
     if (!__any_sync(FULL, active[0])) break;
-    put<EMIT>(to, active, tile, parts, key);
+    put<EMIT>(to, active, tile, quarters, key);
   }
   // large ones: their tiles are dealt out among the lanes, those that the ellipse reaches are listed
   if (!__any_sync(FULL, large)) return;
@@ -170,7 +170,7 @@ __device__ __forceinline__ void list_splat(const Splat &s, u32 index, const View
                      __shfl_sync(FULL, e.scale, from)};
       Box its = {0, 0, __shfl_sync(FULL, box.y0, from), __shfl_sync(FULL, box.y1, from)};
       float u = __shfl_sync(FULL, f.u, from), v = __shfl_sync(FULL, f.v, from);
-      its_key[j] = EMIT ? __shfl_sync(FULL, key, from) | ALL_PARTS : 0;
+      its_key[j] = EMIT ? __shfl_sync(FULL, key, from) | ALL_QUARTERS : 0;
       int2 rows = tile_rows(one, u, v, its, (int)x);
       reached[j] = item < total && rows.x <= (int)y && (int)y < rows.y;
       tile[j] = first_tile + y * tiles_x + x;
@@ -247,7 +247,7 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
       s = load_splat(cloud.splats + (u64)slot * 4);
       if (EMIT && cloud.places) index = __ldg(cloud.order + slot);
     }
-    index <<= PART_BITS;
+    index <<= QUARTER_BITS;
     if (g.tail) index |= TAIL;
     for (u32 rest = mask; rest; rest &= rest - 1) {
       const ViewHeld &one = held[__ffs(rest) - 1];

@@ -57,7 +57,7 @@ struct Marks {  // bits of splats that weigh more than a threshold somewhere
     shows = false;
     u32 index = t.indices[at];
     if (index & TAIL) return;
-    index >>= PART_BITS;
+    index >>= QUARTER_BITS;
     if (!t.cloud[0].places) index = __ldg(t.cloud[0].order + index);
     // as np.packbits lays them: the first splat is the highest bit of the first byte
     u32 bit = 1u << ((index & 24u) | (7u - (index & 7u)));
@@ -129,8 +129,8 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
     pixel[0] = level(p.red[i]), pixel[1] = level(p.green[i]), pixel[2] = level(p.blue[i]);
   }
   __syncthreads();
-  bool apart = c.part != NOWHERE;
-  int x0 = apart ? c.part / 2 * SIDE : 0, y0 = apart ? c.part % 2 * SIDE : 0;  // in the tile
+  bool apart = c.quarter != NOWHERE;
+  int x0 = apart ? c.quarter / 2 * SIDE : 0, y0 = apart ? c.quarter % 2 * SIDE : 0;  // in the tile
   int side = apart ? SIDE : TILE;
   int columns = min(side, width - c.x - x0), lines = min(side, height - c.y - y0);
   u8 *out = to.rgb_u8 + ((row + c.y + y0) * width + c.x + x0) * 3;

@@ -3,7 +3,7 @@
 // A splat marks the pixels that it reaches, row by row. Turned about by 32, these bits tell each thread
 // which splats it has to blend: most reach few of a tile's pixels.
 
-// A thread's first pixel in its tile: bit j of what `gather_part` returns is lane j's. Quarters are
+// A thread's first pixel in its tile: bit j of what `gather_quarter` returns is lane j's. Quarters are
 // numbered down the left half, then the right.
 __device__ __forceinline__ uint2 find_pixel() {
   u32 quarter = threadIdx.x / WARP, lane = lane_id(), x = lane % 4 * PIXELS;
@@ -39,7 +39,7 @@ __device__ __forceinline__ u32 round_down(float x) {
 }
 
 // Bits of the lanes of one quarter, from the rows of the whole tile.
-__device__ __forceinline__ u32 gather_part(const u32 *rows, u32 quarter) {
+__device__ __forceinline__ u32 gather_quarter(const u32 *rows, u32 quarter) {
   u32 a = rows[quarter % 2 * 2], b = rows[quarter % 2 * 2 + 1];
   return quarter / 2 ? (a >> 4 & 0x0f0f0f0fu) | (b & 0xf0f0f0f0u)
                      : (a & 0x0f0f0f0fu) | (b & 0x0f0f0f0fu) << 4;
@@ -100,6 +100,6 @@ __device__ __forceinline__ void tell_reach(TileRoom &t, u32 k) {
   const u32 *rows = (const u32 *)t.rows[threadIdx.x];
 #pragma unroll
   for (u32 w = 0; w < WARPS; w++)
-    t.reach[w][k] = __brev(turn_about(gather_part(rows, w)));
+    t.reach[w][k] = __brev(turn_about(gather_quarter(rows, w)));
 }
 

@@ -5,8 +5,8 @@
 #define ORTHO 1u        // flags of a draw
 #define ANTIALIASED 2u
 #define TAIL 0x80000000u  // top bit of a key's low word: a moving splat, after all others
-#define PART_BITS 4       // lowest bits of a key: quarters of the tile that the splat may reach
-#define ALL_PARTS 15u     // left above, left below, right above, right below
+#define QUARTER_BITS 4       // lowest bits of a key: quarters of the tile that the splat may reach
+#define ALL_QUARTERS 15u     // left above, left below, right above, right below
 #define NOWHERE 0xffffffffu
 
 struct alignas(16) View {  // 32 words

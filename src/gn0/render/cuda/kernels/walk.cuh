@@ -10,7 +10,7 @@ __device__ __forceinline__ float hold(float value) { return __shfl_sync(FULL, va
 // tail; NOWHERE if there is none.
 __device__ __forceinline__ u32 find_slot(const TileRoom &t, u32 at, u32 size) {
   if (at >= size) return NOWHERE;
-  u32 word = t.indices[at], tail = word & TAIL, index = (word & ~TAIL) >> PART_BITS;
+  u32 word = t.indices[at], tail = word & TAIL, index = (word & ~TAIL) >> QUARTER_BITS;
   const Cloud &cloud = t.cloud[word >> 31];
   u32 slot = cloud.places ? __ldg(cloud.places + index) : index;
   return slot < cloud.rows ? slot | tail : NOWHERE;
@@ -76,12 +76,12 @@ __device__ __forceinline__ bool find_corner(Corner &c, const u32 *__restrict__ o
                                             const u32 *__restrict__ counts, u32 split, u32 tiles_x,
                                             u32 tiles) {
   bool first = blockIdx.x < 4 * split;
-  u32 part = first ? blockIdx.x % 4 : 0;
+  u32 quarter = first ? blockIdx.x % 4 : 0;
   c.all = order[first ? blockIdx.x / 4 : blockIdx.x - 3 * split];
   bool apart = first && counts[c.all] > 2 * CAPACITY;
-  if (part && !apart) return false;
+  if (quarter && !apart) return false;
   u32 tile = c.all % tiles;
-  c.view = c.all / tiles, c.part = apart ? part : NOWHERE;
+  c.view = c.all / tiles, c.quarter = apart ? quarter : NOWHERE;
   c.x = (int)(tile % tiles_x * TILE), c.y = (int)(tile / tiles_x * TILE);
   return true;
 }
@@ -89,7 +89,7 @@ __device__ __forceinline__ bool find_corner(Corner &c, const u32 *__restrict__ o
 // The picture's pixel that is this thread's first.
 __device__ __forceinline__ int2 find_first(const Corner &c) {
   uint2 pixel = find_pixel();
-  bool none = threadIdx.x >= BLENDERS || (c.part != NOWHERE && threadIdx.x / WARP != c.part);
+  bool none = threadIdx.x >= BLENDERS || (c.quarter != NOWHERE && threadIdx.x / WARP != c.quarter);
   return none ? make_int2(NO_PIXEL, NO_PIXEL) : make_int2(c.x + (int)pixel.x, c.y + (int)pixel.y);
 }
 
@@ -116,7 +116,7 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
   if (threadIdx.x == 0) t.corner = corner;  // to be found again behind the walk
   u32 tile = corner.all, view = corner.view;
   u64 start = room ? (u64)tile * room : starts[tile];
-  u64 *spare = corner.part != NOWHERE ? aside + (u64)blockIdx.x * room : entries + capacity + start;
+  u64 *spare = corner.quarter != NOWHERE ? aside + (u64)blockIdx.x * room : entries + capacity + start;
   u32 n = room ? counts[tile] : counts[tile] - (u32)start;
   if (!n) return;
   if (threadIdx.x == 0) t.plan = {entries + start, spare, 1, 0, 0, -1, n, 0, 0, 0, 0};

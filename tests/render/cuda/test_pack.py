@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +14,10 @@ from gn0.device.host import DeviceHost
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import SH_C0
 from gn0.render.cpu_pack import CHUNK, EXTENT, FIELDS, LOG_OPACITY, REACH, RED, pack_cloud
+from gn0.render.cuda import pack
 from gn0.render.cuda.draw import CHUNK as CHUNK_DEVICE
 from gn0.render.cuda.pack import SH_ROW, cloud_bytes, upload_cloud, upload_clouds
+from gn0.render.cuda.tables import SPLATS_MAX
 from gn0.testing.check_renderer import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
@@ -127,6 +131,24 @@ def test_errors_are_the_cpus(name: str, value: float) -> None:
         assert str(refused.value) == str(error)
     else:
         upload_cloud(DeviceHost(), broken)
+
+
+def test_more_splats_than_keys_can_number_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Said before anything is brought over; as many as they can number are drawn."""
+    device, cloud = DeviceHost(), random_cloud(300, seed=1)
+    monkeypatch.setattr(pack, "SPLATS_MAX", 300)
+    upload_cloud(device, cloud)
+    monkeypatch.setattr(pack, "SPLATS_MAX", 299)
+    with pytest.raises(RenderError, match="300 splats; the device renderer numbers 299"):
+        upload_cloud(device, cloud)
+
+
+def test_key_numbers_have_room_for_as_many_splats() -> None:
+    """The kernels keep these bits of a key's low word for other things."""
+    text = (Path(pack.__file__).parent / "kernels" / "view.cuh").read_text()
+    found = re.search(r"#define QUARTER_BITS (\d+)", text)
+    assert found is not None
+    assert 2 ** (31 - int(found[1])) == SPLATS_MAX, "the top bit is a tail's"
 
 
 def test_colours_beyond_half_precision_stay_finite() -> None:

@@ -141,8 +141,7 @@ def check_cloud(cloud: GaussianCloud) -> None:
     """The CPU renderer's own checks, a piece at a time.
 
     Raises:
-        RenderError: an array holds a value that is not finite, a scale or opacity is out of range,
-            or there are more splats than keys can number.
+        RenderError: an array holds a value that is not finite, or a scale or opacity out of range.
     """
     for name in ("means", "quats", "scales", "opacities", "sh"):
         array = getattr(cloud, name)

@@ -155,10 +155,10 @@ def _scene_cases(
             scene = scene or load()
             camera = flat_camera(width, height)
             views = scene.views(_POSES * count, 1).reshape(_POSES, count, 4, 4)
-            renderer = renderer or RendererCuda(scene.cloud, device=device)
             if not sets_only:
                 yield TuneCase(title, camera, views, [upload_cloud(device, scene.cloud)])
                 continue
+            renderer = renderer or RendererCuda(scene.cloud, device=device)
             sets = RendererVisibleCuda(renderer, scene.cloud.content_hash, scene.floor, scene.eye)
             for batch in views:
                 found = [c for c in sets.sets.locate(camera, batch) if c is not None]

@@ -157,9 +157,9 @@ for name in "$@"; do
   says=$!
   limit=$(limit_of "$name")
   export LIMIT_NOW=$limit
-  # first asked where it is, then stopped, then killed
+  # first asked where it is (if there is time for that), then stopped, then killed
   timeout --signal=INT --kill-after=15 "$limit" \
-    timeout --signal=USR1 --kill-after=13 "$((limit > 6 ? limit - 3 : limit))" \
+    timeout --signal=USR1 --kill-after=13 "$((limit > 6 ? limit - 3 : limit + 60))" \
     bash -c "trap '' USR1; group $name" >&9 2>&1 9>&-
   code=$?
   exec 9>&-

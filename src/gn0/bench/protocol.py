@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -14,6 +15,7 @@ import gn0
 from gn0.bench.profiles import DIFFERENCES, RELEASE
 from gn0.bench.results import PolicyCard
 from gn0.bench.suite import Suite
+from gn0.missions.episode import PathSource
 from gn0.render.renderer import VISIBLE_BACKENDS, name_drawing
 from gn0.sim.presets import find_preset
 from gn0.sim.state import MapMode
@@ -73,6 +75,26 @@ VISIBLE_WORDS = (
 CUDA_WORDS = "drawn by the CUDA renderer: the CPU renderer's pictures up to rounding"
 
 
+PATH_WORDS: dict[PathSource, str] = {
+    "": "as the suite has it",
+    "truth": "the set's dense ground truth as it stands, seen from above (VLN-CE's gt locations)",
+    "file": "the set's own path as it stands, points at most 0.25 m apart",
+    "resampled": "the set's sparse nodes joined by straight lines, points at most 0.25 m apart; "
+    "not what its own benchmark scores, if that has a dense ground truth",
+}
+
+
+def describe_paths(suite: Suite) -> str:
+    """What nDTW and SDTW compare with, and in how many episodes if not in all alike."""
+    counts = Counter(episode.path_source for episode in suite.episodes)
+    told = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    if len(told) == 1:
+        words = PATH_WORDS[told[0][0]]
+    else:
+        words = "; ".join(f"in {n:,} episodes {PATH_WORDS[source]}" for source, n in told)
+    return f"nDTW and SDTW, by exact DTW: {words}"
+
+
 def protocol_card(
     suite: Suite, card: PolicyCard, code: str, backend: str = "auto"
 ) -> tuple[tuple[str, str], ...]:
@@ -113,6 +135,7 @@ def protocol_card(
         ("success", f"STOP at a walking distance < {radius:g} m; equality is a failure"),
         ("oracle success", f"walking distance < {radius:g} m at any pose, start included"),
         ("distances", "geodesic: any-angle shortest path on the agent's inflated map"),
+        ("reference path", describe_paths(suite)),
         (
             "navigation error",
             "both are reported; profile "

@@ -85,6 +85,7 @@ class MissionFollow(msgspec.Struct, frozen=True, kw_only=True, tag="follow"):
     human: str
 
 
+PathSource = Literal["", "truth", "file", "resampled"]
 Mission = MissionGoal | MissionInstruction | MissionFollow
 
 
@@ -125,12 +126,15 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
         scene_id: the scene it belongs to.
         mission: what to do.
         start: pose at reset.
-        path: reference path [(x, y) m], start first, goal last.
+        path: reference path [(x, y) m] that nDTW scores, start first; our own end at the goal.
         split: train, val, test, …
         seed: seed of everything random in this episode.
         agent: embodiment it was planned for.
         path_id: the path it was made of: missions of one path share it; "" when not known.
         light: how the scene is lit in this episode; None as it was made.
+        path_source: where an imported path comes from: "truth", a set's dense ground truth as it
+            stands; "file", its path as it stands, points at most 0.25 m apart; "resampled", its
+            sparse nodes joined by straight lines. "" when the path is our own.
     """
 
     id: str
@@ -143,6 +147,7 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
     agent: AgentSpec = AgentSpec()
     path_id: str = ""
     light: LightCondition | None = None
+    path_source: PathSource = ""
 
     @property
     def start_pose(self) -> Pose2D:

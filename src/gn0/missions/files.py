@@ -11,7 +11,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast, get_args
 
 import msgspec
 import numpy as np
@@ -30,6 +30,7 @@ from gn0.missions.episode import (
     MissionFollow,
     MissionGoal,
     MissionInstruction,
+    PathSource,
     check_episode,
 )
 from gn0.missions.paths import rasterise_path
@@ -90,6 +91,7 @@ LATER_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
     ("style", _TEXT, ""),
     ("light", _TEXT, ""),  # JSON of a LightCondition; "" as the scene was made
     ("goal_picture", _TEXT, ""),  # JSON of a GoalPicture; "" where none is recorded
+    ("path_source", _TEXT, ""),  # see `Episode.path_source`
 )
 _SCHEMA = pa.schema(
     [
@@ -232,6 +234,7 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "style": mission.style if isinstance(mission, MissionInstruction) else "",
         "light": "" if episode.light is None else msgspec.json.encode(episode.light).decode(),
         "goal_picture": _encoded(mission.picture if isinstance(mission, MissionGoal) else None),
+        "path_source": episode.path_source,
     }
 
 
@@ -428,7 +431,19 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
         ),
         path_id=cells["path_id"],
         light=_light(cells["light"]),
+        path_source=_path_source(cells["path_source"]),
     )
+
+
+def _path_source(text: str) -> PathSource:
+    known = get_args(PathSource)
+    if text not in known:
+        raise EpisodeError(
+            f"path_source {text!r:.40} is unknown",
+            where="column 'path_source'",
+            remedy="leave it empty, or give " + ", ".join(known[1:]),
+        )
+    return cast(PathSource, text)
 
 
 def _light(text: str) -> LightCondition | None:
@@ -517,7 +532,7 @@ def episodes_digest_bytes(episodes: Sequence[Episode]) -> bytes:
     return msgspec.json.encode(plain, order="deterministic")
 
 
-_LATER = ("path_id", "light")
+_LATER = ("path_id", "light", "path_source")
 _LATER_OF_MISSION: dict[str, tuple[str, ...]] = {
     "goal": ("picture",),
     "instruction": ("object_id", "category", "style"),

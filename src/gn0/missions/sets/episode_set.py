@@ -17,15 +17,18 @@ import msgspec
 import numpy as np
 
 from gn0.errors import ConfigError, EpisodeError, FormatError
+from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import (
     AgentSpec,
     Episode,
     MissionGoal,
     MissionInstruction,
+    PathSource,
     check_episode,
 )
 from gn0.missions.frames import Placement
+from gn0.missions.paths import SPACING, densify_path
 from gn0.plugins import get_plugin, plugin_names
 
 Point = tuple[float, float]
@@ -41,7 +44,8 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
         instruction: the text that the format gives to an agent.
         start: x, y [m], yaw [rad].
         goal: x, y [m]; None where the file keeps it secret.
-        path: reference path [m], start first.
+        path: reference path [m] as the format gives it, start first.
+        truth: dense ground truth [m] where the format has one, start first.
         heights: lowest and highest floor height [m] of start, goal and path.
         object_id, category: the target of a goal task.
         split: the file's own division, "" for none.
@@ -60,6 +64,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
     category: str = ""
     split: str = ""
     number: int = 0
+    truth: tuple[Point, ...] = ()
 
     @property
     def points(self) -> np.ndarray:
@@ -224,6 +229,9 @@ def find_placement(exporter: Exporter, grid: OccupancyGrid, name: str) -> Placem
 def place_task(task: Task, placement: Placement, agent: AgentSpec, split: str = "") -> Episode:
     """The task as an episode of its scene, in the world frame.
 
+    Its path, which nDTW and SDTW score, is the dense ground truth as it stands where the format has
+    one; else the format's path, with points at most 0.25 m apart.
+
     Raises:
         EpisodeError: no goal is known, the instruction is empty, or a value is not finite.
     """
@@ -231,7 +239,7 @@ def place_task(task: Task, placement: Placement, agent: AgentSpec, split: str = 
     if task.goal is None:
         raise EpisodeError("has no goal: it cannot be scored", where=where)
     (x, y), goal = placement.points([task.start[:2], task.goal]).tolist()
-    path = placement.points(task.path).tolist() or [[x, y], goal]
+    path, source = _scored_path(task, placement, [[x, y], goal])
     mission: MissionGoal | MissionInstruction
     place = (goal[0], goal[1])
     if task.kind == "goal":
@@ -249,9 +257,24 @@ def place_task(task: Task, placement: Placement, agent: AgentSpec, split: str = 
             scene_id=task.scene,
             mission=mission,
             start=(x, y, placement.yaw(task.start[2])),
-            path=tuple((px, py) for px, py in path),
+            path=tuple((px, py) for px, py in path.tolist()),
             split=split or task.split or "test",
             seed=task.number,
             agent=agent,
+            path_source=source,
         )
     )
+
+
+def _scored_path(
+    task: Task, placement: Placement, ends: list[list[float]]
+) -> tuple[F64, PathSource]:
+    """The path [N, 2] m of an episode, and where it comes from."""
+    if task.truth:
+        return placement.points(task.truth), "truth"
+    path = placement.points(task.path) if task.path else np.array(ends, np.float64)
+    gaps = np.hypot(*np.diff(path, axis=0).T) if len(path) > 1 else np.zeros(0)
+    # what is not finite is refused with the episode
+    if not np.isfinite(gaps).all() or gaps.max(initial=0.0) <= SPACING + 1e-6:
+        return path, "file"
+    return densify_path(path), "resampled"

@@ -121,7 +121,9 @@ class ExporterVlnce:
         notes = []
         if beside.is_file():
             truth = load_exact(beside)
-            notes = _check_truth(truth, tasks, beside)
+            known = _read_truth(truth, beside)
+            notes = _compare_truth(known, tasks)
+            tasks = tuple(_with_truth(task, known.get(task.id)) for task in tasks)
         else:
             notes = [f"no ground truth {beside.name} beside it"]
         name = path.name.removesuffix(".gz").removesuffix(".json")
@@ -232,7 +234,15 @@ def _task(record: Any, number: int, file: Path) -> Task:
     )
 
 
-def _check_truth(truth: Any, tasks: Sequence[Task], file: Path) -> list[str]:
+def _with_truth(task: Task, truth: _Truth | None) -> Task:
+    """The task with the positions that upstream's NDTW compares with, seen from above."""
+    if truth is None or not truth.locations:
+        return task
+    points = habitat_to_world(truth.locations)[:, :2].tolist()
+    return msgspec.structs.replace(task, truth=tuple((x, y) for x, y in points))
+
+
+def _read_truth(truth: Any, file: Path) -> dict[str, _Truth]:
     try:
         known = msgspec.convert(truth, dict[str, _Truth])
     except msgspec.ValidationError as error:
@@ -246,6 +256,10 @@ def _check_truth(truth: Any, tasks: Sequence[Task], file: Path) -> list[str]:
                 field="forward_steps",
                 remedy="restore the file",
             )
+    return known
+
+
+def _compare_truth(known: Mapping[str, _Truth], tasks: Sequence[Task]) -> list[str]:
     ids = {task.id for task in tasks}
     lacking, strange = len(ids - set(known)), len(set(known) - ids)
     notes = [f"ground truth of {len(ids) - lacking} of {len(ids)} episodes"]

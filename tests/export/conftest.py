@@ -10,7 +10,7 @@ import pytest
 from gn0.export.exporter import ExportSettings
 from gn0.export.session import run_export
 from gn0.export.trips import ExportSource
-from gn0.testing.toy_trips import toy_source
+from gn0.testing.toy_trips import toy_source, toy_source_for
 
 FAST = ExportSettings(views=("n1_60cm_30deg",), spacing=0.2)
 
@@ -22,16 +22,14 @@ def short_source() -> ExportSource:
 
 
 @pytest.fixture(scope="session")
-def exported(
-    short_source: ExportSource, tmp_path_factory: pytest.TempPathFactory
-) -> Callable[[str], Path]:
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """An export of the short trips by format; do not write to it."""
     done: dict[str, Path] = {}
 
     def export(format: str) -> Path:
         if format not in done:
             done[format] = tmp_path_factory.mktemp("export") / format
-            run_export(short_source, format, done[format], FAST)
+            run_export(toy_source_for(format, 1, longest=9), format, done[format], FAST)
         return done[format]
 
     return export

@@ -31,6 +31,7 @@ def test_gn_bench_is_vertical_seventy() -> None:
         ("vlnce", (224, 224), 90, 15),
         ("vlnce_rxr", (640, 480), 79, 30),
         ("streamvln", (640, 480), 79, 15),
+        ("navid", (640, 480), 90, 30),
         ("uninavid", (640, 480), 120, 30),
         ("sage", (640, 480), 90, 15),
         ("datagen", (960, 720), 86.067, 15),

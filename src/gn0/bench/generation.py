@@ -58,6 +58,7 @@ from gn0.config import load_json
 from gn0.errors import EpisodeError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec
 from gn0.missions.files import read_table, save_episodes
 from gn0.missions.generate.judge import REASONS
 from gn0.missions.generate.missions import build_missions, count_missions
@@ -101,7 +102,8 @@ def generate_missions(
     seed: int = 0,
     split: str = "test",
     name: str = "",
-    camera: str = "gn_bench",
+    camera: str = "",
+    agent: str = "",
     against: Sequence[Path | str] = (),
     language_options: Mapping[str, Any] | None = None,
     workers: int = 1,
@@ -120,7 +122,9 @@ def generate_missions(
         seed: root seed.
         split: of scenes whose folder does not say it.
         name: of the suite; by default the folder's name.
-        camera: camera preset by name; decides the body too.
+        camera: camera preset by name, which decides the body too; "" means the agent's own, else
+            gn_bench.
+        agent: preset by name whose body walks; "" means the camera's.
         against: earlier generations (or suites) whose paths are not to come again.
         language_options: for the language provider.
         workers: processes; never changes a byte.
@@ -141,7 +145,9 @@ def generate_missions(
     options = dict(language_options or {})
     open_provider(settings.language, **options)  # a wrong option is told before the work begins
     earlier = load_earlier(against, {entry.id: entry.hash for entry in entries})
-    request = _describe(entries, out, settings, seed, name, camera, options, earlier)
+    camera = camera or agent or "gn_bench"
+    body = find_preset(agent or camera).agent
+    request = _describe(entries, out, settings, seed, name, camera, body, options, earlier)
     if overwrite:
         clear_folder(out, request)
     manifest = find_finished(out, request)
@@ -160,6 +166,7 @@ def _describe(
     seed: int,
     name: str,
     camera: str,
+    body: AgentSpec,
     options: Mapping[str, Any],
     earlier: EarlierPaths,
 ) -> GenerationRequest:
@@ -169,7 +176,7 @@ def _describe(
         name=name or out.resolve().name,
         seed=int(seed),
         camera=camera,
-        agent=find_preset(camera).agent,
+        agent=body,
         settings=settings,
         language_options={
             k: Path(str(v)).name if k == "path" else str(v)

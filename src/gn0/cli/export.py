@@ -35,6 +35,8 @@ class Args(Config, frozen=True):
         every: a question at every so-many-th decision (navid, uninavid, navila).
         spacing: metres between frames of a navdp trajectory; 0 means the dataset's own poses.
         views: camera presets of an interndata-n1 export.
+        merge_turns: put finer turns together into the 30° of navid and uninavid; what is left over
+            is dropped and counted.
         name: name of the data in ids and paths of the format.
         exact: render pictures again, also where the dataset's cache has them.
     """
@@ -50,6 +52,7 @@ class Args(Config, frozen=True):
     every: int = 1
     spacing: float = 0.0625
     views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
+    merge_turns: bool = False
     name: str = "gn0"
     exact: bool = False
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 EXAMPLES = """  gn0 missions generate out/flat out/house --per-scene 100 --out out/missions
   gn0 missions generate out/corpus --workers 2 --lights 4 --out out/missions
   gn0 missions generate out/flat --missions goal --against out/missions --seed 1 --out out/more
+  gn0 missions generate out/flat --agent navid --out out/turns-of-30
   gn0 missions generate out/flat --spec measures.yaml --out out/strict"""
 
 
@@ -69,7 +70,9 @@ class Args(Config, frozen=True):
         language_options: of the language provider, as name=value: model=… base_url=… for openai,
             path=… for replay.
         spec: a YAML or JSON file of settings, in the words of request.settings in manifest.json.
-        camera: name of a camera preset.
+        agent: name of a preset whose body walks: navid for turns of 30°; its camera too, unless
+            --camera names another.
+        camera: name of a camera preset (gn_bench); its body too, unless --agent names another.
         name: of the suite; by default the folder's name.
         workers: processes.
         executor: processes of this machine, or a Ray cluster.
@@ -109,7 +112,8 @@ class Args(Config, frozen=True):
     language: Annotated[str | None, _optional("NAME")] = None
     language_options: tuple[str, ...] = ()
     spec: str = ""
-    camera: str = "gn_bench"
+    agent: Annotated[str, _optional("NAME")] = ""
+    camera: Annotated[str, _optional("NAME")] = ""
     name: str = ""
     workers: Annotated[int, msgspec.Meta(ge=1)] = 1
     executor: Literal["process", "ray"] = "process"
@@ -189,6 +193,7 @@ def run(args: Args) -> int:
             split=args.split,
             name=args.name,
             camera=args.camera,
+            agent=args.agent,
             against=args.against,
             language_options=options,
             workers=args.workers,

@@ -37,6 +37,8 @@ class ExportSettings(Config, frozen=True):
         every: a sample at every so-many-th decision (NaVid, Uni-NaVid, NaVILA).
         spacing: metres between frames of a NavDP trajectory; 0 means the dataset's own poses.
         views: camera presets of an InternData-N1 export.
+        merge_turns: put finer turns together for formats that turn by 30° (NaVid, Uni-NaVid); what
+            is left over is dropped and counted.
         name: name of the data in ids and paths of the format.
     """
 
@@ -48,6 +50,7 @@ class ExportSettings(Config, frozen=True):
     every: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1
     spacing: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0625
     views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
+    merge_turns: bool = False
     name: str = "gn0"
 
     def __post_init__(self) -> None:
@@ -142,7 +145,11 @@ class DatasetExporter(Protocol):
     scratch: str
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
-        """Why the format cannot hold a trip, in a few words that can be counted; "" if it can."""
+        """Why the format cannot hold a trip, in a few words that can be counted; "" if it can.
+
+        Raises:
+            DataError: the format has no use for walks of this body at all; says what to do.
+        """
         ...
 
     def poses(self, trip: Trip, settings: ExportSettings) -> F64:

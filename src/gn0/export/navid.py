@@ -1,9 +1,11 @@
 """NaVid and Uni-NaVid: conversations about the video of all that was seen so far.
 
 NaVid answers with one action and its amount, Uni-NaVid with the next four words out of forward,
-left, right and stop. Both know a navigation question by the fixed phrase "a video of historical
-observations and an image of the current observation", so the question is asked in their words. A
-clip is encoded once and cut for each question; one frame is one second, as their readers sample it.
+left, right and stop. Both turn by 30° and step by 0.25 m: NaVid's agent does `int(degrees / 30)`
+turns, at most three, and takes a random action where that is none (jzhzhang/NaVid-VLN-CE @cf066cc,
+`navid_agent.py` 333 to 353). So walks must be of such a body, or turns are merged, and what is left
+over of them is counted. The question is the text that their agents ask; one frame is one second,
+as their readers sample it (`video_fps` 1).
 """
 
 from __future__ import annotations
@@ -16,21 +18,23 @@ from pathlib import Path
 
 import msgspec
 
-from gn0.errors import FormatError
+from gn0.errors import DataError, FormatError
 from gn0.export.clips import cut_clip, encode_frames, inspect_clip, read_clip
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import load_names, name_of, save_names
-from gn0.export.trips import FORWARD, LEFT, RGB, RIGHT, Frame, Recovered, Trip
+from gn0.export.trips import FORWARD, LEFT, RGB, RIGHT, STOP, Frame, Recovered, Trip
 from gn0.export.words import WORD, CoarseMove, coarsen_turns, fits_turns, merge_amounts
 from gn0.geometry import F64
 from gn0.storage import safe_join, write_bytes
 
-ANNOTATIONS, VIDEOS = "annotations.json", "nav_videos"
-MARK = "a video of historical observations"  # what their loaders look for
+ANNOTATIONS, VIDEOS, ABOUT = "annotations.json", "nav_videos", "gn0_navid.json"
+# their loaders know a navigation task by this
+MARK = "a video of historical observations and an image of the current observation"
+# `<image>` stands inside the text in their agents and is taken to its front, which leaves a space
 QUESTION = (
     "<image>\nImagine you are a robot programmed for navigation tasks. You have been given a video "
-    "of historical observations and an image of the current observation. Your assigned task is: "
+    "of historical observations and an image of the current observation . Your assigned task is: "
     "'{}'. "
 )
 NAVID_ASKS = (
@@ -41,14 +45,20 @@ UNINAVID_ASKS = (
     "Analyze this series of images to determine your next four actions. The predicted action "
     "should be one of the following: forward, left, right, or stop."
 )
+FPS = 1
 AHEAD = 4
-TURN = 30.0  # degrees of Uni-NaVid's left and right
+STEP, TURN, MOST = 0.25, 30.0, 3  # m, degrees, moves of one answer
 _TASK = re.compile(r"Your assigned task is: '(.*)'\. Analyze", re.DOTALL)
 _AMOUNT = re.compile(
-    r"The next action is (?:move forward (\d+(?:\.\d+)?) cm|"
-    r"turn (left|right) (\d+(?:\.\d+)?) degrees|(stop))\."
+    r"The next action is (?:move (forward) (\d+) cm|turn (left|right) (\d+) degrees|(stop))\."
 )
 _WORDS = re.compile(r"(forward|left|right|stop)( (forward|left|right|stop)){3}")
+
+
+class About(msgspec.Struct):
+    """What the files have no place for: whether turns were merged."""
+
+    merged: bool = False
 
 
 class Turn(msgspec.Struct, rename={"who": "from"}):
@@ -70,11 +80,26 @@ class _Conversations(OwnPoses, ABC):
     """What both formats share: clips, entries, checks."""
 
     name = ""
+    program = ""
     asks = ""
     answer = _WORDS
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
-        """A walk without an end has no last answer."""
+        """Steps that their words cannot say; a walk without an end, which has no last answer."""
+        agent = trip.episode.agent
+        if abs(agent.turn_degrees - TURN) > 1e-6 and not settings.merge_turns:
+            raise DataError(
+                f"the walks turn by {agent.turn_degrees:g}°, {self.program} by {TURN:g}°: its "
+                "agent would take other actions than these",
+                where=f"episode {trip.episode.id!r}",
+                remedy=f"walk again: `gn0 missions generate SCENE --agent {self.name} --out "
+                "MISSIONS` and `gn0 data build MISSIONS --out DATA`; or give --merge-turns, which "
+                "drops and counts what is left over of a turn",
+            )
+        if not fits_turns(trip, TURN):
+            return "turns of which 30° cannot be made"
+        if abs(agent.forward_step - STEP) > 1e-9:
+            return "steps other than 0.25 m"
         return "" if trip.stopped else "it did not end with STOP"
 
     def poses(self, trip: Trip, settings: ExportSettings) -> F64:
@@ -82,24 +107,26 @@ class _Conversations(OwnPoses, ABC):
         return trip.poses[self.shown(trip)]
 
     def shown(self, trip: Trip) -> list[int]:
-        """Poses whose pictures the clips hold."""
-        return list(range(trip.frames))
+        """Where a move of theirs begins, and the end: what their agents see."""
+        coarse, _ = coarse_moves(trip)
+        return [*(step.pose for step in coarse), trip.frames - 1]
 
     @abstractmethod
-    def answers(self, trip: Trip) -> tuple[list[tuple[int, str]], dict[str, int]]:
-        """(frames shown, answer) of each decision, and what was counted."""
+    def answers(self, moves: Sequence[int]) -> list[tuple[int, str]]:
+        """(frames shown, answer) of each decision."""
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """The clips of an episode: one a question."""
         settings, episode = job.settings, trip.episode
-        answers, notes = self.answers(trip)
+        coarse, lost = coarse_moves(trip)
+        answers = self.answers([step.move for step in coarse])
         last = len(answers) - 1
         asked = [a for n, a in enumerate(answers) if n % settings.every == 0 or n == last]
         shown = set(self.shown(trip))
         seen = job.source.frames(trip, settings.preset(job.source), RGB)
         clip = encode_frames(
             (f.rgb for n, f in enumerate(seen) if n in shown and f.rgb is not None),
-            settings.fps or 1,
+            FPS,
         )
         talks = []
         for frames, answer in asked:
@@ -116,42 +143,57 @@ class _Conversations(OwnPoses, ABC):
                     ],
                 }
             )
-        return {"gn0": name_of(trip), "talks": talks, "notes": {"questions": len(asked), **notes}}
+        notes = {"questions": len(asked)}
+        if lost:
+            notes[f"single {episode.agent.turn_degrees:g}° turns without a word"] = lost
+        merged = len(coarse) != len(trip.moves)
+        return {"gn0": name_of(trip), "talks": talks, "notes": notes, "merged": merged}
 
     def finish(self, records: Sequence[Record], job: Job) -> None:
         """`annotations.json`."""
         talks = [msgspec.convert(talk, Talk) for record in records for talk in record["talks"]]
         write_bytes(job.folder / ANNOTATIONS, msgspec.json.encode(talks))
+        about = About(merged=any(record["merged"] for record in records))
+        write_bytes(job.folder / ABOUT, msgspec.json.encode(about) + b"\n")
         save_names(job.folder, records)
 
     def check(self, folder: Path) -> list[str]:
-        """Whether each entry switches to navigation, answers in words it knows, has its clip."""
+        """The rules of their loaders and agents: question, answer, clip, rate, sizes."""
         faults = Faults()
         talks: list[Talk] = []
         with faults.guard():
             talks = load_typed(folder / ANNOTATIONS, list[Talk])
         faults.expect(len({t.id for t in talks}) == len(talks), "an id appears twice")
-        sizes, rates = set(), set()
+        sizes = set()
         for talk in talks:
             where = f"{ANNOTATIONS}, {talk.id!r}"
             with faults.guard():
                 _, frames = _parts(talk, folder)
                 question, answer = _sides(talk, folder)
+                faults.expect("NAV_ID" in talk.id, f"{where}: the id lacks NAV_ID")
                 faults.expect(MARK in question, f"{where}: the question lacks {MARK!r}")
-                faults.expect(question.startswith("<image>\n"), f"{where}: no <image> at the start")
                 faults.expect(
-                    self.answer.fullmatch(answer) is not None, f"{where}: answer {answer!r}"
+                    question.count("<image>") == 1, f"{where}: the question has not one <image>"
                 )
+                wrong = self.misread(answer)
+                faults.expect(not wrong, f"{where}: answer {answer!r:.80}: {wrong}")
                 facts = inspect_clip(safe_join(folder, talk.video))
                 faults.expect(
                     facts.frames == frames,
                     f"{where}: {facts.frames} frames in {talk.video}, {frames} were seen",
                 )
+                faults.expect(
+                    abs(facts.fps - FPS) < 0.5,
+                    f"{where}: {facts.fps:g} frames a second; of its scripts' video_fps 1 follows "
+                    f"that one in {max(round(facts.fps), 1)} is seen",
+                )
                 sizes.add((facts.width, facts.height))
-                rates.add(facts.fps)
         faults.expect(len(sizes) <= 1, "videos of several sizes")
-        faults.expect(len(rates) <= 1, "videos of several frame rates")
         return faults.told()
+
+    def misread(self, answer: str) -> str:
+        """What their agent would make of an answer, where it is not what the answer says."""
+        return "" if self.answer.fullmatch(answer) else "not in its words"
 
     def load(self, folder: Path) -> list[Recovered]:
         """Read it back."""
@@ -159,6 +201,7 @@ class _Conversations(OwnPoses, ABC):
         for talk in load_typed(folder / ANNOTATIONS, list[Talk]):
             groups.setdefault(_parts(talk, folder)[0], []).append(talk)
         names = load_names(folder, len(groups))
+        merged = load_typed(folder / ABOUT, About).merged
         found = []
         for name, talks in zip(names, groups.values(), strict=True):
             longest = max(talks, key=lambda talk: _parts(talk, folder)[1])
@@ -173,7 +216,7 @@ class _Conversations(OwnPoses, ABC):
                     scene=name.scene,
                     instruction=task[1],
                     frames=_parts(longest, folder)[1],
-                    moves=self.moves(labels),
+                    moves=None if merged else self.moves(labels),
                     labels=labels,
                     picture=lambda pose, path=path: Frame(read_clip(path, pose, 1)[0], None),  # type: ignore[misc]
                 )
@@ -189,27 +232,40 @@ class ExporterNaVid(_Conversations):
     """NaVid; see the module."""
 
     name = "navid"
+    program = "NaVid"
     title = "NaVid conversations (one action with its amount)"
     reader = "NaVid: its LLaMA-VID style supervised data, `video_folder` set to this folder"
-    frame = "no coordinates: pictures and amounts in cm and degrees"
+    frame = "no coordinates: pictures and amounts in cm (of 25) and degrees (of 30)"
     asks = NAVID_ASKS
     answer = _AMOUNT
 
-    def answers(self, trip: Trip) -> tuple[list[tuple[int, str]], dict[str, int]]:
+    def answers(self, moves: Sequence[int]) -> list[tuple[int, str]]:
         """Moves put together, up to three."""
-        agent = trip.episode.agent
-        found = merge_amounts(trip.moves.tolist(), agent.forward_step, agent.turn_degrees)
-        return [(d.pose + 1, f"The next action is {d.answer}.") for d in found], {}
+        found = merge_amounts(moves, STEP, TURN, MOST)
+        return [(d.pose + 1, f"The next action is {d.answer}.") for d in found]
+
+    def misread(self, answer: str) -> str:
+        """See `_Conversations.misread`."""
+        match = _AMOUNT.fullmatch(answer)
+        if match is None:
+            return "not in its words"
+        if match[5]:
+            return ""
+        amount, unit = (int(match[2]), 25) if match[1] else (int(match[4]), 30)
+        done = min(MOST, amount // unit)
+        if not done:
+            return "no whole step, so its agent takes a random action"
+        return "" if done * unit == amount else f"its agent does {done * unit}"
 
     def moves(self, labels: Sequence[tuple[int, str]]) -> tuple[int, ...] | None:
-        """What the answers say; None where some were not asked, or of steps other than ours."""
+        """What the answers say; None where some were not asked."""
         found: list[int] = []
         for (begin, answer), (end, _) in pairwise(labels):
             match = _AMOUNT.fullmatch(answer)
-            if match is None or match[4]:
+            if match is None or match[5]:
                 return None
-            move = FORWARD if match[1] else {"left": LEFT, "right": RIGHT}[match[2]]
-            amount = float(match[1]) / 25 if match[1] else float(match[3]) / 15
+            move = FORWARD if match[1] else {"left": LEFT, "right": RIGHT}[match[3]]
+            amount = int(match[2]) / 25 if match[1] else int(match[4]) / 30
             if abs(amount - (end - begin)) > 1e-6:
                 return None
             found += [move] * (end - begin)
@@ -217,34 +273,24 @@ class ExporterNaVid(_Conversations):
 
 
 class ExporterUniNaVid(_Conversations):
-    """Uni-NaVid; see the module. Its turns are of 30°: two of 15° are one word."""
+    """Uni-NaVid; see the module."""
 
     name = "uninavid"
+    program = "Uni-NaVid"
     title = "Uni-NaVid conversations (the next four actions)"
     reader = "Uni-NaVid, finetuning: `data_path` annotations.json, `video_folder` this folder"
     frame = "no coordinates: pictures and words (forward 0.25 m, left and right 30°)"
     asks = UNINAVID_ASKS
 
-    def why_not(self, trip: Trip, settings: ExportSettings) -> str:
-        """Turns that 30° cannot be made of."""
-        if not fits_turns(trip, TURN):
-            return "turns of which 30° cannot be made"
-        return super().why_not(trip, settings)
-
-    def _coarse(self, trip: Trip) -> tuple[list[CoarseMove], int]:
-        return coarsen_turns(trip.moves.tolist(), trip.episode.agent.turn_degrees, TURN)
-
-    def shown(self, trip: Trip) -> list[int]:
-        """Where a word begins, and the end."""
-        coarse, _ = self._coarse(trip)
-        return [*(step.pose for step in coarse), trip.frames - 1]
-
-    def answers(self, trip: Trip) -> tuple[list[tuple[int, str]], dict[str, int]]:
+    def answers(self, moves: Sequence[int]) -> list[tuple[int, str]]:
         """The next four words at each, filled up with stop."""
-        coarse, lost = self._coarse(trip)
-        words = [WORD[step.move] for step in coarse] + [WORD[0]] * AHEAD
-        answers = [(n + 1, " ".join(words[n : n + AHEAD])) for n in range(len(coarse) + 1)]
-        return answers, {"single 15° turns without a word": lost} if lost else {}
+        words = [WORD[move] for move in moves] + [WORD[STOP]] * AHEAD
+        return [(n + 1, " ".join(words[n : n + AHEAD])) for n in range(len(moves) + 1)]
+
+
+def coarse_moves(trip: Trip) -> tuple[list[CoarseMove], int]:
+    """The moves in turns of 30°, and how many finer turns are left over."""
+    return coarsen_turns(trip.moves.tolist(), trip.episode.agent.turn_degrees, TURN)
 
 
 def _parts(talk: Talk, folder: Path) -> tuple[int, int]:

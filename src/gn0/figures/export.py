@@ -22,7 +22,7 @@ from gn0.missions.sets.json_file import load_exact
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.testing.check_dataset_exporter import PICTURE_TOLERANCE, picture_difference
-from gn0.testing.toy_trips import toy_source
+from gn0.testing.toy_trips import toy_source, toy_source_for
 
 REAL = "vln/R2R_VLNCE_v1-2_preprocessed"
 EPISODES = 4
@@ -71,13 +71,13 @@ def _round_trip(
 def measure_round_trips(ctx: FigureContext) -> list[FigureRow]:
     """Each format written, checked, read back and compared field by field."""
     rows: list[FigureRow] = []
-    flat, settings = _flat(ctx), ExportSettings()
+    flat, settings = _flat(ctx), ExportSettings(merge_turns=True)
     names = dataset_exporter_names()
     for done, name in enumerate(names):
         ctx.progress("formats", done, len(names))
         sums = [0, 0, 0]
         seconds = colour = 0.0
-        for kind, source in (("toy", toy_source()), ("flat", flat)):
+        for kind, source in (("toy", toy_source_for(name)), ("flat", flat)):
             out = ctx.work / f"{kind}-{name}"
             *counts, spent, off = _round_trip(source, name, out, settings)
             sums = [a + b for a, b in zip(sums, counts, strict=True)]

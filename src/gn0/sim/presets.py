@@ -126,6 +126,10 @@ _PRESETS = (
         "streamvln", (640, 480), 79.0, agent=_VLNCE_EYE, background=BLACK, note="eye at 1.25 m"
     ),
     _with_hfov(
+        "navid", (640, 480), 90.0, agent=AgentSpec(camera_height=1.25, turn_degrees=30.0),
+        background=BLACK, note="eye at 1.25 m; the original lets the agent slide along walls",
+    ),
+    _with_hfov(
         "uninavid", (640, 480), 120.0, agent=AgentSpec(camera_height=1.25, turn_degrees=30.0),
         background=BLACK, note="picture 640x480 and eye at 1.25 m chosen by us",
     ),

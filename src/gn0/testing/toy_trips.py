@@ -85,7 +85,7 @@ def _colour(depth: F32) -> U8:
 
 
 def build_toy_trips(
-    count: int = 3, seed: int = 0, scenes: int = 2, longest: int = 0
+    count: int = 3, seed: int = 0, scenes: int = 2, longest: int = 0, turn: float = 15.0
 ) -> tuple[list[Trip], dict[str, OccupancyGrid]]:
     """Trips in small floor plans: two splits, two missions on the first path of each plan.
 
@@ -94,6 +94,7 @@ def build_toy_trips(
         seed: of plans and episodes.
         scenes: how many plans.
         longest: only the last so many poses of each trip; 0 means all.
+        turn: angle of a turn [degrees].
     """
     trips: list[Trip] = []
     grids: dict[str, OccupancyGrid] = {}
@@ -115,7 +116,8 @@ def build_toy_trips(
         for episode in [*episodes, pair][:count]:
             split = "train" if number == 0 else "test"
             path = f"path-{episode.id.removesuffix('-again')}"
-            own = replace(episode, split=split, path_id=path)
+            body = replace(episode.agent, turn_degrees=turn)
+            own = replace(episode, split=split, path_id=path, agent=body)
             trip = _walk(own, navigation)
             trips.append(_end_of(trip, longest) if 0 < longest < trip.frames else trip)
     return trips, grids
@@ -154,6 +156,14 @@ def build_toy_source(trips: Sequence[Trip], grids: dict[str, OccupancyGrid]) -> 
 
 
 @cache
-def toy_source(count: int = 3, seed: int = 0, longest: int = 0) -> ExportSource:
+def toy_source(count: int = 3, seed: int = 0, longest: int = 0, turn: float = 15.0) -> ExportSource:
     """The same source for all who ask; nothing in it changes."""
-    return build_toy_source(*build_toy_trips(count, seed, longest=longest))
+    return build_toy_source(*build_toy_trips(count, seed, longest=longest, turn=turn))
+
+
+TURNS_OF_30 = ("navid", "uninavid")  # formats of agents that turn by 30°
+
+
+def toy_source_for(format: str, count: int = 3, seed: int = 0, longest: int = 0) -> ExportSource:
+    """The same, walked by the body that a format is for."""
+    return toy_source(count, seed, longest, turn=30.0 if format in TURNS_OF_30 else 15.0)

@@ -7,7 +7,7 @@ of a run's identity: numbers of two profiles are never compared by accident.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from gn0.maps.release import MARGINS
 from gn0.missions.episode import AgentSpec
@@ -18,79 +18,119 @@ RELEASE: Profile = "gn0-release"
 RELEASE_STEPS = 500
 _DISCS = ", ".join(map(str, MARGINS))
 
-# (what, default, gn0-release): every difference by name; the tests know each of them
-DIFFERENCES: tuple[tuple[str, str, str], ...] = (
-    (
+OFFICIAL = "GN0 87ea953"  # TeleHuman/GN0, 2026-07-14
+FORK = (
+    "GN-Bench-Tools 64a00cb, which GN0 pinned at 76b13d7: from a public fork, the pinned submodule "
+    "is not public"
+)
+
+
+class Difference(NamedTuple):
+    """One thing that `gn0-release` does otherwise: what, both ways, and where theirs was read."""
+
+    what: str
+    default: str
+    release: str
+    source: str
+
+    @property
+    def told(self) -> str:
+        """The release's way with its source, as the protocol card says it."""
+        return f"{self.release} ({self.source})"
+
+
+# every difference by name; the tests know each of them
+DIFFERENCES: tuple[Difference, ...] = (
+    Difference(
         "camera",
         "what the suite says, hfov and vfov by name",
         "gn_bench: 480×360, its 'HFOV: 70' is used as the vertical angle (hfov 86.07°)",
+        f"the 70 in {OFFICIAL}, bae_InteriorGS_test_seen.yaml; the angle in {FORK}",
     ),
-    (
+    Difference(
         "body",
         "a disc in metres; beyond the map is wall",
         f"a margin in pixels ({MARGINS[-1]} px for motion); the map's edge is no wall",
+        FORK,
     ),
-    (
+    Difference(
         "unfit places",
         "an episode with a blocked start or goal, or no way between them, is refused and named",
         "every episode is run; for distances a blocked start or goal is moved to the nearest "
         "passable pixel by square rings; an agent on blocked ground cannot leave it",
+        FORK,
     ),
-    (
+    Difference(
         "collision",
         "a move is cut at the first blocked cell; no slipping between two cells that touch",
         "Bresenham over pixels, cut in the centre of the last free pixel, also between two pixels "
         "that touch in a corner; no test within one pixel",
+        FORK,
     ),
-    (
+    Difference(
         "distances",
         "any-angle shortest path on the agent's map",
         f"octile pixel paths: A* with margins {_DISCS} px in turn, lines of sight at "
         f"{MARGINS[0]} px, drawn by Bresenham; up to 8 % longer than straight",
+        FORK,
     ),
-    (
+    Difference(
         "the harness",
         "never acts for the agent",
         "sends STOP after more than 25 checks of unchanged distance; that STOP may score a success "
         "(counted and logged per episode)",
+        f"{OFFICIAL}, run.py",
     ),
-    (
+    Difference(
         "no action",
         "a policy that returns none loses its episode, by name",
         "read as STOP (counted per episode)",
+        f"{OFFICIAL}, bae_agent.py and remote_nav_agent.py",
     ),
-    (
+    Difference(
         "success",
         "STOP by the agent at a walking distance < 3.0 m",
         "STOP, said or forced, at 0 < distance < 3.0 m: in the goal's own pixel it is a failure",
+        FORK,
     ),
-    (
+    Difference(
         "oracle success",
         "walking distance < 3.0 m at any pose",
-        "octile distance < 3.0 m at any pose since the agent last stood in the goal's own pixel",
+        "octile distance < 3.0 m at any pose, the goal's own pixel included (76b13d7 forgot it "
+        "there)",
+        f"{OFFICIAL}, measures.py, since a87e567",
     ),
-    ("SPL", "any-angle shortest / max(shortest, TL)", "octile shortest / max(shortest, TL)"),
-    (
+    Difference(
+        "SPL",
+        "any-angle shortest / max(shortest, TL)",
+        "octile shortest / max(shortest, TL)",
+        FORK,
+    ),
+    Difference(
         "no way to the goal",
         "the episode is invalid, named, and in no mean",
         "its NaN and infinity become 0.0, which improves NE",
+        f"{OFFICIAL}, analyze_results.py",
     ),
-    (
+    Difference(
         "what means divide by",
         "scored episodes; the others are counted beside them",
         "episodes with a log; one that failed to run is left out without a word",
+        f"{OFFICIAL}, analyze_results.py",
     ),
-    (
+    Difference(
         "order of episodes",
         "by name",
         "by row number as text (1, 10, 100, 2): it decides which come first under --episodes",
+        f"{OFFICIAL}, run.py and task.py",
     ),
-    (
+    Difference(
         "not reproduced",
         "–",
         "the fitted camera transform and its half pixel, colours of its PLY decoder, a last "
         "position that survives from the episode before, start = goal dividing by zero, "
         "float32 poses",
+        FORK,
     ),
 )
 

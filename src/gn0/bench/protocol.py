@@ -171,8 +171,10 @@ def protocol_card(
 
 def _release_rows(rows: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
     """The card of a run under the official harness: its own words wherever it differs."""
-    told = {what: theirs for what, _, theirs in DIFFERENCES if what != "camera"}
+    told = {rule.what: rule.told for rule in DIFFERENCES}
+    camera = told.pop("camera")
     told["agent"] = told.pop("body")
     told["navigation error"] = "gn0-release: octile distance left; ours beside it"
     card = {what: told.pop(what, how) for what, how in rows}
+    card["camera"] += f"; {camera}"
     return tuple({"profile": "gn0-release; each score stands beside ours", **card, **told}.items())

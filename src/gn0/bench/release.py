@@ -37,7 +37,7 @@ class ReleaseScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         path_length: sum of the moves [m].
         distance_to_goal: octile distance left [m]; None where there is no way.
         success: STOP, said or forced, nearer than 3.0 m but not in the goal's own pixel.
-        oracle_success: nearer than 3.0 m since the last time it stood in the goal's own pixel.
+        oracle_success: nearer than 3.0 m at any pose, the goal's own pixel included.
         spl: success weighted by octile path length; None where the harness divides inf by inf.
         forced_stop: the action at which the harness stopped the agent, from 0; None if it did not.
         invalid_actions: actions that were none and became STOP.
@@ -142,8 +142,8 @@ def score_release(
 ) -> ReleaseScore:
     """Score a trajectory as the official harness does.
 
-    Its success needs a distance that is not 0: a STOP in the goal's own pixel fails, and standing
-    there forgets an oracle success. SPL divides by octile lengths.
+    Its success needs a distance that is not 0: a STOP in the goal's own pixel fails. Oracle success
+    is `bool(metric) or d < 3.0`, as since a87e567. SPL divides by octile lengths.
     """
     distances = map.distances(episode.goal)
     meter = DistanceMeter(distances)
@@ -157,7 +157,7 @@ def score_release(
         distance = meter.measure(x, y)
         if index == 0:
             first = distance
-        oracle = (oracle or distance < SUCCESS_RADIUS) if distance else False
+        oracle = oracle or distance < SUCCESS_RADIUS
     success = trajectory.stopped and 0.0 < distance < SUCCESS_RADIUS
     longer = max(first, length)
     spl: float | None = None

@@ -6,7 +6,7 @@ OUT ?= out/demo
 TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
-.PHONY: install dev demo test search lint types figures pictures clean
+.PHONY: install dev demo test search lint types package figures pictures clean
 
 install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
 
@@ -37,6 +37,10 @@ test: dev lint types ## everything a change must pass (under 20 min on two cores
 
 search: dev ## property tests on fresh random examples: what they find becomes an @example
 	$(BIN)/pytest -m hypothesis --hypothesis-profile=search -n $(TEST_WORKERS) --dist loadgroup $(PYTEST_FLAGS)
+
+package: dev ## wheel and source archive, and what an index would say of them
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/twine check --strict dist/*
 
 figures: dev ## measure the whole board again (run it on a quiet machine)
 	$(BIN)/gn0 figures --all --out docs

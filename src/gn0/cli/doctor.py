@@ -114,7 +114,11 @@ def _threads() -> str:
     import numba
 
     touch(8)
-    return f"{numba.get_num_threads()} Numba threads on the {numba.threading_layer()} layer"
+    layer = numba.threading_layer()
+    told = f"{numba.get_num_threads()} Numba threads on the {layer} layer"
+    if layer == "workqueue":  # aborts the process when two threads enter it at once
+        told += ": not for drawing from several threads at once; install OpenMP (libomp) or TBB"
+    return told
 
 
 def _cache() -> tuple[str, bool]:

@@ -45,7 +45,7 @@ class KernelSource:
         head = [f"#define {name} {_literal(value)}" for name, value in self.defines]
         parts = []
         for path in (PRELUDE, *self.files):
-            parts.append(f'#line 1 "{path.name}"\n{path.read_text()}')
+            parts.append(f'#line 1 "{path.name}"\n{path.read_text("utf-8")}')
         return "\n".join([*head, *parts])
 
     @cached_property

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-import os
+import mmap
 import re
 import shutil
 import subprocess
@@ -65,7 +65,7 @@ _CHECKED = (
     *("--param", "tsan-instrument-func-entry-exit=0"),
 )
 _POISON = 0xFF  # NaN as a float, -1 as an integer: what nobody wrote shows
-_PAGE = os.sysconf("SC_PAGE_SIZE")
+_PAGE = mmap.PAGESIZE
 SHARED_MAX = 227 * 1024  # bytes of dynamic shared memory a block on the largest cards
 
 

@@ -26,7 +26,7 @@ def kernel_sources() -> list[KernelSource]:
     found: dict[str, KernelSource] = {}
     for room in sorted({path.parent.parent for path in kernel_files()}):
         for path in sorted(room.glob("*.py")):
-            if "KernelSource" in path.read_text():
+            if "KernelSource" in path.read_text("utf-8"):
                 name = ".".join(path.relative_to(_ROOT.parent).with_suffix("").parts)
                 for source in _held(import_module(name)):
                     found.setdefault(source.digest, source)

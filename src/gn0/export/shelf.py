@@ -54,7 +54,7 @@ class Shelf:
         """
         for path in (*self._loose, *sorted(self._folders)):
             try:
-                descriptor = os.open(path, os.O_RDONLY)
+                descriptor = os.open(path, _SYNCABLE)
                 try:
                     os.fsync(descriptor)
                 finally:
@@ -65,6 +65,10 @@ class Shelf:
                 raise _lost(error, path) from error
         self._loose.clear()
         self._folders.clear()
+
+
+# Windows syncs only what is open for writing; folders cannot be opened for that elsewhere
+_SYNCABLE = os.O_RDWR if os.name == "nt" else os.O_RDONLY
 
 
 def _lost(error: OSError, path: Path) -> StorageError:

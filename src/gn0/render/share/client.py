@@ -6,7 +6,6 @@ import contextlib
 import mmap
 import os
 import queue
-import socket
 import sys
 import tempfile
 import weakref
@@ -50,6 +49,7 @@ from gn0.render.share.messages import (
     Who,
     find_places,
     lay_files,
+    open_socket,
     send_message,
 )
 
@@ -92,7 +92,7 @@ class DrawConnection:
     """
 
     def __init__(self, address: str) -> None:
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket = open_socket()
         try:
             self._socket.connect(address.replace("@", "\0", 1) if address[:1] == "@" else address)
         except OSError as error:

@@ -27,6 +27,20 @@ _LENGTH = struct.Struct("<I")
 T = TypeVar("T")
 
 
+def open_socket() -> socket.socket:
+    """A Unix socket, not connected.
+
+    Raises:
+        DeviceError: this system (Windows) has none that Python can use.
+    """
+    if not hasattr(socket, "AF_UNIX"):
+        raise DeviceError(
+            "one process that draws for many needs Unix sockets, which this system lacks",
+            remedy="use --backend cpu, or Linux (WSL)",
+        )
+    return socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+
+
 class Area(msgspec.Struct, frozen=True, tag="area"):
     """Shared memory for pictures; its file descriptor comes along.
 

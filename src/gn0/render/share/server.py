@@ -53,6 +53,7 @@ from gn0.render.share.messages import (
     Tally,
     Who,
     lay_files,
+    open_socket,
 )
 from gn0.render.share.request import Connection, Request
 
@@ -413,7 +414,7 @@ def is_ours(connection: socket.socket) -> bool:
 
 def open_listener() -> tuple[socket.socket, str]:
     """A socket that listens, and its address for `connect_address`."""
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    listener = open_socket()
     if sys.platform.startswith("linux"):  # abstract: leaves nothing behind, however we end
         address = f"@gn0-draw-{secrets.token_hex(8)}"
     else:
@@ -440,13 +441,13 @@ def main() -> int:
     try:
         batch, card = open_batch(args.backend)
         load: Any = find_function(args.load)
+        listener, address = open_listener()
     except Gn0Error as error:
         say(Refused(error.code, error.what, error.where, error.remedy))
         return 1
     except Exception as error:  # whatever a driver does
         say(Refused(DeviceError.code, f"{type(error).__name__}: {error}"))
         return 1
-    listener, address = open_listener()
     server = Server(batch, load, args.batch, lambda text: say(Note(text)))
     threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
     say(Ready(address, args.backend, card, encodes=server.encodes))

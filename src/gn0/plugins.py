@@ -86,7 +86,16 @@ def _discover() -> None:
     if not _discovered:
         _discovered = True
         for point in metadata.entry_points(group="gn0.plugins"):
-            point.load()
+            try:
+                point.load()
+            except Exception as error:  # whatever a stranger's package raises
+                _discovered = False
+                of = f" of {point.dist.name}" if point.dist else ""
+                raise ConfigError(
+                    f"the installed plug-in {point.value!r}{of} cannot be imported: "
+                    f"{type(error).__name__}: {error}",
+                    remedy="install it again, or uninstall it",
+                ) from error
 
 
 def plugin_names(kind: Kind) -> list[str]:

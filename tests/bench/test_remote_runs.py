@@ -225,10 +225,12 @@ def test_a_server_that_dies_for_good_ends_the_run_which_goes_on_later(
                 ask(flats_suite, tmp_path, url, max_episodes=4)
             assert "the same command goes on" in str(caught.value)
     with serve_bare(walker, port=int(url.rpartition(":")[2])):
-        summary = ask(flats_suite, tmp_path, url, max_episodes=4)
-    (failed,) = summary.failed
-    assert failed.episode == poison and summary.valid == 3
+        kept = ask(flats_suite, tmp_path, url, max_episodes=4, keep_failed=True)
+        mended = ask(flats_suite, tmp_path, url, max_episodes=4)
+    (failed,) = kept.failed
+    assert failed.episode == poison and kept.valid == 3
     assert "broke the connection off" in failed.reason
+    assert mended.ok
 
 
 def test_options_are_read_from_the_command_line(flats_suite: Suite, tmp_path: Path) -> None:

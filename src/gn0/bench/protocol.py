@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 import gn0
+from gn0.bench.identity import tell_identity
 from gn0.bench.profiles import DIFFERENCES, RELEASE
 from gn0.bench.results import PolicyCard
 from gn0.bench.suite import Suite
@@ -113,6 +114,7 @@ def protocol_card(
     rows = (
         ("suite", f"{suite.name}, version {about.version}, hash {suite.hash}"),
         ("policy", card.name),
+        *_identity_rows(card),
         ("the policy sees", sees),
         *card.rows,
         (
@@ -167,6 +169,15 @@ def protocol_card(
         ("code", f"gn0 {code}"),
     )  # fmt: skip
     return _release_rows(rows) if about.profile == RELEASE else rows
+
+
+def _identity_rows(card: PolicyCard) -> tuple[tuple[str, str], ...]:
+    """Who the policy is; one of GN0's own that declares nothing is told by the code's digest."""
+    if not card.source and not card.identity:
+        return ()
+    parts = [f"source {card.source}"] if card.source else []
+    parts.append(tell_identity(card.identity))
+    return (("policy identity", "; ".join(parts)),)
 
 
 def _release_rows(rows: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:

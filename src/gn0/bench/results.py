@@ -115,12 +115,16 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True):
         sensors: observation fields it reads, sorted.
         privileged: whether it was handed the simulator: an oracle.
         rows: rows of its own for the protocol card.
+        identity: what it declares itself to be, see `gn0.sim.policy.PolicyIdentified`.
+        source: digest of its source, see `gn0.bench.identity`; "" for one of GN0's own.
     """
 
     name: str
     sensors: tuple[str, ...]
     privileged: bool
     rows: tuple[tuple[str, str], ...] = ()
+    identity: tuple[tuple[str, str], ...] = ()
+    source: str = ""
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):

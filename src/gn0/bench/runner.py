@@ -14,7 +14,7 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from typing import Any
 import msgspec
 
 from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers
+from gn0.bench.identity import digest_plugin, tell_identity
 from gn0.bench.looks import choose_run_backend, open_run_drawing
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
 from gn0.bench.pools import open_pool
@@ -40,6 +41,7 @@ from gn0.bench.results import (
     save_run,
 )
 from gn0.bench.schedule import Schedule
+from gn0.bench.session import ask_card, stamp_now, tell_earlier
 from gn0.bench.suite import Suite, load_suite_scene
 from gn0.bench.worker import describe_error
 from gn0.errors import BenchError, ConfigError, PolicyError
@@ -59,7 +61,13 @@ HIDDEN = "(not kept)"
 HEED = 1.0  # s at most that messages are read before somebody looks for hung workers
 BYTES_PER_EPISODE = 200_000  # journal and results of a long episode
 PROBE_BYTES = 1 << 20
+ASK_TIMEOUT = 2.0  # s to reach a server that is asked nothing but who it is
+_RESUME = "choose another --out, or give --fresh to forget the earlier run"
 _log = logging.getLogger(__name__)
+
+
+def _no_words(text: str) -> None:
+    """Say nothing."""
 
 
 def run_suite(
@@ -78,6 +86,8 @@ def run_suite(
     backend: str = "auto",
     executor: ExecutorName = "process",
     ray_address: str = "",
+    keep_failed: bool = False,
+    tell: Callable[[str], None] = _no_words,
 ) -> RunSummary:
     """Run a policy over a suite and write results, trajectories, summary and times to `out`.
 
@@ -97,12 +107,16 @@ def run_suite(
             process draws for all workers of this machine, and the run says on which card.
         executor: where the workers live, see `gn0.bench.executors`; changes no result.
         ray_address: a Ray cluster to join; by default one of this machine alone is started.
+        keep_failed: leave episodes that failed in an earlier run as they are; they are tried
+            again otherwise. Episodes that were scored never are.
+        tell: told in a sentence what was there already, and what is done about it.
 
     Returns:
         The summary; `summary.ok` says whether every episode was scored.
 
     Raises:
-        BenchError: the folder holds another run, is in use, or the policy cannot be built.
+        BenchError: the folder holds another run (another suite, setting, code, or another policy
+            behind the same name), is in use, or the policy cannot be built.
         ConfigError: no such policy.
         StorageError: `out` cannot be written, or the disk is full.
         KeyboardInterrupt: after all workers have ended; the same command resumes.
@@ -111,7 +125,7 @@ def run_suite(
     if not episode_time_limit > 0:
         raise BenchError(f"time limit is {episode_time_limit} s", remedy="give a positive number")
     import_plugins(plugin_modules)
-    get_plugin("policy", policy_name)  # an unknown name ends here, before any work
+    source = digest_plugin(get_plugin("policy", policy_name), plugin_modules)
     episodes = _choose(suite, max_episodes)
     out = Path(out)
     check_room(out, len(episodes))
@@ -131,12 +145,18 @@ def run_suite(
                 "config": config_hash(suite, policy_name, options, backend, len(episodes)),
                 "code": code_version(),
                 "policy": policy_name,
+                "source": source,
             },
             time_limit=episode_time_limit,
             progress=progress,
+            keep_failed=keep_failed,
+            tell=tell,
         )
         try:
-            if run.left:
+            run.tell_earlier()
+            if not run.left:
+                run.ask_identity(settings, executor, ray_address)
+            else:
                 _check_scenes(suite, run.left, progress)
                 with open_run_drawing(backend, executor) as server:
                     address, card = ("", "") if server is None else (server.address, server.card)
@@ -261,6 +281,8 @@ class _Run:
         identity: dict[str, str],
         time_limit: float,
         progress: Progress,
+        keep_failed: bool = False,
+        tell: Callable[[str], None] = _no_words,
     ) -> None:
         self.out = out
         self.suite = suite
@@ -273,7 +295,12 @@ class _Run:
         self.traces: dict[str, EpisodeTrace] = {}
         self.times: dict[str, dict[str, Any]] = {}
         self.sessions: list[dict[str, Any]] = []
+        self.keep_failed = keep_failed
+        self.tell = tell
+        self.again: set[str] = set()  # episodes that failed in an earlier run
+        self.ended = ""  # when the earlier run was finished; "" as soon as more is run
         self.card: PolicyCard | None = None
+        self.confirmed = False  # whether the card was seen in this session
         self.attempts: dict[str, int] = {}
         self.built = False  # whether the policy was ever built in this session
         self.stillborn = 0  # workers in a row that died before their policy was built
@@ -286,20 +313,24 @@ class _Run:
             return
         head = records[0] if isinstance(records[0], dict) else {}
         kinds = {r.get("type") for r in records if isinstance(r, dict)}
-        same = all(head.get(name) == value for name, value in self.identity.items())
-        if not same and head.get("type") == "run" and not kinds & {"result", "broke"}:
-            self.journal.close()  # it never got anywhere (a server that was down): forget it
+        others = [name for name, value in self.identity.items() if head.get(name) != value]
+        barren = not kinds & {"result", "broke"}  # it never got anywhere: a server that was down
+        if others == ["source"] and not self.keep_failed:
+            barren = not any(map(_is_finished, records))
+        if others and barren and head.get("type") == "run":
+            self.journal.close()
             _forget(self.out)
             self.journal = Journal(self.out / JOURNAL)
             self.journal.append({"type": "run", **self.identity})
             return
-        for name, value in self.identity.items():
-            if head.get(name) != value:
-                raise BenchError(
-                    f"holds a run of another {name} ({head.get(name)}, now {value})",
-                    where=self.out,
-                    remedy="choose another --out, or give --fresh to forget the earlier run",
-                )
+        for name in others:
+            what = f"source of policy {head.get('policy')!r}" if name == "source" else name
+            raise BenchError(
+                f"holds a run of another {what} ({head.get(name) or 'none'}, now "
+                f"{self.identity[name] or 'none'})",
+                where=self.out,
+                remedy=_RESUME,
+            )
         for number, record in enumerate(records[1:], 2):
             try:
                 self._recall(record)
@@ -307,7 +338,7 @@ class _Run:
                 raise BenchError(
                     f"line {number} is not one of ours: {error}",
                     where=self.out / JOURNAL,
-                    remedy="choose another --out, or give --fresh to forget the earlier run",
+                    remedy=_RESUME,
                 ) from None
 
     def _recall(self, record: dict[str, Any]) -> None:
@@ -316,12 +347,20 @@ class _Run:
         if kind == "result":
             result = msgspec.convert(record["result"], EpisodeResult)
             trace = msgspec.convert(record["trace"], EpisodeTrace)
-            if result.episode in self.episodes:
-                self._take(result, trace, dict(record["about"]))
+            if result.episode not in self.episodes:
+                return
+            if result.status == "failed" and not self.keep_failed:
+                self.again.add(result.episode)
+                self.attempts.pop(result.episode, None)
+                return
+            self.again.discard(result.episode)
+            self._take(result, trace, dict(record["about"]))
         elif kind == "policy":
             self.card = msgspec.convert(record["card"], PolicyCard)
         elif kind == "session":
             self.sessions.append(dict(record["about"]))
+        elif kind == "ended":
+            self.ended = str(record["at"])
         elif kind == "broke":  # counts as an attempt, else a policy that dies of it never gets by
             episode = str(record["episode"])
             self.attempts[episode] = self.attempts.get(episode, 0) + 1
@@ -331,10 +370,64 @@ class _Run:
         """Episodes without a line in the journal."""
         return [e for e in self.episodes.values() if e.id not in self.results]
 
+    def tell_earlier(self) -> None:
+        """Say what an earlier run left to us, and what we make of it."""
+        if self.results or self.again:
+            begun = str(self.sessions[-1].get("begun", "")) if self.sessions else ""
+            expected, failed = len(self.episodes), len(self.again)
+            for line in tell_earlier(self.results, expected, failed, begun, self.ended):
+                self.tell(line)
+
+    def ask_identity(self, settings: Open, executor: ExecutorName, ray_address: str) -> None:
+        """With nothing to run: is the policy still the one that was run, as far as it says so?
+
+        Raises:
+            BenchError: it is another one.
+        """
+        if self.card is None or not self.card.identity:
+            return
+        patience = {"connect_timeout": ASK_TIMEOUT} if settings.policy == "remote" else {}
+        told = msgspec.structs.replace(settings, options={**settings.options, **patience})
+        self.progress("asking the policy who it is", 0, 1)
+        with open_pool(executor, told, 1, ray_address=ray_address) as pool:
+            card = ask_card(pool, LOAD_TIME_LIMIT)
+        self.progress("asking the policy who it is", 1, 1)
+        if isinstance(card, str):
+            self.tell(f"the policy could not be asked whether it is still the same: {card}")
+        else:
+            self._check_card(card)
+
+    def _check_card(self, card: PolicyCard) -> None:
+        """Take a worker's word on who the policy is; all of them must say the same.
+
+        Raises:
+            BenchError: it is not the policy of this run.
+        """
+        name, before = self.identity["policy"], self.card
+        if card.source != self.identity["source"]:
+            raise BenchError(
+                f"the source of policy {name!r} changed under the run "
+                f"({self.identity['source'] or 'none'}, a worker has {card.source or 'none'})",
+                where=self.out,
+                remedy=_RESUME,
+            )
+        known = before is not None and (self.confirmed or bool(self.results))
+        if before is not None and known and before.identity != card.identity:
+            raise BenchError(
+                f"holds a run of another policy {name!r} ({tell_identity(before.identity)}; now "
+                f"{tell_identity(card.identity)})",
+                where=self.out,
+                remedy=_RESUME,
+            )
+        if card != before and not known:
+            self.card = card
+            self.journal.append({"type": "policy", "card": msgspec.to_builtins(card)})
+        self.confirmed = True
+
     def begin_session(self, workers: int, executor: str, card: str = "") -> None:
         """Note who runs this, when and where, and on which card pictures are drawn."""
         about: dict[str, Any] = {
-            "begun": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            "begun": stamp_now(),
             "host": platform.node(),
             "workers": workers,
             "executor": executor,
@@ -343,6 +436,7 @@ class _Run:
         }
         if card:
             about["card"] = card
+        self.ended = ""
         self.sessions.append(about)
         self.journal.append({"type": "session", "about": about})
 
@@ -418,9 +512,7 @@ class _Run:
         elif isinstance(message, Ready):
             worker.ready, worker.deadline = True, float("inf")
             self.stillborn, self.built = 0, True
-            if self.card is None:
-                self.card = message.card
-                self.journal.append({"type": "policy", "card": msgspec.to_builtins(message.card)})
+            self._check_card(message.card)
         elif isinstance(message, Refused):
             what = f"policy {self.identity['policy']!r} cannot be built: {message.what}"
             if self.built:
@@ -523,7 +615,19 @@ class _Run:
             "episodes": dict(sorted(self.times.items())),
         }
         save_run(self.out, results, list(self.traces.values()), summary, run)
+        if not self.ended:
+            self.journal.append({"type": "ended", "at": stamp_now()})
         return summary
+
+
+def _is_finished(record: Any) -> bool:
+    """Whether a line of a journal is an episode that came to its end."""
+    return (
+        isinstance(record, dict)
+        and record.get("type") == "result"
+        and isinstance(record.get("result"), dict)
+        and record["result"].get("status") != "failed"
+    )
 
 
 def describe_settings(settings: Open) -> dict[str, Any]:

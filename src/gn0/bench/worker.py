@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from gn0.bench.identity import digest_plugin, read_identity
 from gn0.bench.looks import Look, needs_renderer
 from gn0.bench.messages import Begun, Broke, Done, Lease, Open, Ready, Refused, ToWorker
 from gn0.bench.metrics import compute_metrics
@@ -53,9 +54,13 @@ class EpisodeWorker:
 
     def __init__(self, settings: Open, policy: Policy | None = None) -> None:
         self.settings = settings
+        self._source = ""
         if policy is None:
             for module in settings.plugin_modules:
                 import_module(module)
+            self._source = digest_plugin(
+                get_plugin("policy", settings.policy), settings.plugin_modules
+            )
             os.environ[SLOT_VARIABLE] = str(settings.slot)
             policy = build_policy(settings.policy, settings.options)
         self.policy: Policy = policy
@@ -76,6 +81,8 @@ class EpisodeWorker:
             sensors=tuple(sorted(self.policy.sensors)),
             privileged=isinstance(self.policy, PolicyPrivileged),
             rows=self.policy.card_rows if isinstance(self.policy, PolicyNotes) else (),
+            identity=read_identity(self.policy),
+            source=self._source,
         )
 
     def open_scene(

@@ -2,7 +2,8 @@
 
 A scene folder given as a suite means fifty goal episodes sampled with seed 0, written beside the
 results. Results are the same bytes for any number of workers; a run that was stopped goes on
-where it stopped when the same command is given again.
+where it stopped when the same command is given again. Episodes that failed are then tried again,
+those that were scored never.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ class Args(Config, frozen=True):
             here (auto); part of the run's identity.
         time_limit: seconds an episode may take before it counts as failed.
         fresh: forget an earlier run in the output folder instead of resuming it.
+        keep_failed: leave episodes that failed in an earlier run as they are, instead of trying
+            them again.
         no_report: do not write report.html.
         videos: how many episodes the report shows as video.
         plugin: modules to import first; they call `gn0.plugins.register` for policies of yours.
@@ -69,6 +72,7 @@ class Args(Config, frozen=True):
     backend: Literal["auto", "cpu", "cuda"] = "auto"
     time_limit: Annotated[float, msgspec.Meta(gt=0)] = 300.0
     fresh: bool = False
+    keep_failed: bool = False
     no_report: bool = False
     videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4
     plugin: tuple[str, ...] = ()
@@ -79,7 +83,7 @@ def run(args: Args) -> int:
     from gn0.bench.report import write_report
     from gn0.bench.runner import run_suite
     from gn0.bench.suite import open_suite
-    from gn0.cli.console import draw_progress
+    from gn0.cli.console import draw_progress, plain_text
     from gn0.cli.tables import print_summaries
     from gn0.render.renderer import visible_backend
 
@@ -102,6 +106,8 @@ def run(args: Args) -> int:
             progress=progress,
             executor=args.executor,
             ray_address=args.ray_address,
+            keep_failed=args.keep_failed,
+            tell=lambda text: print(plain_text(text)),
         )
         report = None
         if not args.no_report:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -52,6 +52,18 @@ class PolicySession(Policy, Protocol):
 
     def reset_session(self, session: str) -> None:
         """Name the episode that `reset` has just begun; a label, never a hint."""
+        ...
+
+
+@runtime_checkable
+class PolicyIdentified(Policy, Protocol):
+    """A policy that says what its actions hang on beside its source: its weights, its version.
+
+    A run belongs to one identity: with another one, the same command is refused.
+    """
+
+    def identity(self) -> Mapping[str, str | int | float]:
+        """What it is, by name: {"checkpoint": digest, "version": "3"}; known after building."""
         ...
 
 

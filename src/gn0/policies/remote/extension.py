@@ -4,10 +4,15 @@ A server that wants more than pictures and words says so in the frame it sends o
 `{"gn0": {"version": 1, "name": "mine", "wants": ["rgb", "depth"]}}`. Requests to it then hold a map
 `gn0` beside the usual keys. A server that says nothing never sees that key, and a client that does
 not know it ignores the greeting, so each side works with a peer of the other kind.
+
+Who a server is belongs to a run: `name`, `model` and `model_version` of that map, and an `identity`
+of its own; a server that does not know the extension may say `name`, `model` and `version` in
+whatever map it greets with.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, cast, get_args
 
@@ -22,6 +27,7 @@ KEY = "gn0"
 VERSION = 1
 OFFICIAL_SENSORS: frozenset[Sensor] = frozenset({"rgb"})
 _SENSORS = frozenset(get_args(Sensor))
+IDENTITY_LIMIT = 24  # entries of a server's own identity that are kept
 _STATIC = ("bev", "goal_picture")  # sent when they change, not with every query
 _ARRAYS = ("depth", "bev", "occupancy", "history", "ranges", "goal_picture")
 
@@ -34,21 +40,22 @@ class Greeting:
         extended: it knows the extension, so requests carry it.
         name: what it calls itself.
         wants: observation fields it asks for.
+        identity: who it says it is, as (what, value); empty when it does not say.
     """
 
     extended: bool = False
     name: str = ""
     wants: frozenset[Sensor] = OFFICIAL_SENSORS
+    identity: tuple[tuple[str, str], ...] = ()
 
 
 def read_greeting(metadata: dict[str, Any]) -> Greeting:
     """What a first frame means to us; anything we do not know is passed over."""
     about = metadata.get(KEY)
-    if not isinstance(about, dict):
-        return Greeting()
-    version = about.get("version")
+    version = about.get("version") if isinstance(about, dict) else None
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        return Greeting()
+        return Greeting(identity=_read_identity(metadata, "version"))
+    assert isinstance(about, dict)
     wants = about.get("wants")
     asked = (
         frozenset(w for w in wants if isinstance(w, str)) & _SENSORS
@@ -60,12 +67,37 @@ def read_greeting(metadata: dict[str, Any]) -> Greeting:
         extended=True,
         name=show(name)[:80] if isinstance(name, str) else "",
         wants=cast("frozenset[Sensor]", asked),
+        identity=_read_identity(about, "model_version"),
     )
 
 
-def build_greeting(name: str, wants: frozenset[Sensor]) -> dict[str, Any]:
+def _read_identity(about: dict[Any, Any], version: str) -> tuple[tuple[str, str], ...]:
+    """Who a server says it is: texts and numbers; anything else is passed over."""
+    said = [("server", about.get("name")), ("model", about.get("model"))]
+    said.append(("version", about.get(version)))
+    more = about.get("identity")
+    if isinstance(more, dict):
+        said += sorted((n, v) for n, v in more.items() if isinstance(n, str))[:IDENTITY_LIMIT]
+    return tuple(
+        (show(name)[:80], show(str(value)))
+        for name, value in said
+        if isinstance(value, str | int | float) and str(value).strip()
+    )
+
+
+def build_greeting(
+    name: str,
+    wants: frozenset[Sensor],
+    model: str = "",
+    version: str = "",
+    identity: Mapping[str, str | int | float] | None = None,
+) -> dict[str, Any]:
     """The first frame of a server that knows the extension."""
-    return {KEY: {"version": VERSION, "name": name, "wants": sorted(wants)}}
+    about: dict[str, Any] = {"version": VERSION, "name": name, "wants": sorted(wants)}
+    about |= {k: v for k, v in (("model", model), ("model_version", version)) if v}
+    if identity:
+        about["identity"] = dict(identity)
+    return {KEY: about}
 
 
 class ObservationSender:

@@ -34,6 +34,7 @@ from gn0.policies.text import find_parser
 from gn0.sim.policy import SLOT_VARIABLE
 from gn0.sim.state import Action, AnyAction, Observation, Sensor
 
+UNIDENTIFIED = "unidentified"  # of a server that does not say who it is
 FRAMES_KEPT = 64  # pictures since the last question, at least
 
 
@@ -137,6 +138,10 @@ class PolicyRemote:
             )
         return tuple(rows)
 
+    def identity(self) -> dict[str, str]:
+        """Who the server says it is."""
+        return dict(self.greeting.identity) or {"server": UNIDENTIFIED}
+
     def _forget(self, instruction: str, session: str) -> None:
         self._instruction, self._session = instruction, session
         self._frames: list[U8] = []
@@ -223,7 +228,7 @@ class PolicyRemote:
     def _begin(self) -> None:
         """Tell the server that an episode begins; one that does not know how is left alone."""
         if not self.client.connected:
-            self.client.connect()  # it was restarted between two episodes
+            self._call_again()  # it was restarted between two episodes
         reset: dict[str, Any] = {"endpoint": "reset"}
         if self.greeting.extended:
             reset["session_id"] = self._session
@@ -233,12 +238,32 @@ class PolicyRemote:
             if self.client.connected:
                 self._count("resets refused", 1)
             else:
-                self.client.connect()
+                self._call_again()
         self._begun = True
+
+    def _call_again(self) -> None:
+        """Connect once more, to the server that it was.
+
+        Raises:
+            PolicyError: nobody answers, or another server does.
+        """
+        self.client.connect()
+        now = read_greeting(self.client.metadata)
+        if now != self.greeting:
+            self.client.close()
+            raise PolicyError(
+                f"the policy server at {self.client.url} is another one now: "
+                f"{_tell(now)}, before {_tell(self.greeting)}",
+                remedy="serve the model that the run began with",
+            )
 
     def _count(self, what: str, times: int) -> None:
         if times:
             self._counts[what] = self._counts.get(what, 0) + int(times)
+
+
+def _tell(greeting: Greeting) -> str:
+    return ", ".join(f"{what} {value}" for what, value in greeting.identity) or UNIDENTIFIED
 
 
 def _stack(frames: list[U8]) -> U8:

@@ -31,7 +31,7 @@ from gn0.policies.remote.client import check_token, find_token, is_loopback
 from gn0.policies.remote.extension import KEY, build_greeting, read_observation
 from gn0.policies.remote.wire import REQUEST_LIMITS, WireLimits, decode_message, encode_message
 from gn0.seeds import random_stream
-from gn0.sim.policy import Policy
+from gn0.sim.policy import Policy, PolicyIdentified
 from gn0.sim.state import Action, Displacement, Observation, Sensor, Teleport
 
 CONNECTIONS_LIMIT = 64
@@ -75,6 +75,8 @@ class PolicyServer:
         port: TCP port; 0 takes a free one, see `url`.
         token: what clients must send as `Authorization: Bearer`; by default that of `$GN0_TOKEN`.
         limits: what a request may hold.
+        model, version: what clients are told of the model; runs of another one are not gone on
+            with. What the policy's own `identity()` says is told too.
 
     Raises:
         ConfigError: another machine could reach it and there is no token, or the port is taken.
@@ -88,6 +90,8 @@ class PolicyServer:
         port: int = 8000,
         token: str | None = None,
         limits: WireLimits = REQUEST_LIMITS,
+        model: str = "",
+        version: str = "",
     ) -> None:
         from websockets.sync.server import serve
 
@@ -103,7 +107,10 @@ class PolicyServer:
         first = build()  # a policy that cannot be built says so now, not to the first client
         self._spare: list[Policy | Answerer] = [first]
         self.name = str(first.name)
-        self._greeting = encode_message(build_greeting(self.name, frozenset(first.sensors)))
+        declared = first.identity() if isinstance(first, PolicyIdentified) else None
+        self._greeting = encode_message(
+            build_greeting(self.name, frozenset(first.sensors), model, version, declared)
+        )
         self._turn = threading.Lock()
         self._open: set[Any] = set()
         self._threads: list[threading.Thread] = []
@@ -146,10 +153,10 @@ class PolicyServer:
 
         self._open.add(connection)
         try:
+            connection.send(self._greeting)  # at once: a client waits two seconds for it
             with self._turn:
                 policy = self._spare.pop() if self._spare else self._build()
             session = PolicySession(policy)
-            connection.send(self._greeting)
             while True:
                 frame = connection.recv(timeout=IDLE_TIMEOUT)
                 connection.send(self._answer(session, frame))
@@ -309,13 +316,15 @@ def serve(
     host: str = "127.0.0.1",
     port: int = 8000,
     token: str | None = None,
+    model: str = "",
+    version: str = "",
 ) -> None:
     """Serve a policy until Ctrl-C; see `PolicyServer`.
 
     Raises:
         ConfigError: another machine could reach it and there is no token, or the port is taken.
     """
-    server = PolicyServer(build, host=host, port=port, token=token)
+    server = PolicyServer(build, host=host, port=port, token=token, model=model, version=version)
     try:
         server.serve_forever()
     except KeyboardInterrupt:

@@ -1,0 +1,73 @@
+"""One command's part in a run: what it found there, and who the policy says it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+from gn0.bench.executors import Pool
+from gn0.bench.messages import Ready, Refused
+from gn0.bench.results import EpisodeResult, PolicyCard
+
+_STAMP = "%Y-%m-%dT%H:%M:%SZ"
+
+
+def stamp_now() -> str:
+    """The time as a journal keeps it: UTC, to the second."""
+    return time.strftime(_STAMP, time.gmtime())
+
+
+def tell_clock(stamp: str) -> str:
+    """A time of a journal as the wall clock here says it, with the date unless it is today's."""
+    try:
+        then = datetime.strptime(stamp, _STAMP).replace(tzinfo=UTC).astimezone()
+    except ValueError:
+        return stamp[:40]
+    today = then.date() == datetime.now().astimezone().date()
+    return then.strftime("%H:%M" if today else "%Y-%m-%d %H:%M")
+
+
+def tell_earlier(
+    results: Mapping[str, EpisodeResult], expected: int, failed: int, begun: str, ended: str
+) -> list[str]:
+    """What an earlier run left, and what is made of it, in sentences.
+
+    Args:
+        results: what is kept of it.
+        expected: episodes asked for.
+        failed: episodes that failed in it and are tried again.
+        begun: when it began; "" when not known.
+        ended: when it was finished; "" when it was not.
+    """
+    there = f"{len(results)} of {expected} episodes were there already"
+    if len(results) == expected:
+        bad = sum(r.status == "failed" for r in results.values())
+        kept = f"; {bad} of them failed and are kept so" if bad else ""
+        return [
+            f"{there}{f', finished {tell_clock(ended)}' if ended else ''}; nothing was run{kept}"
+        ]
+    of = f" in the run of {tell_clock(begun)}" if begun else " before"
+    lines = [f"{there}, done{of}"] if results else []
+    if failed:
+        lines.append(
+            f"{failed} {'episode' if failed == 1 else 'episodes'} failed{of} and will be tried "
+            "again; --keep-failed leaves them as they are"
+        )
+    return lines
+
+
+def ask_card(pool: Pool, seconds: float) -> PolicyCard | str:
+    """Have one worker build the policy and say who it is; or why it did not, in words."""
+    worker = pool.start()
+    until = time.monotonic() + seconds
+    while (left := until - time.monotonic()) > 0:
+        heard = pool.hear(min(left, 60.0))
+        if heard is None:
+            continue
+        if isinstance(heard.message, Ready):
+            return heard.message.card
+        if isinstance(heard.message, Refused):
+            return heard.message.what
+        return f"its worker {pool.end(worker).how}"
+    return f"it did not say so within {seconds:g} s"

@@ -14,6 +14,7 @@ import tyro
 from gn0.config import Config
 
 EXAMPLES = """  gn0 export vlnce-r2r out/data --out out/vlnce
+  gn0 export vlnce-r2r out/data --vocabulary R2R/train/train.json.gz --out out/vlnce
   gn0 export streamvln out/data --out out/streamvln --camera streamvln --split train
   gn0 export navdp out/data --out out/navdp --limit 50
   gn0 export lerobot-v3 out/data --out out/lerobot --fps 5
@@ -37,6 +38,8 @@ class Args(Config, frozen=True):
         views: camera presets of an interndata-n1 export.
         merge_turns: put finer turns together into the 30° of navid and uninavid; what is left over
             is dropped and counted.
+        vocabulary: any {split}.json.gz of VLN-CE's R2R: tokens of vlnce-r2r and vln-pe are of its
+            words, which are those that VLN-CE's models know.
         name: name of the data in ids and paths of the format.
         exact: render pictures again, also where the dataset's cache has them.
     """
@@ -53,6 +56,7 @@ class Args(Config, frozen=True):
     spacing: float = 0.0625
     views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
     merge_turns: bool = False
+    vocabulary: str = ""
     name: str = "gn0"
     exact: bool = False
 
@@ -62,7 +66,7 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.config import check_config
     from gn0.export.exporter import ExportSettings, get_dataset_exporter
-    from gn0.export.session import run_export
+    from gn0.export.session import remark_export, run_export
     from gn0.export.source import open_source
 
     exporter = get_dataset_exporter(args.format)
@@ -83,6 +87,8 @@ def run(args: Args) -> int:
             "note: this format keeps splits apart by no means of its own; give --split to export "
             "one at a time"
         )
+    for remark in remark_export(args.out):
+        print(f"note: {remark}")
     print(f"read by: {exporter.reader}")
     print(f"next: gn0 export check {args.out}")
     return 0

@@ -30,11 +30,13 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Say what is wrong; 1 when something is."""
-    from gn0.export.session import check_export
+    from gn0.export.session import check_export, remark_export
 
     faults = check_export(args.folder, args.format)
     for fault in faults:
         print(f"fault: {fault}")
+    for remark in remark_export(args.folder, args.format):
+        print(f"note: {remark}")
     if not faults:
         print(f"{args.folder}: no faults")
     return 1 if faults else 0

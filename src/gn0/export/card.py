@@ -67,6 +67,9 @@ def write_card(
     if about.notes:
         lines += ["", "## Counted", ""]
         lines += [f"- {count:,} × {what}" for what, count in about.notes.items()]
+    remarks = exporter.remarks(folder)
+    if remarks:
+        lines += ["", "## To know", "", *(f"- {_cell(remark)}" for remark in remarks)]
     lines += ["", "## Scenes", "", "| scene | source | licence |", "| --- | --- | --- |"]
     lines += [
         f"| {_cell(card.id)} | {_cell(card.source)} | {_cell(card.licence or 'not stated')} |"

@@ -39,6 +39,8 @@ class ExportSettings(Config, frozen=True):
         views: camera presets of an InternData-N1 export.
         merge_turns: put finer turns together for formats that turn by 30° (NaVid, Uni-NaVid); what
             is left over is dropped and counted.
+        vocabulary: a VLN-CE R2R file whose words tokens are of (VLN-CE, VLN-PE); "" means a list
+            of the dataset's own, which R2R's models misread.
         name: name of the data in ids and paths of the format.
     """
 
@@ -51,6 +53,7 @@ class ExportSettings(Config, frozen=True):
     spacing: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0625
     views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
     merge_turns: bool = False
+    vocabulary: str = ""
     name: str = "gn0"
 
     def __post_init__(self) -> None:
@@ -117,6 +120,14 @@ class OwnPoses:
         """The dataset's own, or the one asked for."""
         return (settings.preset(source),)
 
+    def reads(self, settings: ExportSettings) -> str:
+        """Nothing."""
+        return ""
+
+    def remarks(self, folder: Path) -> list[str]:
+        """None."""
+        return []
+
 
 @runtime_checkable
 class DatasetExporter(Protocol):
@@ -160,6 +171,14 @@ class DatasetExporter(Protocol):
         """Cameras that the pictures are seen through; `Recovered.picture` reads the first."""
         ...
 
+    def reads(self, settings: ExportSettings) -> str:
+        """Read the file that the settings name, if the format has a use for it; what it is.
+
+        Raises:
+            StorageError, FormatError: it is missing, or not what it should be.
+        """
+        ...
+
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """Write what belongs to one trip through `job.shelf`; called again after a crash."""
         ...
@@ -173,6 +192,10 @@ class DatasetExporter(Protocol):
 
         Never raises for what is wrong with the files.
         """
+        ...
+
+    def remarks(self, folder: Path) -> list[str]:
+        """What the reader takes and its models would misread, in words; never raises."""
         ...
 
     def load(self, folder: Path) -> list[Recovered]:

@@ -167,14 +167,15 @@ def run_export(
     folder = Path(out)
     job = Job(source, settings, folder)
     exporter.cameras(source, settings)  # an unknown camera is told before anything is written
+    told = msgspec.structs.replace(settings, vocabulary=exporter.reads(settings))  # not its path
     about = ExportFile(
         layout=EXPORT_LAYOUT,
         format=exporter.name,
         dataset=source.name,
         digest=content_hash(
-            source.digest, exporter.name, msgspec.json.encode(settings, order="deterministic")
+            source.digest, exporter.name, msgspec.json.encode(told, order="deterministic")
         ),
-        settings=settings,
+        settings=told,
     )
     earlier = _claim(folder, about)
     if earlier is not None and earlier.complete:
@@ -336,6 +337,16 @@ def _matched(
         found = (t for t in trips if t.episode.id in missing and t.episode.split == split)
         for planned in wanted.values():
             yield planned, next(found, None) if planned.id in missing else None
+
+
+def remark_export(folder: Path | str, format: str = "") -> list[str]:
+    """What the reader of an export takes and its models would misread, in words.
+
+    Raises:
+        ConfigError, StorageError, FormatError: as `check_export`.
+    """
+    name = format or load_export_file(folder).format
+    return get_dataset_exporter(name).remarks(Path(folder))
 
 
 def check_export(folder: Path | str, format: str = "") -> list[str]:

@@ -1,14 +1,17 @@
 """VLN-CE: `{split}/{split}.json.gz` with its ground truth, in the style of R2R or of RxR.
 
 Positions are in Habitat's y-up frame with the floor at 0. R2R style has the tokens of every
-instruction, padded to 200, and one vocabulary for all splits; RxR style has languages and
-annotators. Missions of one path share a `trajectory_id`. Ground truth: every place a FORWARD led
-to (turns repeat none), and the actions with the STOP at the end. The loader refuses keys it does
-not know, so our ids are kept beside the files.
+instruction, padded to 200, and one vocabulary for all splits: R2R's own where the user points to a
+file that has it, else ours, which R2R's models misread. RxR style has languages and annotators, and
+lacks the text features that its models read. Missions of one path share a `trajectory_id`;
+`reference_path` has nodes as far apart as R2R's. Ground truth: every place a FORWARD led to (turns
+repeat none), and the actions with the STOP at the end. The loader refuses keys it does not know, so
+our ids are kept beside the files.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,17 +19,20 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from gn0.errors import FormatError
+from gn0.errors import FormatError, Gn0Error
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import load_names, name_of, save_names
+from gn0.export.nodes import thin_path
 from gn0.export.schema import Shape, describe_shape, shape_differences
 from gn0.export.trips import FORWARD, LEFT, RIGHT, Recovered, Trip
+from gn0.geometry import F64
 from gn0.missions.episode import Episode
 from gn0.missions.frames import habitat_rotation, habitat_to_world, world_to_habitat
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.json_file import load_exact, save_exact
 from gn0.missions.sets.vlnce import TOKENS, ExporterVlnce, VlnceFile
+from gn0.missions.sets.vocabulary import R2R_COUNT, are_r2r_words, cut_words, load_r2r_words
 from gn0.sim.kinematics import heading_yaw
 from gn0.storage import safe_join, write_bytes
 
@@ -72,27 +78,63 @@ RXR_SHAPE: Shape = {
     ]
 }
 TRUTH_SHAPE: Shape = {"*": {"locations": [_PLACE], "forward_steps": "int", "actions": ["int"]}}
+SHOWN = 12  # odd words told
 LANGUAGE, ANNOTATOR = "en-US", "gn0"
 RXR_TURN = 30.0  # degrees
 OTHER_TURNS = "ground truth in turns other than the 30° of RxR's agent"
+UNKNOWN_WORDS = "word that R2R's vocabulary lacks, read as <unk>"
+CUT = f"instruction cut at {TOKENS} tokens"
+MISREAD = (
+    "the models of VLN-CE and InternNav will misread the instructions: they look tokens up in "
+    f"R2R's table of {R2R_COUNT:,} words, and these are of another list of {{count:,}}. Export "
+    "again with --vocabulary and any file of R2R, or train with use_pretrained_embeddings False "
+    "and vocab_size {count}"
+)
+NO_FEATURES = (
+    "RxR's models read text features that are not here: text_features/rxr_{split}/"
+    "{id:06}_en_text_features.npz, `features` float32 [subwords, at most 512][768] of the last "
+    "layer of multilingual cased BERT. docs/export.md has the lines that make them"
+)
 
 
 class About(msgspec.Struct):
-    """What the files have no place for: turn of an action [degrees], styles, splits."""
+    """What the files have no place for: turn of an action [degrees], styles, splits, odd words.
+
+    Attributes:
+        turn_degrees: of an action.
+        splits: their names.
+        role: of RxR's files; "" for R2R's.
+        unknown: words that the vocabulary lacks, and how often they come.
+    """
 
     turn_degrees: float
     splits: list[str]
     role: str = ""
+    unknown: dict[str, int] = {}
 
 
-def remember(trip: Trip) -> Record:
-    """What a record keeps of a trip for VLN-CE files."""
+def read_words(settings: ExportSettings) -> tuple[str, ...]:
+    """R2R's words from the file that the settings name; () where they name none.
+
+    Raises:
+        StorageError, FormatError: see `load_r2r_words`.
+    """
+    return load_r2r_words(settings.vocabulary) if settings.vocabulary else ()
+
+
+def remember(trip: Trip, settings: ExportSettings, tokens: bool = True) -> Record:
+    """What a record keeps of a trip for VLN-CE files; counts what `tokens` lose."""
+    words = cut_words(trip.episode.instruction) if tokens else []
+    known = frozenset(read_words(settings)) if tokens else frozenset()
+    unknown = sum(word not in known for word in words) if known else 0
+    notes = {UNKNOWN_WORDS: unknown, CUT: int(len(words) > TOKENS)}
     kept = np.r_[True, trip.moves == FORWARD]
     return {
         "episode": msgspec.to_builtins(trip.episode),
         "locations": trip.poses[kept, :2].tolist(),
         "actions": trip.actions,
         "gn0": name_of(trip),
+        "notes": {what: count for what, count in notes.items() if count},
     }
 
 
@@ -110,12 +152,18 @@ class ExporterVlnceR2R(OwnPoses):
     role = ""
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
-        """Ground truth ends with STOP."""
+        """Ground truth ends with STOP; their encoder takes no instruction without words."""
+        if not cut_words(trip.episode.instruction):
+            return "an instruction without words"
         return "" if trip.stopped else "it did not end with STOP"
+
+    def reads(self, settings: ExportSettings) -> str:
+        """R2R's vocabulary."""
+        return "R2R" if read_words(settings) else ""
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """Nothing yet: the files hold all episodes of a split."""
-        return remember(trip)
+        return remember(trip, job.settings)
 
     def finish(self, records: Sequence[Record], job: Job) -> None:
         """All files."""
@@ -127,6 +175,10 @@ class ExporterVlnceR2R(OwnPoses):
         faults = Faults()
         check_splits(folder, faults)
         return faults.told()
+
+    def remarks(self, folder: Path) -> list[str]:
+        """What their models would misread, or lack."""
+        return remark_splits(folder)
 
     def load(self, folder: Path) -> list[Recovered]:
         """Read it back, poses from the ground truth."""
@@ -157,17 +209,30 @@ class ExporterVlnceRxR(ExporterVlnceR2R):
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """As in R2R style; turns other than RxR's are counted."""
         other = abs(trip.episode.agent.turn_degrees - RXR_TURN) > 1e-9
-        return {**remember(trip), "notes": {OTHER_TURNS: 1} if other else {}}
+        notes = {OTHER_TURNS: 1} if other else {}
+        return {**remember(trip, job.settings, tokens=False), "notes": notes}
+
+    def reads(self, settings: ExportSettings) -> str:
+        """Nothing: there are no tokens."""
+        return ""
 
 
-def instruction_tokens(episodes: Sequence[Mapping[str, Any]]) -> list[list[int]]:
-    """Tokens of each episode's instruction, by the vocabulary of all of them, padded to 200."""
-    built = _build([msgspec.convert(e, Episode) for e in episodes])
+def instruction_tokens(
+    episodes: Sequence[Mapping[str, Any]], words: Sequence[str] = ()
+) -> list[list[int]]:
+    """Tokens of each episode's instruction, padded to 200; by their own words if none are given."""
+    built = _build([msgspec.convert(e, Episode) for e in episodes], words)
     return [r["instruction"]["instruction_tokens"] for r in built.native.document["episodes"]]
 
 
-def _build(episodes: Sequence[Episode]) -> EpisodeSet:
-    return ExporterVlnce().build(episodes, {}, "gn0")
+def _build(episodes: Sequence[Episode], words: Sequence[str] = ()) -> EpisodeSet:
+    return ExporterVlnce().build(episodes, {}, "gn0", words)
+
+
+def _lift(places: F64) -> list[list[float]]:
+    """Places [N, 2] of the floor in Habitat's frame."""
+    flat = np.column_stack([places, np.zeros(len(places))])
+    return [[float(v) for v in place] for place in world_to_habitat(flat) + 0.0]
 
 
 def write_splits(records: Sequence[Record], job: Job, folder: Path, role: str = "") -> None:
@@ -177,7 +242,8 @@ def write_splits(records: Sequence[Record], job: Job, folder: Path, role: str = 
         StorageError: a file cannot be written.
     """
     episodes = [msgspec.convert(record["episode"], Episode) for record in records]
-    built = _build(episodes)
+    words = () if role else read_words(job.settings)
+    built = _build(episodes, words)
     document, truth = built.native.document, {}
     paths: dict[tuple[str, str], int] = {}
     for number, (entry, episode, record) in enumerate(
@@ -187,6 +253,9 @@ def write_splits(records: Sequence[Record], job: Job, folder: Path, role: str = 
         entry["trajectory_id"] = paths.setdefault(way, len(paths) + 1)
         _, sine, _, cosine = habitat_rotation(episode.start[2])
         entry["start_rotation"] = [0, sine, 0, cosine]  # as the real files have it
+        entry["reference_path"] = _lift(
+            thin_path(np.array(episode.path, np.float64).reshape(-1, 2))
+        )
         if role:
             entry["instruction"] = {
                 "instruction_id": str(number),
@@ -196,10 +265,8 @@ def write_splits(records: Sequence[Record], job: Job, folder: Path, role: str = 
                 "edit_distance": 0.0,
                 "timed_instruction": [],
             }
-        flat = np.array(record["locations"], np.float64).reshape(-1, 2)
-        lifted = world_to_habitat(np.column_stack([flat, np.zeros(len(flat))])) + 0.0
         truth[str(number)] = {
-            "locations": lifted.tolist(),
+            "locations": _lift(np.array(record["locations"], np.float64).reshape(-1, 2)),
             "forward_steps": record["actions"].count(FORWARD),
             "actions": record["actions"],
         }
@@ -212,7 +279,13 @@ def write_splits(records: Sequence[Record], job: Job, folder: Path, role: str = 
         path = split_path(folder, split, role)
         save_exact(path, part.document)
         save_exact(path.with_name(path.name.replace(".json.gz", "_gt.json.gz")), part.truth)
-    about = About(episodes[0].agent.turn_degrees, splits, role)
+    unknown: Counter[str] = Counter()
+    if words:
+        known = frozenset(words)
+        for episode in episodes:
+            unknown.update(w for w in cut_words(episode.instruction) if w not in known)
+    odd = dict(sorted(unknown.items(), key=lambda item: (-item[1], item[0])))
+    about = About(episodes[0].agent.turn_degrees, splits, role, odd)
     write_bytes(folder / ABOUT, msgspec.json.encode(about) + b"\n")
 
 
@@ -223,6 +296,25 @@ def split_path(folder: Path, split: str, role: str = "") -> Path:
 
 def _load_split(folder: Path, split: str, role: str) -> EpisodeSet:
     return ExporterVlnce().load(split_path(folder, split, role))
+
+
+def remark_splits(folder: Path) -> list[str]:
+    """What models would misread in the files of all splits, or lack; never raises."""
+    try:
+        about = load_typed(folder / ABOUT, About)
+        if about.role:
+            return [NO_FEATURES]
+        document = load_exact(split_path(folder, about.splits[0]))
+        words = document["instruction_vocab"]["word_list"]
+        if not are_r2r_words(words):
+            return [MISREAD.format(count=len(words))]
+    except (Gn0Error, LookupError, TypeError, AttributeError):
+        return []  # the check tells what is wrong
+    if not about.unknown:
+        return []
+    shown = ", ".join(f"{word} {count}" for word, count in list(about.unknown.items())[:SHOWN])
+    more = "" if len(about.unknown) <= SHOWN else f" and {len(about.unknown) - SHOWN} more"
+    return [f"words that R2R's vocabulary lacks, with how often they come: {shown}{more}"]
 
 
 def check_splits(folder: Path, faults: Faults) -> None:
@@ -317,5 +409,4 @@ def _recover(episodes: EpisodeSet, number: int, about: About, folder: Path) -> R
         poses=np.column_stack([places[ahead], yaws]),
         start=np.array([task.start]),
         goal=np.array([[*task.goal, 0.0]]),
-        path=np.array([[x, y, 0.0] for x, y in task.path]).reshape(-1, 3),
     )

@@ -39,8 +39,17 @@ from gn0.export.lerobot21 import (
 from gn0.export.names import load_names, name_of, save_names
 from gn0.export.pictures import load_stack, save_stack
 from gn0.export.trips import RGBD, Frame, Recovered, Trip
-from gn0.export.vlnce import TOKENS, check_splits, instruction_tokens, remember, write_splits
+from gn0.export.vlnce import (
+    TOKENS,
+    check_splits,
+    instruction_tokens,
+    read_words,
+    remark_splits,
+    remember,
+    write_splits,
+)
 from gn0.geometry import F32, F64, U8, quaternion_from_rotation
+from gn0.missions.sets.vocabulary import cut_words
 from gn0.storage import safe_join
 
 ROOT, RAW = "traj_data", "raw_data"
@@ -88,7 +97,13 @@ class ExporterVlnPe(OwnPoses):
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """A walk that never stopped has no finish status of theirs."""
+        if not cut_words(trip.episode.instruction):
+            return "an instruction without words"
         return "" if trip.stopped else "it did not end with STOP"
+
+    def reads(self, settings: ExportSettings) -> str:
+        """R2R's vocabulary."""
+        return "R2R" if read_words(settings) else ""
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """Stacks and table of a trajectory."""
@@ -113,7 +128,7 @@ class ExporterVlnPe(OwnPoses):
         columns |= index_columns(trip.frames, settings.fps or FPS, 0, 0, 0)
         job.shelf.put(episode_path(folder, 0), encode_columns(columns))
         return {
-            **remember(trip),
+            **remember(trip, settings),
             "gn0": name_of(trip),
             "key": key,
             "length": trip.frames,
@@ -124,7 +139,8 @@ class ExporterVlnPe(OwnPoses):
     def finish(self, records: Sequence[Record], job: Job) -> None:
         """`meta/` of every trajectory, and the episodes."""
         write_splits(records, job, safe_join(job.folder, f"{RAW}/{job.settings.name}"))
-        tokens = instruction_tokens([record["episode"] for record in records])
+        words = read_words(job.settings)
+        tokens = instruction_tokens([record["episode"] for record in records], words)
         for number, record in enumerate(records, 1):
             text = record["episode"]["mission"]["instruction"]
             scene = record["episode"]["scene_id"]
@@ -160,6 +176,11 @@ class ExporterVlnPe(OwnPoses):
         for name in sorted(p for p in (folder / RAW).glob("*") if p.is_dir()):
             check_splits(name, faults)
         return faults.told()
+
+    def remarks(self, folder: Path) -> list[str]:
+        """What CMA and Seq2Seq would misread: they look tokens up as VLN-CE's models do."""
+        found = sorted(p for p in (folder / RAW).glob("*") if p.is_dir())
+        return [remark for path in found for remark in remark_splits(path)]
 
     def load(self, folder: Path) -> list[Recovered]:
         """Read it back."""

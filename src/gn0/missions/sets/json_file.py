@@ -30,12 +30,12 @@ def _refuse_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def load_exact(path: Path | str, limit: int = JSON_LIMIT) -> Any:
-    """The value of a JSON file, gzipped or not.
+def load_unpacked(path: Path | str, limit: int = JSON_LIMIT) -> bytes:
+    """The bytes of a file, unpacked where it is gzipped.
 
     Raises:
         StorageError: missing or unreadable.
-        FormatError: damaged, larger than `limit` bytes when unpacked, or a name given twice.
+        FormatError: no whole gzip file, or larger than `limit` bytes when unpacked.
     """
     data = read_bytes(path, limit)
     if data[:2] == GZIP_MAGIC:
@@ -50,6 +50,17 @@ def load_exact(path: Path | str, limit: int = JSON_LIMIT) -> Any:
             raise FormatError(
                 f"unpacks to more than {limit} bytes", file=path, remedy="split the set"
             )
+    return data
+
+
+def load_exact(path: Path | str, limit: int = JSON_LIMIT) -> Any:
+    """The value of a JSON file, gzipped or not.
+
+    Raises:
+        StorageError: missing or unreadable.
+        FormatError: damaged, larger than `limit` bytes when unpacked, or a name given twice.
+    """
+    data = load_unpacked(path, limit)
     try:
         return json.loads(data.decode("utf-8"), object_pairs_hook=_refuse_twice)
     except (ValueError, RecursionError) as error:

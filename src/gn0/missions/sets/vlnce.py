@@ -8,8 +8,6 @@ episode's id is a number there and a text in the ground truth. The agent receive
 from __future__ import annotations
 
 import math
-import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -32,9 +30,9 @@ from gn0.missions.frames import (
 )
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.json_file import GZIP_MAGIC, load_exact, save_exact
+from gn0.missions.sets.vocabulary import PAD_INDEX, UNKNOWN_INDEX, cut_words, own_words
 
 TOKENS = 200  # an instruction is padded with zeros to this length
-PAD, UNKNOWN = "<pad>", "<unk>"
 GOAL_RADIUS = 3.0  # m
 _XYZ = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
 _XYZW = Annotated[list[float], msgspec.Meta(min_length=4, max_length=4)]
@@ -151,21 +149,26 @@ class ExporterVlnce:
             save_exact(truth_path(path), native.truth)
 
     def build(
-        self, episodes: Sequence[Episode], grids: Mapping[str, OccupancyGrid], name: str
+        self,
+        episodes: Sequence[Episode],
+        grids: Mapping[str, OccupancyGrid],
+        name: str,
+        words: Sequence[str] = (),
     ) -> EpisodeSet:
-        """A document of our episodes, with a vocabulary of their words; no ground truth.
+        """A document of our episodes with a vocabulary, by default of their words; no ground truth.
 
         `info.geodesic_distance` is the length of the reference path. Floors are at height 0.
 
         Raises:
             EpisodeError: an episode makes no sense.
         """
-        texts = [_words(episode.instruction) for episode in episodes]
-        counts = Counter(word for text in texts for word in text)
-        words = [PAD, UNKNOWN, *sorted(counts, key=lambda word: (-counts[word], word))]
+        texts = [cut_words(episode.instruction) for episode in episodes]
+        words = list(words) or own_words(texts)
         index = {word: number for number, word in enumerate(words)}
         records = [
-            _record(check_episode(episode), number, [index[w] for w in text][:TOKENS])
+            _record(
+                check_episode(episode), number, [index.get(w, UNKNOWN_INDEX) for w in text][:TOKENS]
+            )
             for number, (episode, text) in enumerate(zip(episodes, texts, strict=True), 1)
         ]
         document = {
@@ -176,8 +179,8 @@ class ExporterVlnce:
                 "stoi": index,
                 "itos": words,
                 "num_vocab": len(words),
-                "UNK_INDEX": 1,
-                "PAD_INDEX": 0,
+                "UNK_INDEX": UNKNOWN_INDEX,
+                "PAD_INDEX": PAD_INDEX,
             },
         }
         tasks = tuple(_task(r, number, Path(name)) for number, r in enumerate(records, 1))
@@ -266,10 +269,6 @@ def _compare_truth(known: Mapping[str, _Truth], tasks: Sequence[Task]) -> list[s
     if strange:
         notes.append(f"ground truth names {strange} episodes that the split does not have")
     return notes
-
-
-def _words(text: str) -> list[str]:
-    return re.findall(r"[\w']+|[^\w\s]", text.lower())
 
 
 def _record(episode: Episode, number: int, tokens: list[int]) -> dict[str, Any]:

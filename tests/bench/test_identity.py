@@ -12,10 +12,12 @@ import pytest
 
 from gn0.bench import runner
 from gn0.bench.identity import digest_plugin, read_identity
-from gn0.bench.results import RunSummary, load_results
+from gn0.bench.report import write_report
+from gn0.bench.results import RunSummary, load_results, load_summary
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite
 from gn0.cli import bench_run
+from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, PolicyError
 from gn0.policies.remote.client import RemoteClient
 from gn0.policies.remote.extension import read_greeting
@@ -317,3 +319,44 @@ def test_a_policy_that_never_finished_an_episode_may_be_mended_without_more_ado(
     with pytest.raises(BenchError, match="another source"):
         run_mine(flats_suite, tmp_path / "run", keep_failed=True)
     assert run_mine(flats_suite, tmp_path / "run")[0].ok
+
+
+# Names.
+
+
+def test_a_name_of_your_own_is_shown_everywhere_and_runs_nothing_again(
+    flats_suite: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(out: str, name: str) -> str:
+        bench_run.run(
+            bench_run.Args(
+                suite=str(flats_suite.folder), out=str(tmp_path / out), policy="random", name=name,
+                episodes=2, no_report=True,
+            )
+        )  # fmt: skip
+        return capsys.readouterr().out
+
+    assert "baseline" in run("a", "baseline")
+    again = run("a", "chance <b>")
+    assert "chance <b>" in again and "nothing was run" in again and "baseline" not in again
+    run("b", "")
+    assert dict(load_summary(tmp_path / "a").protocol)["policy"] == "chance <b> (policy 'random')"
+    assert main(["bench", "compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    said = capsys.readouterr().out
+    assert "A: chance <b> (" in said and "B: random (" in said
+    page = write_report([tmp_path / "a", tmp_path / "b"], tmp_path / "x.html", videos=0).read_text()
+    assert "chance &lt;b&gt;" in page and "chance <b>" not in page
+    for wrong in (" ", "x" * 81, "two\nlines", "\x1b[2J"):
+        with pytest.raises(ConfigError, match="cannot be shown"):
+            run("c", wrong)
+    assert not (tmp_path / "c").exists()
+
+
+def test_the_name_option_of_a_remote_policy_has_an_effect(
+    flats_suite: Suite, tmp_path: Path
+) -> None:
+    with serve_bare(serving(model("m"))) as url:
+        options = {"url": url, "metadata_timeout": 0.5, "name": "navid-7b"}
+        summary = run_suite(flats_suite, "remote", tmp_path, policy_options=options, max_episodes=1)
+    assert summary.label == load_summary(tmp_path).label == "navid-7b"
+    assert summary.policy == "remote"

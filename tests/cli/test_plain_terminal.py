@@ -65,7 +65,7 @@ def test_names_of_runs_and_reasons_reach_no_terminal_raw(
         path = tmp_path / name / "summary.json"
         summary = json.loads(path.read_text())
         failed = EpisodeResult(episode="\x1b[2Je", scene="s", status="failed", reason=ATTACKS[0])
-        summary.update(policy=ATTACKS[2], suite=ATTACKS[0], valid=0)
+        summary.update(policy=ATTACKS[2], name=ATTACKS[2], suite=ATTACKS[0], valid=0)
         summary["failed"] = [json.loads(json.dumps({f: getattr(failed, f) for f in
                              ("episode", "scene", "status", "reason")}))]  # fmt: skip
         path.write_text(json.dumps(summary))

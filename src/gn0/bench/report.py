@@ -262,10 +262,10 @@ def _csp_hash(text: str) -> str:
 
 
 def _run_names(runs: Sequence[RunData]) -> list[str]:
-    """A name a run: the policy's; where two share it, with the map mode, else with the folder's."""
-    policies = [run.summary.policy for run in runs]
+    """A name a run: its own; where two share it, with the map mode, else with the folder's."""
+    policies = [run.summary.label for run in runs]
     if len({run.summary.map_mode for run in runs}) > 1:
-        policies = [f"{run.summary.policy}, map {run.summary.map_mode}" for run in runs]
+        policies = [f"{run.summary.label}, map {run.summary.map_mode}" for run in runs]
     return [
         f"{policy} ({run.folder.name})" if policies.count(policy) > 1 else policy
         for policy, run in zip(policies, runs, strict=True)

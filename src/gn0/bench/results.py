@@ -131,7 +131,8 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     """A run in numbers.
 
     Attributes:
-        policy: name given on the command line.
+        policy: the plug-in's name.
+        name: what people call the run: `--name`, else what the policy calls itself.
         suite: suite name; suite_hash, config_hash and code say exactly what ran.
         map_mode: what the maps shown to the policy held.
         task_hash: the suite's hash without the map mode.
@@ -157,6 +158,12 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     task_hash: str = ""
     profile: str = "default"
     release: ReleaseReport | None = None
+    name: str = ""
+
+    @property
+    def label(self) -> str:
+        """What tables and reports call it."""
+        return self.name or self.policy
 
     @property
     def ok(self) -> bool:

@@ -41,7 +41,7 @@ from gn0.bench.results import (
     save_run,
 )
 from gn0.bench.schedule import Schedule
-from gn0.bench.session import ask_card, stamp_now, tell_earlier
+from gn0.bench.session import ask_card, check_name, stamp_now, tell_earlier
 from gn0.bench.suite import Suite, load_suite_scene
 from gn0.bench.worker import describe_error
 from gn0.errors import BenchError, ConfigError, PolicyError
@@ -87,6 +87,7 @@ def run_suite(
     executor: ExecutorName = "process",
     ray_address: str = "",
     keep_failed: bool = False,
+    name: str = "",
     tell: Callable[[str], None] = _no_words,
 ) -> RunSummary:
     """Run a policy over a suite and write results, trajectories, summary and times to `out`.
@@ -109,6 +110,8 @@ def run_suite(
         ray_address: a Ray cluster to join; by default one of this machine alone is started.
         keep_failed: leave episodes that failed in an earlier run as they are; they are tried
             again otherwise. Episodes that were scored never are.
+        name: what tables, reports and comparisons call the run; by default what the policy calls
+            itself. Changes no result, and may be changed later.
         tell: told in a sentence what was there already, and what is done about it.
 
     Returns:
@@ -117,11 +120,12 @@ def run_suite(
     Raises:
         BenchError: the folder holds another run (another suite, setting, code, or another policy
             behind the same name), is in use, or the policy cannot be built.
-        ConfigError: no such policy.
+        ConfigError: no such policy, or a name that is none.
         StorageError: `out` cannot be written, or the disk is full.
         KeyboardInterrupt: after all workers have ended; the same command resumes.
     """
     check_workers(workers)
+    check_name(name)
     if not episode_time_limit > 0:
         raise BenchError(f"time limit is {episode_time_limit} s", remedy="give a positive number")
     import_plugins(plugin_modules)
@@ -164,7 +168,7 @@ def run_suite(
                     with open_pool(executor, told, workers, ray_address=ray_address) as pool:
                         run.begin_session(workers, executor, card)
                         run.drive(pool, Schedule(run.left, shuffle_seed))
-            return run.finish(settings)
+            return run.finish(settings, name)
         finally:
             with contextlib.suppress(OSError):
                 run.journal.close()
@@ -583,12 +587,17 @@ class _Run:
         }
         self._record(result, EpisodeTrace(episode=episode.id), about)
 
-    def finish(self, settings: Open) -> RunSummary:
+    def finish(self, settings: Open, name: str) -> RunSummary:
         """Write the files of the finished run."""
-        card = self.card or PolicyCard(name=self.identity["policy"], sensors=(), privileged=False)
+        plugin = self.identity["policy"]
+        card = self.card or PolicyCard(name=plugin, sensors=(), privileged=False)
+        name = name or card.name
+        shown = name if name == plugin else f"{name} (policy {plugin!r})"
+        card = msgspec.structs.replace(card, name=shown)
         results = sorted(self.results.values(), key=lambda r: r.episode)
         summary = RunSummary(
-            policy=self.identity["policy"],
+            policy=plugin,
+            name=name,
             suite=self.suite.name,
             suite_hash=self.identity["suite"],
             map_mode=self.suite.map_mode,

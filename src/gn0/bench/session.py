@@ -9,7 +9,9 @@ from datetime import UTC, datetime
 from gn0.bench.executors import Pool
 from gn0.bench.messages import Ready, Refused
 from gn0.bench.results import EpisodeResult, PolicyCard
+from gn0.errors import ConfigError
 
+NAME_LIMIT = 80  # characters
 _STAMP = "%Y-%m-%dT%H:%M:%SZ"
 
 
@@ -26,6 +28,21 @@ def tell_clock(stamp: str) -> str:
         return stamp[:40]
     today = then.date() == datetime.now().astimezone().date()
     return then.strftime("%H:%M" if today else "%Y-%m-%d %H:%M")
+
+
+def check_name(name: str) -> str:
+    """A name for a run, if it can be shown; "" for none.
+
+    Raises:
+        ConfigError: too long, or more than one line of plain text.
+    """
+    if name and (not name.strip() or len(name) > NAME_LIMIT or not name.isprintable()):
+        raise ConfigError(
+            f"name {name[:NAME_LIMIT]!r} cannot be shown",
+            where="--name",
+            remedy=f"give one line of at most {NAME_LIMIT} characters",
+        )
+    return name
 
 
 def tell_earlier(

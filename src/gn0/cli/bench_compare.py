@@ -43,6 +43,7 @@ def run(args: Args) -> int:
     """Print a line a metric."""
     from gn0.bench.compare import compare_paths, compare_runs, name_difference, name_pairing
     from gn0.bench.pairing import tell_paths
+    from gn0.bench.results import load_summary
     from gn0.errors import ConfigError
 
     b = args.b or args.a
@@ -52,8 +53,6 @@ def run(args: Args) -> int:
             args.a, b, mission_a=args.mission_a, mission_b=args.mission_b, unit=args.unit
         )
         notes = tell_paths(args.a, b, *missions)
-        for side, mission, folder in (("A", args.mission_a, args.a), ("B", args.mission_b, b)):
-            print(f"{side}: {folder}" + (f", {mission} missions" if mission else ""))
         pairs = "paths"
     else:
         if any(missions) or not args.b:
@@ -64,6 +63,9 @@ def run(args: Args) -> int:
         rows = compare_runs(args.a, b, unit=args.unit)
         notes = [name_difference(args.a, b), name_pairing(args.a, b)]
         pairs = "episodes"
+    for side, mission, folder in (("A", args.mission_a, args.a), ("B", args.mission_b, b)):
+        label = load_summary(folder).label
+        print(f"{side}: {label} ({folder})" + (f", {mission} missions" if mission else ""))
     for note in notes:
         if note:
             print(f"note: {note}")

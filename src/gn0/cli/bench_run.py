@@ -25,7 +25,7 @@ EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --executor ray --ray-address auto --workers 16 --out out/many
   gn0 bench run out/suite --policy straight --profile gn0-release --out out/official
   gn0 bench run out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --out out/remote
-  gn0 bench run out/suite --policy mine --plugin my_policies --out out/mine"""
+  gn0 bench run out/suite --policy mine --plugin my_policies --name "mine, v2" --out out/v2"""
 
 
 class Args(Config, frozen=True):
@@ -35,6 +35,8 @@ class Args(Config, frozen=True):
         suite: a suite folder, or a scene folder.
         out: the folder of results; an interrupted run there is resumed.
         policy: name of a policy (oracle, straight, wall_follower, random, remote, or a plug-in).
+        name: what tables, reports and comparisons call this run; by default what the policy
+            calls itself. No part of the run's identity: give another one later, and nothing is run.
         policy_option: an option of the policy as NAME=VALUE; may be given several times.
         workers: processes; never changes a result.
         executor: where the workers live: on this machine, or on a Ray cluster.
@@ -61,6 +63,7 @@ class Args(Config, frozen=True):
     suite: Annotated[str, tyro.conf.Positional]
     out: str
     policy: str = "oracle"
+    name: str = ""
     policy_option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
     executor: Literal["process", "ray"] = "process"
@@ -107,6 +110,7 @@ def run(args: Args) -> int:
             executor=args.executor,
             ray_address=args.ray_address,
             keep_failed=args.keep_failed,
+            name=args.name,
             tell=lambda text: print(plain_text(text)),
         )
         report = None

@@ -48,7 +48,7 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
             )
             cells.append(f"{mean}\n[dim]{low}–{high}[/dim]")
         table.add_row(
-            escape(plain_text(summary.policy)), f"{summary.valid}/{summary.expected}", *cells
+            escape(plain_text(summary.label)), f"{summary.valid}/{summary.expected}", *cells
         )
     Console(width=max(116, Console().width), highlight=False).print(table)
     for summary in summaries:
@@ -56,7 +56,7 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
             _print_release(summary)
     for summary in summaries:
         if summary.failed:
-            policy = plain_text(summary.policy)
+            policy = plain_text(summary.label)
             count = len(summary.failed)
             print(f"{policy}: {count} episode{'' if count == 1 else 's'} did not run:")
             for failure in summary.failed:
@@ -75,7 +75,7 @@ def _print_release(summary: RunSummary) -> None:
     theirs = summary.release
     assert theirs is not None
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", padding=(0, 1))
-    table.add_column(f"{escape(plain_text(summary.policy))}, same trajectories")
+    table.add_column(f"{escape(plain_text(summary.label))}, same trajectories")
     table.add_column("gn0-release", justify="right")
     table.add_column("ours", justify="right")
     for key, title, ours, factor, unit in SIDE_BY_SIDE:

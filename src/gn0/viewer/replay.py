@@ -175,7 +175,7 @@ def _scene_id(place: Path) -> str | None:
 
 def _names(runs: Sequence[RunData]) -> list[str]:
     """The policy's name, with the folder's where two runs share a policy."""
-    policies = [run.summary.policy for run in runs]
+    policies = [run.summary.label for run in runs]
     return [
         f"{policy} ({run.folder.name})" if policies.count(policy) > 1 else policy
         for policy, run in zip(policies, runs, strict=True)

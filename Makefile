@@ -6,7 +6,7 @@ OUT ?= out/demo
 TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
-.PHONY: install dev demo test search lint types package figures pictures clean
+.PHONY: install dev demo test search faults lint types package figures pictures clean
 
 install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
 
@@ -41,6 +41,9 @@ search: dev ## property tests on fresh random examples: what they find becomes a
 package: dev ## wheel and source archive, and what an index would say of them
 	$(BIN)/python -m build --outdir dist .
 	$(BIN)/twine check --strict dist/*
+
+faults: dev ## put each fault of tests/faults into a copy of the code: does a test notice? (2 h)
+	$(BIN)/python tests/faults/run_faults.py $(FAULT_FLAGS)
 
 figures: dev ## measure the whole board again (run it on a quiet machine)
 	$(BIN)/gn0 figures --all --out docs

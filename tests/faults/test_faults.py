@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -58,3 +59,50 @@ def test_a_fault_whose_place_is_gone_says_so() -> None:
         .changed("def f():\n    return 1\n\n\n@d\ndef g():\n    return 1\n")
         .endswith("def g():\n    return 3\n")
     )
+
+
+def test_a_fault_is_tried_in_a_copy_and_its_verdict_holds_until_something_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A tree of one module and one test: one fault is noticed, one is not, one hangs nobody."""
+    code = {
+        "src/gn0/__init__.py": "",
+        "src/gn0/a.py": "def f(x):\n    if x > 3:\n        return 1\n    return 2\n",
+        "tests/test_a.py": "from gn0.a import f\n\n\ndef test_f():\n    assert f(9) == 1\n",
+        "pyproject.toml": "[tool.pytest.ini_options]\nmarkers = ['slow', 'browser']\n",
+    }
+    for name, text in code.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    subprocess.run(["git", "init", "-q", tmp_path], check=True)
+    monkeypatch.syspath_prepend(str(HERE))
+    run = beside("run_faults")
+    monkeypatch.setattr(run, "ROOT", tmp_path)
+    faults = [
+        fault_list.Fault("noticed", "src/gn0/a.py", "f", "return 1", "return 3"),
+        fault_list.Fault("missed", "src/gn0/a.py", "f", "x > 3", "x > 4"),
+    ]
+    journal = run.Journal(tmp_path / "out/journal.jsonl")
+    run.work(faults, journal, tmp_path / "out", 1, 60.0)
+    verdicts = {name: (row["verdict"], row["by"]) for name, row in journal.rows.items()}
+    assert verdicts == {
+        "noticed": ("killed", "tests/test_a.py::test_f"),
+        "missed": ("survived", ""),
+    }
+    assert (tmp_path / "src/gn0/a.py").read_text() == code["src/gn0/a.py"]
+    assert (tmp_path / "out/lane0/tree/src/gn0/a.py").read_text() == code["src/gn0/a.py"]
+    assert run.report(faults, journal, [], tmp_path / "out") == 0.5
+    assert "survived: missed" in capsys.readouterr().out
+    assert all(run.Journal(journal.path).holds(fault) for fault in faults)
+    (tmp_path / "tests/test_a.py").write_text(code["tests/test_a.py"] + "    assert f(4) == 1\n")
+    assert not any(run.Journal(journal.path).holds(fault) for fault in faults)
+
+
+def test_the_tests_named_after_a_module_come_first() -> None:
+    imports = beside("fault_tests").TestMap(fault_list.ROOT)
+    found = imports.tests_of("src/gn0/missions/similarity.py", "_find_similar", {})
+    assert found[0] == "tests/missions/test_similarity.py"
+    assert imports.tests_of("src/gn0/maps/ray.py", "trace_cells", {})[0] == "tests/maps/test_ray.py"
+    kernels = imports.stale_kernels("src/gn0/maps/ray.py", "trace_cells")
+    assert {"gn0.maps.ray", "gn0.maps.pose_astar", "gn0.data.label_kernels"} <= kernels
+    assert not imports.stale_kernels("src/gn0/storage.py", "write_atomic")

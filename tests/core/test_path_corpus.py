@@ -19,6 +19,7 @@ from gn0.missions.files import load_episodes, save_episodes
 from gn0.plugins import get_plugin
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import check_scene_id, load_scene, save_scene
+from gn0.sim.tasks import load_tasks
 from gn0.storage import safe_join
 from gn0.testing.path_corpus import CLIMBING, HARMLESS, climbing_paths
 
@@ -96,6 +97,18 @@ def test_no_suite_reaches_out_through_a_scene_folder(home: Path, tmp_path: Path,
     (suite / "suite.json").write_text(json.dumps(about))
     with pytest.raises(StorageError, match="path"):
         load_suite(suite)
+
+
+@pytest.mark.parametrize("path", SOME, ids=lambda p: ascii(p)[:40])
+def test_no_suite_of_an_environment_reaches_out(home: Path, tmp_path: Path, path: str) -> None:
+    """Gym's `suite=` reads suite.json on its own: it must keep the same door shut."""
+    (tmp_path / "suite").mkdir()
+    about = json.loads((home / "suite/suite.json").read_text())
+    about["scenes"][0]["folder"] = path
+    shutil.copy(home / "suite/episodes.parquet", tmp_path / "suite")
+    (tmp_path / "suite/suite.json").write_text(json.dumps(about))
+    with pytest.raises(StorageError, match="path"):
+        load_tasks(suite=tmp_path / "suite")
 
 
 @pytest.mark.parametrize("path", WRITABLE, ids=lambda p: ascii(p)[:40])

@@ -191,3 +191,25 @@ def test_a_digest_goes_on_from_the_rows_that_are_the_same(shape: tuple[int, ...]
         assert digest.of(array, same) == content_hash(array)
     other = np.zeros((2, *shape), np.uint8)
     assert digest.of(other, 2) == content_hash(other)
+
+
+def test_a_file_is_on_disk_before_it_has_its_name_and_its_folder_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a power cut leaves is the order of sync and rename."""
+    done: list[tuple[str, int]] = []
+    fsync, replace = os.fsync, os.replace
+
+    def sync(fd: int) -> None:
+        done.append(("sync", os.fstat(fd).st_ino))
+        fsync(fd)
+
+    def rename(old: str, new: str) -> None:
+        done.append(("rename", os.stat(old).st_ino))
+        replace(old, new)
+
+    monkeypatch.setattr(os, "fsync", sync)
+    monkeypatch.setattr(os, "replace", rename)
+    write_bytes(tmp_path / "a.bin", b"x" * 100)
+    file, folder = (tmp_path / "a.bin").stat().st_ino, tmp_path.stat().st_ino
+    assert done == [("sync", file), ("rename", file), ("sync", folder)]

@@ -117,7 +117,10 @@ def test_a_dataset_is_balanced_and_its_samples_are_not_touched(
     assert [about.before[name].count for name in NAMES] == counts.tolist()
     assert about.samples == len(classes)
     if method == "weights":
-        assert about.kept == len(classes) and about.effective <= len(classes)
+        w = table["weight"].to_numpy().astype(np.float64)
+        kish = 1.0 / ((w / w.sum()) ** 2).sum()  # Kish 1965: n_eff = (Σw)² / Σw²
+        assert about.kept == len(classes) and about.effective == pytest.approx(kish, abs=0.06)
+        assert about.effective < len(classes)
         picked = classes[draw_rows(table["weight"].to_numpy(), 40_000, 1)]
         assert np.abs(np.bincount(picked, minlength=4) / 40_000 - TARGET).max() < 0.01
 

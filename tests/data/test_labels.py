@@ -330,11 +330,9 @@ def test_release_labels_stop_a_metre_before_the_goal(
 def test_actions_are_cut_where_they_enter_a_disc() -> None:
     actions = np.array([[1, 1, 1, 1, 1, 1], [2, 2, 2, 1, 1, 1]], np.int8)
     states = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -math.pi / 4]])
-    open_ground = NavigationMap(OccupancyGrid(np.zeros((300, 300), np.uint8), 0.1, (-15.0, -15.0)))
-    cut = cut_at(actions, open_ground.geodesic((1.0, 0.0)), states, AGENT, 0.51)
+    cut = cut_at(actions, (1.0, 0.0), states, AGENT, 0.51)
     assert cut.tolist() == [[1, 1, 0, 0, 0, 0], [2, 2, 2, 1, 1, 0]]
-    far = open_ground.geodesic((9.0, 9.0))
-    assert cut_at(actions, far, states, AGENT, 0.5).tolist() == actions.tolist()
+    assert cut_at(actions, (9.0, 9.0), states, AGENT, 0.5).tolist() == actions.tolist()
 
 
 def test_the_agent_of_the_episode_decides_steps_and_turns() -> None:
@@ -351,3 +349,62 @@ def test_the_agent_of_the_episode_decides_steps_and_turns() -> None:
     labels = label_states(navigation, episode, poses[:1])
     assert labels.actions6[0].tolist() == [3, 3, 3, 1, 1, 1]
     np.testing.assert_allclose(labels.waypoints[0, 1], [0.0, -0.25], atol=1e-6)
+
+
+# --------------------------------------------------------------------------- where it stops
+
+
+def corner() -> NavigationMap:
+    """Open ground of 2 m with one blocked cell of 5 cm in the middle."""
+    cells = np.zeros((40, 40), np.uint8)
+    cells[20, 20] = 1
+    return NavigationMap(OccupancyGrid(cells, 0.05, (0.0, 0.0)), 0.0)
+
+
+@pytest.mark.parametrize("rules", [EXACT, TRACKING], ids=lambda rules: rules.variant)
+def test_a_goal_that_is_near_but_out_of_sight_is_not_arrived_at(rules: LabelSettings) -> None:
+    """Both sides of one blocked cell: 0.20 m apart, hardly more on foot, and no line between."""
+    navigation = corner()
+    goal, place = (0.925, 1.025), (1.125, 1.025)
+    field = navigation.geodesic(goal)
+    assert field.distance_at(*place) < 0.22
+    assert not is_arrived(field, *place, 0.25)
+    body = AgentSpec(radius=0.0, forward_step=0.1)
+    labels = label_states(navigation, goal, np.array([[*place, 2.0]]), rules, agent=body)
+    assert labels.actions6[0, 0] != 0
+    beside = (1.125, 1.105)
+    assert is_arrived(navigation.geodesic((0.925, 1.105)), *beside, 0.25)
+
+
+@pytest.mark.parametrize("rules", [EXACT, TRACKING], ids=lambda rules: rules.variant)
+def test_labels_stop_a_hair_within_the_limit_and_never_on_it(rules: LabelSettings) -> None:
+    """0.2495 m from the goal a metric may round to 0.25: one more step; 0.2485 m is near enough."""
+    navigation = NavigationMap(OccupancyGrid(np.zeros((40, 40), np.uint8), 0.05, (0.0, 0.0)), 0.0)
+    goal, body = (1.025, 1.025), AgentSpec(radius=0.0, forward_step=0.05)
+    first = [
+        label_states(navigation, goal, np.array([[1.025 - away, 1.025, 0.0]]), rules, agent=body)
+        .actions6[0, 0]
+        for away in (0.2495, 0.2485)
+    ]  # fmt: skip
+    assert first == [1, 0]
+    field = navigation.geodesic(goal)
+    assert not is_arrived(field, 1.025 - 0.2495, 1.025, 0.25)
+    assert is_arrived(field, 1.025 - 0.2485, 1.025, 0.25)
+
+
+def test_mpc_does_not_stop_where_its_window_ends() -> None:
+    """A long-legged body is through the 3 m it sees in five actions; its goal is 9 m on."""
+    grid = OccupancyGrid(np.zeros((20, 240), np.uint8), 0.05, (0.0, 0.0))
+    navigation = NavigationMap(grid, 0.0)
+    body = AgentSpec(radius=0.0, forward_step=0.7)
+    pose = np.array([[1.025, 0.525, 0.0]])
+    labels = label_states(navigation, (10.525, 0.525), pose, TRACKING, agent=body)
+    assert labels.valid[0] == 13 and (labels.actions6 != 0).all()
+    near = label_states(navigation, (3.025, 0.525), pose, TRACKING, agent=body)
+    assert near.actions6[0].tolist() == [1, 1, 1, 0, 0, 0]
+
+
+def test_each_column_of_the_window_is_an_action_later() -> None:
+    assert window_actions(np.array([1, 2, 3, 1, 0], np.int8)).tolist() == [
+        [1, 2, 3, 1, 0, 0], [2, 3, 1, 0, 0, 0], [3, 1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0] * 6,
+    ]  # fmt: skip

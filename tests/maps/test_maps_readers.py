@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import numpy as np
@@ -338,3 +339,22 @@ def test_no_mutant_of_a_map_raises_anything_foreign(tmp_path):
             except Gn0Error as error:
                 assert str(error)
         path.write_bytes(good)
+
+
+def test_interiorgs_negative_spans_that_were_rounded_keep_each_cell_in_its_place(tmp_path):
+    """Cell by cell: a mirrored or shifted map has the right size and the right share of free."""
+    for flip_x, flip_y in itertools.product((False, True), repeat=2):
+        lower, upper = [1.0, 10.0, 0], [2.49, 10.99, 0]  # a centimetre less than the cells span
+        anchor = [upper[0], lower[1]]  # of the first pixel, with both spans positive
+        if flip_x:
+            lower[0], upper[0] = upper[0], lower[0]
+            anchor[0] = upper[0]
+        if flip_y:
+            lower[1], upper[1] = upper[1], lower[1]
+            anchor[1] = lower[1]
+        grid = load_occupancy(write_interiorgs(tmp_path, scale=0.5, lower=lower, upper=upper))
+        for py, px in itertools.product(range(2), range(3)):
+            x = anchor[0] + (px + 0.5) * (0.5 if flip_x else -0.5)
+            y = anchor[1] + (py + 0.5) * (-0.5 if flip_y else 0.5)
+            wanted = {255: 0, 0: 1, 127: 2}[int(PICTURE[py, px])]
+            assert grid.cells[grid.cell_of(x, y)] == wanted, (flip_x, flip_y, px, py)

@@ -148,3 +148,14 @@ def test_behind_a_thin_wall_is_not_near() -> None:
     start, goal = (1.45, 0.5), (1.6, 0.5)  # 0.15 m apart, with the wall between them
     plan = plan_actions(navigation.geodesic(goal), start, cycle(1.0))
     assert 0.25 * (plan == FORWARD).sum() > 3.0
+
+
+def test_a_plan_ends_in_sight_of_the_goal() -> None:
+    """Both sides of one blocked cell of 5 cm: near as the crow flies and on foot, but not seen."""
+    cells = np.zeros((40, 40), np.uint8)
+    cells[20, 20] = 1
+    navigation = NavigationMap(OccupancyGrid(cells, 0.05, (0, 0)), 0.0)
+    start, goal = (1.125, 1.025), (0.925, 1.025)
+    assert navigation.geodesic(goal).distance_at(*start) < 0.22
+    plan = plan_actions(navigation.geodesic(goal), start, cycle(2.0), step=0.1)
+    assert len(plan) > 0

@@ -75,3 +75,36 @@ def test_the_plain_resampling_keeps_ends_and_spacing() -> None:
     assert points[0] == (0.0, 0.0) and points[-1] == (3.0, 1.0) and len(points) == 9
     gaps = [math.dist(a, b) for a, b in itertools.pairwise(points)]
     assert gaps == pytest.approx([0.5] * 8)
+
+
+def test_each_end_has_a_radius_of_its_own() -> None:
+    """Starts must be near, goals may lie apart, and the other way round."""
+    line = np.array([[0.0, 0.0], [8.0, 0.0]])
+    for end, start_radius, goal_radius in ((-1, 0.1, 2.0), (0, 2.0, 0.1)):
+        measures = SimilaritySettings(
+            start_radius=start_radius, goal_radius=goal_radius, frechet=5.0
+        )
+        known = known_paths([line], measures.samples)
+        moved = line.copy()
+        moved[end, 1] = 1.0
+        assert known.find_similar(moved, measures) == 0
+        other = line.copy()
+        other[-1 - end, 1] = 1.0
+        assert known.find_similar(other, measures) == -1
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_ends_that_are_exactly_a_radius_apart_are_compared(end: int) -> None:
+    measures = SimilaritySettings(start_radius=1.0, goal_radius=1.0, frechet=5.0)
+    line = np.array([[0.0, 0.0], [8.0, 0.0]])
+    known = known_paths([line], measures.samples)
+    moved = line.copy()
+    moved[end, 1] = 1.0
+    assert known.find_similar(moved, measures) == 0
+
+
+def test_paths_are_the_same_to_the_millimetre() -> None:
+    line = np.array([[0.0, 0.0], [8.0, 0.0]])
+    known = known_paths([line], 48)
+    assert known.find_same(line + 0.0004) == 0
+    assert known.find_same(line + 0.002) == -1 and known.find_same(line + 0.004) == -1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -133,3 +134,18 @@ def replace(episode, **changes):
     import msgspec
 
     return msgspec.structs.replace(episode, **changes)
+
+
+def test_it_stops_a_hair_within_the_limit_and_never_on_it(plan: Simulator) -> None:
+    """0.2495 m away a metric may round to 0.25: it goes on; 0.2485 m is near enough."""
+    episode = build_point_episodes(plan.scene, plan.navigation, 1, 4)[0]
+    x, y = episode.goal
+    field = plan.navigation.geodesic(episode.goal)
+    for yaw in np.linspace(0.0, 6.0, 40):  # a direction in which the goal is in plain sight
+        away = (x - math.cos(yaw), y - math.sin(yaw))
+        if plan.navigation.is_free(*away) and field.distance_at(*away) < 1.0 + 1e-9:
+            break
+    for distance, stops in ((0.2495, False), (0.2485, True)):
+        start = (x - distance * math.cos(yaw), y - distance * math.sin(yaw), float(yaw))
+        trajectory = run_episode(plan, PolicyOracle(0.25), replace(episode, start=start))
+        assert (trajectory.actions == (0,)) is stops

@@ -7,6 +7,7 @@ import http.client
 import logging
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -233,6 +234,28 @@ def test_the_token_is_wanted_from_everybody(monkeypatch: pytest.MonkeyPatch) -> 
                 connect(server.url, additional_headers={"Authorization": value})
         monkeypatch.setenv("GN0_TOKEN", "right-one")
         PolicyRemote(server.url).client.close()
+
+
+def test_who_comes_when_the_house_is_full_is_turned_away_and_let_in_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("gn0.policies.remote.server.CONNECTIONS_LIMIT", 2)
+    with PolicyServer(PolicyRandom, port=0, token="") as server:
+        inside = [connect(server.url) for _ in range(2)]
+        for guest in inside:
+            guest.recv(timeout=5.0)  # the greeting: it has a seat
+        with pytest.raises(InvalidStatus, match="503"):
+            connect(server.url)
+        inside[0].close()
+        for _ in range(100):
+            try:
+                connect(server.url).close()
+                break
+            except InvalidStatus:
+                time.sleep(0.05)  # the seat is given back by another thread
+        else:
+            pytest.fail("the seat of one who left stays taken")
+        inside[1].close()
 
 
 def test_pages_in_a_browser_are_turned_away(server: PolicyServer) -> None:

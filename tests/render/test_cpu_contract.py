@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
@@ -108,6 +110,32 @@ def test_splats_behind_and_out_of_sight_are_not_drawn() -> None:
         .render(Camera.orthographic(20, 20, 0.1), view_from_above(0, 0, -3))
         .alpha.any()
     )
+
+
+@pytest.mark.parametrize("border", ["left", "right", "top", "bottom"])
+@pytest.mark.parametrize("ortho", [False, True])
+def test_a_point_just_outside_still_shows_at_the_rim(border: str, ortho: bool) -> None:
+    """The dilation gives a point a footprint of 1.8 px: its chunk must not be dropped before."""
+    if ortho:
+        camera = Camera.orthographic(40, 30, 0.01)
+        metres, view = 0.01, view_from_above(0, 0, 2.0)
+        across, along = np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
+        centre = np.zeros(3)
+    else:
+        camera = Camera.from_hfov(40, 30, 90.0)
+        metres, view = 2.0 / camera.fx, view_from_pose(0, 0, 0, 0)
+        across, along = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -1.0])
+        centre = np.array([2.0, 0.0, 0.0])
+    u, v = {"left": (-21, 0), "right": (21, 0), "top": (0, -16), "bottom": (0, 16)}[border]
+    cloud = replace(
+        random_cloud(1, seed=0),
+        means=(centre + metres * (u * across + v * along))[None].astype(np.float32),
+        scales=np.full((1, 3), 1e-5, np.float32),
+        opacities=np.ones(1, np.float32),
+    )
+    alpha = RendererCpu(cloud).render(camera, view).alpha[0]
+    rim = {"left": alpha[:, 0], "right": alpha[:, -1], "top": alpha[0], "bottom": alpha[-1]}
+    assert rim[border].max() > 0.005
 
 
 def test_faint_splats_and_no_splats() -> None:

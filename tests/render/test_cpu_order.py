@@ -82,3 +82,19 @@ def test_row_order_is_a_permutation_that_spreads(count: int) -> None:
     if count >= 14:  # each half of the work sees the whole height
         half = order[: count // 2]
         assert half.min() < count / 8 and half.max() > count * 6 / 8
+
+
+@pytest.mark.parametrize("n", [2, 3, 23, 24, 25, 26, 60])
+@pytest.mark.parametrize("depths", [1, 2, 3])
+def test_equal_depths_of_short_lists_are_in_index_order(n: int, depths: int) -> None:
+    """Lists up to 24 are sorted by insertion, longer ones by digits: ties come out alike."""
+    stream = np.random.default_rng(n)
+    for _ in range(4):
+        records = np.zeros((n, RECORD), np.float32)
+        records[:, DEPTH] = 1.0 + stream.integers(0, depths, n)
+        indices = stream.permutation(n).astype(np.uint32)
+        rows = stream.permutation(n).astype(np.int32)
+        keys = np.ascontiguousarray(records[rows, DEPTH]).view(np.uint32)
+        want = rows[np.lexsort((indices[rows], records[rows, DEPTH]))]
+        sort_tile(keys, rows, np.empty_like(keys), np.empty_like(rows), indices, records, False)
+        assert (rows == want).all()

@@ -34,16 +34,17 @@ def check_places(navigation: NavigationMap, episode: Episode, radius: float) -> 
         EpisodeError: start or goal is blocked, or they lie in different regions.
     """
     where = f"episode {episode.id!r}"
-    reached = navigation.regions_of(episode.destination)
+    regions = []
     for name, (x, y) in (("start", episode.start[:2]), ("goal", episode.goal)):
-        blocked = navigation.region_of(x, y) < 0 if name == "start" else not reached
-        if blocked:
+        region = navigation.region_of(x, y)
+        if region < 0:
             raise EpisodeError(
                 f"{name} ({x:.3f}, {y:.3f}) m is blocked for an agent of radius {radius:g} m",
                 where=where,
                 remedy="snap it to walkable ground, or use a slimmer agent",
             )
-    if navigation.region_of(*episode.start[:2]) not in reached:
+        regions.append(region)
+    if regions[0] != regions[1]:
         raise EpisodeError(
             f"no path from start {episode.start[:2]} to goal {episode.goal} for an agent of "
             f"radius {radius:g} m",

@@ -85,6 +85,17 @@ def test_goals_can_be_sampled(scene):
     assert all("like object" in e.instruction or "sized" in e.instruction for e in episodes)
 
 
+def test_the_map_lies_where_the_splats_lie(scene, shapes):
+    """The bed's cells are blocked and those beside it free, in the frame of the splats."""
+    grid = scene.grid
+    for x, y in ((1.1, 3.2), (1.6, 1.0)):
+        assert not grid.is_free(x, y)
+    truth = shapes.truth_cells()
+    rows, cols = np.nonzero(truth)
+    centres = (np.column_stack([cols, rows]) + 0.5) * 0.05
+    assert np.mean([grid.is_free(x, y) for x, y in centres]) > 0.98
+
+
 def test_frame_takes_the_file_to_the_scene(scene, flat):
     """Scale, rotation and lift of scene.json reproduce the scene's own positions."""
     known = scene.source.settings
@@ -154,6 +165,8 @@ def test_oracle_runs_on_a_capture(scene, tmp_path):
     assert main([*command, "--no-report", "--out", str(out)]) == 0
     rows = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
     assert len(rows) == 3
+    assert all(row["status"] == "valid" and row["metrics"]["success"] for row in rows)
+    assert all(row["metrics"]["navigation_error_geodesic"] <= 0.25 for row in rows)
 
 
 def test_phone_scan_of_a_statue(shared_data, tmp_path):

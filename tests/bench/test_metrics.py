@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from gn0.bench.metrics import METRICS, compute_metrics, dynamic_time_warping
 from gn0.errors import EpisodeError
 from gn0.geometry import Pose2D
+from gn0.maps.goals import GoalSet
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.sim.state import Trajectory
 from gn0.testing.judge_metrics import judge_distances, judge_dtw, worst_disagreement
@@ -68,6 +69,34 @@ def test_running_out_of_steps_is_no_success_but_may_be_an_oracle_success() -> No
 def test_stopping_in_the_goal_itself_is_a_success() -> None:
     m = compute_metrics(walk((10, 0)), GOAL, straight_line)
     assert (m.success, m.spl, m.steps, m.collision_rate) == (True, 1.0, 0, 0.0)
+
+
+def test_the_nearest_of_several_goals_counts() -> None:
+    both = msgspec.structs.replace(GOAL, goal_set=GoalSet(points=((10.0, 0.0), (0.0, 8.0))))
+
+    def nearest(points: np.ndarray) -> np.ndarray:
+        return np.minimum(straight_line(points), np.hypot(points[:, 0], points[:, 1] - 8.0))
+
+    found = compute_metrics(walk((0, 0), (0, 5.5)), both, nearest)
+    assert found.success and found.success_euclid and found.oracle_success
+    assert found.navigation_error_euclid == found.navigation_error_geodesic == 2.5
+    assert found.shortest_length == 8.0 and found.spl == 1.0
+
+
+def test_a_region_is_reached_inside_it_and_not_three_metres_before() -> None:
+    room = ((9.0, -2.0), (15.0, -2.0), (15.0, 2.0), (9.0, 2.0))
+    inside = msgspec.structs.replace(GOAL, goal_set=GoalSet(areas=(room,)))
+
+    def to_room(points: np.ndarray) -> np.ndarray:
+        return np.maximum(9.0 - points[:, 0], 0.0)
+
+    before = compute_metrics(walk((0, 0), (8.9, 0)), inside, to_room)
+    assert not before.success and not before.success_euclid and not before.oracle_success
+    assert before.navigation_error_euclid == pytest.approx(0.1)
+    there = compute_metrics(walk((0, 0), (9.1, 0)), inside, to_room)
+    assert there.success and there.success_euclid and there.navigation_error_geodesic == 0.0
+    passed = compute_metrics(walk((0, 0), (9.1, 0), (8.0, 0)), inside, to_room)
+    assert passed.oracle_success and not passed.success
 
 
 def test_a_shortcut_never_lifts_spl_above_one() -> None:

@@ -330,9 +330,11 @@ def test_release_labels_stop_a_metre_before_the_goal(
 def test_actions_are_cut_where_they_enter_a_disc() -> None:
     actions = np.array([[1, 1, 1, 1, 1, 1], [2, 2, 2, 1, 1, 1]], np.int8)
     states = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -math.pi / 4]])
-    cut = cut_at(actions, (1.0, 0.0), states, AGENT, 0.51)
+    open_ground = NavigationMap(OccupancyGrid(np.zeros((300, 300), np.uint8), 0.1, (-15.0, -15.0)))
+    cut = cut_at(actions, open_ground.geodesic((1.0, 0.0)), states, AGENT, 0.51)
     assert cut.tolist() == [[1, 1, 0, 0, 0, 0], [2, 2, 2, 1, 1, 0]]
-    assert cut_at(actions, (9.0, 9.0), states, AGENT, 0.5).tolist() == actions.tolist()
+    far = open_ground.geodesic((9.0, 9.0))
+    assert cut_at(actions, far, states, AGENT, 0.5).tolist() == actions.tolist()
 
 
 def test_the_agent_of_the_episode_decides_steps_and_turns() -> None:

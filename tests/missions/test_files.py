@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gn0.errors import EpisodeError, FormatError, Gn0Error, StorageError
+from gn0.maps.goals import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import (
     AgentSpec,
@@ -24,6 +25,7 @@ from gn0.missions.episode import (
     MissionFollow,
     MissionGoal,
     MissionInstruction,
+    check_episode,
 )
 from gn0.missions.files import (
     GN_MATRIX_COLUMNS,
@@ -106,6 +108,27 @@ def test_a_file_of_an_earlier_version_has_no_path_style_or_light(
     found = load_episodes(tmp_path / "earlier.parquet")
     assert [e.id for e in found] == [e.id for e in MIXED]
     assert all(e.path_id == "" and e.light is None for e in found)
+
+
+SETS = [
+    goal(6, goal_set=GoalSet(points=((5.025, 6.525), (1.125, 2.0 / 3)))),
+    goal(7, goal_set=GoalSet(areas=(((4.0, 6.0), (6.0, 6.0), (6.0, 7.0)),))),
+    goal(8, tier="visible from above"),
+]
+
+
+def test_goal_sets_and_tiers_are_read_back_and_leave_other_files_as_they_were(
+    saved: Path, tmp_path: Path
+) -> None:
+    save_episodes(tmp_path / "sets.parquet", [*SETS, *MIXED], GRIDS)
+    assert load_episodes(tmp_path / "sets.parquet") == [*SETS, *MIXED]
+    assert {"goal_set", "tier"} <= set(pq.read_schema(tmp_path / "sets.parquet").names)
+    assert not {"goal_set", "tier"} & set(pq.read_schema(saved).names)
+
+
+def test_a_goal_set_without_the_goal_is_refused() -> None:
+    with pytest.raises(EpisodeError, match="none of its goal set"):
+        check_episode(goal(0, goal_set=GoalSet(points=((0.0, 2.0), (1.0, 2.0)))))
 
 
 def test_light_that_is_no_condition_is_named_with_its_row(saved: Path, tmp_path: Path) -> None:

@@ -18,7 +18,12 @@ from gn0.missions.episode import AgentSpec
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_rollout import RolloutCollector, rollout_bytes
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
+from gn0.testing.scenes import (
+    build_floor_plan,
+    build_map_scene,
+    build_point_episodes,
+    with_goal_sets,
+)
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 SENSORS = ("goal_vector", "ranges", "pose")
@@ -34,7 +39,8 @@ def plans():
     ]
     scenes = [build_map_scene(grid, f"plan-{i}") for i, grid in enumerate(grids)]
     listed = [build_point_episodes(s, NavigationMap(s.grid, 0.2), 8, seed=5) for s in scenes]
-    return scenes, [episode for group in zip(*listed, strict=True) for episode in group]
+    episodes = [episode for group in zip(*listed, strict=True) for episode in group]
+    return scenes, with_goal_sets(episodes)
 
 
 def same(mine, theirs, what="") -> None:

@@ -28,6 +28,7 @@ from gn0.testing.scenes import (
     build_map_scene,
     build_point_episodes,
     build_room_scene,
+    with_goal_sets,
 )
 
 gn0.register_envs()
@@ -46,7 +47,8 @@ def plans():
     ]
     scenes = [build_map_scene(grid, f"plan-{i}") for i, grid in enumerate(grids)]
     listed = [build_point_episodes(s, NavigationMap(s.grid, 0.2), 8, seed=5) for s in scenes]
-    return scenes, [episode for group in zip(*listed, strict=True) for episode in group]
+    episodes = [episode for group in zip(*listed, strict=True) for episode in group]
+    return scenes, with_goal_sets(episodes)
 
 
 def assert_same(mine, theirs) -> None:

@@ -34,10 +34,12 @@ class EpisodeMetrics(msgspec.Struct, frozen=True, kw_only=True):
         trajectory_length: TL, sum of the distances between successive poses [m].
         shortest_length: geodesic distance from start to goal [m].
         navigation_error_euclid: straight distance from the last pose to the goal [m] (the paper's).
-        navigation_error_geodesic: walking distance from the last pose to the goal [m].
-        success: the agent said STOP at a geodesic distance < 3.0 m.
-        success_euclid: the agent said STOP at a straight distance < 3.0 m.
-        oracle_success: the geodesic distance was < 3.0 m at any pose.
+        navigation_error_geodesic: walking distance from the last pose to the goal [m]. Of a goal
+            set, all distances are to its nearest place.
+        success: the agent said STOP at a geodesic distance < 3.0 m; of a goal that is an area,
+            inside it.
+        success_euclid: the agent said STOP at a straight distance < 3.0 m; an area: as `success`.
+        oracle_success: the geodesic distance was < 3.0 m at any pose, or a pose inside the area.
         spl: success · shortest / max(shortest, TL), Anderson et al. 2018.
         ndtw: exp(−DTW / (|reference| · 3.0 m)), Ilharco et al. 2019.
         sdtw: success · nDTW.
@@ -169,11 +171,11 @@ def compute_metrics(
             where=where,
             remedy="unreachable goals are refused when a suite is built: check the scene's map",
         )
-    goal = np.array(episode.goal, np.float64)
-    error_euclid = float(np.hypot(*(positions[-1] - goal)))
+    error_euclid = straight_to_goal(episode, *positions[-1].tolist())
     length = polyline_length(positions)
     shortest = float(geodesic[0])
-    success = trajectory.stopped and bool(geodesic[-1] < success_radius)
+    there = (geodesic == 0.0) if episode.in_area else (geodesic < success_radius)
+    success = trajectory.stopped and bool(there[-1])
     longer = max(shortest, length)
     reference = np.array(episode.path, np.float64).reshape(-1, 2)
     if not len(reference):
@@ -189,8 +191,10 @@ def compute_metrics(
         navigation_error_euclid=error_euclid,
         navigation_error_geodesic=float(geodesic[-1]),
         success=success,
-        success_euclid=trajectory.stopped and error_euclid < success_radius,
-        oracle_success=bool((geodesic < success_radius).any()),
+        success_euclid=success
+        if episode.in_area
+        else trajectory.stopped and error_euclid < success_radius,
+        oracle_success=bool(there.any()),
         spl=(shortest / longer if longer > 0 else 1.0) if success else 0.0,
         ndtw=ndtw,
         sdtw=ndtw if success else 0.0,
@@ -198,6 +202,13 @@ def compute_metrics(
         collision_rate=collisions / steps if steps else 0.0,
     )
     return check_finite(metrics, where)
+
+
+def straight_to_goal(episode: Episode, x: float, y: float) -> float:
+    """Straight distance [m] from (x, y) m to an episode's goal, the nearest place of a set."""
+    if episode.goal_set is not None:
+        return episode.goal_set.distance(x, y)
+    return float(np.hypot(*(np.array([x, y]) - np.array(episode.goal, np.float64))))
 
 
 def check_finite(metrics: EpisodeMetrics, where: str) -> EpisodeMetrics:

@@ -138,6 +138,7 @@ def protocol_card(
         ("oracle success", f"walking distance < {radius:g} m at any pose, start included"),
         ("distances", "geodesic: any-angle shortest path on the agent's inflated map"),
         ("reference path", describe_paths(suite)),
+        *_goal_rows(suite),
         (
             "navigation error",
             "both are reported; profile "
@@ -178,6 +179,22 @@ def _identity_rows(card: PolicyCard) -> tuple[tuple[str, str], ...]:
     parts = [f"source {card.source}"] if card.source else []
     parts.append(tell_identity(card.identity))
     return (("policy identity", "; ".join(parts)),)
+
+
+def _goal_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
+    """What counts where words fit several places; no row in a suite that has no such episode."""
+    several = sum(e.goal_set is not None and not e.in_area for e in suite.episodes)
+    areas = sum(e.in_area for e in suite.episodes)
+    if not several and not areas:
+        return ()
+    return (
+        (
+            "goals",
+            f"{several} of {len(suite.episodes)} episodes accept every instance that their words "
+            f"fit: distances are to the nearest; {areas} end in an area: success is a STOP inside "
+            "it, at no distance",
+        ),
+    )
 
 
 def _release_rows(rows: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:

@@ -109,7 +109,7 @@ class PolicyUnderRelease:
     def reset_privileged(self, simulator: Simulator) -> None:
         """The harness itself looks at the simulator; the policy only if it is an oracle."""
         self._simulator = simulator
-        self._meter = DistanceMeter(self.map.distances(simulator.episode.goal))
+        self._meter = DistanceMeter(self.map.distances(*simulator.episode.goals))
         if isinstance(self.inner, PolicyPrivileged):
             self.inner.reset_privileged(simulator)
 
@@ -145,7 +145,7 @@ def score_release(
     Its success needs a distance that is not 0: a STOP in the goal's own pixel fails. Oracle success
     is `bool(metric) or d < 3.0`, as since a87e567. SPL divides by octile lengths.
     """
-    distances = map.distances(episode.goal)
+    distances = map.distances(*episode.goals)
     meter = DistanceMeter(distances)
     positions = [(pose.x, pose.y) for pose in trajectory.poses]
     start_blocked = not map.is_passable(map.pixel_of(*positions[0]))

@@ -210,7 +210,7 @@ def score(
 ) -> tuple[EpisodeResult, EpisodeTrace]:
     """Result and trace of a finished trajectory."""
     try:
-        field = navigation.geodesic(episode.goal)
+        field = navigation.geodesic(episode.destination)
         metrics = compute_metrics(
             trajectory, episode, field.distance, success_radius=success_radius
         )

@@ -87,8 +87,9 @@ class _Expert:
             if astray:
                 self._plan = plan_from(self._field, state[0], self._labels, agent).tolist()
             return self._plan[:ACTIONS_AHEAD]
-        navigation, goal = self._simulator.navigation, self._field.goal
-        labels = label_states(navigation, goal, state, self._labels, agent=agent)
+        simulator = self._simulator
+        goal = simulator.episode.destination
+        labels = label_states(simulator.navigation, goal, state, self._labels, agent=agent)
         label = [int(code) for code in labels.actions6[0]]
         if astray or not self._plan:  # a plan is carried out to its end: planned anew at every
             self._plan = [code for code in label if code]  # step it may turn to and fro for ever
@@ -123,7 +124,7 @@ class _Halt:
 
     def __init__(self, rule: Halting, radius: float, field: GeodesicField, length: float) -> None:
         self.rule = rule
-        self._radius = radius
+        self._radius = radius if field.inside is None else 0.0
         self._field = field
         self.zone = min(max(ZONE_SHARE * length, ZONE_LEAST), ZONE_MOST)
         self._count: int | None = None  # steps since the counter began
@@ -135,8 +136,7 @@ class _Halt:
             inside = self._field.distance_at(pose.x, pose.y) <= self._radius
             self._count = None if not inside else 0 if self._count is None else self._count + 1
         elif self.rule == "gn0-release":
-            goal_x, goal_y = self._field.goal
-            inside = math.hypot(pose.x - goal_x, pose.y - goal_y) <= self.zone
+            inside = bool(self._field.straight(np.array([pose[:2]]))[0] <= self.zone)
             if self._count is not None:
                 self._count += 1
             elif self._entered and not inside:
@@ -181,7 +181,7 @@ def collect_visited(
         )
     observation = begin_episode(simulator, policy, episode)
     draws = random_stream(settings.seed, "dagger", settings.iteration, episode.id)
-    field = simulator.navigation.geodesic(episode.goal)
+    field = simulator.navigation.geodesic(episode.destination)
     length = field.distance_at(episode.start[0], episode.start[1])
     halt = _Halt(settings.halting, settings.success_radius, field, length)
     expert = _Expert(simulator, field, labels)
@@ -219,9 +219,9 @@ def _apply_rules(
         return np.zeros_like(ahead)
     state: F64 = np.array([pose])
     if labels.variant == "gn0-release":
-        ahead = cut_at(ahead[None], field.goal, state, simulator.agent, labels.release_stop)[0]
+        ahead = cut_at(ahead[None], field, state, simulator.agent, labels.release_stop)[0]
     if halt.overshot:
-        ahead = cut_at(ahead[None], field.goal, state, simulator.agent, halt.zone)[0]
+        ahead = cut_at(ahead[None], field, state, simulator.agent, halt.zone)[0]
     return ahead
 
 

@@ -71,15 +71,20 @@ def shorten_way(blocked, origin_x, origin_y, resolution, points):  # type: ignor
 
 
 @njit
-def free_corners(blocked, origin_x, origin_y, resolution, roots, goal_x, goal_y):  # type: ignore[no-untyped-def]
+def free_corners(blocked, origin_x, origin_y, resolution, roots, goals):  # type: ignore[no-untyped-def]
     """Where an agent passes each bend of a geodesic field [R, 2] m: the free cell beside it.
 
-    Exactly one of the four cells round a convex corner is blocked; the one opposite is taken. Row 0
-    is the goal.
+    Exactly one of the four cells round a convex corner is blocked; the one opposite is taken. The
+    first rows are the goals; NaN stands for the inside of an area.
     """
     out = np.empty((len(roots), 2))
-    out[0, 0], out[0, 1] = goal_x, goal_y
-    for r in range(1, len(roots)):
+    for r in range(len(roots)):
+        if r < len(goals):
+            out[r, 0], out[r, 1] = goals[r, 0], goals[r, 1]
+            continue
+        if roots[r, 2] == -np.inf:
+            out[r, 0] = out[r, 1] = np.nan
+            continue
         u, v = round(roots[r, 0]), round(roots[r, 1])
         row, col = v, u
         for k in range(4):
@@ -173,6 +178,12 @@ def sample_ways(  # type: ignore[no-untyped-def]
         r = label[row, col]
         points[0, 0], points[0, 1] = x, y
         count = 1
+        if math.isnan(places[r, 0]):  # in the goal's area: the way ends here
+            valid[i] = _spread_points(
+                points, count, blocked, frame, spacing, poses[i], out[i], out.shape[1]
+            )
+            status[i] = GOOD
+            continue
         if not is_clear(blocked, origin_x, origin_y, resolution, x, y, places[r, 0], places[r, 1]):
             status[i] = UNSEEN
             continue
@@ -180,7 +191,7 @@ def sample_ways(  # type: ignore[no-untyped-def]
             if places[r, 0] != points[count - 1, 0] or places[r, 1] != points[count - 1, 1]:
                 points[count, 0], points[count, 1] = places[r, 0], places[r, 1]
                 count += 1
-            if r == 0 or count == FAR_POINTS:
+            if parents[r] < 0 or count == FAR_POINTS:
                 break
             for k in range(via_start[r], via_start[r + 1]):
                 if count < FAR_POINTS:
@@ -189,7 +200,7 @@ def sample_ways(  # type: ignore[no-untyped-def]
             if count == FAR_POINTS:
                 break
             r = parents[r]
-        if r != 0 and count == FAR_POINTS:
+        if parents[r] >= 0 and count == FAR_POINTS:
             status[i] = UNSEEN
             continue
         valid[i] = _spread_points(

@@ -30,6 +30,7 @@ from gn0.data.ways import POINTS, sample_way_points
 from gn0.errors import PlanError
 from gn0.geometry import F32, F64, wrap_angle
 from gn0.maps.distance import GeodesicField
+from gn0.maps.goals import GoalSet
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.pose_astar import plan_actions
 from gn0.maps.ray import is_line_free, trace_move
@@ -103,7 +104,7 @@ def plan_expert(
     """
     x, y, yaw = episode.start
     plan = plan_actions(
-        navigation.geodesic(episode.goal),
+        navigation.geodesic(episode.destination),
         (x, y),
         heading_cycle(Heading(wrap_angle(yaw), 0, episode.agent.turn_degrees)),
         tolerance=settings.stop_distance - ROUNDING,
@@ -167,14 +168,14 @@ def label_along(
         PlanError: a pose is blocked or cut off; names the row.
     """
     states = np.ascontiguousarray(poses, np.float64).reshape(-1, 3)[: len(actions)]
-    field = navigation.geodesic(episode.goal)
+    field = navigation.geodesic(episode.destination)
     waypoints, valid = sample_way_points(field, states)
     if settings.variant == "mpc":
         ahead = _track(field, episode.agent, states, waypoints, valid, settings)
     else:
         ahead = window_actions(np.asarray(actions, np.int8))
         if settings.variant == "gn0-release":
-            ahead = cut_at(ahead, field.goal, states, episode.agent, settings.release_stop)
+            ahead = cut_at(ahead, field, states, episode.agent, settings.release_stop)
     return Labels(ahead, waypoints, valid)
 
 
@@ -188,7 +189,7 @@ def window_actions(actions: NDArray[np.integer]) -> I8:
 
 def label_states(
     navigation: NavigationMap,
-    goal: Episode | tuple[float, float],
+    goal: Episode | tuple[float, float] | GoalSet,
     poses: NDArray[np.floating],
     settings: LabelSettings = EXACT,
     *,
@@ -198,7 +199,7 @@ def label_states(
 
     Args:
         navigation: map of the scene, inflated for the agent.
-        goal: an episode, or (x, y) m.
+        goal: an episode, (x, y) m, or a set of places.
         poses: [N, 3] x, y [m], yaw [rad].
         settings: see `LabelSettings`.
         agent: by default the episode's, else the default body.
@@ -207,7 +208,7 @@ def label_states(
         PlanError: a state is blocked or cut off; names the row.
     """
     body = agent or (goal.agent if isinstance(goal, Episode) else DEFAULT_BODY)
-    field = navigation.geodesic(goal.goal if isinstance(goal, Episode) else goal)
+    field = navigation.geodesic(goal.destination if isinstance(goal, Episode) else goal)
     states = np.ascontiguousarray(poses, np.float64).reshape(-1, 3)
     waypoints, valid = sample_way_points(field, states)
     if settings.variant == "mpc":
@@ -220,7 +221,7 @@ def label_states(
             raise PlanError(error.what, where=f"state {i}", remedy=error.remedy) from None
         ahead[i, : len(plan)] = plan
     if settings.variant == "gn0-release":
-        ahead = cut_at(ahead, field.goal, states, body, settings.release_stop)
+        ahead = cut_at(ahead, field, states, body, settings.release_stop)
     return Labels(ahead, waypoints, valid)
 
 
@@ -302,22 +303,27 @@ def _escape(
 def is_arrived(field: GeodesicField, x: float, y: float, stop_distance: float) -> bool:
     """Whether the expert stops at (x, y) m: near the goal on foot, and in sight of it."""
     near = stop_distance - ROUNDING
-    if math.hypot(x - field.goal[0], y - field.goal[1]) > near or field.distance_at(x, y) > near:
+    if field.inside is not None:
+        return field.is_inside(x, y)
+    if field.distance_at(x, y) > near:
         return False
-    return is_line_free(field.grid, (x, y), field.goal)
+    return any(
+        math.hypot(x - gx, y - gy) <= near and is_line_free(field.grid, (x, y), (gx, gy))
+        for gx, gy in field.goals.tolist()
+    )
 
 
-def cut_at(
-    actions: I8, goal: tuple[float, float], states: F64, agent: AgentSpec, radius: float
-) -> I8:
+def cut_at(actions: I8, field: GeodesicField, states: F64, agent: AgentSpec, radius: float) -> I8:
     """Actions [N, 6] with STOP from the first place on that is within `radius` [m] of the goal.
 
-    As the crow flies; the actions must not be cut short by obstacles.
+    As the crow flies, or in the area that is the goal; the actions must not be cut short by
+    obstacles.
     """
+    radius = radius if field.inside is None else 0.0
     yaw = states[:, 2].copy()
     places = states[:, :2].copy()
     out = np.asarray(actions, np.int8).copy()
-    inside = np.hypot(*(places - goal).T) <= radius
+    inside = field.straight(places) <= radius
     turn = math.radians(agent.turn_degrees)
     for k in range(out.shape[1]):
         out[inside, k] = Action.STOP
@@ -325,7 +331,7 @@ def cut_at(
         places[forward, 0] += agent.forward_step * np.cos(yaw[forward])
         places[forward, 1] += agent.forward_step * np.sin(yaw[forward])
         yaw += turn * ((out[:, k] == Action.LEFT) * 1.0 - (out[:, k] == Action.RIGHT) * 1.0)
-        inside |= np.hypot(*(places - goal).T) <= radius
+        inside |= field.straight(places) <= radius
     return out
 
 
@@ -345,6 +351,8 @@ def _track(
             continue
         ahead = waypoints[i, : int(valid[i])].astype(np.float64)
         ends_at_goal = int(valid[i]) < POINTS or field.distance_at(x, y) <= 3.0
+        if field.inside is not None:  # only inside is there: no stop before the way's end
+            near = 0.5 * field.grid.resolution
         plan = plan_tracking(
             field.grid,
             (x, y, yaw),

@@ -219,7 +219,7 @@ def collect_expert(navigation: NavigationMap, episode: Episode, dataset: Dataset
     poses, actions = plan_expert(navigation, episode, settings.labels)
     labels = label_along(navigation, episode, poses, actions, settings.labels)
     frame = settings.tokens.of_grid(navigation.grid)
-    distance = navigation.geodesic(episode.goal).distance(poses[:-1, :2])
+    distance = navigation.geodesic(episode.destination).distance(poses[:-1, :2])
     return EpisodeRows(
         episode_id=episode.id,
         poses=poses[:-1],

@@ -73,7 +73,7 @@ def _find_bends(field: GeodesicField) -> _Bends:
         if found is not None:
             return found
         frame = _frame(field.grid)
-        places = free_corners(*frame, field.roots, *field.goal)
+        places = free_corners(*frame, field.roots, field.goals)
         vias = [np.empty((0, 2))]
         counts = np.zeros(len(places) + 1, np.int64)
         for r in np.flatnonzero(blocked_legs(*frame, places, field.parents)).tolist():
@@ -147,7 +147,7 @@ def _winding_way(field: GeodesicField, bends: _Bends, place: F64) -> F64:
     root = int(field.label[row, col])
     with _lock:
         parts = [_detour(grid, place, bends.places[root])]
-    while root > 0:
+    while field.parents[root] >= 0:
         parts.append(bends.vias[bends.via_start[root] : bends.via_start[root + 1]])
         root = int(field.parents[root])
         parts.append(bends.places[root][None])

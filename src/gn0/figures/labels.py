@@ -154,7 +154,7 @@ def carry_out(
         poses, cut = walk_actions(navigation, episode.agent, state, ahead)
         state, count, hits = poses[-1], count + len(ahead), hits + int(cut.sum())
         if len(stops):
-            away = navigation.geodesic(episode.goal).distance_at(state[0], state[1])
+            away = navigation.geodesic(episode.destination).distance_at(state[0], state[1])
             return away, count, hits
     return np.inf, count, hits
 
@@ -208,7 +208,7 @@ def measure_labels(ctx: FigureContext) -> list[FigureRow]:
         for number, episode in enumerate(walks):
             poses, actions = plan_expert(navigation, episode)
             labels = label_along(navigation, episode, poses, actions)
-            field = navigation.geodesic(episode.goal)
+            field = navigation.geodesic(episode.destination)
             missed += not field.distance_at(*poses[-1, :2]) <= STOP
             free = label_states(navigation, episode, states[number])
             for at, block in ((poses[:-1], labels), (states[number], free)):

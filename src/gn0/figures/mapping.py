@@ -212,7 +212,7 @@ def measure_worth(ctx: FigureContext) -> list[FigureRow]:
             ctx.progress(f"{policy_name}, {mode}", done, len(episodes))
             trajectory = run_episode(simulator, policy, episode)
             points = np.array(trajectory.poses)[:, :2]
-            field = navigation.geodesic(episode.goal)
+            field = navigation.geodesic(episode.destination)
             shortest = field.distance_at(*episode.start[:2])
             walked = float(np.hypot(*np.diff(points, axis=0).T).sum())
             arrived = trajectory.stopped and field.distance_at(*points[-1]) < 3.0

@@ -137,7 +137,7 @@ def judge_oracle(scene: Scene, count: int, seed: int) -> tuple[list[float], list
     navigation: NavigationMap = simulator.navigation
     qualities, seconds = [], []
     for episode in build_point_episodes(scene, navigation, count, seed, minimum=5.0):
-        field = navigation.geodesic(episode.goal)
+        field = navigation.geodesic(episode.destination)
         start = time.perf_counter()
         trajectory = run_episode(simulator, policy, episode)
         seconds.append(time.perf_counter() - start)

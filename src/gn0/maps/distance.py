@@ -17,6 +17,7 @@ from gn0.errors import PlanError
 from gn0.geometry import F64
 from gn0.jit import njit
 from gn0.maps.astar import COL_STEP, MOVE_COST, ROW_STEP, build_moves
+from gn0.maps.goals import GoalSet
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.maps.smooth import follow_corners
 from gn0.maps.visibility import build_corners, build_runs, spread_distances
@@ -95,7 +96,8 @@ def _look_up(points, origin_x, origin_y, resolution, label, roots, out):  # type
             root = label[int(v), int(u)]
             if root >= 0:
                 dx, dy = u - roots[root, 0], v - roots[root, 1]
-                out[i] = (roots[root, 2] + math.sqrt(dx * dx + dy * dy)) * resolution
+                away = roots[root, 2] + math.sqrt(dx * dx + dy * dy)  # −inf in an area
+                out[i] = max(away, 0.0) * resolution
 
 
 class GeodesicMap:
@@ -111,46 +113,65 @@ class GeodesicMap:
         self.runs = (self.blocked, *build_runs(self.blocked))
         self.corners = build_corners(self.blocked)
 
-    def build_field(self, goal: tuple[float, float]) -> GeodesicField:
-        """The distance field of a goal (x, y) m.
+    def build_field(self, goal: tuple[float, float] | GoalSet) -> GeodesicField:
+        """The distance field of a goal (x, y) m, or of the nearest place of a set.
 
         Raises:
-            PlanError: the goal is not finite, or not in a free cell.
+            PlanError: the goal is not finite, or not in a free cell; of a set, no place is.
         """
         return GeodesicField(self, goal)
 
 
 class GeodesicField:
-    """Any-angle geodesic distance from every point of a grid to one goal.
+    """Any-angle geodesic distance from every point of a grid to a goal, or the nearest of several.
 
     At cell centres the distance is the exact shortest path round the blocked squares. A point
     elsewhere in a cell is measured through the root of its cell's centre, which is at most one cell
     diagonal off and never less than the straight line.
 
     Attributes:
-        goal: (x, y) m.
+        goal: (x, y) m; of several, the first.
+        goals: [K, 2] m; of areas, the centres of the cells through which one enters them.
+        inside: [H, W] cells at distance 0, for a goal that is an area; else None.
         label: [H, W] int32 index of the last bend before each cell, −1 where unreachable.
-        roots: [R, 3] bends as (x, y, distance to the goal) in cells; row 0 is the goal.
-        parents: [R] int32 next bend towards the goal.
+        roots: [R, 3] bends as (x, y, distance to the goal) in cells; row 0 … K−1 are the goals. In
+            areas, row K stands for all cells inside, at −inf.
+        parents: [R] int32 next bend towards the goal, −1 for the goals themselves.
     """
 
-    def __init__(self, geodesic_map: GeodesicMap, goal: tuple[float, float]) -> None:
+    def __init__(self, geodesic_map: GeodesicMap, goal: tuple[float, float] | GoalSet) -> None:
         grid = geodesic_map.grid
-        x, y = float(goal[0]), float(goal[1])
-        if not (math.isfinite(x) and math.isfinite(y) and grid.is_free(x, y)):
-            raise PlanError(
-                f"goal ({x:g}, {y:g}) is not in a free cell",
-                remedy="move it to the nearest free point first",
-            )
-        self.goal = (x, y)
         self.grid = grid
+        self.inside: NDArray[np.bool_] | None = None
+        if isinstance(goal, GoalSet) and goal.areas:
+            self.inside, self.goals = _enter_areas(grid, goal)
+        else:
+            self.goals = _free_goals(grid, goal)
+        self.goal = (float(self.goals[0, 0]), float(self.goals[0, 1]))
         s = grid.resolution
         self.label, self.roots, self.parents = spread_distances(
             geodesic_map.runs,
             geodesic_map.corners,
-            (x - grid.origin[0]) / s,
-            (y - grid.origin[1]) / s,
+            (self.goals - (float(grid.origin[0]), float(grid.origin[1]))) / s,
+            np.zeros((0, 0), np.bool_) if self.inside is None else self.inside,
         )
+
+    def is_inside(self, x: float, y: float) -> bool:
+        """Whether a point (x, y) m is in a goal that is an area; never in one that is not."""
+        if self.inside is None or not (math.isfinite(x) and math.isfinite(y)):
+            return False
+        row, col = self.grid.cell_of(x, y)
+        return bool(self.grid.contains(row, col) and self.inside[row, col])
+
+    def straight(self, points: NDArray[np.floating]) -> F64:
+        """Straight distances [N] m of points [N, 2] m to the nearest goal; 0 in an area."""
+        p = np.asarray(points, np.float64).reshape(-1, 2)
+        away = np.full(len(p), np.inf)
+        for goal in self.goals:
+            away = np.minimum(away, np.hypot(*(p - goal).T))
+        if self.inside is not None:
+            away[[self.is_inside(x, y) for x, y in p.tolist()]] = 0.0
+        return away
 
     def distance(self, points: NDArray[np.floating]) -> F64:
         """Distances [N] m of points [N, 2] m; inf in blocked or unreachable cells and outside."""
@@ -170,7 +191,7 @@ class GeodesicField:
         rows, cols = np.indices(self.label.shape)
         roots = self.roots[np.maximum(self.label, 0)]
         field = roots[..., 2] + np.hypot(cols + 0.5 - roots[..., 0], rows + 0.5 - roots[..., 1])
-        return np.where(self.label >= 0, field * self.grid.resolution, np.inf)
+        return np.where(self.label >= 0, np.maximum(field, 0.0) * self.grid.resolution, np.inf)
 
     def bends(self, x: float, y: float) -> F64:
         """The taut polyline [N, 2] m from a point to the goal, bending on obstacle corners.
@@ -189,11 +210,13 @@ class GeodesicField:
                 remedy="choose both in the same connected region",
             )
         corners = []
-        while root > 0:
+        while self.parents[root] >= 0:
             corners.append(self.roots[root, :2])
             root = int(self.parents[root])
+        if root == len(self.goals):  # in an area: already there
+            return np.array([[x, y]])
         inner = np.array(corners).reshape(-1, 2) * self.grid.resolution + self.grid.origin
-        return np.vstack([[x, y], inner, self.goal])
+        return np.vstack([[x, y], inner, self.goals[root]])
 
     def path(self, x: float, y: float) -> F64:
         """A polyline [N, 2] m to the goal that a point can drive: each leg passes `trace_move`.
@@ -205,3 +228,55 @@ class GeodesicField:
             PlanError: the goal cannot be reached from here.
         """
         return follow_corners(self.grid, self.bends(x, y))
+
+
+def _free_goals(grid: OccupancyGrid, goal: tuple[float, float] | GoalSet) -> F64:
+    """The places [K, 2] m of a goal that are in free cells; of a set, those of it that are.
+
+    Raises:
+        PlanError: none is.
+    """
+    places = goal.points if isinstance(goal, GoalSet) else (goal,)
+    free = []
+    for x, y in places:
+        if math.isfinite(x) and math.isfinite(y) and grid.is_free(x, y):
+            free.append((float(x), float(y)))
+    if not free:
+        x, y = places[0]
+        raise PlanError(
+            f"goal ({x:g}, {y:g}) is not in a free cell"
+            + (f", nor is any other of {len(places)}" if len(places) > 1 else ""),
+            remedy="move it to the nearest free point first",
+        )
+    return np.array(free, np.float64)
+
+
+def find_area(grid: OccupancyGrid, goal: GoalSet) -> NDArray[np.bool_]:
+    """The free cells [H, W] whose centres lie in an area of a goal set."""
+    inside = np.zeros(grid.shape, np.bool_)
+    cells = np.argwhere(grid.cells == FREE)
+    found = cells[goal.cells_in(grid.centres_of(cells))]
+    inside[found[:, 0], found[:, 1]] = True
+    return inside
+
+
+def _enter_areas(grid: OccupancyGrid, goal: GoalSet) -> tuple[NDArray[np.bool_], F64]:
+    """The free cells [H, W] of areas, and the centres [K, 2] m of those that one enters them by.
+
+    Raises:
+        PlanError: nothing in them is free.
+    """
+    inside = find_area(grid, goal)
+    if not inside.any():
+        raise PlanError(
+            "no cell of the goal's area is free", remedy="name an area with walkable ground"
+        )
+    outside = np.pad(~inside & (grid.cells == FREE), 1)
+    h, w = grid.shape
+    beside = np.zeros((h, w), np.bool_)
+    for i in range(3):
+        for j in range(3):
+            beside |= outside[i : i + h, j : j + w]
+    rim = inside & beside
+    cells = np.argwhere(rim if rim.any() else inside)
+    return inside, grid.centres_of(cells if rim.any() else cells[:1])

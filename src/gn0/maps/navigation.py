@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from gn0.errors import PlanError
 from gn0.geometry import F64
-from gn0.maps.distance import GeodesicField, GeodesicMap
+from gn0.maps.distance import GeodesicField, GeodesicMap, find_area
+from gn0.maps.goals import GoalSet
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.maps.inflate import build_clearance, inflate
 from gn0.maps.ray import trace_points
@@ -38,7 +39,7 @@ class NavigationMap:
         self.blocked: NDArray[np.bool_] = self.inflated.blocked
         x, y = grid.origin
         self._frame = (self.blocked, float(x), float(y), float(grid.resolution))
-        self._fields: OrderedDict[tuple[float, float], GeodesicField] = OrderedDict()
+        self._fields: OrderedDict[tuple[float, float] | GoalSet, GeodesicField] = OrderedDict()
         self._lock = threading.Lock()
 
     @cached_property
@@ -71,6 +72,16 @@ class NavigationMap:
             return -1
         row, col = self.inflated.cell_of(x, y)
         return int(self.regions[row, col])
+
+    def regions_of(self, goal: tuple[float, float] | GoalSet) -> frozenset[int]:
+        """Regions in which a goal, or some place of a set, is walkable; empty when none is."""
+        if not isinstance(goal, GoalSet):
+            found = {self.region_of(*goal)}
+        elif goal.areas:
+            found = {int(r) for r in np.unique(self.regions[find_area(self.inflated, goal)])}
+        else:
+            found = {self.region_of(*point) for point in goal.points}
+        return frozenset(found - {-1})
 
     def move(self, x0: float, y0: float, x1: float, y1: float) -> tuple[float, float, bool]:
         """Move from (x0, y0) towards (x1, y1) m: (x, y, hit); see `trace_move`.
@@ -113,13 +124,13 @@ class NavigationMap:
         )
         return None if cell is None else self.inflated.centre_of(*cell)
 
-    def geodesic(self, goal: tuple[float, float]) -> GeodesicField:
-        """The any-angle distance field of a goal (x, y) m; the latest are cached.
+    def geodesic(self, goal: tuple[float, float] | GoalSet) -> GeodesicField:
+        """The any-angle distance field of a goal (x, y) m or of a set; the latest are cached.
 
         Raises:
-            PlanError: the goal is not in a free cell.
+            PlanError: the goal is not in a free cell; of a set, no place is.
         """
-        key = (float(goal[0]), float(goal[1]))
+        key = goal if isinstance(goal, GoalSet) else (float(goal[0]), float(goal[1]))
         with self._lock:
             field = self._fields.get(key)
             if field is not None:
@@ -132,7 +143,7 @@ class NavigationMap:
                 self._fields.popitem(last=False)
         return field
 
-    def plan(self, start: tuple[float, float], goal: tuple[float, float]) -> F64:
+    def plan(self, start: tuple[float, float], goal: tuple[float, float] | GoalSet) -> F64:
         """A shortest polyline [N, 2] m from start to goal that the agent can drive.
 
         Raises:

@@ -42,12 +42,12 @@ def _bends(roots, parents):  # type: ignore[no-untyped-def]
     bending = np.zeros(len(roots))
     for root in np.argsort(roots[:, 2]):  # parents before children
         parent = parents[root]
-        if root == 0 or parent < 0:
+        if parent < 0:
             continue
         onward[root] = math.atan2(
             roots[parent, 1] - roots[root, 1], roots[parent, 0] - roots[root, 0]
         )
-        if parent != 0:
+        if parents[parent] >= 0:
             bending[root] = bending[parent] + _gap(onward[root], onward[parent])
     return onward, bending
 
@@ -70,9 +70,9 @@ def _way_on(label, roots, u, v, near):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _turning_left(root, close, bearing, onward, bending, yaw):  # type: ignore[no-untyped-def]
+def _turning_left(root, parents, close, bearing, onward, bending, yaw):  # type: ignore[no-untyped-def]
     """The turning [rad] that is left to the goal from a place when facing `yaw`."""
-    if root == 0:
+    if parents[root] < 0:
         return 0.0 if close else _gap(bearing, yaw)
     if close:  # a bend this close may be cut: only the next leg counts
         return _gap(onward[root], yaw) + bending[root]
@@ -104,7 +104,7 @@ def _grown(keys, costs):  # type: ignore[no-untyped-def]
 @njit
 def _search(  # type: ignore[no-untyped-def]
     blocked, origin_x, origin_y, resolution, label, roots, bend_parents, yaws, cosines, sines,
-    x0, y0, goal_x, goal_y, tolerance, step, turn_cost, weight, subcells, limit,
+    x0, y0, goals, tolerance, step, turn_cost, weight, subcells, limit,
 ):  # fmt: skip
     """Actions [T] int8 of the plan, and whether one was found within `limit` poses."""
     headings = len(cosines)
@@ -131,9 +131,17 @@ def _search(  # type: ignore[no-untyped-def]
         u, v = (x - origin_x) / resolution, (y - origin_y) / resolution
         here = _way_on(label, roots, u, v, near)
         left = here[1]
-        if math.hypot(goal_x - x, goal_y - y) <= tolerance and left * resolution <= tolerance:
-            _, _, hit = trace_points(blocked, origin_x, origin_y, resolution, x, y, goal_x, goal_y)
-            if not hit:
+        if left * resolution <= tolerance:
+            there = left == -math.inf  # in an area
+            for k_goal in range(len(goals)):
+                goal_x, goal_y = goals[k_goal, 0], goals[k_goal, 1]
+                if there or math.hypot(goal_x - x, goal_y - y) > tolerance:
+                    continue
+                _, _, hit = trace_points(
+                    blocked, origin_x, origin_y, resolution, x, y, goal_x, goal_y
+                )
+                there = not hit
+            if there:
                 length = 0
                 i = node
                 while came_from[i] >= 0:
@@ -175,7 +183,7 @@ def _search(  # type: ignore[no-untyped-def]
             root, left, close, bearing = place
             if not left < math.inf:
                 continue
-            turning = _turning_left(root, close, bearing, onward, bending, yaws[nk])
+            turning = _turning_left(root, bend_parents, close, bearing, onward, bending, yaws[nk])
             if keys[slot] != key:
                 keys[slot] = key
                 used += 1
@@ -212,7 +220,8 @@ def plan_actions(
 ) -> NDArray[np.int8]:
     """A collision-free plan of actions to within `tolerance` of the goal, in line of sight of it.
 
-    Near means near on foot as well: the geodesic distance is within `tolerance`, too.
+    Near means near on foot as well: the geodesic distance is within `tolerance`, too. In an area
+    the plan ends with the first step inside.
 
     Args:
         field: distances to the goal on the agent's inflated grid.
@@ -236,12 +245,15 @@ def plan_actions(
     angles = np.array(yaws, np.float64)
     cosines = np.array([math.cos(yaw) for yaw in yaws])  # libm, as the simulator's own
     sines = np.array([math.sin(yaw) for yaw in yaws])
+    # of an area only its inside counts; a step may end there half a cell before the rim's centre
+    goals = field.goals if field.inside is None else np.empty((0, 2))
+    near = float(tolerance) if field.inside is None else float(grid.resolution)
     if math.isfinite(field.distance_at(*start)):
         for bound in (weight, *(w for w in WEIGHTS if w > weight)):
             plan, found = _search(
                 grid.blocked, float(grid.origin[0]), float(grid.origin[1]), float(grid.resolution),
                 field.label, field.roots, field.parents, angles, cosines, sines,
-                float(start[0]), float(start[1]), *field.goal, float(tolerance), float(step),
+                float(start[0]), float(start[1]), goals, near, float(step),
                 float(turn_cost), float(bound), subcells, NODES,
             )  # fmt: skip
             if found:

@@ -340,21 +340,29 @@ class ReleaseMap:
             return x1, y1, False
         return *self.centre_of((int(px), int(py))), True
 
-    def distances(self, goal: tuple[float, float]) -> ReleaseDistances:
-        """Distances to a goal (x, y) m, which is snapped to passable ground."""
-        return ReleaseDistances(self, goal)
+    def distances(
+        self, goal: tuple[float, float], *others: tuple[float, float]
+    ) -> ReleaseDistances:
+        """Distances to a goal (x, y) m, or the nearest of several, snapped to passable ground."""
+        return ReleaseDistances(self, goal, *others)
 
 
 class ReleaseDistances:
     """The harness's distance to one goal; each pixel is searched once.
+
+    The harness knows one goal only. Where several count, each is measured its way and the least
+    taken.
 
     Attributes:
         goal: pixel of the goal, snapped.
         snapped: whether the goal itself was not passable.
     """
 
-    def __init__(self, map: ReleaseMap, goal: tuple[float, float]) -> None:
+    def __init__(
+        self, map: ReleaseMap, goal: tuple[float, float], *others: tuple[float, float]
+    ) -> None:
         self.map = map
+        self._others = tuple(ReleaseDistances(map, other) for other in others)
         own = map.pixel_of(*goal)
         self.goal = map.nearest_passable(own) or own
         self.snapped = self.goal != own
@@ -372,7 +380,7 @@ class ReleaseDistances:
             return 0.0
         if pixel not in self._known:
             self._known[pixel] = self._search(pixel)
-        return self._known[pixel]
+        return min((self._known[pixel], *(other.from_pixel(pixel) for other in self._others)))
 
     def _search(self, pixel: Pixel) -> float:
         m = self.map

@@ -220,16 +220,16 @@ def _sweep(runs, corners, queue, picture, cones, depth, rx, ry, g, root):  # typ
 
 
 @njit
-def _open_source(runs, corners, queue, picture, cones, rx, ry):  # type: ignore[no-untyped-def]
+def _open_source(runs, corners, queue, picture, cones, rx, ry, root):  # type: ignore[no-untyped-def]
     """Serve the source's own row and put its two half-planes on the stack."""
     _, first, last = runs
     field, label = picture
     row, col = math.floor(ry), math.floor(rx)
     begin, end = first[row, col], last[row, col]
-    _paint(field[row], label[row], begin, end - 1, rx, abs(row + 0.5 - ry), 0.0, 0)
+    _paint(field[row], label[row], begin, end - 1, rx, abs(row + 0.5 - ry), 0.0, root)
     for k in range(2):
         line, up = row + 1 - k, 1 - 2 * k
-        _offer(corners, queue, line, begin, end, rx, ry, 0.0, 0)
+        _offer(corners, queue, line, begin, end, rx, ry, 0.0, root)
         rise = abs(line - ry)
         cones[k, 0], cones[k, 1] = line, up
         cones[k, 2], cones[k, 3] = (begin - rx) / rise, (end - rx) / rise
@@ -280,18 +280,19 @@ def _open_corner(runs, corners, queue, picture, cones, spot, px, py, g, root):  
 
 
 @njit
-def spread_distances(runs, corners, source_x, source_y):  # type: ignore[no-untyped-def]
-    """Distances from a source point to every cell centre, through chains of convex corners.
+def spread_distances(runs, corners, sources, inside):  # type: ignore[no-untyped-def]
+    """Distances from the nearest source to every cell centre, through chains of convex corners.
 
     Args:
         runs: (blocked [H, W] bool, and what `build_runs` makes of it).
         corners: from `build_corners`.
-        source_x: source [cells], in a free cell.
-        source_y: source [cells], in a free cell.
+        sources: [K, 2] x, y [cells], each in a free cell.
+        inside: bool [H, W], cells at distance 0, whose rim the sources are; [0, 0] for none.
 
     Returns:
         label [H, W] int32, index of each cell's root, −1 where unreachable; roots [R, 3] float64 of
-        (x, y, distance) in the order they became final, the source first; parents [R] int32.
+        (x, y, distance) in the order they became final, the K sources first, then, if there are
+        any, one at distance −inf for all cells inside; parents [R] int32, −1 for all of these.
     """
     height, width = runs[0].shape
     spots = corners[0]
@@ -304,18 +305,30 @@ def spread_distances(runs, corners, source_x, source_y):  # type: ignore[no-unty
     heap, slot = np.empty(total, np.int32), np.full(total, -1, np.int32)
     size = np.zeros(1, np.int64)
     queue = (best, parent, heap, slot, size)
-    roots, parents = np.empty((total + 1, 3)), np.empty(total + 1, np.int32)
+    count = len(sources)
+    most = total + count + 1
+    roots, parents = np.empty((most, 3)), np.empty(most, np.int32)
     cones = np.empty((256, 4))
 
-    # on a cell's edge half the rays would have no first row; a billionth of a cell settles it
-    col = min(max(math.floor(source_x), 0), width - 1)
-    row = min(max(math.floor(source_y), 0), height - 1)
-    rx = min(max(source_x, col + 1e-9), col + 1 - 1e-9)
-    ry = min(max(source_y, row + 1e-9), row + 1 - 1e-9)
-    roots[0, 0], roots[0, 1], roots[0, 2], parents[0] = rx, ry, 0.0, -1
-    depth = _open_source(runs, corners, queue, picture, cones, rx, ry)
-    cones = _sweep(runs, corners, queue, picture, cones, depth, rx, ry, 0.0, 0)
-    root = 0
+    for row in range(inside.shape[0]):
+        for col in range(inside.shape[1]):
+            if inside[row, col]:
+                field[row, col], label[row, col] = 0.0, count
+    for root in range(count):
+        # on a cell's edge half the rays would have no first row; a billionth of a cell settles it
+        source_x, source_y = sources[root, 0], sources[root, 1]
+        col = min(max(math.floor(source_x), 0), width - 1)
+        row = min(max(math.floor(source_y), 0), height - 1)
+        rx = min(max(source_x, col + 1e-9), col + 1 - 1e-9)
+        ry = min(max(source_y, row + 1e-9), row + 1 - 1e-9)
+        roots[root, 0], roots[root, 1], roots[root, 2], parents[root] = rx, ry, 0.0, -1
+        depth = _open_source(runs, corners, queue, picture, cones, rx, ry, root)
+        cones = _sweep(runs, corners, queue, picture, cones, depth, rx, ry, 0.0, root)
+    root = count - 1
+    if inside.size > 0:
+        root = count
+        roots[root, 0], roots[root, 1], roots[root, 2] = roots[0, 0], roots[0, 1], -np.inf
+        parents[root] = -1
     while size[0] > 0:
         k = _pop(heap, slot, best, size[0])
         size[0] -= 1

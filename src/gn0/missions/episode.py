@@ -9,6 +9,7 @@ import msgspec
 
 from gn0.errors import EpisodeError
 from gn0.geometry import Pose2D
+from gn0.maps.goals import GoalSet
 from gn0.render.light import LightCondition
 
 
@@ -85,6 +86,7 @@ class MissionFollow(msgspec.Struct, frozen=True, kw_only=True, tag="follow"):
     human: str
 
 
+VISIBLE_FROM_ABOVE = "visible from above"
 PathSource = Literal["", "truth", "file", "resampled"]
 Mission = MissionGoal | MissionInstruction | MissionFollow
 
@@ -135,6 +137,10 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
         path_source: where an imported path comes from: "truth", a set's dense ground truth as it
             stands; "file", its path as it stands, points at most 0.25 m apart; "resampled", its
             sparse nodes joined by straight lines. "" when the path is our own.
+        goal_set: all places that fit the words, where there are several: the nearest counts. The
+            goal is the one of them that the reference path leads to.
+        tier: "visible from above" for a target that the bird's-eye view shows; "" for others, and
+            where nobody looked.
     """
 
     id: str
@@ -148,6 +154,24 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
     path_id: str = ""
     light: LightCondition | None = None
     path_source: PathSource = ""
+    goal_set: GoalSet | None = None
+    tier: str = ""
+
+    @property
+    def destination(self) -> tuple[float, float] | GoalSet:
+        """Whatever counts as the goal: what distances are measured to."""
+        return self.goal_set or self.mission.goal
+
+    @property
+    def goals(self) -> tuple[tuple[float, float], ...]:
+        """The places (x, y) [m] that count, the goal of the reference path first."""
+        others = self.goal_set.points if self.goal_set is not None else ()
+        return (self.goal, *(place for place in others if place != self.goal))
+
+    @property
+    def in_area(self) -> bool:
+        """Whether the goal is an area: only who stands inside it is there, at no distance."""
+        return self.goal_set is not None and bool(self.goal_set.areas)
 
     @property
     def start_pose(self) -> Pose2D:
@@ -176,6 +200,11 @@ def check_episode(episode: Episode) -> Episode:
     if not all(math.isfinite(v) for v in values):
         raise EpisodeError(
             "start, goal or path holds NaN or infinity", where=where, remedy="rebuild the suite"
+        )
+    known = episode.goal_set.points if episode.goal_set is not None else ()
+    if known and episode.goal not in known:
+        raise EpisodeError(
+            "goal is none of its goal set", where=where, remedy="list the goal among the points"
         )
     if not episode.instruction.strip():
         raise EpisodeError("instruction is empty", where=where, remedy="give it a text")

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError, FormatError
 from gn0.geometry import F64, wrap_angle
+from gn0.maps.goals import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import (
     AgentSpec,
@@ -93,13 +94,26 @@ LATER_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
     ("goal_picture", _TEXT, ""),  # JSON of a GoalPicture; "" where none is recorded
     ("path_source", _TEXT, ""),  # see `Episode.path_source`
 )
-_SCHEMA = pa.schema(
-    [
-        pa.field(name, kind, nullable=False)
-        for name, kind, *_ in (*GN_MATRIX_COLUMNS, *OUR_COLUMNS, *LATER_COLUMNS)
-    ],
-    metadata={"gn0.episodes": "1", "gn0.frame": "*_3dgs_*: world frame, m, rad; others: GN-Matrix"},
+# written only where an episode has something to say, so that other files stay as they were
+RARE_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
+    ("goal_set", _TEXT, ""),  # JSON of a GoalSet; "" where there is one goal
+    ("tier", _TEXT, ""),
 )
+
+
+def _schema(used: Sequence[str]) -> pa.Schema:
+    """The columns of a file; of the rare ones, those that are used."""
+    rare = [column for column in RARE_COLUMNS if column[0] in used]
+    return pa.schema(
+        [
+            pa.field(name, kind, nullable=False)
+            for name, kind, *_ in (*GN_MATRIX_COLUMNS, *OUR_COLUMNS, *LATER_COLUMNS, *rare)
+        ],
+        metadata={
+            "gn0.episodes": "1",
+            "gn0.frame": "*_3dgs_*: world frame, m, rad; others: GN-Matrix",
+        },
+    )
 
 
 def world_to_nav(grid: OccupancyGrid, points: NDArray[np.floating]) -> F64:
@@ -138,7 +152,8 @@ def save_episodes(
         StorageError: the file cannot be written.
     """
     check_unique(episodes)
-    rows: dict[str, list[Any]] = {name: [] for name in _SCHEMA.names}
+    schema = _schema([name for name, *_ in RARE_COLUMNS if any(getattr(e, name) for e in episodes)])
+    rows: dict[str, list[Any]] = {name: [] for name in schema.names}
     for episode in episodes:
         check_episode(episode)
         if episode.scene_id not in grids:
@@ -147,9 +162,10 @@ def save_episodes(
                 where=f"episode {episode.id!r}",
                 remedy="pass the grid of every scene",
             )
-        for name, value in gn_matrix_row(episode, grids[episode.scene_id]).items():
-            rows[name].append(value)
-    table = pa.table({f.name: pa.array(rows[f.name], f.type) for f in _SCHEMA}, schema=_SCHEMA)
+        row = gn_matrix_row(episode, grids[episode.scene_id])
+        for name in rows:
+            rows[name].append(row[name])
+    table = pa.table({f.name: pa.array(rows[f.name], f.type) for f in schema}, schema=schema)
     stream = io.BytesIO()
     pq.write_table(table, stream, compression="zstd", store_schema=True)
     write_bytes(path, stream.getvalue())
@@ -235,6 +251,8 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "light": "" if episode.light is None else msgspec.json.encode(episode.light).decode(),
         "goal_picture": _encoded(mission.picture if isinstance(mission, MissionGoal) else None),
         "path_source": episode.path_source,
+        "goal_set": _encoded(episode.goal_set),
+        "tier": episode.tier,
     }
 
 
@@ -257,7 +275,7 @@ def load_episodes(
     ours = "episode_id" in table.column_names
     columns = GN_MATRIX_COLUMNS + OUR_COLUMNS if ours else GN_MATRIX_COLUMNS
     values = {name: read_column(table, name, kind, path) for name, kind in columns}
-    for name, kind, absent in LATER_COLUMNS if ours else ():
+    for name, kind, absent in (*LATER_COLUMNS, *RARE_COLUMNS) if ours else ():
         there = name in table.column_names
         values[name] = read_column(table, name, kind, path) if there else [absent] * table.num_rows
     unknown = sorted(set(table.column_names) - set(values))
@@ -432,6 +450,8 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
         path_id=cells["path_id"],
         light=_light(cells["light"]),
         path_source=_path_source(cells["path_source"]),
+        goal_set=_goal_set(cells["goal_set"]),
+        tier=cells["tier"],
     )
 
 
@@ -459,8 +479,21 @@ def _light(text: str) -> LightCondition | None:
         ) from None
 
 
-def _encoded(picture: GoalPicture | None) -> str:
-    return "" if picture is None else msgspec.json.encode(picture).decode()
+def _encoded(value: GoalPicture | GoalSet | None) -> str:
+    return "" if value is None else msgspec.json.encode(value).decode()
+
+
+def _goal_set(text: str) -> GoalSet | None:
+    if not text:
+        return None
+    try:
+        return msgspec.json.decode(text, type=GoalSet)
+    except (msgspec.DecodeError, msgspec.ValidationError, EpisodeError) as error:
+        raise EpisodeError(
+            f"goal_set is not a goal set: {error}",
+            where="column 'goal_set'",
+            remedy="leave it empty, or write the JSON of one",
+        ) from None
 
 
 def _goal_picture(text: str) -> GoalPicture | None:
@@ -532,7 +565,7 @@ def episodes_digest_bytes(episodes: Sequence[Episode]) -> bytes:
     return msgspec.json.encode(plain, order="deterministic")
 
 
-_LATER = ("path_id", "light", "path_source")
+_LATER = ("path_id", "light", "path_source", "goal_set", "tier")
 _LATER_OF_MISSION: dict[str, tuple[str, ...]] = {
     "goal": ("picture",),
     "instruction": ("object_id", "category", "style"),

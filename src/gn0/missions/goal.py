@@ -54,7 +54,9 @@ def check_episode_fits(episode: Episode, scene_id: str, navigation: NavigationMa
                 remedy="rebuild the suite for this scene and agent",
             )
     length = float(
-        navigation.geodesic(episode.goal).distance(np.array([episode.start[:2]], np.float64))[0]
+        navigation.geodesic(episode.destination).distance(
+            np.array([episode.start[:2]], np.float64)
+        )[0]
     )
     if not np.isfinite(length):
         raise EpisodeError(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
+from gn0.maps.goals import points_in_polygon
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom
 
@@ -52,18 +53,6 @@ class GoalTarget:
     region: int
     instruction: str
     kind: Literal["object", "room", "place"] = "object"
-
-
-def points_in_polygon(points: NDArray[np.floating], polygon: NDArray[np.floating]) -> NDArray:
-    """Whether points [N, 2] lie inside a polygon [K, 2] (even-odd rule); bool [N]."""
-    p = np.asarray(points, np.float64).reshape(-1, 2)
-    inside = np.zeros(len(p), np.bool_)
-    a = np.asarray(polygon, np.float64)
-    for (x0, y0), (x1, y1) in zip(a, np.roll(a, -1, axis=0), strict=True):
-        crosses = (y0 > p[:, 1]) != (y1 > p[:, 1])
-        if y0 != y1:
-            inside ^= crosses & (p[:, 0] < (x1 - x0) * (p[:, 1] - y0) / (y1 - y0) + x0)
-    return inside
 
 
 def distance_to_footprint(points: NDArray[np.floating], item: SceneObject) -> F64:

@@ -81,7 +81,7 @@ class PolicyOracle:
         assert simulator is not None
         pose = simulator.pose
         plan = plan_actions(
-            simulator.navigation.geodesic(simulator.episode.goal),
+            simulator.navigation.geodesic(simulator.episode.destination),
             (pose.x, pose.y),
             heading_cycle(simulator.heading),
             tolerance=self.stop_distance,

@@ -102,7 +102,8 @@ def _distance(maps, fields, episodes, e, x, y):  # type: ignore[no-untyped-def]
     label = fields.labels[episodes.label_at[e] + maps.compact[cell]]
     root = episodes.root_at[e] + np.int64(label)
     dx, dy = u - fields.roots[root, 0], v - fields.roots[root, 1]
-    return (fields.roots[root, 2] + math.sqrt(dx * dx + dy * dy)) * resolution
+    away = fields.roots[root, 2] + math.sqrt(dx * dx + dy * dy)  # −inf in an area
+    return max(away, 0.0) * resolution
 
 
 @njit

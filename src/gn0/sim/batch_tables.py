@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gn0.errors import EpisodeError, SceneError, SimError
 from gn0.geometry import F64, wrap_angle
 from gn0.maps.distance import GeodesicMap
+from gn0.maps.goals import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
 from gn0.maps.navigation import NavigationMap
@@ -29,6 +30,7 @@ from gn0.sim.collision import check_places
 from gn0.sim.kinematics import heading_yaw
 
 CIRCLE_LIMIT = 3600  # turns in a full circle
+_Goal = tuple[str, tuple[float, float] | GoalSet]  # scene, and what counts there
 MAPS_KEPT = 32  # maps held with corners and regions, beside the packed copies of all
 
 
@@ -165,12 +167,13 @@ class EpisodeTable:
         self._circle = turns_a_circle(agent.turn_degrees)
         self._memory = memory
         self._number: dict[Episode, int] = {}
-        self._fields: dict[tuple[str, float, float], _Field] = {}
+        self._fields: dict[_Goal, _Field] = {}
         self._clock = 0
         self.fields = FieldArrays(np.zeros(0, np.uint16), np.zeros((0, 3)))
         self._label_end = self._root_end = 0
         self.arrays = self._allocate(0)
         self._checked = np.zeros(0, np.bool_)
+        self.in_area = np.zeros(0, np.bool_)  # of each episode, whether its goal is an area
 
     def _allocate(self, size: int) -> EpisodeArrays:
         return EpisodeArrays(
@@ -191,6 +194,8 @@ class EpisodeTable:
                 number = self._number[episode] = len(self.episodes)
                 self.episodes.append(episode)
             numbers.append(number)
+        fresh = self.episodes[len(self.in_area) :]
+        self.in_area = np.append(self.in_area, np.array([e.in_area for e in fresh], np.bool_))
         missing = len(self.episodes) - len(self._checked)
         if missing > 0:
             grown = self._allocate(len(self.episodes) + (missing if len(self._checked) else 0))
@@ -245,7 +250,7 @@ class EpisodeTable:
     def _build_field(self, episode: Episode) -> tuple[NDArray[np.int64], F64]:
         """Labels of the free cells and the roots that they use; root 0 is "unreachable"."""
         navigation, geodesic_map = self.maps.open(episode.scene_id)
-        field = geodesic_map.build_field(episode.goal)
+        field = geodesic_map.build_field(episode.destination)
         self.fields_built += 1
         label = field.label[~navigation.blocked]
         used = np.zeros(len(field.roots) + 1, np.bool_)
@@ -281,7 +286,7 @@ class EpisodeTable:
             return
         playing = {int(n) for n in in_use if n >= 0} | {int(n) for n in wanted}
         ordered = sorted(self._fields.items(), key=lambda item: -item[1].used)
-        kept: dict[tuple[str, float, float], _Field] = {}
+        kept: dict[_Goal, _Field] = {}
         total = labels
         for key, field in ordered:
             needed = not playing.isdisjoint(field.episodes)
@@ -314,9 +319,8 @@ class EpisodeTable:
             self._fields[_key(episode)].used = self._clock
 
 
-def _key(episode: Episode) -> tuple[str, float, float]:
-    x, y = episode.goal
-    return episode.scene_id, float(x), float(y)
+def _key(episode: Episode) -> _Goal:
+    return episode.scene_id, episode.destination
 
 
 def _grown(array: NDArray[Any], need: int, limit: int = 2**62) -> NDArray[Any]:

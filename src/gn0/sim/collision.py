@@ -34,17 +34,16 @@ def check_places(navigation: NavigationMap, episode: Episode, radius: float) -> 
         EpisodeError: start or goal is blocked, or they lie in different regions.
     """
     where = f"episode {episode.id!r}"
-    regions = []
+    reached = navigation.regions_of(episode.destination)
     for name, (x, y) in (("start", episode.start[:2]), ("goal", episode.goal)):
-        region = navigation.region_of(x, y)
-        if region < 0:
+        blocked = navigation.region_of(x, y) < 0 if name == "start" else not reached
+        if blocked:
             raise EpisodeError(
                 f"{name} ({x:.3f}, {y:.3f}) m is blocked for an agent of radius {radius:g} m",
                 where=where,
                 remedy="snap it to walkable ground, or use a slimmer agent",
             )
-        regions.append(region)
-    if regions[0] != regions[1]:
+    if navigation.region_of(*episode.start[:2]) not in reached:
         raise EpisodeError(
             f"no path from start {episode.start[:2]} to goal {episode.goal} for an agent of "
             f"radius {radius:g} m",

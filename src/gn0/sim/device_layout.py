@@ -26,7 +26,7 @@ EPISODE = np.dtype(
         )),
         *((name, np.int32) for name in (
             "rows", "cols", "map_rows", "map_cols", "wide", "number", "scene", "look",
-            "spare0", "spare1",  # whole words of 16 bytes
+            "area", "spare",  # whole words of 16 bytes
         )),
     ],
     align=True,

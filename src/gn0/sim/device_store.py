@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray, Kernel
 from gn0.errors import DeviceMemoryError
 from gn0.geometry import F64, U8, wrap_angle
+from gn0.maps.goals import GoalSet
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, check_episode
 from gn0.scenes.scene import Scene
@@ -33,7 +34,7 @@ from gn0.sim.open import name_look
 from gn0.sim.sensors import MapFrame
 
 _log = logging.getLogger(__name__)
-_Goal = tuple[str, float, float]  # scene, x, y
+_Goal = tuple[str, tuple[float, float] | GoalSet]  # scene, and what counts there
 _WORD = 16  # bytes that a thread of `store_rows` copies
 
 
@@ -244,6 +245,7 @@ class EpisodeStore:
         row["rows"], row["cols"] = scene.shape
         row["start_x"], row["start_y"] = episode.start[:2]
         row["goal_x"], row["goal_y"] = episode.goal
+        row["area"] = episode.in_area
         row["number"], row["scene"] = number, self._scene_number[episode.scene_id]
         if look is not None:
             row["grey"], row["bev"] = look.pointers
@@ -389,7 +391,7 @@ class EpisodeStore:
     def _build_field(self, key: _Goal) -> tuple[NDArray[Any], F64]:
         """The field of a goal: labels of free cells, and the roots that they use."""
         navigation, geodesic_map = self._maps.open(key[0])
-        field = geodesic_map.build_field(key[1:])
+        field = geodesic_map.build_field(key[1])
         self.fields_built += 1
         label = field.label[~navigation.blocked]
         used = np.zeros(len(field.roots) + 1, np.bool_)
@@ -429,8 +431,7 @@ def number_cells(navigation: NavigationMap) -> NDArray[np.int32]:
 
 
 def _key(episode: Episode) -> _Goal:
-    x, y = episode.goal
-    return episode.scene_id, float(x), float(y)
+    return episode.scene_id, episode.destination
 
 
 def _bytes_of(rows: NDArray[Any]) -> U8:

@@ -11,6 +11,7 @@ and its like are the same environments on a GPU, see `gn0.sim.device_env`.
 
 Reward of a step, all distances geodesic [m]:
     (distance before − distance after) − 0.01 + 2.5 · [STOP and distance after < success_distance]
+Of several goals the nearest counts; where the goal is an area, STOP succeeds inside it only.
 so a run without detour collects about its length and the bonus. The environment ends on STOP
 (terminated) or after `max_steps` (truncated); it never acts for the agent.
 
@@ -142,7 +143,10 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         before = self._distance
         result = simulator.step(int(action))
         self._distance = self._measure(simulator.pose)
-        success = result.terminated and self._distance < self.success_distance
+        there = self._distance < self.success_distance
+        if simulator.episode.in_area:
+            there = self._distance == 0.0
+        success = result.terminated and there
         reward = before - self._distance - STEP_COST + (SUCCESS_REWARD if success else 0.0)
         return (
             self._pack(result.observation),
@@ -212,7 +216,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
 
     def _measure(self, pose: Pose2D) -> float:
         assert self._simulator is not None
-        field = self._simulator.navigation.geodesic(self._simulator.episode.goal)
+        field = self._simulator.navigation.geodesic(self._simulator.episode.destination)
         return field.distance_at(pose.x, pose.y)
 
     def _info(self, success: bool) -> dict[str, Any]:

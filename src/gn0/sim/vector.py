@@ -210,7 +210,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         progress, terminated, truncated = self.batch.step(actions)
-        success = terminated & (self.batch.state.distance < self.success_distance)
+        distance, episode = self.batch.state.distance, self.batch.state.episode
+        in_area = self.batch.table.in_area[episode]
+        success = terminated & np.where(in_area, distance == 0.0, distance < self.success_distance)
         rewards = progress - STEP_COST
         rewards[success] += SUCCESS_REWARD
         ended = np.flatnonzero(terminated | truncated)

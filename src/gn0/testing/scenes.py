@@ -6,10 +6,12 @@ for whatever moves and plans without looking.
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
 from gn0.errors import EpisodeError
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.maps.goals import GoalSet
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionInstruction
@@ -17,7 +19,10 @@ from gn0.scenes.example import build_example_scene as build_room_scene
 from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.seeds import random_stream
 
-__all__ = ["build_floor_plan", "build_map_scene", "build_point_episodes", "build_room_scene"]
+__all__ = [
+    "build_floor_plan", "build_map_scene", "build_point_episodes", "build_room_scene",
+    "with_goal_sets",
+]  # fmt: skip
 
 _ROOM = 2.2  # m, a room is not split below twice this
 _DOOR = 0.9  # m
@@ -145,3 +150,24 @@ def build_point_episodes(
             remedy="ask for fewer or shorter ones",
         )
     return episodes
+
+
+def with_goal_sets(episodes: list[Episode]) -> list[Episode]:
+    """Episodes of which some accept the start of the next as well, and some a square of ground."""
+    changed = []
+    for number, episode in enumerate(episodes):
+        x, y = episode.goal
+        goals: GoalSet | None = None
+        if number % 3 == 1:
+            others = [e.start[:2] for e in episodes if e.scene_id == episode.scene_id]
+            goals = GoalSet(points=(episode.goal, others[(number + 1) % len(others)]))
+        elif number % 3 == 2:
+            square = (
+                (x - 0.7, y - 0.7),
+                (x + 0.7, y - 0.7),
+                (x + 0.7, y + 0.7),
+                (x - 0.7, y + 0.7),
+            )
+            goals = GoalSet(areas=(square,))
+        changed.append(msgspec.structs.replace(episode, goal_set=goals))
+    return changed

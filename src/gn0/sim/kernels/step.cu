@@ -8,7 +8,12 @@ __device__ __forceinline__ double measure(const Episode &e, double x, double y) 
   u32 label = e.wide ? ((const u32 *)e.labels)[at] : ((const u16 *)e.labels)[at];
   const double *root = e.roots + (i64)label * 3;
   double dx = u - root[0], dy = v - root[1];
-  return (root[2] + sqrt(dx * dx + dy * dy)) * e.resolution;
+  return fmax(root[2] + sqrt(dx * dx + dy * dy), 0.0) * e.resolution;  // -inf in an area
+}
+
+// Whether an agent so far from the goal [m] is there: near it, or inside it where it is an area.
+__device__ __forceinline__ bool is_there(const Episode &e, const World &w, double distance) {
+  return e.area ? distance == 0.0 : distance < w.success_distance;
 }
 
 __device__ __forceinline__ i64 cell_index(double at, double origin, double resolution) {
@@ -133,7 +138,7 @@ KERNEL(step_agents)(World w, const u8 *codes, Outputs out) {
   }
   int steps = w.steps[i] + 1;
   bool terminated = action == STOP, truncated = !terminated && steps >= w.max_steps;
-  bool ended = terminated || truncated, success = terminated && after < w.success_distance;
+  bool ended = terminated || truncated, success = terminated && is_there(e, w, after);
   double reward = before - after - w.step_cost;
   if (success) reward += w.success_reward;
   out.rewards[i] = reward;

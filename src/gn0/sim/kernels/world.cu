@@ -19,7 +19,8 @@ struct Episode {
   double start_x, start_y, goal_x, goal_y;
   double map_x, map_y, map_scale;  // of the map pictures: lower left corner [m], m a pixel
   int rows, cols, map_rows, map_cols;
-  int wide, number, scene, look, spare[2];
+  int wide, number, scene, look;
+  int area, spare;           // area: only who is inside the goal is there
 };
 static_assert(sizeof(Episode) == EPISODE_BYTES, "device_layout.EPISODE differs from Episode");
 

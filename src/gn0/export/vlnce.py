@@ -235,7 +235,9 @@ def _lift(places: F64) -> list[list[float]]:
     return [[float(v) for v in place] for place in world_to_habitat(flat) + 0.0]
 
 
-def write_splits(records: Sequence[Record], job: Job, folder: Path, role: str = "") -> None:
+def write_splits(
+    records: Sequence[Record], job: Job, folder: Path, role: str = "", first_trajectory: int = 1
+) -> None:
     """Write the files of every split, and what they have no place for.
 
     Raises:
@@ -250,7 +252,7 @@ def write_splits(records: Sequence[Record], job: Job, folder: Path, role: str = 
         zip(document["episodes"], episodes, records, strict=True), 1
     ):
         way = (episode.scene_id, episode.path_id or f"\0{episode.id}")
-        entry["trajectory_id"] = paths.setdefault(way, len(paths) + 1)
+        entry["trajectory_id"] = paths.setdefault(way, len(paths) + first_trajectory)
         _, sine, _, cosine = habitat_rotation(episode.start[2])
         entry["start_rotation"] = [0, sine, 0, cosine]  # as the real files have it
         entry["reference_path"] = _lift(

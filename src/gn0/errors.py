@@ -5,7 +5,25 @@ Every class has a stable `code` that scripts may match on; the text may improve 
 
 from __future__ import annotations
 
+import reprlib
 from pathlib import Path
+from typing import Any
+
+_BRIEF = reprlib.Repr()
+_BRIEF.maxlevel, _BRIEF.maxstring, _BRIEF.maxother = 3, 160, 160
+LONGEST = 30_000  # characters of a message; a traceback of a worker has its place
+
+
+def brief(value: Any) -> str:
+    """A value from data as a message may show it: short, whatever it is and however it is nested.
+
+    `repr` of a value that names itself many times over takes for ever; this looks at a few parts.
+    """
+    try:
+        text = _BRIEF.repr(value)
+    except (ValueError, RecursionError):  # an integer of too many digits
+        return f"<{type(value).__name__}>"
+    return text if len(text) <= 400 else f"{text[:399]}…"
 
 
 class Gn0Error(Exception):
@@ -20,10 +38,10 @@ class Gn0Error(Exception):
     code = "GN0"
 
     def __init__(self, what: str, *, where: str | Path = "", remedy: str = "") -> None:
-        self.what = what
-        self.where = str(where)
-        self.remedy = remedy
-        super().__init__(what)
+        self.what = _cut(what)
+        self.where = _cut(str(where))
+        self.remedy = _cut(remedy)
+        super().__init__(self.what)
 
     def __str__(self) -> str:
         text = self.what
@@ -35,6 +53,10 @@ class Gn0Error(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         return (_rebuild, (type(self), self.what, self.where, self.remedy))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} … {text[-LONGEST // 2 :]}"
 
 
 def _rebuild(cls: type[Gn0Error], what: str, where: str, remedy: str) -> Gn0Error:

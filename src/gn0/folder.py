@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from gn0.errors import Gn0Error, StorageError
-from gn0.storage import TEMPORARY_PREFIX, storage_error
+from gn0.storage import TEMPORARY_PREFIX, check_contained, storage_error
 
 LOCK = ".lock"
 
@@ -39,6 +39,7 @@ def lock_folder(
     except ImportError:  # no such lock on this system
         yield
         return
+    check_contained(folder)
     path = folder / name
     try:
         stream: IO[bytes] = open(path, "ab")  # noqa: SIM115

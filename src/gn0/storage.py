@@ -234,7 +234,8 @@ def safe_join(root: Path | str, relative: str) -> Path:
     The rules are those of all systems at once, so that what is safe here is safe elsewhere:
     refused are absolute paths, `..` (also percent-encoded, in full-width or other letters that
     stand for it, or padded with dots and blanks), backslashes, drive letters and other colons,
-    device names, control characters, names too long, and symbolic links that lead outside.
+    device names, control characters, names too long, symbolic links that lead outside, and pipes
+    and devices.
 
     Raises:
         StorageError: the path climbs out of its folder, or is no plain relative path.
@@ -250,6 +251,8 @@ def safe_join(root: Path | str, relative: str) -> Path:
     try:
         inside = joined.resolve().is_relative_to(root.resolve())
         why = "" if inside else "leads out of its folder through a link"
+        if inside and joined.exists() and not (joined.is_file() or joined.is_dir()):
+            why = "is no plain file"  # reading a pipe may never end
     except (OSError, RuntimeError) as error:
         why = f"cannot be resolved: {error}"
     if why:
@@ -257,6 +260,38 @@ def safe_join(root: Path | str, relative: str) -> Path:
             f"path {shown!r} {why}", where=root, remedy="use a plain name inside the folder"
         )
     return joined
+
+
+def check_contained(folder: Path | str) -> None:
+    """Refuse a folder, perhaps a stranger's, with a way out of it: a link that leads elsewhere.
+
+    Pipes, sockets and devices are refused as well: reading one may never end.
+
+    Raises:
+        StorageError: it holds such a thing; names it.
+    """
+    root = Path(folder)
+    waiting = [root]
+    try:
+        real = root.resolve()
+        while waiting:
+            with os.scandir(waiting.pop()) as entries:
+                for entry in entries:
+                    if entry.is_symlink():
+                        if not Path(entry.path).resolve().is_relative_to(real):
+                            raise StorageError(
+                                "is a link that leads out of its folder",
+                                where=entry.path,
+                                remedy="put what it points to in its place, or remove it",
+                            )
+                    elif entry.is_dir():
+                        waiting.append(Path(entry.path))
+                    elif not entry.is_file():
+                        raise StorageError("is no plain file", where=entry.path, remedy="remove it")
+    except (FileNotFoundError, NotADirectoryError):
+        return  # whoever reads it says so in better words, and names may come and go
+    except (OSError, RuntimeError) as error:
+        raise StorageError(f"cannot be read: {error}", where=root, remedy="check it") from error
 
 
 def find_path_fault(relative: str) -> str:

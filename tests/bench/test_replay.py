@@ -166,13 +166,19 @@ def test_a_mean_that_the_results_do_not_give_is_found(copy: Path) -> None:
 
 
 def test_a_moved_run_needs_its_own_suite(
-    copy: Path, flats_suite: Suite, flat_folder: Path, tmp_path: Path
+    copy: Path,
+    flats_suite: Suite,
+    flat_folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     about = json.loads((copy / "run.json").read_text())
     about.update(suite_folder="/nowhere", suite_relative="../gone")
     (copy / "run.json").write_text(json.dumps(about))
-    with pytest.raises(BenchError, match="is not at /nowhere"):
-        replay_run(copy)
+    with monkeypatch.context() as patch:
+        patch.setenv("GN0_CACHE", str(tmp_path / "of-another-person"))
+        with pytest.raises(BenchError, match=r"is not known here .* it was at '/nowhere'"):
+            replay_run(copy)
     assert replay_run(copy, flats_suite.folder).ok
     other = build_suite([flat_folder], tmp_path / "other", 2)
     with pytest.raises(BenchError, match=f"hash {other.hash}; the run is of suite .*, hash "):
@@ -197,16 +203,24 @@ def test_a_failed_episode_has_nothing_to_drive_and_no_score(
 
 
 def test_the_policy_itself_can_be_asked_again(
-    flats_suite: Suite, copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    flats_suite: Suite, copy: Path, tmp_path: Path
 ) -> None:
-    assert rerun_policy(copy, workers=2).ok
+    found = rerun_policy(copy, "random", workers=2)
+    assert found.ok and found.notes == ("asked again: --policy random",)
     out = tmp_path / "odd"
     run_suite(
         flats_suite, "odd", out, policy_options={"odd": "", "when": "x"},
         plugin_modules=("odd_policies",), max_episodes=3,
     )  # fmt: skip
-    assert rerun_policy(out).ok
-    found = rerun_policy(out, policy_options={"odd": "jump"})
+    asked = {"odd": "", "when": "x"}
+    found = rerun_policy(out, "odd", policy_options=asked, plugin_modules=["odd_policies"])
+    assert found.ok and len(found.notes) == 1
+    found = rerun_policy(
+        out, "odd", policy_options={"odd": "jump"}, plugin_modules=["odd_policies"]
+    )
+    assert "it was recorded with --policy odd --policy-option odd= --policy-option when=x" in str(
+        found
+    )
     assert not found.ok and {p.step for p in found.partings if p.file == TRAJECTORIES} == {1}
 
 
@@ -218,10 +232,10 @@ def test_secrets_are_not_kept_with_results(flats_suite: Suite, tmp_path: Path) -
     out = tmp_path / "run"
     run_suite(flats_suite, "random", out, max_episodes=1)
     about = json.loads((out / "run.json").read_text())
-    about["settings"]["options"] = {"api_key": "(not kept)"}
+    about["settings"]["options"] = {"api_key": "hush"}
     (out / "run.json").write_text(json.dumps(about))
-    with pytest.raises(BenchError, match=r"\['api_key'\].*not kept"):
-        rerun_policy(out)
+    with pytest.raises(BenchError, match=r"api_key=\(not kept\)"):
+        rerun_policy(out, "straight")
 
 
 def test_the_command_says_it_with_its_exit_code(

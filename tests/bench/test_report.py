@@ -101,11 +101,14 @@ def test_the_same_runs_give_the_same_report(runs: list[Path], page: Path, tmp_pa
     assert again.read_bytes() == page.read_bytes()
 
 
-def test_it_lands_beside_the_run_and_says_what_is_missing(runs: list[Path], tmp_path: Path) -> None:
+def test_it_lands_beside_the_run_and_says_what_is_missing(
+    runs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     alone = Path(shutil.copytree(runs[1], tmp_path / "alone"))
     assert write_report(alone, videos=0) == alone / "report.html"
     (alone / "run.json").write_text('{"suite_folder": "/nowhere", "suite_relative": "../gone"}')
-    with pytest.raises(BenchError, match="is not at"):
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "of-another-person"))
+    with pytest.raises(BenchError, match=r"is not known here .* '/nowhere' \(name .* --suite DIR"):
         write_report(alone)
     with pytest.raises(StorageError, match=r"summary\.json"):
         write_report(tmp_path)

@@ -17,7 +17,7 @@ import pytest
 
 from gn0.errors import ConfigError, PolicyError
 from gn0.missions.goal import sample_goal_episodes
-from gn0.policies.remote.client import RemoteClient, check_url
+from gn0.policies.remote.client import RemoteClient, check_url, find_token_for
 from gn0.policies.remote.policy import PolicyRemote, pick_url
 from gn0.policies.remote.wire import encode_message
 from gn0.sim.open import open_simulator
@@ -413,6 +413,34 @@ def test_no_address_is_refused(url: Any) -> None:
         check_url(url, "")
 
 
+@pytest.mark.parametrize(
+    ("named", "url", "sent"),
+    [
+        ("", "ws://127.0.0.1:8000", True),
+        ("", "ws://[::1]:8000", True),
+        ("", "wss://robots.example.org", False),
+        ("robots.example.org", "wss://robots.example.org", True),
+        ("robots.example.org", "wss://robots.example.org:9000", True),
+        ("robots.example.org:9000", "wss://robots.example.org", False),
+        ("other, Robots.example.org:443", "wss://robots.example.org", True),
+        ("robots.example.org", "wss://robots.example.org.evil.example", False),
+        ("robots.example.org", "wss://evil.example/robots.example.org", False),
+        ("robots.example.org", "ws://127.0.0.1:8000", False),
+        ("robots.example.org", "ws://[bad", False),
+    ],
+)
+def test_a_token_belongs_to_the_host_it_was_given_for(
+    monkeypatch: pytest.MonkeyPatch, named: str, url: str, sent: bool
+) -> None:
+    monkeypatch.setenv("GN0_TOKEN", "a-secret")
+    monkeypatch.setenv("GN0_TOKEN_HOST", named)
+    assert find_token_for(url) == ("a-secret" if sent else "")
+    if not sent and "example" in url:
+        with pytest.raises(ConfigError, match="no token for it") as caught:
+            RemoteClient(url)
+        assert "GN0_TOKEN_HOST=" in caught.value.remedy and "a-secret" not in str(caught.value)
+
+
 def test_another_machine_needs_a_token(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GN0_TOKEN", raising=False)
     for host in ("10.0.0.5", "example.org", "0.0.0.0", "127.0.0.1.example.org", "[2001:db8::1]"):
@@ -422,7 +450,7 @@ def test_another_machine_needs_a_token(monkeypatch: pytest.MonkeyPatch) -> None:
     for host in ("127.0.0.1", "localhost", "127.8.9.1", "[::1]"):
         assert RemoteClient(f"ws://{host}:8000").url.endswith(":8000")
     monkeypatch.setenv("GN0_TOKEN", "a-secret")
-    RemoteClient("wss://robots.example.org")
+    RemoteClient("wss://robots.example.org", token="given with the address".replace(" ", "-"))
     monkeypatch.setenv("GN0_TOKEN", "a\r\nX-Evil: 1")
     with pytest.raises(ConfigError, match="blanks") as caught:
         RemoteClient("ws://127.0.0.1:8000")

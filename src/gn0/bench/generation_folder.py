@@ -22,7 +22,7 @@ from gn0.folder import lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
 from gn0.missions.generate.scene import SceneReport
 from gn0.missions.generate.settings import MissionSettings
-from gn0.storage import storage_error, write_json
+from gn0.storage import check_contained, storage_error, write_json
 
 MANIFEST, PATHS, TEXTS = "manifest.json", "paths.parquet", "instructions.parquet"
 WORK, REQUEST, PARTS, REPORT = ".work", "request.json", "parts", "report.json"
@@ -108,6 +108,7 @@ class Totals(Config, frozen=True):
 
 def clear_folder(out: Path, request: GenerationRequest) -> None:
     """Remove an earlier generation that was another one."""
+    check_contained(out)
     marks = (out / MANIFEST, out / WORK / REQUEST)
     if not out.exists() or not any(out.iterdir()) or _request_in(out) == request:
         return

@@ -2,7 +2,9 @@
 
 The recorded actions are driven through the simulator again, scored again, and compared with
 `results.jsonl` and `trajectories.jsonl` byte for byte. Where something parts, the first episode,
-step and field are named with both values. No policy is needed; `rerun` also asks the policy itself.
+step and field are named with both values. No policy is needed; `rerun_policy` asks the policy
+itself, the one that the caller names: what `run.json` says of modules, addresses and options is
+shown, never obeyed.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -27,16 +30,18 @@ from gn0.bench.results import (
     aggregate,
     encode_line,
 )
-from gn0.bench.runner import HIDDEN, build_settings, run_suite
-from gn0.bench.suite import Suite, load_suite
+from gn0.bench.runner import HIDDEN, SECRETS, build_settings, run_suite
+from gn0.bench.suite import Suite
 from gn0.bench.worker import EpisodeWorker, describe_error
-from gn0.errors import BenchError, Gn0Error
+from gn0.errors import BenchError, Gn0Error, brief
 from gn0.progress import Progress, no_progress
+from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import Action, Observation, Sensor, Teleport
-from gn0.storage import read_bytes
+from gn0.storage import read_bytes, safe_join
 
 SHOWN = 20  # partings told at most
+BACKENDS = ("auto", "cpu", "cuda", "gsplat", *VISIBLE_BACKENDS)
 Record = EpisodeTrace | EpisodeResult
 
 
@@ -62,8 +67,7 @@ class Parting:
     def __str__(self) -> str:
         where = f"episode {self.episode!r}, " if self.episode else ""
         step = f"step {self.step}, " if self.step is not None else ""
-        recorded, now = (short if len(short := repr(v)) <= 120 else f"{short[:119]}…"
-                         for v in (self.recorded, self.now))  # fmt: skip
+        recorded, now = brief(self.recorded), brief(self.now)
         return f"{where}{step}{self.file}, {self.field}: recorded {recorded}, now {now}"
 
 
@@ -79,6 +83,7 @@ class Replay:
         agreed: episodes that are equal to the byte.
         unscored: episodes that failed when they were recorded, so that there is nothing to drive.
         partings: the differences, one an episode and file, in order of episodes.
+        notes: what else there is to say.
     """
 
     folder: Path
@@ -90,6 +95,7 @@ class Replay:
     agreed: int
     unscored: tuple[str, ...] = ()
     partings: tuple[Parting, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -104,6 +110,7 @@ class Replay:
             f"replayed by gn0 {self.code}"
             + ("" if self.code == self.recorded_code else ": other code than recorded it"),
         ]
+        lines += self.notes
         if self.unscored:
             lines.append(f"{len(self.unscored)} episodes failed when recorded: nothing to drive")
         lines += [f"parts at {parting}" for parting in self.partings[:SHOWN]]
@@ -167,11 +174,11 @@ def replay_run(
 
     Args:
         run: results folder.
-        suite: its suite, where it is no longer where it was.
+        suite: its suite, where it was not run from here.
         progress: progress sink.
 
     Raises:
-        BenchError: the suite is gone, or another one was given.
+        BenchError: the suite is not known here, or another one was given.
         StorageError, FormatError: a file is missing or damaged.
     """
     data, home, settings = _open_run(run, suite)
@@ -215,45 +222,46 @@ def replay_run(
 
 def rerun_policy(
     run: Path | str,
+    policy: str,
     suite: Path | str | None = None,
     *,
     workers: int = 1,
     policy_options: Mapping[str, Any] | None = None,
-    plugin_modules: Sequence[str] | None = None,
+    plugin_modules: Sequence[str] = (),
     progress: Progress = no_progress,
 ) -> Replay:
     """Run the policy itself again, in a scratch folder, and compare.
 
     Args:
         run: results folder.
-        suite: its suite, where it is no longer where it was.
+        policy: plug-in name of the policy; what the run itself names is shown, never obeyed.
+        suite: its suite, where it was not run from here.
         workers: processes.
-        policy_options: instead of those that were recorded.
-        plugin_modules: instead of those that were recorded.
+        policy_options: of the policy.
+        plugin_modules: modules to import first.
         progress: progress sink.
 
     Raises:
-        BenchError: see `replay_run`; or an option was a secret that is not kept with results.
+        BenchError: see `replay_run`; or the run is of another policy.
         PolicyError: the policy cannot be built.
     """
     data, home, settings = _open_run(run, suite)
-    options = dict(settings.options if policy_options is None else policy_options)
-    hidden = sorted(name for name, value in options.items() if value == HIDDEN)
-    if hidden:
+    recorded = describe_recorded(data)
+    if policy != _kept(data).get("policy", data.summary.policy):
         raise BenchError(
-            f"options {hidden} of the policy were not kept with the results",
+            f"is a run of another policy than {policy!r}",
             where=data.folder,
-            remedy="give policy_options, or replay the actions alone",
+            remedy=f"it was recorded with {recorded}",
         )
-    modules = settings.plugin_modules if plugin_modules is None else tuple(plugin_modules)
+    options = dict(policy_options or {})
     with tempfile.TemporaryDirectory(prefix="gn0-replay-") as scratch:
         run_suite(
             home,
-            settings.policy,
+            policy,
             scratch,
             workers=workers,
             policy_options=options,
-            plugin_modules=modules,
+            plugin_modules=plugin_modules,
             max_episodes=data.summary.expected,
             backend=settings.backend,
             progress=progress,
@@ -261,29 +269,55 @@ def rerun_policy(
         again = load_run(scratch)
     results = {r.episode: r for r in again.results}
     partings = compare_files(data, results, again.traces) + _compare_summary(data)
-    return _conclude(data, home, partings, [])
+    asked = describe_policy(policy, options, plugin_modules)
+    notes = [f"asked again: {asked}"]
+    if asked != recorded:
+        notes.append(f"it was recorded with {recorded}")
+    return _conclude(data, home, partings, [], notes)
+
+
+def describe_policy(
+    policy: str, options: Mapping[str, Any] = MappingProxyType({}), modules: Sequence[str] = ()
+) -> str:
+    """A policy as a command line names it; what looks like a secret is left out."""
+    parts = [f"--policy {policy}"]
+    for name, value in sorted(options.items()):
+        hidden = any(word in str(name).lower() for word in SECRETS)
+        text = HIDDEN if hidden else value if isinstance(value, str) else brief(value)
+        parts.append(f"--policy-option {name}={text}"[:200])
+    parts += [f"--plugin {module}"[:200] for module in modules]
+    return " ".join(parts[:40])
+
+
+def describe_recorded(data: RunData) -> str:
+    """What `run.json` says that the policy was, to be shown and never to be obeyed."""
+    kept = _kept(data)
+    options, modules = kept.get("options"), kept.get("plugin_modules")
+    return describe_policy(
+        str(kept.get("policy", data.summary.policy))[:200],
+        options if isinstance(options, dict) else {},
+        [str(module) for module in modules] if isinstance(modules, list) else (),
+    )
+
+
+def _kept(data: RunData) -> dict[str, Any]:
+    """The settings that `run.json` tells of; {} where it tells of none."""
+    kept = data.about.get("settings")
+    return kept if isinstance(kept, dict) else {}
 
 
 def _open_run(run: Path | str, suite: Path | str | None) -> tuple[RunData, Suite, Open]:
-    """A run, its suite, and the settings it ran under."""
+    """A run, its suite, and the settings it ran under: those that are data, of a closed list."""
     data = load_run(run)
-    if suite is None:
-        home = find_suite(data)
-    else:
-        folder = Path(suite)
-        home = load_suite(folder)
-        if home.hash != data.summary.suite_hash:
-            raise BenchError(
-                f"suite {home.name!r} has hash {home.hash}; the run is of suite "
-                f"{data.summary.suite!r}, hash {data.summary.suite_hash}",
-                where=folder,
-                remedy="give the suite that was run",
-            )
-    kept = data.about.get("settings", {})
-    options = kept.get("options", {})
-    modules = tuple(map(str, kept.get("plugin_modules", ())))
-    backend = str(kept.get("backend", "auto"))
-    return data, home, build_settings(home, data.summary.policy, options, modules, backend)
+    home = find_suite(data, suite)
+    backend = str(_kept(data).get("backend", "auto"))
+    if backend not in BACKENDS:
+        raise BenchError(
+            f"was drawn by a renderer {brief(backend)} that is none of ours",
+            where=data.folder,
+            remedy=f"known: {', '.join(BACKENDS)}",
+        )
+    return data, home, build_settings(home, data.summary.policy, {}, (), backend)
 
 
 def _failed(recorded: EpisodeResult) -> EpisodeResult:
@@ -293,20 +327,29 @@ def _failed(recorded: EpisodeResult) -> EpisodeResult:
     )
 
 
-def _conclude(data: RunData, suite: Suite, partings: list[Parting], unscored: list[str]) -> Replay:
+def _conclude(
+    data: RunData,
+    suite: Suite,
+    partings: list[Parting],
+    unscored: list[str],
+    notes: Sequence[str] = (),
+) -> Replay:
     parted = {parting.episode for parting in partings}
     apart = parted | set(unscored)
-    kept = data.about.get("settings", {})
+    versions = data.about.get("versions")
     return Replay(
         folder=data.folder,
         suite=f"{suite.name}, hash {suite.hash}",
         recorded_code=data.summary.code,
         code=code_version(),
-        recorded_backend=str(kept.get("backend", "not recorded")),
-        recorded_versions={str(k): str(v) for k, v in data.about.get("versions", {}).items()},
+        recorded_backend=str(_kept(data).get("backend", "not recorded")),
+        recorded_versions={str(k): brief(v).strip("'") for k, v in versions.items()}
+        if isinstance(versions, dict)
+        else {},
         agreed=sum(r.episode not in apart for r in data.results),
         unscored=tuple(unscored),
         partings=tuple(sorted(partings, key=lambda p: (not p.episode, p.episode, p.file))),
+        notes=tuple(notes),
     )
 
 
@@ -326,7 +369,7 @@ def compare_files(
         (RESULTS, results, EpisodeResult),
     )
     for file, now, kind in files:
-        lines = read_bytes(data.folder / file).splitlines(keepends=True)
+        lines = read_bytes(safe_join(data.folder, file)).splitlines(keepends=True)
         names: list[str] = []
         for line in lines:
             record = msgspec.json.decode(line, type=kind)  # checked by load_run

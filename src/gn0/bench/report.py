@@ -11,6 +11,7 @@ import base64
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -30,10 +31,12 @@ from gn0.bench.drawing import (
     plan_symbol,
 )
 from gn0.bench.intervals import Interval
+from gn0.bench.known import known_suites, remember_suite
 from gn0.bench.metrics import METRICS
 from gn0.bench.profiles import DIFFERENCES
 from gn0.bench.release import SIDE_BY_SIDE
 from gn0.bench.results import (
+    RUN,
     EpisodeResult,
     EpisodeTrace,
     RunSummary,
@@ -41,10 +44,10 @@ from gn0.bench.results import (
     load_summary,
     load_traces,
 )
-from gn0.bench.suite import Suite, load_suite, load_suite_scene
+from gn0.bench.suite import SUITE_FILE, Suite, load_suite, load_suite_scene
 from gn0.bench.video import ClipScene, render_clip
 from gn0.config import load_json
-from gn0.errors import BenchError
+from gn0.errors import BenchError, Gn0Error, brief
 from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.render.bev import BevPicture, render_bev
@@ -53,7 +56,7 @@ from gn0.render.renderer import build_renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash
 from gn0.sim.presets import find_preset
-from gn0.storage import write_text
+from gn0.storage import safe_join, write_text
 
 TEMPLATES = Path(__file__).parent / "templates"
 BEV_PIXELS = 760  # px along the longer side, fewer when there are many scenes
@@ -97,40 +100,61 @@ def load_run(folder: Path | str) -> RunData:
         summary=load_summary(path),
         results=load_results(path),
         traces=load_traces(path),
-        about=load_json(path / "run.json", dict[str, Any]),
+        about=load_json(safe_join(path, RUN), dict[str, Any]),
     )
 
 
-def find_suite(run: RunData) -> Suite:
+def find_suite(run: RunData, given: Suite | Path | str | None = None) -> Suite:
     """The suite of a run, checked by its hash.
 
+    The path in `run.json` is a stranger's word and is never opened. A suite is looked for inside
+    the run's own folder, and where this person has run or named one of that hash before.
+
+    Args:
+        run: the run.
+        given: the suite, or its folder, as the caller was told it by a person.
+
     Raises:
-        BenchError: it is gone, or it changed.
+        BenchError: it is not known here, it changed, or the given one is another.
     """
-    places = [
-        run.folder / str(run.about.get("suite_relative", "")),
-        Path(str(run.about.get("suite_folder", ""))),
-    ]
-    for place in places:
-        if (place / "suite.json").is_file():
-            suite = (
-                load_suite(place)
-                .with_profile(run.summary.profile)
-                .with_map_mode(run.summary.map_mode)
+    wanted = run.summary.suite_hash
+    if given is not None:
+        suite = given if isinstance(given, Suite) else load_suite(given)
+        suite = _as_run(suite, run)
+        if suite.hash != wanted:
+            raise BenchError(
+                f"suite {suite.name!r} has hash {suite.hash}; the run is of suite "
+                f"{run.summary.suite!r}, hash {wanted}",
+                where=suite.folder,
+                remedy="give the suite that was run",
             )
-            if suite.hash == run.summary.suite_hash:
-                return suite
+        remember_suite(wanted, suite.folder)
+        return suite
+    own = safe_join(run.folder, "suite")
+    for place in (own, *known_suites(wanted)):
+        if (place / SUITE_FILE).is_file():
+            with suppress(Gn0Error):  # another may do
+                suite = _as_run(load_suite(place), run)
+                if suite.hash == wanted:
+                    return suite
+    told = brief(run.about.get("suite_folder", "nowhere"))
     raise BenchError(
-        f"its suite {run.summary.suite!r} is not at {places[1]} any more, or it changed",
+        f"its suite {run.summary.suite!r}, hash {wanted}, is not known here any more, or it "
+        f"changed; run.json says it was at {told}",
         where=run.folder,
-        remedy="put the suite back, or run again",
+        remedy="name the suite's folder with --suite DIR; it is checked by its hash",
     )
+
+
+def _as_run(suite: Suite, run: RunData) -> Suite:
+    return suite.with_profile(run.summary.profile).with_map_mode(run.summary.map_mode)
 
 
 def write_report(
     runs: Sequence[Path | str] | Path | str,
     out: Path | str | None = None,
     *,
+    suite: Suite | Path | str | None = None,
     videos: int = 4,
     backend: str = "auto",
     progress: Progress = no_progress,
@@ -140,6 +164,7 @@ def write_report(
     Args:
         runs: run folders of one suite.
         out: the HTML file; `report.html` in the first run's folder by default.
+        suite: the suite that was run; by default found as `find_suite` says.
         videos: clips a run, half of them failures where there are any.
         backend: renderer backend for BEV and clips.
         progress: progress sink.
@@ -148,23 +173,23 @@ def write_report(
         Path of the report.
 
     Raises:
-        BenchError: runs of different suites, or a suite that is gone.
+        BenchError: runs of different suites, or a suite that is not known here.
         StorageError, FormatError: a run is missing or damaged, or `out` cannot be written.
     """
     folders = [runs] if isinstance(runs, str | Path) else list(runs)
     if not folders:
         raise BenchError("no run given", remedy="name at least one run folder")
     loaded = [load_run(folder) for folder in folders]
-    suite = find_suite(loaded[0])
+    ran = find_suite(loaded[0], suite)
     for run in loaded[1:]:
-        if run.summary.task_hash != suite.task_hash:
+        if run.summary.task_hash != ran.task_hash:
             raise BenchError(
                 "ran another suite than the first run; their numbers cannot stand side by side",
                 where=run.folder,
                 remedy="report them apart",
             )
     path = Path(out) if out is not None else Path(folders[0]) / "report.html"
-    write_text(path, _render(suite, loaded, videos, backend, progress))
+    write_text(path, _render(ran, loaded, videos, backend, progress))
     return path
 
 

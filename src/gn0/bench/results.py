@@ -20,7 +20,7 @@ from gn0.config import decode_json, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
 from gn0.sim.state import MapMode, Trajectory
-from gn0.storage import read_bytes, write_bytes, write_json
+from gn0.storage import check_contained, read_bytes, safe_join, write_bytes, write_json
 
 RESULTS, TRAJECTORIES, SUMMARY, RUN = (
     "results.jsonl",
@@ -219,7 +219,7 @@ def load_results(run: Path | str) -> list[EpisodeResult]:
         FormatError: a line is damaged; names it.
         BenchError: an episode appears twice.
     """
-    path = Path(run) / RESULTS
+    path = safe_join(run, RESULTS)
     results = _load_lines(path, EpisodeResult)
     seen: set[str] = set()
     for result in results:
@@ -238,7 +238,7 @@ def load_traces(run: Path | str) -> dict[str, EpisodeTrace]:
         StorageError: no finished run there.
         FormatError: a line is damaged; names it.
     """
-    traces = _load_lines(Path(run) / TRAJECTORIES, EpisodeTrace)
+    traces = _load_lines(safe_join(run, TRAJECTORIES), EpisodeTrace)
     return {trace.episode: trace for trace in traces}
 
 
@@ -249,7 +249,8 @@ def load_summary(run: Path | str) -> RunSummary:
         StorageError: no finished run there.
         FormatError: damaged.
     """
-    path = Path(run) / SUMMARY
+    check_contained(run)
+    path = safe_join(run, SUMMARY)
     if not path.exists() and (Path(run) / "journal.jsonl").exists():
         raise StorageError(
             "the run there is not finished",

@@ -23,6 +23,7 @@ import msgspec
 
 from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers
 from gn0.bench.identity import digest_plugin, tell_identity
+from gn0.bench.known import remember_suite
 from gn0.bench.looks import choose_run_backend, open_run_drawing
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
 from gn0.bench.pools import open_pool
@@ -49,7 +50,7 @@ from gn0.folder import lock_folder
 from gn0.missions.episode import Episode
 from gn0.plugins import get_plugin
 from gn0.progress import Progress, no_progress
-from gn0.storage import TEMPORARY_PREFIX, Journal, storage_error
+from gn0.storage import TEMPORARY_PREFIX, Journal, check_contained, storage_error
 
 JOURNAL = "journal.jsonl"
 EPISODE_TIME_LIMIT = 300.0  # s
@@ -156,6 +157,7 @@ def run_suite(
             keep_failed=keep_failed,
             tell=tell,
         )
+        remember_suite(suite.hash, suite.folder)
         try:
             run.tell_earlier()
             if not run.left:
@@ -234,6 +236,7 @@ def check_room(out: Path, episodes: int) -> None:
     Raises:
         StorageError: unwritable, or too little space for this many episodes.
     """
+    check_contained(out)
     probe = out / ".gn0-probe"
     try:
         out.mkdir(parents=True, exist_ok=True)

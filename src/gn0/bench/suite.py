@@ -33,7 +33,14 @@ from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.state import MapMode
-from gn0.storage import check_replaceable, content_hash, folder_atomic, safe_join, write_json
+from gn0.storage import (
+    check_contained,
+    check_replaceable,
+    content_hash,
+    folder_atomic,
+    safe_join,
+    write_json,
+)
 
 SUITE_FILE, EPISODE_FILE, SCENE_FOLDER = "suite.json", "episodes.parquet", "scenes"
 SUITE_VERSION = 1  # layout of suite.json
@@ -196,7 +203,8 @@ def load_suite(path: Path | str) -> Suite:
         ConfigError: an unknown camera.
     """
     folder = Path(path)
-    about_path = folder / SUITE_FILE
+    check_contained(folder)
+    about_path = safe_join(folder, SUITE_FILE)
     about = load_json(about_path, SuiteFile)
     if about.layout != SUITE_VERSION:
         raise BenchError(
@@ -225,7 +233,7 @@ def load_suite(path: Path | str) -> Suite:
                 where=folder / scene.folder,
                 remedy="copy the scene folder there, or build the suite again",
             )
-    episodes = load_episodes(folder / EPISODE_FILE)
+    episodes = load_episodes(safe_join(folder, EPISODE_FILE))
     if len(episodes) != about.episodes:
         raise BenchError(
             f"{len(episodes)} rows, suite.json says {about.episodes}",

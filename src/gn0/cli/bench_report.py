@@ -11,7 +11,8 @@ import tyro
 from gn0.config import Config
 
 EXAMPLES = """  gn0 bench report out/walls
-  gn0 bench report out/walls out/house-oracle --out out/both.html"""
+  gn0 bench report out/walls out/house-oracle --out out/both.html
+  gn0 bench report elsewhere/walls --suite out/suite"""
 
 
 class Args(Config, frozen=True):
@@ -20,11 +21,13 @@ class Args(Config, frozen=True):
     Attributes:
         runs: run folders, as written by `gn0 bench run`.
         out: the page to write; default: report.html in the first run's folder.
+        suite: their suite, where it was not run from here.
         videos: how many episodes are shown as video, a policy.
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional]
     out: str = ""
+    suite: str = ""
     videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4
 
 
@@ -39,5 +42,8 @@ def run(args: Args) -> int:
     folders = [Path(folder) for folder in args.runs]
     out = Path(args.out) if args.out else folders[0] / "report.html"
     with draw_progress() as progress:
-        print(write_report(folders, out, videos=args.videos, progress=progress))
+        page = write_report(
+            folders, out, suite=args.suite or None, videos=args.videos, progress=progress
+        )
+        print(page)
     return 0

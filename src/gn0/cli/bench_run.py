@@ -115,7 +115,9 @@ def run(args: Args) -> int:
         )
         report = None
         if not args.no_report:
-            report = write_report([out], out / "report.html", videos=args.videos, progress=progress)
+            report = write_report(
+                [out], out / "report.html", suite=suite, videos=args.videos, progress=progress
+            )
     print_summaries([summary])
     print(f"results: {out / 'results.jsonl'}")
     if report is not None:

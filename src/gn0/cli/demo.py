@@ -74,7 +74,7 @@ def run(args: Args) -> int:
             run_suite(suite, name, run_folder, workers=workers, progress=progress)
             for name, run_folder in zip(POLICIES, runs, strict=True)
         ]
-        write_report(runs, out / "report.html", videos=2, progress=progress)
+        write_report(runs, out / "report.html", suite=suite, videos=2, progress=progress)
     print_summaries(summaries)
     print(f"pictures: {out / 'pictures'}")
     print(f"report:   {(out / 'report.html').resolve()}   (open it in a browser)")

@@ -31,7 +31,7 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.files import load_episodes
 from gn0.sim.collision import move_agent
 from gn0.sim.kinematics import heading_yaw, step_forward
-from gn0.storage import content_hash, read_bytes, safe_join, write_json
+from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_json
 
 if TYPE_CHECKING:
     from gn0.scenes.scene import Scene
@@ -397,6 +397,7 @@ def load_dataset_file(folder: Path) -> DatasetFile:
         StorageError: it is missing or unreadable.
         FormatError: damaged, or of an older or newer layout.
     """
+    check_contained(folder)
     path = folder / DATASET_FILE
     if not path.is_file():
         raise StorageError(

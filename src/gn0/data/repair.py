@@ -24,11 +24,14 @@ from gn0.data.render import check_rendered, finish_cache, plan_rendering, render
 from gn0.data.samples import encode_rows, encode_table
 from gn0.data.settings import PictureSettings
 from gn0.data.verify import Damage, verify_dataset
-from gn0.errors import DataError, Gn0Error
+from gn0.errors import DataError, Gn0Error, brief
 from gn0.folder import lock_folder, sweep_folder
 from gn0.jobs import run_jobs
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, read_bytes, safe_join, write_bytes
+
+# policies that a dataset may name and have run: they dial nobody, import nothing, open no file
+DRIVERS = ("oracle", "straight", "wall_follower", "random", "explorer")
 
 
 @dataclass(frozen=True)
@@ -140,13 +143,14 @@ def _rewrite(dataset: Dataset, damage: Damage) -> None:
     """Walk and label the episodes of a part again.
 
     Raises:
-        DataError: they come out otherwise, or a policy of others drove them.
+        DataError: they come out otherwise, or another policy than one of ours drove them.
     """
     part = next(own for own in dataset.about.parts if own.name == damage.part)
     dagger = dataset.about.settings.dagger
-    if dagger is not None and dagger.plugins:
+    if dagger is not None and (dagger.plugins or dagger.policy not in DRIVERS):
         raise DataError(
-            f"its steps are those of policy {dagger.policy!r}, a plug-in that is not run from here",
+            f"its steps are those of policy {brief(dagger.policy)}, which dataset.json names and "
+            "nobody here asked for: it is not run",
             where=damage.path,
             remedy="collect the dataset again with `gn0 data dagger`",
         )

@@ -32,7 +32,7 @@ from gn0.export.trips import ExportSource, Trip
 from gn0.folder import LOCK, holds_leftovers_only, lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
 from gn0.progress import Progress, no_progress
-from gn0.storage import Journal, content_hash, storage_error, write_json
+from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
 
 EXPORT_FILE, JOURNAL = "export.json", "journal.jsonl"
 EXPORT_LAYOUT = 1
@@ -177,6 +177,7 @@ def run_export(
         ),
         settings=told,
     )
+    check_contained(folder)
     earlier = _claim(folder, about)
     if earlier is not None and earlier.complete:
         _tidy(folder, exporter)
@@ -364,6 +365,7 @@ def check_export(folder: Path | str, format: str = "") -> list[str]:
     folder = Path(folder)
     if not folder.is_dir():
         raise StorageError("no such folder", where=folder, remedy="check the path")
+    check_contained(folder)
     about = None
     if not format or (folder / EXPORT_FILE).is_file():
         about = load_export_file(folder)

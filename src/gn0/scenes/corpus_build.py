@@ -29,7 +29,7 @@ from gn0.scenes.corpus import (
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 from gn0.scenes.sources import import_scene
-from gn0.storage import Journal, content_hash, storage_error, write_json
+from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
 
 JOURNAL_FILE = "corpus.journal"
 _BUILD = "gn0.scenes.corpus_build:build_corpus_scene"
@@ -67,6 +67,7 @@ def generate_corpus(
     spec = check_config(spec)
     plan = plan_corpus(spec)
     digest = content_hash(msgspec.json.encode(spec, order="deterministic"))
+    check_contained(out)
     _read_journal(out, digest)  # the folder of another is not touched
     try:
         out.mkdir(parents=True, exist_ok=True)

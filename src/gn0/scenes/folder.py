@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.config import Config, load_json
-from gn0.errors import FormatError, SceneError, StorageError
+from gn0.errors import FormatError, SceneError, StorageError, brief
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.files import load_cloud
 from gn0.gaussians.morton import morton_order
@@ -41,6 +41,7 @@ from gn0.scenes.labels import REACH, encode_labels, load_labels
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom, SceneSourceInfo
 from gn0.scenes.structure import encode_structure, load_structure
 from gn0.storage import (
+    check_contained,
     content_hash,
     find_path_fault,
     folder_atomic,
@@ -87,7 +88,7 @@ def check_scene_id(value: str, where: str | Path = "") -> str:
     """
     if not _ID.match(value) or find_path_fault(value):
         raise SceneError(
-            f"scene id {value!r} is not a plain name",
+            f"scene id {brief(value)} is not a plain name",
             where=where,
             remedy="use letters, digits, '.', '_' and '-', at most 128",
         )
@@ -208,7 +209,8 @@ def load_scene_file(folder: Path) -> SceneFile:
             where=folder,
             remedy="make one with `gn0 scene import` or `gn0 scene generate`",
         )
-    path = folder / SCENE_FILE
+    check_contained(folder)
+    path = safe_join(folder, SCENE_FILE)
     if not path.is_file():
         raise StorageError(
             "scene.json is missing: this is not a GN0 scene folder, or half of one",
@@ -264,7 +266,7 @@ def _cloud_loader(folder: Path, path: Path, about: SceneFile) -> Callable[[], Ga
                 file=path,
                 remedy="restore the file, or import the scene again",
             )
-        return _attach_aux(cloud, folder / AUX_FILE)
+        return _attach_aux(cloud, safe_join(folder, AUX_FILE))
 
     return load
 

@@ -125,14 +125,15 @@ def load_replay(runs: Sequence[Path], place: Path | None = None) -> Replay:
 
     Args:
         runs: run folders.
-        place: a scene folder: only episodes in that scene; or a suite folder.
+        place: a scene folder: only episodes in that scene; or the folder of the suite that was run.
 
     Raises:
         StorageError, FormatError: a run is missing or damaged.
-        BenchError: runs of different tasks, a suite that is gone, or nothing recorded there.
+        BenchError: runs of different tasks, a suite not known here, or nothing recorded there.
     """
     loaded = [load_run(folder) for folder in runs]
-    suite = find_suite(loaded[0])
+    given = place if place is not None and (place / SUITE_FILE).is_file() else None
+    suite = find_suite(loaded[0], given)
     for run in loaded[1:]:
         same = run.summary.task_hash and run.summary.task_hash == loaded[0].summary.task_hash
         if run.summary.suite_hash != loaded[0].summary.suite_hash and not same:

@@ -30,6 +30,7 @@ from gn0.missions.episode import (
 from gn0.missions.frames import Placement
 from gn0.missions.paths import SPACING, densify_path
 from gn0.plugins import get_plugin, plugin_names
+from gn0.storage import check_contained
 
 Point = tuple[float, float]
 
@@ -192,6 +193,7 @@ def load_set(path: Path | str, format: str = "") -> EpisodeSet:
         ConfigError: no such exporter.
     """
     path = Path(path)
+    check_contained(path)
     if format:
         return get_exporter(format).load(path)
     exporters = [get_exporter(name) for name in plugin_names("exporter")]

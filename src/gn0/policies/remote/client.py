@@ -21,6 +21,7 @@ from gn0.policies.remote.answers import show
 from gn0.policies.remote.wire import REPLY_LIMITS, WireLimits, decode_message, encode_message
 
 TOKEN_VARIABLE = "GN0_TOKEN"  # noqa: S105 (a name, not a secret)
+HOST_VARIABLE = "GN0_TOKEN_HOST"
 FIRST_PAUSE, LONGEST_PAUSE = 0.25, 2.0  # s between attempts to connect
 CLOSE_TIMEOUT = 1.0  # s for a server to say goodbye
 
@@ -33,7 +34,8 @@ class RemoteClient:
         connect_timeout: seconds of attempts until the server counts as down.
         request_timeout: seconds until an unanswered request counts as hung.
         metadata_timeout: seconds to wait for the optional first frame of the server.
-        token: sent as `Authorization: Bearer`; by default that of `$GN0_TOKEN`.
+        token: sent as `Authorization: Bearer`; by default that of `$GN0_TOKEN`, which goes to the
+            hosts that `$GN0_TOKEN_HOST` names and, where it names none, to this machine alone.
         limits: what a reply may hold.
 
     Raises:
@@ -56,7 +58,7 @@ class RemoteClient:
         self.metadata_timeout = metadata_timeout
         self.limits = limits
         self.metadata: dict[str, Any] = {}
-        self._token = find_token() if token is None else check_token(token)
+        self._token = find_token_for(url) if token is None else check_token(token)
         self._host, self._port = check_url(url, self._token)
         self._connection: Any = None
         self._asked = False  # whether this connection has been asked anything
@@ -274,6 +276,27 @@ def find_token() -> str:
     return check_token(os.environ.get(TOKEN_VARIABLE, ""))
 
 
+def find_token_for(url: str) -> str:
+    """The token of `$GN0_TOKEN` if it was given for that server, else "".
+
+    A token belongs to the hosts that `$GN0_TOKEN_HOST` names, as HOST or HOST:PORT with commas
+    between; where it names none, to this machine.
+
+    Raises:
+        ConfigError: it cannot be sent as a header.
+    """
+    token = find_token()
+    named = [name.strip().lower() for name in os.environ.get(HOST_VARIABLE, "").split(",")]
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "wss" else 80)
+    except (ValueError, TypeError, AttributeError):
+        return ""
+    if not any(named):
+        return token if is_loopback(host) else ""
+    return token if {host, f"{host}:{port}", f"[{host}]:{port}"} & {*named} else ""
+
+
 def check_token(token: str) -> str:
     """The token itself, if it can be sent as a header.
 
@@ -316,8 +339,9 @@ def check_url(url: str, token: str) -> tuple[str, int]:
         raise ConfigError(f"{url!r} is no address of a WebSocket server", remedy=remedy)
     if not is_loopback(host) and not token:
         raise ConfigError(
-            f"{host} is another machine, and there is no token",
+            f"{host} is another machine, and there is no token for it",
             where=url,
-            remedy=f"set {TOKEN_VARIABLE} to the token that the server was started with",
+            remedy=f"set {TOKEN_VARIABLE} to the token that the server was started with, and "
+            f"{HOST_VARIABLE}={host}: it is sent nowhere else",
         )
     return host, port or (443 if parts.scheme == "wss" else 80)

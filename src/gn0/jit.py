@@ -1,7 +1,8 @@
 """Numba, with its cache in GN0's own cache folder and never inside a scene or a package.
 
-Kernels import `njit` and `prange` from here. `fastmath` is off unless a kernel asks: results must
-be the same bytes for any thread count and, as far as IEEE goes, on any machine.
+The cache is run as code, so it is used only where nobody else can write: see `gn0.cache`. Kernels
+import `njit` and `prange` from here. `fastmath` is off unless a kernel asks: results must be the
+same bytes for any thread count and, as far as IEEE goes, on any machine.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from gn0.cache import trust_folder
 from gn0.storage import cache_dir
 
 _KEPT_DAYS = 30.0  # caches of other versions of the kernels are removed after so long
@@ -36,12 +38,14 @@ def kernel_digest() -> str:
 
 
 def _claim_cache() -> str:
-    root = cache_dir() / "numba"
-    mine = root / kernel_digest()
+    """The cache of these kernels, older ones tidied away; "" where it cannot be trusted."""
+    mine = cache_dir() / "numba" / kernel_digest()
+    known = mine.exists()
+    if not trust_folder(mine):
+        return ""
     with contextlib.suppress(OSError):  # an unwritable cache only costs compile time
-        if not mine.exists():
-            mine.mkdir(parents=True, exist_ok=True)
-            for other in root.iterdir():
+        if not known:
+            for other in mine.parent.iterdir():
                 if time.time() - other.stat().st_mtime > _KEPT_DAYS * 86400:
                     shutil.rmtree(other, ignore_errors=True)
         os.utime(mine)
@@ -57,7 +61,9 @@ def _is_writable(folder: str) -> bool:
         return False
 
 
-os.environ.setdefault("NUMBA_CACHE_DIR", _claim_cache())
+_named = os.environ.get("NUMBA_CACHE_DIR", "")
+if not _named and (_claimed := _claim_cache()):
+    os.environ["NUMBA_CACHE_DIR"] = _claimed
 # idle OpenMP threads sleep: spinning ones take the cores from whoever shares the machine, and a
 # frame then costs three times its CPU time; the price is one wake-up a parallel loop
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -66,11 +72,18 @@ import numba  # noqa: E402 (it reads its settings when imported)
 
 _config: Any = numba.config
 if not _config.CACHE_DIR:  # Numba was imported before us
-    _config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+    _config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR", "")
 
-_caching = _is_writable(str(_config.CACHE_DIR))
+# a folder that somebody named is made if need be and held to the same rules
+_trusted = bool(_config.CACHE_DIR) and (not _named or trust_folder(Path(_config.CACHE_DIR)))
+_caching = _trusted and _is_writable(str(_config.CACHE_DIR))
 
 prange = numba.prange
+
+
+def kernel_cache() -> Path | None:
+    """The folder of compiled kernels; None where there is none that can be used."""
+    return Path(_config.CACHE_DIR) if _caching else None
 
 
 def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:

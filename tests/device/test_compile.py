@@ -189,3 +189,19 @@ def test_a_damaged_compiler_says_so(tmp_path: Path) -> None:
     path.write_bytes(b"not a library")
     with pytest.raises(DeviceError, match=r"cannot be used.*pip install"):
         nvrtc.Nvrtc(NvrtcFile(str(path), 12))
+
+
+@compiler
+def test_machine_code_in_a_folder_that_others_may_write_is_not_run(
+    small: KernelSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
+    compiler = open_nvrtc()
+    load_image(small, (9, 0), compiler)
+    path = cache_path(small, "sm_90", compiler)
+    kept = path.read_bytes()
+    monkeypatch.setattr("gn0.device.compile.compile_source", lambda *_: b"made here")
+    assert load_image(small, (9, 0), compiler) != b"made here"
+    path.parent.chmod(0o777)
+    assert load_image(small, (9, 0), compiler) == b"made here"
+    assert path.read_bytes() == kept, "and nothing is written there either"

@@ -67,11 +67,13 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
     rows += cards
     cache, writable = _cache()
     rows.append(("cache", cache, "✓" if writable else "✗"))
+    kernels, kept = _kernel_cache()
+    rows.append(("kernel cache", kernels, "✓" if kept else "✗"))
     video, encodes = _video()
     rows.append(("video", video, "✓" if encodes else "✗"))
     data = os.environ.get("GN0_DATA", "")
     rows.append(("GN0_DATA", data or "not set (only some tests and figures want it)", "·"))
-    return rows, healthy and writable and encodes and compiled
+    return rows, healthy and writable and kept and encodes and compiled
 
 
 def _required() -> list[str]:
@@ -133,6 +135,21 @@ def _cache() -> tuple[str, bool]:
         return f"{folder} ({free:.0f} GB free)", True
     except OSError as error:
         return f"{folder} cannot be written ({error.strerror}); set GN0_CACHE", False
+
+
+def _kernel_cache() -> tuple[str, bool]:
+    """Where compiled kernels are kept, or why they are not: they are code, and are run."""
+    from gn0.cache import find_strangers, remedy_of
+    from gn0.jit import kernel_cache
+    from gn0.storage import cache_dir
+
+    folder = kernel_cache() or cache_dir() / "numba"
+    for place in (folder, cache_dir() / "cuda"):
+        if why := find_strangers(place):
+            return f"not used: {why}; {remedy_of(place)}", False
+    if kernel_cache() is None:
+        return f"not used: {folder} cannot be written; set GN0_CACHE", False
+    return f"{folder}, which nobody else can write", True
 
 
 def _video() -> tuple[str, bool]:

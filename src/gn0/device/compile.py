@@ -2,7 +2,8 @@
 
 A file of the cache is named after all that its content depends on (text, architecture, compiler,
 flags) and begins with a digest of the rest: a damaged one is compiled again, and a cache that
-cannot be written costs a warning and the time to compile at each start.
+cannot be written, or that others can write (`gn0.cache`), costs a warning and the time to compile
+at each start.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import os
 import time
 from pathlib import Path
 
+from gn0.cache import trust_folder
 from gn0.device.device import KernelSource
 from gn0.device.nvrtc import Nvrtc, open_nvrtc
 from gn0.errors import StorageError
@@ -64,12 +66,14 @@ def load_image(
     """
     arch, _ = nvrtc.target(capability)
     path = cache_path(source, arch, nvrtc)
-    image = None if fresh else read_image(path)
+    kept = trust_folder(path.parent)
+    image = read_image(path) if kept and not fresh else None
     if image is None:
         begun = time.perf_counter()
         image = compile_source(source, arch, nvrtc)
         _log.info("compiled %s for %s in %.1f s", source.name, arch, time.perf_counter() - begun)
-        _keep(path, image)
+        if kept:
+            _keep(path, image)
     return image
 
 

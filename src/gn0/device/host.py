@@ -26,12 +26,14 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from gn0.cache import trust_folder
 from gn0.device.arguments import (
     check_argument,
     check_copy,
@@ -152,9 +154,18 @@ class DeviceHost:
         self._recorder: tuple[int, GraphHost] | None = None  # thread, graph
         self._watch = self._open_watch() if checked else None
 
+    @cached_property
+    def _folder(self) -> Path:
+        """Where compiled kernels are kept: the cache, or one of our own that goes with us."""
+        folder = cache_dir() / "emulation"
+        if trust_folder(folder):
+            return folder
+        self._scratch = tempfile.TemporaryDirectory(prefix="gn0-emulation-")
+        return Path(self._scratch.name)
+
     def _open_watch(self) -> Any:
         text = _WATCH.read_text()
-        path = cache_dir() / "emulation" / f"watch-{content_hash(text, *_FLAGS, *_LINK)[:24]}.so"
+        path = self._folder / f"watch-{content_hash(text, *_FLAGS, *_LINK)[:24]}.so"
         if not path.exists():
             self._compile("watch", text, path, (*_FLAGS, "-O2"))
         watch = ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)  # kernels find it by its names
@@ -259,7 +270,7 @@ class DeviceHost:
         text = f'#include "{_SHIM}"\n{source.text}\n{_wrappers(found)}'
         flags = _FLAGS if self._watch is None else (*_FLAGS, *_CHECKED)
         key = content_hash(text, _SHIM.read_text(), *flags, *_LINK)
-        path = cache_dir() / "emulation" / f"{source.name}-{key[:24]}.so"
+        path = self._folder / f"{source.name}-{key[:24]}.so"
         if not path.exists():
             self._compile(source.name, text, path, flags)
         return path

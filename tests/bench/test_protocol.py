@@ -30,7 +30,7 @@ def test_the_card_tells_an_oracle_from_a_robot(flats_suite: Suite) -> None:
 
 def test_the_card_follows_the_suites_settings(flats_suite: Suite) -> None:
     card = card_of(flats_suite)
-    assert card["step limit"].startswith("60 actions") and "0.2 m" in card["agent"]
+    assert card["step limit"].startswith("60 steps") and "0.2 m" in card["agent"]
     assert "480×360" in card["camera"] and "vfov 70.00°" in card["camera"]
     assert "walking distance" in card["navigation error"]
     about = msgspec.structs.replace(flats_suite.about, profile="paper", success_radius=1.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -70,20 +71,43 @@ def test_an_honest_run_agrees_to_the_byte(recorded: Path) -> None:
         assert word in text
 
 
-@pytest.mark.parametrize(("policy", "options"), [("oracle", {}), ("odd", {"odd": "jump"})])
-def test_oracles_and_teleports_into_walls_replay_too(
-    flats_suite: Suite, tmp_path: Path, policy: str, options: dict[str, Any]
-) -> None:
-    run_suite(
-        flats_suite, policy, tmp_path / "run", policy_options=options,
-        plugin_modules=("odd_policies",), max_episodes=6,
-    )  # fmt: skip
+def test_oracles_replay_too(flats_suite: Suite, tmp_path: Path) -> None:
+    run_suite(flats_suite, "oracle", tmp_path / "run", max_episodes=6)
     found = replay_run(tmp_path / "run")
     assert found.ok and found.agreed == 6, str(found)
-    if policy == "odd":
-        lines = (tmp_path / "run" / TRAJECTORIES).read_text().splitlines()
-        assert all(len(json.loads(line)["teleports"]) == 12 for line in lines)
-        assert any(json.loads(line)["collided"][0] < 12 for line in lines), "one hit a wall"
+    assert b'"costs"' not in (tmp_path / "run" / TRAJECTORIES).read_bytes()
+
+
+@pytest.mark.parametrize("profile", ["default", "paper", "gn0-release"])
+def test_teleports_into_walls_replay_too_and_cost_what_the_profile_says(
+    flats_suite: Suite, tmp_path: Path, profile: str
+) -> None:
+    """Jumps of any length were one step each; now that is so only where the profile says it."""
+    suite = flats_suite.with_profile(profile)
+    summary = run_suite(
+        suite, "odd", tmp_path / "run", policy_options={"odd": "jump"},
+        plugin_modules=("odd_policies",), max_episodes=4,
+    )  # fmt: skip
+    found = replay_run(tmp_path / "run")
+    assert found.ok and found.agreed == 4, str(found)
+    lines = [json.loads(s) for s in (tmp_path / "run" / TRAJECTORIES).read_text().splitlines()]
+    results = [json.loads(s) for s in (tmp_path / "run" / RESULTS).read_text().splitlines()]
+    assert any(line["collided"] and line["collided"][0] < 12 for line in lines), "one hit a wall"
+    card = dict(summary.protocol)["moves"]
+    jumps = sum(len(line["teleports"]) for line in lines)
+    metres = sum(
+        math.dist(line["poses"][i][:2], line["poses"][i + 1][:2])
+        for line in lines for i, code in enumerate(line["actions"]) if code == -1
+    )  # fmt: skip
+    assert f"{jumps:,} in this run, {metres:,.1f} m in all" in card
+    for line, result in zip(lines, results, strict=True):
+        steps, costs = result["metrics"]["steps"], line.get("costs")
+        assert steps <= suite.about.max_steps
+        if profile == "default":
+            assert steps == sum(costs) > len(line["actions"])
+        else:
+            assert costs is None and steps == len(line["actions"])
+            assert len(line["teleports"]) == 12 and "takes one step whatever its length" in card
 
 
 def test_a_run_of_the_official_harness_replays_with_its_forced_stops(

@@ -495,7 +495,7 @@ def test_options_without_meaning_are_refused(options: dict[str, Any]) -> None:
 
 @pytest.fixture(scope="module")
 def simulator() -> Simulator:
-    return open_simulator(build_room_scene(), sensors={"ranges"}, max_steps=5)
+    return open_simulator(build_room_scene(), sensors={"ranges"}, max_steps=40)
 
 
 def test_moves_are_cut_by_collision(ask: Ask, simulator: Simulator) -> None:
@@ -511,5 +511,7 @@ def test_moves_are_cut_by_collision(ask: Ask, simulator: Simulator) -> None:
         policy = ask(url, action_num=1, metadata_timeout=5.0)
         trajectory = run_episode(simulator, policy, episode)
     assert trajectory.collided[0] and not trajectory.stopped
-    assert set(trajectory.actions) == {-1} and len(trajectory.teleports) == 5
+    assert set(trajectory.actions) == {-1} and trajectory.steps == 40
+    # the strides up to the wall, then one at the wall again and again
+    assert trajectory.costs[0] > 1 and set(trajectory.costs[1:]) == {1}
     assert all(simulator.navigation.region_of(p.x, p.y) >= 0 for p in trajectory.poses)

@@ -359,7 +359,8 @@ def test_a_run_is_written_down_whole(make_simulator, make_episode) -> None:
     assert len(trajectory.poses) == 5
     assert trajectory.collided == (False,) * 4
     assert trajectory.stopped
-    assert [step for step, _ in watched] == [0, 1, 2, 3, 4]
+    assert trajectory.costs == (1, 3, 1, 1)  # the teleport is three strides long
+    assert [step for step, _ in watched] == [0, 1, 4, 5, 6]
     assert watched[0][1] is None
     assert watched[-1][1].terminated
 

@@ -30,7 +30,7 @@ class EpisodeMetrics(msgspec.Struct, frozen=True, kw_only=True):
     """What one episode scored.
 
     Attributes:
-        steps: actions taken, STOP included.
+        steps: steps taken, STOP included: one an action, a move of any length those of walking it.
         trajectory_length: TL, sum of the distances between successive poses [m].
         shortest_length: geodesic distance from start to goal [m].
         navigation_error_euclid: straight distance from the last pose to the goal [m] (the paper's).
@@ -44,7 +44,7 @@ class EpisodeMetrics(msgspec.Struct, frozen=True, kw_only=True):
         ndtw: exp(−DTW / (|reference| · 3.0 m)), Ilharco et al. 2019.
         sdtw: success · nDTW.
         collisions: actions that an obstacle cut short.
-        collision_rate: collisions / steps; 0 when there was no step.
+        collision_rate: collisions / steps, a cut move being one; 0 when there was no step.
     """
 
     steps: int
@@ -93,8 +93,8 @@ METRICS: tuple[MetricInfo, ...] = tuple(
         ("SDTW", "sdtw", "nDTW where successful, else 0", "%", "up"),
         ("SR_euclid", "success_euclid", "success by straight distance", "%", "up"),
         ("TL", "trajectory_length", "trajectory length", "m", ""),
-        ("steps", "steps", "actions taken", "", ""),
-        ("collision_rate", "collision_rate", "share of actions cut short", "%", "down"),
+        ("steps", "steps", "steps taken", "", ""),
+        ("collision_rate", "collision_rate", "share of steps cut short", "%", "down"),
     )
 )  # fmt: skip
 
@@ -182,7 +182,7 @@ def compute_metrics(
         raise EpisodeError("the reference path is empty", where=where, remedy="rebuild the suite")
     dtw = dynamic_time_warping(without_repeats(positions), reference)
     ndtw = math.exp(-dtw / (len(reference) * success_radius))
-    steps = len(trajectory.actions)
+    steps = trajectory.steps
     collisions = int(sum(trajectory.collided))
     metrics = EpisodeMetrics(
         steps=steps,

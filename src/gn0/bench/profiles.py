@@ -16,6 +16,7 @@ Profile = Literal["default", "paper", "gn0-release"]
 PROFILES: tuple[str, ...] = ("default", "paper", "gn0-release")
 RELEASE: Profile = "gn0-release"
 RELEASE_STEPS = 500
+ONE_STEP_PROFILES = ("paper", RELEASE)  # where a Teleport or Displacement takes one step
 _DISCS = ", ".join(map(str, MARGINS))
 
 OFFICIAL = "GN0 87ea953"  # TeleHuman/GN0, 2026-07-14
@@ -65,6 +66,12 @@ DIFFERENCES: tuple[Difference, ...] = (
         "a move is cut at the first blocked cell; no slipping between two cells that touch",
         "Bresenham over pixels, cut in the centre of the last free pixel, also between two pixels "
         "that touch in a corner; no test within one pixel",
+        FORK,
+    ),
+    Difference(
+        "moves",
+        "a Displacement or Teleport takes the steps of turning and walking there",
+        "one step whatever its length, cut like any move; the metres jumped stand on the card",
         FORK,
     ),
     Difference(

@@ -13,8 +13,8 @@ import msgspec
 
 import gn0
 from gn0.bench.identity import tell_identity
-from gn0.bench.profiles import DIFFERENCES, RELEASE
-from gn0.bench.results import PolicyCard
+from gn0.bench.profiles import DIFFERENCES, ONE_STEP_PROFILES, RELEASE
+from gn0.bench.results import Moves, PolicyCard
 from gn0.bench.suite import Suite
 from gn0.missions.episode import PathSource
 from gn0.render.renderer import VISIBLE_BACKENDS, name_drawing
@@ -96,10 +96,34 @@ def describe_paths(suite: Suite) -> str:
     return f"nDTW and SDTW, by exact DTW: {words}"
 
 
+def describe_moves(suite: Suite, moves: Moves | None) -> str:
+    """What a Teleport or Displacement costs, and how far those of the run went."""
+    body = suite.about.agent
+    if suite.about.profile in ONE_STEP_PROFILES:
+        rule = "a Displacement or Teleport takes one step whatever its length"
+    else:
+        rule = (
+            f"a Displacement or Teleport over d m takes max(1, ⌈d / {body.forward_step:g} m⌉ + "
+            f"⌈turns / {body.turn_degrees:g}°⌉) steps, turns being that to its bearing and that at "
+            "its end; cut, it is one collision among its steps"
+        )
+    if moves is None or not moves.count:
+        return f"{rule}; this run made none" if moves is not None else rule
+    told = f"{moves.count:,} in this run, {moves.metres:,.1f} m in all, the longest "
+    return f"{rule}; {told}{moves.longest:.1f} m"
+
+
 def protocol_card(
-    suite: Suite, card: PolicyCard, code: str, backend: str = "auto"
+    suite: Suite,
+    card: PolicyCard,
+    code: str,
+    backend: str = "auto",
+    moves: Moves | None = None,
 ) -> tuple[tuple[str, str], ...]:
-    """(what, how) rows of a run; nothing here depends on workers, order or host."""
+    """(what, how) rows of a run; nothing here depends on workers, order or host.
+
+    `moves` are the Teleports and Displacements of the run, once it has been run.
+    """
     about, agent = suite.about, suite.about.agent
     preset = find_preset(about.camera)
     width, height = preset.picture_size
@@ -130,6 +154,7 @@ def protocol_card(
             "actions",
             f"STOP, FORWARD {agent.forward_step:g} m, LEFT and RIGHT {agent.turn_degrees:g}°",
         ),
+        ("moves", describe_moves(suite, moves)),
         (
             "collision",
             "a move is cut at the first blocked cell of the inflated map; no sliding",
@@ -148,7 +173,7 @@ def protocol_card(
                 else "default: NE is the walking distance"
             ),
         ),
-        ("step limit", f"{about.max_steps} actions; running out is not a STOP and no success"),
+        ("step limit", f"{about.max_steps} steps; running out is not a STOP and no success"),
         (
             "the harness",
             "never acts for the agent: it sends no STOP, no retry within an episode, no hint",
@@ -200,9 +225,12 @@ def _goal_rows(suite: Suite) -> tuple[tuple[str, str], ...]:
 def _release_rows(rows: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
     """The card of a run under the official harness: its own words wherever it differs."""
     told = {rule.what: rule.told for rule in DIFFERENCES}
+    del told["moves"]  # its row says how far they went as well
+    read = next(rule.source for rule in DIFFERENCES if rule.what == "moves")
     camera = told.pop("camera")
     told["agent"] = told.pop("body")
     told["navigation error"] = "gn0-release: octile distance left; ours beside it"
     card = {what: told.pop(what, how) for what, how in rows}
     card["camera"] += f"; {camera}"
+    card["moves"] += f" ({read})"
     return tuple({"profile": "gn0-release; each score stands beside ours", **card, **told}.items())

@@ -7,6 +7,7 @@ goes to `run.json`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -19,6 +20,7 @@ from gn0.bench.release import ReleaseReport, ReleaseScore
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
+from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import MapMode, Trajectory
 from gn0.storage import check_contained, read_bytes, safe_join, write_bytes, write_json
 
@@ -30,6 +32,43 @@ RESULTS, TRAJECTORIES, SUMMARY, RUN = (
 )
 SIZE_LIMIT = 4 * 2**30  # bytes of a results file read at most
 T = TypeVar("T")
+
+
+class Moves(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The Teleports and Displacements of an episode, or of a run.
+
+    Attributes:
+        count: how many.
+        metres: how far they went in all [m].
+        longest: how far the longest went [m].
+    """
+
+    count: int
+    metres: float
+    longest: float
+
+    @classmethod
+    def of(cls, trajectory: Trajectory) -> Moves | None:
+        """Those of a trajectory; None when it has none."""
+        poses = trajectory.poses
+        gone = [
+            math.hypot(poses[i + 1].x - poses[i].x, poses[i + 1].y - poses[i].y)
+            for i, code in enumerate(trajectory.actions)
+            if code == TELEPORT_CODE
+        ]
+        if not gone:
+            return None
+        return cls(count=len(gone), metres=math.fsum(gone), longest=max(gone))
+
+    @classmethod
+    def sum(cls, results: Iterable[EpisodeResult]) -> Moves:
+        """Those of a run."""
+        found = [r.moves for r in results if r.moves]
+        return cls(
+            count=sum(m.count for m in found),
+            metres=math.fsum(m.metres for m in found),
+            longest=max((m.longest for m in found), default=0.0),
+        )
 
 
 class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -46,6 +85,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         notes: what the policy says was odd, counted; absent when nothing was.
         path: id of the path that the episode was made of, where it has one and was scored.
         mission: its mission where it has a path: "goal", "instruction/detailed", …
+        moves: its Teleports and Displacements; absent when there were none.
     """
 
     episode: str
@@ -58,6 +98,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     notes: dict[str, int] | msgspec.UnsetType = msgspec.UNSET
     path: str | msgspec.UnsetType = msgspec.UNSET
     mission: str | msgspec.UnsetType = msgspec.UNSET
+    moves: Moves | msgspec.UnsetType = msgspec.UNSET
 
     def __str__(self) -> str:
         return f"{self.episode}: {self.status}: {self.reason}" if self.reason else self.episode
@@ -72,6 +113,7 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         actions: action codes; −1 is a teleport.
         collided: indices of actions that an obstacle cut short.
         teleports: (x, y, yaw) that the teleports asked for, in order.
+        costs: steps that each action took; not there where each took one.
     """
 
     episode: str
@@ -79,6 +121,7 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     actions: tuple[int, ...] = ()
     collided: tuple[int, ...] = ()
     teleports: tuple[tuple[float, float, float], ...] = ()
+    costs: tuple[int, ...] | msgspec.UnsetType = msgspec.UNSET
 
     @classmethod
     def of(cls, episode_id: str, trajectory: Trajectory) -> EpisodeTrace:
@@ -89,6 +132,7 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             actions=tuple(int(a) for a in trajectory.actions),
             collided=tuple(i for i, hit in enumerate(trajectory.collided) if hit),
             teleports=_plain(trajectory.teleports),
+            costs=trajectory.costs or msgspec.UNSET,
         )
 
     def trajectory(self, stopped: bool) -> Trajectory:
@@ -100,6 +144,7 @@ class EpisodeTrace(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             collided=tuple(i in hits for i in range(len(self.actions))),
             stopped=stopped,
             teleports=tuple(Pose2D(*pose) for pose in self.teleports),
+            costs=self.costs or (),
         )
 
 

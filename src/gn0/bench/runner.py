@@ -36,6 +36,7 @@ from gn0.bench.results import (
     TRAJECTORIES,
     EpisodeResult,
     EpisodeTrace,
+    Moves,
     PolicyCard,
     RunSummary,
     aggregate,
@@ -611,7 +612,9 @@ class _Run:
             valid=sum(r.status == "valid" for r in results),
             failed=tuple(r for r in results if r.status != "valid"),
             metrics=aggregate(results),
-            protocol=protocol_card(self.suite, card, self.identity["code"], settings.backend),
+            protocol=protocol_card(
+                self.suite, card, self.identity["code"], settings.backend, Moves.sum(results)
+            ),
             profile=self.suite.about.profile,
             release=report_release(results),
         )

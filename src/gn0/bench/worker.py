@@ -23,9 +23,9 @@ from gn0.bench.identity import digest_plugin, read_identity
 from gn0.bench.looks import Look, needs_renderer
 from gn0.bench.messages import Begun, Broke, Done, Lease, Open, Ready, Refused, ToWorker
 from gn0.bench.metrics import compute_metrics
-from gn0.bench.profiles import RELEASE
+from gn0.bench.profiles import ONE_STEP_PROFILES, RELEASE
 from gn0.bench.release import PolicyUnderRelease, score_release
-from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard
+from gn0.bench.results import EpisodeResult, EpisodeTrace, Moves, PolicyCard
 from gn0.bench.suite import load_suite_scene
 from gn0.errors import ConfigError, DeviceError, EpisodeError, Gn0Error, PlanError
 from gn0.jobs.child import open_channel
@@ -120,6 +120,7 @@ class EpisodeWorker:
                 navigation=self._release,
                 light=light,
                 renderer=self._ask_for(Look(str(folder), scene_id, expected_hash, light)),
+                one_step_moves=s.profile in ONE_STEP_PROFILES,
             )
             self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
             self._hash, self._light = expected_hash, light
@@ -222,6 +223,7 @@ def score(
         status="valid",
         stopped=trajectory.stopped,
         metrics=metrics,
+        moves=Moves.of(trajectory) or msgspec.UNSET,
         path=episode.path_id or msgspec.UNSET,
         mission=mission_name(episode.mission) if episode.path_id else msgspec.UNSET,
     )

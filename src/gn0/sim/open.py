@@ -63,6 +63,7 @@ def open_simulator(
     navigation: NavigationMap | None = None,
     light: LightCondition | None = None,
     renderer: Renderer | None = None,
+    one_step_moves: bool = False,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -75,13 +76,14 @@ def open_simulator(
         sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
             pose.
         agent: the body, instead of the preset's.
-        max_steps: actions until an episode is truncated.
+        max_steps: steps until an episode is truncated.
         cut_height: what lies higher [m] is left out of the BEV.
         map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
             (explored), or nothing (none).
         navigation: the map that moves the agent; by default its radius decides.
         light: how the scene is lit, in views and BEV alike; as it was made when None.
         renderer: draws instead of one of `backend`; it must hold this scene in this light.
+        one_step_moves: see `Simulator`.
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -137,4 +139,5 @@ def open_simulator(
         bev=bev,
         agent=body,
         max_steps=max_steps,
+        one_step_moves=one_step_moves,
     )

@@ -59,6 +59,7 @@ def run_episode(
     observation = begin_episode(simulator, policy, episode)
     poses, actions, collisions = [simulator.pose], [], []
     teleports: list[Pose2D] = []
+    costs: list[int] = []
     if watch is not None:
         watch(observation, None)
     while True:
@@ -78,11 +79,17 @@ def run_episode(
         poses.append(simulator.pose)
         actions.append(TELEPORT_CODE if isinstance(action, Teleport) else int(action))
         collisions.append(result.collided)
+        costs.append(result.steps)
         observation = result.observation
         if watch is not None:
             watch(observation, result)
         if result.terminated or result.truncated:
             break
     return Trajectory(
-        tuple(poses), tuple(actions), tuple(collisions), result.terminated, tuple(teleports)
+        tuple(poses),
+        tuple(actions),
+        tuple(collisions),
+        result.terminated,
+        tuple(teleports),
+        tuple(costs) if max(costs) > 1 else (),
     )

@@ -1,7 +1,9 @@
 """The simulator: one agent in one scene, driven by actions, answering with observations.
 
-Time is counted in actions: each takes `STEP_SECONDS`, the 0.25 m of a FORWARD at 0.5 m/s, whether
-it moves, turns or collides. Nothing survives from one episode to the next.
+Time is counted in steps: each takes `STEP_SECONDS`, the 0.25 m of a FORWARD at 0.5 m/s, whether it
+moves, turns or collides. A Teleport or Displacement takes the steps that the body would need to
+turn and walk there, unless moves are said to take one step. Nothing survives
+from one episode to the next.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.collision import check_finite, check_places, move_agent
 from gn0.sim.history import History, build_mosaic
-from gn0.sim.kinematics import Heading, heading_yaw, step_forward
+from gn0.sim.kinematics import Heading, heading_yaw, plan_journey, step_forward
 from gn0.sim.mapping import Mapper
 from gn0.sim.sensors import EYES, MAPS, SensorConfig, SensorSuite
 from gn0.sim.state import Action, AnyAction, Displacement, Observation, Sensor, StepResult, Teleport
@@ -41,7 +43,7 @@ class SimState:
         wanted: sensors in use.
         x, y: position [m].
         base, turns: heading as base [rad] and whole turns (see `kinematics`).
-        steps: actions taken.
+        steps: steps taken.
         collided: the last action was truncated.
         over: the episode has ended.
         tiles: history tiles, newest first.
@@ -72,7 +74,9 @@ class Simulator:
         bev: the map picture for sensor bev.
         agent: the body; the preset's when None. It is the simulator's agent that moves: the one
             in an episode says what the episode was planned for.
-        max_steps: actions until an episode is truncated.
+        max_steps: steps until an episode is truncated.
+        one_step_moves: a Teleport or Displacement takes one step whatever its length, as in the
+            paper's global action space.
 
     Raises:
         SimError: a sensor lacks its renderer or picture, the map was inflated for another
@@ -89,12 +93,14 @@ class Simulator:
         bev: BevPicture | None = None,
         agent: AgentSpec | None = None,
         max_steps: int = 500,
+        one_step_moves: bool = False,
     ) -> None:
         config = sensors or SensorConfig()
         self.scene = scene
         self.navigation = navigation
         self.agent = agent or config.preset.agent
         self.max_steps = max_steps
+        self.one_step_moves = one_step_moves
         if max_steps < 1:
             raise SimError(f"max_steps is {max_steps}", remedy="allow at least one action")
         if abs(navigation.radius - self.agent.radius) > 1e-9:
@@ -162,7 +168,7 @@ class Simulator:
 
     @property
     def steps(self) -> int:
-        """Actions taken since reset."""
+        """Steps taken since reset: one an action, but see `Journey.steps` for moves."""
         return self._steps if self._episode is not None else 0
 
     @property
@@ -211,8 +217,10 @@ class Simulator:
         """Take one action.
 
         FORWARD, Teleport and Displacement are cut at the first blocked cell (paper, Eq.
-        collision); a teleport takes its yaw, a displacement its turn in any case. STOP ends the
-        episode (`terminated`); reaching `max_steps` without STOP truncates it.
+        collision); a teleport takes its yaw, a displacement its turn in any case. They take the
+        steps of `gn0.sim.kinematics.Journey`, and end where the episode's steps do; cut, they are
+        one collision. STOP ends the episode (`terminated`); reaching `max_steps` without STOP
+        truncates it.
 
         Raises:
             SimError: before reset, after the end, or an action that is none or holds NaN.
@@ -222,7 +230,7 @@ class Simulator:
                 "no episode is in progress" if self._episode is None else "the episode is over",
                 remedy="call reset(episode) first",
             )
-        moved, collided, stop = 0.0, False, False
+        moved, collided, stop, steps = 0.0, False, False, 1
         x, y = self._x, self._y
         if isinstance(action, Displacement):
             check_finite("displacement", *action)
@@ -230,9 +238,7 @@ class Simulator:
         if isinstance(action, Teleport):
             check_finite("teleport", *action)
             self._keep_view()
-            move = move_agent(self.navigation, x, y, float(action.x), float(action.y))
-            moved, collided = move.moved, move.collided
-            self._place(move.x, move.y, wrap_angle(float(action.yaw)), 0)
+            moved, collided, steps = self._go(*map(float, action))
         else:
             code = action_code(action)
             if self._eyes:
@@ -244,7 +250,7 @@ class Simulator:
                 stop = True
             else:
                 self._turn(1 if code == 2 else -1)
-        self._steps += 1
+        self._steps += steps
         self._collided = collided
         truncated = not stop and self._steps >= self.max_steps
         self._over = stop or truncated
@@ -255,7 +261,24 @@ class Simulator:
             stop,
             truncated,
             {"pose": Pose2D(self._x, self._y, self._yaw)},
+            steps,
         )
+
+    def _go(self, x1: float, y1: float, yaw: float) -> tuple[float, bool, int]:
+        """Move to (x1, y1) [m] and look along `yaw` [rad]: metres covered, cut, steps taken."""
+        x, y = self._x, self._y
+        move = move_agent(self.navigation, x, y, x1, y1)
+        steps = 1
+        if not self.one_step_moves:
+            journey = plan_journey(Pose2D(x, y, self._yaw), x1, y1, yaw, self.agent)
+            left = self.max_steps - self._steps
+            steps = journey.steps_until(move.moved) if move.collided else journey.steps
+            if steps > left:  # the episode ends on the way
+                steps = left
+                gone, yaw = journey.part(left)
+                move = move_agent(self.navigation, x, y, *step_forward(x, y, journey.bearing, gone))
+        self._place(move.x, move.y, wrap_angle(yaw), 0)
+        return move.moved, move.collided, steps
 
     def observe_at(self, pose: Pose2D) -> Observation:
         """What the agent would see at another pose now; it does not move.

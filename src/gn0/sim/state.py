@@ -30,7 +30,8 @@ class Action(IntEnum):
 class Teleport(NamedTuple):
     """A global action: go to x, y [m], yaw [rad] at once (paper, A_global).
 
-    Clipped by the same collision rule as FORWARD: the ray from here to there.
+    Clipped by the same collision rule as FORWARD: the ray from here to there. It takes the steps of
+    turning and walking there (`gn0.sim.kinematics.Journey`), unless the simulator says otherwise.
     """
 
     x: float
@@ -41,7 +42,8 @@ class Teleport(NamedTuple):
 class Displacement(NamedTuple):
     """A move in the agent's own frame: forward, left [m], then turn [rad], left positive.
 
-    The robot's way to say `Teleport`: it needs no pose in the world. Clipped in the same way.
+    The robot's way to say `Teleport`: it needs no pose in the world. Clipped and counted like
+    one.
     """
 
     forward: float
@@ -66,7 +68,7 @@ class Observation:
     """What a robot could know, and nothing else. Fields not asked for are None.
 
     Attributes:
-        step: actions taken so far.
+        step: steps taken so far: one an action, a move those of walking it.
         time: simulated seconds since reset.
         instruction: the text of the mission.
         rgb: [H, W, 3] uint8 egocentric picture.
@@ -115,6 +117,7 @@ class StepResult:
         terminated: the agent said STOP.
         truncated: the step limit was reached; never counted as STOP.
         info: privileged values for metrics and logs (pose); never handed to a policy.
+        steps: steps of the episode that the action took: more than 1 only for moves.
     """
 
     observation: Observation
@@ -123,6 +126,7 @@ class StepResult:
     terminated: bool
     truncated: bool
     info: dict[str, Any] = field(default_factory=dict)
+    steps: int = 1
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,7 @@ class Trajectory:
         collided: T flags.
         stopped: the agent said STOP (as opposed to running out of steps).
         teleports: the poses that teleports asked for, in order; what came of them is in `poses`.
+        costs: T numbers of steps that the actions took; empty where each took one.
     """
 
     poses: tuple[Pose2D, ...]
@@ -142,3 +147,9 @@ class Trajectory:
     collided: tuple[bool, ...]
     stopped: bool
     teleports: tuple[Pose2D, ...] = ()
+    costs: tuple[int, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Steps taken in all."""
+        return sum(self.costs) if self.costs else len(self.actions)

@@ -6,7 +6,7 @@ OUT ?= out/demo
 TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
-.PHONY: install dev demo test search faults lint types package figures pictures clean
+.PHONY: install dev demo test search faults coverage lint types package figures pictures clean
 
 install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
 
@@ -44,6 +44,9 @@ package: dev ## wheel and source archive, and what an index would say of them
 
 faults: dev ## put each fault of tests/faults into a copy of the code: does a test notice? (2 h)
 	$(BIN)/python tests/faults/run_faults.py $(FAULT_FLAGS)
+
+coverage: dev ## which branches the tests take, of the code without torch and GPU (40 min)
+	$(BIN)/python tests/faults/run_coverage.py $(COVERAGE_FLAGS)
 
 figures: dev ## measure the whole board again (run it on a quiet machine)
 	$(BIN)/gn0 figures --all --out docs

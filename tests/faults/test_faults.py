@@ -10,6 +10,9 @@ from types import ModuleType
 
 import pytest
 
+from gn0.figures.board import FigureContext, FigureSkipped
+from gn0.figures.proof import FIGURES
+
 HERE = Path(__file__).resolve().parent
 
 
@@ -96,6 +99,19 @@ def test_a_fault_is_tried_in_a_copy_and_its_verdict_holds_until_something_change
     assert all(run.Journal(journal.path).holds(fault) for fault in faults)
     (tmp_path / "tests/test_a.py").write_text(code["tests/test_a.py"] + "    assert f(4) == 1\n")
     assert not any(run.Journal(journal.path).holds(fault) for fault in faults)
+
+
+def test_the_board_takes_what_the_command_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(HERE))
+    monkeypatch.chdir(tmp_path)
+    measure = next(f.measure for f in FIGURES if f.id == "trust.faults")
+    with pytest.raises(FigureSkipped, match="make faults"):
+        measure(FigureContext(data=None, work=tmp_path))
+    row = {"name": "faults killed", "value": 91.0, "unit": "%", "passed": True}
+    beside("run_faults").write_figures(tmp_path / "out/faults", "trust.faults", "Faults", [row])
+    assert [r.value for r in measure(FigureContext(data=None, work=tmp_path))] == [91.0]
 
 
 def test_the_tests_named_after_a_module_come_first() -> None:

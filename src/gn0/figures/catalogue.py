@@ -11,7 +11,7 @@ _MODULES = (
     "install", "gaussians", "splat_formats", "maps", "render", "device_checks", "device_table",
     "device_rates", "device_suite", "device_sanitizers", "scenes", "capture", "procedural",
     "scene_kinds", "sim", "mapping", "vector", "bench", "policies", "missions", "generate",
-    "language", "samples", "data_gpu", "labels", "export", "view", "trust",
+    "language", "samples", "data_gpu", "labels", "export", "view", "trust", "proof",
 )  # fmt: skip
 
 

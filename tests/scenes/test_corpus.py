@@ -124,14 +124,14 @@ def test_a_fixed_split_is_kept() -> None:
 @pytest.mark.parametrize(
     ("text", "error", "said"),
     [
-        ("parts: [", FormatError, "not a corpus spec"),
+        ("parts: [", FormatError, "not valid YAML"),
         ("parts: []", FormatError, "length >= 1"),
         ("{parts: [{kind: castle}]}", ConfigError, "no kind of building 'castle'"),
         ("{parts: [{kind: apartment, path: x}]}", ConfigError, "part 1.*not both"),
         ("{parts: [{path: x, count: 2}]}", ConfigError, "an import is one scene"),
         ("{parts: [{kind: apartment, colour: red}]}", FormatError, "colour"),
         ("{parts: [{kind: apartment}], splits: {train: 0.5}}", ConfigError, "sum to 0.5"),
-        ("!!python/object/apply:os.system ['true']", FormatError, "not a corpus spec"),
+        ("!!python/object/apply:os.system ['true']", FormatError, "none of plain values"),
     ],
 )
 def test_a_bad_spec_is_told(tmp_path: Path, text: str, error: type[Exception], said: str) -> None:

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from gn0.errors import FormatError
+from gn0.errors import FormatError, brief
 from gn0.geometry import F64, U8
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.maps.picture import load_grey
-from gn0.storage import read_bytes, safe_join
+from gn0.storage import safe_join
+from gn0.yaml_file import load_yaml
 
 # scale and raw maps carry per cents, not verdicts; ROS itself falls back to these thresholds
 PERCENT_OCCUPIED, PERCENT_FREE = 65.0, 25.0
@@ -46,11 +46,13 @@ def load_ros_map(path: Path | str) -> OccupancyGrid:
     x, y = _origin(settings, path)
     negate = settings.get("negate", 0)
     if negate not in (0, 1, False, True):
-        raise FormatError(f"negate is {negate!r}", file=path, field="negate", remedy="use 0 or 1")
+        raise FormatError(
+            f"negate is {brief(negate)}", file=path, field="negate", remedy="use 0 or 1"
+        )
     mode = settings.get("mode", "trinary")
     if mode not in ("trinary", "scale", "raw"):
         raise FormatError(
-            f"mode is {mode!r:.40}", file=path, field="mode", remedy="use trinary, scale or raw"
+            f"mode is {brief(mode)}", file=path, field="mode", remedy="use trinary, scale or raw"
         )
     grey, alpha = load_grey(safe_join(path.parent, image))
     if mode == "raw":
@@ -86,13 +88,7 @@ def _from_percent(percent: F64) -> U8:
 
 
 def _load_settings(path: Path) -> dict[str, Any]:
-    try:
-        settings = yaml.safe_load(read_bytes(path, limit=1 << 16).decode("utf-8"))
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        text = " ".join(str(error).split())
-        raise FormatError(
-            f"not valid YAML: {text:.200}", file=path, remedy="see the ROS map_server format"
-        ) from error
+    settings = load_yaml(path, remedy="see the ROS map_server format")
     if not isinstance(settings, dict):
         raise FormatError("not a map description", file=path, remedy="name the map's .yaml file")
     return settings
@@ -106,7 +102,9 @@ def _as_number(value: Any, field: str, path: Path) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise FormatError(f"{value!r:.40} is not a finite number", file=path, field=field)
+        raise FormatError(
+            f"{brief(value)} is not a finite number", file=path, field=field, remedy="give a number"
+        )
     return number
 
 

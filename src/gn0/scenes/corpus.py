@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-import yaml
 
 from gn0.config import Config, load_json
 from gn0.errors import ConfigError, FormatError
@@ -23,12 +22,12 @@ from gn0.scenes.folder import check_scene_id
 from gn0.scenes.procedural.kinds import KINDS, SizeName, StyleName
 from gn0.scenes.sources import scene_id_from
 from gn0.seeds import random_stream
-from gn0.storage import read_bytes, safe_join
+from gn0.storage import safe_join
+from gn0.yaml_file import load_yaml
 
 CORPUS_FILE, SCENE_FOLDER = "corpus.json", "scenes"
 LAYOUT = 1
 SplitName = Literal["train", "val_unseen", "test"]
-_SPEC_LIMIT = 4 * 2**20  # bytes
 
 
 class CorpusPart(Config, frozen=True):
@@ -126,9 +125,8 @@ def load_spec(path: Path | str) -> CorpusSpec:
     """
     path = Path(path)
     try:
-        plain = yaml.safe_load(read_bytes(path, _SPEC_LIMIT).decode("utf-8"))
-        spec = msgspec.convert(plain, CorpusSpec)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        spec = msgspec.convert(load_yaml(path, remedy="see docs: corpus"), CorpusSpec)
+    except msgspec.ValidationError as error:
         text = " ".join(str(error).split())
         raise FormatError(
             f"not a corpus spec: {text:.200}", file=path, remedy="see docs: corpus"

@@ -290,6 +290,7 @@ TARGETS = {
     "sog": "gn0.testing.splat_targets:sog_target",
     "sog-folder": "gn0.testing.splat_targets:sog_folder_target",
     "gltf": "gn0.testing.splat_targets:gltf_target",
+    "yaml": "gn0.testing.fuzz_yaml:yaml_target",
     "wire-reply": "gn0.testing.fuzz_wire:reply_target",
     "wire-request": "gn0.testing.fuzz_wire:request_target",
 }

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-import yaml
 
 from gn0.config import Config
 from gn0.errors import ConfigError, FormatError
 from gn0.missions.similarity import SimilaritySettings
-from gn0.storage import read_bytes
+from gn0.yaml_file import load_yaml
 
 Positive = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
@@ -105,9 +104,6 @@ class MissionSettings(Config, frozen=True):
             )
 
 
-_SPEC_LIMIT = 2**20  # bytes
-
-
 def load_settings(path: Path | str) -> MissionSettings:
     """Read settings, YAML or JSON; what is not given has its default.
 
@@ -116,11 +112,10 @@ def load_settings(path: Path | str) -> MissionSettings:
         FormatError: not YAML, or a field is unknown or of the wrong type.
         ConfigError: the settings contradict themselves.
     """
-    data = read_bytes(path, _SPEC_LIMIT)
+    plain = load_yaml(path, remedy="see docs: missions")
     try:
-        plain = yaml.safe_load(data.decode("utf-8"))
         return msgspec.convert({} if plain is None else plain, MissionSettings)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except msgspec.ValidationError as error:
         text = " ".join(str(error).split())
         raise FormatError(
             f"not settings of missions: {text:.200}", file=path, remedy="see docs: missions"

@@ -166,6 +166,20 @@ class ExporterInternData(OwnPoses):
                         _check_episode(scene_folder, line.episode_index, about.views, faults)
         return faults.told()
 
+    def remarks(self, folder: Path) -> list[str]:
+        """Where its loader would look for depth in vain.
+
+        It replaces "rgb" in the whole path of a picture (InternRobotics/InternNav @7a5c624,
+        `internnav/dataset/internvla_n1_lerobot_dataset.py` 1021).
+        """
+        whole = [folder.resolve(), *(folder / ROOT).glob("*/*")]
+        if not any("rgb" in str(path) or ".jpg" in str(path) for path in whole):
+            return []
+        return [
+            "the loader replaces rgb and .jpg in the whole path of a picture to find its depth: "
+            "rename the folder, the scene or the data that has one in its name"
+        ]
+
     def load(self, folder: Path) -> list[Recovered]:
         """Read it back, with the poses of the first camera."""
         about = load_typed(folder / ABOUT, About)

@@ -9,6 +9,7 @@ there is one chunk and names are padded.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from gn0.errors import FormatError
+from gn0.errors import FormatError, Gn0Error
 from gn0.export.cameras import camera_height, from_mounted, intrinsics, mount, mounted_poses
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_lines
@@ -47,6 +48,7 @@ ROOT, CHUNK = "vln_n1", 1_000_000
 FPS = 30
 DEPTH_UNIT = 1e-4  # m
 LOOK_AHEAD = 0.5  # m
+STRIDE, FARTHEST_STEP = 4, 0.25  # frames, m: labels are four times a step and clipped to 1
 FEWEST = 4  # frames: its loader draws a start, a memory and a target from them
 OBSTACLE, FLOOR = (0, 0, 128), (200, 200, 200)  # the loader wants (0, 0, 0.5) ± 0.05
 HEIGHT_OF_OBSTACLE = 0.5  # m
@@ -172,6 +174,22 @@ class ExporterNavDp(OwnPoses):
                 with faults.guard():
                     _check_scene(scene, faults)
         return faults.told()
+
+    def remarks(self, folder: Path) -> list[str]:
+        """Where a step of four frames is longer than its decoder can say."""
+        longest = 0.0
+        with contextlib.suppress(Gn0Error):
+            for scene in sorted((folder / ROOT).glob("*/*")):
+                for _, poses, _, _ in _load_scene(scene):
+                    places = poses[:, :2]
+                    steps = np.hypot(*(places[STRIDE:] - places[:-STRIDE]).T)
+                    longest = max(longest, float(steps.max(initial=0.0)))
+        if longest <= FARTHEST_STEP + 1e-6:
+            return []
+        return [
+            f"steps of {longest:.2f} m in {STRIDE} frames; NavDP's decoder says at most "
+            f"{FARTHEST_STEP} m and cuts the rest: --spacing {FARTHEST_STEP / STRIDE} or less"
+        ]
 
     def load(self, folder: Path) -> list[Recovered]:
         """Read it back, as the loader finds its pictures."""

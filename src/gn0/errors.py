@@ -59,6 +59,20 @@ def _cut(text: str) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} … {text[-LONGEST // 2 :]}"
 
 
+def error_table() -> str:
+    """A Markdown table of every code and what it is about, as the documents hold it."""
+    rows = ["| code | it is about |", "| --- | --- |"]
+    for kind in sorted(_below(Gn0Error), key=lambda kind: kind.code):
+        about = (kind.__doc__ or "").strip().split("\n")[0]
+        rows.append(f"| `{kind.code}` | {about} |")
+    return "\n".join(rows)
+
+
+def _below(kind: type[Gn0Error]) -> list[type[Gn0Error]]:
+    own = [found for found in kind.__subclasses__() if found.__module__ == __name__]
+    return [found for direct in own for found in (direct, *_below(direct))]
+
+
 def _rebuild(cls: type[Gn0Error], what: str, where: str, remedy: str) -> Gn0Error:
     error = cls.__new__(cls)
     Gn0Error.__init__(error, what, where=where, remedy=remedy)

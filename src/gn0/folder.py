@@ -69,3 +69,33 @@ def holds_leftovers_only(folder: Path) -> bool:
     return folder.is_dir() and all(
         path.name == LOCK or path.name.startswith(TEMPORARY_PREFIX) for path in folder.iterdir()
     )
+
+
+def forget_folder(folder: Path | str, marker: str) -> None:
+    """Empty a folder that an earlier job of one kind filled; its writer must be gone.
+
+    Args:
+        folder: may be absent or empty.
+        marker: the file, in the folder, by which that kind is known.
+
+    Raises:
+        StorageError: it holds something else, somebody is writing there, or the system refuses.
+    """
+    folder = Path(folder)
+    if not folder.is_dir() or not any(folder.iterdir()) or holds_leftovers_only(folder):
+        return
+    if not (folder / marker).is_file():
+        raise StorageError(
+            f"the folder holds something else: it has no {marker}, so it is not emptied",
+            where=folder,
+            remedy="choose another --out",
+        )
+    with lock_folder(folder):
+        # the marker goes last: a folder that is half emptied can still be told
+        for path in sorted(folder.iterdir(), key=lambda path: path.name == marker):
+            if path.name == LOCK:
+                continue
+            try:
+                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+            except OSError as error:
+                raise storage_error(error, path, "remove") from error

@@ -6,7 +6,11 @@ register through the entry-point group `gn0.plugins` (a module whose import call
 
 from __future__ import annotations
 
-from importlib import import_module, metadata
+import difflib
+import sys
+from collections.abc import Sequence
+from importlib import import_module, metadata, util
+from pathlib import Path
 from typing import Any, Literal
 
 from gn0.errors import ConfigError
@@ -116,5 +120,51 @@ def get_plugin(kind: Kind, name: str) -> Any:
     _discover()
     if (kind, name) in _registered:
         return _registered[kind, name]
-    known = ", ".join(plugin_names(kind)) or "none"
-    raise ConfigError(f"no {kind} named {name!r}", remedy=f"known: {known}")
+    known = plugin_names(kind)
+    near = [other for other in known if name and name.lower() in other]
+    near = near or difflib.get_close_matches(name.lower(), known, n=1)
+    meant = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+    raise ConfigError(
+        f"no {kind.replace('_', ' ')} named {name!r}",
+        remedy=f"{meant}known: {', '.join(known) or 'none'}",
+    )
+
+
+def import_plugins(names: Sequence[str]) -> tuple[str, ...]:
+    """Import what `--plugin` names, and say under which module names.
+
+    A name is a module (`package.module`, also one that lies in the current folder) or the path of
+    a `.py` file, whose folder joins the import path behind all others, so it shadows nothing.
+
+    Raises:
+        ConfigError: there is no such module or file, its name is taken, or importing it fails.
+    """
+    return tuple(_import_plugin(name) for name in names)
+
+
+def _import_plugin(name: str) -> str:
+    is_file = name.endswith(".py") or "/" in name or "\\" in name
+    file = Path(name).expanduser().resolve() if is_file else None
+    module = file.stem if file else name
+    try:
+        if file is not None and not file.is_file():
+            raise ImportError("there is no such file")
+        if not all(part.isidentifier() for part in module.split(".")):
+            raise ImportError("give package.module, or the path of a .py file with a plain name")
+        folder = file.parent if file else Path.cwd()
+        unknown = file is not None or util.find_spec(module.partition(".")[0]) is None
+        if unknown and str(folder) not in sys.path:
+            sys.path.append(str(folder))  # workers inherit it
+        imported = import_module(module)
+        origin = getattr(imported, "__file__", None)
+        if file is not None and (origin is None or Path(origin).resolve() != file):
+            raise ImportError(f"its name is that of {origin or 'a built-in module'}: rename it")
+    except Exception as error:  # whatever a stranger's module raises
+        raise ConfigError(
+            f"cannot import the plug-in {name!r}: {type(error).__name__}: "
+            + (str(error).splitlines() or ["no message"])[0],
+            where="--plugin",
+            remedy="give the path of its .py file, or a module that is installed, in the current "
+            "folder, or on PYTHONPATH",
+        ) from error
+    return module

@@ -51,7 +51,7 @@ def still_code() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def cluster(still_code: None, scratch_cache: None) -> Iterator[None]:
     """One Ray cluster of this machine for all tests here."""
-    pytest.importorskip("ray", reason="Ray is not installed: pip install 'gn0[scale]'")
+    pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
     with warnings.catch_warnings():
         # Ray's own files and sockets, closed when its processes end
         warnings.simplefilter("ignore", ResourceWarning)

@@ -17,7 +17,7 @@ from gn0.device.nvrtc import NvrtcFile, find_nvrtc, open_nvrtc
 from gn0.device.sources import kernel_files, kernel_sources
 from gn0.errors import DeviceError
 
-compiler = pytest.mark.skipif(find_nvrtc() is None, reason="NVRTC: pip install 'gn0[gpu]'")
+compiler = pytest.mark.skipif(find_nvrtc() is None, reason="NVRTC: pip install -e '.[gpu]'")
 
 
 @pytest.fixture

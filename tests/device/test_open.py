@@ -62,11 +62,11 @@ def test_a_card_without_a_compiler_is_not_used(
     monkeypatch.setattr("gn0.device.libcuda.NAMES", {sys.platform: str(fake_path)})
     monkeypatch.setattr(nvrtc, "find_nvrtc", lambda driver=None: None)
     device, why = find_device()
-    assert device is None and "Pretended Card 0" in why and "pip install 'gn0[gpu]'" in why
+    assert device is None and "Pretended Card 0" in why and "pip install -e '.[gpu]'" in why
     assert open_device("cuda").kind == "cuda"  # arrays can be had all the same
 
 
-@pytest.mark.skipif(nvrtc.find_nvrtc() is None, reason="NVRTC: pip install 'gn0[gpu]'")
+@pytest.mark.skipif(nvrtc.find_nvrtc() is None, reason="NVRTC: pip install -e '.[gpu]'")
 def test_the_doctor_compiles_ahead_of_time(
     fake_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kernels: KernelSource
 ) -> None:

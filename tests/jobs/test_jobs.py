@@ -108,7 +108,7 @@ def test_settings_that_make_no_sense_are_refused() -> None:
 
 @pytest.mark.slow
 def test_ray_gives_the_same_answers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    pytest.importorskip("ray", reason="Ray is not installed: pip install 'gn0[scale]'")
+    pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with warnings.catch_warnings():
         # Ray's own files and sockets, closed when its processes end

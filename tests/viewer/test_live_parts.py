@@ -290,7 +290,7 @@ def test_without_viser_the_error_says_what_to_type(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "viser", None)
     with pytest.raises(ConfigError) as caught, open_server(port=0):
         pass
-    assert "pip install 'gn0[view]'" in caught.value.remedy
+    assert "pip install -e '.[view]'" in caught.value.remedy
 
 
 def test_scenes_without_anything_get_a_plan(scene):

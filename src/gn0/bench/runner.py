@@ -15,7 +15,6 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +44,10 @@ from gn0.bench.results import (
 from gn0.bench.schedule import Schedule
 from gn0.bench.session import ask_card, check_name, stamp_now, tell_earlier
 from gn0.bench.suite import Suite, load_suite_scene
-from gn0.bench.worker import describe_error
-from gn0.errors import BenchError, ConfigError, PolicyError
+from gn0.errors import BenchError, PolicyError
 from gn0.folder import lock_folder
 from gn0.missions.episode import Episode
-from gn0.plugins import get_plugin
+from gn0.plugins import get_plugin, import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.storage import TEMPORARY_PREFIX, Journal, check_contained, storage_error
 
@@ -130,7 +128,7 @@ def run_suite(
     check_name(name)
     if not episode_time_limit > 0:
         raise BenchError(f"time limit is {episode_time_limit} s", remedy="give a positive number")
-    import_plugins(plugin_modules)
+    plugin_modules = import_plugins(plugin_modules)
     source = digest_plugin(get_plugin("policy", policy_name), plugin_modules)
     episodes = _choose(suite, max_episodes)
     out = Path(out)
@@ -175,24 +173,6 @@ def run_suite(
         finally:
             with contextlib.suppress(OSError):
                 run.journal.close()
-
-
-def import_plugins(modules: Sequence[str]) -> None:
-    """Import modules that register plug-ins.
-
-    Raises:
-        ConfigError: a name is none, or the module cannot be imported.
-    """
-    for module in modules:
-        try:
-            if not all(part.isidentifier() for part in module.split(".")):
-                raise ImportError("a module is named like package.module, without a path")
-            import_module(module)
-        except Exception as error:  # whatever a stranger's module raises
-            raise ConfigError(
-                f"cannot import the plug-in module {module!r}: {describe_error(error)}",
-                remedy="install it, or put its folder on PYTHONPATH",
-            ) from error
 
 
 def build_settings(

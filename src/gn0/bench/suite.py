@@ -34,6 +34,7 @@ from gn0.sim.presets import find_preset
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.state import MapMode
 from gn0.storage import (
+    cache_dir,
     check_contained,
     check_replaceable,
     content_hash,
@@ -418,11 +419,12 @@ def open_suite(path: Path | str, beside: Path | str | None = None) -> Suite:
 
     Args:
         path: a suite or a scene folder.
-        beside: the results folder; the sampled suite is written to `beside/suite`.
+        beside: the results folder; the sampled suite is written to `beside/suite`, or without one
+            to the cache folder.
 
     Raises:
         StorageError: neither a suite nor a scene.
-        BenchError: a scene without `beside`, or `beside/suite` is of another scene.
+        BenchError: `beside/suite` is of another scene.
     """
     folder = Path(path)
     if (folder / SUITE_FILE).is_file():
@@ -433,13 +435,10 @@ def open_suite(path: Path | str, beside: Path | str | None = None) -> Suite:
             where=folder,
             remedy="make one with `gn0 scene import`, `gn0 scene generate` or `gn0 bench suite`",
         )
-    if beside is None:
-        raise BenchError(
-            "a scene folder needs a place for its sampled episodes",
-            where=folder,
-            remedy="give --out",
-        )
     scene = load_scene(folder)
+    if beside is None:  # sampled anew: what lies there may be of older code
+        home = cache_dir() / "suites" / content_hash(scene.id, scene.content_hash)
+        return build_suite([folder], home, name=scene.id, overwrite=True)
     target = Path(beside) / "suite"
     if not (target / SUITE_FILE).is_file():
         return build_suite([folder], target, name=scene.id)

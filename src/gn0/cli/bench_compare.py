@@ -31,8 +31,8 @@ class Args(Config, frozen=True):
         mission_b: the same of B.
     """
 
-    a: Annotated[str, tyro.conf.Positional]
-    b: Annotated[str, tyro.conf.Positional] = ""
+    a: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    b: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = ""
     unit: Literal["auto", "scene", "episode"] = "auto"
     paired_by: Literal["episode", "path"] = "episode"
     mission_a: str = ""

@@ -32,7 +32,7 @@ class Args(Config, frozen=True):
         workers: processes, with --policy.
     """
 
-    run: Annotated[str, tyro.conf.Positional]
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     suite: str = ""
     policy: str = ""
     policy_option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

@@ -25,7 +25,7 @@ class Args(Config, frozen=True):
         videos: how many episodes are shown as video, a policy.
     """
 
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional]
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     out: str = ""
     suite: str = ""
     videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4

@@ -21,11 +21,11 @@ from gn0.errors import ConfigError
 EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy wall_follower --workers 2 --out out/walls
   gn0 bench run out/suite --policy explorer --map-mode explored --out out/explored
-  gn0 bench run out/suite --policy random --episodes 5 --no-report --out out/try
+  gn0 bench run out/suite --policy random --limit 5 --no-report --out out/try
   gn0 bench run out/suite --executor ray --ray-address auto --workers 16 --out out/many
   gn0 bench run out/suite --policy straight --profile gn0-release --out out/official
   gn0 bench run out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --out out/remote
-  gn0 bench run out/suite --policy mine --plugin my_policies --name "mine, v2" --out out/v2"""
+  gn0 bench run out/suite --policy mine --plugin my_policies.py --name "mine, v2" --out out/v2"""
 
 
 class Args(Config, frozen=True):
@@ -46,7 +46,7 @@ class Args(Config, frozen=True):
             run's identity.
         profile: default, paper, or gn0-release (the official harness beside ours); by default
             what the suite says.
-        episodes: run only the first so many; 0 means all.
+        limit: run only the first so many episodes; 0 means all.
         visible_sets: draw pictures from the splats that show near each place: quicker, nearly the
             same pictures. Off for scored runs; part of the run's identity and protocol card.
         backend: what draws pictures, where the policy sees any: cpu, cuda, or the best that is
@@ -57,10 +57,11 @@ class Args(Config, frozen=True):
             them again.
         no_report: do not write report.html.
         videos: how many episodes the report shows as video.
-        plugin: modules to import first; they call `gn0.plugins.register` for policies of yours.
+        plugin: .py files or modules to import first; they call `gn0.plugins.register` for policies
+            of yours.
     """
 
-    suite: Annotated[str, tyro.conf.Positional]
+    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
     out: str
     policy: str = "oracle"
     name: str = ""
@@ -70,11 +71,11 @@ class Args(Config, frozen=True):
     ray_address: str = ""
     map_mode: Literal["prior", "explored", "none"] | None = None
     profile: Literal["", "default", "paper", "gn0-release"] = ""
-    episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
+    limit: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--episodes",))] = 0
     visible_sets: bool = False
     backend: Literal["auto", "cpu", "cuda"] = "auto"
     time_limit: Annotated[float, msgspec.Meta(gt=0)] = 300.0
-    fresh: bool = False
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
     keep_failed: bool = False
     no_report: bool = False
     videos: Annotated[int, msgspec.Meta(ge=0, le=64)] = 4
@@ -86,11 +87,12 @@ def run(args: Args) -> int:
     from gn0.bench.report import write_report
     from gn0.bench.runner import run_suite
     from gn0.bench.suite import open_suite
-    from gn0.cli.console import draw_progress, plain_text
+    from gn0.cli.console import draw_progress, plain_text, say_backend
     from gn0.cli.tables import print_summaries
     from gn0.render.renderer import visible_backend
 
     out = Path(args.out)
+    say_backend(args.backend)
     with draw_progress() as progress:
         suite = open_suite(args.suite, beside=out)
         suite = suite.with_profile(args.profile or suite.about.profile)
@@ -102,7 +104,7 @@ def run(args: Args) -> int:
             workers=args.workers,
             resume=not args.fresh,
             episode_time_limit=args.time_limit,
-            max_episodes=args.episodes or None,
+            max_episodes=args.limit or None,
             plugin_modules=args.plugin,
             policy_options=read_options(args.policy_option),
             backend=visible_backend(args.backend) if args.visible_sets else args.backend,

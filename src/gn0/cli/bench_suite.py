@@ -31,7 +31,9 @@ class Args(Config, frozen=True):
         overwrite: replace an existing suite.
     """
 
-    scenes: Annotated[tuple[str, ...], tyro.conf.Positional]
+    scenes: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE [SCENE ...]")
+    ]
     out: str
     episodes: Annotated[int, msgspec.Meta(ge=1)] = 50
     seed: int = 0

@@ -76,6 +76,17 @@ def say_aside(text: str) -> None:
     print(plain_text(text), file=sys.stderr, flush=True)
 
 
+def say_backend(backend: str) -> None:
+    """Say aside that a renderer was asked for which this machine has not, though none may draw."""
+    if backend != "cuda":
+        return
+    from gn0.device.open import find_device
+
+    device, why = find_device()
+    if device is None:
+        say_aside(f"note: --backend cuda was asked for, but no card draws here: {why}")
+
+
 @contextmanager
 def draw_progress() -> Iterator[Progress]:
     """A progress sink: rich bars on a terminal, at most a line every few seconds in a log."""

@@ -33,7 +33,7 @@ class Args(Config, frozen=True):
         seed: of the choice which samples are left out.
     """
 
-    dataset: Annotated[str, tyro.conf.Positional]
+    dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     method: Literal["weights", "selection"] = "weights"
     forward: Annotated[float, msgspec.Meta(ge=0, le=100)] = 67.0
     left: Annotated[float, msgspec.Meta(ge=0, le=100)] = 15.0

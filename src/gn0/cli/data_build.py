@@ -28,7 +28,8 @@ class Args(Config, frozen=True):
     """Episodes in, a dataset out.
 
     Attributes:
-        episodes: a suite folder, as `gn0 missions generate` and `gn0 bench suite` write.
+        episodes: a suite folder, as `gn0 missions generate` and `gn0 bench suite` write; or a scene
+            folder, whose fifty goal episodes (seed 0) are then sampled beside `--out`.
         out: the dataset folder; an interrupted build there goes on.
         layout: how pictures are kept: tar shards (webdataset), Parquet and MP4 (lerobot), or not
             at all (none): poses and labels only, drawn later by `gn0 data render`.
@@ -49,9 +50,10 @@ class Args(Config, frozen=True):
             core where a GPU draws.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
+        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    episodes: Annotated[str, tyro.conf.Positional]
+    episodes: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
     out: str
     layout: Literal["webdataset", "lerobot", "none"] = "webdataset"
     format: Literal["jpg", "png"] = "jpg"
@@ -67,15 +69,19 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
 def run(args: Args) -> int:
     """Build, and say what came out."""
-    from gn0.cli.console import draw_progress, say_aside
+    from gn0.bench.suite import open_suite
+    from gn0.cli.console import draw_progress, say_aside, say_backend
     from gn0.data.build import build_dataset
+    from gn0.data.dataset import DATASET_FILE
     from gn0.data.drawing import choose_drawing, count_workers, with_backend
     from gn0.data.labels import LabelSettings
     from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
+    from gn0.folder import forget_folder
 
     pictures = PictureSettings(
         layout=args.layout,
@@ -89,16 +95,20 @@ def run(args: Args) -> int:
         backend, why = choose_drawing(args.backend, args.out)
         say_aside(f"pictures: drawn by backend {backend} ({why})")
         pictures = with_backend(pictures, backend)
+    else:
+        say_backend(args.backend)
     settings = BuildSettings(
         tokens=TokenSettings(frame=args.tokens),
         labels=LabelSettings(variant=args.labels),
         chunk=args.chunk,
         pictures=pictures,
     )
+    if args.fresh:
+        forget_folder(args.out, DATASET_FILE)
     begin = time.perf_counter()
     with draw_progress() as progress:
         dataset = build_dataset(
-            args.episodes,
+            open_suite(args.episodes, beside=f"{args.out.rstrip('/')}-episodes"),
             args.out,
             settings,
             workers=count_workers(args.workers, pictures),

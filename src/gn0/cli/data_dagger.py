@@ -50,9 +50,10 @@ class Args(Config, frozen=True):
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
         plugin: modules to import first; they call `gn0.plugins.register` for policies of yours.
+        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    suite: Annotated[str, tyro.conf.Positional]
+    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
     out: str
     policy: str
     policy_option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -71,20 +72,26 @@ class Args(Config, frozen=True):
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
     plugin: tuple[str, ...] = ()
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
 def run(args: Args) -> int:
     """Collect, and say what the policy did and what it should have done."""
-    from gn0.bench.suite import load_suite
+    from gn0.bench.suite import open_suite
     from gn0.cli.bench_run import read_options
     from gn0.cli.console import draw_progress
     from gn0.data.collect import build_dagger, describe_summary, sum_up
+    from gn0.data.dataset import DATASET_FILE
     from gn0.data.labels import LabelSettings
     from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
+    from gn0.folder import forget_folder
+    from gn0.plugins import import_plugins
 
     out = Path(args.out)
+    if args.fresh:
+        forget_folder(out, DATASET_FILE)
     with draw_progress() as progress:
-        suite = load_suite(args.suite)
+        suite = open_suite(args.suite, beside=f"{args.out.rstrip('/')}-episodes")
         settings = BuildSettings(
             tokens=TokenSettings(frame=args.tokens),
             labels=LabelSettings(
@@ -103,7 +110,7 @@ def run(args: Args) -> int:
                 map_mode=args.map_mode or suite.map_mode,
                 max_steps=args.max_steps or suite.about.max_steps,
                 seed=args.seed,
-                plugins=args.plugin,
+                plugins=import_plugins(args.plugin),
             ),
         )
         dataset = build_dagger(

@@ -39,7 +39,7 @@ class Args(Config, frozen=True):
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
     """
 
-    dataset: Annotated[str, tyro.conf.Positional]
+    dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     layout: Literal["webdataset", "lerobot"] | None = None
     format: Literal["jpg", "png"] | None = None
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None

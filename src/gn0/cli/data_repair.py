@@ -26,7 +26,7 @@ class Args(Config, frozen=True):
         workers: processes that draw.
     """
 
-    dataset: Annotated[str, tyro.conf.Positional]
+    dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     suite: str = ""
     workers: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
 

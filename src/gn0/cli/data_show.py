@@ -23,7 +23,7 @@ class Args(Config, frozen=True):
         steps: how many of its steps.
     """
 
-    dataset: Annotated[str, tyro.conf.Positional]
+    dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     out: str
     episode: str = ""
     steps: Annotated[int, msgspec.Meta(ge=1, le=50)] = 4

@@ -26,7 +26,7 @@ class Args(Config, frozen=True):
         seed: of the choice of samples shown.
     """
 
-    folder: Annotated[str, tyro.conf.Positional]
+    folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE_OR_DATASET")]
     out: str = ""
     sheets: Annotated[int, msgspec.Meta(ge=0, le=50)] = 4
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0

@@ -28,7 +28,7 @@ class Args(Config, frozen=True):
         workers: readers, and processes that draw; 0 takes a core each.
     """
 
-    dataset: Annotated[str, tyro.conf.Positional]
+    dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     pixels: bool = False
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
 

@@ -57,7 +57,7 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
         try:
             rows.append((package, metadata.version(package), "✓"))
         except metadata.PackageNotFoundError:
-            rows.append((package, "missing: run `pip install gn0` again", "✗"))
+            rows.append((package, "missing: run `pip install -e .` in the checkout", "✗"))
             healthy = False
     backend, why = choose_backend()
     rows += [("renderer", f"{backend}: {why}", "✓"), ("threads", _threads(), "✓")]
@@ -71,9 +71,41 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
     rows.append(("kernel cache", kernels, "✓" if kept else "✗"))
     video, encodes = _video()
     rows.append(("video", video, "✓" if encodes else "✗"))
+    rows += _extras()
     data = os.environ.get("GN0_DATA", "")
     rows.append(("GN0_DATA", data or "not set (only some tests and figures want it)", "·"))
     return rows, healthy and writable and kept and encodes and compiled
+
+
+def _extras() -> list[tuple[str, str, str]]:
+    """What each extra brings, and whether it is here; those for developers are left out."""
+    import re
+
+    rows = []
+    lines = metadata.requires("gn0") or [] if _is_installed("gn0") else []
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        extra = re.search(r"extra == ['\"](\w+)['\"]", line)
+        if extra and extra[1] != "dev":
+            name = re.split(r"[\s;<>=!~\[]", line)[0]
+            found.setdefault(extra[1], [])
+            if name not in found[extra[1]]:
+                found[extra[1]].append(name)
+    for extra_name, packages in sorted(found.items()):
+        missing = [name for name in packages if not _is_installed(name)]
+        told = ", ".join(packages)
+        if missing:
+            told = f"not here ({', '.join(missing)}): pip install -e '.[{extra_name}]'"
+        rows.append((f"[{extra_name}]", told, "·" if missing else "✓"))
+    return rows
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def _required() -> list[str]:

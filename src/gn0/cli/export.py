@@ -42,10 +42,11 @@ class Args(Config, frozen=True):
             words, which are those that VLN-CE's models know.
         name: name of the data in ids and paths of the format.
         exact: render pictures again, also where the dataset's cache has them.
+        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    format: Annotated[str, tyro.conf.Positional]
-    dataset: Annotated[str, tyro.conf.Positional]
+    format: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FORMAT")]
+    dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     out: str
     camera: str = ""
     split: str = ""
@@ -59,6 +60,7 @@ class Args(Config, frozen=True):
     vocabulary: str = ""
     name: str = "gn0"
     exact: bool = False
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
 def run(args: Args) -> int:
@@ -66,12 +68,15 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.config import check_config
     from gn0.export.exporter import ExportSettings, get_dataset_exporter
-    from gn0.export.session import remark_export, run_export
+    from gn0.export.session import EXPORT_FILE, remark_export, run_export
     from gn0.export.source import open_source
+    from gn0.folder import forget_folder
 
     exporter = get_dataset_exporter(args.format)
     fields = {name: getattr(args, name) for name in ExportSettings.__struct_fields__}
     settings = check_config(ExportSettings(**fields))
+    if args.fresh:
+        forget_folder(args.out, EXPORT_FILE)
     with draw_progress() as progress:
         source = open_source(args.dataset, exact=args.exact)
         done = run_export(source, exporter, args.out, settings, progress=progress)

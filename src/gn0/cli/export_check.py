@@ -24,7 +24,7 @@ class Args(Config, frozen=True):
         format: its format; by default what its export.json says.
     """
 
-    folder: Annotated[str, tyro.conf.Positional]
+    folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="EXPORT")]
     format: str = ""
 
 

@@ -47,7 +47,7 @@ class Args(Config, frozen=True):
         merge: measure nothing; take the rows of this figures.json, measured on another machine.
     """
 
-    ids: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    ids: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[ID ...]")] = ()
     all: bool = False
     list: bool = False
     out: str = "docs"

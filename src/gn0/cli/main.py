@@ -47,6 +47,8 @@ VERBS: dict[str, tuple[str, str]] = {
     "data dagger": ("data_dagger", "states that a policy visits, labelled by the expert"),
     "export": ("export", "a dataset for VLN-CE, LeRobot, NaVid, StreamVLN, NavDP and others"),
     "export check": ("export_check", "all that an export's reader takes for granted"),
+    "list": ("list_names", "policies, presets, sensors, exports, formats: the names to type"),
+    "completion": ("completion", "let bash, zsh or fish complete verbs, flags and their values"),
     "figures": ("figures", "measure the figures of merit and write the board"),
 }
 GROUPS = {
@@ -109,8 +111,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _no_verb(argv: list[str]) -> int:
-    import difflib
-
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(top_help())
         return 0
@@ -123,10 +123,44 @@ def _no_verb(argv: list[str]) -> int:
         print(top_help(argv[0]))
         return 0
     said = " ".join(argv[:2] if argv[0] in GROUPS else argv[:1])
-    near = difflib.get_close_matches(said, list(VERBS), n=1, cutoff=0.5)
-    hint = f"did you mean `gn0 {near[0]}`?" if near else "see `gn0 --help`"
+    near = suggest_verb(argv)
+    hint = f"did you mean `gn0 {near}`?" if near else "see `gn0 --help`"
     print(f"gn0: no verb {said!r}; {hint}", file=sys.stderr)
     return 2
+
+
+def suggest_verb(argv: Sequence[str]) -> str:
+    """The verb nearest to what was typed, over whole verbs; "" when none is near.
+
+    Compared are the first word and the first two, also in the other order (`generate scene`), with
+    the verbs and with their last words alone (`replay`).
+    """
+    words = [word.lower() for word in argv[:2] if not word.startswith("-")]
+    typed = {" ".join(words), " ".join(reversed(words)), words[0] if words else ""} - {""}
+    best: tuple[float, str] = (0.0, "")
+    for verb in VERBS:
+        for name in {verb, verb.replace(" ", ""), verb.replace(" ", "-"), verb.rpartition(" ")[2]}:
+            for text in typed:
+                far = 0 if len(text) > 2 and name.startswith(text) else edit_distance(text, name)
+                if far <= max(1, min(len(text), len(name)) // 3):
+                    # a whole verb rather than its last word, and the longer text, which tells more
+                    score = 1.0 + len(text) - 2.0 * far + (0.5 if name == verb else 0.0)
+                    best = max(best, (score, verb), key=lambda found: found[0])
+    return best[1]
+
+
+def edit_distance(a: str, b: str) -> int:
+    """Letters to insert, remove, replace or swap with the next to turn one into the other."""
+    rows = [list(range(len(b) + 1))]
+    for i, letter in enumerate(a, 1):
+        row = [i]
+        for j, other in enumerate(b, 1):
+            least = min(rows[-1][j] + 1, row[-1] + 1, rows[-1][j - 1] + (letter != other))
+            if i > 1 and j > 1 and letter == b[j - 2] and a[i - 2] == other:
+                least = min(least, rows[-2][j - 2] + 1)
+            row.append(least)
+        rows.append(row)
+    return rows[-1][-1]
 
 
 def parse_arguments(module: Any, verb: str, rest: list[str]) -> Any:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gn0.missions.language.route import RouteDescription
 
 EXAMPLES = """  gn0 missions describe out/suite flat_0003
-  gn0 missions describe out/suite --count 5 --seed 2
+  gn0 missions describe out/suite --limit 5 --seed 2
   gn0 missions describe out/suite flat_0003 --out out/routes
   gn0 missions describe out/suite --provider openai --model Qwen/Qwen3-8B \\
       --base-url http://localhost:8000/v1"""
@@ -28,9 +28,9 @@ class Args(Config, frozen=True):
     """Which routes, and who puts them into words.
 
     Attributes:
-        suite: a suite folder.
+        suite: a suite folder, or a scene folder for the fifty goal episodes sampled in it.
         episodes: ids of episodes; by default the first ones.
-        count: how many, where none are named.
+        limit: how many, where none are named.
         provider: who writes: the grammar, a language server, or recorded answers.
         model: name of the model (openai, replay).
         base_url: address of the server up to "/v1" (openai); by default $OPENAI_BASE_URL. The
@@ -41,9 +41,11 @@ class Args(Config, frozen=True):
         out: folder for pictures; by default none are drawn.
     """
 
-    suite: Annotated[str, tyro.conf.Positional]
-    episodes: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    count: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 3
+    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
+    episodes: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[EPISODE ...]")
+    ] = ()
+    limit: Annotated[int, msgspec.Meta(ge=1, le=10_000), tyro.conf.arg(aliases=("--count",))] = 3
     provider: Literal["template", "openai", "replay"] = "template"
     model: str = ""
     base_url: str = ""
@@ -57,12 +59,12 @@ def run(args: Args) -> int:
     """Describe and print; 1 when a text of the provider was not accepted."""
     import numpy as np
 
-    from gn0.bench.suite import load_suite, load_suite_scene
+    from gn0.bench.suite import load_suite_scene, open_suite
     from gn0.maps.navigation import NavigationMap
     from gn0.missions.language.describe import describe_route
     from gn0.scenes.scene import SceneObject, SceneRoom
 
-    suite = load_suite(args.suite)
+    suite = open_suite(args.suite)
     chosen = _choose(suite.episodes, args)
     provider = open_named(args)
     refused = 0
@@ -107,7 +109,7 @@ def _choose(episodes, args: Args):  # type: ignore[no-untyped-def]
     from gn0.errors import EpisodeError
 
     if not args.episodes:
-        return list(episodes)[: args.count]
+        return list(episodes)[: args.limit]
     known = {episode.id: episode for episode in episodes}
     for name in args.episodes:
         if name not in known:

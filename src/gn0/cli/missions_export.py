@@ -21,13 +21,13 @@ class Args(Config, frozen=True):
     """The suite, the format and the place.
 
     Attributes:
-        suite: a suite folder.
+        suite: a suite folder, or a scene folder for the fifty goal episodes sampled in it.
         format: gn-matrix (a Parquet file), gn-matrix-json (a folder), vlnce (a .json.gz file), or
             a plug-in's.
         out: what to write; must not exist.
     """
 
-    suite: Annotated[str, tyro.conf.Positional]
+    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
     format: str
     out: str
 
@@ -35,8 +35,8 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Write, and say how much."""
     from gn0.bench.imports import export_set
-    from gn0.bench.suite import load_suite
+    from gn0.bench.suite import open_suite
 
-    written = export_set(load_suite(args.suite), args.format, args.out)
+    written = export_set(open_suite(args.suite), args.format, args.out)
     print(f"{len(written.tasks)} episodes of {len(written.scenes)} scenes: {args.out}")
     return 0

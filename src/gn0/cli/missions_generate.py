@@ -80,7 +80,9 @@ class Args(Config, frozen=True):
         overwrite: replace another generation in --out.
     """
 
-    scenes: Annotated[tuple[str, ...], tyro.conf.Positional]
+    scenes: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE [SCENE ...]")
+    ]
     out: str
     seed: int = 0
     per_scene: Annotated[int | None, _Int] = None
@@ -118,7 +120,7 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=1)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
-    overwrite: bool = False
+    overwrite: Annotated[bool, tyro.conf.arg(aliases=("--fresh",))] = False
 
 
 def read_settings(args: Args) -> MissionSettings:

@@ -38,7 +38,7 @@ class Args(Config, frozen=True):
         overwrite: replace an earlier suite.
     """
 
-    path: Annotated[str, tyro.conf.Positional]
+    path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="EPISODES")]
     scenes: tuple[str, ...]
     out: str
     format: str = ""

@@ -31,7 +31,8 @@ class Args(Config, frozen=True):
     """What to draw and where to.
 
     Attributes:
-        path: a suite folder, or an episode set in another format.
+        path: a suite folder, a scene folder (the fifty goal episodes sampled in it), or an episode
+            set in another format.
         episode: id of an episode; by default all of them, a picture a scene.
         out: the PNG to write, or a folder for several; by default beside the suite.
         no_rooms: leave out the outlines of rooms.
@@ -39,8 +40,8 @@ class Args(Config, frozen=True):
         split: only episodes of this split.
     """
 
-    path: Annotated[str, tyro.conf.Positional]
-    episode: Annotated[str, tyro.conf.Positional] = ""
+    path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
+    episode: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[EPISODE]")] = ""
     out: str = ""
     no_rooms: bool = False
     coverage: bool = False
@@ -51,7 +52,8 @@ def run(args: Args) -> int:
     """Draw and write."""
     from gn0.bench.suite import SUITE_FILE
 
-    if (Path(args.path) / SUITE_FILE).is_file():
+    folder = Path(args.path)
+    if (folder / SUITE_FILE).is_file() or (folder / "scene.json").is_file():
         return _show_suite(args)
     return _show_set(args)
 
@@ -120,12 +122,12 @@ def _beside(left: Image.Image, right: Image.Image) -> Image.Image:
 
 
 def _show_suite(args: Args) -> int:
-    from gn0.bench.suite import load_suite
+    from gn0.bench.suite import open_suite
     from gn0.cli.console import draw_progress
     from gn0.errors import EpisodeError
     from gn0.storage import write_atomic
 
-    suite = load_suite(args.path)
+    suite = open_suite(args.path)
     home = Path(args.path).resolve()
     known = {episode.id: episode for episode in suite.episodes}
     if args.episode:

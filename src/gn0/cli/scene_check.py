@@ -22,7 +22,7 @@ class Args(Config, frozen=True):
         folder: a scene folder.
     """
 
-    folder: Annotated[str, tyro.conf.Positional]
+    folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
 
 
 def run(args: Args) -> int:

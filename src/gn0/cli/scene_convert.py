@@ -25,8 +25,8 @@ class Args(Config, frozen=True):
         overwrite: replace the file if it exists.
     """
 
-    source: Annotated[str, tyro.conf.Positional]
-    out: Annotated[str, tyro.conf.Positional]
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SPLATS")]
+    out: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     level: int | None = None
     overwrite: bool = False
 

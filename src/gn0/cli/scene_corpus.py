@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import msgspec
+import tyro
 
 from gn0.config import Config
 
@@ -36,6 +37,7 @@ class Args(Config, frozen=True):
         executor: process on this machine, or ray.
         ray_address: of a running Ray cluster.
         sheet: draw all scenes from above into corpus.jpg.
+        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
     spec: str
@@ -44,6 +46,7 @@ class Args(Config, frozen=True):
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
     sheet: bool = True
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
 def run(args: Args) -> int:
@@ -51,11 +54,14 @@ def run(args: Args) -> int:
     from pathlib import Path
 
     from gn0.cli.console import draw_progress
+    from gn0.folder import forget_folder
     from gn0.scenes.corpus import load_spec
-    from gn0.scenes.corpus_build import generate_corpus
+    from gn0.scenes.corpus_build import JOURNAL_FILE, generate_corpus
     from gn0.storage import write_atomic
     from gn0.viewer.corpus import render_corpus
 
+    if args.fresh:
+        forget_folder(args.out, JOURNAL_FILE)
     with draw_progress() as progress:
         corpus = generate_corpus(
             load_spec(args.spec),

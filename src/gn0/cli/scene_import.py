@@ -47,7 +47,7 @@ class Args(Config, frozen=True):
         level: bare captures: level of detail of a streamed SOG, 0 the finest.
     """
 
-    path: Annotated[str, tyro.conf.Positional]
+    path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     out: str
     height_band: tuple[float, float] = (0.10, 1.50)
     resolution: float = 0.05

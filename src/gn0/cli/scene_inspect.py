@@ -25,7 +25,7 @@ class Args(Config, frozen=True):
         json: print plain JSON for scripts.
     """
 
-    file: Annotated[str, tyro.conf.Positional]
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SPLATS")]
     level: int | None = None
     json: bool = False
 

@@ -36,7 +36,7 @@ class Args(Config, frozen=True):
         overwrite: replace that folder.
     """
 
-    folder: Annotated[str, tyro.conf.Positional]
+    folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     out: str = ""
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     count: Annotated[int, msgspec.Meta(ge=1, le=60)] = 6

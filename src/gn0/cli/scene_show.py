@@ -21,7 +21,7 @@ class Args(Config, frozen=True):
         out: the PNG to write; default: sheet.png beside the scene folder.
     """
 
-    folder: Annotated[str, tyro.conf.Positional]
+    folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     out: str = ""
 
 

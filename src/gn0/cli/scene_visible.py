@@ -29,7 +29,7 @@ class Args(Config, frozen=True):
         backend: who looks; each backend has sets of its own. auto: the best that is here.
     """
 
-    folder: Annotated[str, tyro.conf.Positional]
+    folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     camera: str = "gn_bench"
     cells: Annotated[int, msgspec.Meta(ge=0)] = 0
     backend: Literal["auto", "cpu", "cuda"] = "auto"

@@ -43,7 +43,11 @@ class Args(Config, frozen=True):
         check: stop with code 0 as soon as everything is on the page; for scripts.
     """
 
-    paths: Annotated[tuple[str, ...], tyro.conf.Positional]
+    paths: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SCENE_OR_RUN [SCENE_OR_RUN ...]"),
+    ]
     results: tuple[str, ...] = ()
     splats: Annotated[int, msgspec.Meta(ge=100, le=5_000_000)] = 60_000
     camera: str = "gn_bench"

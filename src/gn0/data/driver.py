@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
-from importlib import import_module
 
 import msgspec
 
@@ -16,8 +15,9 @@ from gn0.data.dagger import collect_visited
 from gn0.data.dataset import Dataset
 from gn0.data.samples import EpisodeRows
 from gn0.data.settings import DaggerSettings
-from gn0.errors import ConfigError, DataError, Gn0Error, PolicyError
+from gn0.errors import DataError, Gn0Error, PolicyError
 from gn0.missions.episode import Episode
+from gn0.plugins import import_plugins
 from gn0.render.light import LightCondition
 from gn0.render.renderer import Renderer
 from gn0.sim.open import name_look, open_simulator
@@ -26,25 +26,6 @@ from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
 
 Ask = Callable[[str, LightCondition | None], Renderer | None]
-
-
-def import_plugins(modules: Sequence[str]) -> None:
-    """Import modules that register policies.
-
-    Raises:
-        ConfigError: one cannot be imported; names it.
-    """
-    for module in modules:
-        try:
-            import_module(module)
-        except Gn0Error:
-            raise
-        except Exception as error:  # whatever a module of others does
-            raise ConfigError(
-                f"module {module!r} cannot be imported: {describe_error(error)}",
-                where="--plugin",
-                remedy="install it, or put its folder on PYTHONPATH",
-            ) from error
 
 
 @lru_cache(maxsize=1)

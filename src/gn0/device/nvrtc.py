@@ -20,7 +20,7 @@ from pathlib import Path
 
 from gn0.errors import DeviceError
 
-INSTALL = "pip install 'gn0[gpu]'"
+INSTALL = "pip install -e '.[gpu]'"
 _MAJORS = (14, 13, 12)  # of libraries that only the system's loader can find
 _P = ctypes.c_void_p
 _log = logging.getLogger(__name__)

@@ -213,6 +213,17 @@ def get_dataset_exporter(name: str) -> DatasetExporter:
     Raises:
         ConfigError: no such exporter; lists those that exist.
     """
+    if name not in dataset_exporter_names():
+        meant = [
+            f"{other} ({title})"
+            for other in dataset_exporter_names()
+            if name.lower() in (title := get_plugin("dataset_exporter", other).title).lower()
+            or name.lower() in other
+        ]
+        if name and meant:
+            raise ConfigError(
+                f"no format is named {name!r}", remedy=f"did you mean {' or '.join(meant)}?"
+            )
     exporter: DatasetExporter = get_plugin("dataset_exporter", name)()
     return exporter
 

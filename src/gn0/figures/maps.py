@@ -105,7 +105,7 @@ def measure_astar(ctx: FigureContext) -> list[FigureRow]:
     try:
         from skimage.graph import MCP_Geometric
     except ImportError as error:
-        raise FileNotFoundError("scikit-image (pip install 'gn0[dev]')") from error
+        raise FileNotFoundError("scikit-image (pip install -e '.[dev]')") from error
     rows = []
     grids = _grids(ctx)
     del grids["empty"]

@@ -137,7 +137,7 @@ def measure_view(context: FigureContext) -> list[FigureRow]:
     try:
         import viser
     except ImportError:
-        raise FileNotFoundError("viser (pip install 'gn0[view]')") from None
+        raise FileNotFoundError("viser (pip install -e '.[view]')") from None
     if find_browser() is None:
         raise FileNotFoundError("a Chromium")
     flat = str(_flat(context))

@@ -29,7 +29,7 @@ def visibility_distances(
     try:
         import shapely
     except ImportError as error:
-        raise FileNotFoundError("shapely (pip install 'gn0[dev]')") from error
+        raise FileNotFoundError("shapely (pip install -e '.[dev]')") from error
     height, width = blocked.shape
     padded = np.pad(blocked, 1, constant_values=True)
     boxes = [shapely.box(c - 1, r - 1, c, r) for r, c in np.argwhere(padded)]

@@ -26,7 +26,7 @@ def import_ray() -> Any:
         raise BenchError(
             "Ray is not installed",
             where="--executor ray",
-            remedy="pip install 'gn0[scale]', or use --executor process",
+            remedy="pip install -e '.[scale]', or use --executor process",
         ) from error
     return ray
 

@@ -311,7 +311,7 @@ def open_torch() -> Any:
         import torch
     except ImportError as error:
         raise DeviceError(
-            f"torch is not installed ({error})", remedy="pip install 'gn0[gsplat]'"
+            f"torch is not installed ({error})", remedy="pip install -e '.[gsplat]'"
         ) from None
     if not torch.cuda.is_available():
         raise DeviceError("torch sees no GPU", remedy="use backend 'cpu'")
@@ -325,7 +325,7 @@ def _open_rasterization() -> Callable[..., Any]:
         from gsplat.cuda import _backend
     except ImportError as error:
         raise DeviceError(
-            f"gsplat is not installed ({error})", remedy="pip install 'gn0[gsplat]'"
+            f"gsplat is not installed ({error})", remedy="pip install -e '.[gsplat]'"
         ) from None
     except (OSError, RuntimeError) as error:
         raise DeviceError(

@@ -108,7 +108,7 @@ def need_viser() -> Any:
     except ImportError as error:
         raise ConfigError(
             f"the live view needs the package viser, which is not here ({error})",
-            remedy="pip install 'gn0[view]'",
+            remedy="pip install -e '.[view]'",
         ) from None
     return viser
 

@@ -104,7 +104,7 @@ def test_with_nothing_left_to_do_it_says_so_and_when_that_was_done(
 ) -> None:
     write()
     args = bench_run.Args(
-        suite=str(flats_suite.folder), out=str(tmp_path / "run"), policy="mine", episodes=2,
+        suite=str(flats_suite.folder), out=str(tmp_path / "run"), policy="mine", limit=2,
         plugin=("mine_plugin",), no_report=True,
     )  # fmt: skip
     bench_run.run(args)
@@ -155,7 +155,7 @@ def test_a_plugin_whose_file_vanished_between_runs_is_told_and_its_results_stay(
         run_mine(flats_suite, out)  # still in the memory of this process
     assert str(path) in str(gone.value)
     sys.modules.pop("mine_plugin")
-    with pytest.raises(ConfigError, match="cannot import the plug-in module 'mine_plugin'"):
+    with pytest.raises(ConfigError, match="cannot import the plug-in 'mine_plugin'"):
         run_mine(flats_suite, out)
     assert {p.name: p.read_bytes() for p in out.iterdir()} == before
 
@@ -331,7 +331,7 @@ def test_a_name_of_your_own_is_shown_everywhere_and_runs_nothing_again(
         bench_run.run(
             bench_run.Args(
                 suite=str(flats_suite.folder), out=str(tmp_path / out), policy="random", name=name,
-                episodes=2, no_report=True,
+                limit=2, no_report=True,
             )
         )  # fmt: skip
         return capsys.readouterr().out

@@ -209,3 +209,19 @@ def test_where_the_agent_stands_is_free_also_at_the_edge_of_the_map() -> None:
     explored.add_picture(make_fan(), box_depth([WALL]), colours(), 8.9, 3.9, 0.4)
     assert (explored.grid.cells[:4, :1] == FREE).all()
     assert make_map(coloured=False).bev.shape == (0, 0, 3)
+
+
+def test_the_ramp_over_the_top_of_a_thing_makes_no_obstacle() -> None:
+    """A row between an edge at 2 m and the wall at 5 m reads 3.5 m: there is nothing there."""
+    counter, wall = (2.0, 2.1, -2.0, 2.0, 0.0, 1.0), (5.0, 5.2, -9.0, 9.0, 0.0, 2.6)
+    depth = box_depth([counter, wall])
+    column = depth[:, WIDTH // 2]
+    low = HEIGHT // 2  # below the ceiling
+    edge = low + int(np.flatnonzero(column[low:] < 2.2)[0]) - 1  # the row above the counter's edge
+    assert column[edge] == pytest.approx(5.0, abs=0.1) and column[edge + 1] < 2.1
+    middle = depth[edge] > 4.9
+    depth[edge, middle] = 3.5
+    explored = make_map()
+    explored.add_picture(make_fan(), depth, None, 0.0, 0.0, 0.0)
+    assert not (area(explored.grid, 3.3, 3.7, -1.0, 1.0) == OCCUPIED).any()
+    assert (area(explored.grid, 5.01, 5.01, -1.0, 1.0) == OCCUPIED).mean() > 0.9

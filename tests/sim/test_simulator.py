@@ -314,6 +314,18 @@ def test_saved_states_come_back_to_the_bit(room_scene, make_episode) -> None:
     assert all(same(a, b) for a, b in zip(first, second, strict=True))
 
 
+def test_a_saved_state_knows_whether_it_had_bumped(room_scene, make_episode) -> None:
+    simulator = open_simulator(room_scene, sensors={"ranges"})
+    simulator.reset(make_episode())
+    free = simulator.save_state()
+    while not simulator.step(FORWARD).collided:
+        pass
+    bumped = simulator.save_state()
+    for state, collided in ((free, False), (bumped, True), (free, False)):
+        simulator.restore_state(state)
+        assert simulator.observe_at(simulator.pose).collided is collided
+
+
 def test_looking_from_elsewhere_moves_nobody(room_scene, make_episode) -> None:
     simulator = open_simulator(room_scene, "vlnce", sensors={"rgb", "history", "goal_vector"})
     simulator.reset(make_episode())

@@ -37,6 +37,15 @@ def test_wrapped_angles_are_in_range_and_equivalent(angle: float) -> None:
 def test_pi_wraps_to_minus_pi() -> None:
     assert wrap_angle(math.pi) == -math.pi
     assert wrap_angle(-math.pi) == -math.pi
+    assert wrap_angle(math.nextafter(-math.pi, -4.0)) == -math.pi  # rounding gives π itself
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_half_turns_are_told_with_a_positive_axis(axis: int) -> None:
+    """w is 0 there, so both signs are the same turn: equal turns must be equal bytes."""
+    half = -np.eye(3)
+    half[axis, axis] = 1.0
+    assert quaternion_from_rotation(half)[0].tolist() == [0.0, *np.eye(3)[axis].tolist()]
 
 
 @given(quats)

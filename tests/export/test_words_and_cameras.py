@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from gn0.errors import FormatError, Gn0Error
 from gn0.export.cameras import (
@@ -24,6 +26,7 @@ from gn0.export.cameras import (
 )
 from gn0.export.clips import cut_clip, encode_frames, inspect_clip, join_clips, read_clip
 from gn0.export.navdp import encode_obstacles, load_obstacles, trace_way
+from gn0.export.pictures import encode_depth
 from gn0.export.words import coarsen_turns, find_runs, merge_amounts
 from gn0.maps.grid import OccupancyGrid
 from gn0.sim.presets import find_preset
@@ -194,3 +197,17 @@ def test_a_damaged_clip_is_told(pictures: list[np.ndarray], tmp_path: Path) -> N
             inspect_clip(path)
     with pytest.raises(Gn0Error, match="missing"):
         inspect_clip(tmp_path / "absent.mp4")
+
+
+def test_depth_beyond_what_a_picture_holds_is_its_largest_step() -> None:
+    """16 bits end at 6.5535 m in steps of 0.1 mm: what lies further must not come out near."""
+    depth = np.array([[0.0, 1.0, 6.5535, 6.5536, 10.0, np.inf]], np.float32)
+    steps = np.asarray(Image.open(io.BytesIO(encode_depth(depth, 1e-4))))
+    assert steps.tolist() == [[0, 10_000, 65_535, 65_535, 65_535, 65_535]]
+
+
+def test_a_way_looks_half_a_metre_ahead() -> None:
+    """On a way with one corner, headings begin to turn half a metre before it."""
+    way = trace_way(np.array([[0, 0, 0.0], [2, 0, 0.0], [2, 2, 0.0]]), 0.0625)
+    before, turning = way[way[:, 0] < 1.49], way[(way[:, 0] > 1.51) & (way[:, 1] == 0.0)]
+    assert np.abs(before[:, 2]).max() < 1e-9 and (turning[:, 2] > 1e-3).all()

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from gn0.errors import ConfigError, FormatError, PolicyError
@@ -387,3 +387,12 @@ def test_closing_the_server_ends_its_threads() -> None:
             break
         threading.Event().wait(0.05)
     assert threading.active_count() <= before
+
+
+def test_who_is_inside_when_the_server_closes_is_told_that_it_goes_away() -> None:
+    with PolicyServer(PolicyRandom, port=0, token="") as server:
+        guest = connect(server.url)
+        guest.recv(timeout=5.0)
+    with pytest.raises(ConnectionClosed):
+        guest.recv(timeout=5.0)
+    assert guest.close_code == 1001  # RFC 6455, 7.4.1: going away

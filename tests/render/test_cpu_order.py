@@ -98,3 +98,18 @@ def test_equal_depths_of_short_lists_are_in_index_order(n: int, depths: int) -> 
         want = rows[np.lexsort((indices[rows], records[rows, DEPTH]))]
         sort_tile(keys, rows, np.empty_like(keys), np.empty_like(rows), indices, records, False)
         assert (rows == want).all()
+
+
+@pytest.mark.parametrize("at", [0, 1, 17, 38])
+def test_one_tie_anywhere_in_a_long_list_is_in_index_order(at: int) -> None:
+    records = np.zeros((40, RECORD), np.float32)
+    records[:, DEPTH] = 1.0 + np.arange(40)
+    records[at + 1, DEPTH] = records[at, DEPTH]
+    indices = np.arange(40, dtype=np.uint32)[::-1].copy()
+    rows = np.random.default_rng(at).permutation(40).astype(np.int32)
+    for order in (rows, rows[::-1]):
+        mine = order.copy()
+        keys = np.ascontiguousarray(records[mine, DEPTH]).view(np.uint32)
+        want = mine[np.lexsort((indices[mine], records[mine, DEPTH]))]
+        sort_tile(keys, mine, np.empty_like(keys), np.empty_like(mine), indices, records, False)
+        assert (mine == want).all()

@@ -12,12 +12,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from gn0.bench.imports import export_set, find_scenes, import_set, load_imported
+from gn0.bench.protocol import protocol_card
+from gn0.bench.replay import replay_run
+from gn0.bench.results import PolicyCard
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite, load_suite
 from gn0.cli.main import main
-from gn0.errors import BenchError, SceneError, StorageError
+from gn0.errors import BenchError, ConfigError, SceneError, StorageError
 from gn0.missions.sets.episode_set import load_set
-from gn0.missions.sets.json_file import same_values, save_exact
+from gn0.missions.sets.json_file import load_exact, same_values, save_exact
 
 FORMATS = {"gn-matrix": "e.parquet", "gn-matrix-json": "tasks", "vlnce": "val.json.gz"}
 
@@ -210,3 +213,47 @@ def test_a_mirrored_set_is_warned_of_and_mended_on_request(
     assert main(mended) == 0
     assert "12 episodes in 2 scenes" in capsys.readouterr().out
     assert load_set(tmp_path / "bad.json").scenes == ("flat", "talf")
+
+
+def test_profile_vlnce_gives_each_set_the_body_of_its_own_task(
+    flats_suite: Suite, tmp_path: Path
+) -> None:
+    """VLN-CE 729d141: R2R has Habitat's radius 0.1 and ALLOW_SLIDING, RxR 0.18 and no sliding."""
+    export_set(flats_suite, "vlnce", tmp_path / "r2r.json.gz")
+    document = load_exact(tmp_path / "r2r.json.gz")
+    for record in document["episodes"]:
+        record["instruction"] |= {"language": "en-US", "instruction_id": "7"}
+    save_exact(tmp_path / "rxr.json.gz", document)
+    scenes = scenes_of(flats_suite)
+    bodies = {}
+    for name in ("r2r", "rxr"):
+        for profile in ("default", "vlnce"):
+            out = tmp_path / f"{name}-{profile}"
+            made = import_set(tmp_path / f"{name}.json.gz", scenes, out, profile=profile).suite
+            assert made is not None and load_suite(out).about == made.about
+            assert made.about.camera == f"vlnce_{name}"
+            bodies[name, profile] = made.about.agent
+            told = dict(protocol_card(made, PolicyCard(name="p", sensors=(), privileged=False), ""))
+            slides = (name, profile) == ("r2r", "vlnce")
+            assert ("Habitat's navmesh" in told["collision"]) is slides
+            assert told["collision"].endswith("no sliding") is not slides
+            assert bool(made.about.agent.sliding) is slides
+    assert {k: v.radius for k, v in bodies.items()} == {
+        ("r2r", "default"): 0.20, ("r2r", "vlnce"): 0.10,
+        ("rxr", "default"): 0.18, ("rxr", "vlnce"): 0.18,
+    }  # fmt: skip
+    assert bodies["rxr", "vlnce"] == bodies["rxr", "default"]
+
+    slim = load_suite(tmp_path / "r2r-default").with_profile("vlnce")
+    assert slim.about.agent == bodies["r2r", "vlnce"]
+    assert slim.with_profile("default").about.agent == bodies["r2r", "default"]
+    other = import_set(
+        tmp_path / "r2r.json.gz", scenes, tmp_path / "x", profile="vlnce", camera="uninavid"
+    ).suite
+    assert other is not None and other.about.agent.turn_degrees == 30.0
+    assert (other.about.agent.radius, other.about.agent.sliding) == (0.10, True)
+    with pytest.raises(ConfigError, match="profile vlnce knows no body for camera 'gn_bench'"):
+        flats_suite.with_profile("vlnce")
+    summary = run_suite(load_suite(tmp_path / "r2r-vlnce"), "random", tmp_path / "run",
+                        max_episodes=2)  # fmt: skip
+    assert summary.ok and replay_run(tmp_path / "run").ok

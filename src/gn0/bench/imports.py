@@ -144,12 +144,13 @@ def import_set(
     Raises:
         StorageError, FormatError, EpisodeError: the set is missing or damaged.
         SceneError: a scene is unreadable or given twice.
-        ConfigError: no such format, frame, profile or camera.
+        ConfigError: no such format, frame, profile or camera; or profile vlnce for another set.
     """
     episodes = load_set(path, format)
     exporter = get_exporter(episodes.format)
-    settings = profile_settings(profile)
-    camera = settings.get("camera", camera or exporter.camera)
+    own = episodes.camera or exporter.camera
+    settings = profile_settings(profile, own, camera)
+    camera = settings.get("camera", camera or own)
     agent: AgentSpec = settings.get("agent", find_preset(camera).agent)
     given = find_scenes(scenes)
     missing = {s: len(rows) for s, rows in sorted(episodes.rows.items()) if s not in given}

@@ -1,7 +1,8 @@
 """Profiles of a suite, and by name what `gn0-release` does otherwise than `default`.
 
 `default` is what this package stands for; `paper` reports the straight distance as NE;
-`gn0-release` reproduces the official harness beside it. A profile is part of a suite's hash, hence
+`gn0-release` reproduces the official harness beside it; `vlnce` gives each VLN-CE set the body of
+its own task. A profile is part of a suite's hash, hence
 of a run's identity: numbers of two profiles are never compared by accident.
 """
 
@@ -9,12 +10,17 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple
 
+import msgspec
+
+from gn0.errors import ConfigError
 from gn0.maps.release import MARGINS
 from gn0.missions.episode import AgentSpec
+from gn0.sim.presets import find_preset
 
-Profile = Literal["default", "paper", "gn0-release"]
-PROFILES: tuple[str, ...] = ("default", "paper", "gn0-release")
+Profile = Literal["default", "paper", "gn0-release", "vlnce"]
+PROFILES: tuple[str, ...] = ("default", "paper", "gn0-release", "vlnce")
 RELEASE: Profile = "gn0-release"
+VLNCE: Profile = "vlnce"
 RELEASE_STEPS = 500
 ONE_STEP_PROFILES = ("paper", RELEASE)  # where a Teleport or Displacement takes one step
 _DISCS = ", ".join(map(str, MARGINS))
@@ -142,8 +148,47 @@ DIFFERENCES: tuple[Difference, ...] = (
 )
 
 
-def profile_settings(profile: str) -> dict[str, Any]:
-    """Fields of a `SuiteFile` that a profile decides, beside its own name."""
+# radius [m] and sliding of the two tasks, by the camera preset that is theirs. jacobkrantz/VLN-CE
+# 729d141, habitat_extensions/config: vlnce_task.yaml names no radius, hence Habitat's 0.1
+# (habitat-lab 0.1.7, AGENT.RADIUS), and ALLOW_SLIDING: True; rxr_vlnce_english_task.yaml has
+# RADIUS: 0.18 and ALLOW_SLIDING: False
+VLNCE_BODIES: dict[str, tuple[float, bool]] = {
+    "vlnce_r2r": (0.10, True),
+    "vlnce_rxr": (0.18, False),
+}
+
+
+def vlnce_body(own: str, eyes: AgentSpec) -> AgentSpec:
+    """The body of a VLN-CE set: radius and sliding of its task, the rest of the chosen eyes.
+
+    Args:
+        own: the set's own camera preset, which says which task it is.
+        eyes: the body of the camera preset in use.
+
+    Raises:
+        ConfigError: no VLN-CE set has that camera.
+    """
+    if own not in VLNCE_BODIES:
+        raise ConfigError(
+            f"profile vlnce knows no body for camera {own!r}",
+            remedy="it is for sets of VLN-CE: " + ", ".join(VLNCE_BODIES),
+        )
+    radius, sliding = VLNCE_BODIES[own]
+    return msgspec.structs.replace(eyes, radius=radius, sliding=sliding)
+
+
+def profile_settings(profile: str, own: str = "", camera: str = "") -> dict[str, Any]:
+    """Fields of a `SuiteFile` that a profile decides, beside its own name.
+
+    `own` is the camera preset of the set or suite, `camera` the one in use, where another was
+    chosen; only vlnce asks for them.
+
+    Raises:
+        ConfigError: vlnce, and the set is not of VLN-CE.
+    """
+    if profile == VLNCE:
+        own = find_preset(own or "gn_bench").name
+        return {"profile": profile, "agent": vlnce_body(own, find_preset(camera or own).agent)}
     if profile != RELEASE:
         return {"profile": profile}
     return {

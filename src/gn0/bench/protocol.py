@@ -73,6 +73,12 @@ VISIBLE_WORDS = (
 )
 
 
+SLIDING_WORDS = (
+    "what is left of it is projected on the wall's tangent, at most twice, never into a blocked "
+    "cell, and it counts as a collision; upstream's agent slides on Habitat's navmesh, so that the "
+    "two agree in kind and not to the centimetre"
+)
+
 CUDA_WORDS = "drawn by the CUDA renderer: the CPU renderer's pictures up to rounding"
 
 
@@ -157,7 +163,8 @@ def protocol_card(
         ("moves", describe_moves(suite, moves)),
         (
             "collision",
-            "a move is cut at the first blocked cell of the inflated map; no sliding",
+            "a move is cut at the first blocked cell of the inflated map; "
+            + (SLIDING_WORDS if agent.sliding else "no sliding"),
         ),
         ("success", f"STOP at a walking distance < {radius:g} m; equality is a failure"),
         ("oracle success", f"walking distance < {radius:g} m at any pose, start included"),

@@ -20,7 +20,14 @@ from typing import Annotated, Literal, cast
 import msgspec
 
 from gn0.bench.metrics import SUCCESS_RADIUS
-from gn0.bench.profiles import PROFILES, RELEASE, Profile, profile_settings, release_order
+from gn0.bench.profiles import (
+    PROFILES,
+    RELEASE,
+    VLNCE,
+    Profile,
+    profile_settings,
+    release_order,
+)
 from gn0.config import Config, load_json
 from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
 from gn0.maps.navigation import NavigationMap
@@ -69,8 +76,8 @@ class SuiteFile(Config, frozen=True):
         camera: camera preset by name.
         agent: the body that moves.
         episodes: how many rows `episodes.parquet` has.
-        profile: "default"; "paper", where NE means the straight distance; or "gn0-release", the
-            official harness.
+        profile: "default"; "paper", where NE means the straight distance; "gn0-release", the
+            official harness; or "vlnce", where the body is that of the VLN-CE task.
         map_mode: what the maps shown to a policy hold, see `gn0.sim.state.MapMode`.
         max_steps: actions until an episode is truncated.
         success_radius: walking distance [m] below which STOP is a success.
@@ -137,16 +144,21 @@ class Suite:
     def with_profile(self, profile: str) -> Suite:
         """The same scenes and episodes under another profile: another hash.
 
-        The official harness decides camera, body, step limit and order of the episodes as well.
+        The official harness decides camera, body, step limit and order of the episodes as well,
+        vlnce the body; leaving vlnce gives back the camera's own body.
 
         Raises:
-            ConfigError: no such profile.
+            ConfigError: no such profile, or vlnce for a suite that is not of VLN-CE.
         """
         if profile == self.about.profile:
             return self
         if profile not in PROFILES:
             raise ConfigError(f"no profile {profile!r}", remedy="known: " + ", ".join(PROFILES))
-        about = msgspec.structs.replace(self.about, **profile_settings(profile))
+        settings = profile_settings(profile, self.about.camera)
+        if self.about.profile == VLNCE:
+            own = find_preset(settings.get("camera", self.about.camera)).agent
+            settings = {"agent": own, **settings}
+        about = msgspec.structs.replace(self.about, **settings)
         return Suite(self.folder, about, _ordered(self.episodes, profile))
 
     @cached_property

@@ -44,8 +44,8 @@ class Args(Config, frozen=True):
         map_mode: what the maps shown to the policy hold: the whole scene (prior), what the agent
             has seen (explored), or nothing (none). By default what the suite says; part of the
             run's identity.
-        profile: default, paper, or gn0-release (the official harness beside ours); by default
-            what the suite says.
+        profile: default, paper, gn0-release (the official harness beside ours), or vlnce (the body
+            of VLN-CE's own task); by default what the suite says.
         limit: run only the first so many episodes; 0 means all.
         visible_sets: draw pictures from the splats that show near each place: quicker, nearly the
             same pictures. Off for scored runs; part of the run's identity and protocol card.
@@ -70,7 +70,7 @@ class Args(Config, frozen=True):
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
     map_mode: Literal["prior", "explored", "none"] | None = None
-    profile: Literal["", "default", "paper", "gn0-release"] = ""
+    profile: Literal["", "default", "paper", "gn0-release", "vlnce"] = ""
     limit: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--episodes",))] = 0
     visible_sets: bool = False
     backend: Literal["auto", "cpu", "cuda"] = "auto"

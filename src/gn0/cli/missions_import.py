@@ -30,7 +30,7 @@ class Args(Config, frozen=True):
         format: gn-matrix, gn-matrix-json or vlnce; by default found by looking.
         frame: how the file's frame lies in the scenes; by default as its format documents.
         camera: camera preset; by default the format's own.
-        profile: default, paper or gn0-release.
+        profile: default, paper, gn0-release, or vlnce (the body of VLN-CE's own task).
         split: written into the episodes; by default the file's own division.
         name: name of the suite.
         keep: keep episodes that do not fit the map; a run names each of them.
@@ -44,7 +44,7 @@ class Args(Config, frozen=True):
     format: str = ""
     frame: str = ""
     camera: str = ""
-    profile: Literal["default", "paper", "gn0-release"] = "default"
+    profile: Literal["default", "paper", "gn0-release", "vlnce"] = "default"
     split: str = ""
     name: str = ""
     keep: bool = False

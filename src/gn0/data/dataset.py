@@ -313,7 +313,7 @@ class Dataset:
             return x, y, yaw
         if action == 1:
             target = step_forward(x, y, yaw, self.about.agent.forward_step)
-            moved = move_agent(self.navigation(episode.scene_id), x, y, *target)
+            moved = move_agent(self.navigation(episode.scene_id), x, y, *target, self.about.agent)
             return moved.x, moved.y, yaw
         turns = int((rows.executed == 2).sum()) - int((rows.executed == 3).sum())
         return x, y, heading_yaw(episode.start[2], turns, self.about.agent.turn_degrees)

@@ -35,6 +35,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.maps.pose_astar import plan_actions
 from gn0.maps.ray import is_line_free, trace_move
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.sim.collision import move_agent
 from gn0.sim.kinematics import Heading, heading_cycle, step_forward
 from gn0.sim.state import Action
 
@@ -141,7 +142,7 @@ def walk_actions(
     for i, action in enumerate(actions.tolist()):
         if action == Action.FORWARD:
             target = step_forward(x, y, heading.yaw, agent.forward_step)
-            x, y, collided[i] = navigation.move(x, y, *target)
+            x, y, _, collided[i] = move_agent(navigation, x, y, *target, agent)
         elif action != Action.STOP:
             heading = heading.turned(1 if action == Action.LEFT else -1)
         poses[i + 1] = x, y, heading.yaw

@@ -18,6 +18,7 @@ from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.maps.inflate import build_clearance, inflate
 from gn0.maps.ray import trace_points
 from gn0.maps.regions import find_nearest_cell, label_regions
+from gn0.maps.slide import slide_points
 
 FIELDS_KEPT = 64  # geodesic fields in the cache; about 0.7 MB each on a 400 × 400 grid
 
@@ -92,6 +93,16 @@ class NavigationMap:
         if not math.isfinite(x0 + y0 + x1 + y1):
             raise PlanError(f"move from ({x0}, {y0}) to ({x1}, {y1}) is not finite")
         return trace_points(*self._frame, x0, y0, x1, y1)
+
+    def slide(self, x0: float, y0: float, x1: float, y1: float) -> tuple[float, float, bool]:
+        """The same for a body that goes on along the wall where it is cut; see `gn0.maps.slide`.
+
+        Raises:
+            PlanError: a coordinate is not finite.
+        """
+        if not math.isfinite(x0 + y0 + x1 + y1):
+            raise PlanError(f"move from ({x0}, {y0}) to ({x1}, {y1}) is not finite")
+        return slide_points(*self._frame, x0, y0, x1, y1)
 
     def nearest_free(
         self,

@@ -106,14 +106,19 @@ class AgentSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         camera_height: eye above the floor [m].
         forward_step: length of FORWARD [m].
         turn_degrees: angle of LEFT and RIGHT [degrees].
+        sliding: what is left of a cut move goes on along the wall (`gn0.maps.slide`); not there
+            for bodies that stop at it, which is the paper's Eq. collision.
     """
 
     radius: float = 0.20
     camera_height: float = 1.30
     forward_step: float = 0.25
     turn_degrees: float = 15.0
+    sliding: bool | msgspec.UnsetType = msgspec.UNSET
 
     def __post_init__(self) -> None:
+        if not self.sliding:  # one way to say no, and suites keep the hash that they had
+            msgspec.structs.force_setattr(self, "sliding", msgspec.UNSET)
         if not (0 <= self.radius <= 5 and 0 < self.camera_height <= 10):
             raise EpisodeError(f"agent radius {self.radius} m or camera {self.camera_height} m")
         if not (0 < self.forward_step <= 10 and 0 < self.turn_degrees <= 180):

@@ -93,6 +93,7 @@ LATER_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
     ("light", _TEXT, ""),  # JSON of a LightCondition; "" as the scene was made
     ("goal_picture", _TEXT, ""),  # JSON of a GoalPicture; "" where none is recorded
     ("path_source", _TEXT, ""),  # see `Episode.path_source`
+    ("agent_sliding", _TEXT, ""),  # "yes" for a body that slides along walls
 )
 # written only where an episode has something to say, so that other files stay as they were
 RARE_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
@@ -251,6 +252,7 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "light": "" if episode.light is None else msgspec.json.encode(episode.light).decode(),
         "goal_picture": _encoded(mission.picture if isinstance(mission, MissionGoal) else None),
         "path_source": episode.path_source,
+        "agent_sliding": "yes" if agent.sliding else "",
         "goal_set": _encoded(episode.goal_set),
         "tier": episode.tier,
     }
@@ -446,6 +448,7 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
             camera_height=float(cells["agent_camera_height"]),
             forward_step=float(cells["agent_forward_step"]),
             turn_degrees=float(cells["agent_turn_degrees"]),
+            sliding=_sliding(cells["agent_sliding"]),
         ),
         path_id=cells["path_id"],
         light=_light(cells["light"]),
@@ -453,6 +456,16 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
         goal_set=_goal_set(cells["goal_set"]),
         tier=cells["tier"],
     )
+
+
+def _sliding(text: str) -> bool:
+    if text not in ("", "yes"):
+        raise EpisodeError(
+            f"agent_sliding is {text!r:.40}",
+            where="column 'agent_sliding'",
+            remedy="leave it empty, or write yes",
+        )
+    return text == "yes"
 
 
 def _path_source(text: str) -> PathSource:

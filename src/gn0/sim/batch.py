@@ -142,7 +142,10 @@ class SimulatorBatch:
         table = self.table
         step_agents(
             *(codes, self.state, table.maps.arrays, table.fields, table.arrays),
-            *(self.agent.forward_step, self.max_steps, *step),
+            self.agent.forward_step,
+            bool(self.agent.sliding),
+            self.max_steps,
+            *step,
         )
         return step
 

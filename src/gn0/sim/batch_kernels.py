@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gn0.geometry import F64
 from gn0.jit import njit, prange
 from gn0.maps.ray import cast_rays_cells, trace_points
+from gn0.maps.slide import slide_points
 
 BLOCK = 512  # agents a task of the parallel loop
 PARALLEL_FROM = 4 * BLOCK  # fewer agents are stepped faster than threads wake up
@@ -108,8 +109,8 @@ def _distance(maps, fields, episodes, e, x, y):  # type: ignore[no-untyped-def]
 
 @njit
 def _step_block(  # type: ignore[no-untyped-def]
-    begin, end, actions, agents, maps, fields, episodes, forward, max_steps, progress, stopped,
-    truncated,
+    begin, end, actions, agents, maps, fields, episodes, forward, slides, max_steps, progress,
+    stopped, truncated,
 ):  # fmt: skip
     circle = episodes.headings.shape[1]
     for i in range(begin, end):
@@ -126,7 +127,10 @@ def _step_block(  # type: ignore[no-untyped-def]
             first = maps.offsets[scene]
             blocked = maps.blocked[first : first + height * width].reshape((height, width))
             frame = maps.frames[scene]
-            x, y, hit = trace_points(blocked, frame[0], frame[1], frame[2], x, y, x1, y1)
+            if slides:
+                x, y, hit = slide_points(blocked, frame[0], frame[1], frame[2], x, y, x1, y1)
+            else:
+                x, y, hit = trace_points(blocked, frame[0], frame[1], frame[2], x, y, x1, y1)
             agents.position[i, 0], agents.position[i, 1] = x, y
         elif action == 2:
             agents.turns[i] = (agents.turns[i] + 1) % circle
@@ -144,25 +148,45 @@ def _step_block(  # type: ignore[no-untyped-def]
 
 @njit
 def step_agents_serial(  # type: ignore[no-untyped-def]
-    actions, agents, maps, fields, episodes, forward, max_steps, progress, stopped, truncated
+    actions,
+    agents,
+    maps,
+    fields,
+    episodes,
+    forward,
+    slides,
+    max_steps,
+    progress,
+    stopped,
+    truncated,
 ):
     """`step_agents` on one thread."""
     _step_block(
-        0, len(actions), actions, agents, maps, fields, episodes, forward, max_steps, progress,
-        stopped, truncated,
+        0, len(actions), actions, agents, maps, fields, episodes, forward, slides, max_steps,
+        progress, stopped, truncated,
     )  # fmt: skip
 
 
 @njit(parallel=True)
 def step_agents_parallel(  # type: ignore[no-untyped-def]
-    actions, agents, maps, fields, episodes, forward, max_steps, progress, stopped, truncated
+    actions,
+    agents,
+    maps,
+    fields,
+    episodes,
+    forward,
+    slides,
+    max_steps,
+    progress,
+    stopped,
+    truncated,
 ):
     """`step_agents` on all threads; agents do not meet, so the thread count cannot show."""
     count = len(actions)
     for block in prange((count + BLOCK - 1) // BLOCK):
         _step_block(
             block * BLOCK, min(count, (block + 1) * BLOCK), actions, agents, maps, fields, episodes,
-            forward, max_steps, progress, stopped, truncated,
+            forward, slides, max_steps, progress, stopped, truncated,
         )  # fmt: skip
 
 
@@ -173,6 +197,7 @@ def step_agents(
     fields: FieldArrays,
     episodes: EpisodeArrays,
     forward: float,
+    slides: bool,
     max_steps: int,
     progress: F64,
     stopped: NDArray[np.bool_],
@@ -181,7 +206,17 @@ def step_agents(
     """Take one action (0..3) each; fills progress [N] m, stopped [N] and truncated [N]."""
     kernel = step_agents_parallel if len(actions) >= PARALLEL_FROM else step_agents_serial
     kernel(
-        actions, agents, maps, fields, episodes, forward, max_steps, progress, stopped, truncated
+        actions,
+        agents,
+        maps,
+        fields,
+        episodes,
+        forward,
+        slides,
+        max_steps,
+        progress,
+        stopped,
+        truncated,
     )
 
 

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from gn0.errors import EpisodeError, SimError
-from gn0.missions.episode import Episode
+from gn0.missions.episode import AgentSpec, Episode
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
@@ -21,9 +21,20 @@ class Move(NamedTuple):
     collided: bool
 
 
-def move_agent(navigation: NavigationMap, x0: float, y0: float, x1: float, y1: float) -> Move:
-    """Go from (x0, y0) towards (x1, y1) [m] until the first blocked cell (paper, Eq. collision)."""
-    x, y, hit = navigation.move(x0, y0, x1, y1)
+def move_agent(
+    navigation: NavigationMap,
+    x0: float,
+    y0: float,
+    x1: float,
+    y1: float,
+    agent: AgentSpec | None = None,
+) -> Move:
+    """Go from (x0, y0) towards (x1, y1) [m] until the first blocked cell (paper, Eq. collision).
+
+    An agent that slides goes on along the wall; its move has collided all the same.
+    """
+    go = navigation.slide if agent is not None and agent.sliding else navigation.move
+    x, y, hit = go(x0, y0, x1, y1)
     return Move(x, y, math.hypot(x - x0, y - y0), hit)
 
 

@@ -93,6 +93,11 @@ class SimulatorDevice:
                 f"{count} agents of {max_steps} steps with {ahead} draws ahead",
                 remedy=f"give 1 to {AGENTS_MAX} agents, a step or more, and 1 to 1024 draws",
             )
+        if agent.sliding:
+            raise SimError(
+                "bodies that slide along walls are not stepped on the device",
+                remedy="use VectorEnv, or a body with sliding=False",
+            )
         self.count, self.device, self.config = count, device, config
         self.ahead, self.steps = ahead, 0
         self.kernels = device.load(SOURCE)

@@ -1,7 +1,8 @@
 """Camera presets by name: what the well-known benchmarks put on their robots.
 
 A preset says which pictures a policy gets and how far an action goes. It never changes physics:
-motion is always clipped by the paper's Eq. collision, also where the original harness slides.
+motion is always clipped by the paper's Eq. collision, also where the original harness slides. The
+body of VLN-CE's tasks, sliding included, is profile `vlnce` of a suite.
 Sources of the numbers: GN-Bench and VLN-CE configurations; what a source leaves open is noted in
 `CameraPreset.note` and chosen by us.
 """
@@ -119,7 +120,7 @@ _PRESETS = (
         depth=Camera.from_hfov(256, 256, 90.0, near=0.01),
         agent=_VLNCE_EYE,
         background=BLACK,
-        note="eye at 1.25 m; the original lets the agent slide along walls",
+        note="eye at 1.25 m; the original has radius 0.10 m and slides along walls: profile vlnce",
     ),
     _with_hfov("vlnce_rxr", (640, 480), 79.0, agent=_RXR, background=BLACK),
     _with_hfov(

@@ -245,7 +245,9 @@ class Simulator:
                 self._keep_view()
             if code == 1:
                 target = step_forward(x, y, self._yaw, self.agent.forward_step)
-                self._x, self._y, moved, collided = move_agent(self.navigation, x, y, *target)
+                self._x, self._y, moved, collided = move_agent(
+                    self.navigation, x, y, *target, self.agent
+                )
             elif code == 0:
                 stop = True
             else:
@@ -267,7 +269,7 @@ class Simulator:
     def _go(self, x1: float, y1: float, yaw: float) -> tuple[float, bool, int]:
         """Move to (x1, y1) [m] and look along `yaw` [rad]: metres covered, cut, steps taken."""
         x, y = self._x, self._y
-        move = move_agent(self.navigation, x, y, x1, y1)
+        move = move_agent(self.navigation, x, y, x1, y1, self.agent)
         steps = 1
         if not self.one_step_moves:
             journey = plan_journey(Pose2D(x, y, self._yaw), x1, y1, yaw, self.agent)
@@ -276,7 +278,8 @@ class Simulator:
             if steps > left:  # the episode ends on the way
                 steps = left
                 gone, yaw = journey.part(left)
-                move = move_agent(self.navigation, x, y, *step_forward(x, y, journey.bearing, gone))
+                target = step_forward(x, y, journey.bearing, gone)
+                move = move_agent(self.navigation, x, y, *target, self.agent)
         self._place(move.x, move.y, wrap_angle(yaw), 0)
         return move.moved, move.collided, steps
 

@@ -84,6 +84,7 @@ class EpisodeSet:
         tasks: one a row, in the file's order.
         native: the decoded file, for its exporter alone.
         notes: what a reader should know (records that the format itself skips, …).
+        camera: the preset of this set's own benchmark, where that is not its format's.
     """
 
     format: str
@@ -91,6 +92,7 @@ class EpisodeSet:
     tasks: tuple[Task, ...]
     native: Any
     notes: tuple[str, ...] = ()
+    camera: str = ""
 
     @cached_property
     def rows(self) -> dict[str, list[int]]:

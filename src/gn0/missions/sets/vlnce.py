@@ -82,7 +82,7 @@ class ExporterVlnce:
     """VLN-CE R2R; `native` is a `VlnceFile`."""
 
     name = "vlnce"
-    title = "VLN-CE R2R, a {split}.json.gz"
+    title = "VLN-CE R2R or RxR, a {split}.json.gz"
     camera = "vlnce_r2r"
 
     def recognises(self, path: Path) -> bool:
@@ -125,7 +125,16 @@ class ExporterVlnce:
         else:
             notes = [f"no ground truth {beside.name} beside it"]
         name = path.name.removesuffix(".gz").removesuffix(".json")
-        return EpisodeSet(self.name, name, tasks, VlnceFile(document, truth), tuple(notes))
+        # RxR's instructions name their language, R2R's do not
+        spoken = bool(tasks) and "language" in document["episodes"][0]["instruction"]
+        return EpisodeSet(
+            self.name,
+            name,
+            tasks,
+            VlnceFile(document, truth),
+            tuple(notes),
+            "vlnce_rxr" if spoken else "",
+        )
 
     def save(self, episodes: EpisodeSet, path: Path) -> None:
         """Write `path` (and the ground truth beside it): value for value what was read.

@@ -23,6 +23,7 @@ from gn0.storage import safe_join, write_bytes
 ANNOTATIONS = "annotations.json"
 MOST_ACTIONS, FEWEST_ACTIONS = 498, 4
 BEGIN = -1
+STEP, TURN = 0.25, 15.0  # m, degrees: its question says so
 
 
 class Annotation(msgspec.Struct):
@@ -44,6 +45,9 @@ class ExporterStreamVln(OwnPoses):
 
     def why_not(self, trip: Trip, settings: ExportSettings) -> str:
         """Its loader's own limits, and an agent of other steps."""
+        agent = trip.episode.agent
+        if abs(agent.forward_step - STEP) > 1e-9 or abs(agent.turn_degrees - TURN) > 1e-6:
+            return "steps other than the 25 cm and 15° that its question names"
         if not trip.stopped:
             return "it did not end with STOP"
         if trip.frames > MOST_ACTIONS:

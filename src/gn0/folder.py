@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import IO
 
 from gn0.errors import Gn0Error, StorageError
-from gn0.storage import TEMPORARY_PREFIX, check_contained, storage_error
+from gn0.leftovers import TEMPORARY_PREFIX, is_held_name, remove_dead
+from gn0.storage import check_contained, storage_error
 
 LOCK = ".lock"
 
@@ -58,8 +59,14 @@ def lock_folder(
 
 
 def sweep_folder(folder: Path) -> None:
-    """Remove what a killed writer left half-written; call it with the folder locked."""
+    """Remove what a killed writer left half-written; call it with the folder locked.
+
+    What a living process holds stays: a worker may outlive the parent that was killed.
+    """
     for path in sorted(folder.rglob(f"{TEMPORARY_PREFIX}*")):
+        if is_held_name(str(path)):
+            remove_dead(str(path))
+            continue
         with contextlib.suppress(OSError):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
 

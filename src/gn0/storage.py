@@ -1,6 +1,7 @@
 """Files that can be trusted: atomic writes, journals, hashes, caches, and paths that stay inside.
 
-Every write is a temporary file in the same folder, fsync, rename, fsync of the folder. A journal
+Every write is a temporary file in the same folder, fsync, rename, fsync of the folder; what a dead
+process left half-written the next writer there removes (`gn0.leftovers`). A journal
 line counts only when its checksum is right, so what a journal names survived a power cut.
 """
 
@@ -23,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import StorageError
-
-TEMPORARY_PREFIX = ".gn0-tmp-"
+from gn0.leftovers import TEMPORARY_PREFIX, let_go, make_held_file, make_held_folder
 
 
 def cache_dir() -> Path:
@@ -78,9 +78,10 @@ def write_atomic(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
     """
     path = Path(path)
     temporary: str | None = None
+    hold: int | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fd, temporary = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
+        fd, temporary, hold = make_held_file(path.parent)
         with os.fdopen(fd, "wb") as stream:
             write(stream)
             stream.flush()
@@ -95,6 +96,7 @@ def write_atomic(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
+        let_go(hold)
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
@@ -193,15 +195,22 @@ def folder_atomic(path: Path | str, *, overwrite: bool = False, marker: str = ""
     """
     path = Path(path)
     temporary: Path | None = None
+    holds: list[int | None] = []
+
+    def make() -> Path:
+        made, hold = make_held_folder(path.parent)
+        holds.append(hold)
+        return Path(made)
+
     try:
         check_replaceable(path, overwrite=overwrite, marker=marker)
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=path.parent))
+        temporary = make()
         os.chmod(temporary, 0o755)  # noqa: S103 (a scene is meant to be read)
         yield temporary
         old: Path | None = None
         if path.exists():
-            old = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=path.parent))
+            old = make()
             os.replace(path, old / "old")
         try:
             os.replace(temporary, path)
@@ -218,6 +227,8 @@ def folder_atomic(path: Path | str, *, overwrite: bool = False, marker: str = ""
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
+        for hold in holds:
+            let_go(hold)
 
 
 # names that Windows gives to devices, whatever their extension

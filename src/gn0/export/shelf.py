@@ -8,11 +8,11 @@ disk instead of one a picture.
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 
 from gn0.errors import StorageError
-from gn0.storage import TEMPORARY_PREFIX, storage_error
+from gn0.leftovers import let_go, make_held_file
+from gn0.storage import storage_error
 
 
 class Shelf:
@@ -29,10 +29,11 @@ class Shelf:
             StorageError: it cannot be written.
         """
         temporary = ""
+        hold: int | None = None
         try:
             if path.parent not in self._folders:
                 path.parent.mkdir(parents=True, exist_ok=True)
-            descriptor, temporary = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
+            descriptor, temporary, hold = make_held_file(path.parent)
             with os.fdopen(descriptor, "wb") as stream:
                 stream.write(data)
             os.chmod(temporary, 0o644)
@@ -43,6 +44,7 @@ class Shelf:
         finally:
             if temporary:
                 Path(temporary).unlink(missing_ok=True)
+            let_go(hold)
         self._loose.append(path)
         self._folders.add(path.parent)
 

@@ -155,7 +155,11 @@ def protocol_card(
         ),
         *((("pictures", VISIBLE_WORDS),) if backend in VISIBLE_BACKENDS else ()),
         *((("pictures", CUDA_WORDS),) if name_drawing(backend) == "cuda" else ()),
-        ("agent", f"disc of radius {agent.radius:g} m"),
+        (
+            "agent",
+            f"disc of radius {agent.radius:g} m between centres of cells; against exact geometry "
+            "its rim may enter a blocked cell, by less than √2 cells (docs/maps.md)",
+        ),
         (
             "actions",
             f"STOP, FORWARD {agent.forward_step:g} m, LEFT and RIGHT {agent.turn_degrees:g}°",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Sequence
-from importlib import import_module, metadata, util
+from importlib import import_module, invalidate_caches, metadata, util
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,6 +25,7 @@ Kind = Literal[
     "metric",
     "exporter",
     "dataset_exporter",
+    "policy_host",
 ]
 
 _BUILTIN: dict[str, dict[str, str]] = {
@@ -49,6 +50,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "explorer": "gn0.policies.explorer:PolicyExplorer",
         "remote": "gn0.policies.remote.policy:PolicyRemote",
     },
+    "policy_host": {"own-process": "gn0.policies.remote.isolated:PolicyIsolated"},
     "metric": {},
     "exporter": {
         "gn-matrix": "gn0.missions.sets.gn_matrix:ExporterGnMatrix",
@@ -102,6 +104,16 @@ def _discover() -> None:
                 ) from error
 
 
+def is_builtin(kind: Kind, name: str) -> bool:
+    """Whether a plug-in is one of GN0's own."""
+    return name in _BUILTIN[kind]
+
+
+def installed_modules() -> list[str]:
+    """The modules that installed packages register plug-ins with, not imported."""
+    return sorted({point.module for point in metadata.entry_points(group="gn0.plugins")})
+
+
 def plugin_names(kind: Kind) -> list[str]:
     """Names known for a kind, sorted."""
     _discover()
@@ -130,19 +142,20 @@ def get_plugin(kind: Kind, name: str) -> Any:
     )
 
 
-def import_plugins(names: Sequence[str]) -> tuple[str, ...]:
+def import_plugins(names: Sequence[str], *, only_locate: bool = False) -> tuple[str, ...]:
     """Import what `--plugin` names, and say under which module names.
 
     A name is a module (`package.module`, also one that lies in the current folder) or the path of
-    a `.py` file, whose folder joins the import path behind all others, so it shadows nothing.
+    a `.py` file, whose folder joins the import path behind all others, so it shadows nothing. With
+    `only_locate` nothing is imported: another process will.
 
     Raises:
         ConfigError: there is no such module or file, its name is taken, or importing it fails.
     """
-    return tuple(_import_plugin(name) for name in names)
+    return tuple(_import_plugin(name, only_locate) for name in names)
 
 
-def _import_plugin(name: str) -> str:
+def _import_plugin(name: str, only_locate: bool) -> str:
     is_file = name.endswith(".py") or "/" in name or "\\" in name
     file = Path(name).expanduser().resolve() if is_file else None
     module = file.stem if file else name
@@ -155,8 +168,10 @@ def _import_plugin(name: str) -> str:
         unknown = file is not None or util.find_spec(module.partition(".")[0]) is None
         if unknown and str(folder) not in sys.path:
             sys.path.append(str(folder))  # workers inherit it
-        imported = import_module(module)
-        origin = getattr(imported, "__file__", None)
+        if only_locate:
+            origin = _find_origin(module.partition(".")[0])
+        else:
+            origin = getattr(import_module(module), "__file__", None)
         if file is not None and (origin is None or Path(origin).resolve() != file):
             raise ImportError(f"its name is that of {origin or 'a built-in module'}: rename it")
     except Exception as error:  # whatever a stranger's module raises
@@ -168,3 +183,16 @@ def _import_plugin(name: str) -> str:
             "folder, or on PYTHONPATH",
         ) from error
     return module
+
+
+def _find_origin(top: str) -> str | None:
+    """The file of a top-level module that is not imported for that.
+
+    Raises:
+        ImportError: there is none.
+    """
+    invalidate_caches()
+    spec = util.find_spec(top)
+    if spec is None:
+        raise ImportError(f"no module named {top!r}")
+    return spec.origin

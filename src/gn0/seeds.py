@@ -7,8 +7,11 @@ opened, so the same seed gives the same bytes for any worker count, order or res
 from __future__ import annotations
 
 import hashlib
+import json
 
 import numpy as np
+
+from gn0.errors import FormatError
 
 
 def derive_seed(root: int, *names: str | int) -> int:
@@ -23,3 +26,26 @@ def derive_seed(root: int, *names: str | int) -> int:
 def random_stream(root: int, *names: str | int) -> np.random.Generator:
     """An independent Philox generator for `names` under `root`."""
     return np.random.Generator(np.random.Philox(key=derive_seed(int(root), *names)))
+
+
+def save_stream(stream: np.random.Generator) -> str:
+    """Where a stream of ours stands, as a text that `load_stream` goes on from."""
+    return json.dumps(stream.bit_generator.state, default=lambda array: array.tolist())
+
+
+def load_stream(text: str) -> np.random.Generator:
+    """The stream of a text.
+
+    Raises:
+        FormatError: it is none.
+    """
+    bits = np.random.Philox(0)
+    try:
+        state = json.loads(text)
+        for name, count in (("counter", 4), ("key", 2)):
+            state["state"][name] = np.array(state["state"][name], np.uint64).reshape(count)
+        state["buffer"] = np.array(state["buffer"], np.uint64).reshape(4)
+        bits.state = state
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
+        raise FormatError(f"is no stream: {type(error).__name__}", where="stream") from None
+    return np.random.Generator(bits)

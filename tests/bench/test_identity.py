@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gn0.bench import runner
-from gn0.bench.identity import digest_plugin, read_identity
+from gn0.bench.identity import digest_modules, digest_policy, read_identity
 from gn0.bench.report import write_report
 from gn0.bench.results import RunSummary, load_results, load_summary
 from gn0.bench.runner import run_suite
@@ -123,10 +124,10 @@ def test_whatever_the_plugin_is_made_of_counts_and_nothing_else(
     (folder / "nets" / "weights").mkdir(parents=True)
     (folder / "nets" / "model.py").write_text("DEPTH = 3\n")
     (folder / "notes").mkdir()
-    import mine_plugin  # type: ignore[import-not-found]
+    import_module("mine_plugin")
 
     def digest() -> str:
-        return digest_plugin(mine_plugin.Mine, ("mine_plugin",))
+        return digest_modules(["mine_plugin"])
 
     seen = [digest()]
     for name, counts in (
@@ -139,8 +140,10 @@ def test_whatever_the_plugin_is_made_of_counts_and_nothing_else(
         (folder / name).write_text("DEPTH = 4\n")
         assert (digest() != seen[-1]) == counts, name
         seen.append(digest())
-    assert digest() == digest_plugin(mine_plugin.Mine()), "an object is its class's"
-    assert digest_plugin(PolicyRandom) == "", "ours are told by the digest of the code"
+    assert digest() == digest_policy("mine"), "that of its class's module"
+    assert digest_policy("random") == "", "ours are told by the digest of the code"
+    sys.modules.pop("mine_plugin")
+    assert digest() == seen[-1] and "mine_plugin" not in sys.modules, "it is not imported for that"
 
 
 def test_a_plugin_whose_file_vanished_between_runs_is_told_and_its_results_stay(

@@ -22,6 +22,7 @@ from gn0.bench.intervals import LEVEL, bootstrap_means
 from gn0.bench.metrics import METRICS, MetricInfo
 from gn0.bench.pairing import Pair, pair_episodes, pair_paths
 from gn0.bench.results import load_results, load_summary
+from gn0.bench.standing import tell_standings
 from gn0.geometry import F64
 from gn0.seeds import random_stream
 
@@ -201,18 +202,20 @@ def name_pairing(a: Path | str, b: Path | str) -> str:
 
 
 def name_difference(a: Path | str, b: Path | str) -> str:
-    """What two runs of one task were shown differently, in a sentence; "" when it is the same.
+    """What two runs of one task were told or shown differently; "" when it is the same.
 
     Raises:
         StorageError, FormatError: a run is missing or damaged.
     """
     first, second = load_summary(a), load_summary(b)
-    if first.map_mode == second.map_mode:
-        return ""
-    return (
-        f"not the same task: A ran with map mode {first.map_mode!r}, B with {second.map_mode!r}; "
-        "the difference is that of policy and maps together"
-    )
+    lines = [tell_standings(first, second)]
+    if first.map_mode != second.map_mode:
+        lines.insert(
+            0,
+            f"not the same task: A ran with map mode {first.map_mode!r}, B with "
+            f"{second.map_mode!r}; the difference is that of policy and maps together",
+        )
+    return "; ".join(line for line in lines if line)
 
 
 def judge_difference(info: MetricInfo, low: float, high: float, chance: float) -> Verdict:

@@ -54,6 +54,7 @@ from gn0.bench.suite import (
     load_suite,
     load_suite_scene,
 )
+from gn0.bench.track import choose_track
 from gn0.config import load_json
 from gn0.errors import EpisodeError
 from gn0.jobs import ExecutorName, run_jobs
@@ -313,7 +314,8 @@ def _put_together(
         _link_scene(entry, out / SCENE_FOLDER)
     for table in TABLES:
         _join_tables(out / table, [part / table for _, part in used])
-    splits = Counter(read_table(out / EPISODE_FILE).column("split").to_pylist())
+    episodes = read_table(out / EPISODE_FILE)
+    splits = Counter(episodes.column("split").to_pylist())
     about = SuiteFile(
         layout=SUITE_VERSION,
         name=request.name,
@@ -325,6 +327,7 @@ def _put_together(
         agent=request.agent,
         episodes=sum(splits.values()),
         max_steps=MAX_STEPS,
+        track=choose_track(set(episodes.column("mission").to_pylist())),
     )
     write_json(out / SUITE_FILE, msgspec.to_builtins(about))
     suite = load_suite(out)

@@ -14,11 +14,13 @@ import os
 import sys
 import sysconfig
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import import_module
+from importlib import invalidate_caches
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from gn0.errors import ConfigError, PolicyError
+from gn0.plugins import get_plugin, installed_modules, is_builtin
 from gn0.sim.policy import PolicyIdentified
 
 Identity = tuple[tuple[str, str], ...]
@@ -55,24 +57,36 @@ def tell_identity(identity: Identity) -> str:
     return ", ".join(f"{name} {value}" for name, value in identity) or "none declared"
 
 
-def digest_plugin(factory: Any, modules: Sequence[str] = ()) -> str:
-    """Digest of the source of a plug-in and of the modules that were named with it; "" for GN0's.
+def digest_policy(name: str, modules: Sequence[str] = (), *, isolated: bool = False) -> str:
+    """Digest of the source of a policy and of the modules that were named with it; "" for GN0's.
 
     Counted are all `*.py` below the top package of each, or beside the file of a lone module; and
     below what those files import from their own folder.
 
     Args:
-        factory: the class or function that was registered.
-        modules: as given to `--plugin`.
+        name: of the policy.
+        modules: as given to `--plugin`; imported already, unless it is isolated.
+        isolated: import nothing of it here.
 
     Raises:
-        ConfigError: a file is gone, or cannot be read.
+        ConfigError: no such policy, or a file is gone or cannot be read.
     """
-    names = sorted({_module_of(factory), *modules} - {""})
-    tops = dict.fromkeys(name.partition(".")[0] for name in names)
+    own: Sequence[str] = ()
+    if not is_builtin("policy", name):
+        own = installed_modules() if isolated else (_module_of(get_plugin("policy", name)),)
+    return digest_modules([*modules, *own])
+
+
+def digest_modules(modules: Sequence[str]) -> str:
+    """Digest of the source of modules that are not GN0's; "" of none.
+
+    Raises:
+        ConfigError: one is not to be found, or a file is gone or cannot be read.
+    """
+    tops = sorted({name.partition(".")[0] for name in modules} - {"", "gn0"})
     files: dict[str, Path] = {}
     for top in tops:
-        if top != "gn0" and top not in sys.stdlib_module_names - {"__main__"}:
+        if top not in sys.stdlib_module_names or top == "__main__":
             files |= {f"{top}: {name}": path for name, path in _sources(top)}
     if not files:
         return ""
@@ -92,14 +106,12 @@ def _module_of(factory: Any) -> str:
 
 def _sources(top: str) -> Iterator[tuple[str, Path]]:
     """The files of a top-level module, each by a name that no folder above it is part of."""
-    module = sys.modules.get(top) or import_module(top)
-    folders = [Path(folder) for folder in getattr(module, "__path__", ())]
+    folders, own = _locate(top)
     for folder in folders:
         yield from ((path.relative_to(folder).as_posix(), path) for path in _below(folder))
-    own = getattr(module, "__file__", None)
     if own is None:
         return  # typed in, or a namespace
-    path = Path(own)
+    path = own
     while not path.exists() and path != path.parent and path.suffix != ".py":
         path = path.parent  # inside an archive
     if folders and path.suffix == ".py":
@@ -107,6 +119,26 @@ def _sources(top: str) -> Iterator[tuple[str, Path]]:
     yield path.name, path
     if not folders and path.suffix == ".py" and path.parent.resolve() not in _shared_folders():
         yield from _beside(path)
+
+
+def _locate(top: str) -> tuple[list[Path], Path | None]:
+    """Folders and file of a top-level module, which is not imported for that."""
+    module = sys.modules.get(top)
+    if module is not None:
+        folders, own = getattr(module, "__path__", ()), getattr(module, "__file__", None)
+    else:
+        invalidate_caches()
+        try:
+            spec = find_spec(top)
+        except (ImportError, ValueError):
+            spec = None
+        if spec is None:
+            raise ConfigError(
+                f"cannot find the plug-in module {top!r}",
+                remedy="install it, or put its folder on PYTHONPATH",
+            )
+        folders, own = spec.submodule_search_locations or (), spec.origin
+    return [Path(folder) for folder in folders], None if own is None else Path(own)
 
 
 def _beside(path: Path) -> Iterator[tuple[str, Path]]:

@@ -11,7 +11,7 @@ import msgspec
 
 from gn0.bench.suite import load_suite_scene
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.plugins import get_plugin
+from gn0.plugins import get_plugin, is_builtin
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.renderer import choose_backend, name_drawing
 from gn0.render.share.client import DrawServer
@@ -67,16 +67,18 @@ def needs_renderer(sensors: Iterable[str], map_mode: str) -> bool:
     return bool(names & (EYES | {"bev"}) or (map_mode == "explored" and names & MAPS))
 
 
-def choose_run_backend(backend: str, policy: str, map_mode: str) -> str:
+def choose_run_backend(backend: str, policy: str, map_mode: str, *, isolated: bool = False) -> str:
     """The renderer of a run, for its record and its identity.
 
     A policy that sees no pictures has the same results with any: its runs are "auto", as they are
-    on a machine without a GPU. So are those that "auto" lets the CPU draw.
+    on a machine without a GPU. So are those that "auto" lets the CPU draw. An isolated plug-in is
+    not imported to find out what it sees.
 
     Raises:
         ConfigError: no such policy, or no such backend.
     """
-    sensors = getattr(get_plugin("policy", policy), "sensors", None)
+    known = is_builtin("policy", policy) or not isolated
+    sensors = getattr(get_plugin("policy", policy), "sensors", None) if known else None
     if isinstance(sensors, frozenset) and not needs_renderer(sensors, map_mode):
         return "auto" if name_drawing(backend) == "cuda" else backend
     if backend == "auto" and choose_backend("auto")[0] == "cuda":

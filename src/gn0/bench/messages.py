@@ -18,6 +18,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         options: keyword arguments of the policy.
         plugin_modules: modules to import first, so that they can register plug-ins.
         slot: the worker's place among its fellows, 0 for the first; a successor takes it over.
+        isolated: folder below which the policy's own process runs; "" where it runs in the worker.
         drawing: address of the process that draws for all workers; "" where each does itself.
         camera, backend, agent, map_mode, max_steps, success_radius, profile: see `SuiteFile`.
     """
@@ -34,6 +35,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
     profile: str = "default"
     slot: int = 0
     drawing: str = ""
+    isolated: str = ""
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, tag="lease"):

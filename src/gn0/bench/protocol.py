@@ -14,8 +14,9 @@ import msgspec
 import gn0
 from gn0.bench.identity import tell_identity
 from gn0.bench.profiles import DIFFERENCES, ONE_STEP_PROFILES, RELEASE
-from gn0.bench.results import Moves, PolicyCard
+from gn0.bench.results import Isolation, Moves, PolicyCard
 from gn0.bench.suite import Suite
+from gn0.bench.track import judge_policy, tell_track
 from gn0.missions.episode import PathSource
 from gn0.render.renderer import VISIBLE_BACKENDS, name_drawing
 from gn0.sim.presets import find_preset
@@ -47,15 +48,24 @@ def code_version(deciding: tuple[str, ...] = _DECIDING) -> str:
 
 
 def config_hash(
-    suite: Suite, policy: str, options: Mapping[str, Any], backend: str, episodes: int
+    suite: Suite,
+    policy: str,
+    options: Mapping[str, Any],
+    backend: str,
+    episodes: int,
+    isolated: bool = False,
 ) -> str:
-    """Digest of what decides a result beside suite and code; workers and order do not."""
+    """Digest of what decides a result beside suite and code; workers and order do not.
+
+    Isolation does not either, but a run is isolated as a whole or not at all.
+    """
     return content_hash(
         suite.hash,
         policy,
         msgspec.json.encode(dict(options), order="deterministic"),
         backend,
         episodes,
+        *(["isolated"] if isolated else []),
     )
 
 
@@ -119,6 +129,15 @@ def describe_moves(suite: Suite, moves: Moves | None) -> str:
     return f"{rule}; {told}{moves.longest:.1f} m"
 
 
+ISOLATION_WORDS: dict[Isolation, str] = {
+    "in-process": "in-process: the policy runs in the harness's own memory, where nothing keeps it "
+    "from looking for the simulator",
+    "own process": "own process, same user: no memory is shared with the harness, an empty folder, "
+    "no path of suite or scene; files are not isolated",
+    "server": "behind a socket, wherever its server runs",
+}
+
+
 def protocol_card(
     suite: Suite,
     card: PolicyCard,
@@ -146,6 +165,9 @@ def protocol_card(
         ("policy", card.name),
         *_identity_rows(card),
         ("the policy sees", sees),
+        ("track", tell_track(suite.track, suite.map_mode)),
+        *_standing_rows(suite, card),
+        ("isolation", ISOLATION_WORDS[card.isolation]),
         *card.rows,
         (
             "camera",
@@ -206,6 +228,20 @@ def protocol_card(
         ("code", f"gn0 {code}"),
     )  # fmt: skip
     return _release_rows(rows) if about.profile == RELEASE else rows
+
+
+def _standing_rows(suite: Suite, card: PolicyCard) -> tuple[tuple[str, str], ...]:
+    """How the policy stands to the suite's track."""
+    standing, beyond = judge_policy(suite.track, card.sensors, card.privileged)
+    if standing == "no track":
+        return ()
+    words = {
+        "on the track": "it asks for nothing that the track does not allow",
+        "off the track": f"off the track: it is also told {', '.join(beyond)}; not to be compared "
+        "with policies that are not",
+        "oracle": "an oracle, outside any track",
+    }
+    return (("policy and track", words[standing]),)
 
 
 def _identity_rows(card: PolicyCard) -> tuple[tuple[str, str], ...]:

@@ -44,7 +44,9 @@ from gn0.bench.results import (
     load_summary,
     load_traces,
 )
+from gn0.bench.standing import group_runs
 from gn0.bench.suite import SUITE_FILE, Suite, load_suite, load_suite_scene
+from gn0.bench.track import read_track
 from gn0.bench.video import ClipScene, render_clip
 from gn0.config import load_json
 from gn0.errors import BenchError, Gn0Error, brief
@@ -147,7 +149,8 @@ def find_suite(run: RunData, given: Suite | Path | str | None = None) -> Suite:
 
 
 def _as_run(suite: Suite, run: RunData) -> Suite:
-    return suite.with_profile(run.summary.profile).with_map_mode(run.summary.map_mode)
+    suite = suite.with_profile(run.summary.profile).with_map_mode(run.summary.map_mode)
+    return suite.with_track(read_track(run.summary.track))
 
 
 def write_report(
@@ -245,7 +248,15 @@ def _render(
             for number, run in enumerate(runs)
         ],
         metrics=METRICS,
-        best=_best(runs),
+        groups=[
+            {
+                "title": group.title,
+                "rank": group.rank,
+                "members": group.members,
+                "best": _best([runs[i] for i in group.members]),
+            }
+            for group in group_runs([run.summary for run in runs])
+        ],
         rows=rows,
         symbols=symbols,
         videos=shown,
@@ -440,7 +451,10 @@ def _cell(key: str, unit: str, metrics: dict[str, Interval]) -> dict[str, Any] |
 
 
 def _best(runs: Sequence[RunData]) -> dict[str, float]:
-    """The best mean of each metric that has a better way, when there is something to compare."""
+    """The best mean of each metric that has a better way, when there is something to compare.
+
+    Only runs that were told alike are given.
+    """
     best: dict[str, float] = {}
     for info in METRICS:
         means = [m[info.key].mean for m in (r.summary.metrics for r in runs) if info.key in m]

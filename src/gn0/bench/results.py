@@ -17,6 +17,7 @@ import msgspec
 from gn0.bench.intervals import Interval, bootstrap_interval
 from gn0.bench.metrics import METRICS, EpisodeMetrics
 from gn0.bench.release import ReleaseReport, ReleaseScore
+from gn0.bench.track import Standing
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
@@ -152,6 +153,9 @@ def _plain(poses: Iterable[Pose2D]) -> tuple[tuple[float, float, float], ...]:
     return tuple((float(p.x), float(p.y), float(p.yaw)) for p in poses)
 
 
+Isolation = Literal["in-process", "own process", "server"]
+
+
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True):
     """What the policy said about itself.
 
@@ -162,6 +166,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True):
         rows: rows of its own for the protocol card.
         identity: what it declares itself to be, see `gn0.sim.policy.PolicyIdentified`.
         source: digest of its source, see `gn0.bench.identity`; "" for one of GN0's own.
+        isolation: where it ran.
     """
 
     name: str
@@ -170,6 +175,7 @@ class PolicyCard(msgspec.Struct, frozen=True, kw_only=True):
     rows: tuple[tuple[str, str], ...] = ()
     identity: tuple[tuple[str, str], ...] = ()
     source: str = ""
+    isolation: Isolation = "in-process"
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -187,6 +193,10 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         protocol: (what, how) rows: what the harness really did.
         profile: the suite's profile in this run.
         release: what the official harness would report; under profile gn0-release only.
+        track: the suite's track in this run, "" for none; see `gn0.bench.track`.
+        standing: how the policy stands to it; "" in runs of before there were tracks.
+        beyond: sensors of the policy that the track does not allow.
+        isolation: where the policy ran; "" in runs of before that was told.
     """
 
     policy: str
@@ -204,6 +214,10 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     profile: str = "default"
     release: ReleaseReport | None = None
     name: str = ""
+    track: str = ""
+    standing: Standing | Literal[""] = ""
+    beyond: tuple[str, ...] = ()
+    isolation: Isolation | Literal[""] = ""
 
     @property
     def label(self) -> str:

@@ -13,6 +13,7 @@ import os
 import platform
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -21,7 +22,7 @@ from typing import Any
 import msgspec
 
 from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers
-from gn0.bench.identity import digest_plugin, tell_identity
+from gn0.bench.identity import digest_policy, tell_identity
 from gn0.bench.known import remember_suite
 from gn0.bench.looks import choose_run_backend, open_run_drawing
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
@@ -44,10 +45,11 @@ from gn0.bench.results import (
 from gn0.bench.schedule import Schedule
 from gn0.bench.session import ask_card, check_name, stamp_now, tell_earlier
 from gn0.bench.suite import Suite, load_suite_scene
-from gn0.errors import BenchError, PolicyError
+from gn0.bench.track import judge_policy
+from gn0.errors import BenchError, ConfigError, PolicyError
 from gn0.folder import lock_folder
 from gn0.missions.episode import Episode
-from gn0.plugins import get_plugin, import_plugins
+from gn0.plugins import import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.storage import TEMPORARY_PREFIX, Journal, check_contained, storage_error
 
@@ -88,6 +90,7 @@ def run_suite(
     ray_address: str = "",
     keep_failed: bool = False,
     name: str = "",
+    isolate: bool = False,
     tell: Callable[[str], None] = _no_words,
 ) -> RunSummary:
     """Run a policy over a suite and write results, trajectories, summary and times to `out`.
@@ -112,6 +115,8 @@ def run_suite(
             again otherwise. Episodes that were scored never are.
         name: what tables, reports and comparisons call the run; by default what the policy calls
             itself. Changes no result, and may be changed later.
+        isolate: run the policy in a process of its own, behind the socket protocol: it shares no
+            memory with the harness and gets no path of suite or scene. Changes no result.
         tell: told in a sentence what was there already, and what is done about it.
 
     Returns:
@@ -128,15 +133,24 @@ def run_suite(
     check_name(name)
     if not episode_time_limit > 0:
         raise BenchError(f"time limit is {episode_time_limit} s", remedy="give a positive number")
-    plugin_modules = import_plugins(plugin_modules)
-    source = digest_plugin(get_plugin("policy", policy_name), plugin_modules)
+    if isolate and policy_name == "remote":
+        raise ConfigError(
+            "policy 'remote' runs behind a socket already", remedy="leave out --isolate"
+        )
+    plugin_modules = import_plugins(plugin_modules, only_locate=isolate)
+    source = digest_policy(policy_name, plugin_modules, isolated=isolate)
     episodes = _choose(suite, max_episodes)
     out = Path(out)
     check_room(out, len(episodes))
     options = dict(policy_options or {})
-    backend = choose_run_backend(backend, policy_name, suite.map_mode)
+    backend = choose_run_backend(backend, policy_name, suite.map_mode, isolated=isolate)
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
-    with lock_folder(out, refuse=BenchError):
+    with lock_folder(out, refuse=BenchError), contextlib.ExitStack() as stack:
+        if isolate:
+            empty = stack.enter_context(
+                tempfile.TemporaryDirectory(prefix="gn0-isolated-", ignore_cleanup_errors=True)
+            )
+            settings = msgspec.structs.replace(settings, isolated=empty)
         _sweep(out)
         if not resume:
             _forget(out)
@@ -146,7 +160,7 @@ def run_suite(
             episodes,
             identity={
                 "suite": suite.hash,
-                "config": config_hash(suite, policy_name, options, backend, len(episodes)),
+                "config": config_hash(suite, policy_name, options, backend, len(episodes), isolate),
                 "code": code_version(),
                 "policy": policy_name,
                 "source": source,
@@ -578,6 +592,7 @@ class _Run:
         name = name or card.name
         shown = name if name == plugin else f"{name} (policy {plugin!r})"
         card = msgspec.structs.replace(card, name=shown)
+        standing, beyond = judge_policy(self.suite.track, card.sensors, card.privileged)
         results = sorted(self.results.values(), key=lambda r: r.episode)
         summary = RunSummary(
             policy=plugin,
@@ -597,6 +612,10 @@ class _Run:
             ),
             profile=self.suite.about.profile,
             release=report_release(results),
+            track=str(self.suite.track or ""),
+            standing=standing,
+            beyond=beyond,
+            isolation=card.isolation,
         )
         seconds = [about["seconds"] for about in self.times.values() if "seconds" in about]
         run = {
@@ -629,6 +648,7 @@ def describe_settings(settings: Open) -> dict[str, Any]:
     """Settings as they are kept beside results; what looks like a secret is not."""
     known: dict[str, Any] = msgspec.to_builtins(settings)
     known.pop("drawing")
+    known["isolated"] = bool(known["isolated"])
     known["options"] = {
         name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
         for name, value in known["options"].items()

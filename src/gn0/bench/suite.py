@@ -28,10 +28,11 @@ from gn0.bench.profiles import (
     profile_settings,
     release_order,
 )
+from gn0.bench.track import Track, choose_track
 from gn0.config import Config, load_json
 from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
 from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import AgentSpec, Episode
+from gn0.missions.episode import AgentSpec, Episode, mission_kind
 from gn0.missions.files import check_unique, episodes_digest_bytes, load_episodes, save_episodes
 from gn0.missions.goal import MINIMUM_LENGTH, check_episode_fits, sample_goal_episodes
 from gn0.progress import Progress, no_progress
@@ -81,6 +82,7 @@ class SuiteFile(Config, frozen=True):
         map_mode: what the maps shown to a policy hold, see `gn0.sim.state.MapMode`.
         max_steps: actions until an episode is truncated.
         success_radius: walking distance [m] below which STOP is a success.
+        track: what a policy may be told; suites of before there were tracks have none.
     """
 
     layout: int
@@ -94,6 +96,7 @@ class SuiteFile(Config, frozen=True):
     map_mode: MapMode | Literal["unknown_is_occupied"] = "prior"
     max_steps: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = MAX_STEPS
     success_radius: Annotated[float, msgspec.Meta(gt=0, le=100)] = SUCCESS_RADIUS
+    track: Track | msgspec.UnsetType = msgspec.UNSET
 
     def __post_init__(self) -> None:
         if self.map_mode == _OLDER_PRIOR:
@@ -125,6 +128,11 @@ class Suite:
         """What the maps shown to a policy hold."""
         return cast(MapMode, self.about.map_mode)
 
+    @property
+    def track(self) -> Track | None:
+        """What a policy may be told; None where the suite does not say."""
+        return None if self.about.track is msgspec.UNSET else self.about.track
+
     @cached_property
     def task_hash(self) -> str:
         """The hash without the map mode: equal for runs that differ in nothing but their maps."""
@@ -139,6 +147,13 @@ class Suite:
         if mode == self.map_mode:
             return self
         about = msgspec.structs.replace(self.about, map_mode=check_map_mode(mode, ()))
+        return Suite(self.folder, about, self.episodes)
+
+    def with_track(self, track: Track | None) -> Suite:
+        """The same scenes and episodes in another track: another hash."""
+        if track == self.track:
+            return self
+        about = msgspec.structs.replace(self.about, track=track or msgspec.UNSET)
         return Suite(self.folder, about, self.episodes)
 
     def with_profile(self, profile: str) -> Suite:
@@ -288,12 +303,14 @@ def save_suite(
     map_mode: str = "prior",
     overwrite: bool = False,
     keep_unfit: bool = False,
+    track: Track | None = None,
     add: Callable[[Path], None] | None = None,
 ) -> Suite:
     """Write a suite folder of given scenes and episodes, whole or not at all.
 
     Every episode is checked against its scene: walkable start and goal, and a way between them;
     but with `keep_unfit` (a run will name those episodes). `add` may write more into the folder.
+    Without a `track` it is in the one that its missions ask for.
 
     Raises:
         EpisodeError: an episode that cannot be done, or a repeated id.
@@ -335,6 +352,7 @@ def save_suite(
         max_steps=max_steps,
         map_mode=check_map_mode(map_mode, ()),
         episodes=len(episodes),
+        track=track or choose_track(mission_kind(e.mission) for e in episodes),
     )
     with folder_atomic(out, overwrite=overwrite, marker=SUITE_FILE) as folder:
         for scene in scenes:
@@ -365,6 +383,7 @@ def build_suite(
     profile: Profile = "default",
     max_steps: int = MAX_STEPS,
     map_mode: str = "prior",
+    track: Track | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Suite:
@@ -382,6 +401,7 @@ def build_suite(
         profile: see `SuiteFile`.
         max_steps: actions until an episode is truncated.
         map_mode: see `SuiteFile`.
+        track: what a policy may be told; the object alone when None.
         overwrite: replace an existing folder.
         progress: progress sink.
 
@@ -422,6 +442,7 @@ def build_suite(
         profile=profile,
         max_steps=max_steps,
         map_mode=map_mode,
+        track=track,
         overwrite=overwrite,
     )
 

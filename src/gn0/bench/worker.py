@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import os
+import sys
 import time
 import traceback
 from collections.abc import Mapping
@@ -19,13 +20,13 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from gn0.bench.identity import digest_plugin, read_identity
+from gn0.bench.identity import digest_policy, read_identity
 from gn0.bench.looks import Look, needs_renderer
 from gn0.bench.messages import Begun, Broke, Done, Lease, Open, Ready, Refused, ToWorker
 from gn0.bench.metrics import compute_metrics
 from gn0.bench.profiles import ONE_STEP_PROFILES, RELEASE
 from gn0.bench.release import PolicyUnderRelease, score_release
-from gn0.bench.results import EpisodeResult, EpisodeTrace, Moves, PolicyCard
+from gn0.bench.results import EpisodeResult, EpisodeTrace, Isolation, Moves, PolicyCard
 from gn0.bench.suite import load_suite_scene
 from gn0.errors import ConfigError, DeviceError, EpisodeError, Gn0Error, PlanError
 from gn0.jobs.child import open_channel
@@ -56,13 +57,18 @@ class EpisodeWorker:
         self.settings = settings
         self._source = ""
         if policy is None:
-            for module in settings.plugin_modules:
-                import_module(module)
-            self._source = digest_plugin(
-                get_plugin("policy", settings.policy), settings.plugin_modules
-            )
             os.environ[SLOT_VARIABLE] = str(settings.slot)
-            policy = build_policy(settings.policy, settings.options)
+            if not settings.isolated:
+                for module in settings.plugin_modules:
+                    import_module(module)
+            self._source = digest_policy(
+                settings.policy, settings.plugin_modules, isolated=bool(settings.isolated)
+            )
+            policy = (
+                open_isolated(settings)
+                if settings.isolated
+                else build_policy(settings.policy, settings.options)
+            )
         self.policy: Policy = policy
         check_map_mode(settings.map_mode, policy.sensors)
         self._simulator: Simulator | None = None
@@ -83,6 +89,7 @@ class EpisodeWorker:
             rows=self.policy.card_rows if isinstance(self.policy, PolicyNotes) else (),
             identity=read_identity(self.policy),
             source=self._source,
+            isolation=name_isolation(self.settings),
         )
 
     def open_scene(
@@ -184,6 +191,29 @@ class EpisodeWorker:
             self.settings.success_radius,
         )
         return msgspec.structs.replace(ours, release=theirs), trace
+
+
+def name_isolation(settings: Open) -> Isolation:
+    """Where a policy runs."""
+    if settings.isolated:
+        return "own process"
+    return "server" if settings.policy == "remote" else "in-process"
+
+
+def open_isolated(settings: Open) -> Policy:
+    """The policy in a process of its own; nothing of it is imported here.
+
+    Raises:
+        PolicyError: it cannot be built, or cannot be isolated.
+    """
+    policy: Policy = get_plugin("policy_host", "own-process")(
+        settings.policy,
+        settings.options,
+        settings.plugin_modules,
+        folder=Path(settings.isolated) / f"{settings.slot}-{os.getpid()}",
+        paths=sys.path,
+    )
+    return policy
 
 
 def build_policy(name: str, options: Mapping[str, Any]) -> Policy:

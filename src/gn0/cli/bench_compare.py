@@ -52,7 +52,7 @@ def run(args: Args) -> int:
         rows = compare_paths(
             args.a, b, mission_a=args.mission_a, mission_b=args.mission_b, unit=args.unit
         )
-        notes = tell_paths(args.a, b, *missions)
+        notes = [name_difference(args.a, b), *tell_paths(args.a, b, *missions)]
         pairs = "paths"
     else:
         if any(missions) or not args.b:

@@ -44,6 +44,10 @@ class Args(Config, frozen=True):
         map_mode: what the maps shown to the policy hold: the whole scene (prior), what the agent
             has seen (explored), or nothing (none). By default what the suite says; part of the
             run's identity.
+        track: what a policy may be told, e.g. object, instruction, image+pose, point+pose; by
+            default what the suite says. A policy that asks for more gets a marked row of its own.
+        isolate: run the policy in a process of its own: it shares no memory with the harness, gets
+            no path of suite or scene, and starts in an empty folder.
         profile: default, paper, gn0-release (the official harness beside ours), or vlnce (the body
             of VLN-CE's own task); by default what the suite says.
         limit: run only the first so many episodes; 0 means all.
@@ -70,6 +74,8 @@ class Args(Config, frozen=True):
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
     map_mode: Literal["prior", "explored", "none"] | None = None
+    track: str = ""
+    isolate: bool = False
     profile: Literal["", "default", "paper", "gn0-release", "vlnce"] = ""
     limit: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--episodes",))] = 0
     visible_sets: bool = False
@@ -87,6 +93,7 @@ def run(args: Args) -> int:
     from gn0.bench.report import write_report
     from gn0.bench.runner import run_suite
     from gn0.bench.suite import open_suite
+    from gn0.bench.track import read_track
     from gn0.cli.console import draw_progress, plain_text, say_backend
     from gn0.cli.tables import print_summaries
     from gn0.render.renderer import visible_backend
@@ -97,6 +104,7 @@ def run(args: Args) -> int:
         suite = open_suite(args.suite, beside=out)
         suite = suite.with_profile(args.profile or suite.about.profile)
         suite = suite.with_map_mode(args.map_mode or suite.map_mode)
+        suite = suite.with_track(read_track(args.track) or suite.track)
         summary = run_suite(
             suite,
             args.policy,
@@ -113,6 +121,7 @@ def run(args: Args) -> int:
             ray_address=args.ray_address,
             keep_failed=args.keep_failed,
             name=args.name,
+            isolate=args.isolate,
             tell=lambda text: print(plain_text(text)),
         )
         report = None

@@ -11,6 +11,7 @@ from gn0.config import Config
 
 EXAMPLES = """  gn0 bench suite out/flat out/house --episodes 50 --minimum-length 5 --out out/suite
   gn0 bench suite out/flat --map-mode explored --out out/unknown-flat
+  gn0 bench suite out/flat --track point+pose --out out/point-goals
   gn0 bench suite out/flat --radius 0.35 --camera-height 0.8 --out out/wide-robot"""
 
 
@@ -28,6 +29,8 @@ class Args(Config, frozen=True):
         camera_height: of the agent's eye above the floor [m], instead of the preset's.
         map_mode: what the maps shown to a policy hold: the whole scene (prior), what the agent has
             seen (explored), or nothing (none).
+        track: what a policy may be told: how the goal is given (object, instruction, image, point),
+            and +pose where it may know its pose.
         overwrite: replace an existing suite.
     """
 
@@ -42,12 +45,14 @@ class Args(Config, frozen=True):
     radius: Annotated[float, msgspec.Meta(ge=0, le=5)] | None = None
     camera_height: Annotated[float, msgspec.Meta(gt=0, le=10)] | None = None
     map_mode: Literal["prior", "explored", "none"] = "prior"
+    track: str = "object"
     overwrite: bool = False
 
 
 def run(args: Args) -> int:
     """Sample, write, and say what came out."""
     from gn0.bench.suite import build_suite
+    from gn0.bench.track import read_track
     from gn0.cli.console import draw_progress
     from gn0.errors import ConfigError
     from gn0.sim.presets import find_preset
@@ -68,6 +73,7 @@ def run(args: Args) -> int:
             camera=args.camera,
             agent=agent,
             map_mode=args.map_mode,
+            track=read_track(args.track),
             overwrite=args.overwrite,
             progress=progress,
         )

@@ -25,7 +25,30 @@ _COLUMNS = {
 
 
 def print_summaries(summaries: Sequence[RunSummary]) -> None:
-    """A row a policy: means, their 95 % intervals below, and what did not run."""
+    """A row a policy: means, their 95 % intervals below, and what did not run.
+
+    Policies that were told more than others stand in tables of their own.
+    """
+    from gn0.bench.standing import group_runs
+
+    groups = group_runs(summaries)
+    for group in groups:
+        told = len(groups) > 1 or group.rank or summaries[group.members[0]].track
+        _print_table([summaries[i] for i in group.members], group.title if told else "")
+    for summary in summaries:
+        if summary.release is not None:
+            _print_release(summary)
+    for summary in summaries:
+        if summary.failed:
+            policy = plain_text(summary.label)
+            count = len(summary.failed)
+            print(f"{policy}: {count} episode{'' if count == 1 else 's'} did not run:")
+            for failure in summary.failed:
+                print(f"  {plain_text(str(failure))}")
+
+
+def _print_table(summaries: Sequence[RunSummary], title: str) -> None:
+    """One table of policies that were told alike."""
     from rich import box
     from rich.console import Console
     from rich.markup import escape
@@ -34,8 +57,8 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", padding=(0, 1))
     table.add_column("policy", no_wrap=True)
     table.add_column("scored", justify="right", no_wrap=True)
-    for title, _, _ in _COLUMNS.values():
-        table.add_column(title, justify="right", no_wrap=True)
+    for column, _, _ in _COLUMNS.values():
+        table.add_column(column, justify="right", no_wrap=True)
     for summary in summaries:
         cells = []
         for name, (_, factor, decimals) in _COLUMNS.items():
@@ -47,20 +70,15 @@ def print_summaries(summaries: Sequence[RunSummary]) -> None:
                 f"{factor * value:.{decimals}f}" for value in (found.mean, found.low, found.high)
             )
             cells.append(f"{mean}\n[dim]{low}–{high}[/dim]")
+        where = f"\n[dim]{summary.isolation}[/dim]" if summary.isolation else ""
         table.add_row(
-            escape(plain_text(summary.label)), f"{summary.valid}/{summary.expected}", *cells
+            escape(plain_text(summary.label)) + where,
+            f"{summary.valid}/{summary.expected}",
+            *cells,
         )
+    if title:
+        print(f"\n  {plain_text(title)}")
     Console(width=max(116, Console().width), highlight=False).print(table)
-    for summary in summaries:
-        if summary.release is not None:
-            _print_release(summary)
-    for summary in summaries:
-        if summary.failed:
-            policy = plain_text(summary.label)
-            count = len(summary.failed)
-            print(f"{policy}: {count} episode{'' if count == 1 else 's'} did not run:")
-            for failure in summary.failed:
-                print(f"  {plain_text(str(failure))}")
 
 
 def _print_release(summary: RunSummary) -> None:

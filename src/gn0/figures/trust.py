@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from gn0.bench.replay import replay_run
-from gn0.bench.results import load_results
+from gn0.bench.results import SUMMARY, load_results
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite, build_suite
 from gn0.errors import StorageError
@@ -146,6 +146,11 @@ def measure_same(ctx: FigureContext) -> list[FigureRow]:
             capture_output=True,
         )
         same[f"PYTHONHASHSEED={seed}"] = _outputs(out) == expected
+    run_suite(suite, "random", ctx.work / "apart", workers=2, isolate=True)
+    apart = _outputs(ctx.work / "apart")
+    same["in a process of its own (but for the card in summary.json)"] = all(
+        apart[name] == expected[name] for name in SAME if name != SUMMARY
+    )
     with local_cluster(4):
         for workers in (1, 2, 4):
             out = ctx.work / f"ray{workers}"

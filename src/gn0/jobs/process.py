@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO
 
 LAST_WORDS = 200  # lines of a worker's stderr that are kept
@@ -56,6 +57,8 @@ class WorkerProcess:
         threads: compute threads it may use.
         paths: its import path.
         arguments: its command line.
+        folder: where it runs; here by default.
+        left_out: environment variables that it does not inherit.
     """
 
     def __init__(
@@ -66,9 +69,11 @@ class WorkerProcess:
         paths: Sequence[str],
         *,
         arguments: Sequence[str] = (),
+        folder: Path | None = None,
+        left_out: Sequence[str] = (),
     ) -> None:
         environment = {
-            **os.environ,
+            **{name: value for name, value in os.environ.items() if name not in left_out},
             "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in paths),
             "NUMBA_NUM_THREADS": str(threads),
             "OMP_NUM_THREADS": str(threads),
@@ -80,6 +85,7 @@ class WorkerProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env=environment,
+            cwd=folder,
             start_new_session=True,  # Ctrl-C reaches the parent alone, which then ends us
         )
         self._listeners = [

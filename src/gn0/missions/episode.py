@@ -91,9 +91,14 @@ PathSource = Literal["", "truth", "file", "resampled"]
 Mission = MissionGoal | MissionInstruction | MissionFollow
 
 
+def mission_kind(mission: Mission) -> str:
+    """A mission's kind: "goal", "instruction" or "follow"."""
+    return str(mission.__struct_config__.tag)
+
+
 def mission_name(mission: Mission) -> str:
     """A mission's kind, with the style of a route instruction: "goal", "instruction/detailed"."""
-    kind = str(mission.__struct_config__.tag)
+    kind = mission_kind(mission)
     style = mission.style if isinstance(mission, MissionInstruction) else ""
     return f"{kind}/{style}" if style else kind
 

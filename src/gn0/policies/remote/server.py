@@ -30,7 +30,7 @@ from gn0.geometry import U8, world_to_agent, wrap_angle
 from gn0.policies.remote.client import check_token, find_token, is_loopback
 from gn0.policies.remote.extension import KEY, build_greeting, read_observation
 from gn0.policies.remote.wire import REQUEST_LIMITS, WireLimits, decode_message, encode_message
-from gn0.seeds import random_stream
+from gn0.seeds import load_stream, random_stream
 from gn0.sim.policy import Policy, PolicyIdentified
 from gn0.sim.state import Action, Displacement, Observation, Sensor, Teleport
 
@@ -264,7 +264,10 @@ class PolicySession:
 
 
 def _stream(more: Any, session: str) -> np.random.Generator:
-    """An episode's chance: the client's seed, or that of the session's name."""
+    """An episode's chance: the client's stream or seed, or that of the session's name."""
+    stream = more.get("stream") if isinstance(more, dict) else None
+    if isinstance(stream, str):
+        return load_stream(stream)
     seed = more.get("seed") if isinstance(more, dict) else None
     if isinstance(seed, int):
         return random_stream(seed, "remote policy")

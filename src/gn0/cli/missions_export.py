@@ -36,7 +36,16 @@ def run(args: Args) -> int:
     """Write, and say how much."""
     from gn0.bench.imports import export_set
     from gn0.bench.suite import open_suite
+    from gn0.missions.sets.vlnce import VlnceFile
+    from gn0.missions.sets.vocabulary import are_r2r_words
 
     written = export_set(open_suite(args.suite), args.format, args.out)
+    if isinstance(written.native, VlnceFile):
+        words = written.native.document.get("instruction_vocab", {}).get("word_list", [])
+        if not are_r2r_words(words):
+            print(
+                "note: tokens are of a list of this set's own words, which the models of VLN-CE "
+                "misread; `gn0 export vlnce-r2r DATA --vocabulary FILE` writes R2R's"
+            )
     print(f"{len(written.tasks)} episodes of {len(written.scenes)} scenes: {args.out}")
     return 0

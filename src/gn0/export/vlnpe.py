@@ -160,6 +160,8 @@ class ExporterVlnPe(OwnPoses):
 
         save_stack(_stack_path(folder, "rgb", index), colours(), trip.frames)
         save_stack(_stack_path(folder, "depth", index), depths, trip.frames)
+        for name in ("rgb", "depth"):
+            job.shelf.adopt(_stack_path(folder, name, index))
         height = camera_height(preset, source.preset, trip.episode.agent)
         columns = _columns(trip, height, math.radians(preset.pitch_degrees))
         columns |= index_columns(

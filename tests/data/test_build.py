@@ -26,7 +26,7 @@ from gn0.data.render import render_dataset
 from gn0.data.samples import ACTIONS_AHEAD
 from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
 from gn0.data.verify import verify_dataset
-from gn0.errors import BenchError, ConfigError, DataError, FormatError, StorageError
+from gn0.errors import BenchError, DataError, FormatError, StorageError
 from gn0.folder import lock_folder
 from gn0.geometry import Pose2D, agent_to_world
 from gn0.scenes.folder import load_scene
@@ -222,11 +222,6 @@ def test_no_name_leads_out_of_the_dataset(webdataset, copy_of, name) -> None:
         open_dataset(folder).scene(scene.id)
 
 
-def test_lerobot_has_no_room_for_maps_of_all_sizes() -> None:
-    with pytest.raises(ConfigError, match="one size"):
-        PictureSettings(layout="lerobot", maps="every")
-
-
 def test_a_full_disk_ends_the_build_cleanly(
     data_suite, settings_of, webdataset, tmp_path, files_of, monkeypatch
 ) -> None:
@@ -264,13 +259,11 @@ def test_shards_are_plain_tar_with_one_key_a_sample(webdataset) -> None:
                     assert stream is not None
                     about = json.load(io.TextIOWrapper(stream, "utf-8"))
         assert len(groups) == part.rows
-        assert set(map(tuple, groups.values())) == {("rgb.jpg", "history.jpg", "json")}
+        pictures = ("rgb", "history", "bev", "occupancy", "goal")
+        assert set(map(tuple, groups.values())) == {(*(f"{p}.jpg" for p in pictures), "json")}
         rows = webdataset.rows(about["episode_id"])
         assert about["actions"] == rows.actions[about["step"]].tolist()
-        assert about["pixels"] == rows.pixels[about["step"]].tolist()
-        assert (path.parent / about["bev"]).is_file()
-        assert (path.parent / about["occupancy"]["map"]).is_file()
-        assert (path.parent / about["goal_picture"]).is_file()
+        assert about["tokens_xy"] == rows.pixels[about["step"]].tolist()
         row += part.rows
     assert row == webdataset.about.rows
 
@@ -294,18 +287,3 @@ def test_the_journal_names_the_parts_in_order(webdataset) -> None:
     about = load_dataset_file(webdataset.folder)
     assert [r["part"]["name"] for r in records] == [part.name for part in about.parts]
     assert about.complete and about.rendered and about.rows == sum(p.rows for p in about.parts)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_the_official_reader_opens_the_shards(webdataset) -> None:
-    reader = pytest.importorskip("webdataset")
-    folder = webdataset.folder / "pictures" / "webdataset"
-    urls = [str(folder / f"{part.name}.tar") for part in webdataset.about.parts]
-    samples = list(reader.WebDataset(urls, shardshuffle=False).decode("rgb8"))
-    assert len(samples) == webdataset.about.rows
-    for sample, name in zip(samples, (webdataset.sampled[0],) * 3, strict=False):
-        rows, about = webdataset.rows(name), sample["json"]
-        assert about["episode_id"] == name
-        assert about["actions"] == rows.actions[about["step"]].tolist()
-        assert sample["rgb.jpg"].shape == (360, 480, 3)
-        assert sample["history.jpg"].shape == (480, 640, 3)

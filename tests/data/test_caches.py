@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import io
+import json
 import shutil
+import tarfile
 
 import msgspec
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from gn0.bench.suite import save_suite
 from gn0.data.build import build_dataset
 from gn0.data.cache import decode_picture, load_manifest
-from gn0.data.cache_lerobot import PixelSums, describe_array, describe_pixels
 from gn0.data.cache_webdataset import ShardReader, draw_dots, sample_key
-from gn0.data.dataset import open_dataset
+from gn0.data.dataset import compute_seal, open_dataset
 from gn0.data.draw import PartDrawer
 from gn0.data.folder import read_done, write_journal
+from gn0.data.lerobot_schema import PixelSums, describe_array, join_stats
+from gn0.data.part import file_digest
 from gn0.data.render import choose_cache, render_dataset
 from gn0.data.repair import repair_dataset
 from gn0.data.samples import PICTURES
@@ -24,6 +30,7 @@ from gn0.data.verify import verify_dataset
 from gn0.errors import DataError, FormatError, StorageError
 from gn0.scenes.folder import load_scene
 from gn0.sim.sensors import SensorSuite
+from gn0.storage import write_json
 
 
 @pytest.mark.parametrize("layout", ["webdataset", "lerobot"])
@@ -101,7 +108,7 @@ def test_what_a_policy_visited_is_repaired_too(data_suite, tmp_path, files_of) -
     table.unlink()
     report = repair_dataset(dataset.folder)
     assert not report.ok
-    assert "plug-in that is not run from here" in next(iter(report.reasons.values()))
+    assert "it is not run" in next(iter(report.reasons.values()))
 
 
 def test_a_cut_or_forged_shard_is_refused_in_words(webdataset, copy_of) -> None:
@@ -132,6 +139,54 @@ def test_a_cut_or_forged_shard_is_refused_in_words(webdataset, copy_of) -> None:
         decode_picture(b"\xff\xd8 no picture", shard, "rgb")
 
 
+def test_shards_of_version_1_are_read(data_suite, settings_of, tmp_path) -> None:
+    """Goal pictures beside, places as (row, column), no goal in the tar."""
+    dataset = build_dataset(data_suite, tmp_path / "d", settings_of(maps="once"))
+    part, cache = dataset.about.parts[0], dataset.folder / "pictures/webdataset"
+    goals = cache / "goals"
+    goals.mkdir()
+    index: dict[str, list] = {"name": [], "offset": [], "size": [], "digest": []}
+    out = io.BytesIO()
+    with tarfile.open(cache / f"{part.name}.tar") as shard:
+        members = [(m.name, shard.extractfile(m).read()) for m in shard]
+    for name, data in members:
+        if ".goal." in name:
+            (goals / name).write_bytes(data)
+            continue
+        if name.endswith(".json"):
+            about = json.loads(data)
+            spots = about["occupancy"]
+            del spots["size_xy"]
+            for key in ("start", "current"):
+                spots[key] = spots.pop(f"{key}_xy")[::-1]
+            about["pixels"] = about.pop("tokens_xy")
+            about["goal_picture"] = "goals/" + name.replace(".json", ".goal.jpg")
+            data = json.dumps(about).encode()
+        info = tarfile.TarInfo(name)
+        info.size = len(data)
+        out.write(info.tobuf(tarfile.USTAR_FORMAT))
+        for column, value in zip(
+            index, (name, out.tell(), len(data), file_digest(data)), strict=True
+        ):
+            index[column].append(value)
+        out.write(data + bytes(-len(data) % 512))
+    (cache / f"{part.name}.tar").write_bytes(out.getvalue())
+    path = cache / f"{part.name}.index.parquet"
+    pq.write_table(pa.table(index, schema=pq.read_schema(path)), path)
+    manifest = load_manifest(dataset.folder, "webdataset")
+    assert manifest is not None
+    old = msgspec.structs.replace(manifest, layout=1)
+    old = msgspec.structs.replace(old, seal=compute_seal(old))
+    write_json(cache / "manifest.json", msgspec.to_builtins(old))
+    name, kinds = part.episodes[0], ("rgb", "bev", "occupancy", "goal_picture")
+    frames = zip(dataset.frames(name, kinds), dataset.frames(name, kinds, exact=True), strict=True)
+    for one, other in frames:
+        for kind in ("bev", "occupancy"):
+            assert np.array_equal(one[kind], other[kind])
+        for kind in ("rgb", "goal_picture"):
+            assert np.abs(one[kind].astype(int) - other[kind]).mean() < 8
+
+
 def test_a_damaged_video_is_refused_in_words(lerobot, copy_of) -> None:
     folder = copy_of(lerobot)
     dataset = open_dataset(folder)
@@ -148,8 +203,8 @@ def test_a_damaged_video_is_refused_in_words(lerobot, copy_of) -> None:
 def test_another_cache_layout_version_is_refused(webdataset, copy_of) -> None:
     folder = copy_of(webdataset)
     path = folder / "pictures" / "webdataset" / "manifest.json"
-    path.write_text(path.read_text().replace('"layout": 1', '"layout": 7'))
-    with pytest.raises(FormatError, match="cache layout 7, this version reads 1"):
+    path.write_text(path.read_text().replace('"layout": 2', '"layout": 7'))
+    with pytest.raises(FormatError, match="cache layout 7, this version reads 2"):
         load_manifest(folder, "webdataset")
     assert not verify_dataset(folder).ok
 
@@ -188,16 +243,16 @@ def test_statistics_are_those_of_numpy() -> None:
     np.testing.assert_allclose(found["mean"], array.mean(axis=0))
     np.testing.assert_allclose(found["std"], array.std(axis=0))
     assert found["count"] == [50]
-    flat = [np.full((8, 8, 3), value, np.uint8) for value in (10, 30)]
     sums = []
-    for picture in flat:
+    for value in (10, 30):
         own = PixelSums()
-        own.add(picture)
-        sums.append(own.values())
-    found = describe_pixels(sums, 2)
+        own.add(np.full((8, 8, 3), value, np.uint8), 2)
+        sums.append({"picture": own.describe()})
+    found = join_stats(sums)["picture"]
     np.testing.assert_allclose(np.ravel(found["mean"]), 20 / 255)
     np.testing.assert_allclose(np.ravel(found["std"]), 10 / 255)
     assert np.ravel(found["min"])[0] == 10 / 255 and np.ravel(found["max"])[0] == 30 / 255
+    assert found["count"] == [4]
 
 
 def test_journals_forgive_what_they_do_not_know(webdataset, tmp_path) -> None:

@@ -27,7 +27,7 @@ from gn0.data.repair import repair_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.sheet import draw_sheet
 from gn0.data.verify import compare_part, verify_dataset
-from gn0.errors import ConfigError, DataError, FormatError
+from gn0.errors import DataError, FormatError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
 from gn0.render.depth import to_metres, to_millimetres
@@ -215,14 +215,15 @@ def test_one_process_that_draws_gives_the_same_bytes(
 
 
 def test_poses_and_labels_get_depth_when_they_are_drawn(suite, deep, tmp_path, files_of) -> None:
-    """Asked for at the build, or at the first rendering; a LeRobot cache keeps its hashes alone."""
+    """Asked for at the build, or at the first rendering."""
+    png = ["--depth", "--depth-as", "png"]
     told = ["data", "build", str(suite.folder), "--chunk", "1", "--layout", "none", "--out"]
     said, later = tmp_path / "said", tmp_path / "later"
-    assert main([*told, str(said), "--depth"]) == 0
+    assert main([*told, str(said), *png]) == 0
     assert main([*told, str(later)]) == 0
     assert b"depth" not in (later / "dataset.json").read_bytes()
     assert main(["data", "render", str(said)]) == 0
-    assert main(["data", "render", str(later), "--depth"]) == 0
+    assert main(["data", "render", str(later), *png]) == 0
     tables = [path.name for path in (deep.folder / "samples").iterdir()]
     for folder in (said, later):
         for name in tables:
@@ -231,16 +232,10 @@ def test_poses_and_labels_get_depth_when_they_are_drawn(suite, deep, tmp_path, f
         assert members(open_dataset(folder)) == members(deep)
     assert files_of(said) == files_of(later)
     assert main([*told, str(later)]) == 0  # what was drawn since changes nothing
-    assert main([*told, str(said), "--depth"]) == 0
+    assert main([*told, str(said), *png]) == 0
 
 
-def test_what_makes_no_sense_is_refused_in_words(suite, plain, deep, copy_of, tmp_path, capsys):
-    with pytest.raises(ConfigError, match="no settled way to keep depth") as caught:
-        PictureSettings(layout="lerobot", depth=True)
-    assert "use layout webdataset" in caught.value.remedy
-    told = ["data", "build", str(suite.folder), "--layout", "lerobot", "--depth", "--out"]
-    assert main([*told, str(tmp_path / "d")]) == 2
-    assert "use layout webdataset" in capsys.readouterr().err
+def test_what_makes_no_sense_is_refused_in_words(suite, plain, deep):
     with pytest.raises(DataError, match="made without depth") as refused:
         choose_cache(plain, DEPTH)
     assert "build another dataset with --depth" in refused.value.remedy
@@ -250,15 +245,39 @@ def test_what_makes_no_sense_is_refused_in_words(suite, plain, deep, copy_of, tm
 
 
 @pytest.mark.slow
-def test_a_lerobot_cache_of_a_dataset_with_depth_is_made_without(deep, copy_of) -> None:
+def test_a_lerobot_cache_of_a_dataset_with_depth_keeps_it(deep, copy_of) -> None:
     folder = copy_of(deep)
     assert main(["data", "render", str(folder), "--layout", "lerobot"]) == 0
-    assert main(["data", "render", str(folder), "--layout", "lerobot", "--depth"]) == 2
     assert verify_dataset(folder, pixels=True).ok
     shutil.rmtree(folder / "pictures" / "webdataset")
-    name = deep.sampled[0]
-    frames = [next(open_dataset(folder).frames(name, ("depth",), exact=e)) for e in (0, 1)]
-    np.testing.assert_array_equal(frames[0]["depth"], frames[1]["depth"])
+    data = folder / "pictures/lerobot/data/chunk-000/file-000.parquet"
+    whole = data.read_bytes()
+    data.unlink()  # the labels of all parts and the depth of this one, which is drawn again
+    assert repair_dataset(folder).ok
+    assert data.read_bytes() == whole
+    name, kinds = deep.sampled[0], ("rgb", "depth")
+    stored, drawn = (list(open_dataset(folder).frames(name, kinds, exact=e)) for e in (0, 1))
+    for one, other in zip(stored, drawn, strict=True):
+        assert np.abs(one["depth"] - other["depth"]).max() <= 0.00051
+        assert not np.array_equal(one["rgb"], other["rgb"])  # from the video
+
+
+def test_depth_lies_in_the_shard_as_it_was_asked_for(deep, copy_of) -> None:
+    folder = copy_of(deep)
+    part = deep.about.parts[0]
+    wanted = ShardReader(folder, part.name, DEPTH).depth(1)
+    for kind, endings in (("npy", {"npy"}), ("both", {"npy", "png"})):
+        shutil.rmtree(folder / "pictures")
+        assert main(["data", "render", str(folder), "--depth-as", kind]) == 0
+        with tarfile.open(folder / "pictures/webdataset" / f"{part.name}.tar") as shard:
+            names = [n for n in shard.getnames() if ".depth." in n]
+            assert {n.rpartition(".")[2] for n in names} == endings
+            stream = shard.extractfile(next(n for n in names if n.endswith("1.depth.npy")))
+            assert stream is not None
+            array = np.load(io.BytesIO(stream.read()), allow_pickle=False)
+        assert array.dtype == np.uint16 and np.array_equal(array, wanted)
+        reader = ShardReader(folder, part.name, DEPTH)
+        assert np.array_equal(reader.depth(1), wanted)
 
 
 def test_a_depth_camera_of_its_own_is_stored_in_its_own_size(data_suite, tmp_path) -> None:

@@ -8,7 +8,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from gn0.data.cache_lerobot import FPS, VIDEOS
+from gn0.data.cache_lerobot import write_tables
+from gn0.data.lerobot_schema import FPS, TEXT, VIDEOS, motions
+from gn0.errors import DataError
+from gn0.export.session import check_export
 
 
 def load(dataset, path: str):
@@ -44,24 +47,29 @@ def test_episodes_point_at_their_frames_and_seconds(lerobot) -> None:
     tasks = load(lerobot, "meta/tasks.parquet").to_pylist()
     index = 0
     for row in episodes.to_pylist():
-        rows = lerobot.rows(row["gn0.episode_id"])
+        rows = lerobot.rows(row["gn0_id"])
         assert row["length"] == len(rows)
         assert (row["dataset_from_index"], row["dataset_to_index"]) == (index, index + len(rows))
         place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
         data = load(lerobot, info["data_path"].format(**place)).to_pydict()
         own = [i for i, e in enumerate(data["episode_index"]) if e == row["episode_index"]]
         assert [data["index"][i] for i in own] == list(range(index, index + len(rows)))
-        assert [data["action"][i] for i in own] == rows.executed.tolist()
+        assert [data["label.discrete"][i] for i in own] == rows.executed.tolist()
+        assert [data["label.ahead"][i] for i in own] == rows.actions.tolist()
+        waypoints = np.array([data["label.waypoints"][i] for i in own])
+        assert np.array_equal(waypoints.reshape(-1, 13, 2), rows.waypoints)
+        tokens = np.array([data["label.tokens_xy"][i] for i in own])
+        assert np.array_equal(tokens.reshape(-1, 13, 2), rows.pixels)
+        assert np.array_equal([data["action"][i] for i in own], motions(rows.poses))
         np.testing.assert_allclose(
             [data["timestamp"][i] for i in own], np.arange(len(rows)) / FPS, atol=1e-6
         )
-        instruction = lerobot.episode(row["gn0.episode_id"]).instruction
+        instruction = lerobot.episode(row["gn0_id"]).instruction
         assert row["tasks"] == [instruction]
         assert tasks[data["task_index"][own[0]]]["task"] == instruction
         for key in VIDEOS.values():
             begin, end = (row[f"videos/{key}/{side}_timestamp"] for side in ("from", "to"))
             assert end - begin == len(rows) / FPS
-            assert begin == own[0] / FPS  # episodes lie in their video as in their table
         maps = lerobot.folder / "pictures" / "lerobot"
         assert (maps / row["map.bev"]).is_file() and (maps / row["map.occupancy"]).is_file()
         assert (maps / row["goal_picture"]).is_file()
@@ -78,7 +86,8 @@ def test_tasks_are_indexed_by_their_text_for_pandas(lerobot) -> None:
 def test_statistics_are_finite_and_of_the_right_shape(lerobot) -> None:
     path = lerobot.folder / "pictures" / "lerobot" / "meta" / "stats.json"
     stats, info = json.loads(path.read_text()), info_of(lerobot)
-    assert set(stats) == set(info["features"])
+    texts = {name for name, f in info["features"].items() if f["dtype"] == TEXT}
+    assert set(stats) == set(info["features"]) - texts and len(texts) == 2
     for name, own in stats.items():
         shape = (3, 1, 1) if name in VIDEOS.values() else tuple(info["features"][name]["shape"])
         for what in ("min", "max", "mean", "std"):
@@ -90,17 +99,30 @@ def test_statistics_are_finite_and_of_the_right_shape(lerobot) -> None:
     np.testing.assert_allclose(np.ravel(stats[VIDEOS["rgb"]]["mean"]), mean, atol=0.01)
 
 
-@pytest.mark.filterwarnings("ignore")
-def test_the_official_reader_opens_it(lerobot) -> None:
-    module = pytest.importorskip("lerobot.datasets.lerobot_dataset", exc_type=ImportError)
+def test_missions_of_one_path_share_their_frames(lerobot) -> None:
+    rows = load(lerobot, "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    twin = next(row for row in rows if row["gn0_id"] == "zwilling")
+    rollout = lerobot.rollout("zwilling")
+    part = lerobot.part_of("zwilling")
+    same = next(
+        row for row in rows
+        if row["gn0_id"] != "zwilling" and row["gn0_id"] in part.episodes
+        and np.array_equal(lerobot.rollout(row["gn0_id"]).poses, rollout.poses)
+    )  # fmt: skip
+    spans = {k: v for k, v in twin.items() if k.startswith("videos/") and "goal" not in k}
+    assert len(spans) == 16 and all(same[key] == value for key, value in spans.items())
+    frames = lerobot.frames("zwilling", ("rgb",))
+    others = lerobot.frames(same["gn0_id"], ("rgb",))
+    assert all(np.array_equal(a["rgb"], b["rgb"]) for a, b in zip(frames, others, strict=True))
+
+
+def test_the_cache_passes_the_checks_of_an_export(lerobot) -> None:
     folder = lerobot.folder / "pictures" / "lerobot"
-    data = module.LeRobotDataset("gn0/walks", root=folder)
-    assert data.num_episodes == len(lerobot.sampled) and len(data) == lerobot.about.rows
-    item = data[len(lerobot.rows(lerobot.sampled[0]))]
-    second = lerobot.sampled[1]
-    assert item["task"] == lerobot.episode(second).instruction
-    pose = lerobot.rows(second).poses[0]
-    np.testing.assert_allclose(item["observation.state"].numpy(), pose, atol=1e-5)
-    drawn = next(lerobot.frames(second, ("rgb",), exact=True))["rgb"]
-    seen = item[VIDEOS["rgb"]].numpy().transpose(1, 2, 0) * 255
-    assert np.sqrt(((seen - drawn) ** 2).mean()) < 10
+    assert check_export(folder, "lerobot-v3") == []
+
+
+def test_a_part_of_an_earlier_version_is_named(lerobot) -> None:
+    notes = {part.name: {"sums": {}, "places": [], "maps": {}} for part in lerobot.about.parts}
+    with pytest.raises(DataError, match="earlier version") as caught:
+        write_tables(lerobot, notes, lerobot.about.settings.pictures)
+    assert "gn0 data render --layout lerobot" in caught.value.remedy

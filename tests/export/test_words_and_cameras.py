@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from gn0.data.lerobot_video import join_clips
 from gn0.errors import FormatError, Gn0Error
 from gn0.export.cameras import (
     camera_poses,
@@ -24,7 +25,7 @@ from gn0.export.cameras import (
     project,
     to_start_frame,
 )
-from gn0.export.clips import cut_clip, encode_frames, inspect_clip, join_clips, read_clip
+from gn0.export.clips import cut_clip, encode_frames, inspect_clip, read_clip
 from gn0.export.navdp import encode_obstacles, load_obstacles, trace_way
 from gn0.export.pictures import encode_depth
 from gn0.export.words import coarsen_turns, find_runs, merge_amounts

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gn0.data.cache_lerobot import VideoWriter
+from gn0.data.lerobot_video import VideoWriter
 from gn0.jobs.priority import keep_priority
 
 pytestmark = pytest.mark.skipif(

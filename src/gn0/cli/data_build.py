@@ -35,10 +35,13 @@ class Args(Config, frozen=True):
             at all (none): poses and labels only, drawn later by `gn0 data render`.
         format: of single pictures: jpg, or png for the very pixels.
         quality: of jpg.
-        maps: BEV and occupancy picture once a scene and light, or in every sample.
+        maps: BEV and occupancy picture in every sample, so that a shard stands alone, or once a
+            scene and light beside the shards: smaller.
         visible_sets: draw from the splats that show near each place: quicker, and nearly the same
             pictures; part of the dataset's identity.
-        depth: store the depth of each view as well, as a 16-bit PNG in millimetres (webdataset).
+        depth: store the depth of each view as well, in millimetres.
+        depth_as: how shards keep it: npy, which every reader takes for what it is; png, a third of
+            the size, of 16 bits that some readers cut to 8; or both.
         labels: next actions by the exact planner (exact), the paper's tracking objective (mpc), or
             as the official release labels (gn0-release).
         tokens: what map tokens count over: the whole map, or a square around the agent.
@@ -58,9 +61,10 @@ class Args(Config, frozen=True):
     layout: Literal["webdataset", "lerobot", "none"] = "webdataset"
     format: Literal["jpg", "png"] = "jpg"
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 90
-    maps: Literal["once", "every"] = "once"
+    maps: Literal["once", "every"] = "every"
     visible_sets: bool = False
     depth: bool = False
+    depth_as: Literal["npy", "png", "both"] = "npy"
     labels: Literal["exact", "mpc", "gn0-release"] = "exact"
     tokens: Literal["global", "ego"] = "global"
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
@@ -90,6 +94,7 @@ def run(args: Args) -> int:
         maps=args.maps,
         visible_sets=args.visible_sets,
         depth=args.depth,
+        depth_as=args.depth_as,
     )
     if args.layout != "none":
         backend, why = choose_drawing(args.backend, args.out)

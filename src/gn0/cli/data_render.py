@@ -27,9 +27,10 @@ class Args(Config, frozen=True):
             was built with.
         format: of single pictures: jpg or png; by default as built.
         quality: of jpg; by default as built.
-        maps: BEV and occupancy picture once a scene and light, or in every sample; as built.
-        depth: store depth as well, 16-bit PNG in millimetres, of a dataset of poses and labels
-            alone; else as built.
+        maps: BEV and occupancy picture in every sample, or once a scene and light; as built.
+        depth: store depth as well, in millimetres, of a dataset of poses and labels alone; else as
+            built.
+        depth_as: how shards keep it: npy, png or both; by default as built, and npy for new depth.
         backend: what draws: cpu or cuda. A dataset that has pictures is drawn by what drew them
             first; one of poses and labels alone by the best that is here (auto).
         batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
@@ -45,6 +46,7 @@ class Args(Config, frozen=True):
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
     maps: Literal["once", "every"] | None = None
     depth: bool = False
+    depth_as: Literal["npy", "png", "both"] | None = None
     backend: Literal["auto", "cpu", "cuda"] = "auto"
     batch: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
@@ -63,14 +65,13 @@ def run(args: Args) -> int:
     wanted = choose_cache(dataset, None)
     chosen = {
         name: value
-        for name in ("layout", "format", "quality", "maps")
+        for name in ("layout", "format", "quality", "maps", "depth_as")
         if (value := getattr(args, name)) is not None
     }
-    if args.layout == "lerobot":
-        chosen.setdefault("maps", "once")  # it knows no other way, whatever the first cache did
-        chosen["depth"] = args.depth  # nor any for depth
-    elif args.depth:
+    if args.depth:
         chosen["depth"] = True
+        if not wanted.depth:
+            chosen.setdefault("depth_as", "npy")
     if args.backend != "auto" or not dataset.about.rendered:
         backend, why = choose_drawing(args.backend, args.dataset)
         say_aside(f"pictures: drawn by backend {backend} ({why})")

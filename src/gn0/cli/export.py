@@ -40,6 +40,7 @@ class Args(Config, frozen=True):
             is dropped and counted.
         vocabulary: any {split}.json.gz of VLN-CE's R2R: tokens of vlnce-r2r and vln-pe are of its
             words, which are those that VLN-CE's models know.
+        depth: depth pictures also where the dataset stores none (lerobot-v3).
         name: name of the data in ids and paths of the format.
         exact: render pictures again, also where the dataset's cache has them.
         fresh: forget what an earlier command left in the output folder, instead of going on.
@@ -58,6 +59,7 @@ class Args(Config, frozen=True):
     views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
     merge_turns: bool = False
     vocabulary: str = ""
+    depth: bool = False
     name: str = "gn0"
     exact: bool = False
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False

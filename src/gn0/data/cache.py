@@ -33,7 +33,8 @@ from gn0.missions.episode import Episode
 from gn0.storage import read_bytes, safe_join, write_atomic, write_json
 
 MANIFEST = "manifest.json"
-CACHE_LAYOUT = 1  # of the manifest and of the files it names
+CACHE_LAYOUT = 2  # of the manifest and of the files it names
+READABLE = (1, 2)  # 1 kept goals and maps beside the shards, and had fewer LeRobot features
 _LIMIT = 2**30  # bytes of a manifest
 _PNG_LEVEL = 1  # zlib's quickest: half the time for a tenth more bytes
 _PNG_UP = 2  # filter: a line is its difference from the one above
@@ -268,7 +269,7 @@ def load_manifest(folder: Path, layout: str) -> CacheManifest | None:
         return None
     data = read_bytes(path, _LIMIT)
     found: Any = decode_json(data, dict, file=path).get("layout")
-    if found != CACHE_LAYOUT:
+    if found not in READABLE:
         raise FormatError(
             f"cache layout {found}, this version reads {CACHE_LAYOUT}", file=path, field="layout",
             remedy="delete the folder and run `gn0 data render`",

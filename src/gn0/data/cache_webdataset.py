@@ -1,14 +1,16 @@
-"""The cache as WebDataset shards: plain tar files that `webdataset` and `tar` read alike.
+"""The cache as WebDataset shards: plain tar files that `webdataset`, `datasets` and `tar` read.
 
-    <part>.tar            members <key>.rgb.jpg, <key>.history.jpg, <key>.json, a key a sample;
-                          with depth also <key>.depth.png, 16 bits, mm
+    <part>.tar            members <key>.rgb.jpg, .history.jpg, .bev.jpg, .occupancy.jpg, .json,
+                          a key a sample; .goal.jpg for goal missions; with depth also .depth.npy
+                          or .depth.png: uint16 [H, W], mm
     <part>.index.parquet  name, offset, size and digest of each member
-    maps/<hash>.png       each BEV and each bare occupancy picture once, named by its pixels
-    goals/<hash>.jpg      what each goal looks like, for goal missions
+    README.md             the dataset card, with Hugging Face's head
 
-The json of a sample holds its labels, its instruction and the names of its maps with the places
-of the two dots, so that shards, `maps/` and `goals/` are all that training needs. Headers carry no
-time and no owner: the same samples are the same bytes.
+A shard stands alone: each sample has all of its pictures, its labels and its words. With maps kept
+"once", BEV and bare occupancy picture lie beside as maps/<hash>.png instead; the json names them
+and where the two dots are. Headers carry no time and no owner: the same samples, the same bytes.
+
+Version 1 of the cache kept goal pictures beside, and places as (row, column); both are read.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ from gn0.data.cache import (
     cache_folder,
     decode_depth,
     decode_picture,
+    encode_picture,
     read_cached,
-    write_goal,
     write_maps,
     write_recorded,
 )
@@ -82,20 +84,27 @@ def write_shard(
             ):
                 index[column].append(value)
 
+        goal = "", b""
         for step in steps:
             key = sample_key(part, step.row)
             add(f"{key}.rgb.{settings.format}", step.encoded("rgb", settings))
             add(f"{key}.history.{settings.format}", step.encoded("history", settings))
-            if settings.depth:
+            if "png" in settings.depth_files:
                 add(f"{key}.depth.png", step.encoded(DEPTH, settings))
+            if "npy" in settings.depth_files:
+                assert step.pictures.depth is not None
+                add(f"{key}.depth.npy", encode_array(step.pictures.depth))
             if settings.maps == "every":
                 add(f"{key}.bev.{settings.format}", step.encoded("bev", settings))
                 add(f"{key}.occupancy.{settings.format}", step.encoded("occupancy", settings))
                 maps = ("", "")
             else:
                 maps = write_maps(folder, step, shared)
-            goal = write_goal(folder, step, shared, settings)
-            add(f"{key}.json", describe_sample(step, maps, goal))
+            if step.goal is not None:
+                if goal[0] != step.goal[1]:
+                    goal = step.goal[1], encode_picture(step.goal[0], settings)
+                add(f"{key}.goal.{settings.format}", goal[1])
+            add(f"{key}.json", describe_sample(step, maps))
         put(bytes(2 * _BLOCK))
 
     shard = write_recorded(folder, f"{part}.tar", pour)
@@ -107,16 +116,16 @@ def write_shard(
     return [shard, table, *shared.values()]
 
 
-def describe_sample(step: DrawnStep, maps: tuple[str, str], goal: str) -> bytes:
-    """The labels of a sample as JSON, in one line.
+def describe_sample(step: DrawnStep, maps: tuple[str, str]) -> bytes:
+    """The labels of a sample as JSON, in one line; pixels and tokens are (x, y).
 
     Args:
         step: the sample.
         maps: paths of its BEV and its bare occupancy picture; "" where they are members.
-        goal: path of its goal picture, or "".
     """
     block, t, episode = step.block, step.step, step.episode
     start, current = step.places
+    height, width = step.base[0].shape[:2]
     fields = {
         "episode_id": episode.id,
         "step": t,
@@ -128,22 +137,47 @@ def describe_sample(step: DrawnStep, maps: tuple[str, str], goal: str) -> bytes:
         "executed": int(block.executed[t]),
         "actions": block.actions[t].tolist(),
         "waypoints": [[round(float(v), 6) for v in point] for point in block.waypoints[t]],
-        "pixels": block.pixels[t].tolist(),
+        "tokens_xy": block.pixels[t].tolist(),
         "valid": int(block.valid[t]),
         "collided": bool(block.collided[t]),
         "source": block.source,
         "policy_actions": list(block.policy_actions[t]) if block.policy_actions else [],
-        "goal_picture": goal,
         "bev": maps[0],
         "occupancy": {
             "map": maps[1],
-            "start": list(start),
-            "current": list(current),
+            "size_xy": [width, height],
+            "start_xy": list(start[::-1]),
+            "current_xy": list(current[::-1]),
             "radius": DISC_RADIUS,
         },
         "hashes": step.hashes,
     }
     return json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def encode_array(array: NDArray[Any]) -> bytes:
+    """An array as the bytes of an .npy file."""
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.ascontiguousarray(array), (1, 0), allow_pickle=False)
+    return stream.getvalue()
+
+
+def decode_array(data: bytes, file: Path | str, name: str) -> NDArray[np.uint16]:
+    """A depth picture [H, W] of an .npy file.
+
+    Raises:
+        FormatError: it is damaged, or none.
+    """
+    try:
+        array = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        if array.dtype != np.uint16 or array.ndim != 2:
+            raise ValueError(f"an array of {array.dtype} {list(array.shape)}")
+    except Exception as error:  # numpy raises whatever its parser meets
+        raise FormatError(
+            f"depth cannot be decoded: {error}", file=file, field=name,
+            remedy="run `gn0 data repair`",
+        ) from None  # fmt: skip
+    return np.asarray(array, np.uint16)
 
 
 def draw_dots(base: U8, start: tuple[int, int], current: tuple[int, int], radius: int) -> U8:
@@ -200,21 +234,22 @@ class ShardReader:
 
     def picture(self, row: int, name: str) -> U8:
         """A picture [H, W, 3] of a sample: rgb, history, bev, occupancy, or goal_picture."""
-        kind = self._settings.format
-        if name in ("rgb", "history") or (
-            self._settings.maps == "every" and name != "goal_picture"
-        ):
-            return decode_picture(self.read(row, f"{name}.{kind}"), self.path, name)
+        member = f"{'goal' if name == 'goal_picture' else name}.{self._settings.format}"
+        if name in ("rgb", "history") or self.has(row, member):
+            return decode_picture(self.read(row, member), self.path, name)
         about = json.loads(self.read(row, "json"))
-        if name == "goal_picture":
-            return self._map(about["goal_picture"])
-        if name == "bev":
-            return self._map(about["bev"])
+        if name in ("goal_picture", "bev"):
+            return self._map(str(about.get(name) or ""), name)
         places = about["occupancy"]
-        return draw_dots(
-            self._map(places["map"]), tuple(places["start"]), tuple(places["current"]),
-            places["radius"],
-        )  # fmt: skip
+        if "start" in places:  # version 1 says (row, column)
+            start, current = tuple(places["start"]), tuple(places["current"])
+        else:
+            start, current = tuple(places["start_xy"][::-1]), tuple(places["current_xy"][::-1])
+        return draw_dots(self._map(places["map"], name), start, current, places["radius"])
+
+    def has(self, row: int, kind: str) -> bool:
+        """Whether a sample has a member."""
+        return f"{sample_key(self._part, row)}.{kind}" in self._places
 
     def depth(self, row: int) -> NDArray[np.uint16]:
         """The depth picture [H, W] of a sample in mm, see `gn0.render.depth`.
@@ -222,9 +257,16 @@ class ShardReader:
         Raises:
             StorageError, FormatError: missing or damaged.
         """
+        if self.has(row, "depth.npy"):
+            return decode_array(self.read(row, "depth.npy"), self.path, DEPTH)
         return decode_depth(self.read(row, "depth.png"), self.path, DEPTH)
 
-    def _map(self, path: str) -> U8:
+    def _map(self, path: str, name: str) -> U8:
+        if not path:
+            raise FormatError(
+                "the shard has no such member, and its json names no file", file=self.path,
+                field=name, remedy="run `gn0 data repair`",
+            )  # fmt: skip
         if path not in self._maps:
             self._maps[path] = decode_picture(read_cached(self._folder, LAYOUT, path), path, "map")
         return self._maps[path]

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.data.cache import load_manifest
-from gn0.data.cache_lerobot import VIDEOS, read_video
+from gn0.data.cache_lerobot import read_depth, read_video
 from gn0.data.cache_webdataset import ShardReader
 from gn0.data.dataset import Dataset
 from gn0.data.draw import eyes_of
+from gn0.data.lerobot_schema import FPS
 from gn0.data.pictures import BATCH, draw_episode, goal_picture, map_picture
 from gn0.data.samples import DEPTH, EpisodeRows
 from gn0.errors import DataError
@@ -23,6 +24,7 @@ from gn0.sim.presets import find_preset
 
 FRAMES = ("rgb", "depth", "history", "bev", "occupancy", "goal_picture")
 Frame = dict[str, NDArray[Any]]
+_FILMED = {"rgb", "history"}  # the other videos are maps on a canvas, and stills
 
 
 def read_frames(
@@ -65,11 +67,15 @@ def _find_cached(
 
         kept = sensors if manifest.settings.depth else sensors - {DEPTH}
         return {name: read(name) for name in kept}
-    if load_manifest(dataset.folder, "lerobot") is not None:
-        number = [own.name for own in dataset.about.parts].index(part.name)
-        return {
-            name: iter(read_video(dataset, number, name, span)) for name in sensors & set(VIDEOS)
+    manifest = load_manifest(dataset.folder, "lerobot")
+    if manifest is not None:
+        name = rows.episode_id
+        cached: dict[str, Iterator[NDArray[Any]]] = {
+            key: iter(read_video(dataset, name, key, FPS)) for key in sensors & _FILMED
         }
+        if DEPTH in sensors and manifest.settings.depth:
+            cached[DEPTH] = read_depth(dataset, name)
+        return cached
     return {}
 
 

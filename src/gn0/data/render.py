@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from gn0.data.cache import (
+    CACHE_LAYOUT,
     CacheManifest,
     cache_folder,
     check_cache_free,
@@ -145,7 +146,8 @@ def _now_drawn(
     """A dataset whose rows have the hashes of pictures now, of which kinds, and who drew them."""
     built = about.settings.pictures
     depth = settings.depth or built.depth  # hashed as well where this cache does not keep it
-    pictures = msgspec.structs.replace(built, backend=settings.backend, depth=depth)
+    kind = built.depth_as if built.depth else settings.depth_as
+    pictures = msgspec.structs.replace(built, backend=settings.backend, depth=depth, depth_as=kind)
     return msgspec.structs.replace(
         about,
         parts=tuple(parts),
@@ -188,12 +190,21 @@ def finish_cache(
         from gn0.data.cache_lerobot import write_tables
 
         files += write_tables(dataset, {made.part.name: made.notes for made in parts}, settings)
+    else:
+        from gn0.data.card import write_card
+
+        files.append(write_card(dataset, settings))
     folder = cache_folder(dataset.folder, settings.layout)
-    lines = [{"settings": msgspec.to_builtins(settings)}, *map(msgspec.to_builtins, parts)]
+    lines = [_headline(settings), *map(msgspec.to_builtins, parts)]
     journal = b"".join(map(journal_line, lines))
     write_journal(folder / JOURNAL, journal)
     files.append(record_file(JOURNAL, journal))
     return save_manifest(dataset.folder, settings, iter(files))
+
+
+def _headline(settings: PictureSettings) -> dict[str, object]:
+    """The first line of a cache's journal."""
+    return {"settings": msgspec.to_builtins(settings), "layout": CACHE_LAYOUT}
 
 
 def _begin_journal(path: Path, settings: PictureSettings) -> None:
@@ -204,13 +215,13 @@ def _begin_journal(path: Path, settings: PictureSettings) -> None:
     """
     journal = Journal(path)
     first = next(iter(journal.read()), None)
-    ours = {"settings": msgspec.to_builtins(settings)}
+    ours = _headline(settings)
     if first is None:
         journal.append(ours)
         journal.close()
     elif first != ours:
         raise DataError(
-            "a cache of other settings was begun there",
+            "a cache of other settings was begun there, or by another version",
             where=path.parent,
             remedy="give the same settings, or delete that folder",
         )

@@ -9,12 +9,12 @@ import msgspec
 from gn0.config import Config
 from gn0.data.codec import AnyFrame, EgoFrame
 from gn0.data.labels import LabelSettings
-from gn0.errors import ConfigError
 from gn0.maps.grid import OccupancyGrid
 from gn0.sim.sensors import MapFrame
 
 CacheLayout = Literal["webdataset", "lerobot", "none"]
 PictureFormat = Literal["jpg", "png"]
+DepthFiles = Literal["png", "npy", "both"]
 Halting = Literal["paper", "gn0-release", "none"]
 Schedule = Literal["constant", "power", "first"]
 Backend = Literal["cpu", "cuda"]
@@ -28,12 +28,14 @@ class PictureSettings(Config, frozen=True):
             leaves poses and labels without the hashes of pictures.
         format: of single pictures: jpg, or png for the very pixels.
         quality: of jpg, 1 to 100.
-        maps: the BEV and the occupancy picture once a scene and light, the two dots drawn on
-            reading ("once"), or in every sample ("every").
+        maps: the BEV and the occupancy picture in every sample ("every"), or once a scene and
+            light beside the shards or videos, the two dots drawn on reading ("once").
         crf: constant rate factor of AV1 videos, 0 (best) to 63.
         visible_sets: draw from the splats that show near each place: quicker, and nearly the same
             pictures (at least 60 dB). Off, the pictures are exactly the simulator's.
         depth: store depth pictures as well, and hash them; unset in files where it is off.
+        depth_as: how a shard keeps depth: png (a third of the size; read it as 16 bits), npy
+            (right in every reader), or both; unset means png. LeRobot has a way of its own.
         backend: the renderer that draws, where it is not the CPU's: its pictures differ by
             rounding, so their hashes do, and they can only be made again by the same.
     """
@@ -41,10 +43,11 @@ class PictureSettings(Config, frozen=True):
     layout: CacheLayout = "webdataset"
     format: PictureFormat = "jpg"
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 90
-    maps: Literal["once", "every"] = "once"
+    maps: Literal["once", "every"] = "every"
     crf: Annotated[int, msgspec.Meta(ge=0, le=63)] = 30
     visible_sets: bool = False
     depth: bool | msgspec.UnsetType = msgspec.UNSET
+    depth_as: DepthFiles | msgspec.UnsetType = msgspec.UNSET
     backend: Literal["cuda"] | msgspec.UnsetType = msgspec.UNSET
 
     @property
@@ -52,21 +55,19 @@ class PictureSettings(Config, frozen=True):
         """Name of the renderer that draws."""
         return "cpu" if self.backend is msgspec.UNSET else self.backend
 
+    @property
+    def depth_files(self) -> tuple[str, ...]:
+        """Endings of the depth files of a sample; none where depth is not stored."""
+        if not self.depth:
+            return ()
+        kind = "png" if self.depth_as is msgspec.UNSET else self.depth_as
+        return ("npy", "png") if kind == "both" else (kind,)
+
     def __post_init__(self) -> None:
         if self.depth is False:  # one way to say it: files say nothing, as before there was depth
             msgspec.structs.force_setattr(self, "depth", msgspec.UNSET)
-        if self.layout == "lerobot" and self.depth:
-            raise ConfigError(
-                "LeRobot v3.0 has no settled way to keep depth: its videos have 8 bits",
-                where="--depth",
-                remedy="use layout webdataset, or leave depth out: Dataset.frames draws it",
-            )
-        if self.layout == "lerobot" and self.maps == "every":
-            raise ConfigError(
-                "a LeRobot feature has one size, and maps have that of their scene",
-                where="--maps every",
-                remedy="keep maps once, or use layout webdataset",
-            )
+        if self.depth is msgspec.UNSET:  # without depth there is no way to keep it
+            msgspec.structs.force_setattr(self, "depth_as", msgspec.UNSET)
 
 
 class TokenSettings(Config, frozen=True):

@@ -8,7 +8,7 @@ encoded once. Joined clips keep their packets too.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from gn0.data.lerobot_video import join_clips
 from gn0.errors import FormatError, RenderError, StorageError
 from gn0.geometry import U8
 
@@ -80,39 +81,6 @@ def cut_clip(clip: Clip, frames: int) -> bytes:
     if frames >= clip.frames:
         return clip.mp4
     return join_clips([clip.mp4], clip.fps, [frames])
-
-
-def join_clips(clips: Sequence[bytes], fps: int, take: Sequence[int] | None = None) -> bytes:
-    """One MP4 of clips one after another; packets are copied, times run on without a gap.
-
-    Args:
-        clips: MP4 files of one size and codec.
-        fps: frames a second of all of them.
-        take: frames to take of each; all by default.
-    """
-    import av
-
-    stream, done = io.BytesIO(), 0
-    with av.open(stream, "w", format="mp4") as out:
-        target: Any = None
-        for number, data in enumerate(clips):
-            with av.open(io.BytesIO(data), "r") as clip:
-                source = clip.streams.video[0]
-                if target is None:
-                    target = out.add_stream_from_template(source)
-                    target.time_base = Fraction(1, fps)
-                taken = 0
-                for packet in clip.demux(source):
-                    if packet.dts is None or (take is not None and taken >= take[number]):
-                        continue
-                    packet.stream = target
-                    packet.time_base = Fraction(1, fps)
-                    packet.pts = packet.dts = done + taken
-                    packet.duration = 1
-                    out.mux(packet)
-                    taken += 1
-                done += taken
-    return stream.getvalue()
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ class ExportSettings(Config, frozen=True):
             is left over is dropped and counted.
         vocabulary: a VLN-CE R2R file whose words tokens are of (VLN-CE, VLN-PE); "" means a list
             of the dataset's own, which R2R's models misread.
+        depth: depth pictures also where the dataset stores none (lerobot-v3).
         name: name of the data in ids and paths of the format.
     """
 
@@ -54,6 +55,7 @@ class ExportSettings(Config, frozen=True):
     views: tuple[str, ...] = ("n1_125cm_0deg", "n1_125cm_30deg")
     merge_turns: bool = False
     vocabulary: str = ""
+    depth: bool = False
     name: str = "gn0"
 
     def __post_init__(self) -> None:

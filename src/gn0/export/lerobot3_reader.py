@@ -1,4 +1,8 @@
-"""LeRobot v3.0, reading: the layout, what its own loader takes for granted, and the way back."""
+"""LeRobot v3.0, reading: the layout, what its own loader takes for granted, and the way back.
+
+Reads what `gn0.data.lerobot_schema` names, and what versions before it wrote: one camera, fewer
+columns.
+"""
 
 from __future__ import annotations
 
@@ -10,35 +14,33 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
+from gn0.data.cache import decode_depth
+from gn0.data.lerobot_schema import (
+    DATA_PATH,
+    DEPTH_KEY,
+    EPISODES,
+    FEATURES,
+    STATS,
+    TASKS,
+    TEXT,
+    VERSION,
+    VIDEO_PATH,
+    VIDEOS,
+)
+from gn0.data.lerobot_tables import frame_columns
 from gn0.errors import FormatError
 from gn0.export.clips import inspect_clip, read_clip
 from gn0.export.faults import Faults, load_typed
+from gn0.export.pictures import picture_size
 from gn0.export.trips import Frame, Recovered
 from gn0.missions.files import read_table
+from gn0.storage import safe_join
 
-VERSION = "v3.0"
-CAMERA = "observation.images.front"
-FPS = 10
-DATA_MB, VIDEO_MB = 100, 200  # a file is closed before it grows over this
-PARTS = "parts"  # of episodes, until they are put together
-DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-EPISODES, TASKS = "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"
-FILES_A_CHUNK = 1000
-FEATURES: dict[str, tuple[str, list[int], list[str] | None]] = {
-    "observation.state": ("float32", [3], ["x", "y", "yaw"]),
-    "action": ("float32", [3], ["forward", "left", "yaw"]),
-    "label.discrete": ("int64", [1], None),
-    "label.ahead": ("int64", [6], None),
-    "next.done": ("bool", [1], None),
-    "timestamp": ("float32", [1], None),
-    "frame_index": ("int64", [1], None),
-    "episode_index": ("int64", [1], None),
-    "index": ("int64", [1], None),
-    "task_index": ("int64", [1], None),
-}
-LABELS = ("observation.state", "action", "label.discrete", "label.ahead", "next.done")
-ARROW = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+OLD_CAMERA = "observation.images.front"  # of exports before there was one schema
+_OLD = (
+    "observation.state", "action", "label.discrete", "label.ahead", "next.done", "timestamp",
+    "frame_index", "episode_index", "index", "task_index",
+)  # fmt: skip
 
 
 class Info(msgspec.Struct):
@@ -64,11 +66,20 @@ class EpisodeRow:
     length: int
     first: int
     data: tuple[int, int]
-    video: tuple[int, int]
-    begin: float
-    end: float
+    videos: dict[str, Span]
     id: str
     scene: str
+    beside: tuple[str, ...]
+    map_size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Span:
+    """Where an episode is in a video: chunk and file, and the seconds."""
+
+    file: tuple[int, int]
+    begin: float
+    end: float
 
 
 def check_folder(folder: Path) -> list[str]:
@@ -76,12 +87,14 @@ def check_folder(folder: Path) -> list[str]:
     faults = Faults()
     with faults.guard():
         info = load_typed(folder / "meta/info.json", Info)
-        rows = _load_rows(folder)
+        rows = _load_rows(folder, _videos(info))
         _check_info(info, rows, folder, faults)
         _check_tasks(info, rows, folder, faults)
         _check_data(info, rows, folder, faults)
-        _check_videos(info, rows, folder, faults)
-        load_typed(folder / "meta/stats.json", dict[str, dict[str, Any]])
+        for key in _videos(info):
+            _check_video(key, info, rows, folder, faults)
+        _check_beside(rows, folder, faults)
+        _check_stats(info, folder, faults)
     return faults.told()
 
 
@@ -92,20 +105,44 @@ def load_folder(folder: Path) -> list[Recovered]:
         StorageError, FormatError: missing or damaged.
     """
     info = load_typed(folder / "meta/info.json", Info)
-    return [_recover(row, info, folder) for row in _load_rows(folder)]
+    return [_recover(row, info, folder) for row in _load_rows(folder, _videos(info))]
 
 
-def _load_rows(folder: Path) -> list[EpisodeRow]:
+def _is_old(info: Info) -> bool:
+    """Whether an earlier version wrote it, with one camera."""
+    return OLD_CAMERA in info.features
+
+
+def _videos(info: Info) -> list[str]:
+    """Names of the features that are videos."""
+    found = [name for name, own in info.features.items() if own.get("dtype") == "video"]
+    wanted = OLD_CAMERA if _is_old(info) else VIDEOS["rgb"]
+    if wanted not in found:
+        raise FormatError(
+            f"no video {wanted!r} among the features", field="features", remedy="export it again"
+        )
+    return found
+
+
+def _load_rows(folder: Path, videos: list[str]) -> list[EpisodeRow]:
     path = folder / EPISODES
     table = read_table(path)
-    video = f"videos/{CAMERA}"
+    extra: dict[str, type | tuple[type, ...]] = {}
+    if OLD_CAMERA not in videos:
+        extra = {
+            "map.width": int, "map.height": int, "map.bev": str, "map.occupancy": str,
+            "goal_picture": str,
+        }  # fmt: skip
+    for key in videos:
+        extra |= {
+            f"videos/{key}/chunk_index": int, f"videos/{key}/file_index": int,
+            f"videos/{key}/from_timestamp": float, f"videos/{key}/to_timestamp": float,
+        }  # fmt: skip
     kinds: dict[str, type | tuple[type, ...]] = {
         "episode_index": int, "tasks": list, "length": int, "dataset_from_index": int,
         "dataset_to_index": int, "data/chunk_index": int, "data/file_index": int,
-        f"{video}/chunk_index": int, f"{video}/file_index": int,
-        f"{video}/from_timestamp": float, f"{video}/to_timestamp": float,
         "meta/episodes/chunk_index": int, "meta/episodes/file_index": int,
-        "gn0_id": str, "gn0_scene": str,
+        "gn0_id": str, "gn0_scene": str, **extra,
     }  # fmt: skip
     missing = [name for name in kinds if name not in table.column_names]
     if missing:
@@ -123,12 +160,26 @@ def _load_rows(folder: Path) -> list[EpisodeRow]:
             EpisodeRow(
                 row["episode_index"], row["tasks"], row["length"], row["dataset_from_index"],
                 (row["data/chunk_index"], row["data/file_index"]),
-                (row[f"{video}/chunk_index"], row[f"{video}/file_index"]),
-                row[f"{video}/from_timestamp"], row[f"{video}/to_timestamp"],
+                {key: _span(row, f"videos/{key}") for key in videos},
                 row["gn0_id"], row["gn0_scene"],
+                tuple(row.get(k, "") for k in ("map.bev", "map.occupancy", "goal_picture")),
+                (row.get("map.width", 0), row.get("map.height", 0)),
             )
         )  # fmt: skip
     return rows
+
+
+def _span(row: dict[str, Any], key: str) -> Span:
+    return Span(
+        (row[f"{key}/chunk_index"], row[f"{key}/file_index"]),
+        row[f"{key}/from_timestamp"], row[f"{key}/to_timestamp"],
+    )  # fmt: skip
+
+
+def _columns(info: Info) -> dict[str, pa.DataType]:
+    """Name and type of each column of a data file."""
+    columns = frame_columns(DEPTH_KEY in info.features)
+    return {name: columns[name] for name in _OLD} if _is_old(info) else columns
 
 
 def _check_info(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults) -> None:
@@ -141,8 +192,10 @@ def _check_info(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults
     faults.expect(
         (info.data_path, info.video_path) == (DATA_PATH, VIDEO_PATH), f"{where}: other paths"
     )
-    wanted = [CAMERA, *FEATURES]
-    faults.expect(set(info.features) == set(wanted), f"{where}: features are {list(info.features)}")
+    faults.expect(
+        set(info.features) == {*_columns(info), *_videos(info)},
+        f"{where}: features are {list(info.features)}",
+    )
     first = 0
     for number, row in enumerate(rows):
         faults.expect(
@@ -178,11 +231,10 @@ def _check_tasks(info: Info, rows: list[EpisodeRow], folder: Path, faults: Fault
         )
 
 
-def _data(folder: Path, file: tuple[int, int]) -> pa.Table:
+def _data(folder: Path, file: tuple[int, int], info: Info) -> pa.Table:
     path = folder / DATA_PATH.format(chunk_index=file[0], file_index=file[1])
     table = read_table(path)
-    for name, (kind, shape, _) in FEATURES.items():
-        wanted = ARROW[kind] if shape == [1] else pa.list_(ARROW[kind], shape[0])
+    for name, wanted in _columns(info).items():
         if name not in table.column_names or table.schema.field(name).type != wanted:
             raise FormatError(f"column is missing or not {wanted}", file=path, field=name)
         if table.column(name).null_count:
@@ -193,7 +245,7 @@ def _data(folder: Path, file: tuple[int, int]) -> pa.Table:
 def _check_data(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults) -> None:
     for file in dict.fromkeys(row.data for row in rows):
         own = [row for row in rows if row.data == file]
-        table = _data(folder, file)
+        table = _data(folder, file, info)
         where = folder / DATA_PATH.format(chunk_index=file[0], file_index=file[1])
         wanted = np.concatenate([np.full(row.length, row.index) for row in own])
         found = np.asarray(table.column("episode_index").to_numpy())
@@ -212,50 +264,94 @@ def _check_data(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults
             np.array_equal(table.column("index").to_numpy(), np.arange(len(found)) + own[0].first),
             f"{where}: index does not count on",
         )
+        if DEPTH_KEY in info.features:
+            shape = info.features[DEPTH_KEY].get("shape")
+            for cell in table.column(DEPTH_KEY):
+                depth = decode_depth(cell.as_py()["bytes"] or b"", where, DEPTH_KEY)
+                if not faults.expect(
+                    [*depth.shape, 1] == shape, f"{where}: a depth picture of {depth.shape}"
+                ):
+                    break
 
 
-def _check_videos(info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults) -> None:
-    shape = info.features.get(CAMERA, {}).get("shape")
-    for file in dict.fromkeys(row.video for row in rows):
-        own = [row for row in rows if row.video == file]
-        path = folder / VIDEO_PATH.format(video_key=CAMERA, chunk_index=file[0], file_index=file[1])
+def _check_video(
+    key: str, info: Info, rows: list[EpisodeRow], folder: Path, faults: Faults
+) -> None:
+    """Episodes may share frames, so their spans are looked at, and not a sum of lengths."""
+    shape = info.features[key].get("shape")
+    for file in dict.fromkeys(row.videos[key].file for row in rows):
+        own = [row for row in rows if row.videos[key].file == file]
+        path = folder / VIDEO_PATH.format(video_key=key, chunk_index=file[0], file_index=file[1])
         facts = inspect_clip(path)
-        faults.expect(
-            facts.frames == sum(row.length for row in own),
-            f"{path}: {facts.frames} frames for {sum(row.length for row in own)} in the tables",
-        )
         faults.expect(
             abs(facts.fps - info.fps) < 1e-6 and [facts.height, facts.width, 3] == shape,
             f"{path}: {facts.width}x{facts.height} at {facts.fps:g}, info.json says otherwise",
         )
-        done = 0
+        reached = 0
         for row in own:
-            off = abs(row.begin - done / info.fps) + abs(row.end - (done + row.length) / info.fps)
+            span = row.videos[key]
+            first = round(span.begin * info.fps)
+            off = abs(span.begin - first / info.fps)
+            off += abs(span.end - (first + row.length) / info.fps)
             faults.expect(off < 1e-6, f"{folder / EPISODES}: times of episode {row.index} are off")
-            done += row.length
+            faults.expect(
+                0 <= first <= reached, f"{path}: frames {reached} to {first} belong to nobody"
+            )
+            reached = max(reached, first + row.length)
+        faults.expect(
+            facts.frames == reached, f"{path}: {facts.frames} frames for {reached} in the tables"
+        )
+
+
+def _check_beside(rows: list[EpisodeRow], folder: Path, faults: Faults) -> None:
+    """The exact maps and goal pictures that rows name."""
+    sizes: dict[str, tuple[int, int] | None] = {}
+    for row in rows:
+        for number, path in enumerate(row.beside):
+            if path:
+                sizes[path] = row.map_size if number < 2 else None
+    for path, size in sizes.items():
+        with faults.guard():
+            found = picture_size(safe_join(folder, path))
+            faults.expect(size in (None, found), f"{folder / path}: {found}, its row says {size}")
+
+
+def _check_stats(info: Info, folder: Path, faults: Faults) -> None:
+    stats = load_typed(folder / STATS, dict[str, dict[str, Any]])
+    texts = {name for name, own in FEATURES.items() if own.dtype == TEXT}
+    missing = set(info.features) - texts - set(stats) - ({"next.done"} if _is_old(info) else set())
+    faults.expect(not missing, f"{folder / STATS}: lacks {', '.join(sorted(missing))}")
 
 
 def _recover(row: EpisodeRow, info: Info, folder: Path) -> Recovered:
-    table = _data(folder, row.data)
+    table = _data(folder, row.data, info)
     mask = np.asarray(table.column("episode_index").to_numpy()) == row.index
     if int(mask.sum()) != row.length or row.length < 1 or info.fps < 1:
         raise FormatError(f"frames of episode {row.index} are missing", file=folder)
-    own = table.filter(pa.array(mask))
-    state = own.column("observation.state").combine_chunks()
+    own = table.filter(pa.array(mask)).combine_chunks()
+    state = pa.concat_arrays([c.flatten() for c in own.column("observation.state").chunks])
     actions = np.asarray(own.column("label.discrete").to_numpy())
+    camera = OLD_CAMERA if _is_old(info) else VIDEOS["rgb"]
+    span = row.videos[camera]
     path = folder / VIDEO_PATH.format(
-        video_key=CAMERA, chunk_index=row.video[0], file_index=row.video[1]
+        video_key=camera, chunk_index=span.file[0], file_index=span.file[1]
     )
-    first = round(row.begin * info.fps)
-    flat = state.flatten() if isinstance(state, pa.Array) else pa.concat_arrays(
-        [chunk.flatten() for chunk in state.chunks]
-    )  # fmt: skip
+    first = round(span.begin * info.fps)
+    deep = own.column(DEPTH_KEY) if DEPTH_KEY in own.column_names else None
+
+    def picture(pose: int) -> Frame:
+        depth = None
+        if deep is not None:
+            data = deep[pose].as_py()["bytes"]
+            depth = decode_depth(data, folder, DEPTH_KEY).astype(np.float32) / np.float32(1000)
+        return Frame(read_clip(path, first + pose, 1)[0], depth)
+
     return Recovered(
         id=row.id,
         scene=row.scene,
         instruction=row.tasks[0],
         frames=row.length,
         moves=tuple(int(a) for a in actions[:-1]),
-        poses=np.asarray(flat.to_numpy(), np.float64).reshape(-1, 3),
-        picture=lambda pose: Frame(read_clip(path, first + pose, 1)[0], None),
+        poses=np.asarray(state.to_numpy(), np.float64).reshape(-1, 3),
+        picture=picture,
     )

@@ -10,11 +10,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from gn0.data.dataset import Dataset, open_dataset
+from gn0.data.draw import bare_map, eyes_of
+from gn0.data.pictures import goal_picture, map_picture
 from gn0.data.samples import EpisodeRows
-from gn0.export.trips import STOP, ExportSource, Frame, SceneCard, Sensors, Trip
-from gn0.geometry import F64, Pose2D
+from gn0.export.trips import STOP, ExportSource, Frame, MapView, SceneCard, Sensors, Trip
+from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.grid import OccupancyGrid
-from gn0.missions.episode import Episode
+from gn0.missions.episode import Episode, MissionGoal
 from gn0.scenes.folder import load_scene_file
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset, find_preset
@@ -54,6 +56,7 @@ def open_source(path: Path | str, *, exact: bool = False) -> ExportSource:
         trips=lambda: _trips(dataset),
         grid=lambda scene: _grid(dataset, scene),
         eyes=DatasetEyes(dataset, exact),
+        depth=about.stores_depth,
     )
 
 
@@ -82,6 +85,7 @@ def build_trip(episode: Episode, rows: EpisodeRows) -> Trip:
         ahead=np.asarray(rows.actions, np.int8),
         stopped=bool(moves[-1] == STOP),
         source=rows.source,
+        rows=rows,
     )
 
 
@@ -116,6 +120,21 @@ class DatasetEyes:
                 yield Frame(
                     None if rgb is None else rgb[number], None if depth is None else depth[number]
                 )
+
+    def maps(self, trip: Trip) -> MapView:
+        """See `Eyes.maps`."""
+        eyes = self._own_eyes(trip.episode)
+        return MapView(eyes.map_frame, map_picture(eyes), bare_map(eyes)[0])
+
+    def goal(self, trip: Trip) -> U8 | None:
+        """See `Eyes.goal`."""
+        if not isinstance(trip.episode.mission, MissionGoal):
+            return None
+        return goal_picture(self._own_eyes(trip.episode), trip.episode)
+
+    def _own_eyes(self, episode: Episode) -> SensorSuite:
+        """The dataset's own eyes, which it keeps."""
+        return eyes_of(self.dataset).of(episode)
 
     def _suite(self, episode: Episode, preset: CameraPreset) -> SensorSuite:
         light = episode.light

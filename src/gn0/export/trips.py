@@ -13,11 +13,13 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.data.samples import EpisodeRows
 from gn0.errors import EpisodeError
 from gn0.geometry import F32, F64, U8
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import Episode
 from gn0.sim.presets import CameraPreset
+from gn0.sim.sensors import MapFrame
 
 STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3
 Sensors = tuple[Literal["rgb", "depth"], ...]
@@ -32,6 +34,14 @@ class Frame(NamedTuple):
     depth: F32 | None
 
 
+class MapView(NamedTuple):
+    """The maps that an agent is shown: their frame, BEV [H, W, 3], bare occupancy [H, W, 3]."""
+
+    frame: MapFrame
+    bev: U8
+    bare: U8
+
+
 @dataclass(frozen=True, eq=False)
 class Trip:
     """An episode and how it was walked.
@@ -43,6 +53,7 @@ class Trip:
         ahead: [N+1, K] what should be done next at each pose, filled up with STOP.
         stopped: whether it ended with STOP.
         source: "expert", or "dagger" for a walk of a policy with the expert's labels.
+        rows: its samples, a row a pose: waypoints, map tokens, distances; None where unknown.
     """
 
     episode: Episode
@@ -51,6 +62,7 @@ class Trip:
     ahead: NDArray[np.int8]
     stopped: bool = True
     source: str = "expert"
+    rows: EpisodeRows | None = None
 
     def __post_init__(self) -> None:
         n = len(self.moves)
@@ -91,6 +103,14 @@ class Eyes(Protocol):
         """Pictures at other poses [K, 3] of the trip's scene, or through another camera."""
         ...
 
+    def maps(self, trip: Trip) -> MapView:
+        """The maps of the trip's scene, in its light."""
+        ...
+
+    def goal(self, trip: Trip) -> U8 | None:
+        """What its goal looks like [H, W, 3], through the dataset's camera; None without one."""
+        ...
+
 
 class SceneCard(NamedTuple):
     """What a reader should know of a scene: id, source, licence, content hash."""
@@ -113,6 +133,7 @@ class ExportSource:
         trips: gives every trip, always in the same order.
         grid: the map of a scene.
         eyes: makes pictures.
+        depth: whether the dataset stores depth.
     """
 
     name: str
@@ -122,6 +143,7 @@ class ExportSource:
     trips: Callable[[], Iterable[Trip]]
     grid: Callable[[str], OccupancyGrid]
     eyes: Eyes
+    depth: bool = False
 
     def frames(self, trip: Trip, preset: CameraPreset, sensors: Sensors) -> Iterator[Frame]:
         """The pictures at a trip's poses through a camera, the dataset's own where it is that."""

@@ -31,8 +31,8 @@ EPISODES = 24
 ROUNDS = 3
 KILLS = 200
 LAYOUTS = {
-    "webdataset": "tar shards, jpg quality 90",
-    "lerobot": "AV1 crf 30, two videos",
+    "webdataset": "tar shards with maps and goals, jpg quality 90",
+    "lerobot": "AV1 crf 30, five videos",
 }
 SIZE = "FPV 480x360, mosaic 640x480"
 

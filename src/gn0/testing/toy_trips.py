@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from functools import cache
 
 import numpy as np
 from msgspec.structs import replace
 
-from gn0.data.labels import plan_expert, window_actions
-from gn0.export.trips import ExportSource, Frame, SceneCard, Sensors, Trip
+from gn0.data.codec import encode_waypoints
+from gn0.data.labels import label_along, plan_expert
+from gn0.data.samples import EpisodeRows
+from gn0.export.source import build_trip
+from gn0.export.trips import ExportSource, Frame, MapView, SceneCard, Sensors, Trip
 from gn0.geometry import F32, F64, U8, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import cast_rays
-from gn0.missions.episode import Episode, MissionInstruction
+from gn0.missions.episode import Episode, MissionGoal, MissionInstruction
 from gn0.render.camera import Camera
 from gn0.sim.presets import CameraPreset
+from gn0.sim.sensors import MapFrame, paint_grid
 from gn0.storage import content_hash
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
 
@@ -25,6 +30,9 @@ TOY_CAMERA = CameraPreset(
     rgb=Camera.from_hfov(96, 72, 90.0),
     depth=Camera.from_hfov(48, 36, 90.0),
 )
+_ROWS = (
+    "poses", "executed", "actions", "waypoints", "pixels", "valid", "distance", "collided",
+)  # fmt: skip
 RING = 720  # rays around the eye
 REACH = 10.0  # m
 
@@ -58,6 +66,20 @@ class ToyEyes:
             if "depth" in sensors:
                 depth = _depth(preset.depth, view, height, ring)
             yield Frame(rgb, depth)
+
+    def maps(self, trip: Trip) -> MapView:
+        """The floor plan, in colours from above."""
+        grid = self._grids[trip.episode.scene_id]
+        frame = MapFrame.of_grid(grid)
+        bare = paint_grid(grid, frame)
+        return MapView(frame, bare // np.array([1, 2, 3], np.uint8), bare)
+
+    def goal(self, trip: Trip) -> U8 | None:
+        """The view of a goal mission from where its path ends."""
+        if not isinstance(trip.episode.mission, MissionGoal):
+            return None
+        camera = replace(TOY_CAMERA, agent=trip.episode.agent)
+        return next(self.look(trip, trip.poses[-1:], camera, ("rgb",))).rgb
 
 
 def _depth(camera: Camera, view: F64, height: float, ring: F32) -> F32:
@@ -125,21 +147,29 @@ def build_toy_trips(
 
 def _walk(episode: Episode, navigation: NavigationMap) -> Trip:
     poses, actions = plan_expert(navigation, episode)
-    return Trip(
-        episode=episode,
-        poses=np.asarray(poses[: len(actions)], np.float64),
-        moves=np.asarray(actions[:-1], np.int8),
-        ahead=window_actions(actions),
+    labels = label_along(navigation, episode, poses, actions)
+    frame = MapFrame.of_grid(navigation.grid)
+    rows = EpisodeRows(
+        episode_id=episode.id,
+        poses=poses[:-1],
+        executed=actions,
+        actions=labels.actions6,
+        waypoints=labels.waypoints,
+        pixels=encode_waypoints(frame, labels.waypoints, poses[:-1]),
+        valid=labels.valid,
+        distance=navigation.geodesic(episode.goal).distance(poses[:-1, :2]).astype(np.float32),
+        collided=np.zeros(len(actions), bool),
     )
+    return build_trip(episode, rows)
 
 
 def _end_of(trip: Trip, frames: int) -> Trip:
     x, y, yaw = map(float, trip.poses[-frames])
     episode = replace(trip.episode, start=(x, y, yaw), path=((x, y), trip.episode.goal))
-    return Trip(
-        episode, trip.poses[-frames:], trip.moves[len(trip.moves) - frames + 1 :],
-        trip.ahead[-frames:],
-    )  # fmt: skip
+    rows = trip.rows
+    assert rows is not None
+    cut = {name: getattr(rows, name)[-frames:] for name in _ROWS}
+    return build_trip(episode, dataclasses.replace(rows, **cut))
 
 
 def build_toy_source(trips: Sequence[Trip], grids: dict[str, OccupancyGrid]) -> ExportSource:

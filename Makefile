@@ -1,12 +1,13 @@
 # The front door: `make demo` shows what GN0 does, `make test` proves it.
 PYTHON ?= python3
 VENV ?= .venv
+READERS ?= .venv-readers
 BIN := $(VENV)/bin
 OUT ?= out/demo
 TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
-.PHONY: install dev demo test search faults coverage lint types package figures pictures clean
+.PHONY: install dev demo test readers search faults coverage lint types package figures pictures clean
 
 install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
 
@@ -35,6 +36,18 @@ types: dev
 test: dev lint types ## everything a change must pass (under 20 min on two cores)
 	$(BIN)/pytest -m 'not exhaustive' -n $(TEST_WORKERS) --dist loadgroup --durations=25 $(PYTEST_FLAGS)
 
+readers: $(READERS)/.installed ## the real LeRobot, webdataset, datasets and pandas open what GN0 writes
+	PYTHONPATH=tests/readers/stubs HF_HUB_OFFLINE=1 GN0_READERS=docs/readers.json \
+	  $(READERS)/bin/python -m pytest -p no:cacheprovider -ra tests/readers $(PYTEST_FLAGS)
+
+# torch first and by itself; LeRobot pins an older one, so it comes without what it asks for
+$(READERS)/.installed: pyproject.toml .ci/readers.txt
+	$(PYTHON) -m venv $(READERS)
+	$(READERS)/bin/pip install $(PIP_FLAGS) torch==2.13.0
+	$(READERS)/bin/pip install $(PIP_FLAGS) -e . -r .ci/readers.txt
+	$(READERS)/bin/pip install $(PIP_FLAGS) --no-deps lerobot==0.4.4
+	@touch $@
+
 search: dev ## property tests on fresh random examples: what they find becomes an @example
 	$(BIN)/pytest -m hypothesis --hypothesis-profile=search -n $(TEST_WORKERS) --dist loadgroup $(PYTEST_FLAGS)
 
@@ -55,4 +68,4 @@ pictures: demo ## refresh the README's pictures from the demo's own output
 	$(BIN)/python docs/refresh_pictures.py $(OUT)
 
 clean:
-	rm -rf $(VENV) out .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(READERS) out .pytest_cache .mypy_cache .ruff_cache

@@ -130,3 +130,15 @@ def load_yaml(path: Path | str, *, remedy: str = "correct the file") -> Any:
         FormatError: see `decode_yaml`.
     """
     return decode_yaml(read_bytes(path, LIMIT), file=path, remedy=remedy)
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Writes what the loader reads: a value that is met twice is written twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def encode_yaml(value: Any) -> str:
+    """Plain values as YAML, keys in their order, without aliases."""
+    return yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)

@@ -10,8 +10,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import yaml
-
 from gn0.data.cache import cache_folder, write_recorded
 from gn0.data.dataset import Dataset, FileRecord
 from gn0.data.samples import DEPTH, PICTURES
@@ -20,6 +18,7 @@ from gn0.missions.episode import MissionGoal
 from gn0.scenes.folder import load_scene_file
 from gn0.sim.presets import find_preset
 from gn0.storage import safe_join
+from gn0.yaml_file import encode_yaml
 
 CARD = "README.md"
 MIXED = "mixed"  # split of the shards whose episodes are of several
@@ -46,7 +45,7 @@ def describe_card(dataset: Dataset, settings: PictureSettings) -> str:
         scene.id: load_scene_file(safe_join(dataset.folder, scene.folder)).licence
         for scene in dataset.about.scenes
     }
-    head = yaml.safe_dump(_head(dataset, settings, licences), sort_keys=False, allow_unicode=True)
+    head = encode_yaml(_head(dataset, settings, licences))
     return f"---\n{head}---\n\n" + "\n".join(_body(dataset, settings, licences)) + "\n"
 
 

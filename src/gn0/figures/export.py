@@ -6,7 +6,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from gn0.bench.suite import save_suite
+from gn0.config import load_json
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.export.exporter import ExportSettings, dataset_exporter_names, get_dataset_exporter
@@ -15,7 +18,14 @@ from gn0.export.session import check_export, run_export
 from gn0.export.source import open_source
 from gn0.export.trips import ExportSource, Trip, differing_fields
 from gn0.export.vlnce import MAPS, R2R_SHAPE, TRUTH_SHAPE
-from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_most
+from gn0.figures.board import (
+    Figure,
+    FigureContext,
+    FigureRow,
+    FigureSkipped,
+    row_at_least,
+    row_at_most,
+)
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
 from gn0.missions.sets.json_file import load_exact
@@ -26,6 +36,7 @@ from gn0.testing.toy_trips import toy_source, toy_source_for
 
 REAL = "vln/R2R_VLNCE_v1-2_preprocessed"
 EPISODES = 4
+READER_CHECKS = 14
 TOY = "6 trips with two missions of a path, in 2 floor plans"
 
 
@@ -44,8 +55,8 @@ def _flat(ctx: FigureContext) -> ExportSource:
 
 def _round_trip(
     source: ExportSource, name: str, out: Path, settings: ExportSettings
-) -> tuple[int, int, int, float, float]:
-    """(fields that differ, faults, files, seconds, difference of pictures) of one export."""
+) -> tuple[int, int, int, int, float, float]:
+    """(fields that differ, faults, files, frames or episodes, seconds, difference of pictures)."""
     exporter = get_dataset_exporter(name)
     begin = time.perf_counter()
     done = run_export(source, name, out, settings)
@@ -65,7 +76,8 @@ def _round_trip(
             off, _ = picture_difference(exporter, source, trip, recovered, settings)
             colour = max(colour, off)
     files = sum(path.is_file() for path in out.rglob("*"))
-    return differing, len(check_export(out)), files, seconds, colour
+    amount = done.frames if exporter.pictures else done.written
+    return differing, len(check_export(out)), files, amount, seconds, colour
 
 
 def measure_round_trips(ctx: FigureContext) -> list[FigureRow]:
@@ -75,7 +87,7 @@ def measure_round_trips(ctx: FigureContext) -> list[FigureRow]:
     names = dataset_exporter_names()
     for done, name in enumerate(names):
         ctx.progress("formats", done, len(names))
-        sums = [0, 0, 0]
+        sums = [0, 0, 0, 0]
         seconds = colour = 0.0
         for kind, source in (("toy", toy_source_for(name)), ("flat", flat)):
             out = ctx.work / f"{kind}-{name}"
@@ -96,15 +108,46 @@ def measure_round_trips(ctx: FigureContext) -> list[FigureRow]:
                     f"{detail}; first, middle and last picture of each episode",
                 )
             )
+        what = "frames" if get_dataset_exporter(name).pictures else "episodes"
         rows.append(
             FigureRow(
-                name=f"{name}, time to export",
-                value=seconds,
-                unit="s",
-                detail=f"{detail}; rendering, encoding and disk",
+                name=f"{name}, rate",
+                value=sums[3] / seconds,
+                unit=f"{what}/s",
+                detail=f"{detail}; {sums[3]} {what} in {seconds:.2f} s: rendering, encoding, disk",
             )
         )
     return rows
+
+
+class ReadersResult(msgspec.Struct):
+    """What `make readers` wrote into docs/readers.json."""
+
+    date: str
+    versions: dict[str, str]
+    passed: int
+    failed: int
+    skipped: int
+    seconds: float
+
+
+def measure_readers(ctx: FigureContext) -> list[FigureRow]:
+    """The last result of `make readers`: the packages of others over what we write."""
+    path = Path(__file__).parents[3] / "docs/readers.json"
+    if not path.is_file():
+        raise FigureSkipped("no docs/readers.json: run `make readers` in a checkout")
+    last = load_json(path, ReadersResult)
+    packages = ", ".join(f"{name} {version}" for name, version in last.versions.items() if version)
+    detail = (
+        f"`make readers` of {last.date}: {packages}; torchvision stubbed; every field of the "
+        "LeRobot cache and export, of shards alone, of the card's head, of exported tables"
+    )
+    return [
+        row_at_most("readers of others, checks that fail", last.failed, 0, "checks", detail),
+        row_at_most("readers of others, checks not run", last.skipped, 0, "checks", detail),
+        row_at_least("readers of others, checks that pass", last.passed, READER_CHECKS, "checks",
+                     detail),
+    ]  # fmt: skip
 
 
 def measure_vlnce_shape(ctx: FigureContext) -> list[FigureRow]:
@@ -141,6 +184,7 @@ def _shapes(document: Path, truth: Path) -> tuple[Any, Any]:
 
 
 FIGURES = [
+    Figure("data.export.readers", "Exports in the packages of others", measure_readers, 0.1),
     Figure("data.export.roundtrip", "Exports: round trips and checks", measure_round_trips, 4.0),
     Figure("data.export.vlnce", "VLN-CE export beside the real files", measure_vlnce_shape, 0.5),
 ]

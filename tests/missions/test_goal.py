@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 from gn0.errors import EpisodeError, PlanError
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
+from gn0.missions.alike import build_targets, describe_target
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.filters import PathFilter, SimilaritySettings, discrete_frechet, path_signature
 from gn0.missions.goal import check_episode_fits, plain_name, sample_goal_episodes
 from gn0.missions.paths import densify_path, plan_reference, rasterise_path, resample_path
 from gn0.missions.targets import (
-    build_targets,
-    describe_target,
     distance_to_footprint,
     find_standing_cell,
     is_goal_worthy,
@@ -171,7 +170,7 @@ def test_instructions_name_room_and_neighbour_where_that_helps() -> None:
     scene = make_scene(objects=chairs)
     texts = [describe_target(scene, item) for item in chairs]
     assert texts == [
-        "Go to the chair in the living room.",
+        "Go to a chair in the living room.",
         "Go to the chair next to the writing desk in the living room.",
         "Go to the writing desk in the living room.",
         "Go to the bed in the bedroom.",

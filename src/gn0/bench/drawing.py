@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gn0.geometry import F64, U8
+from gn0.maps.goals import GoalSet
 from gn0.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from gn0.scenes.scene import Scene
 
@@ -147,6 +148,7 @@ def path_marks(
     goal: tuple[float, float],
     collided: Sequence[int],
     success_radius: float,
+    goal_set: GoalSet | None = None,
 ) -> Markup:
     """Reference, path, collisions, start, goal and end as SVG elements.
 
@@ -157,10 +159,22 @@ def path_marks(
         goal: (x, y) [m].
         collided: indices of cut actions.
         success_radius: drawn round the goal as a straight distance [m].
+        goal_set: all that counts: the radius round each, or the outlines of areas.
     """
     gx, gy = window.place(np.array([goal]))[0]
+    reach = f'r="{success_radius * UNITS:.1f}"/>'
+    if goal_set is None:
+        there = [f'<circle class="reach" cx="{gx:.1f}" cy="{gy:.1f}" {reach}']
+    else:
+        spots = window.place(np.array(goal_set.points).reshape(-1, 2))
+        there = [f'<circle class="reach" cx="{x:.1f}" cy="{y:.1f}" {reach}' for x, y in spots]
+        there += [
+            f'<polygon class="reach" points="{_points(window, np.array(area))}"/>'
+            for area in goal_set.areas
+        ]
+        there += [f'<path class="goal other" d="{_star(x, y, 5.0)}"/>' for x, y in spots]
     parts = [
-        f'<circle class="reach" cx="{gx:.1f}" cy="{gy:.1f}" r="{success_radius * UNITS:.1f}"/>',
+        *there,
         f'<polyline class="reference" points="{_points(window, simplify(reference))}"/>',
     ]
     if len(path):

@@ -391,6 +391,7 @@ def _row(
             reference=np.array(episode.path, np.float64).reshape(-1, 2),
             path=np.array(trace.poses, np.float64).reshape(-1, 3)[:, :2],
             goal=episode.goal,
+            goal_set=episode.goal_set,
             collided=trace.collided,
             success_radius=suite.about.success_radius,
         ),

@@ -253,7 +253,7 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "goal_picture": _encoded(mission.picture if isinstance(mission, MissionGoal) else None),
         "path_source": episode.path_source,
         "agent_sliding": "yes" if agent.sliding else "",
-        "goal_set": _encoded(episode.goal_set),
+        "goal_set": encode_goal_set(episode.goal_set),
         "tier": episode.tier,
     }
 
@@ -453,7 +453,7 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
         path_id=cells["path_id"],
         light=_light(cells["light"]),
         path_source=_path_source(cells["path_source"]),
-        goal_set=_goal_set(cells["goal_set"]),
+        goal_set=decode_goal_set(cells["goal_set"]),
         tier=cells["tier"],
     )
 
@@ -492,11 +492,21 @@ def _light(text: str) -> LightCondition | None:
         ) from None
 
 
-def _encoded(value: GoalPicture | GoalSet | None) -> str:
-    return "" if value is None else msgspec.json.encode(value).decode()
+def _encoded(picture: GoalPicture | None) -> str:
+    return "" if picture is None else msgspec.json.encode(picture).decode()
 
 
-def _goal_set(text: str) -> GoalSet | None:
+def encode_goal_set(goals: GoalSet | None) -> str:
+    """A goal set as JSON; "" for none."""
+    return "" if goals is None else msgspec.json.encode(goals).decode()
+
+
+def decode_goal_set(text: str) -> GoalSet | None:
+    """A goal set from JSON; "" is none.
+
+    Raises:
+        EpisodeError: it is not one.
+    """
     if not text:
         return None
     try:

@@ -10,10 +10,11 @@ import numpy as np
 from gn0.errors import EpisodeError
 from gn0.geometry import F64
 from gn0.maps.grid import FREE
-from gn0.missions.episode import AgentSpec, Episode, MissionGoal, check_episode
+from gn0.missions.alike import build_targets, order_targets
+from gn0.missions.episode import VISIBLE_FROM_ABOVE, AgentSpec, Episode, MissionGoal, check_episode
 from gn0.missions.filters import PathFilter, SimilaritySettings
 from gn0.missions.paths import plan_reference
-from gn0.missions.targets import GoalTarget, build_targets
+from gn0.missions.targets import GoalTarget
 from gn0.progress import Progress, no_progress
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
@@ -111,9 +112,10 @@ def sample_goal_episodes(
 ) -> list[Episode]:
     """Goal episodes of one scene; the same arguments give the same episodes.
 
-    Targets are used in turn, in a seeded order. Near-duplicates are refused; only where the scene
-    is too small for `count` distinct tasks is the similarity threshold halved, never below exact
-    equality.
+    Categories of targets take turns, in a seeded order, and in each its instances. Whatever else
+    the words fit counts as well; the path leads to the nearest. Near-duplicates are refused; only
+    where the scene is too small for `count` distinct tasks is the similarity threshold halved,
+    never below exact equality.
 
     Args:
         scene: objects and rooms to name.
@@ -146,25 +148,30 @@ def sample_goal_episodes(
     episodes: list[Episode] = []
     filters = PathFilter(settings)
     rng = random_stream(seed, "goal episodes", scene.id)
-    order = [targets[i] for i in rng.permutation(len(targets))]
+    groups = order_targets(targets, rng)
+    taken = [0] * len(groups)
     hopeless: set[str] = set()  # targets with no start far enough away
     misses = 0
     turn = 0
     while len(episodes) < count:
-        target = order[turn % len(order)]
+        k = turn % len(groups)
         turn += 1
-        if len(hopeless) == len(order):
+        if len(hopeless) == len(targets):
             break
-        if target.object.id in hopeless:
+        group = [target for target in groups[k] if target.object.id not in hopeless]
+        if not group:
             continue
-        field = navigation.geodesic(target.goal)
+        target = group[taken[k] % len(group)]
+        taken[k] += 1
+        field = navigation.geodesic(target.destination)
         lengths = np.asarray(field.distance(starts.points), np.float64)
         chosen = starts.draw(lengths, minimum_length, maximum_length, rng)
         if chosen is None:
             hopeless.add(target.object.id)
             continue
         start = (float(starts.points[chosen, 0]), float(starts.points[chosen, 1]))
-        path = plan_reference(navigation, start, target.goal)
+        path = plan_reference(navigation, start, target.destination)
+        target = target.reached_at(float(path[-1, 0]), float(path[-1, 1]))
         if not filters.accept(path):
             misses += 1
             if misses >= ATTEMPTS_PER_EPISODE * count:
@@ -217,5 +224,7 @@ def _episode(
             split=split,
             seed=int(seed),
             agent=agent,
+            goal_set=target.goals,
+            tier=VISIBLE_FROM_ABOVE if target.from_above else "",
         )
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import PlanError
 from gn0.geometry import F64
+from gn0.maps.goals import GoalSet
 from gn0.maps.grid import OccupancyGrid
 
 if TYPE_CHECKING:
@@ -47,10 +48,12 @@ def densify_path(points: NDArray[np.floating], spacing: float = SPACING) -> F64:
 def plan_reference(
     navigation: NavigationMap,
     start: tuple[float, float],
-    goal: tuple[float, float],
+    goal: tuple[float, float] | GoalSet,
     spacing: float = SPACING,
 ) -> F64:
     """The shortest any-angle path [N, 2] m from start to goal on the agent's inflated map.
+
+    Of a set of goals it leads to the nearest.
 
     Paper, Alg. 'Goal-Conditioned Reference Trajectory Generation': search, line-of-sight
     simplification and resampling; the any-angle field does the first two at once.
@@ -66,10 +69,10 @@ def plan_reference(
         )
     line = np.asarray(field.path(*start), np.float64).reshape(-1, 2)
     if not len(line):
-        line = np.array([start, goal], np.float64)
+        line = np.array([start, field.goal], np.float64)
     if tuple(line[0]) != tuple(start):
         line = np.vstack([[start], line])
-    if tuple(line[-1]) != tuple(goal):
+    if not isinstance(goal, GoalSet) and tuple(line[-1]) != tuple(goal):
         line = np.vstack([line, [goal]])
     return densify_path(line, spacing)
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
-from gn0.maps.goals import points_in_polygon
+from gn0.maps.goals import GoalSet, points_in_polygon
 from gn0.maps.grid import FREE, OccupancyGrid
-from gn0.scenes.scene import Scene, SceneObject, SceneRoom
+from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneRoom
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
@@ -21,8 +20,9 @@ if TYPE_CHECKING:
 REACH = 1.5  # m from an object's footprint within which its standing cell must lie
 LOWEST_OUT_OF_REACH = 1.8  # m; what hangs above this is not somewhere one goes
 NEIGHBOUR_REACH = 2.0  # m within which another object tells two of a kind apart
+_OTHER_SIDE, _SIDES_APART = 0.5, 1.5  # m, see `find_standing_cells`
+PLACE_HEIGHT = 1.0  # m, of the box that stands for a place or a room
 SMALLEST_GOAL = 0.30  # m, longest side: nobody is sent across the house to a cup
-SMALLEST_LANDMARK = 0.50  # m, longest side
 
 # parts of the building and labels that say nothing
 NOT_A_GOAL = frozenset((
@@ -46,6 +46,11 @@ class GoalTarget:
         region: connected region of that cell.
         instruction: what to tell the agent; never empty.
         kind: an object, a room, or an unnamed place of a scene without labels.
+        goals: all places that its words fit, where there are several, or the areas of rooms.
+        places: the instances behind them, rooms in the order of the areas, and where one stands to
+            be at each.
+        middle: of a room, where there is most room; its picture is taken there.
+        from_above: whether the bird's-eye view shows it.
     """
 
     object: SceneObject
@@ -53,6 +58,29 @@ class GoalTarget:
     region: int
     instruction: str
     kind: Literal["object", "room", "place"] = "object"
+    goals: GoalSet | None = None
+    places: tuple[tuple[SceneObject, tuple[float, float]], ...] = ()
+    middle: tuple[float, float] | None = None
+    from_above: bool = False
+
+    @property
+    def destination(self) -> tuple[float, float] | GoalSet:
+        """Whatever counts as the goal."""
+        return self.goals or self.goal
+
+    def reached_at(self, x: float, y: float) -> GoalTarget:
+        """The same target as a way that ends at (x, y) m comes to it: the instance there."""
+        if self.kind == "object":
+            item = next((o for o, place in self.places if place == (x, y)), self.object)
+            return replace(self, object=item, goal=(x, y))
+        areas = self.goals.areas if self.goals is not None else ()
+        for (room, _), area in zip(self.places, areas, strict=True):
+            if (
+                room.id != self.object.id
+                and points_in_polygon(np.array([(x, y)]), np.array(area))[0]
+            ):
+                return replace(self, object=room, goal=(x, y), middle=None)
+        return replace(self, goal=(x, y))
 
 
 def distance_to_footprint(points: NDArray[np.floating], item: SceneObject) -> F64:
@@ -73,6 +101,18 @@ def _crosses(a: F64, b: F64, p: F64, q: F64) -> NDArray[np.bool_]:
         return d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
 
     return (side(p, q, a) * side(p, q, b) < 0) & (side(a, b, p) * side(a, b, q) < 0)
+
+
+def room_box(room: SceneRoom) -> SceneObject:
+    """A room as an object: its id, its type, the box round its floor."""
+    polygon = np.array(room.polygon, np.float64)
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    x, y = (low + high) / 2
+    box = ObjectBox(
+        centre=(float(x), float(y), PLACE_HEIGHT / 2),
+        size=(float(high[0] - low[0]), float(high[1] - low[1]), PLACE_HEIGHT),
+    )
+    return SceneObject(id=room.id, category=room.type.strip().lower(), box=box, room=room.id)
 
 
 def room_of_object(item: SceneObject, rooms: tuple[SceneRoom, ...]) -> SceneRoom | None:
@@ -140,6 +180,26 @@ def find_standing_cell(
     the side where they are known, else wall segments, else blocked cells that are no object.
     `allowed` [H, W] narrows the choice of safe cells, as to those of one component.
     """
+    found = find_standing_cells(
+        scene, navigation, item, 1, reach=reach, walls=walls, allowed=allowed
+    )
+    return found[0] if found else None
+
+
+def find_standing_cells(
+    scene: Scene,
+    navigation: NavigationMap,
+    item: SceneObject,
+    most: int,
+    *,
+    reach: float = REACH,
+    walls: NDArray[np.bool_] | None = None,
+    allowed: NDArray[np.bool_] | None = None,
+) -> list[tuple[float, float]]:
+    """Safe cells round an object, the nearest first; see `find_standing_cell`.
+
+    Those after the first are hardly farther from it (0.5 m) and lie 1.5 m apart: its other sides.
+    """
     grid = navigation.inflated
     corners = item.box.corners()[:, :2]
     rows_cols = grid.cells_of(np.array([corners.min(axis=0) - reach, corners.max(axis=0) + reach]))
@@ -148,7 +208,7 @@ def find_standing_cell(
     block = grid.cells[window] == FREE if allowed is None else allowed[window]
     cells = np.argwhere(block) + np.array([r0, c0])
     if not len(cells):
-        return None
+        return []
     points = grid.centres_of(cells)
     centre = np.array(item.box.centre[:2])
     away = distance_to_footprint(points, item)
@@ -164,80 +224,24 @@ def find_standing_cell(
         if (np.maximum(a, b) >= low).all() and (np.minimum(a, b) <= high).all():
             keep &= ~_crosses(points, centre[None], a, b)
     if not keep.any():
-        return None
+        return []
     index = np.flatnonzero(keep)
     order = index[np.lexsort((cells[index, 1], cells[index, 0], from_centre[index], away[index]))]
+    solid = None
     if room is None and not scene.walls:
         solid = walls if walls is not None else wall_cells(navigation.grid, scene.objects)
-        for i in order:
-            if sees(navigation.grid, solid, points[i], centre):
-                return float(points[i, 0]), float(points[i, 1])
-        return None
-    return float(points[order[0], 0]), float(points[order[0], 1])
-
-
-def describe_target(scene: Scene, item: SceneObject) -> str:
-    """A short instruction, such as "Go to the chair next to the desk in the study".
-
-    Names the room where its type is known, and a neighbour where the room holds several of a kind.
-    """
-    room = room_of_object(item, scene.rooms)
-    name = _plain(item.category) or "object"
-    text = f"Go to the {name}"
-    if any(other is not item and _plain(other.category) == name for other in scene.objects):
-        near = _tell_tale_neighbour(scene, item, room)
-        if near:
-            text += f" next to the {near}"
-    kind = _plain(room.type) if room is not None else ""
-    if kind and kind not in ("room", "unknown", "other"):
-        text += f" in the {kind}"
-    return text + "."
-
-
-def _tell_tale_neighbour(scene: Scene, item: SceneObject, room: SceneRoom | None) -> str:
-    name = _plain(item.category)
-    centre = np.array([item.box.centre[:2]])
-    best: tuple[float, str] | None = None
-    for other in scene.objects:
-        x, y = other.box.centre[0] - item.box.centre[0], other.box.centre[1] - item.box.centre[1]
-        if max(abs(x), abs(y)) > NEIGHBOUR_REACH + math.hypot(*other.box.size[:2]):
+    found: list[tuple[float, float]] = []
+    nearest = 0.0
+    for i in order:
+        x, y = float(points[i, 0]), float(points[i, 1])
+        if found and away[i] > nearest + _OTHER_SIDE:
+            break
+        if any(math.hypot(x - a, y - b) < _SIDES_APART for a, b in found):
             continue
-        kind = _plain(other.category)
-        if kind == name or not is_goal_worthy(other) or max(other.box.size) < SMALLEST_LANDMARK:
+        if solid is not None and not sees(navigation.grid, solid, points[i], centre):
             continue
-        if room is not None and room_of_object(other, scene.rooms) is not room:
-            continue
-        away = float(distance_to_footprint(centre, other)[0])
-        if away <= NEIGHBOUR_REACH and (best is None or (away, kind) < best):
-            best = (away, kind)
-    return best[1] if best else ""
-
-
-@functools.lru_cache(maxsize=4096)
-def _plain(text: str) -> str:
-    """A label as words: "CoffeeTable_01" and "coffee_table" become "coffee table"."""
-    words = "".join(
-        f" {c}" if c.isupper() and i and text[i - 1].islower() else c for i, c in enumerate(text)
-    )
-    parts = words.replace("_", " ").replace("-", " ").split()
-    while len(parts) > 1 and parts[-1].isdigit():
-        parts.pop()
-    return " ".join(parts).lower()
-
-
-def build_targets(
-    scene: Scene, navigation: NavigationMap, *, reach: float = REACH
-) -> list[GoalTarget]:
-    """All objects of a scene that one can walk up to, in the scene's order."""
-    walls = wall_cells(navigation.grid, scene.objects)
-    targets = []
-    for item in scene.objects:
-        if not is_goal_worthy(item):
-            continue
-        goal = find_standing_cell(scene, navigation, item, reach=reach, walls=walls)
-        if goal is None:
-            continue
-        region = navigation.region_of(*goal)
-        if region >= 0:
-            targets.append(GoalTarget(item, goal, region, describe_target(scene, item)))
-    return targets
+        nearest = float(away[i]) if not found else nearest
+        found.append((x, y))
+        if len(found) == most:
+            break
+    return found

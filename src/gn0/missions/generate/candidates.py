@@ -56,27 +56,29 @@ class CandidatePlanner:
     def plan(self, target: GoalTarget, start: tuple[float, float]) -> Candidate:
         """The candidate from a start (x, y) [m], a cell's centre, to a target.
 
-        The search finds a way over safe cells, lines of sight make it straight, and no leg of it
-        touches an inflated cell; it is then densified and resampled into keypoints, and the agent
-        faces along its first leg.
+        The search finds a way over safe cells to the nearest place of the target, lines of sight
+        make it straight, and no leg of it touches an inflated cell; it is then densified and
+        resampled into keypoints, and the agent faces along its first leg.
 
         Raises:
             PlanError: there is no way.
         """
         safe, s = self._safe, self._settings
         grid = safe.inflated
+        way = safe.geodesic(target.destination).path(*start)
+        x, y = float(way[-1, 0]), float(way[-1, 1])
         if self._astar is not None:
-            cells = self._astar.plan(grid.cell_of(*start), grid.cell_of(*target.goal)).cells
+            cells = self._astar.plan(grid.cell_of(*start), grid.cell_of(x, y)).cells
             line = grid.centres_of(cells)
         else:
-            line = safe.geodesic(target.goal).path(*start)
+            line = way
         if len(line) < 2:
             raise PlanError(f"start and goal are one point, {start}")
         corners = clear_path(grid, line)
         points = densify_path(corners)
         dx, dy = corners[1] - corners[0]
         return Candidate(
-            target=target,
+            target=target.reached_at(x, y),
             points=points,
             keypoints=resample_adaptive(
                 points, tolerance=s.keypoint_tolerance, longest=s.keypoint_spacing
@@ -87,9 +89,9 @@ class CandidatePlanner:
 
     def length_of(self, target: GoalTarget, start: tuple[float, float]) -> float:
         """Geodesic length [m] of the way, found without planning it; inf when there is none."""
-        return self._safe.geodesic(target.goal).distance_at(*start)
+        return self._safe.geodesic(target.destination).distance_at(*start)
 
     def farthest_start(self, target: GoalTarget) -> float:
         """Geodesic length [m] of the longest way to a target."""
-        cells = self._safe.geodesic(target.goal).cells
+        cells = self._safe.geodesic(target.destination).cells
         return float(np.max(cells, where=np.isfinite(cells), initial=0.0))

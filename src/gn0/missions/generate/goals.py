@@ -13,11 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.missions.alike import GoalGatherer
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.targets import (
+    PLACE_HEIGHT,
     GoalTarget,
     find_standing_cell,
     points_in_polygon,
+    room_box,
     wall_cells,
     why_no_goal,
 )
@@ -29,7 +32,6 @@ if TYPE_CHECKING:
 AREA_A_PLACE = 6.0  # m² of walkable ground for each place of a scene without labels
 FEWEST_PLACES, MOST_PLACES = 4, 64
 NAMELESS = frozenset(("", "room", "unknown", "other", "others", "area", "undefined", "misc"))
-PLACE_HEIGHT = 1.0  # m, of the box that stands for a place
 PLACE_TEXT = "Go to the place in the goal picture."
 
 NO_CELL = "no safe ground in reach on its side of the walls"
@@ -55,13 +57,19 @@ class TargetPool:
     note: str = ""
 
 
-def build_pool(scene: Scene, safe: NavigationMap, settings: MissionSettings) -> TargetPool:
+def build_pool(
+    scene: Scene,
+    safe: NavigationMap,
+    settings: MissionSettings,
+    ground: NavigationMap | None = None,
+) -> TargetPool:
     """All goals of a scene (paper, Alg. 'Goal Target Construction and Safe Goal Snapping').
 
     Args:
         scene: labels, rooms, walls.
         safe: the map inflated by radius and margin.
         settings: reach, smallest component and kinds of goals.
+        ground: the map inflated by the radius alone, where one can stand beside a twin, too.
     """
     fell: Counter[str] = Counter()
     lost: list[str] = []
@@ -75,11 +83,13 @@ def build_pool(scene: Scene, safe: NavigationMap, settings: MissionSettings) -> 
         lost.append(item.id)
 
     def offer(item: SceneObject, goal: tuple[float, float], kind: str) -> None:
-        found.append(GoalTarget(item, goal, safe.region_of(*goal), "", kind))  # type: ignore[arg-type]
+        target = GoalTarget(item, goal, safe.region_of(*goal), "", kind)  # type: ignore[arg-type]
+        found.append(gatherer.complete(target))
 
+    walls = wall_cells(safe.grid, scene.objects)
+    gatherer = GoalGatherer(scene, safe, settings.reach, walls, ground)
     considered = 0
     if settings.goals != "rooms":
-        walls = wall_cells(safe.grid, scene.objects)
         for item in scene.objects:
             considered += 1
             why = why_no_goal(item)
@@ -96,14 +106,11 @@ def build_pool(scene: Scene, safe: NavigationMap, settings: MissionSettings) -> 
             else:
                 lose(item, NO_CELL)
     if settings.goals != "objects":
-        kinds = Counter(room.type.strip().lower() for room in scene.rooms)
         for room in scene.rooms:
             considered += 1
             kind = room.type.strip().lower()
             if kind in NAMELESS:
                 fell["a room of no known type"] += 1
-            elif kinds[kind] > 1:
-                fell["one of several rooms of its type"] += 1
             else:
                 middle = find_room_middle(safe, room, allowed)
                 if middle is not None:
@@ -121,18 +128,6 @@ def build_pool(scene: Scene, safe: NavigationMap, settings: MissionSettings) -> 
     elif not scene.objects:
         note = f"no labelled objects: {len(found)} rooms serve as goals"
     return TargetPool(tuple(found), considered, dict(sorted(fell.items())), tuple(lost), note)
-
-
-def room_box(room: SceneRoom) -> SceneObject:
-    """A room as an object: its id, its type, the box round its floor."""
-    polygon = np.array(room.polygon, np.float64)
-    low, high = polygon.min(axis=0), polygon.max(axis=0)
-    x, y = (low + high) / 2
-    box = ObjectBox(
-        centre=(float(x), float(y), PLACE_HEIGHT / 2),
-        size=(float(high[0] - low[0]), float(high[1] - low[1]), PLACE_HEIGHT),
-    )
-    return SceneObject(id=room.id, category=room.type.strip().lower(), box=box, room=room.id)
 
 
 def find_room_middle(

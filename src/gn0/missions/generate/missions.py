@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from gn0.maps.goals import GoalSet
 from gn0.missions.episode import (
     AgentSpec,
     Episode,
@@ -77,6 +78,8 @@ def build_missions(
                         agent=agent,
                         path_id=record.path_id,
                         light=light,
+                        goal_set=_goals(record, mission),
+                        tier=record.tier,
                     )
                 )
             )
@@ -115,6 +118,15 @@ def _missions(
                 )
                 made.append((style, route))
     return made
+
+
+def _goals(record: PathRecord, mission: Mission) -> GoalSet | None:
+    """What counts: all that the words fit; for a route, the room that it ends in, or its end."""
+    goals = record.goal_set
+    if goals is None or isinstance(mission, MissionGoal):
+        return goals
+    mine = [area for area in goals.areas if GoalSet(areas=(area,)).distance(*record.goal) == 0.0]
+    return GoalSet(areas=tuple(mine)) if mine else None
 
 
 def draw_light(record: PathRecord, settings: MissionSettings, seed: int) -> LightCondition | None:

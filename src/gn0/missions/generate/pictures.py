@@ -87,7 +87,7 @@ class GoalPhotographer:
 
     def _view(self, target: GoalTarget) -> GoalPicture:
         """From the goal: towards an object, a room's furniture, or where one sees farthest."""
-        x, y = target.goal
+        x, y = target.middle or target.goal
         if target.kind == "object":
             x, y = self._step_back(target)
         eye = (x, y, self._height)
@@ -138,8 +138,8 @@ class GoalPhotographer:
             return found
         for item in self._scene.objects:
             if item.room == target.object.id and is_goal_worthy(item):
-                dx = item.box.centre[0] - target.goal[0]
-                dy = item.box.centre[1] - target.goal[1]
+                x, y = target.middle or target.goal
+                dx, dy = item.box.centre[0] - x, item.box.centre[1] - y
                 at = math.atan2(dy, dx) / (2 * math.pi) * _DIRECTIONS
                 found[round(at) % _DIRECTIONS] += 100.0 * min(max(item.box.size), 2.0)
         return found

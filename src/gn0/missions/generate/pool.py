@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from gn0.errors import FormatError
 from gn0.geometry import F64
-from gn0.missions.files import read_column, read_table
+from gn0.maps.goals import GoalSet
+from gn0.missions.files import decode_goal_set, encode_goal_set, read_column, read_table
 from gn0.storage import content_hash, write_bytes
 
 _TEXT, _REAL, _INT = pa.string(), pa.float64(), pa.int64()
@@ -41,6 +42,8 @@ PATH_COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
     ("keypoints_x", _REALS),
     ("keypoints_y", _REALS),
 )
+# not in pools of earlier versions: absent means ""
+LATER_COLUMNS: tuple[tuple[str, pa.DataType], ...] = (("goal_set", _TEXT), ("tier", _TEXT))
 TEXT_COLUMNS: tuple[tuple[str, pa.DataType], ...] = (
     ("path_id", _TEXT),
     ("style", _TEXT),
@@ -70,6 +73,8 @@ class PathRecord(msgspec.Struct, frozen=True, kw_only=True):
         length: [m].
         points: the path (x, y) [m], corners kept, no gap longer than 0.25 m.
         keypoints: (x, y) [m], dense in bends and sparse on straights.
+        goal_set: all places that the target's words fit; None where there is one.
+        tier: "visible from above" or "".
     """
 
     path_id: str
@@ -86,6 +91,8 @@ class PathRecord(msgspec.Struct, frozen=True, kw_only=True):
     length: float
     points: tuple[tuple[float, float], ...]
     keypoints: tuple[tuple[float, float], ...]
+    goal_set: GoalSet | None = None
+    tier: str = ""
 
     @property
     def array(self) -> F64:
@@ -126,11 +133,12 @@ def paths_table(records: Sequence[PathRecord]) -> pa.Table:
         row = {name: getattr(record, name) for name, _ in PATH_COLUMNS if hasattr(record, name)}
         row["start_x"], row["start_y"], row["start_yaw"] = record.start
         row["goal_x"], row["goal_y"] = record.goal
+        row["goal_set"], row["tier"] = encode_goal_set(record.goal_set), record.tier
         for name, points in (("path", record.points), ("keypoints", record.keypoints)):
             row[f"{name}_x"] = [x for x, _ in points]
             row[f"{name}_y"] = [y for _, y in points]
         rows.append(row)
-    return _table(rows, PATH_COLUMNS, "gn0.paths")
+    return _table(rows, PATH_COLUMNS + LATER_COLUMNS, "gn0.paths")
 
 
 def texts_table(texts: Iterable[PathText]) -> pa.Table:
@@ -166,7 +174,7 @@ def load_paths(path: Path | str) -> list[PathRecord]:
         StorageError: missing or unreadable.
         FormatError: damaged, a column missing, a null, or lists of unequal length.
     """
-    rows = _rows(path, PATH_COLUMNS)
+    rows = _rows(path, PATH_COLUMNS, LATER_COLUMNS)
     records = []
     for number, row in enumerate(rows, 1):
         points = {}
@@ -182,11 +190,13 @@ def load_paths(path: Path | str) -> list[PathRecord]:
             points[name] = tuple(zip(map(float, xs), map(float, ys), strict=True))
         start = (float(row.pop("start_x")), float(row.pop("start_y")), float(row.pop("start_yaw")))
         goal = (float(row.pop("goal_x")), float(row.pop("goal_y")))
+        goal_set = decode_goal_set(row.pop("goal_set"))
         records.append(
             PathRecord(
                 **row,
                 start=start,
                 goal=goal,
+                goal_set=goal_set,
                 points=points["path"],
                 keypoints=points["keypoints"],
             )
@@ -204,7 +214,14 @@ def load_texts(path: Path | str) -> list[PathText]:
     return [PathText(**row) for row in _rows(path, TEXT_COLUMNS)]
 
 
-def _rows(path: Path | str, columns: Sequence[tuple[str, pa.DataType]]) -> list[dict[str, Any]]:
+def _rows(
+    path: Path | str,
+    columns: Sequence[tuple[str, pa.DataType]],
+    later: Sequence[tuple[str, pa.DataType]] = (),
+) -> list[dict[str, Any]]:
     table = read_table(Path(path))
     values = {name: read_column(table, name, kind, path) for name, kind in columns}
+    for name, kind in later:
+        there = name in table.column_names
+        values[name] = read_column(table, name, kind, path) if there else [""] * table.num_rows
     return [{name: column[k] for name, column in values.items()} for k in range(table.num_rows)]

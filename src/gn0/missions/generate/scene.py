@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from gn0.config import Config
 from gn0.errors import PlanError
 from gn0.maps.navigation import NavigationMap
+from gn0.missions.alike import order_targets
+from gn0.missions.episode import VISIBLE_FROM_ABOVE
 from gn0.missions.generate.candidates import Candidate, CandidatePlanner
 from gn0.missions.generate.goals import TargetPool, build_pool
 from gn0.missions.generate.judge import PathJudge
@@ -51,6 +53,9 @@ class SceneReport(Config, frozen=True):
         earlier: paths of earlier runs held against.
         starts: the mode that starts were drawn in, at the end.
         zones_visited: share of the walkable zones that some path goes through.
+        goal_sets: paths to the nearest of several instances that the words fit.
+        areas: paths into rooms.
+        from_above: paths to what the bird's-eye view shows.
         episodes: how many of each mission.
         texts: how many of each style by each provider.
         fallbacks: why a text was not taken, and how often.
@@ -78,6 +83,9 @@ class SceneReport(Config, frozen=True):
     texts: dict[str, int] = {}  # noqa: RUF012
     fallbacks: dict[str, int] = {}  # noqa: RUF012
     note: str = ""
+    goal_sets: int = 0
+    areas: int = 0
+    from_above: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +116,8 @@ def generate_paths(
 ) -> ScenePaths:
     """Paths of one scene; the same arguments give the same paths.
 
-    Targets take turns in a seeded order, a candidate each, until there are enough or the attempts
-    are used up; so no target is favoured.
+    Categories take turns in a seeded order, and in each its targets, a candidate each, until there
+    are enough or the attempts are used up; so what is there in plenty is not favoured.
 
     Args:
         scene: the scene.
@@ -122,7 +130,7 @@ def generate_paths(
         progress: progress sink.
     """
     safe = NavigationMap(scene.grid, radius + settings.safety_margin)
-    pool = build_pool(scene, safe, settings)
+    pool = build_pool(scene, safe, settings, NavigationMap(scene.grid, radius))
     rng = random_stream(seed, "missions", scene.id)
     judge = PathJudge(settings, earlier, safe.inflated)
     starts = StartSampler(safe, settings.starts, settings.zone)
@@ -148,6 +156,9 @@ def generate_paths(
         fell=dict(sorted(judge.fell.items())),
         fell_to_earlier=judge.against_earlier,
         earlier=len(earlier),
+        goal_sets=sum(r.goal_set is not None and bool(r.goal_set.points) for r in records),
+        areas=sum(r.goal_set is not None and bool(r.goal_set.areas) for r in records),
+        from_above=sum(bool(r.tier) for r in records),
         starts=starts.mode,
         zones_visited=round(starts.visited_share, 4),
         note=pool.note,
@@ -166,16 +177,21 @@ def _seek(
 ) -> tuple[list[Candidate], set[str], str]:
     """Candidates that were accepted, targets that nothing is far enough from, and why it ended."""
     planner = CandidatePlanner(safe, settings)
-    order = [pool.targets[i] for i in rng.permutation(len(pool.targets))]
+    groups = order_targets(list(pool.targets), rng)
+    taken = [0] * len(groups)
     found: list[Candidate] = []
     hopeless: set[str] = set()
-    fresh = {target.object.id for target in order}
+    fresh = {target.object.id for target in pool.targets}
     limit = settings.attempts * settings.per_scene
     while len(found) < settings.per_scene:
-        order = [target for target in order if target.object.id not in hopeless]
-        if not order:
+        if len(hopeless) == len(pool.targets):
             return found, hopeless, "no targets"
-        for target in order:
+        for k, group in enumerate(groups):  # categories take turns, and in each its instances
+            usable = [target for target in group if target.object.id not in hopeless]
+            if not usable:
+                continue
+            target = usable[taken[k] % len(usable)]
+            taken[k] += 1
             candidate = _try_target(target, planner, settings, judge, starts, rng)
             if candidate is not None:
                 found.append(candidate)
@@ -240,6 +256,8 @@ def _records(
                 start=(*_pair(candidate.points[0]), candidate.yaw),
                 goal=target.goal,
                 length=candidate.length,
+                goal_set=target.goals,
+                tier=VISIBLE_FROM_ABOVE if target.from_above else "",
                 points=tuple(map(_pair, candidate.points)),
                 keypoints=tuple(map(_pair, candidate.keypoints)),
             )

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from gn0.errors import EpisodeError, LanguageError
+from gn0.missions.alike import describe_target
 from gn0.missions.generate.missions import UNSEEN, place_text
 from gn0.missions.generate.pool import PathRecord, PathText
 from gn0.missions.generate.scene import ScenePaths
@@ -16,7 +17,7 @@ from gn0.missions.language.describe import describe_route
 from gn0.missions.language.providers import TextProvider
 from gn0.missions.language.route import RouteDescription, Style
 from gn0.missions.language.write import write_texts_many
-from gn0.missions.targets import GoalTarget, describe_target
+from gn0.missions.targets import GoalTarget
 from gn0.progress import Progress, no_progress
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom
 
@@ -54,7 +55,7 @@ def write_path_texts(
     for record, target in zip(paths.records, paths.targets, strict=True):
         try:
             routes[record.path_id] = describe_route(
-                scene, navigation, record.array, record.start[2], _named(scene, target), eye=eye
+                scene, navigation, record.array, record.start[2], named(scene, target), eye=eye
             )
         except (EpisodeError, LanguageError) as error:
             fallbacks[f"no route: {error.what}"] += 1
@@ -129,7 +130,8 @@ def kind_of_reason(why: str) -> str:
     return re.sub(r"'[^']*'|\"[^\"]*\"|“[^”]*”|\d+(\.\d+)?", "…", first)[:160]
 
 
-def _named(scene: Scene, target: GoalTarget) -> SceneObject | SceneRoom | None:
+def named(scene: Scene, target: GoalTarget) -> SceneObject | SceneRoom | None:
+    """What a target is called by; None for a place, which has no name."""
     if target.kind == "place":
         return None
     if target.kind == "room":

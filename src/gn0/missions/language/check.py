@@ -199,7 +199,13 @@ def _check_target(
     if len(own) != 1:
         return [f"the target {target.name!r} is named {len(own)} times instead of once"]
     if style == "base":
-        return []
+        # what was left unsaid would fit others, which do not count
+        told = {m.name for m in mentions}
+        return [
+            f"it does not say {what} {name!r}"
+            for what, name in (("that it is next to the", target.near), ("the room", target.room))
+            if name and name not in told
+        ]
     after = plain[own[0].end :]
     closing = {target.near, target.room, ""}
     if (

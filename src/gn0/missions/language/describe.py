@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError
 from gn0.geometry import F64, wrap_angle
-from gn0.missions.language.landmarks import Candidate, LandmarkFinder, choose, footprint_offsets
+from gn0.missions.alike import GoalWords, fits_name, likeness_of, rooms_like
+from gn0.missions.language.landmarks import Candidate, LandmarkFinder, choose
 from gn0.missions.language.route import NOWHERE, RouteDescription, RouteSegment, RouteTarget
 from gn0.missions.language.segments import Stretch, arc_lengths, point_at, split_path
 from gn0.missions.language.sight import EYE, look, sight_of
 from gn0.missions.language.surroundings import NO_ROOM_NAMES, Surroundings, surroundings_of
 from gn0.missions.language.words import NO_LANDMARK, is_plural, spoken_name
-from gn0.missions.targets import NEIGHBOUR_REACH
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom
 from gn0.storage import content_hash
 
@@ -111,8 +112,7 @@ def describe_route(
         found.append(finder.on_straight(seen, at, part, where, spacing))
         segments.append(_straight(surroundings, where, part, b - a, start, end, spacing))
     chosen = choose(found)
-    names = {n for n in surroundings.by_name if n and n not in NO_LANDMARK}
-    kinds = [n for n in surroundings.room_names if n]
+    vocabulary, shared_rooms = _words_of(surroundings)
     return RouteDescription(
         scene_id=scene.id,
         key=content_hash(
@@ -126,9 +126,34 @@ def describe_route(
         ),
         target=goal,
         length=round(total, 3),
-        vocabulary=tuple(sorted(names | set(kinds))),
-        shared_rooms=tuple(sorted({n for n in kinds if kinds.count(n) > 1})),
+        vocabulary=vocabulary,
+        shared_rooms=shared_rooms,
     )
+
+
+def describe_goal(scene: Scene, target: SceneObject | SceneRoom | None) -> RouteDescription:
+    """A route of no steps, whose end is all that is said: for texts of style "base"."""
+    surroundings = surroundings_of(scene)
+    end = np.zeros(2)
+    goal = _describe_target(surroundings, target, end, 0.0)
+    vocabulary, shared_rooms = _words_of(surroundings)
+    return RouteDescription(
+        scene_id=scene.id,
+        key=content_hash(scene.id, goal.object_id, goal.name)[:16],
+        segments=(),
+        target=msgspec.structs.replace(goal, side=""),
+        length=0.0,
+        vocabulary=vocabulary,
+        shared_rooms=shared_rooms,
+    )
+
+
+def _words_of(surroundings: Surroundings) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names that a scene holds, and the types of room of which it has several."""
+    names = {n for n in surroundings.by_name if n and n not in NO_LANDMARK}
+    kinds = [n for n in surroundings.room_names if n]
+    shared = {n for n in kinds if sum(fits_name(k, n) for k in kinds) > 1}
+    return tuple(sorted(names | set(kinds))), tuple(sorted(shared))
 
 
 def _spans(stretches: list[Stretch], total: float) -> list[tuple[float, float]]:
@@ -230,16 +255,17 @@ def _describe_target(
         return RouteTarget(object_id="", name=NOWHERE, region=True)
     if isinstance(target, SceneRoom):
         name = spoken_name(target.type)
-        alike = surroundings.room_names.count(name)
+        like = len(rooms_like(surroundings.scene, target))
         if name in NO_ROOM_NAMES:
             return RouteTarget(object_id=target.id, name=NOWHERE, region=True)
-        return RouteTarget(object_id=target.id, name=name, unique=alike <= 1, region=True)
+        return RouteTarget(object_id=target.id, name=name, unique=like <= 1, region=True)
     name = spoken_name(target.category)
     scene = surroundings.scene
     index = next((i for i, o in enumerate(scene.objects) if o.id == target.id), -1)
-    room = int(surroundings.room_of[index]) if index >= 0 else -1
-    count = surroundings.in_room[room, name] if index >= 0 else 1
-    near = _neighbour(surroundings, index, room, name) if count > 1 else ""
+    words, alike = GoalWords(name), 1
+    if index >= 0:
+        words, fitting = likeness_of(surroundings.scene).tell(index)
+        alike = len(fitting)
     centre = np.array(target.box.centre[:2]) - goal
     bearing = np.degrees(wrap_angle(float(np.arctan2(centre[1], centre[0])) - yaw))
     side: Literal["left", "right", "ahead", ""] = ""
@@ -247,42 +273,15 @@ def _describe_target(
         side = "ahead"
     elif 50 <= abs(bearing) <= 135:
         side = "left" if bearing > 0 else "right"
-    kind = surroundings.room_names[room] if room >= 0 else ""
     return RouteTarget(
         object_id=target.id,
         name=name,
-        unique=count == 1,
+        unique=alike == 1,
         plural=is_plural(name),
-        near=near,
-        room="" if kind == name else kind,
+        near=words.near,
+        room=words.room,
         side=side,
     )
-
-
-def _neighbour(surroundings: Surroundings, index: int, room: int, name: str) -> str:
-    """The name of what stands beside the target and beside no other of its kind, or ""."""
-    scene = surroundings.scene
-    centre = np.array([scene.objects[index].box.centre[:2]])
-    twins = [
-        np.array([scene.objects[i].box.centre[:2]])
-        for i, n in enumerate(surroundings.names)
-        if n == name and i != index and surroundings.room_of[i] == room
-    ]
-    best: tuple[float, str] | None = None
-    for i in np.flatnonzero(surroundings.usable).tolist():
-        kind = surroundings.names[i]
-        if _clash(kind, name) or surroundings.room_of[i] != room:
-            continue
-        if surroundings.in_room[room, kind] > 1:
-            continue
-        away = float(np.hypot(*footprint_offsets(surroundings, i, centre)[0]))
-        if away > NEIGHBOUR_REACH:
-            continue
-        if any(np.hypot(*footprint_offsets(surroundings, i, t)[0]) <= away + 0.5 for t in twins):
-            continue
-        if best is None or (away, kind) < best:
-            best = (away, kind)
-    return best[1] if best else ""
 
 
 def _clash(a: str, b: str) -> bool:

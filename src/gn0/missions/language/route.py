@@ -84,7 +84,7 @@ class RouteTarget(Config, frozen=True):
     Attributes:
         object_id: the target, or "" for a region.
         name: as it is said, e.g. "office chair".
-        unique: only one of that name is in its room.
+        unique: what is said of it, name, neighbour and room, fits nothing else in the scene.
         plural: the name is a plural, as "stairs".
         near: a neighbour that tells two of a kind apart, or "".
         room: type of the room it is in, "" when unknown.

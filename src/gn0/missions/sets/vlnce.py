@@ -294,7 +294,7 @@ def _record(episode: Episode, number: int, tokens: list[int]) -> dict[str, Any]:
         "start_position": lift(*episode.start[:2]),
         "start_rotation": list(habitat_rotation(episode.start[2])),
         "info": {"geodesic_distance": float(polyline_length(path))},
-        "goals": [{"position": lift(*episode.goal), "radius": GOAL_RADIUS}],
+        "goals": [{"position": lift(*place), "radius": GOAL_RADIUS} for place in episode.goals],
         "instruction": {
             "instruction_text": episode.instruction,
             "instruction_tokens": tokens + [0] * (TOKENS - len(tokens)),

@@ -116,6 +116,17 @@ def test_a_click_moves_the_agent(flat, page):
         page.wait_for(f"window.gn0Frames > {frames}", what="the agent's eyes drawn")
         assert page.evaluate("window.gn0Hacked") is None
         assert page.failures == [] and page.dialogs == []
+        blocked = page.evaluate("""(async () => {
+            let found = '';
+            addEventListener('securitypolicyviolation', e => found += e.effectiveDirective);
+            await fetch('http://127.0.0.2:9/').catch(() => 0);
+            const picture = new Image();
+            picture.src = 'http://127.0.0.2:9/a.png';
+            await new Promise(then => setTimeout(then, 200));
+            return found;
+        })()""")
+        assert "connect-src" in blocked and "img-src" in blocked  # nothing goes elsewhere
+        page.failures.clear()  # which the browser reports
         # visitors come and go; the agent stays where it is
         status = [line for line in words(page).splitlines() if "yaw" in line]
         page.navigate("about:blank")

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -34,14 +35,18 @@ KILLS = 2
 EPISODES = 24
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
 _SERVER = """
-import sys
+import sys, time
 from gn0.policies.remote.server import PolicyServer
 class PolicyStill:
     name, sensors = "still", frozenset({sensors!r})
     def reset(self, instruction, rng): pass
     def answer(self, observation, frames): return [1] * {actions}
 from gn0.policies.simple import PolicyWallFollower
-with PolicyServer({policy}, port=0, token="") as server:
+class PolicySlow(PolicyStill):
+    def answer(self, observation, frames):
+        time.sleep({thinking})
+        return [1]
+with PolicyServer({policy}, port=0, token="", queue={queue}) as server:
     print(server.url, flush=True)
     sys.stdin.read()
 """
@@ -50,7 +55,9 @@ with PolicyServer({policy}, port=0, token="") as server:
 @contextlib.contextmanager
 def _serve_elsewhere(policy: str, sensors: list[str], actions: int = 1) -> Iterator[str]:
     """A server kit in a process of its own; gives its address."""
-    code = _SERVER.format(policy=policy, sensors=sensors, actions=actions)
+    code = _SERVER.format(
+        policy=policy, sensors=sensors, actions=actions, thinking=THINKING, queue=QUEUE
+    )
     process = subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -167,6 +174,87 @@ def measure_rogues(context: FigureContext) -> list[FigureRow]:
     return [row_at_most("misbehaving servers not named", len(unsaid), 0, "", detail)]
 
 
+CROWD = (1, 10, 100)  # clients
+CROWD_SECONDS = 4.0
+QUEUE = 1
+THINKING = 0.02  # s the served policy takes
+
+
+def _crowd(url: str, clients: int, seconds: float) -> tuple[list[float], list[float]]:
+    """Seconds of answered and of refused questions, of so many clients who never wait."""
+    from websockets.exceptions import WebSocketException
+    from websockets.sync.client import connect
+
+    question = encode_message(
+        {"endpoint": "infer", "instruction": "go", "session_id": "s", "gn0": {"version": 1}}
+    )
+    answered: list[float] = []
+    refused: list[float] = []
+    until = time.perf_counter() + seconds
+
+    def ask() -> None:
+        channel: Any = None
+        while time.perf_counter() < until:
+            begun = time.perf_counter()
+            try:
+                if channel is None:
+                    channel = connect(url, compression=None, ping_interval=None)
+                    channel.recv()
+                    continue
+                channel.send(question)
+                said = decode_message(channel.recv())
+            except (WebSocketException, OSError):  # 503 at the door, or hung up on
+                channel = None
+                refused.append(time.perf_counter() - begun)
+                time.sleep(0.25)
+                continue
+            took = time.perf_counter() - begun
+            busy = said.get("status") == "busy"
+            (refused if busy else answered).append(took)
+            if busy:
+                time.sleep(said["retry_after"])
+        if channel is not None:
+            channel.close()
+
+    threads = [threading.Thread(target=ask) for _ in range(clients)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return answered, refused
+
+
+def measure_crowd(context: FigureContext) -> list[FigureRow]:
+    """A server that thinks for 20 ms, asked by 1, 10 and 100 clients at once."""
+    rows, alone = [], 0.0
+    with _serve_elsewhere("PolicySlow", []) as url:
+        for done, clients in enumerate(CROWD):
+            context.progress("crowds", done, len(CROWD))
+            answered, refused = _crowd(url, clients, CROWD_SECONDS)
+            p99 = float(np.percentile(answered, 99)) * 1e3
+            alone = alone or p99
+            detail = (
+                f"a policy of {THINKING * 1e3:.0f} ms, queue {QUEUE}, {CROWD_SECONDS:g} s; "
+                f"{len(answered)} answered, {len(refused)} told to come again; clients are threads "
+                "of one process beside the server's on the same cores"
+            )
+            name = f"policy server, {clients} clients: answered, 99th percentile"
+            if clients == CROWD[0]:
+                rows.append(FigureRow(name=name, value=p99, unit="ms", detail=detail))
+                continue
+            rows.append(
+                row_at_most(f"{name}, to one client's", p99 / alone, QUEUE + 1.5, "×", detail)
+            )
+            away = float(np.percentile(refused, 99)) * 1e3 if refused else 0.0
+            rows.append(
+                row_at_most(
+                    f"policy server, {clients} clients: told to come again, 99th percentile",
+                    away, 50, "ms", detail,
+                )
+            )  # fmt: skip
+    return rows
+
+
 _PARENT = """
 import sys
 from gn0.bench import runner
@@ -230,6 +318,7 @@ def measure_resume(context: FigureContext) -> list[FigureRow]:
 FIGURES: list[Figure] = [
     Figure("policies.round_trip", "Asking a policy server", measure_round_trip, 0.3),
     Figure("policies.fuzz", "A million mutants of the wire", measure_fuzz, 8.0),
+    Figure("policies.crowd", "A crowded policy server", measure_crowd, 0.3),
     Figure("policies.rogues", "Policy servers that misbehave", measure_rogues, 0.5),
     Figure("policies.resume", "A run against a server, killed twice", measure_resume, 1.0),
 ]

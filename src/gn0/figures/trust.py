@@ -11,6 +11,8 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
 from gn0.bench.replay import replay_run
 from gn0.bench.results import SUMMARY, load_results
 from gn0.bench.runner import run_suite
@@ -21,7 +23,7 @@ from gn0.jobs.cluster import local_cluster
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
-from gn0.storage import safe_join
+from gn0.storage import Journal, safe_join
 from gn0.testing.crash import SAME, crash_runs
 from gn0.testing.disk_trials import run_disk_trials, why_no_small_disk
 from gn0.testing.path_corpus import HARMLESS, climbing_paths
@@ -29,6 +31,7 @@ from gn0.testing.simulated_suites import told_apart
 from gn0.testing.soak import soak_simulators, soak_worker
 
 KILLS = 200
+APPENDS = 500
 RESETS, SWITCHES = 100_000, 300
 SUITES = 500
 LIMIT = 1.0  # s, of an episode that hangs
@@ -56,6 +59,31 @@ def measure_kill(ctx: FigureContext) -> list[FigureRow]:
             f"byte for byte: {', '.join(SAME)}",
         ),
     ]  # fmt: skip
+
+
+def measure_journal(ctx: FigureContext) -> list[FigureRow]:
+    """What it costs to have an episode on the disk."""
+    record = {
+        "type": "result",
+        "episode": "flat_0001",
+        "metrics": {f"m{i}": 0.5 for i in range(16)},
+    }
+    seconds = []
+    with Journal(ctx.work / "journal.jsonl") as journal:
+        for _ in range(APPENDS):
+            begun = time.perf_counter()
+            journal.append(record)
+            seconds.append(time.perf_counter() - begun)
+    detail = f"{APPENDS} records, each synced; on the disk of the working folder"
+    return [
+        row_at_most("journal append, median", float(np.median(seconds)) * 1e3, 10, "ms", detail),
+        FigureRow(
+            name="journal append, 95th percentile",
+            value=float(np.percentile(seconds, 95)) * 1e3,
+            unit="ms",
+            detail=detail,
+        ),
+    ]
 
 
 def measure_disk(ctx: FigureContext) -> list[FigureRow]:
@@ -258,6 +286,7 @@ def measure_paths(ctx: FigureContext) -> list[FigureRow]:
 
 FIGURES: list[Figure] = [
     Figure("trust.kill", "Runs killed with -9 at 200 random moments", measure_kill, 15.0),
+    Figure("trust.journal", "What durability costs", measure_journal, 0.1),
     Figure("trust.disk", "Full, read-only and failing disks", measure_disk, 3.0),
     Figure("trust.soak", "A hundred thousand resets", measure_soak, 4.0),
     Figure("trust.same", "The same bytes in every way to run", measure_same, 3.0),

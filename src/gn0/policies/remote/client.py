@@ -84,6 +84,7 @@ class RemoteClient:
                 self._open(max(0.1, min(10.0, until - time.monotonic())))
                 break
             except _Later as later:
+                pause = max(pause, later.seconds)
                 if time.monotonic() + pause >= until:
                     raise PolicyError(
                         f"no policy server at {self.url}: {later}",
@@ -133,7 +134,9 @@ class RemoteClient:
                     remedy=f"set {TOKEN_VARIABLE} to the token that the server was started with",
                 ) from None
             if code >= 500:
-                raise _Later(f"it answers HTTP {code}") from None
+                wait = error.response.headers.get("Retry-After", "")
+                seconds = min(float(wait), LONGEST_PAUSE) if wait.isdecimal() else 0.0
+                raise _Later(f"it answers HTTP {code}", seconds) from None
             raise PolicyError(
                 f"{self.url} is no WebSocket server: it answers HTTP {code}",
                 remedy="check host and port",
@@ -165,11 +168,23 @@ class RemoteClient:
                 what the protocol says. The connection is closed then, so that a late answer is
                 never taken for that of another question; a text frame leaves it open.
         """
+        message = encode_message(payload)
+        until = time.monotonic() + self.request_timeout
+        while True:
+            answer = self._ask(message)
+            seconds = read_busy(answer)
+            if seconds is None:
+                return answer
+            if time.monotonic() + seconds >= until:
+                raise self._fault(f"was too busy to answer for {self.request_timeout:g} s")
+            time.sleep(seconds)
+
+    def _ask(self, message: bytes) -> Any:
+        """One question and its answer, decoded."""
         if not self.connected:
             self.connect()
         self._drain()
         self._asked = True
-        message = encode_message(payload)
         try:
             self._connection.send(message)
         except Exception as error:
@@ -249,11 +264,25 @@ class RemoteClient:
 
 
 class _Later(Exception):  # noqa: N818 (no fault, a reason to try again)
-    """An attempt to connect that may go better later."""
+    """An attempt to connect that may go better later; `seconds` until it is worth another."""
+
+    def __init__(self, why: str, seconds: float = 0.0) -> None:
+        super().__init__(why)
+        self.seconds = seconds
 
 
 class _Silence(Exception):  # noqa: N818
     """Nothing was said in time."""
+
+
+def read_busy(answer: Any) -> float | None:
+    """Seconds after which a busy server wants to be asked again; None if it is no such answer."""
+    if not (isinstance(answer, dict) and answer.get("status") == "busy"):
+        return None
+    seconds = answer.get("retry_after", FIRST_PAUSE)
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
+        return FIRST_PAUSE
+    return min(float(seconds), 30.0)
 
 
 def _limit_sending(channel: socket.socket, seconds: float) -> None:

@@ -18,6 +18,7 @@ import contextlib
 import hmac
 import logging
 import threading
+import time
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from types import TracebackType
@@ -29,13 +30,16 @@ from gn0.errors import ConfigError, FormatError, Gn0Error, PolicyError
 from gn0.geometry import U8, world_to_agent, wrap_angle
 from gn0.policies.remote.client import check_token, find_token, is_loopback
 from gn0.policies.remote.extension import KEY, build_greeting, read_observation
+from gn0.policies.remote.gate import BYTES_LIMIT, QUEUE_LIMIT, BusyError, Gate
 from gn0.policies.remote.wire import REQUEST_LIMITS, WireLimits, decode_message, encode_message
 from gn0.seeds import load_stream, random_stream
 from gn0.sim.policy import Policy, PolicyIdentified
 from gn0.sim.state import Action, Displacement, Observation, Sensor, Teleport
 
 CONNECTIONS_LIMIT = 64
-IDLE_TIMEOUT = 3600.0  # s without a request until a connection is closed
+IDLE_TIMEOUT = 600.0  # s without a request until a connection is closed
+SILENT_TIMEOUT = 10.0  # s until one that never asked must go, where the house is full
+TRY_AGAIN_LATER = 1013  # close code (IANA's registry of WebSocket close codes)
 WORDS_LIMIT = 100_000  # characters of an instruction or a session id
 _log = logging.getLogger(__name__)
 
@@ -69,6 +73,10 @@ class PolicyServer:
     Each connection has a policy of its own, and one is asked at a time, so a model that all of them
     share needs no lock. Any exception of the policy goes back to the client as an error text.
 
+    A few questions wait (`queue`); who comes beyond is told at once when to come again: at the
+    door by HTTP 503 with Retry-After, inside by the extension's `{"status": "busy",
+    "retry_after": s}`, and a client that does not know the extension by close code 1013.
+
     Args:
         build: builds a policy or `Answerer`; called once here and once a connection.
         host: address to listen on; only this machine unless there is a token.
@@ -77,6 +85,9 @@ class PolicyServer:
         limits: what a request may hold.
         model, version: what clients are told of the model; runs of another one are not gone on
             with. What the policy's own `identity()` says is told too.
+        queue: questions that may wait while one is answered.
+        held_bytes: of all questions that are held at a time.
+        idle_timeout: seconds without a question until a connection is closed.
 
     Raises:
         ConfigError: another machine could reach it and there is no token, or the port is taken.
@@ -92,8 +103,18 @@ class PolicyServer:
         limits: WireLimits = REQUEST_LIMITS,
         model: str = "",
         version: str = "",
+        queue: int = QUEUE_LIMIT,
+        held_bytes: int = BYTES_LIMIT,
+        idle_timeout: float = IDLE_TIMEOUT,
     ) -> None:
         from websockets.sync.server import serve
+
+        if queue < 0 or held_bytes < 1 or not idle_timeout > 0:
+            raise ConfigError(
+                f"queue {queue}, {held_bytes} bytes, idle after {idle_timeout} s",
+                where="limits of a server",
+                remedy="give a queue of 0 or more, and positive bytes and seconds",
+            )
 
         self._token = find_token() if token is None else check_token(token)
         if not is_loopback(host) and not self._token:
@@ -111,8 +132,11 @@ class PolicyServer:
         self._greeting = encode_message(
             build_greeting(self.name, frozenset(first.sensors), model, version, declared)
         )
-        self._turn = threading.Lock()
+        self._gate = Gate(queue, held_bytes)
+        self._idle_timeout = idle_timeout
+        self._building = threading.Lock()
         self._open: set[Any] = set()
+        self._silent: dict[Any, float] = {}  # since when, of those who never asked
         self._threads: list[threading.Thread] = []
         try:
             self._server = serve(
@@ -120,6 +144,7 @@ class PolicyServer:
                 host,
                 port,
                 max_size=limits.size,
+                max_queue=1,  # a client waits for its answer before it asks again
                 compression=None,
                 ping_interval=None,
                 origins=[None],  # a page in a browser has no business here
@@ -145,21 +170,43 @@ class PolicyServer:
             if not hmac.compare_digest(given, wanted):
                 return connection.respond(HTTPStatus.UNAUTHORIZED, "token required\n")
         if len(self._open) >= CONNECTIONS_LIMIT:
-            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
+            self._dismiss_silent()
+            return self._turn_away(connection, "too many connections", SILENT_TIMEOUT)
+        if self._gate.is_full:
+            return self._turn_away(connection, "busy", self._gate.retry_after())
         return None
+
+    def _turn_away(self, connection: Any, why: str, seconds: float) -> Any:
+        response = connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{why}\n")
+        response.headers["Retry-After"] = str(max(1, round(seconds)))  # whole seconds (RFC 9110)
+        return response
+
+    def _dismiss_silent(self) -> None:
+        """Hang up on those who took a seat long ago and never asked anything."""
+        for connection, since in list(self._silent.items()):
+            if time.monotonic() - since > SILENT_TIMEOUT:
+                self._silent.pop(connection, None)
+                threading.Thread(
+                    target=_hang_up, args=(connection, "silent, and others wait"), daemon=True
+                ).start()
 
     def _handle(self, connection: Any) -> None:
         from websockets.exceptions import ConnectionClosed
 
         self._open.add(connection)
+        self._silent[connection] = time.monotonic()
         try:
             connection.send(self._greeting)  # at once: a client waits two seconds for it
-            with self._turn:
-                policy = self._spare.pop() if self._spare else self._build()
-            session = PolicySession(policy)
+            session: PolicySession | None = None
             while True:
-                frame = connection.recv(timeout=IDLE_TIMEOUT)
+                frame = connection.recv(timeout=self._idle_timeout)
+                self._silent.pop(connection, None)
+                if session is None:
+                    with self._building:
+                        session = PolicySession(self._spare.pop() if self._spare else self._build())
                 connection.send(self._answer(session, frame))
+        except _Leave as leave:
+            _hang_up(connection, str(leave))
         except (ConnectionClosed, TimeoutError, OSError):
             pass  # the client is gone, or has nothing to say
         except Exception:
@@ -168,19 +215,33 @@ class PolicyServer:
                 connection.close(1011, "the policy cannot be built")
         finally:
             self._open.discard(connection)
+            self._silent.pop(connection, None)
 
     def _answer(self, session: PolicySession, frame: bytes | str) -> bytes | str:
-        """The reply to a request; a text is an error."""
+        """The reply to a request; a text is an error.
+
+        Raises:
+            _Leave: too busy, and the client does not know the extension's way to say so.
+        """
         try:
             if isinstance(frame, str):
                 raise FormatError("is a text", where="request", remedy="send binary frames")
             request = decode_message(frame, self._limits)
-            with self._turn:
-                reply = session.reply(request)
+            if not session.asks_policy(request):
+                return encode_message(session.reply(request))
+            try:
+                with self._gate.enter(len(frame)):
+                    reply = session.reply(request)
+            except BusyError as busy:
+                if session.extended:
+                    return encode_message({"status": "busy", "retry_after": busy.retry_after})
+                raise _Leave(str(busy)) from None
             return encode_message(reply)
         except Gn0Error as error:
             _log.warning("%s", error)
             return str(error)
+        except _Leave:
+            raise
         except Exception as error:
             _log.exception("the policy failed")
             return f"{type(error).__name__}: {error}"[:2000]
@@ -222,8 +283,17 @@ class PolicySession:
 
     def __init__(self, policy: Policy | Answerer) -> None:
         self.policy = policy
+        self.extended = False  # whether the client has spoken the extension
         self._session: str | None = None
         self._before: Observation | None = None
+
+    def asks_policy(self, request: Any) -> bool:
+        """Whether a request makes the policy think; notes who speaks the extension."""
+        if not isinstance(request, dict):
+            return False
+        self.extended = self.extended or isinstance(request.get(KEY), dict)
+        endpoint = request.get("endpoint")
+        return isinstance(endpoint, str) and endpoint == "infer"
 
     def reply(self, request: Any) -> dict[str, Any]:
         """The reply to a decoded request.
@@ -321,19 +391,31 @@ def serve(
     token: str | None = None,
     model: str = "",
     version: str = "",
+    queue: int = QUEUE_LIMIT,
 ) -> None:
     """Serve a policy until Ctrl-C; see `PolicyServer`.
 
     Raises:
         ConfigError: another machine could reach it and there is no token, or the port is taken.
     """
-    server = PolicyServer(build, host=host, port=port, token=token, model=model, version=version)
+    server = PolicyServer(
+        build, host=host, port=port, token=token, model=model, version=version, queue=queue
+    )
     try:
         server.serve_forever()
     except KeyboardInterrupt:
         pass
     finally:
         server.close()
+
+
+class _Leave(Exception):  # noqa: N818 (no fault: the client is to come again)
+    """A connection has to be closed, with these words."""
+
+
+def _hang_up(connection: Any, why: str) -> None:
+    with contextlib.suppress(Exception):
+        connection.close(TRY_AGAIN_LATER, why)
 
 
 _QUIET = logging.getLogger("gn0.policies.remote.websocket")

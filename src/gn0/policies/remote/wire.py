@@ -46,7 +46,7 @@ class WireLimits:
     dimensions: int = 8
 
 
-REQUEST_LIMITS = WireLimits()
+REQUEST_LIMITS = WireLimits(size=16 << 20)
 REPLY_LIMITS = WireLimits(size=4 << 20)
 
 

@@ -7,7 +7,7 @@ OUT ?= out/demo
 TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
-.PHONY: install dev demo test readers search faults coverage lint types package figures pictures clean
+.PHONY: install dev demo test readers lowest search faults coverage lint types package figures pictures clean
 
 install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
 
@@ -47,6 +47,17 @@ $(READERS)/.installed: pyproject.toml .ci/readers.txt
 	$(READERS)/bin/pip install $(PIP_FLAGS) -e . -r .ci/readers.txt
 	$(READERS)/bin/pip install $(PIP_FLAGS) --no-deps lerobot==0.4.4
 	@touch $@
+
+LOWEST_TESTS ?= tests/core tests/policies tests/bench/test_metrics.py tests/bench/test_suite.py tests/bench/test_replay.py \
+  tests/sim/test_env.py tests/gaussians/test_ply_dialects.py tests/maps tests/export/test_words_and_cameras.py
+
+lowest: ## the lowest versions that pyproject allows, in a virtual environment of their own (10 min)
+	$(PYTHON) -m venv $(VENV)-lowest
+	$(PYTHON) .ci/floors.py > $(VENV)-lowest/floors.txt
+	$(VENV)-lowest/bin/pip install $(PIP_FLAGS) --prefer-binary -c $(VENV)-lowest/floors.txt -e '.[view]' \
+	  hypothesis msgpack pytest pytest-timeout pytest-xdist scikit-image shapely
+	$(VENV)-lowest/bin/gn0 doctor
+	$(VENV)-lowest/bin/pytest -m 'not exhaustive and not slow' -n $(TEST_WORKERS) --dist loadgroup $(LOWEST_TESTS)
 
 search: dev ## property tests on fresh random examples: what they find becomes an @example
 	$(BIN)/pytest -m hypothesis --hypothesis-profile=search -n $(TEST_WORKERS) --dist loadgroup $(PYTEST_FLAGS)

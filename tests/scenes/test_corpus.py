@@ -144,3 +144,19 @@ def test_two_imports_of_one_name_are_told() -> None:
     parts = (CorpusPart(path="a/house"), CorpusPart(path="b/house"))
     with pytest.raises(ConfigError, match="two scenes are called 'house'"):
         plan_corpus(CorpusSpec(parts=parts))
+
+
+@pytest.mark.timeout(120)  # it took hours
+def test_a_hundred_thousand_scenes_are_planned_while_one_waits() -> None:
+    parts = tuple(CorpusPart(kind=kind, count=50_000) for kind in ("apartment", "office"))
+    plan = plan_corpus(CorpusSpec(parts=parts, splits={"train": 0.7, "test": 0.3}))
+    assert Counter(scene.split for scene, _, _ in plan) == {"train": 70_000, "test": 30_000}
+
+
+def test_kinds_with_most_scenes_give_first_and_of_equals_the_first_by_name() -> None:
+    """As the largest kind, looked for anew for each scene, would be dealt."""
+    imports = tuple(CorpusPart(path=f"im-{n}.ply") for n in range(30))
+    parts = (CorpusPart(kind="office", count=9), CorpusPart(kind="apartment", count=7), *imports)
+    plan = plan_corpus(CorpusSpec(parts=parts, splits={"train": 0.75, "test": 0.25}))
+    dealt = Counter(scene.source for scene, _, _ in plan if scene.split == "test")
+    assert dealt == {"office": 7, "apartment": 5}

@@ -22,6 +22,7 @@ from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.paths import resample_path
 from gn0.missions.similarity import is_closer
 from gn0.missions.targets import GoalTarget
+from gn0.scenes.corpus import CorpusPart, CorpusSpec, SplitName, plan_corpus
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject
 from gn0.scenes.sources import import_scene
 from gn0.seeds import random_stream
@@ -283,7 +284,18 @@ def _wrong_verdicts(
     return wrong
 
 
+def measure_plan(ctx: FigureContext) -> list[FigureRow]:
+    """Deal 100,000 scenes of two kinds to three splits, each with a seed of its own."""
+    parts = tuple(CorpusPart(kind=kind, count=50_000) for kind in ("apartment", "office"))
+    splits: dict[SplitName, float] = {"train": 0.7, "val_unseen": 0.2, "test": 0.1}
+    begun = time.perf_counter()
+    plan = plan_corpus(CorpusSpec(parts=parts, splits=splits, val_seen=0.1))
+    took = time.perf_counter() - begun
+    return [row_at_most(f"{len(plan):,} scenes planned", took, 5.0, "s")]
+
+
 FIGURES = [
+    Figure("scenes.plan", "Planning a large corpus", measure_plan, 0.1),
     Figure("data.generate", "Generated missions: speed, safety, bytes", measure_generate, 6.0),
     Figure("data.frechet", "The path filter against the plain definition", measure_frechet, 2.0),
 ]

@@ -10,7 +10,9 @@ split of which missions hold out paths instead.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from heapq import heapify, heapreplace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -182,9 +184,10 @@ def plan_corpus(spec: CorpusSpec) -> list[tuple[CorpusScene, CorpusPart, int]]:
             seed = int(random_stream(spec.seed, "corpus", name, k).integers(2**31))
             items.append((name if part.path else f"{name}-{k:03d}", part, seed))
     ids = [id for id, _, _ in items]
+    times = Counter(ids)
     for id in ids:
         check_scene_id(id)
-        if ids.count(id) > 1:
+        if times[id] > 1:
             raise ConfigError(f"two scenes are called {id!r}", remedy="give one part a name")
     splits = _deal(spec, items)
     rng = random_stream(spec.seed, "corpus", "val_seen")
@@ -224,10 +227,13 @@ def _deal(spec: CorpusSpec, items: Sequence[tuple[str, CorpusPart, int]]) -> dic
     rest = sorted(exact, key=lambda name: (wanted[name] - exact[name], name))
     for name in rest[: total - sum(wanted.values())]:
         wanted[name] += 1
+    largest = [(-len(ids), place, ids) for place, ids in enumerate(free.values())]
+    heapify(largest)  # of kinds with equally many scenes the first by name
     for name in sorted(wanted, key=lambda n: (wanted[n], n)):  # the smallest split chooses first
         for _ in range(wanted[name]):
-            kind = max(free, key=lambda k: len(free[k]))
-            splits[free[kind].pop()] = name
+            left, place, ids = largest[0]
+            splits[ids.pop()] = name
+            heapreplace(largest, (left + 1, place, ids))
     return splits
 
 

@@ -63,7 +63,14 @@ def test_an_imported_suite_gives_its_rows_back(
     exported: tuple[str, Path], flats_suite: Suite, tmp_path: Path
 ) -> None:
     format, path = exported
-    import_set(path, scenes_of(flats_suite), tmp_path / "suite")
+    told: list[tuple[str, int, int]] = []
+    import_set(
+        path, scenes_of(flats_suite), tmp_path / "suite", progress=lambda *step: told.append(step)
+    )
+    count = len(flats_suite.about.scenes)
+    assert [step for step in told if step[0] == "scenes"][: count] == [
+        ("scenes", done, count) for done in range(count)
+    ]  # fmt: skip
     suite = load_suite(tmp_path / "suite")
     again = tmp_path / "again" / path.name
     export_set(suite, format, again)

@@ -24,6 +24,18 @@ def test_help_names_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
     assert "gn0 demo" in top_help()
 
 
+def test_what_verbs_do_is_written_in_one_column() -> None:
+    lines = [line for line in top_help().splitlines() if line.startswith("  ")]
+    texts = {verb: text for verb, (_, text) in VERBS.items()}
+    columns = {
+        line.index(texts[v])
+        for v in texts
+        for line in lines
+        if line.split(texts[v])[0].strip() == v
+    }
+    assert len(columns) == 1
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_has_help_with_examples(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:

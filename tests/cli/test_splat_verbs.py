@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,8 @@ def test_inspect_names_levels_and_oddities(
         (tmp_path / name).write_bytes(data)
     assert main(["scene", "inspect", str(tmp_path), "--level", "1"]) == 0
     out = capsys.readouterr().out
+    size = next(line for line in out.splitlines() if line.startswith("size"))
+    assert all(float(v) >= 0 for v in re.findall(r"-?[0-9.]+(?:e[-+]?[0-9]+)?(?= x| in)", size))
     assert "level 1 of 0 (finest) to 1" in out and "degree 1: it changes with the view" in out
     assert main(["scene", "inspect", str(tmp_path), "--level", "2"]) == 2
     assert "choose a level from 0 to 1" in capsys.readouterr().err

@@ -60,6 +60,7 @@ class Lane:
         self.folder = folder
         self.tree = folder / "tree"
         self.kernels = folder / "kernels"
+        self.broken: set[str] = set()  # tests that fail without any fault
         self.map: TestMap
 
     def prepare(self) -> None:
@@ -165,7 +166,8 @@ class Lane:
         command = [
             sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider",
             "-p", "fault_watch", "--no-header", "--tb=line", "-m", marks,
-            f"--timeout={TEST_LIMIT}", "--timeout-method=thread", *names,
+            f"--timeout={TEST_LIMIT}", "--timeout-method=thread",
+            *(f"--deselect={test}" for test in sorted(self.broken)), *names,
         ]  # fmt: skip
         with open(self.folder / "output.txt", "wb") as output:
             process = subprocess.Popen(
@@ -252,18 +254,18 @@ def judge(lane: Lane, fault: Fault, journal: Journal, limit: float) -> dict[str,
     return row
 
 
-def confirm(lane: Lane, faults: list[Fault], journal: Journal) -> list[Fault]:
-    """Faults whose killer fails without them, too: it proves nothing."""
-    by = {f.name: journal.rows[f.name]["by"] for f in faults if f.name in journal.rows}
-    killers = sorted({test for test in by.values() if "::" in test})
-    guilty: set[str] = set()
+def find_broken(lane: Lane, faults: list[Fault], journal: Journal) -> set[str]:
+    """Killers that fail without the fault, too: they prove nothing."""
+    by = {journal.rows[f.name]["by"] for f in faults if f.name in journal.rows}
+    killers = sorted(test for test in by if "::" in test)
+    broken: set[str] = set()
     while killers:
         test, _ = lane.run_tests(killers, "not exhaustive", 1800.0, lane.kernels, {})
         if not test:
             break
-        guilty.add(test)
-        killers.remove(test) if test in killers else killers.clear()
-    return [fault for fault in faults if by.get(fault.name) in guilty]
+        broken.add(test)
+        killers = [name for name in killers if name != test]
+    return broken
 
 
 def choose(faults: list[Fault], only: list[str], since: str) -> list[Fault]:
@@ -397,10 +399,13 @@ def work(todo: list[Fault], journal: Journal, out: Path, workers: int, limit: fl
         thread.join()
     lane = Lane(out / "lane0")
     lane.prepare()
-    for fault in confirm(lane, todo, journal):
-        by = journal.rows[fault.name]["by"]
-        how = f"{by} fails without it, too"
-        journal.append({**journal.rows[fault.name], "verdict": "survived", "how": how, "by": ""})
+    while broken := find_broken(lane, todo, journal):
+        print(f"fail without a fault, and are left out: {', '.join(sorted(broken))}")
+        lane.broken |= broken
+        for fault in todo:
+            if journal.rows[fault.name]["by"] in broken:
+                row = judge(lane, fault, journal, limit)
+                print(f"again: {row['verdict']}: {fault.name} {row['by']}", flush=True)
 
 
 if __name__ == "__main__":

@@ -115,6 +115,14 @@ def test_the_plan_costs_what_brute_force_finds(seed):
     assert not any({a, b} == {LEFT, RIGHT} for a, b in pairwise([last, *actions]))
 
 
+def test_a_straight_walk_sees_its_path_to_the_last_step():
+    """A path of short legs, walked straight on: the last step still lies on it."""
+    problem = LatticeProblem(np.column_stack([np.arange(0, 6, 0.05), np.zeros(120)]))
+    actions, cost = problem.plan(Pose2D(0, 0, 0), 0.0, horizon=6)
+    assert actions == [FORWARD] * 6
+    assert cost == pytest.approx(brute_force(problem, Pose2D(0, 0, 0), 0.0, 1, 6), abs=1e-9)
+
+
 def test_a_longer_horizon_and_the_programme_are_exact_where_states_merge():
     # LEFT×24 comes back to the start: without merging the count would be 3^16
     problem = LatticeProblem(curve(3))

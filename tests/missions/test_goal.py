@@ -21,6 +21,7 @@ from gn0.missions.targets import (
     find_standing_cell,
     is_goal_worthy,
     points_in_polygon,
+    wall_cells,
 )
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneRoom, SceneSourceInfo, SceneWall
 
@@ -141,6 +142,19 @@ def test_a_goal_stays_on_its_own_side_of_the_wall(rooms: bool, walls: bool) -> N
         assert (target.goal[0] < 6) == (target.object.box.centre[0] < 6), target
         assert navigation.is_free(*target.goal)
         assert distance_to_footprint(np.array([target.goal]), target.object)[0] < 0.4
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.1, 3.0), (3.0, 0.1)])
+def test_a_thing_at_the_edge_of_the_map_is_no_wall(x: float, y: float) -> None:
+    item = thing("sofa", "sofa", x, y, 0.4)
+    cells = np.zeros((120, 120), np.uint8)
+    low, high = item.box.corners().min(axis=0), item.box.corners().max(axis=0)
+    grid = OccupancyGrid(cells, 0.05, (0.0, 0.0))
+    (r0, c0), (r1, c1) = grid.cell_of(low[0], low[1]), grid.cell_of(high[0], high[1])
+    cells[max(r0, 0) : r1 + 1, max(c0, 0) : c1 + 1] = 1
+    assert cells[:, 0].any() or cells[0].any()
+    assert not wall_cells(grid.with_cells(cells), (item,)).any()
+    assert wall_cells(grid.with_cells(cells), ()).any()
 
 
 def test_what_nobody_can_reach_is_no_target() -> None:

@@ -91,6 +91,14 @@ def test_absurd_scale(scene, scale):
     assert codes(wrong)["absurd-scale"] == "error"
 
 
+def test_a_scene_may_be_too_wide_though_it_is_low(scene):
+    low, high = scene.bounds
+    wide = replace(scene, bounds=np.array([low, [low[0] + 1100.0, high[1], high[2]]]))
+    assert codes(wide)["absurd-scale"] == "error"
+    wide = replace(scene, bounds=np.array([low, [low[0] + 900.0, high[1], high[2]]]))
+    assert codes(wide)["unusual-scale"] == "warning"
+
+
 def test_labels(scene):
     assert codes(replace(scene, objects=()))["no-labels"] == "warning"
     assert codes(replace(scene, rooms=(), objects=()))["no-rooms"] == "note"

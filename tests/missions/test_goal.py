@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import msgspec
 import numpy as np
 import pytest
@@ -142,6 +144,19 @@ def test_a_goal_stays_on_its_own_side_of_the_wall(rooms: bool, walls: bool) -> N
         assert (target.goal[0] < 6) == (target.object.box.centre[0] < 6), target
         assert navigation.is_free(*target.goal)
         assert distance_to_footprint(np.array([target.goal]), target.object)[0] < 0.4
+
+
+@pytest.mark.parametrize(("rooms", "walls"), [(True, False), (False, True)])
+def test_a_goal_is_not_next_door_though_that_is_nearer(rooms: bool, walls: bool) -> None:
+    """Things stand round the lamp on its own side: next door is 0.3 m away, its own floor 1 m."""
+    lamp = thing("lamp", "floor lamp", 5.8, 5.0, 0.3)
+    scene = make_scene(rooms=rooms, walls=walls, objects=(lamp,))
+    cells = scene.grid.cells.copy()
+    cells[80:118, 90:119] = 1
+    scene = dataclasses.replace(scene, grid=scene.grid.with_cells(cells))
+    goal = find_standing_cell(scene, NavigationMap(scene.grid, 0.2), lamp)
+    assert goal is not None and goal[0] < 6
+    assert distance_to_footprint(np.array([goal]), lamp)[0] > 0.8
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.1, 3.0), (3.0, 0.1)])

@@ -25,6 +25,7 @@ from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite, build_suite, save_suite
 from gn0.bench.video import choose_frames, encode_clip
 from gn0.errors import BenchError, StorageError
+from gn0.maps.goals import GoalSet
 from gn0.scenes.folder import load_scene
 
 CHROMIUM = next(
@@ -442,3 +443,14 @@ def test_map_drawing_keeps_shape_and_places_north_up() -> None:
         success_radius=3.0,
     )  # fmt: skip
     assert 'class="reference"' in marks and 'class="path"' not in marks
+    both = path_marks(
+        window, reference=line, path=np.zeros((0, 2)), goal=(1.0, 3.0), collided=(),
+        success_radius=3.0, goal_set=GoalSet(points=((1.0, 3.0), (5.0, 4.0))),
+    )  # fmt: skip
+    assert both.count('<circle class="reach"') == both.count('class="goal other"') == 2
+    room = GoalSet(areas=(((0.0, 2.0), (2.0, 2.0), (2.0, 4.0)),))
+    inside = path_marks(
+        window, reference=line, path=np.zeros((0, 2)), goal=(1.0, 3.0), collided=(),
+        success_radius=3.0, goal_set=room,
+    )  # fmt: skip
+    assert '<polygon class="reach"' in inside and "<circle" not in inside

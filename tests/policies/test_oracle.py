@@ -10,7 +10,9 @@ import pytest
 
 from gn0.errors import PlanError, PolicyError
 from gn0.geometry import polyline_length
-from gn0.missions.episode import AgentSpec
+from gn0.maps.grid import OccupancyGrid
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec, Episode, MissionInstruction
 from gn0.policies.oracle import PolicyOracle
 from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
@@ -99,6 +101,28 @@ def test_it_plans_again_when_somebody_moves_the_agent(plan: Simulator) -> None:
         if result.terminated:
             break
     assert judge(plan, Trajectory((plan.pose,) * 2, (), (), True))[1] <= 0.25
+
+
+def test_it_bumps_its_way_out_of_a_slit_that_no_whole_step_leads_out_of() -> None:
+    """Behind a sofa 45 cm from the wall the agent's centre has one row of cells."""
+    cells = np.zeros((80, 80), np.uint8)
+    cells[0], cells[-1], cells[:, 0], cells[:, -1] = 1, 1, 1, 1
+    cells[20:60, 10:30] = 1
+    scene = build_map_scene(OccupancyGrid(cells, 0.05, (0.0, 0.0)), "slit")
+    navigation = NavigationMap(scene.grid, 0.2)
+    assert navigation.is_free(0.275, 2.0) and not navigation.is_free(0.325, 2.0)
+    episode = Episode(
+        id="slit",
+        scene_id="slit",
+        mission=MissionInstruction(goal=(3.0, 2.0), instruction="Come out."),
+        start=(0.275, 2.0, 2.0166),
+        path=((0.275, 2.0), (3.0, 2.0)),
+    )
+    simulator = open_simulator(scene, sensors=frozenset())
+    trajectory = run_episode(simulator, PolicyOracle(), episode)
+    assert trajectory.stopped
+    assert navigation.geodesic((3.0, 2.0)).distance_at(*trajectory.poses[-1][:2]) <= 0.25
+    assert sum(trajectory.collided) <= 8
 
 
 def test_without_the_simulator_it_says_so() -> None:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gn0.errors import PolicyError
+from gn0.data.labels import ROUNDING, LabelSettings, plan_from
+from gn0.errors import PlanError, PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.pose_astar import plan_actions
 from gn0.sim.kinematics import heading_cycle, step_forward
@@ -80,14 +81,22 @@ class PolicyOracle:
         simulator = self._simulator
         assert simulator is not None
         pose = simulator.pose
-        plan = plan_actions(
-            simulator.navigation.geodesic(simulator.episode.destination),
-            (pose.x, pose.y),
-            heading_cycle(simulator.heading),
-            tolerance=self.stop_distance,
-            step=simulator.agent.forward_step,
-            turn_cost=self.turn_cost,
-        )
+        field = simulator.navigation.geodesic(simulator.episode.destination)
+        try:
+            plan = plan_actions(
+                field,
+                (pose.x, pose.y),
+                heading_cycle(simulator.heading),
+                tolerance=self.stop_distance,
+                step=simulator.agent.forward_step,
+                turn_cost=self.turn_cost,
+            )
+        except PlanError:
+            # in a slit that no whole step leads out of: bump along it, and plan again outside
+            settings = LabelSettings(
+                stop_distance=self.stop_distance + ROUNDING, turn_cost=self.turn_cost
+            )
+            plan = plan_from(field, np.array(pose), settings, simulator.agent)
         self._plan = deque(Action(int(code)) for code in plan)
         self._expected = pose
 

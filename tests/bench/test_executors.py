@@ -194,7 +194,7 @@ def test_without_ray_the_error_says_what_to_type(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.delitem(sys.modules, "ray", raising=False)
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(BenchError, match=r"pip install 'gn0\[scale\]'"):
+    with pytest.raises(BenchError, match=r"pip install -e '\.\[scale\]'"):
         open_pool("ray", settings(), 1)
     with pytest.raises(BenchError, match="no executor 'slurm'"):
         open_pool("slurm", settings(), 1)  # type: ignore[arg-type]

@@ -136,7 +136,7 @@ def test_a_compiler_newer_than_the_driver_is_the_last_choice(
     assert find_nvrtc(12) == files[0] and find_nvrtc(11) == files[1]
     monkeypatch.setattr(nvrtc, "_candidates", tuple)
     assert find_nvrtc() is None
-    with pytest.raises(DeviceError, match=r"no CUDA compiler.*pip install 'gn0\[gpu\]'"):
+    with pytest.raises(DeviceError, match=r"no CUDA compiler.*pip install -e '\.\[gpu\]'"):
         open_nvrtc.__wrapped__()
 
 

@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 
 from gn0.errors import ConfigError, FormatError, PolicyError
 from gn0.policies.remote.answers import show
+from gn0.policies.remote.extension import wants_text_keys
 from gn0.policies.remote.wire import REPLY_LIMITS, WireLimits, decode_message, encode_message
 
 TOKEN_VARIABLE = "GN0_TOKEN"  # noqa: S105 (a name, not a secret)
@@ -168,7 +169,9 @@ class RemoteClient:
                 what the protocol says. The connection is closed then, so that a late answer is
                 never taken for that of another question; a text frame leaves it open.
         """
-        message = encode_message(payload)
+        if not self.connected:
+            self.connect()
+        message = encode_message(payload, text_keys=wants_text_keys(self.metadata))
         until = time.monotonic() + self.request_timeout
         while True:
             answer = self._ask(message)

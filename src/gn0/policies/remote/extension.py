@@ -5,6 +5,9 @@ A server that wants more than pictures and words says so in the frame it sends o
 `gn0` beside the usual keys. A server that says nothing never sees that key, and a client that does
 not know it ignores the greeting, so each side works with a peer of the other kind.
 
+Keys inside of arrays are byte strings, as the released client sends them, unless the greeting says
+`"keys": "text"`; either kind is read.
+
 Who a server is belongs to a run: `name`, `model` and `model_version` of that map, and an `identity`
 of its own; a server that does not know the extension may say `name`, `model` and `version` in
 whatever map it greets with.
@@ -69,6 +72,16 @@ def read_greeting(metadata: dict[str, Any]) -> Greeting:
         wants=cast("frozenset[Sensor]", asked),
         identity=_read_identity(about, "model_version"),
     )
+
+
+def wants_text_keys(metadata: dict[str, Any]) -> bool:
+    """Whether a greeting asks for texts as the keys inside of arrays: `"keys": "text"`.
+
+    It stands in the extension's map, or at the top for a server that does not know the extension.
+    """
+    about = metadata.get(KEY)
+    asked = about.get("keys") if isinstance(about, dict) else metadata.get("keys")
+    return isinstance(asked, str) and asked == "text"
 
 
 def _read_identity(about: dict[Any, Any], version: str) -> tuple[tuple[str, str], ...]:

@@ -50,14 +50,19 @@ REQUEST_LIMITS = WireLimits(size=16 << 20)
 REPLY_LIMITS = WireLimits(size=4 << 20)
 
 
-def encode_message(value: Any) -> bytes:
+def encode_message(value: Any, *, text_keys: bool = False) -> bytes:
     """A value of None, bool, int, float, str, bytes, lists, maps and NumPy arrays as a message.
+
+    Args:
+        value: the value.
+        text_keys: write the keys inside of arrays as texts, not as byte strings, for peers whose
+            maps have no others (JavaScript).
 
     Raises:
         FormatError: it holds something else.
     """
     try:
-        return _ENCODER.encode(value)
+        return (_ENCODER_TEXT if text_keys else _ENCODER).encode(value)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise FormatError(
             f"cannot be sent: {error}",
@@ -82,11 +87,20 @@ def _pack(value: Any) -> Any:
     raise TypeError(f"a {type(value).__name__}")
 
 
+def _pack_text(value: Any) -> Any:
+    return {_text(key): held for key, held in _pack(value).items()}
+
+
+def _text(key: str | bytes) -> str:
+    return key.decode() if isinstance(key, bytes) else key
+
+
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
+_ENCODER_TEXT = msgspec.msgpack.Encoder(enc_hook=_pack_text)
 
 
 def decode_message(data: bytes, limits: WireLimits = REQUEST_LIMITS) -> Any:
-    """The value of a message: byte-string keys as texts, arrays as read-only NumPy arrays.
+    """The value of a message: keys as texts, whichever they are, arrays as read-only NumPy arrays.
 
     Raises:
         FormatError: not msgpack, truncated, trailed by other bytes, beyond the limits, or an array
@@ -197,17 +211,18 @@ class _Reader:
             if not isinstance(key, str | bytes):
                 self.refuse(f"a key that is a {type(key).__name__}")
             found[key] = self.value(depth - 1)
-        if ARRAY in found:
-            return self.array(found)
-        if SCALAR in found:
-            return self.scalar(found)
         try:
-            return {k.decode() if isinstance(k, bytes) else k: v for k, v in found.items()}
+            found = {_text(key): held for key, held in found.items()}
         except UnicodeDecodeError:
             self.refuse("a key that is not UTF-8")
+        if _text(ARRAY) in found:
+            return self.array(found)
+        if _text(SCALAR) in found:
+            return self.scalar(found)
+        return found
 
     def dtype(self, found: dict[Any, Any]) -> np.dtype[Any]:
-        name = found.get(b"dtype")
+        name = found.get("dtype")
         if isinstance(name, bytes):
             name = name.decode("ascii", "replace")
         if not isinstance(name, str) or name not in DTYPES:
@@ -216,7 +231,7 @@ class _Reader:
 
     def array(self, found: dict[Any, Any]) -> np.ndarray[Any, Any]:
         dtype = self.dtype(found)
-        shape, data = found.get(b"shape"), found.get(b"data")
+        shape, data = found.get("shape"), found.get("data")
         if not isinstance(shape, list) or len(shape) > self.limits.dimensions:
             self.refuse(f"a shape is a list of at most {self.limits.dimensions} sizes", "shape")
         count = dtype.itemsize
@@ -237,7 +252,7 @@ class _Reader:
 
     def scalar(self, found: dict[Any, Any]) -> np.generic:
         dtype = self.dtype(found).newbyteorder("=")
-        data = found.get(b"data")
+        data = found.get("data")
         if isinstance(data, bool | int | float):
             try:
                 with np.errstate(all="ignore"):

@@ -7,7 +7,7 @@ OUT ?= out/demo
 TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
-.PHONY: install dev demo test readers lowest search faults coverage lint types package figures pictures clean
+.PHONY: install dev demo test test-all readers lowest search faults coverage lint types package figures pictures clean
 
 install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
 
@@ -33,8 +33,11 @@ lint: dev
 types: dev
 	$(BIN)/mypy
 
-test: dev lint types ## everything a change must pass (under 20 min on two cores)
-	$(BIN)/pytest -m 'not exhaustive' -n $(TEST_WORKERS) --dist loadgroup --durations=25 $(PYTEST_FLAGS)
+test: dev lint types ## what every change must pass: all that takes seconds
+	$(BIN)/pytest -m 'not exhaustive and not slow' -n $(TEST_WORKERS) --dist loadgroup --durations=25 $(PYTEST_FLAGS)
+
+test-all: dev ## the rest: long tests, every command of the documents, the examples
+	$(BIN)/pytest -m 'slow and not exhaustive' -n $(TEST_WORKERS) --dist loadgroup --durations=25 $(PYTEST_FLAGS)
 
 readers: $(READERS)/.installed ## the real LeRobot, webdataset, datasets and pandas open what GN0 writes
 	PYTHONPATH=tests/readers/stubs HF_HUB_OFFLINE=1 GN0_READERS=docs/readers.json \

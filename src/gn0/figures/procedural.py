@@ -8,6 +8,7 @@ from collections import Counter
 import numpy as np
 
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0.figures.splat_reach import FIGURES as REACH_FIGURES
 from gn0.figures.surfels import FIGURES as SURFEL_FIGURES
 from gn0.maps.navigation import NavigationMap
 from gn0.scenes.occupancy import build_occupancy
@@ -93,4 +94,5 @@ FIGURES = [
     Figure("procedural.flats", "Generated flats: walkable and full", measure_flats, 1.5),
     Figure("procedural.generate", "Generating a scene folder", measure_generation, 2.0),
     *SURFEL_FIGURES,
+    *REACH_FIGURES,
 ]

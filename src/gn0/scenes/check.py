@@ -16,6 +16,8 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.scenes.folder import load_scene, load_scene_file, objects_hash
+from gn0.scenes.needles import find_needles
+from gn0.scenes.reach import SIGMA_MOST
 from gn0.scenes.scene import Scene, SceneObject
 
 RADIUS = 0.20  # m: the default agent
@@ -263,6 +265,12 @@ def _check_splats(scene: Scene, cloud: GaussianCloud) -> Iterator[Finding]:
             text=f"{len(cloud) / area:.0f} splats a m² of walkable floor: views will show gaps",
             remedy="import with a higher --density",
         )
+    yield from _check_needles(scene, cloud)
+
+
+def _check_needles(scene: Scene, cloud: GaussianCloud) -> Iterator[Finding]:
+    """Splats that are longer than what they show; each kind names its longest."""
+    needles = find_needles(cloud)
     giants = float((cloud.scales.max(axis=1) > 2.0).mean())
     if giants > 0.001:
         yield Finding(
@@ -271,6 +279,29 @@ def _check_splats(scene: Scene, cloud: GaussianCloud) -> Iterator[Finding]:
             text=f"{giants:.1%} of the splats are larger than 2 m: they veil the views",
             remedy="filter the splats, or check the scale",
         )
+    remedy = "generate or import the scene again, or cut them in a splat editor"
+    for code, found, what in (
+        ("long-splats", needles.long, f"have a standard deviation above {SIGMA_MOST:g} m"),
+        ("needle-splats", needles.bare, "end where nothing else is shown"),
+    ):
+        if len(found):
+            names = "; ".join(_name_splat(scene, cloud, int(i)) for i in found[:3])
+            yield Finding(
+                level="warning",
+                code=code,
+                text=f"{len(found):,} of {len(cloud):,} splats {what} and may show through walls: "
+                f"{names}{'; …' if len(found) > 3 else ''}",
+                remedy=remedy,
+            )
+
+
+def _name_splat(scene: Scene, cloud: GaussianCloud, index: int) -> str:
+    """A splat's number, where it lies, how long it is, and of which object it is a part."""
+    x, y, z = cloud.means[index]
+    of = -1 if cloud.label is None else int(cloud.label[index])
+    thing = f", {scene.objects[of].id!r}" if 0 <= of < len(scene.objects) else ""
+    sigma = float(cloud.scales[index].max())
+    return f"#{index} at ({x:.1f}, {y:.1f}, {z:.1f}), σ {sigma:.2f} m{thing}"
 
 
 def _check_labels(scene: Scene) -> Iterator[Finding]:

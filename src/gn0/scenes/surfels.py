@@ -4,12 +4,12 @@ Each chart is cut into tiles, each tile into a brick grid of cells of its own sp
 becomes one flat Gaussian whose centre and covariance are those of the part of the cell that the
 surface really fills: thin legs get long thin discs, edges pull their discs inwards. A disc's
 standard deviation is 0.65 of its spacing where the cell is full (holes appear below 0.5, blur
-above 0.8).
+above 0.8). No disc reaches far beyond the outline of its chart, see `gn0.scenes.reach`.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,25 @@ from gn0.scenes.charts import Charts, build_charts
 from gn0.scenes.discs import THICKNESS, Discs, shape_discs
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.rays import RayCaster
+from gn0.scenes.reach import hold_reach
 from gn0.scenes.shading import Shader
-from gn0.scenes.tiles import PICKS, Cells, fill_tiles, plan_tiles
+from gn0.scenes.tiles import PICKS, Cells, Tiles, fill_tiles, plan_tiles
 
 _THIN = 0.06  # solids below this thickness need care [m]
 _OUTLINE = 0.02  # error of a length of outline, against the variance of colour
+_GROUND = 0.05  # level faces no farther from z = 0 are floor [m]
+_FLOOR = 1.2  # least fineness of floors: their depth reads short by most of a disc's size
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where the discs of a mesh lie: charts, their tiles, and N cells with a disc each."""
+
+    mesh: SceneMesh
+    charts: Charts
+    tiles: Tiles
+    cells: Cells
+    discs: Discs
 
 
 def build_surfels(
@@ -62,13 +76,38 @@ def build_surfels(
         SceneError: the mesh has no area.
     """
     progress("surfels", 0, 3)
+    placement = place_surfels(
+        mesh, shader, count=count, detail=detail, seed=seed, oriented=oriented, unseen=unseen
+    )
+    progress("surfels", 1, 3)
+    cloud = shade_surfels(placement, shader, label_of_instance)
+    progress("surfels", 3, 3)
+    return cloud
+
+
+def place_surfels(
+    mesh: SceneMesh,
+    shader: Shader,
+    *,
+    count: int,
+    detail: NDArray[np.floating] | None = None,
+    seed: int = 0,
+    oriented: bool = False,
+    unseen: NDArray[np.bool_] | None = None,
+) -> Placement:
+    """The discs of a mesh before their colours; see `build_surfels`.
+
+    Raises:
+        SceneError: the mesh has no area.
+    """
     charts = build_charts(mesh)
     if not len(charts):
         raise SceneError("the mesh has no surface to cover", remedy="check its scale and faces")
     caster = RayCaster(mesh)
 
-    def place(target: int, fineness: F64 | None) -> tuple[Cells, Discs]:
-        cells = fill_tiles(charts, mesh, plan_tiles(charts, target, fineness), seed)
+    def place(target: int, fineness: F64 | None) -> tuple[Tiles, Cells, Discs]:
+        tiles = plan_tiles(charts, target, fineness)
+        cells = fill_tiles(charts, mesh, tiles, seed)
         discs = shape_discs(cells, charts, mesh, caster, oriented=oriented)
         if unseen is not None:
             # one side of a thin solid is enough: a disc shows on both, and the unlit side of a
@@ -76,41 +115,62 @@ def build_surfels(
             spare = unseen[cells.face[discs.cell]] & (discs.depth < _THIN)
             spare &= mesh.normals()[cells.face[discs.cell], 2] < 0.5
             discs = replace(discs, keep=discs.keep & ~spare)
-        return cells.select(discs.cell), discs
+        return tiles, cells.select(discs.cell), discs
 
     # a coarse pass tells what is hidden (it costs nothing) and what needs many discs
-    pilot = place(max(count // 6, 1), None)
-    fineness = _spread_budget(shader, charts, *pilot, weight=detail, mesh=mesh)
-    target = count
+    tiles, some, pilot = place(max(count // 6, 1), None)
+    fineness = _spread_budget(
+        shader, charts, some, pilot, weight=detail, mesh=mesh, tiles=len(tiles.chart)
+    )
+    target, before = count, np.inf
     while True:
-        cells, discs = place(target, fineness)
+        tiles, cells, discs = place(target, fineness)
         kept = int(discs.keep.sum())
-        if kept <= count or target < count // 8:
+        if kept <= count:
             break
+        if target < count // 8 or kept > max(1.2 * count, 0.97 * before):
+            # what is left are pieces that have to be: nothing is won by coarser cells
+            tiles, cells, discs = place(count, fineness)
+            break
+        before = kept
         target = int(target * 0.985 * count / kept)
-    progress("surfels", 1, 3)
-    cells = cells.select(discs.keep)
-    kept_discs = discs.select(discs.keep)
+    return Placement(
+        mesh, charts, tiles, cells=cells.select(discs.keep), discs=discs.select(discs.keep)
+    )
+
+
+def shade_surfels(
+    placement: Placement,
+    shader: Shader,
+    label_of_instance: NDArray[np.integer] | None = None,
+) -> GaussianCloud:
+    """Placed discs with their colours, in the same order; see `build_surfels`."""
+    mesh, cells, discs = placement.mesh, placement.cells, placement.discs
     albedo, irradiance, colour, normal, rough = _shade_cells(shader, cells)
-    scales = kept_discs.scales * np.array([1, 1, 0], np.float32) * _widen(rough)[:, None]
-    scales = np.maximum(scales, np.float32(THICKNESS))
-    progress("surfels", 2, 3)
+    scales = discs.scales * np.array([1, 1, 0], np.float32) * _widen(rough)[:, None]
+    scales = hold_reach(
+        np.maximum(scales, np.float32(THICKNESS)),
+        discs.point,
+        discs.quats,
+        placement.charts,
+        cells.chart,
+        placement.tiles.spacing[cells.tile],
+        THICKNESS,
+    )
     label = mesh.instance[cells.face]
     if label_of_instance is not None:
         label = np.where(label >= 0, np.asarray(label_of_instance)[label], -1)
-    cloud = GaussianCloud(
-        means=kept_discs.point,
-        quats=kept_discs.quats,
+    return GaussianCloud(
+        means=discs.point,
+        quats=discs.quats,
         scales=scales,
-        opacities=kept_discs.opacity,
+        opacities=discs.opacity,
         sh=((colour - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
         label=label.astype(np.int32),
         albedo=albedo,
         irradiance=irradiance,
         normal=normal,
     )
-    progress("surfels", 3, 3)
-    return cloud
 
 
 def _spread_budget(
@@ -121,6 +181,7 @@ def _spread_budget(
     *,
     mesh: SceneMesh,
     weight: NDArray[np.floating] | None,
+    tiles: int,
 ) -> F64:
     """How finely to sample each tile, up to a factor.
 
@@ -129,7 +190,6 @@ def _spread_budget(
     curvature, per area). With 1 / s² discs a unit, the least total error for a given number of
     discs has s ∝ (V + E)^(−1/3).
     """
-    tiles = int(cells.tile.max()) + 1
 
     def total(values: NDArray[np.floating]) -> F64:
         return np.bincount(cells.tile, values, tiles).astype(np.float64)
@@ -149,7 +209,15 @@ def _spread_budget(
         need *= np.maximum(mean, 1e-3) ** 3
     fineness = np.cbrt(need)
     middle = np.average(fineness, weights=area)
-    return np.clip(fineness / middle, 0.5, 2.5)
+    floor = total(_is_floor(mesh)[cells.face] * discs.area) > 0.5 * area
+    return np.clip(fineness / middle, np.where(floor, _FLOOR, 0.5), 2.5)
+
+
+def _is_floor(mesh: SceneMesh) -> NDArray[np.bool_]:
+    """Level faces at the height of the floor [F]."""
+    z = mesh.vertices[mesh.faces, 2]
+    level = np.abs(mesh.normals()[:, 2]) > 0.99
+    return np.asarray(level & (np.abs(z).max(axis=1) < _GROUND))
 
 
 def _colour_variance(shader: Shader, cells: Cells) -> F64:

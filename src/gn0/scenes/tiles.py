@@ -28,11 +28,21 @@ class Tiles:
     cells: NDArray[np.int64]  # [T, 2] cells along u and v
     brick: bool = True  # odd rows are shifted by half a cell
 
+    @property
+    def spacing(self) -> F64:
+        """The longer side of each tile's cells [T] m."""
+        return np.asarray((self.size / self.cells).max(axis=1), np.float64)
+
+
+def _splits(charts: Charts) -> tuple[F64, NDArray[np.int64]]:
+    """Size [C, 2] m of each chart, and how many tiles lie along its axes [C, 2]."""
+    extent = np.maximum(charts.upper - charts.lower, 1e-4)
+    return extent, np.maximum(1, np.ceil(extent / _TILE)).astype(np.int64)
+
 
 def _cut(charts: Charts) -> tuple[NDArray[np.int64], F64, F64, F64]:
     """Tiles of all charts: chart [T], lower corner and size [T, 2] m, and covered share [T]."""
-    extent = np.maximum(charts.upper - charts.lower, 1e-4)
-    splits = np.maximum(1, np.ceil(extent / _TILE)).astype(np.int64)
+    extent, splits = _splits(charts)
     per_chart = splits[:, 0] * splits[:, 1]
     chart = np.repeat(np.arange(len(charts)), per_chart)
     local = np.arange(len(chart)) - np.repeat(np.cumsum(per_chart) - per_chart, per_chart)
@@ -86,7 +96,11 @@ class Cells:
 
 
 def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cells:
-    """Every cell that holds some surface; each chart gets at least one."""
+    """Every cell that holds some surface.
+
+    Faces too thin for the subsamples of a cell, such as bevels, are cells of their own, cut to
+    about the spacing of their tile: a strip round a hall must not become one disc as long.
+    """
     nu, nv = tiles.cells.T
     brick = (nu > 3) & (nv > 1) & tiles.brick
     per_tile = nu * nv + np.where(brick, nv // 2, 0)
@@ -97,41 +111,25 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
     spread = np.empty((total, 3))
     pick_face = np.empty((total, PICKS), np.int32)
     pick_bary = np.empty((total, PICKS, 2), np.float32)
+    met = np.zeros(len(charts.faces), np.bool_)
     _fill_kernel(
         tiles.chart, tiles.lower, tiles.size, tiles.cells, brick, offset,
         charts.start, charts.faces, charts.corners, np.uint32(seed & 0xFFFFFFFF),
-        face, mean, spread, pick_face, pick_bary,
+        face, mean, spread, pick_face, pick_bary, met,
     )  # fmt: skip
     tile = np.repeat(np.arange(len(tiles.chart)), per_tile)
-    chart = tiles.chart[tile]
-    missed = np.setdiff1d(np.arange(len(charts)), np.unique(chart[face >= 0]))
     keep = np.flatnonzero(face >= 0)
     parts: list[Any] = [
         tile[keep],
-        chart[keep],
+        tiles.chart[tile[keep]],
         face[keep],
         mean[keep],
         spread[keep],
         pick_face[keep],
         pick_bary[keep],
     ]
-    if len(missed):  # too thin for the subsamples, such as bevels: a disc for each face
-        sizes = np.diff(charts.start)[missed]
-        at = np.repeat(charts.start[missed], sizes)
-        at = at + np.arange(len(at)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        corner = charts.corners[at]
-        middle = corner.mean(axis=1)
-        d = corner - middle[:, None]  # a triangle's covariance is a twelfth of its corners' sum
-        one = charts.faces[at]
-        extra: list[Any] = [
-            np.repeat(np.searchsorted(tiles.chart, missed), sizes),
-            np.repeat(missed, sizes),
-            one,
-            middle,
-            np.stack([(d[..., i] * d[..., j]).sum(1) / 12 for i, j in ((0, 0), (0, 1), (1, 1))], 1),
-            np.repeat(one[:, None], PICKS, 1),
-            np.full((len(one), PICKS, 2), 1 / 3, np.float32),
-        ]
+    extra = _fill_slivers(charts, tiles, brick, offset, face, met)
+    if len(extra[0]):
         parts = [np.concatenate([a, b]) for a, b in zip(parts, extra, strict=True)]
     tile, c, f, m, s, pf, pb = parts
     u, v, n = (charts.axes[c, k] for k in range(3))
@@ -152,6 +150,95 @@ def fill_tiles(charts: Charts, mesh: SceneMesh, tiles: Tiles, seed: int) -> Cell
     )
 
 
+def _fill_slivers(
+    charts: Charts,
+    tiles: Tiles,
+    brick: NDArray[np.bool_],
+    offset: NDArray[np.int64],
+    face: NDArray[np.int32],
+    met: NDArray[np.bool_],
+) -> list[Any]:
+    """What the subsamples missed, as the fields of `Cells` (points in chart coordinates).
+
+    That is all faces of charts without a filled cell, and longer faces that no subsample met
+    where the cells round them are empty, too.
+    """
+    owner = np.repeat(np.arange(len(charts)), np.diff(charts.start))
+    tile_filled = np.add.reduceat(face >= 0, offset[:-1]) > 0
+    missed = np.bincount(tiles.chart, tile_filled, len(charts)) == 0
+    first = np.searchsorted(tiles.chart, np.arange(len(charts)))
+    extent, splits = _splits(charts)
+
+    def tile_at(chart: NDArray[np.integer], point: F64) -> NDArray[np.int64]:
+        step = (point - charts.lower[chart]) / extent[chart] * splits[chart]
+        at = np.clip(step.astype(np.int64), 0, splits[chart] - 1)
+        # the first tile stands for a chart of which nothing was met
+        place = np.where(missed[chart], 0, at[:, 1] * splits[chart, 0] + at[:, 0])
+        return np.asarray(first[chart] + place, np.int64)
+
+    g = np.flatnonzero(missed[owner] | ~met)
+    edge = np.linalg.norm(np.roll(charts.corners[g], -1, 1) - charts.corners[g], axis=2)
+    middle = charts.corners[g].mean(axis=1)
+    g = g[missed[owner[g]] | (edge.max(axis=1) > tiles.spacing[tile_at(owner[g], middle)])]
+    corner = np.broadcast_to(np.eye(3), (len(g), 3, 3))  # weights of the face's corners
+    done: list[tuple[NDArray[np.int64], F64]] = []
+    while len(g):
+        point = corner @ charts.corners[g]
+        edge = np.linalg.norm(np.roll(point, -1, 1) - point, axis=2)
+        tile = tile_at(owner[g], point.mean(axis=1))
+        long = edge.max(axis=1) > tiles.spacing[tile]
+        done.append((g[~long], corner[~long]))
+        # halve the longest edge of the rest
+        g, corner, k = g[long], corner[long], edge[long].argmax(axis=1)
+        row = np.arange(len(g))
+        half = (corner[row, k] + corner[row, (k + 1) % 3]) / 2
+        one, other = corner.copy(), corner.copy()
+        one[row, k], other[row, (k + 1) % 3] = half, half
+        g, corner = np.concatenate([g, g]), np.concatenate([one, other])
+    if not done:
+        return [np.empty(0, np.int64)]
+    g = np.concatenate([a for a, _ in done])
+    corner = np.concatenate([b for _, b in done])
+    point = corner @ charts.corners[g]
+    middle = point.mean(axis=1)
+    tile = tile_at(owner[g], middle)
+    empty = face[_cell_at(tiles, brick, offset, tile, middle)] < 0
+    keep = np.flatnonzero(missed[owner[g]] | empty)
+    keep = keep[np.argsort(g[keep], kind="stable")]
+    g, corner, tile, middle = g[keep], corner[keep], tile[keep], middle[keep]
+    d = point[keep] - middle[:, None]  # a triangle's covariance is a twelfth of its corners' sum
+    picks = np.concatenate(
+        [corner.mean(1, keepdims=True), (corner + corner.mean(1)[:, None]) / 2], 1
+    )
+    one_face = charts.faces[g]
+    return [
+        tile,
+        owner[g],
+        one_face,
+        middle,
+        np.stack([(d[..., i] * d[..., j]).sum(1) / 12 for i, j in ((0, 0), (0, 1), (1, 1))], 1),
+        np.repeat(one_face[:, None], PICKS, 1),
+        picks[:, :PICKS, 1:].astype(np.float32),
+    ]
+
+
+def _cell_at(
+    tiles: Tiles,
+    brick: NDArray[np.bool_],
+    offset: NDArray[np.int64],
+    tile: NDArray[np.int64],
+    point: F64,
+) -> NDArray[np.int64]:
+    """The cell of tile [N] that a point [N, 2] lies in."""
+    nu, nv = tiles.cells[tile].T
+    step = (point - tiles.lower[tile]) / tiles.size[tile] * tiles.cells[tile]
+    row = np.clip(step[:, 1].astype(np.int64), 0, nv - 1)
+    shifted = brick[tile] & (row % 2 == 1)
+    column = np.clip((step[:, 0] + 0.5 * shifted).astype(np.int64), 0, nu - 1 + shifted)
+    before = row * nu + np.where(brick[tile], row // 2, 0)
+    return np.asarray(offset[tile] + before + column, np.int64)
+
+
 @njit
 def _mix(h):  # type: ignore[no-untyped-def]
     """Integer hash (lowbias32, C. Wellons)."""
@@ -168,9 +255,12 @@ def _mix(h):  # type: ignore[no-untyped-def]
 def _fill_kernel(  # type: ignore[no-untyped-def]
     tile_chart, tile_lower, tile_size, tile_cells, brick, offset,
     start, faces, corners, seed,
-    face, mean, spread, pick_face, pick_bary,
+    face, mean, spread, pick_face, pick_bary, met,
 ):  # fmt: skip
-    """Moments of the filled part of every cell; face −1 where a cell is (nearly) empty."""
+    """Moments of the filled part of every cell; face −1 where a cell is (nearly) empty.
+
+    `met` tells which faces, in the order of `faces`, any subsample lies on.
+    """
     for t in prange(len(tile_chart)):
         c = tile_chart[t]
         nu, nv = tile_cells[t, 0], tile_cells[t, 1]
@@ -195,6 +285,7 @@ def _fill_kernel(  # type: ignore[no-untyped-def]
                     w = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / det
                     if v >= -1e-6 and w >= -1e-6 and v + w <= 1.000001:
                         buffer[y, x] = g
+                        met[g] = True
         spots = np.empty((_FINE * _FINE, 2), np.int64)
         cell = offset[t]
         for j in range(nv):

@@ -13,7 +13,7 @@ from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.surface import ProceduralSurface
 from gn0.scenes.shading import Shader
 from gn0.scenes.sky import OpenAirShader, find_vault
-from gn0.scenes.surfels import build_surfels
+from gn0.scenes.surfels import Placement, place_surfels, shade_surfels
 from gn0.scenes.tone import BakedShader, choose_exposure
 
 DARK = 0.01  # of the median irradiance: less is not seen
@@ -74,6 +74,23 @@ def light_draft(
     return OpenAirShader(baked, vault, max(draft.sky.horizon) * draft.sky.shown)
 
 
+def place_draft(draft: SceneDraft, shader: Shader, count: int, *, seed: int = 0) -> Placement:
+    """At most `count` discs on the surfaces of a draft, finer where one looks closely."""
+    cameras, sight = max(CAMERAS, int(CAMERAS_PER_M2 * floor_area(draft))), SIGHT
+    if draft.sky is not None:
+        cameras, sight = CAMERAS, SIGHT_OUTDOORS
+    weight = weigh_views(draft.mesh, cameras=cameras, sight=sight, seed=seed)
+    return place_surfels(
+        draft.mesh,
+        shader,
+        count=count,
+        detail=weight,
+        seed=seed,
+        oriented=True,
+        unseen=weight <= LEAST,
+    )
+
+
 def cover_draft(
     draft: SceneDraft,
     shader: Shader,
@@ -83,21 +100,11 @@ def cover_draft(
     progress: Progress = no_progress,
 ) -> GaussianCloud:
     """At most `count` Gaussians that show a lit draft, labelled by object index."""
-    cameras, sight = max(CAMERAS, int(CAMERAS_PER_M2 * floor_area(draft))), SIGHT
-    if draft.sky is not None:
-        cameras, sight = CAMERAS, SIGHT_OUTDOORS
-    weight = weigh_views(draft.mesh, cameras=cameras, sight=sight, seed=seed)
-    cloud = build_surfels(
-        draft.mesh,
-        shader,
-        count=count,
-        detail=weight,
-        seed=seed,
-        oriented=True,
-        unseen=weight <= LEAST,
-        label_of_instance=np.arange(max(len(draft.objects), 1)),
-        progress=progress,
-    )
+    progress("surfels", 0, 3)
+    placement = place_draft(draft, shader, count, seed=seed)
+    progress("surfels", 1, 3)
+    cloud = shade_surfels(placement, shader, np.arange(max(len(draft.objects), 1)))
+    progress("surfels", 3, 3)
     return _drop_unlit(cloud)
 
 

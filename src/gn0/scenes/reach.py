@@ -1,0 +1,124 @@
+"""How far discs may reach: a splat that leaves its surface shows through the next wall."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F32, F64, rotation_from_quaternion
+from gn0.jit import njit, prange
+from gn0.scenes.charts import Charts
+
+FARTHEST = 0.10  # that two standard deviations reach beyond the outline of a piece of surface [m]
+SIGMA_MOST = 0.5  # standard deviation of any disc [m]
+_STEPS = 6  # of the search for the farthest end
+_WAYS = 8  # directions in which a disc is looked at: along its axes and between
+
+
+def hold_reach(
+    scales: F32,
+    point: F32,
+    quats: F32,
+    charts: Charts,
+    chart: NDArray[np.integer],
+    spacing: F64,
+    least: float,
+) -> F32:
+    """Scales of discs [N, 3] m, cut back where a disc reaches too far.
+
+    Two standard deviations reach at most a spacing, and never more than `FARTHEST`, beyond the
+    outline of the disc's chart, and no standard deviation is longer than `SIGMA_MOST`.
+
+    Args:
+        scales: standard deviations [N, 3] m, the third across the disc.
+        point: centres [N, 3] m.
+        quats: orientations [N, 4].
+        charts: pieces of surface.
+        chart: the piece that each disc lies on [N].
+        spacing: of each disc's tile [N] m.
+        least: standard deviation that is never cut [m].
+    """
+    axes = rotation_from_quaternion(quats)
+    frame = charts.axes[chart][:, :2]  # [N, 2, 3]
+    centre = np.einsum("nij,nj->ni", frame, point - charts.origin[chart])
+    flat = np.einsum("nij,njk->nki", frame, axes[:, :, :2])  # both axes in chart coordinates
+    held = np.minimum(scales.astype(np.float64), SIGMA_MOST)
+    _hold_kernel(
+        held, centre, np.ascontiguousarray(flat), np.asarray(chart, np.int64),
+        charts.start, charts.corners, np.clip(spacing, 2.0 * least, FARTHEST), least,
+    )  # fmt: skip
+    return held.astype(np.float32)
+
+
+@njit
+def _segment(px, py, ax, ay, bx, by):  # type: ignore[no-untyped-def]
+    """Squared distance of a point to a segment."""
+    dx, dy = bx - ax, by - ay
+    square = dx * dx + dy * dy
+    t = 0.0
+    if square > 0.0:
+        t = min(max(((px - ax) * dx + (py - ay) * dy) / square, 0.0), 1.0)
+    x, y = px - ax - t * dx, py - ay - t * dy
+    return x * x + y * y
+
+
+@njit(error_model="numpy")
+def _outside(px, py, corners, begin, end, enough):  # type: ignore[no-untyped-def]
+    """Distance of a point to triangles [m], or anything up to `enough` if it is no farther."""
+    best = np.inf
+    for g in range(begin, end):
+        c = corners[g]
+        # no nearer than its bounding box
+        x = max(0.0, min(c[0, 0], c[1, 0], c[2, 0]) - px, px - max(c[0, 0], c[1, 0], c[2, 0]))
+        y = max(0.0, min(c[0, 1], c[1, 1], c[2, 1]) - py, py - max(c[0, 1], c[1, 1], c[2, 1]))
+        if x * x + y * y >= best:
+            continue
+        s0 = (c[1, 0] - c[0, 0]) * (py - c[0, 1]) - (c[1, 1] - c[0, 1]) * (px - c[0, 0])
+        s1 = (c[2, 0] - c[1, 0]) * (py - c[1, 1]) - (c[2, 1] - c[1, 1]) * (px - c[1, 0])
+        s2 = (c[0, 0] - c[2, 0]) * (py - c[2, 1]) - (c[0, 1] - c[2, 1]) * (px - c[2, 0])
+        if (s0 >= 0 and s1 >= 0 and s2 >= 0) or (s0 <= 0 and s1 <= 0 and s2 <= 0):
+            return 0.0
+        for k in range(3):
+            m = (k + 1) % 3
+            best = min(best, _segment(px, py, c[k, 0], c[k, 1], c[m, 0], c[m, 1]))
+        if best <= enough * enough:
+            break
+    return np.sqrt(best)
+
+
+@njit(parallel=True, error_model="numpy")
+def _hold_kernel(scales, centre, flat, chart, start, corners, limit, least):  # type: ignore[no-untyped-def]
+    """Cut the first two columns of `scales` in place."""
+    for i in prange(len(scales)):
+        begin, end = start[chart[i]], start[chart[i] + 1]
+        if 2.0 * max(scales[i, 0], scales[i, 1]) <= limit[i]:
+            continue
+        for k in range(_WAYS):
+            turn = k % 4  # the axes first, then between them
+            if k < 4:
+                a, b = (1.0, 0.0) if turn < 2 else (0.0, 1.0)
+            else:
+                a, b = np.sqrt(0.5), np.sqrt(0.5)
+            a = -a if turn % 2 == 1 else a
+            b = -b if turn in (1, 2) else b
+            a, b = 2.0 * a * scales[i, 0], 2.0 * b * scales[i, 1]
+            dx = a * flat[i, 0, 0] + b * flat[i, 1, 0]
+            dy = a * flat[i, 0, 1] + b * flat[i, 1, 1]
+            cx, cy = centre[i, 0], centre[i, 1]
+            over = _outside(cx + dx, cy + dy, corners, begin, end, limit[i])
+            if over <= limit[i]:
+                continue
+            # the farthest way out that is allowed; exact for a convex outline
+            low, high = 0.0, 1.0
+            share = limit[i] / over
+            for _ in range(_STEPS):
+                over = _outside(cx + share * dx, cy + share * dy, corners, begin, end, limit[i])
+                if over <= limit[i]:
+                    low = share
+                else:
+                    high = share
+                share = (low + high) / 2
+            if k < 2 or k >= 4:
+                scales[i, 0] = max(low * scales[i, 0], least)
+            if k >= 2:
+                scales[i, 1] = max(low * scales[i, 1], least)

@@ -81,6 +81,24 @@ def test_the_search_finds_the_best_of_all_sequences() -> None:
         assert mine[2] <= quickest + GUARD + 1e-6
 
 
+def test_a_discount_says_how_much_later_states_count() -> None:
+    """A way that bends at once and back: who counts the first states most stays nearer to it."""
+    grid = OccupancyGrid(np.zeros((80, 80), np.uint8), 0.1, (-4.0, -4.0))
+    way = np.array([[0.0, 0.0], [0.3, 0.3], [0.6, 0.0], [2.0, 0.0]])
+    plans = {
+        discount: [
+            plan_tracking(
+                grid, (0.0, 0.0, yaw), way @ np.array([[c, -s], [s, c]]),
+                stop_distance=0.0, discount=discount,
+            )
+            for yaw in np.linspace(-1.0, 1.0, 9)
+            for c, s in [(math.cos(yaw), math.sin(yaw))]
+        ]
+        for discount in (0.05, 1.0)
+    }  # fmt: skip
+    assert plans[0.05] != plans[1.0]
+
+
 def test_the_literal_objective_would_spin_and_the_guard_does_not() -> None:
     """On a way that no heading of the lattice meets exactly, turning for ever costs nothing."""
     navigation = NavigationMap(OccupancyGrid(np.zeros((80, 80), np.uint8), 0.1, (0.0, 0.0)), 0.1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import heapq
+import re
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -135,8 +136,12 @@ class TestMap:
             rank = away + 1.0
             rank -= 1.5 * (path.stem in (f"test_{stem}", f"test_{stem}s"))
             rank -= 0.5 * (stem in path.stem)
+            rank -= 0.5 * (stem.split("_")[0] in path.stem.split("_"))
+            rank -= 0.5 * (path.parent.parts[-1] == Path(file).parent.parts[-1])
             rank -= 1.0 * any(word in text for word in words)
+            rank -= 0.75 * (re.search(rf"\b{re.escape(stem)}\b", text) is not None)
             rank -= 1.5 * (Path(file).parts[2] in path.parts)
+            rank += 2.0 * bool({"cuda", "gpu", "device"} & set(path.parts))  # slow where emulated
             ranked.append((rank, seconds.get(name, 5.0), name))
         return [name for _, _, name in sorted(ranked)][:MOST]
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from gn0.errors import FormatError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.files import describe_cloud_file, load_cloud
+from gn0.gaussians.splat import looks_like_splat
 from gn0.gaussians.transform import transform_cloud
 from gn0.geometry import rotation_from_quaternion
 from gn0.testing.splat_corpus import check_cloud_file, small_cloud
@@ -266,3 +267,16 @@ def test_limits_hold_for_every_format(tmp_path):
         load_cloud(tmp_path / name, limit_bytes=560)
         with pytest.raises(FormatError, match="more than the 559 allowed"):
             load_cloud(tmp_path / name, limit_bytes=559)
+
+
+@pytest.mark.parametrize("flat", [0, 3, 63])
+def test_a_splat_file_with_discs_and_points_is_known_as_one(flat: int) -> None:
+    """Scales of exactly 0 are allowed; a file of nothing but zeros is none."""
+    rng = np.random.default_rng(flat)
+    records = rng.integers(0, 255, (64, 32)).astype(np.uint8)
+    places = rng.uniform(0.01, 2.0, (64, 6)).astype("<f4")
+    places[:flat, 3:] = 0.0
+    records[:, :24] = places.view(np.uint8).reshape(64, 24)
+    assert looks_like_splat(records.tobytes(), records.nbytes)
+    records[:, 12:24] = 0
+    assert not looks_like_splat(records.tobytes(), records.nbytes)

@@ -107,6 +107,21 @@ def test_the_judge_finds_no_twin_and_would_find_one(flat: Scene) -> None:
     assert [t for e in alone for t in judge.twins(e) if not t.counts], "sets are needed here"
 
 
+def test_the_judge_reads_whole_words(flat: Scene, episodes: list[Episode]) -> None:
+    pair = tuple(
+        msgspec.structs.replace(o, category=kind)
+        for o, kind in zip(flat.objects, ("bin", "cabinet"), strict=False)
+    )
+    judge = JudgeTwins(replace(flat, objects=pair), NavigationMap(flat.grid, 0.2))
+    told = msgspec.structs.replace(
+        next(e for e in episodes if not e.in_area).mission,
+        category="bin",
+        instruction="Find the bin next to the cabinet in a bedroom.",
+    )
+    found = judge.read(msgspec.structs.replace(episodes[0], mission=told))
+    assert found == ("bin", "cabinet", "bedroom")
+
+
 def test_categories_take_turns_and_paths_lead_to_the_nearest(
     flat: Scene, episodes: list[Episode]
 ) -> None:

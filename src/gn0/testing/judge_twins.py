@@ -169,4 +169,5 @@ class JudgeTwins:
 
 
 def _without(text: str, name: str) -> str:
-    return text if not name else text.replace(name, "#" * len(name))
+    """The text without a name that stands alone: there is no bin in a cabinet."""
+    return re.sub(rf"\b{re.escape(name)}\b", "#", text) if name else text

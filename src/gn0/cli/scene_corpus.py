@@ -22,7 +22,7 @@ a spec (YAML or JSON):
   parts:
     - {kind: apartment, count: 6, size: small}
     - {kind: office, count: 2, light: draft}
-    - {path: $GN0_DATA/worlds/small_house, split: test}
+    - {path: worlds/small_house, split: test}
   splits: {train: 0.7, val_unseen: 0.15, test: 0.15}
   val_seen: 0.25   # of the training scenes, missions hold out paths"""
 

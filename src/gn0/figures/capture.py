@@ -30,6 +30,7 @@ from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.scene import Scene
 from gn0.scenes.sources import import_scene
 from gn0.seeds import random_stream
+from gn0.testing.bare_capture import bare
 
 RADIUS = 0.20  # m: the agent
 FLATS = ((21, "small"), (22, "medium"), (23, "large"), (24, "medium"))  # not those built with
@@ -68,11 +69,6 @@ def add_noise(cloud: GaussianCloud, level: int, seed: int = 0) -> GaussianCloud:
         opacities=opacities.astype(np.float32),
         scales=scales,
     )
-
-
-def bare(cloud: GaussianCloud) -> GaussianCloud:
-    """The splats without labels, albedo, light and normals."""
-    return replace(cloud, label=None, albedo=None, irradiance=None, normal=None)
 
 
 @dataclass(frozen=True)

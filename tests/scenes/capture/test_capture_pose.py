@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gn0.errors import ConfigError, SceneError
+from gn0.gaussians.files import load_cloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.scenes.capture.gravity import name_direction, propose_up, sample_surface
 from gn0.scenes.capture.pose import propose_pose
@@ -121,6 +122,26 @@ def test_given_up_is_levelled_by_the_floor(flat):
     pose = propose_pose(moved, CaptureSettings(up="z"))
     assert tilt_of(pose, lean) < 0.05
     assert "as given" in pose.evidence["up"] and not pose.candidates
+
+
+@pytest.mark.parametrize("name", ["+z", "-y"])
+def test_a_room_told_to_stand_on_its_head_is_doubted(flat, name):
+    """The user is obeyed, and told that the other end is likelier."""
+    turned = transform_cloud(flat, rotation=TURNS[name].as_matrix())
+    other = ("-" if name[0] == "+" else "+") + name[1]
+    wrong = propose_pose(turned, CaptureSettings(up=other))
+    assert "on its head" in wrong.doubts["up"] and f"--up={name}" in wrong.doubts["up"]
+    assert "up" not in propose_pose(turned, CaptureSettings(up=name)).doubts
+
+
+def test_a_statue_told_to_stand_on_its_head_is_doubted(shared_data):
+    """Third-party scans: every one of them stands on a plinth at the +y end."""
+    for path in sorted((shared_data / "splats" / "statues").glob("*.sog")):
+        cloud = load_cloud(path).cloud
+        wrong = propose_pose(cloud, CaptureSettings(up="y", floor="bottom"))
+        assert "--up=-y the end that is then lowest" in wrong.doubts["up"], path.name
+        right = propose_pose(cloud, CaptureSettings(up="-y", floor="bottom"))
+        assert "up" not in right.doubts, path.name
 
 
 def test_an_object_without_floor_is_refused_with_a_way_out(shapes):

@@ -26,6 +26,7 @@ from gn0.seeds import random_stream
 
 SAMPLE = 200_000  # Gaussians looked at
 _FACING = 0.90  # |n · up| of a level surface (26°)
+_SHARPNESS = 8.0  # of the softmax of scores
 _BINS = 250  # levels over the size of the capture
 _COLUMNS = 48  # columns over the size of the capture
 AXES = {
@@ -111,10 +112,42 @@ def propose_up(sample: SurfaceSample) -> list[UpCandidate]:
         for sign in (1.0, -1.0):
             found.append(_judge(sample, sign * axis))
     scores = np.array([c.score for c in found])
-    shares = np.exp(8.0 * (scores - scores.max()))
+    shares = np.exp(_SHARPNESS * (scores - scores.max()))
     shares /= shares.sum()
     order = np.argsort(-scores, kind="stable")
     return [UpCandidate(**{**vars(found[i]), "share": round(float(shares[i]), 4)}) for i in order]
+
+
+def weigh_ends(sample: SurfaceSample, up: F64) -> tuple[float, str]:
+    """Which end of an axis is up: the share that speaks against a given one, and what does.
+
+    Things that stand alone have a foot: the lowest twentieth of their height covers more ground
+    than the highest. Rooms have as much ceiling as floor; there the levels and the matter decide.
+
+    Returns:
+        Share (0 to 1) of the other end, and the reason in words, as if the other end were up.
+    """
+    foot, top = _ground_covered(sample, up), _ground_covered(sample, -up)
+    if max(foot, top) > 2 * min(foot, top):
+        times = max(foot, top) / max(min(foot, top), 1e-12)
+        many = f"{times:.0f}" if times < 20 else "many"
+        words = f"the end that is then lowest covers {many} times as much ground"
+        return (1.0 if top > foot else 0.0), words
+    this, other = _judge(sample, up), _judge(sample, -up)
+    share = 1 / (1 + math.exp(_SHARPNESS * (this.score - other.score)))
+    return share, (
+        f"{other.under:.0%} instead of {this.under:.0%} of the matter then lies under the floor, "
+        f"and things lie at {other.low:+.2f} instead of {this.low:+.2f} between floor and top"
+    )
+
+
+def _ground_covered(sample: SurfaceSample, up: F64) -> float:
+    """Ground [units²] that the lowest twentieth of the height spans."""
+    height = sample.points @ up
+    low, high = weighted_quantile(height, sample.weight, (0.005, 0.995))
+    end = height < low + 0.05 * (high - low)
+    a, b = (_extent(sample.points[end] @ axis, sample.weight[end]) for axis in plane_axes(up))
+    return a * b
 
 
 def _candidate_axes(sample: SurfaceSample) -> list[F64]:

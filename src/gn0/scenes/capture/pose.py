@@ -26,6 +26,7 @@ from gn0.scenes.capture.gravity import (
     plane_axes,
     propose_up,
     sample_surface,
+    weigh_ends,
     weighted_quantile,
 )
 from gn0.scenes.capture.settings import (
@@ -102,7 +103,7 @@ def propose_pose(cloud: GaussianCloud, settings: CaptureSettings) -> CapturePose
             raise SceneError(
                 f"no floor found with {name_direction(up)} up: the best is {evidence['floor']}",
                 remedy="an object on its own? `--floor bottom` puts it on flat ground; "
-                "wrong way up? give --up",
+                + doubts.get("up", "wrong way up? give --up"),
             )
         leaned = math.degrees(math.acos(min(1.0, float(np.dot(floor.up, up)))))
         evidence["up"] += f"; levelled by the floor, {leaned:.2f}° away"
@@ -148,6 +149,12 @@ def _find_up(
     given = read_up(settings.up)
     if given is not None:
         evidence["up"] = f"{name_direction(given)} as given"
+        against, why = weigh_ends(sample, given)
+        if against >= SURE:
+            other = name_direction(-given).split()[0]
+            doubts["up"] = (
+                f"this may stand on its head: with --up={other} {why}; look at the picture"
+            )
         return given, []
     candidates = propose_up(sample)
     best = candidates[0]

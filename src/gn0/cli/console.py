@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import Any, TextIO, cast
 
+from gn0.cli.heartbeat import COMPILING, beating
 from gn0.progress import Progress
 
 # what a terminal obeys instead of showing: C0 but the line feed, DEL, C1, and marks that turn the
@@ -89,11 +90,21 @@ def say_backend(backend: str) -> None:
 
 @contextmanager
 def draw_progress() -> Iterator[Progress]:
-    """A progress sink: rich bars on a terminal, at most a line every few seconds in a log."""
+    """A progress sink: rich bars on a terminal, a line every few seconds in a log.
+
+    No step is silent: on a terminal a wheel turns and the seconds run, in a log a step that takes
+    long is said to go on. That kernels are compiled, once, is a step of its own.
+    """
     if sys.stderr.isatty():
         yield from _draw_bars()
-    else:
-        yield _lines()
+        return
+    with beating(_lines(), _say_still) as progress:
+        yield progress
+
+
+def _say_still(stage: str, where: str, seconds: float) -> None:
+    step = f"{stage}: {where}, going on" if where else f"after {stage}: going on"
+    print(f"{step} for {seconds:.0f} s", file=sys.stderr, flush=True)
 
 
 def _draw_bars() -> Iterator[Progress]:
@@ -102,6 +113,7 @@ def _draw_bars() -> Iterator[Progress]:
         BarColumn,
         MofNCompleteColumn,
         ProgressColumn,
+        SpinnerColumn,
         Task,
         TextColumn,
         TimeElapsedColumn,
@@ -116,6 +128,7 @@ def _draw_bars() -> Iterator[Progress]:
             return Text("" if speed is None else f"{speed:.3g}/s")
 
     columns = (
+        SpinnerColumn(finished_text=" "),
         TextColumn("{task.description:<28}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -125,13 +138,24 @@ def _draw_bars() -> Iterator[Progress]:
     )
     with Bars(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, object] = {}
+        unnamed: list[Any] = []  # a row for what follows a step that has ended
+
+        def show_still(stage: str, where: str, seconds: float) -> None:
+            # the wheel and the seconds of an unfinished step move without being told
+            if not where and not unnamed:
+                unnamed.append(bars.add_task(f"after {stage}", total=None))
 
         def show(stage: str, done: int, total: int) -> None:
+            while unnamed and stage != COMPILING:
+                bars.remove_task(unnamed.pop())
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=total or None)
             bars.update(tasks[stage], completed=done, total=total or None)  # type: ignore[arg-type]
 
-        yield show
+        with beating(show, show_still) as progress:
+            yield progress
+        while unnamed:
+            bars.remove_task(unnamed.pop())
 
 
 def _lines() -> Progress:
@@ -141,10 +165,12 @@ def _lines() -> Progress:
     def show(stage: str, done: int, total: int) -> None:
         now = time.monotonic()
         begin, before = first.setdefault(stage, (now, done))
-        finished = total > 0 and done >= total
+        finished = total > 0 and done >= total and stage != COMPILING
         if finished or now - last.get(stage, -_QUIET_SECONDS) >= _QUIET_SECONDS:
             last[stage] = now
             line = f"{stage}: {done}/{total or '?'}"
+            if stage == COMPILING:
+                line = f"{stage}: {done} so far" if done else stage
             if now > begin and done > before:
                 line += f", {(done - before) / (now - begin):.3g}/s"
             print(line, file=sys.stderr, flush=True)

@@ -75,13 +75,19 @@ def build_surfels(
     Raises:
         SceneError: the mesh has no area.
     """
-    progress("surfels", 0, 3)
     placement = place_surfels(
-        mesh, shader, count=count, detail=detail, seed=seed, oriented=oriented, unseen=unseen
+        mesh,
+        shader,
+        count=count,
+        detail=detail,
+        seed=seed,
+        oriented=oriented,
+        unseen=unseen,
+        progress=progress,
     )
-    progress("surfels", 1, 3)
+    progress("surfels", 5, 6)
     cloud = shade_surfels(placement, shader, label_of_instance)
-    progress("surfels", 3, 3)
+    progress("surfels", 6, 6)
     return cloud
 
 
@@ -94,12 +100,14 @@ def place_surfels(
     seed: int = 0,
     oriented: bool = False,
     unseen: NDArray[np.bool_] | None = None,
+    progress: Progress = no_progress,
 ) -> Placement:
     """The discs of a mesh before their colours; see `build_surfels`.
 
     Raises:
         SceneError: the mesh has no area.
     """
+    progress("surfels", 0, 6)
     charts = build_charts(mesh)
     if not len(charts):
         raise SceneError("the mesh has no surface to cover", remedy="check its scale and faces")
@@ -117,15 +125,19 @@ def place_surfels(
             discs = replace(discs, keep=discs.keep & ~spare)
         return tiles, cells.select(discs.cell), discs
 
+    progress("surfels", 1, 6)
     # a coarse pass tells what is hidden (it costs nothing) and what needs many discs
     tiles, some, pilot = place(max(count // 6, 1), None)
+    progress("surfels", 2, 6)
     fineness = _spread_budget(
         shader, charts, some, pilot, weight=detail, mesh=mesh, tiles=len(tiles.chart)
     )
+    progress("surfels", 3, 6)
     target, before = count, np.inf
     while True:
         tiles, cells, discs = place(target, fineness)
         kept = int(discs.keep.sum())
+        progress("surfels", 4, 6)  # once or twice, as the count asks for
         if kept <= count:
             break
         if target < count // 8 or kept > max(1.2 * count, 0.97 * before):

@@ -74,12 +74,21 @@ def light_draft(
     return OpenAirShader(baked, vault, max(draft.sky.horizon) * draft.sky.shown)
 
 
-def place_draft(draft: SceneDraft, shader: Shader, count: int, *, seed: int = 0) -> Placement:
+def place_draft(
+    draft: SceneDraft,
+    shader: Shader,
+    count: int,
+    *,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> Placement:
     """At most `count` discs on the surfaces of a draft, finer where one looks closely."""
     cameras, sight = max(CAMERAS, int(CAMERAS_PER_M2 * floor_area(draft))), SIGHT
     if draft.sky is not None:
         cameras, sight = CAMERAS, SIGHT_OUTDOORS
+    progress("looking round", 0, 1)
     weight = weigh_views(draft.mesh, cameras=cameras, sight=sight, seed=seed)
+    progress("looking round", 1, 1)
     return place_surfels(
         draft.mesh,
         shader,
@@ -88,6 +97,7 @@ def place_draft(draft: SceneDraft, shader: Shader, count: int, *, seed: int = 0)
         seed=seed,
         oriented=True,
         unseen=weight <= LEAST,
+        progress=progress,
     )
 
 
@@ -100,11 +110,10 @@ def cover_draft(
     progress: Progress = no_progress,
 ) -> GaussianCloud:
     """At most `count` Gaussians that show a lit draft, labelled by object index."""
-    progress("surfels", 0, 3)
-    placement = place_draft(draft, shader, count, seed=seed)
-    progress("surfels", 1, 3)
+    placement = place_draft(draft, shader, count, seed=seed, progress=progress)
+    progress("surfels", 5, 6)
     cloud = shade_surfels(placement, shader, np.arange(max(len(draft.objects), 1)))
-    progress("surfels", 3, 3)
+    progress("surfels", 6, 6)
     return _drop_unlit(cloud)
 
 

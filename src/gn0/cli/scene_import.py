@@ -34,6 +34,8 @@ class Args(Config, frozen=True):
         resolution: cell size of the occupancy grid [m].
         density: Gaussians per square metre of floor, for meshes.
         light: home bakes lamps and daylight, flat shows textures as they are; for meshes.
+        strict: refuse a world of meshes that has any defect, instead of mending what can be mended
+            and leaving the rest out; either way the list is printed before any light is baked.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
         up: bare captures: auto, an axis of the file (z, -y, ...) or a direction x,y,z.
@@ -53,6 +55,7 @@ class Args(Config, frozen=True):
     resolution: float = 0.05
     density: Annotated[float, msgspec.Meta(ge=1000, le=40000)] = 10_000.0
     light: Literal["home", "flat"] = "home"
+    strict: bool = False
     packed: bool = False
     overwrite: bool = False
     up: str = "auto"
@@ -66,7 +69,7 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Import and say what came out."""
-    from gn0.cli.console import draw_progress
+    from gn0.cli.console import draw_progress, say_aside
     from gn0.scenes.capture.settings import CaptureSettings
     from gn0.scenes.sources import import_scene
 
@@ -87,10 +90,12 @@ def run(args: Args) -> int:
             resolution=args.resolution,
             density=args.density,
             light=args.light,
+            strict=args.strict,
             capture=capture,
             cloud_form="packed" if args.packed else "exact",
             overwrite=args.overwrite,
             progress=progress,
+            tell=say_aside,
         )
     if scene.source.kind == "capture":
         print_capture(scene, args.out)

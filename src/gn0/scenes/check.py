@@ -359,6 +359,14 @@ def _check_about(scene: Scene) -> Iterator[Finding]:
                 text=str(doubt),
                 remedy="look at capture.png in the scene folder; if it is right, leave it so",
             )
+    missing = scene.source.settings.get("left_out")
+    if missing:
+        yield Finding(
+            level="note",
+            code="left-out",
+            text=f"the world had parts that could not be used: {str(missing)[:300]}",
+            remedy="mend them and import again; `--strict` refuses a world with any defect",
+        )
     if not scene.licence:
         yield Finding(
             level="note",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -15,8 +16,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from gn0.errors import FormatError, StorageError
+from gn0.errors import FormatError, Gn0Error, StorageError
 from gn0.geometry import F64
+from gn0.scenes.world_defects import WorldDefect, defect_of, refuse_defects
+from gn0.scenes.world_files import WorldFiles
 from gn0.scenes.xml import load_xml
 from gn0.storage import safe_join
 
@@ -25,6 +28,7 @@ _PARTS_MAX = 100_000
 _BUILTIN = {"sun", "ground_plane"}  # model:// names that every Gazebo brings along
 
 Role = Literal["visual", "collision"]
+_ROLES: tuple[Role, Role] = ("visual", "collision")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,8 @@ class SdfPart:
             (radius, 0, 0) of a sphere; (width, depth, 0) of a plane.
         pose: model-to-world transform [4, 4] without the scale.
         colour: diffuse colour (r, g, b) of the SDF's own material, if any.
+        link: number of the link that it belongs to; what is seen and what is bumped into share it.
+        fault: why a mesh has no file, None when it has.
     """
 
     role: Role
@@ -49,6 +55,8 @@ class SdfPart:
     size: tuple[float, float, float]
     pose: F64
     colour: tuple[float, float, float] | None = None
+    link: int = -1
+    fault: Gn0Error | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +81,24 @@ class SdfLight:
 
 @dataclass(eq=False)
 class SdfWorld:
-    """What a world file describes."""
+    """What a world file describes.
+
+    Attributes:
+        root: the world's folder; nothing outside it is opened.
+        file: the world file.
+        strict: whether a defect is an error; else it is mended or left out, and listed.
+        instances, lights: what stands and shines in it.
+        notes: what is worth saying, in words.
+        defects: what was mended or left out.
+    """
 
     root: Path
     file: Path
+    strict: bool = True
     instances: list[SdfInstance] = field(default_factory=list)
     lights: list[SdfLight] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    defects: list[WorldDefect] = field(default_factory=list)
 
 
 def find_world_file(path: Path) -> Path | None:
@@ -101,15 +120,22 @@ def find_world_file(path: Path) -> Path | None:
     return next(iter(named or found), None)
 
 
-def load_sdf(file: Path) -> SdfWorld:
+def load_sdf(file: Path, *, strict: bool = True) -> SdfWorld:
     """Read a world and every model it includes.
 
+    Args:
+        file: the world file.
+        strict: refuse a world with defects; else what is defective is mended or left out, and
+            listed in `defects`.
+
     Raises:
-        StorageError: a model is missing, or a path climbs out of the world's folder.
-        FormatError: a file is not SDF, or a number in it is no number.
+        StorageError: strict: a model is missing, or a path climbs out of the world's folder.
+        FormatError: the world file is not SDF, or holds absurdly much; strict: so is a model, or a
+            number in it is no number.
+        SceneError: strict: there are several such defects; lists them.
     """
     root = file.parent.parent if file.parent.name == "worlds" else file.parent
-    world = SdfWorld(root=root, file=file)
+    world = SdfWorld(root=root, file=file, strict=strict)
     tree = load_xml(file)
     node = tree.find("world") if tree.tag == "sdf" else None
     if node is None:
@@ -124,22 +150,27 @@ def load_sdf(file: Path) -> SdfWorld:
             reader.add_include(child)
         elif child.tag == "light":
             reader.add_light(child)
+    if strict:
+        refuse_defects(world.defects, file)
     return world
 
 
 class _Reader:
     def __init__(self, world: SdfWorld) -> None:
         self.world = world
+        self.files = WorldFiles(world.root)
         self.cache: dict[Path, Element] = {}
         self.parts = 0
+        self.links = 0
+        self.inside: list[Path] = []  # models that the one being read is included by
 
     def add_instance(self, node: Element) -> None:
         name = node.get("name") or f"model_{len(self.world.instances)}"
         kinds: list[str] = []
-        parts = tuple(
-            self._parts(node, _pose(node, self.world.file), self.world.file, kinds, depth=0)
-        )
-        self._append(name, kinds[0] if kinds else name, parts)
+        file = self.world.file
+        with self._leaving_out(name):
+            parts = tuple(self._parts(node, _pose(node, file), file, kinds, depth=0))
+            self._append(name, kinds[0] if kinds else name, parts)
 
     def add_include(self, node: Element) -> None:
         uri = _text(node, "uri")
@@ -148,24 +179,37 @@ class _Reader:
                 self._append("ground_plane", "ground_plane", (_plane(self.world.root),))
             return
         kinds: list[str] = []
-        parts = tuple(self._included(node, np.eye(4), self.world.file, kinds, depth=0))
-        name = _text(node, "name") or (kinds[0] if kinds else "model")
-        self._append(name, kinds[0] if kinds else name, parts)
+        with self._leaving_out(_text(node, "name") or uri or "include"):
+            parts = tuple(self._included(node, np.eye(4), self.world.file, kinds, depth=0))
+            name = _text(node, "name") or (kinds[0] if kinds else "model")
+            self._append(name, kinds[0] if kinds else name, parts)
 
     def add_light(self, node: Element) -> None:
         file = self.world.file
-        pose = _pose(node, file)
-        direction = _numbers(_text(node, "direction") or "0 0 -1", 3, file, "direction")
-        colour = _numbers(_text(node, "diffuse") or "1 1 1 1", 3, file, "diffuse")
-        self.world.lights.append(
-            SdfLight(
-                name=node.get("name") or "light",
-                kind=node.get("type") or "point",
-                position=_triple(pose[:3, 3]),
-                direction=_triple(pose[:3, :3] @ direction),
-                colour=_triple(np.clip(colour, 0, 100)),
+        with self._leaving_out(node.get("name") or "light"):
+            pose = _pose(node, file)
+            direction = _numbers(_text(node, "direction") or "0 0 -1", 3, file, "direction")
+            colour = _numbers(_text(node, "diffuse") or "1 1 1 1", 3, file, "diffuse")
+            self.world.lights.append(
+                SdfLight(
+                    name=node.get("name") or "light",
+                    kind=node.get("type") or "point",
+                    position=_triple(pose[:3, 3]),
+                    direction=_triple(pose[:3, :3] @ direction),
+                    colour=_triple(np.clip(colour, 0, 100)),
+                )
             )
-        )
+
+    @contextmanager
+    def _leaving_out(self, what: str) -> Iterator[None]:
+        """Go on without a piece that cannot be read, and say so; absurd amounts still end it."""
+        try:
+            yield
+        except Gn0Error as error:
+            if self.parts > _PARTS_MAX:
+                raise
+            found = defect_of(error, done=f"left out ({what[:80]})" if what else "left out")
+            self.world.defects.append(found)
 
     def _append(self, name: str, kind: str, parts: tuple[SdfPart, ...]) -> None:
         taken = {instance.name for instance in self.world.instances}
@@ -185,15 +229,24 @@ class _Reader:
                 remedy="a model must not include itself",
             )
         for child in model:
-            if child.tag == "include" and not _builtin(_text(child, "uri")):
-                yield from self._included(child, pose, file, kinds, depth + 1)
-            elif child.tag == "model":
-                yield from self._parts(child, pose @ _pose(child, file), file, kinds, depth + 1)
-            elif child.tag == "link":
-                link = pose @ _pose(child, file)
-                for role in ("visual", "collision"):
-                    for item in child.findall(role):
-                        part = self._part(item, role, link, file)
+            with self._leaving_out(child.get("name") or _text(child, "uri")):
+                yield from list(self._child(child, pose, file, kinds, depth))
+
+    def _child(
+        self, child: Element, pose: F64, file: Path, kinds: list[str], depth: int
+    ) -> Iterator[SdfPart]:
+        if child.tag == "include" and not _builtin(_text(child, "uri")):
+            yield from self._included(child, pose, file, kinds, depth + 1)
+        elif child.tag == "model":
+            yield from self._parts(child, pose @ _pose(child, file), file, kinds, depth + 1)
+        elif child.tag == "link":
+            link = pose @ _pose(child, file)
+            self.links += 1
+            number = self.links
+            for role in _ROLES:
+                for item in child.findall(role):
+                    with self._leaving_out(item.get("name") or role):
+                        part = self._part(item, role, link, file, number)
                         if part is not None:
                             yield part
 
@@ -202,6 +255,8 @@ class _Reader:
     ) -> Iterator[SdfPart]:
         folder, sdf_file = self._find_model(_text(node, "uri"), file)
         self._count(file)
+        if sdf_file in self.inside:
+            raise FormatError("a model must not include itself", file=sdf_file)
         kinds.append(folder.name)
         if sdf_file not in self.cache:
             self.cache[sdf_file] = load_xml(sdf_file)
@@ -209,7 +264,11 @@ class _Reader:
         if model is None:
             raise FormatError("no <sdf><model> in this file", file=sdf_file)
         own = _pose(node, file) if node.find("pose") is not None else _pose(model, sdf_file)
-        yield from self._parts(model, pose @ own, sdf_file, kinds, depth)
+        self.inside.append(sdf_file)
+        try:
+            yield from list(self._parts(model, pose @ own, sdf_file, kinds, depth))
+        finally:
+            self.inside.pop()
 
     def _count(self, file: Path) -> None:
         self.parts += 1
@@ -221,35 +280,52 @@ class _Reader:
             )
 
     def _find_model(self, uri: str, file: Path) -> tuple[Path, Path]:
-        """The folder and SDF file of a `model://` address."""
-        folder = self._resolve(uri, file)
-        config = folder / "model.config"
-        name = "model.sdf"
-        if config.is_file():
-            entry = load_xml(config, 2**20).find("sdf")
-            if entry is not None and (entry.text or "").strip():
-                name = (entry.text or "").strip()
-        return folder, safe_join(folder, name)
+        """The folder and SDF file of a model's address."""
+        found = self._find(uri, file)
+        if found.is_file():
+            return found.parent, found
+        name = self._sdf_named(found / "model.config") or "model.sdf"
+        path = safe_join(found, name)
+        if not path.is_file():
+            others = sorted(item for item in found.glob("*.[sS][dD][fF]") if item.is_file())
+            if others:
+                path = safe_join(found, others[-1].name)
+                self._mended(found, f"it has no {name}", f"{path.name} is read")
+        return found, path
 
-    def _resolve(self, uri: str, file: Path) -> Path:
-        scheme, _, rest = uri.partition("://")
-        if scheme not in ("model", "package") or not rest:
-            raise StorageError(
-                f"address {uri!r} is not of the form model://NAME/…",
+    def _sdf_named(self, config: Path) -> str:
+        if not config.is_file():
+            return ""
+        try:
+            entry = load_xml(config, 2**20).find("sdf")
+        except FormatError as error:
+            self.world.defects.append(defect_of(error, done="model.sdf is read"))
+            return ""
+        return (entry.text or "").strip() if entry is not None else ""
+
+    def _find(self, uri: str, file: Path) -> Path:
+        """The file or folder of an address; says so when it took a guess.
+
+        Raises:
+            StorageError: there is nothing of that name in the world's folder.
+        """
+        path, exact = self.files.find(uri, file.parent, file)
+        if not exact:
+            short = path.resolve().relative_to(self.world.root.resolve())
+            error = StorageError(
+                f"address {uri[:200]!r} is not of the form model://NAME/…",
                 where=file,
                 remedy="put the model under models/ beside the world and use model://",
             )
-        for base in (self.world.root / "models", self.world.root):
-            path = safe_join(base, rest)
-            if path.exists():
-                return path
-        raise StorageError(
-            f"{uri} is not in the world's folder",
-            where=file,
-            remedy=f"put it under {self.world.root / 'models'}",
-        )
+            self._mended(file, f"address {uri[:200]}", f"read as {short}", error)
+        return path
 
-    def _part(self, item: Element, role: Role, link: F64, file: Path) -> SdfPart | None:
+    def _mended(self, file: Path, what: str, done: str, error: Gn0Error | None = None) -> None:
+        self.world.defects.append(WorldDefect(str(file), what, done, error))
+
+    def _part(
+        self, item: Element, role: Role, link: F64, file: Path, number: int
+    ) -> SdfPart | None:
         geometry = item.find("geometry")
         if geometry is None or not len(geometry):
             return None
@@ -273,7 +349,15 @@ class _Reader:
         if size is None:
             self.world.notes.append(f"{file.parent.name}: <{shape.tag}> geometry is left out")
             return None
-        mesh = self._resolve(_text(shape, "uri"), file) if shape.tag == "mesh" else None
+        mesh: Path | None = None
+        fault: Gn0Error | None = None
+        if shape.tag == "mesh":
+            try:
+                mesh = self._find(_text(shape, "uri"), file)
+                if not mesh.is_file():
+                    fault = StorageError("the mesh is no file", where=mesh)
+            except StorageError as error:
+                fault = error
         diffuse = item.find("material/diffuse")
         colour = None
         if diffuse is not None:
@@ -286,6 +370,8 @@ class _Reader:
             size=_triple(size()),
             pose=link @ _pose(item, file),
             colour=colour,
+            link=number,
+            fault=fault,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from gn0.config import Config, check_config
 from gn0.errors import ConfigError, SceneError, StorageError
@@ -13,6 +13,7 @@ from gn0.scenes.capture.settings import CaptureSettings, check_capture_settings
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION
 from gn0.scenes.scene import Scene
+from gn0.scenes.world_defects import Tell, no_tell
 from gn0.storage import check_replaceable
 
 
@@ -26,6 +27,7 @@ class ImportSettings(Config, frozen=True):
         seed: of whatever is drawn by chance.
         scene_id: id of the scene; the source's own name when empty.
         light: "home" bakes lamps and daylight, "flat" shows the textures as they are.
+        strict: refuse a world of meshes with defects instead of mending them or leaving them out.
         capture: what is known about a bare capture.
     """
 
@@ -35,6 +37,7 @@ class ImportSettings(Config, frozen=True):
     seed: int = 0
     scene_id: str = ""
     light: str = "home"
+    strict: bool = False
     capture: CaptureSettings = CaptureSettings()
 
 
@@ -60,6 +63,17 @@ class SceneSource(Protocol):
             FormatError, StorageError, SceneError: the files are damaged or incomplete.
         """
         ...
+
+
+@runtime_checkable
+class SceneSourceTelling(Protocol):
+    """A source that has something to say to the person who imports, before its long work.
+
+    Attributes:
+        tell: takes one line; set by `import_scene`.
+    """
+
+    tell: Tell
 
 
 def find_source(path: Path) -> SceneSource:
@@ -96,10 +110,12 @@ def import_scene(
     density: float = 10_000.0,
     seed: int = 0,
     light: str = "home",
+    strict: bool = False,
     capture: CaptureSettings | None = None,
     cloud_form: CloudForm = "exact",
     overwrite: bool = False,
     progress: Progress = no_progress,
+    tell: Tell = no_tell,
 ) -> Scene:
     """Import whatever lies at `path` into the scene folder `out`; the scene's id is its name.
 
@@ -111,10 +127,13 @@ def import_scene(
         density: Gaussians per square metre of floor, for meshes.
         seed: of whatever is drawn by chance.
         light: "home" bakes lamps and daylight, "flat" shows the textures as they are.
+        strict: refuse a world of meshes with any defect; by default defects are mended or what they
+            touch is left out.
         capture: up, scale, floor and the like of a bare capture, where known.
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).
         overwrite: replace an existing folder.
         progress: progress sink.
+        tell: takes what is wrong with the source, line by line, before any long work.
 
     Raises:
         StorageError: nothing at `path`, or `out` cannot be written.
@@ -150,6 +169,7 @@ def import_scene(
             seed=seed,
             scene_id=scene_id_from(out.resolve().name),
             light=light,
+            strict=strict,
             capture=check_capture_settings(capture or CaptureSettings()),
         )
     )
@@ -160,6 +180,14 @@ def import_scene(
             where=path,
             remedy="leave them out",
         )
+    if strict and source.name != "world":
+        raise ConfigError(
+            f"strict is for worlds of meshes, not for {source.name} scenes",
+            where=path,
+            remedy="leave it out",
+        )
+    if isinstance(source, SceneSourceTelling):
+        source.tell = tell
     scene = source.build(path, settings, progress)
     return save_scene(scene, out, cloud_form=cloud_form, overwrite=overwrite, progress=progress)
 

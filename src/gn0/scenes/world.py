@@ -20,6 +20,7 @@ from gn0.scenes.sdf import SdfWorld, find_world_file, load_sdf
 from gn0.scenes.sources import ImportSettings
 from gn0.scenes.surfels import build_surfels
 from gn0.scenes.textures import TextureAlbedo
+from gn0.scenes.world_defects import Tell, WorldDefect, defect_lines, no_tell
 from gn0.scenes.world_light import close_ceiling, drop_outside, light_world
 from gn0.scenes.world_mesh import WorldMeshes, load_world_meshes
 
@@ -33,6 +34,9 @@ class SceneSourceWorld:
     name = "world"
     looked_for = "a .world or .sdf file, or a folder with one in it or in worlds/"
 
+    def __init__(self, tell: Tell = no_tell) -> None:
+        self.tell = tell
+
     def recognises(self, path: Path) -> bool:
         """Whether there is a world file."""
         try:
@@ -43,17 +47,21 @@ class SceneSourceWorld:
     def build(
         self, path: Path, settings: ImportSettings, progress: Progress = no_progress
     ) -> Scene:
-        """Read the world, light it, cover it with splats.
+        """Read the world, say what is wrong with it, light it, cover it with splats.
 
         Raises:
-            StorageError, FormatError: a file is missing or damaged, or leads out of the folder.
+            StorageError, FormatError: the world file is missing or damaged; with `strict` any file
+                is, or leads out of the folder.
             SceneError: there is nothing to stand on.
         """
         file = find_world_file(path)
         if file is None:
             raise SceneError("no world file here", where=path, remedy=f"give {self.looked_for}")
-        world = load_sdf(file)
-        meshes, floor_z = place_on_floor(load_world_meshes(world, progress))
+        world = load_sdf(file, strict=settings.strict)
+        loaded = load_world_meshes(world, progress)
+        for line in defect_lines(loaded.defects):
+            self.tell(line)
+        meshes, floor_z = place_on_floor(loaded)
         grid = world_occupancy(meshes, settings)
         rooms = world_rooms(meshes, grid)
         objects = assign_rooms(world_objects(meshes), rooms, grid)
@@ -98,6 +106,7 @@ class SceneSourceWorld:
                     "light": settings.light,
                     "floor_shift": round(floor_z, 4),
                     "ceiling": round(ceiling_height(meshes), 3),
+                    **_defects_told(loaded.defects),
                 },
                 label_source="given",
             ),
@@ -209,6 +218,14 @@ def _told(notes: list[str]) -> str:
     states = Counter(note.rsplit(" is ", 1)[-1] for note in texture)
     counted = [f"{n} textures {state}" for state, n in sorted(states.items())]
     return "; ".join([*counted, *(note for note in notes if note not in texture)])[:400]
+
+
+def _defects_told(defects: list[WorldDefect]) -> dict[str, str | int]:
+    """What `scene.json` keeps of the list: how many, and what is missing for it."""
+    if not defects:
+        return {}
+    out = sorted({f"{d.where}: {d.what}" for d in defects if d.left_out})
+    return {"defects": len(defects), "left_out": "; ".join(out)[:2000]}
 
 
 def _licence(world: SdfWorld) -> str:

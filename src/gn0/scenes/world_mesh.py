@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
-from gn0.errors import FormatError
+from gn0.errors import FormatError, Gn0Error
 from gn0.gaussians.film import decode_srgb
 from gn0.geometry import F64
 from gn0.progress import Progress, no_progress
@@ -18,6 +20,14 @@ from gn0.scenes.collada import ColladaPart, load_collada
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.sdf import SdfInstance, SdfPart, SdfWorld
 from gn0.scenes.textures import Paint, load_texture
+from gn0.scenes.world_defects import (
+    WorldDefect,
+    defect_lines,
+    defect_of,
+    refuse_defects,
+    told_within,
+)
+from gn0.scenes.world_strays import drop_strays
 
 _SHELL = {"floor", "ground", "wall", "ceiling", "roof", "ground plane"}
 _SYNONYMS = {
@@ -58,6 +68,7 @@ class WorldMeshes:
         names, categories: per instance that is an object.
         yaws: heading of the model's own axes per object [rad].
         notes: what was missing, in words.
+        defects: what was mended or left out, the world file's own included.
     """
 
     visual: SceneMesh
@@ -67,6 +78,7 @@ class WorldMeshes:
     categories: list[str]
     yaws: list[float]
     notes: list[str]
+    defects: list[WorldDefect] = field(default_factory=list)
 
     def shifted(self, dz: float) -> WorldMeshes:
         """The same, moved up by `dz` [m]."""
@@ -120,8 +132,13 @@ def is_shell(category: str) -> bool:
 def load_world_meshes(world: SdfWorld, progress: Progress = no_progress) -> WorldMeshes:
     """Load and place every mesh of a world.
 
+    What is seen but has no readable mesh is shown by what is bumped into there; parts far from the
+    rest or absurdly large are left out. `defects` lists it all.
+
     Raises:
-        FormatError, StorageError: a mesh is missing or damaged; names the file.
+        FormatError: there is nothing to see; strict: a mesh is damaged.
+        StorageError: strict: a mesh is missing; names the file.
+        SceneError: strict: there are several such defects; lists them.
     """
     loader = _Loader(world)
     for done, instance in enumerate(world.instances):
@@ -138,13 +155,14 @@ class _Loader:
     meshes: dict[str, list[SceneMesh]] = field(
         default_factory=lambda: {"visual": [], "collision": []}
     )
-    cache: dict[Path, list[ColladaPart]] = field(default_factory=dict)
+    cache: dict[Path, list[ColladaPart] | Gn0Error] = field(default_factory=dict)
     paints: list[Paint] = field(default_factory=list)
     paint_of: dict[object, int] = field(default_factory=dict)
     names: list[str] = field(default_factory=list)
     categories: list[str] = field(default_factory=list)
     yaws: list[float] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    defects: list[WorldDefect] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.prefix = common_prefix([instance.kind for instance in self.world.instances])
@@ -158,19 +176,59 @@ class _Loader:
             self.categories.append(category)
             first = instance.parts[0].pose if instance.parts else np.eye(4)
             self.yaws.append(float(np.arctan2(first[1, 0], first[0, 0])))
-        for part in instance.parts:
-            for piece in self._pieces(part):
-                self.meshes[part.role].append(self._placed(piece, part, index, category))
+        for _, group in groupby(instance.parts, key=lambda part: part.link):
+            for part, pieces in self._whole(list(group), instance.name, category):
+                for piece in pieces:
+                    self.meshes[part.role].append(self._placed(piece, part, index, category))
+
+    def _whole(
+        self, parts: list[SdfPart], name: str, category: str
+    ) -> Iterator[tuple[SdfPart, list[ColladaPart]]]:
+        """The parts of one link with their triangles; stand-ins for meshes that cannot be read."""
+        loaded = [(part, *self._pieces(part)) for part in parts]
+        seen = [entry for entry in loaded if entry[0].role == "visual"]
+        bumped = [entry for entry in loaded if entry[0].role == "collision"]
+        paired = len(seen) == len(bumped)
+        nothing = not any(pieces for _, pieces, _ in seen)
+        spent = False
+        for number, (part, pieces, error) in enumerate(seen):
+            if error is None:
+                yield part, pieces
+                continue
+            stand_ins = [bumped[number]] if paired else ([] if spent or not nothing else bumped)
+            stand_ins = [entry for entry in stand_ins if entry[1]]
+            spent = True
+            for other, shapes, _ in stand_ins:
+                colour = part.colour or _PLAUSIBLE.get(category, _GREY)
+                plain = [replace(shape, texture="", colour=colour) for shape in shapes]
+                yield replace(other, role="visual", colour=part.colour), plain
+            done = "its collision mesh is shown" if stand_ins else f"left out ({name})"
+            self.defects.append(defect_of(error, done=done))
+        for part, pieces, error in bumped:
+            if error is None:
+                yield part, pieces
+            else:
+                self.defects.append(defect_of(error, done=f"left out (what blocks in {name})"))
 
     def finish(self) -> WorldMeshes:
+        defects = told_within([*self.world.defects, *self.defects], self.world.root)
         if not self.meshes["visual"]:
+            if self.world.strict:
+                refuse_defects(defects, self.world.file)
+            told = "; ".join(line.strip() for line in defect_lines(defects))
             raise FormatError(
-                "the world has no visible geometry",
+                "the world has no visible geometry" + (f": {told}" if told else ""),
                 file=self.world.file,
                 remedy="give a world whose models have visuals",
             )
         visual = join_meshes(self.meshes["visual"])
         collision = join_meshes(self.meshes["collision"] or self.meshes["visual"])
+        visual, collision, strays = drop_strays(
+            visual, collision, self.names, self.categories, self.world.file.name
+        )
+        defects += strays
+        if self.world.strict:
+            refuse_defects(defects, self.world.file)
         return WorldMeshes(
             visual=visual,
             collision=collision,
@@ -179,14 +237,22 @@ class _Loader:
             categories=self.categories,
             yaws=self.yaws,
             notes=[*self.world.notes, *self.notes],
+            defects=defects,
         )
 
-    def _pieces(self, part: SdfPart) -> list[ColladaPart]:
+    def _pieces(self, part: SdfPart) -> tuple[list[ColladaPart], Gn0Error | None]:
+        """The triangles of a part, or why there are none."""
+        if part.fault is not None:
+            return [], part.fault
         if part.mesh is None:
-            return [_primitive(part)]
+            return [_primitive(part)], None
         if part.mesh not in self.cache:
-            self.cache[part.mesh] = _load_mesh(part.mesh)
-        return self.cache[part.mesh]
+            try:
+                self.cache[part.mesh] = _load_mesh(part.mesh)
+            except Gn0Error as error:
+                self.cache[part.mesh] = error
+        found = self.cache[part.mesh]
+        return ([], found) if isinstance(found, Gn0Error) else (found, None)
 
     def _placed(self, piece: ColladaPart, part: SdfPart, index: int, category: str) -> SceneMesh:
         scale = np.asarray(part.size if part.shape == "mesh" else (1.0, 1.0, 1.0))

@@ -32,6 +32,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
     "scene_source": {
         "capture": "gn0.scenes.capture.source:SceneSourceCapture",
         "interiorgs": "gn0.scenes.interiorgs:SceneSourceInteriorGS",
+        "ros-map": "gn0.scenes.ros_map:SceneSourceRosMap",
         "world": "gn0.scenes.world:SceneSourceWorld",
     },
     "renderer": {

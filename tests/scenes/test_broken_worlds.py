@@ -160,7 +160,7 @@ DEFECTS: dict[str, tuple[Callable[[Path], str], str]] = {
     "visual mesh damaged": (seen_damaged, "its collision mesh is shown"),
     "both meshes missing": (all_missing, "left out (Table_01_1)"),
     "part far away": (far_part, "km from the rest; left out"),
-    "stray triangle": (stray_triangle, "1 triangles of Table_01_1 lies"),
+    "stray triangle": (stray_triangle, "1 triangle of Table_01_1 lies"),
     "chair of centimetres": (huge_part, "wrong unit"),
     "dome of kilometres": (sky_dome, "measures 9 km"),
     "model absent": (model_absent, "model://Absent_01 is not in the world's folder; left out"),

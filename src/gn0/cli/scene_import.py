@@ -1,4 +1,4 @@
-"""Turn a splat file, an InteriorGS folder or a Gazebo/SDF world of meshes into a scene folder.
+"""Turn a splat file, an InteriorGS folder, a Gazebo/SDF world or a ROS map into a scene folder.
 
 The source is told by its content. Occupancy comes from what lies within the agent's body:
 `--height-band LO HI`, metres above the floor.
@@ -21,6 +21,7 @@ EXAMPLES = """  gn0 scene import path/to/small_house --out out/house
   gn0 scene import my.splat --up=-y --scale-from ceiling:2.6 --out out/room
   gn0 scene import statue.sog --up=y --floor bottom --out out/statue
   gn0 scene import path/to/small_house --height-band 0.15 0.30 --out out/house-lidar
+  gn0 scene import path/to/map.yaml --out out/map
   gn0 scene import path/to/InteriorGS/0001_839920 --out out/flat"""
 
 
@@ -28,7 +29,7 @@ class Args(Config, frozen=True):
     """Source and settings.
 
     Attributes:
-        path: a splat file, a scene or world folder, or a .world file.
+        path: a splat file, a scene or world folder, a .world file, or a ROS map's .yaml.
         out: the scene folder to write.
         height_band: the body band [m above the floor] whose obstacles block the agent.
         resolution: cell size of the occupancy grid [m].

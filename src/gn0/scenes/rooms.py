@@ -7,7 +7,9 @@ guessed from the furniture.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +46,22 @@ _TYPES: dict[str, dict[str, float]] = {
     "balcony": {"balcony table": 2},
     "storage hall": {"shelf": 1, "pallet jack": 3, "pallet": 2, "clutter": 1},
 }  # fmt: skip
+
+_AREAS = {  # m²: sizes that such rooms have, small flats and large houses included
+    "bedroom": (4.0, 60.0),
+    "kitchen": (3.0, 80.0),
+    "living room": (7.0, 150.0),
+    "dining room": (5.0, 120.0),
+    "bathroom": (1.5, 40.0),
+    "study": (3.0, 60.0),
+    "gym": (6.0, 400.0),
+    "hallway": (1.0, 80.0),
+    "balcony": (1.0, 40.0),
+    "storage hall": (20.0, math.inf),
+}
+_SPEAKS = 1.5  # weight of furniture that names a room
+_CLEAR = 1.25  # of the next best type's weight
+_AREA_PER_THING = 30.0  # m² of floor for which one thing may speak
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,14 +144,36 @@ def room_at(rooms: tuple[SceneRoom, ...], x: float, y: float) -> str | None:
     return None
 
 
-def guess_room_type(categories: list[str]) -> str:
-    """The room type that its furniture speaks for; "room" when nothing does."""
+def guess_room_type(categories: list[str], area: float | None = None) -> str:
+    """The room type that its furniture speaks for; "room" when nothing does, or not clearly.
+
+    A name is given only when the mix speaks for one type before all others, and when the room is
+    of a size that such rooms have, with enough of its furniture for that size: a sofa in a hall
+    makes no living room of it.
+
+    Args:
+        categories: of the things in the room, one entry per thing.
+        area: of the room's floor [m²]; None when unknown.
+    """
     scores = {
         kind: sum(weights.get(category, 0.0) for category in sorted(set(categories)))
         for kind, weights in _TYPES.items()
     }
-    best = max(scores, key=lambda kind: scores[kind])
-    return best if scores[best] >= 1.5 else "room"
+    best, second = sorted(scores, key=lambda kind: -scores[kind])[:2]
+    if scores[best] < _SPEAKS or scores[best] < _CLEAR * scores[second]:
+        return "room"
+    if area is not None:
+        low, high = _AREAS[best]
+        speaking = sum(category in _TYPES[best] for category in categories)
+        if not low <= area <= high or area > _AREA_PER_THING * speaking:
+            return "room"
+    return best
+
+
+def polygon_area(polygon: Sequence[tuple[float, float]]) -> float:
+    """Area [m²] inside a ring of corners [m]."""
+    x, y = np.asarray(polygon, np.float64).T
+    return abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))) / 2
 
 
 def _with_types(
@@ -143,7 +183,11 @@ def _with_types(
     for thing in objects:
         found[thing.room].append(thing.category)
     return tuple(
-        SceneRoom(id=room.id, type=guess_room_type(found[room.id]), polygon=room.polygon)
+        SceneRoom(
+            id=room.id,
+            type=guess_room_type(found[room.id], polygon_area(room.polygon)),
+            polygon=room.polygon,
+        )
         for room in rooms
     )
 

@@ -7,6 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from gn0.errors import SceneError
 from gn0.maps.grid import FREE, OccupancyGrid
@@ -22,7 +23,9 @@ from gn0.scenes.surfels import build_surfels
 from gn0.scenes.textures import TextureAlbedo
 from gn0.scenes.world_defects import Tell, WorldDefect, defect_lines, no_tell
 from gn0.scenes.world_light import close_ceiling, drop_outside, light_world
+from gn0.scenes.world_map import LIDAR_BAND, MapFit, find_maps, register_maps
 from gn0.scenes.world_mesh import WorldMeshes, load_world_meshes
+from gn0.scenes.world_sky import close_openings
 
 _CLOSING = {"door", "window", "folding door", "gate"}  # they complete the shell of a room
 _LICENCE_BYTES = 20_000
@@ -57,18 +60,22 @@ class SceneSourceWorld:
         file = find_world_file(path)
         if file is None:
             raise SceneError("no world file here", where=path, remedy=f"give {self.looked_for}")
-        world = load_sdf(file, strict=settings.strict)
+        world = load_sdf(file, strict=False)
+        world.strict = settings.strict  # said of models and meshes together
         loaded = load_world_meshes(world, progress)
         for line in defect_lines(loaded.defects):
             self.tell(line)
         meshes, floor_z = place_on_floor(loaded)
         grid = world_occupancy(meshes, settings)
+        maps = self._lay_maps(world, meshes, settings)
         rooms = world_rooms(meshes, grid)
         objects = assign_rooms(world_objects(meshes), rooms, grid)
         ground = max(float((rooms.label >= 0).sum()) * grid.resolution**2, grid.free_area, 1.0)
         if settings.light == "home":
             progress("closing the roof", 0, 1)
             meshes = drop_outside(close_ceiling(meshes, rooms, grid), settings.seed)
+            progress("looking out of the windows", 0, 1)
+            meshes = close_openings(meshes, rooms, grid, settings.seed)
         spacing = 1.0 / math.sqrt(settings.density)
         albedo = TextureAlbedo(meshes.visual, meshes.paints, footprint=spacing)
         shader = light_world(
@@ -107,6 +114,7 @@ class SceneSourceWorld:
                     "floor_shift": round(floor_z, 4),
                     "ceiling": round(ceiling_height(meshes), 3),
                     **_defects_told(loaded.defects),
+                    **maps,
                 },
                 label_source="given",
             ),
@@ -119,6 +127,29 @@ class SceneSourceWorld:
             licence=_licence(world),
             cloud_hash="",
         )
+
+    def _lay_maps(
+        self, world: SdfWorld, meshes: WorldMeshes, settings: ImportSettings
+    ) -> dict[str, str | float | int]:
+        """How the world's own lidar maps lie over it, said and kept; the best one with numbers."""
+        if not find_maps(world.root):
+            return {}
+        low = world_occupancy(meshes, replace(settings, height_band=LIDAR_BAND))
+        best: tuple[str, MapFit] | None = None
+        for name, fit in register_maps(world.root, low):
+            self.tell(f"map {name} {fit if isinstance(fit, str) else fit.told()}")
+            if isinstance(fit, MapFit) and fit.fits and (not best or fit.share > best[1].share):
+                best = name, fit
+        if best is None:
+            return {}
+        name, fit = best
+        return {
+            "map": name,
+            "map_dx": fit.dx,
+            "map_dy": fit.dy,
+            "map_quarter_turns": fit.turns,
+            "map_agreement": round(fit.share, 4),
+        }
 
 
 def place_on_floor(meshes: WorldMeshes) -> tuple[WorldMeshes, float]:

@@ -91,7 +91,7 @@ def close_ceiling(meshes: WorldMeshes, rooms: RoomMap, grid: OccupancyGrid) -> W
     over_walls = ndimage.binary_fill_holes(
         ndimage.binary_dilation(inside, iterations=max(1, round(0.25 / grid.resolution)))
     )
-    panel = _panel(over_walls, grid, height, len(meshes.paints))
+    panel = level_plate(over_walls, grid, height, len(meshes.paints))
     return replace(
         meshes,
         visual=join_meshes([meshes.visual, panel]),
@@ -136,6 +136,8 @@ def light_world(
         return ShaderFlat(mesh, albedo)
     kind = np.array([*meshes.categories, ""])[mesh.instance]
     glow = np.where(kind == "window", _WINDOW_GLOW, 0.0) + np.where(kind == "lamp", 0.8, 0.0)
+    outside = mesh.material == meshes.sky_paint
+    glow[outside] = _WINDOW_GLOW
     surface = WorldSurface(albedo, glow.astype(np.float32))
     top = _ceiling_over(mesh)
     lamps = [
@@ -151,7 +153,7 @@ def light_world(
         surface,
         lamps,
         settings=BakeSettings(coarse=coarse, fine=fine, rays=64, samples=9, bounces=4),
-        opaque=~np.isin(kind, sorted(_PASSING)),
+        opaque=~np.isin(kind, sorted(_PASSING)) & ~outside,
         seed=seed,
         progress=progress,
     )
@@ -170,8 +172,8 @@ def _wall_top(caster: RayCaster, xy: NDArray[np.floating], meshes: WorldMeshes) 
     return highest
 
 
-def _panel(inside: NDArray[np.bool_], grid: OccupancyGrid, z: float, paint: int) -> SceneMesh:
-    """A level plate that faces down over the cells inside, in few rectangles."""
+def level_plate(inside: NDArray[np.bool_], grid: OccupancyGrid, z: float, paint: int) -> SceneMesh:
+    """A level plate at height `z` [m] that faces down over the cells inside, in few rectangles."""
     rows = [tuple(np.flatnonzero(np.diff(np.pad(row, 1).astype(np.int8)))) for row in inside]
     size, (x0, y0) = grid.resolution, grid.origin
     corners = []

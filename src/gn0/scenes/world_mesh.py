@@ -69,6 +69,7 @@ class WorldMeshes:
         yaws: heading of the model's own axes per object [rad].
         notes: what was missing, in words.
         defects: what was mended or left out, the world file's own included.
+        sky_paint: index of the paint that shows the sky outside, −2 without one.
     """
 
     visual: SceneMesh
@@ -79,6 +80,7 @@ class WorldMeshes:
     yaws: list[float]
     notes: list[str]
     defects: list[WorldDefect] = field(default_factory=list)
+    sky_paint: int = -2
 
     def shifted(self, dz: float) -> WorldMeshes:
         """The same, moved up by `dz` [m]."""

@@ -48,7 +48,7 @@ def drop_strays(
         for index, count in sorted(Counter(visual.instance[faces].tolist()).items()):
             name = names[index] if index >= 0 else "the building"
             whole = count == int((visual.instance == index).sum()) and index >= 0
-            part = f"{name}" if whole else f"{count} triangles of {name}"
+            part = f"{name}" if whole else f"{count} triangle{'s' * (count > 1)} of {name}"
             defects.append(WorldDefect(file, f"{part} {what}", "left out"))
         keep[faces] = False
 
@@ -58,10 +58,11 @@ def drop_strays(
         leave_out(wide, f"measures {size / 1000:,.3g} km")
     here = _main_place(low, high, visual.areas(), keep)
     far = keep & ~here
-    if far.any():
-        at = (low[here].min(axis=0), high[here].max(axis=0))
-        gap = np.maximum(np.maximum(low[far] - at[1], at[0] - high[far]), 0).max(axis=1)
-        leave_out(far, f"lies {float(gap.max()) / 1000:,.3g} km from the rest")
+    at = (low[here].min(axis=0), high[here].max(axis=0))
+    gap = np.maximum(np.maximum(low - at[1], at[0] - high), 0).max(axis=1)
+    for index in np.unique(visual.instance[far]).tolist():
+        faces = far & (visual.instance == index)
+        leave_out(faces, f"lies {float(gap[faces].max()) / 1000:,.3g} km from the rest")
     for index, category in enumerate(categories):
         faces = keep & (visual.instance == index)
         if not faces.any() or faces.sum() == keep.sum():
@@ -97,7 +98,7 @@ def _boxes(mesh: SceneMesh) -> tuple[F64, F64]:
 
 def _main_place(low: F64, high: F64, areas: F64, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Of the kept faces those of the place with most surface, cut wherever a gap is too wide."""
-    best = np.flatnonzero(keep)
+    best: NDArray[np.integer] = np.flatnonzero(keep)
     while True:
         parts = next(
             (split for axis in range(3) if len(split := _split(low, high, best, axis)) > 1), None

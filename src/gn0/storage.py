@@ -16,7 +16,7 @@ import shutil
 import tempfile
 import unicodedata
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -395,6 +395,12 @@ def journal_line(record: Any) -> bytes:
     return body + b"\t" + f"{zlib.crc32(body):08x}".encode() + b"\n"
 
 
+def _line_body(line: bytes) -> bytes | None:
+    """The JSON of a journal's line; None when the line is cut or damaged."""
+    body, _, check = line.rpartition(b"\t")
+    return body if body and check == f"{zlib.crc32(body):08x}\n".encode() else None
+
+
 class Journal:
     """An append-only file of JSON lines, each with its own checksum and synced to disk.
 
@@ -411,23 +417,55 @@ class Journal:
         Raises:
             StorageError: the journal cannot be read.
         """
-        return [record for record, _ in self._scan()]
+        return [record for _, record in self.scan()]
 
-    def _scan(self) -> list[tuple[Any, int]]:
-        if not self.path.exists():
-            return []
-        records: list[tuple[Any, int]] = []
-        end = 0
-        for line in read_bytes(self.path).split(b"\n")[:-1]:  # a line counts with its newline
-            body, _, check = line.rpartition(b"\t")
-            if not body or check != f"{zlib.crc32(body):08x}".encode():
-                break
-            end += len(line) + 1
-            records.append((json.loads(body), end))
-        return records
+    def scan(self) -> Iterator[tuple[int, Any]]:
+        """All whole records one by one, in order, each with the byte at which its line begins.
 
-    def append(self, record: Any) -> None:
-        """Append one record and wait until the disk has it.
+        Raises:
+            StorageError: the journal cannot be read.
+        """
+        return ((place, json.loads(body)) for place, body, _ in self._lines())
+
+    def read_bodies(self, places: Iterable[int]) -> Iterator[bytes]:
+        """The JSON of the records whose lines begin at these bytes, in the order given.
+
+        Raises:
+            StorageError: the journal cannot be read, or no whole line begins there.
+        """
+        try:
+            with open(self.path, "rb") as stream:
+                for place in places:
+                    stream.seek(place)
+                    body = _line_body(stream.readline())
+                    if body is None:
+                        raise StorageError(
+                            f"the line at byte {place} was changed after it was written",
+                            where=self.path,
+                            remedy="leave the journal alone while something writes to it",
+                        )
+                    yield body
+        except OSError as error:
+            raise storage_error(error, self.path, "read") from error
+
+    def _lines(self) -> Iterator[tuple[int, bytes, int]]:
+        """Where each whole line begins, its JSON, and where it ends."""
+        try:
+            if not self.path.exists():
+                return
+            end = 0
+            with open(self.path, "rb") as stream:
+                for line in stream:
+                    body = _line_body(line)
+                    if body is None:
+                        return
+                    begin, end = end, end + len(line)
+                    yield begin, body, end
+        except OSError as error:
+            raise storage_error(error, self.path, "read") from error
+
+    def append(self, record: Any) -> int:
+        """Append one record, wait until the disk has it, and tell at which byte its line begins.
 
         Raises:
             StorageError: the journal cannot be written.
@@ -435,17 +473,20 @@ class Journal:
         try:
             if self._stream is None:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
-                scanned = self._scan()
+                whole = 0
+                for _, _, end in self._lines():
+                    whole = end
                 self._stream = open(self.path, "ab")  # noqa: SIM115
-                whole = scanned[-1][1] if scanned else 0
                 if self._stream.tell() != whole:
                     self._stream.truncate(whole)
                     self._stream.seek(whole)
+            place = self._stream.tell()
             self._stream.write(journal_line(record))
             self._stream.flush()
             os.fsync(self._stream.fileno())
         except OSError as error:
             raise storage_error(error, self.path, "append to the journal") from error
+        return place
 
     def close(self) -> None:
         """Close the file; a later append opens it again."""

@@ -9,7 +9,8 @@ STOP that the harness sent is not the agent's.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -185,25 +186,36 @@ SIDE_BY_SIDE = (
 )
 
 
-def report_release(results: Sequence[EpisodeResult]) -> ReleaseReport | None:
+def report_release(results: Iterable[EpisodeResult]) -> ReleaseReport | None:
     """What the official report would print; None when no episode was scored its way."""
-    scored = [(r, r.release) for r in results if r.release is not None]
-    scores = [score for _, score in scored]
-    if not scores:
+    lengths, errors, spls = array("d"), array("d"), array("d")
+    oracles = successes = zeroed = stops = forced = in_pixel = 0
+    for result in results:
+        s = result.release
+        if s is None:
+            continue
+        stopped = s.forced_stop is not None
+        lengths.append(s.path_length)
+        errors.append(s.distance_to_goal or 0.0)
+        spls.append(s.spl or 0.0)
+        oracles += s.oracle_success
+        successes += s.success
+        zeroed += s.distance_to_goal is None
+        stops += stopped
+        forced += s.success and stopped
+        in_pixel += s.distance_to_goal == 0.0 and (result.stopped or stopped)
+    n = len(lengths)
+    if not n:
         return None
-    n = len(scores)
     return ReleaseReport(
         episodes=n,
-        TL=math.fsum(s.path_length for s in scores) / n,
-        NE=math.fsum(s.distance_to_goal or 0.0 for s in scores) / n,
-        OS=sum(s.oracle_success for s in scores) / n,
-        SR=sum(s.success for s in scores) / n,
-        SPL=math.fsum(s.spl or 0.0 for s in scores) / n,
-        zeroed=sum(s.distance_to_goal is None for s in scores),
-        forced_stops=sum(s.forced_stop is not None for s in scores),
-        forced_successes=sum(s.success for s in scores if s.forced_stop is not None),
-        in_goal_pixel=sum(
-            s.distance_to_goal == 0.0 and (r.stopped or s.forced_stop is not None)
-            for r, s in scored
-        ),
+        TL=math.fsum(lengths) / n,
+        NE=math.fsum(errors) / n,
+        OS=oracles / n,
+        SR=successes / n,
+        SPL=math.fsum(spls) / n,
+        zeroed=zeroed,
+        forced_stops=stops,
+        forced_successes=forced,
+        in_goal_pixel=in_pixel,
     )

@@ -8,11 +8,13 @@ goes to `run.json`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from array import array
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import msgspec
+import numpy as np
 
 from gn0.bench.intervals import Interval, bootstrap_interval
 from gn0.bench.metrics import METRICS, EpisodeMetrics
@@ -23,7 +25,7 @@ from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
 from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import MapMode, Trajectory
-from gn0.storage import check_contained, read_bytes, safe_join, write_bytes, write_json
+from gn0.storage import check_contained, read_bytes, safe_join, storage_error, write_atomic
 
 RESULTS, TRAJECTORIES, SUMMARY, RUN = (
     "results.jsonl",
@@ -235,34 +237,49 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         return 0 if self.ok else 1
 
 
-def aggregate(results: Sequence[EpisodeResult], seed: int = 0) -> dict[str, Interval]:
+def aggregate(results: Iterable[EpisodeResult], seed: int = 0) -> dict[str, Interval]:
     """Mean and 95 % interval of each metric over the valid episodes; empty when there is none.
 
-    Intervals resample scenes where there are several, else episodes.
+    Intervals resample scenes where there are several, else episodes. Results are gone through
+    once, and only their numbers are kept.
     """
-    valid = [(r, r.metrics) for r in results if r.status == "valid" and r.metrics is not None]
-    if not valid:
+    columns = {info.field: array("d") for info in METRICS}
+    scenes: list[str] = []
+    known: dict[str, str] = {}  # one text a scene, however often it was read
+    for result in results:
+        if result.status == "valid" and result.metrics is not None:
+            scenes.append(known.setdefault(result.scene, result.scene))
+            for field, column in columns.items():
+                column.append(getattr(result.metrics, field))
+    if not scenes:
         return {}
-    scenes = [r.scene for r, _ in valid]
     return {
         info.key: bootstrap_interval(
-            [float(getattr(metrics, info.field)) for _, metrics in valid],
-            clusters=scenes,
-            seed=seed,
-            name=info.key,
+            np.asarray(columns[info.field]), clusters=scenes, seed=seed, name=info.key
         )
         for info in METRICS
     }
 
 
 def write_lines(path: Path, records: Iterable[Any]) -> None:
-    """Write records as JSON lines with sorted keys, atomically."""
-    write_bytes(path, b"".join(map(encode_line, records)))
+    """Write records as JSON lines with sorted keys as they come, atomically."""
+    write_atomic(path, lambda stream: stream.writelines(map(encode_line, records)))
 
 
 def encode_line(record: Any) -> bytes:
     """A record as its one line of bytes."""
     return msgspec.json.encode(record, order="sorted") + b"\n"
+
+
+def iterate_results(run: Path) -> Iterator[EpisodeResult]:
+    """The results of a run folder one by one, as this process has just written them there."""
+    decoder = msgspec.json.Decoder(EpisodeResult)
+    path = run / RESULTS
+    try:
+        with open(path, "rb") as stream:
+            yield from map(decoder.decode, stream)
+    except OSError as error:
+        raise storage_error(error, path, "read") from error
 
 
 def _load_lines(path: Path, kind: type[T]) -> list[T]:
@@ -317,17 +334,3 @@ def load_summary(run: Path | str) -> RunSummary:
             remedy="give the same `gn0 bench run` command again; it goes on where it stopped",
         )
     return load_json(path, RunSummary)
-
-
-def save_run(
-    out: Path,
-    results: Sequence[EpisodeResult],
-    traces: Sequence[EpisodeTrace],
-    summary: RunSummary,
-    run: dict[str, Any],
-) -> None:
-    """Write the four files of a finished run; `summary.json` last, as the mark of completion."""
-    write_lines(out / RESULTS, sorted(results, key=lambda r: r.episode))
-    write_lines(out / TRAJECTORIES, sorted(traces, key=lambda t: t.episode))
-    write_json(out / RUN, run)
-    write_json(out / SUMMARY, msgspec.to_builtins(summary))

@@ -24,6 +24,7 @@ import msgspec
 from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers
 from gn0.bench.identity import digest_policy, tell_identity
 from gn0.bench.known import remember_suite
+from gn0.bench.ledger import Ledger
 from gn0.bench.looks import choose_run_backend, open_run_drawing
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
 from gn0.bench.pools import open_pool
@@ -40,7 +41,7 @@ from gn0.bench.results import (
     PolicyCard,
     RunSummary,
     aggregate,
-    save_run,
+    iterate_results,
 )
 from gn0.bench.schedule import Schedule
 from gn0.bench.session import ask_card, check_name, stamp_now, tell_earlier
@@ -51,7 +52,7 @@ from gn0.folder import lock_folder
 from gn0.missions.episode import Episode
 from gn0.plugins import import_plugins
 from gn0.progress import Progress, no_progress
-from gn0.storage import TEMPORARY_PREFIX, Journal, check_contained, storage_error
+from gn0.storage import TEMPORARY_PREFIX, Journal, check_contained, storage_error, write_json
 
 JOURNAL = "journal.jsonl"
 EPISODE_TIME_LIMIT = 300.0  # s
@@ -288,14 +289,12 @@ class _Run:
     ) -> None:
         self.out = out
         self.suite = suite
-        self.episodes = {episode.id: episode for episode in episodes}
+        self.episodes = episodes
+        self.ledger = Ledger(episodes)
         self.identity = identity
         self.time_limit = time_limit
         self.progress = progress
         self.journal = Journal(out / JOURNAL)
-        self.results: dict[str, EpisodeResult] = {}
-        self.traces: dict[str, EpisodeTrace] = {}
-        self.times: dict[str, dict[str, Any]] = {}
         self.sessions: list[dict[str, Any]] = []
         self.keep_failed = keep_failed
         self.tell = tell
@@ -303,23 +302,19 @@ class _Run:
         self.ended = ""  # when the earlier run was finished; "" as soon as more is run
         self.card: PolicyCard | None = None
         self.confirmed = False  # whether the card was seen in this session
-        self.attempts: dict[str, int] = {}
+        self.attempts: dict[str, int] = {}  # of episodes without a result
         self.built = False  # whether the policy was ever built in this session
         self.stillborn = 0  # workers in a row that died before their policy was built
         self._read_journal()
 
     def _read_journal(self) -> None:
-        records = self.journal.read()
-        if not records:
+        first = next((record for _, record in self.journal.scan()), msgspec.UNSET)
+        if first is msgspec.UNSET:
             self.journal.append({"type": "run", **self.identity})
             return
-        head = records[0] if isinstance(records[0], dict) else {}
-        kinds = {r.get("type") for r in records if isinstance(r, dict)}
+        head = first if isinstance(first, dict) else {}
         others = [name for name, value in self.identity.items() if head.get(name) != value]
-        barren = not kinds & {"result", "broke"}  # it never got anywhere: a server that was down
-        if others == ["source"] and not self.keep_failed:
-            barren = not any(map(_is_finished, records))
-        if others and barren and head.get("type") == "run":
+        if others and head.get("type") == "run" and self._is_barren(others):
             self.journal.close()
             _forget(self.out)
             self.journal = Journal(self.out / JOURNAL)
@@ -333,9 +328,10 @@ class _Run:
                 where=self.out,
                 remedy=_RESUME,
             )
-        for number, record in enumerate(records[1:], 2):
+        for number, (place, record) in enumerate(self.journal.scan(), 1):
             try:
-                self._recall(record)
+                if number > 1:
+                    self._recall(record, place)
             except (KeyError, TypeError, AttributeError, msgspec.ValidationError) as error:
                 raise BenchError(
                     f"line {number} is not one of ours: {error}",
@@ -343,20 +339,32 @@ class _Run:
                     remedy=_RESUME,
                 ) from None
 
-    def _recall(self, record: dict[str, Any]) -> None:
+    def _is_barren(self, others: Sequence[str]) -> bool:
+        """Whether a run that differs in `others` never got anywhere: a server that was down."""
+        records = (record for _, record in self.journal.scan())
+        if others == ["source"] and not self.keep_failed:
+            return not any(map(_is_finished, records))
+        return not any(
+            isinstance(record, dict) and record.get("type") in ("result", "broke")
+            for record in records
+        )
+
+    def _recall(self, record: dict[str, Any], place: int) -> None:
         """Take one line of the journal into account."""
         kind = record["type"]
         if kind == "result":
             result = msgspec.convert(record["result"], EpisodeResult)
-            trace = msgspec.convert(record["trace"], EpisodeTrace)
-            if result.episode not in self.episodes:
+            msgspec.convert(record["trace"], EpisodeTrace)
+            if self.ledger.find(result.episode) is None:
                 return
             if result.status == "failed" and not self.keep_failed:
                 self.again.add(result.episode)
                 self.attempts.pop(result.episode, None)
                 return
+            msgspec.convert(record["about"], dict[str, Any])
             self.again.discard(result.episode)
-            self._take(result, trace, dict(record["about"]))
+            self.attempts.pop(result.episode, None)
+            self.ledger.note(result, place)
         elif kind == "policy":
             self.card = msgspec.convert(record["card"], PolicyCard)
         elif kind == "session":
@@ -369,15 +377,16 @@ class _Run:
 
     @property
     def left(self) -> list[Episode]:
-        """Episodes without a line in the journal."""
-        return [e for e in self.episodes.values() if e.id not in self.results]
+        """Episodes without a result in the journal."""
+        return [e for e in self.episodes if not self.ledger.holds(e.id)]
 
     def tell_earlier(self) -> None:
         """Say what an earlier run left to us, and what we make of it."""
-        if self.results or self.again:
+        if self.ledger.done or self.again:
             begun = str(self.sessions[-1].get("begun", "")) if self.sessions else ""
             expected, failed = len(self.episodes), len(self.again)
-            for line in tell_earlier(self.results, expected, failed, begun, self.ended):
+            kept, bad = self.ledger.done, self.ledger.failed
+            for line in tell_earlier(kept, bad, expected, failed, begun, self.ended):
                 self.tell(line)
 
     def ask_identity(self, settings: Open, executor: ExecutorName, ray_address: str) -> None:
@@ -413,7 +422,7 @@ class _Run:
                 where=self.out,
                 remedy=_RESUME,
             )
-        known = before is not None and (self.confirmed or bool(self.results))
+        known = before is not None and (self.confirmed or bool(self.ledger.done))
         if before is not None and known and before.identity != card.identity:
             raise BenchError(
                 f"holds a run of another policy {name!r} ({tell_identity(before.identity)}; now "
@@ -442,15 +451,10 @@ class _Run:
         self.sessions.append(about)
         self.journal.append({"type": "session", "about": about})
 
-    def _take(self, result: EpisodeResult, trace: EpisodeTrace, about: dict[str, Any]) -> None:
-        self.results[result.episode] = result
-        self.traces[result.episode] = trace
-        self.times[result.episode] = about
-
     def _record(self, result: EpisodeResult, trace: EpisodeTrace, about: dict[str, Any]) -> None:
-        if result.episode in self.results:  # never twice, whatever a worker says
+        if self.ledger.holds(result.episode):  # never twice, whatever a worker says
             return
-        self.journal.append(
+        place = self.journal.append(
             {
                 "type": "result",
                 "result": msgspec.to_builtins(result),
@@ -458,15 +462,16 @@ class _Run:
                 "about": about,
             }
         )
-        self._take(result, trace, about)
-        self.progress("episodes", len(self.results), len(self.episodes))
+        self.ledger.note(result, place)
+        self.attempts.pop(result.episode, None)
+        self.progress("episodes", self.ledger.done, len(self.episodes))
 
     def drive(self, pool: Pool, schedule: Schedule) -> None:
         """Lease episodes to workers until each has a result."""
-        self.progress("episodes", len(self.results), len(self.episodes))
+        self.progress("episodes", self.ledger.done, len(self.episodes))
         for _ in range(min(pool.size, len(schedule))):
             pool.start().deadline = time.monotonic() + LOAD_TIME_LIMIT
-        while len(self.results) < len(self.episodes):
+        while self.ledger.done < len(self.episodes):
             now = time.monotonic()
             nearest = min((w.deadline for w in pool.workers.values()), default=now)
             heard = pool.hear(min(nearest - now, 60.0))
@@ -519,7 +524,7 @@ class _Run:
             what = f"policy {self.identity['policy']!r} cannot be built: {message.what}"
             if self.built:
                 what += (
-                    f"\n{len(self.results)} of {len(self.episodes)} episodes are done; the same "
+                    f"\n{self.ledger.done} of {len(self.episodes)} episodes are done; the same "
                     "command goes on with the rest"
                 )
             if message.traceback:
@@ -569,8 +574,9 @@ class _Run:
                     remedy="see its last words above",
                 )
             return
-        episode = self.episodes[worker.episode]
+        episode = self.ledger.find(worker.episode)
         worker.episode = ""
+        assert episode is not None, "leased by us"
         if self.attempts[episode.id] < ATTEMPTS:
             schedule.put_back(episode)
             return
@@ -593,7 +599,9 @@ class _Run:
         shown = name if name == plugin else f"{name} (policy {plugin!r})"
         card = msgspec.structs.replace(card, name=shown)
         standing, beyond = judge_policy(self.suite.track, card.sensors, card.privileged)
-        results = sorted(self.results.values(), key=lambda r: r.episode)
+        self.ledger.save(self.journal, self.out)
+        failed = tuple(r for r in iterate_results(self.out) if r.status != "valid")
+        moves = Moves.sum(iterate_results(self.out))
         summary = RunSummary(
             policy=plugin,
             name=name,
@@ -604,31 +612,29 @@ class _Run:
             config_hash=self.identity["config"],
             code=self.identity["code"],
             expected=len(self.episodes),
-            valid=sum(r.status == "valid" for r in results),
-            failed=tuple(r for r in results if r.status != "valid"),
-            metrics=aggregate(results),
+            valid=self.ledger.done - len(failed),
+            failed=failed,
+            metrics=aggregate(iterate_results(self.out)),
             protocol=protocol_card(
-                self.suite, card, self.identity["code"], settings.backend, Moves.sum(results)
+                self.suite, card, self.identity["code"], settings.backend, moves
             ),
             profile=self.suite.about.profile,
-            release=report_release(results),
+            release=report_release(iterate_results(self.out)),
             track=str(self.suite.track or ""),
             standing=standing,
             beyond=beyond,
             isolation=card.isolation,
         )
-        seconds = [about["seconds"] for about in self.times.values() if "seconds" in about]
         run = {
             "sessions": self.sessions,
-            "seconds": round(sum(seconds), 3),
             "suite_folder": str(self.suite.folder.resolve()),
             "suite_relative": os.path.relpath(self.suite.folder.resolve(), self.out.resolve()),
             "settings": describe_settings(settings),
             "versions": _versions(),
             "command": sys.argv,
-            "episodes": dict(sorted(self.times.items())),
         }
-        save_run(self.out, results, list(self.traces.values()), summary, run)
+        self.ledger.save_run(self.journal, self.out, run)
+        write_json(self.out / SUMMARY, msgspec.to_builtins(summary))  # the mark of completion
         if not self.ended:
             self.journal.append({"type": "ended", "at": stamp_now()})
         return summary

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from datetime import UTC, datetime
 
 from gn0.bench.executors import Pool
 from gn0.bench.messages import Ready, Refused
-from gn0.bench.results import EpisodeResult, PolicyCard
+from gn0.bench.results import PolicyCard
 from gn0.errors import ConfigError
 
 NAME_LIMIT = 80  # characters
@@ -46,26 +45,26 @@ def check_name(name: str) -> str:
 
 
 def tell_earlier(
-    results: Mapping[str, EpisodeResult], expected: int, failed: int, begun: str, ended: str
+    kept: int, kept_failed: int, expected: int, failed: int, begun: str, ended: str
 ) -> list[str]:
     """What an earlier run left, and what is made of it, in sentences.
 
     Args:
-        results: what is kept of it.
+        kept: episodes whose results are kept.
+        kept_failed: how many of those failed.
         expected: episodes asked for.
         failed: episodes that failed in it and are tried again.
         begun: when it began; "" when not known.
         ended: when it was finished; "" when it was not.
     """
-    there = f"{len(results)} of {expected} episodes were there already"
-    if len(results) == expected:
-        bad = sum(r.status == "failed" for r in results.values())
-        kept = f"; {bad} of them failed and are kept so" if bad else ""
+    there = f"{kept} of {expected} episodes were there already"
+    if kept == expected:
+        bad = f"; {kept_failed} of them failed and are kept so" if kept_failed else ""
         return [
-            f"{there}{f', finished {tell_clock(ended)}' if ended else ''}; nothing was run{kept}"
+            f"{there}{f', finished {tell_clock(ended)}' if ended else ''}; nothing was run{bad}"
         ]
     of = f" in the run of {tell_clock(begun)}" if begun else " before"
-    lines = [f"{there}, done{of}"] if results else []
+    lines = [f"{there}, done{of}"] if kept else []
     if failed:
         lines.append(
             f"{failed} {'episode' if failed == 1 else 'episodes'} failed{of} and will be tried "

@@ -26,6 +26,7 @@ from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 from gn0.storage import Journal, safe_join
 from gn0.testing.crash import SAME, crash_runs
 from gn0.testing.disk_trials import run_disk_trials, why_no_small_disk
+from gn0.testing.instant_workers import STEPS
 from gn0.testing.path_corpus import HARMLESS, climbing_paths
 from gn0.testing.simulated_suites import told_apart
 from gn0.testing.soak import soak_simulators, soak_worker
@@ -33,6 +34,7 @@ from gn0.testing.soak import soak_simulators, soak_worker
 KILLS = 200
 APPENDS = 500
 RESETS, SWITCHES = 100_000, 300
+CROWDS = 1_000, 100_000  # episodes
 SUITES = 500
 LIMIT = 1.0  # s, of an episode that hangs
 
@@ -138,6 +140,35 @@ def measure_soak(ctx: FigureContext) -> list[FigureRow]:
             row_at_most(f"file descriptors gained, {what}", soak.files, 0, "", detail),
         ]
     return rows
+
+
+def measure_growth(ctx: FigureContext) -> list[FigureRow]:
+    """What the parent of a run needs for a thousand episodes and for a hundred times as many."""
+    suite = _suite(ctx, 50)
+    run, held = [], []
+    for number, count in enumerate(CROWDS):
+        ctx.progress("crowds", number, len(CROWDS))
+        out = ctx.work / f"crowd{count}"
+        command = [sys.executable, "-m", "gn0.testing.instant_workers"]
+        done = subprocess.run(
+            [*command, suite.folder, out, str(count)], capture_output=True, text=True, check=True
+        )
+        shutil.rmtree(out)
+        more, before = map(int, done.stdout.split())
+        run.append(more / 1e6)
+        held.append(before / 1e6)
+    few, many = CROWDS
+    detail = (
+        f"peak of the parent's resident memory in a run of {many} episodes ({run[1]:.1f} MB over "
+        f"what it had when the run began) less that of {few} ({run[0]:.1f} MB); 2 workers that "
+        f"answer at once, {STEPS} steps an episode, two flats"
+    )
+    return [
+        row_at_most(f"memory of a run's parent, {many} episodes beyond {few}", run[1] - run[0],
+                    20, "MB", detail),
+        FigureRow(name=f"memory of the suite itself, {many} episodes", value=held[1], unit="MB",
+                  detail="the episodes, before the run begins; paths shared by copies of one"),
+    ]  # fmt: skip
 
 
 _HASH_SEED = """
@@ -289,6 +320,7 @@ FIGURES: list[Figure] = [
     Figure("trust.journal", "What durability costs", measure_journal, 0.1),
     Figure("trust.disk", "Full, read-only and failing disks", measure_disk, 3.0),
     Figure("trust.soak", "A hundred thousand resets", measure_soak, 4.0),
+    Figure("trust.growth", "A run of a hundred thousand episodes", measure_growth, 5.0),
     Figure("trust.same", "The same bytes in every way to run", measure_same, 3.0),
     Figure("trust.hung", "Workers that hang", measure_hung, 1.0),
     Figure("trust.compare", "How often a comparison is wrong", measure_compare, 3.0),

@@ -28,7 +28,7 @@ gn0.register_envs()
 
 @pytest.fixture
 def env():
-    made = GoalNavEnv(sensors=("goal_vector", "ranges"))
+    made = GoalNavEnv(sensors=("instruction", "goal_vector", "ranges"))
     yield made
     made.close()
 
@@ -42,10 +42,13 @@ def test_every_id_is_clean_under_the_checker(name: str) -> None:
 
 
 def test_all_sensors_at_once_are_clean_under_the_checker() -> None:
-    sensors = ("rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector")
+    sensors = (
+        "rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector", "instruction",
+        "instruction_tokens",
+    )  # fmt: skip
     made = gymnasium.make("gn0/GoalNav-v1", sensors=sensors, preset="vlnce")
     check_env(made.unwrapped)
-    assert set(made.observation_space) == {*sensors, "instruction", "collided"}
+    assert set(made.observation_space) == {*sensors, "collided"}
     made.close()
 
 
@@ -143,7 +146,7 @@ def test_vectors_of_environments_agree_with_single_ones(mode: str, settings) -> 
     finally:
         vector.close()
     for index, (seed, action) in enumerate([(3, 2), (4, 1)]):
-        env = GoalNavEnv(sensors=("goal_vector", "ranges"))
+        env = GoalNavEnv(sensors=("instruction", "goal_vector", "ranges"))
         observation, _ = env.reset(seed=seed)
         assert observations["instruction"][index] == observation["instruction"]
         observation, reward, *_ = env.step(action)
@@ -166,7 +169,7 @@ def test_render_gives_the_colour_picture() -> None:
 
 def test_any_language_fits_the_text_space(room_scene, make_episode) -> None:
     mission = MissionInstruction(goal=(6.0, 2.5), instruction="走到沙发旁边。" * 300)
-    env = GoalNavEnv(room_scene, episodes=[make_episode(mission=mission)], sensors=())
+    env = GoalNavEnv(room_scene, episodes=[make_episode(mission=mission)], sensors=["instruction"])
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
 

@@ -33,7 +33,8 @@ from gn0.testing.scenes import (
 
 gn0.register_envs()
 EVERYTHING = (
-    "rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector", "goal_picture", "pose"
+    "rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector", "goal_picture", "pose",
+    "instruction", "instruction_tokens",
 )  # fmt: skip
 
 

@@ -86,6 +86,7 @@ def _sensors() -> Iterator[tuple[str, str]]:
     from gn0.sim.env import build_spaces
     from gn0.sim.presets import find_preset
     from gn0.sim.state import Sensor
+    from gn0.sim.words import TOKEN_LIMIT
 
     spaces = build_spaces(get_args(Sensor), find_preset("gn_bench"), None)
     for name in get_args(Sensor):
@@ -94,6 +95,11 @@ def _sensors() -> Iterator[tuple[str, str]]:
             continue
         space = spaces[name]
         yield name, f"{space.dtype} {list(space.shape or ())} with preset gn_bench"
+    yield "instruction", "text; in Gymnasium environments, policies always have it"
+    yield (
+        "instruction_tokens",
+        f"int32 [{TOKEN_LIMIT}], its bytes; in Gymnasium environments only",
+    )
 
 
 def _exports() -> Iterator[tuple[str, str]]:

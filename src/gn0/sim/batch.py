@@ -19,6 +19,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.batch_eyes import BatchEyes, Snapshot
 from gn0.sim.batch_kernels import (
     AgentArrays,
+    EpisodeArrays,
     place_agents,
     read_goal_vectors,
     read_poses,
@@ -153,7 +154,7 @@ class SimulatorBatch:
         """Poses [K, 3] (x, y [m], yaw [rad]) of agents `which`, or of all."""
         chosen = self._everyone if which is None else which
         out = np.empty((len(chosen), 3))
-        read_poses(chosen, self.state, self.table.arrays, out)
+        read_poses(chosen, *self._known(), out)
         return out
 
     def observe(
@@ -168,18 +169,23 @@ class SimulatorBatch:
         found: dict[str, Any] = {}
         if "goal_vector" in self.sensors:
             out = np.empty((len(chosen), 2), np.float32)
-            read_goal_vectors(chosen, self.state, table.arrays, np.float32(limit), out)
+            read_goal_vectors(chosen, *self._known(), np.float32(limit), out)
             found["goal_vector"] = out
         if "ranges" in self.sensors:
+            agents, episodes = self._known()
             out = np.empty((len(chosen), len(self._rays)), np.float32)
             read_ranges(
-                *(chosen, self.state, table.maps.arrays, table.arrays),
+                *(chosen, agents, table.maps.arrays, episodes),
                 *(self._rays, float(self.config.range_limit), out),
             )
             found["ranges"] = out
         if "pose" in self.sensors:
             found["pose"] = self.poses(chosen)
         return found
+
+    def _known(self) -> tuple[AgentArrays, EpisodeArrays]:
+        """Agents and their episodes, as the kernels read them."""
+        return self.state, self.table.arrays
 
     def pose(self, agent: int) -> Pose2D:
         """The pose of one agent."""

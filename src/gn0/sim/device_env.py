@@ -29,6 +29,7 @@ from gn0.errors import ConfigError, EpisodeError
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.plugins import get_plugin
 from gn0.scenes.scene import Scene
+from gn0.sim.continuous import build_action_space
 from gn0.sim.device_eyes import BatchRenderer, EyesDevice
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.env import build_spaces, largest_map
@@ -39,9 +40,9 @@ from gn0.sim.sensors import (
     PICTURES,
     SensorConfig,
     check_map_mode,
-    check_sensors,
 )
 from gn0.sim.tasks import load_tasks
+from gn0.sim.words import split_sensors
 
 MEMORY = 2**32  # bytes of maps and distance fields
 HOST_MEMORY = 2**31  # bytes of distance fields beside them
@@ -53,8 +54,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     """Goal navigation in many scenes at once, on a device; see `VectorEnv` for the task.
 
     What `reset` and `step` give are DeviceArrays [N, …] (`torch.from_dlpack(x)`), the
-    environment's own memory: they hold until the next step or reset. `instruction` is the number
-    of the episode, an index into `episodes`.
+    environment's own memory: they hold until the next step or reset. Sensor `instruction` is the
+    number of the episode, an index into `episodes`.
 
     Args:
         num_envs: how many environments.
@@ -63,7 +64,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         episodes: episodes or a Parquet file of them; sampled when absent.
         device: where they are; a Device, or a name that `open_device` knows.
         sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
-            pose.
+            pose, instruction; what is not named is absent.
         preset: camera preset by name.
         renderer: draws colour, depth and BEV: a `BatchRenderer` on the same device, or the name
             of one.
@@ -82,9 +83,11 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             none; else some steps later, and nobody has moved in the meantime.
         final_pictures: draw for `infos["final_obs"]` what was seen last in episodes that ended.
             This waits for the device.
+        action_space: "discrete"; `VectorEnv` has continuous ones.
 
     Raises:
-        ConfigError: an unknown sensor, preset or renderer, or maps that agents make themselves.
+        ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves, or
+            continuous actions.
         EpisodeError: no episode, or one of a scene that is not here.
         SimError: num_envs < 1 or too many, or an agent whose turns never come full circle.
         DeviceError: no such device here. DeviceMemoryError: it is too small.
@@ -104,7 +107,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         episodes: Sequence[Episode] | Path | str | None = None,
         *,
         device: Device | str = "auto",
-        sensors: Iterable[str] = ("goal_vector",),
+        sensors: Iterable[str] = ("instruction", "goal_vector"),
         preset: str | None = None,
         renderer: BatchRenderer | str = "cuda",
         agent: AgentSpec | None = None,
@@ -117,9 +120,22 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         map_mode: str | None = None,
         strict: bool = False,
         final_pictures: bool = False,
+        action_space: str = "discrete",
     ) -> None:
         self.num_envs = num_envs
-        self.sensors = check_sensors(sensors)
+        self.sensors, self.words = split_sensors(sensors)
+        if "instruction_tokens" in self.words:
+            raise ConfigError(
+                "a device has no sensor 'instruction_tokens'",
+                remedy="take 'instruction', the number of the episode, and index a table of "
+                "gn0.sim.words.encode_text of env.episodes with it",
+            )
+        self.single_action_space = build_action_space(action_space)
+        if action_space != "discrete":
+            raise ConfigError(
+                f"agents on a device take no {action_space} actions",
+                remedy="leave out action_space, or use VectorEnv (gn0/PointNav-v1 and its like)",
+            )
         self.success_distance = success_distance
         self.strict, self.final_pictures = strict, final_pictures
         self.tasks = load_tasks(
@@ -154,12 +170,12 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             ahead=ahead,
             pictures=None if self._eyes is None else self._eyes.open_look,
         )
-        self.single_action_space = spaces.Discrete(4)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        number = spaces.Box(0, 2**31 - 1, (), np.int32)
+        told: dict[str, spaces.Space[Any]] = {}
+        if self.words:
+            told["instruction"] = spaces.Box(0, 2**31 - 1, (), np.int32)
         self.single_observation_space = spaces.Dict(
-            build_spaces(self.sensors, camera, map_shape)
-            | {"instruction": number, "collided": spaces.Discrete(2)}
+            build_spaces(self.sensors, camera, map_shape) | told | {"collided": spaces.Discrete(2)}
         )
         self._everyone = np.arange(num_envs)
         self._nobody = self.device.zeros(num_envs, np.bool_)
@@ -365,10 +381,9 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     def _final(self) -> dict[str, Any]:
         """The last of episodes that ended: arrays [N, …], zero elsewhere."""
         simulator, outputs = self.simulator, self.simulator.outputs
-        seen: dict[str, Any] = {
-            "instruction": outputs["final_episode"],
-            "collided": outputs["final_collided"],
-        }
+        seen: dict[str, Any] = {"collided": outputs["final_collided"]}
+        if self.words:
+            seen["instruction"] = outputs["final_episode"]
         if "goal_vector" in self.sensors:
             seen["goal_vector"] = outputs["final_goal_vector"]
         if "pose" in self.sensors:

@@ -15,6 +15,11 @@ Of several goals the nearest counts; where the goal is an area, STOP succeeds in
 so a run without detour collects about its length and the bonus. The environment ends on STOP
 (terminated) or after `max_steps` (truncated); it never acts for the agent.
 
+An observation holds the sensors that are named in `sensors=` and `collided`; the ids above name
+`instruction` among theirs. Left out of the list (`sensors=("goal_vector", "ranges")`) it is absent;
+`instruction_tokens` is the same as numbers, see `gn0.sim.words`. `action_space="continuous"` takes
+displacements that the body can do in one step, see `gn0.sim.continuous`.
+
 In `gymnasium.make_vec(..., vectorization_mode="async")` pass `vector_kwargs={"shared_memory":
 False}`: Gymnasium reads texts from shared memory only once, so instructions would stay blank.
 """
@@ -34,34 +39,34 @@ from gn0.errors import ConfigError, EpisodeError
 from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.scenes.scene import Scene
+from gn0.sim.continuous import build_action_space, read_action
 from gn0.sim.history import COLUMNS, ROWS, TILE_HEIGHT, TILE_WIDTH
 from gn0.sim.open import name_look, open_simulator, split_look
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.sensors import SensorConfig, check_map_mode, check_sensors
+from gn0.sim.sensors import SensorConfig, check_map_mode
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Observation
 from gn0.sim.tasks import TaskSet, load_tasks
+from gn0.sim.words import encode_text, split_sensors, word_spaces
 
 STEP_COST = 0.01
 SUCCESS_REWARD = 2.5
 VECTOR_LIMIT = 1000.0  # m, bound of the goal vector
-TEXT_LIMIT = 1024  # characters, unless an instruction is longer
 SIMULATORS_KEPT = 4  # scenes held ready at a time
-_PRINTABLE = frozenset(chr(c) for c in range(32, 127))
 
 
-class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
+class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
     """Goal navigation in splat scenes.
 
-    Observations are a dict of the chosen sensors plus `instruction` and `collided`. `info` holds
-    what a robot cannot know (pose, distance to goal, success): for logs, never for the agent.
+    Observations are a dict of the chosen sensors plus `collided`. `info` holds what a robot cannot
+    know (pose, distance to goal, success): for logs, never for the agent.
 
     Args:
         scene: a Scene or a scene folder; the built-in two-room flat when absent.
         suite: a suite folder, instead of a scene.
         episodes: episodes or a Parquet file of them; sampled when absent.
         sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
-            pose.
+            pose, instruction (text), instruction_tokens; what is not named is absent.
         preset: camera preset by name.
         backend: renderer backend.
         agent: the body, instead of the preset's.
@@ -70,6 +75,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         render_mode: "rgb_array" gives the colour picture from `render()`.
         map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
             (explored), or nothing (none); the suite's, else prior.
+        action_space: "discrete" (STOP 0, FORWARD 1, LEFT 2, RIGHT 3), or "continuous", see
+            `gn0.sim.continuous`.
     """
 
     metadata = {  # noqa: RUF012 (Gymnasium's own declaration)
@@ -83,7 +90,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         suite: Path | str | None = None,
         episodes: Sequence[Episode] | Path | str | None = None,
         *,
-        sensors: Iterable[str] = ("rgb", "depth"),
+        sensors: Iterable[str] = ("instruction", "rgb", "depth"),
         preset: str | None = None,
         backend: str = "auto",
         agent: AgentSpec | None = None,
@@ -91,11 +98,12 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         success_distance: float = 3.0,
         render_mode: str | None = None,
         map_mode: str | None = None,
+        action_space: str = "discrete",
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
         self.render_mode = render_mode
-        self.sensors = check_sensors(sensors)
+        self.sensors, self.words = split_sensors(sensors)
         self.success_distance = success_distance
         self._backend = backend
         self.tasks = load_tasks(
@@ -107,11 +115,13 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         self._simulator: Simulator | None = None
         self._picture: U8 | None = None
         self._distance = 0.0
-        self.action_space: spaces.Discrete[np.int64] = spaces.Discrete(4)  # type: ignore[assignment]
+        self.continuous = action_space == "continuous"
+        self.action_space = build_action_space(action_space)
         self._map_shape = largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
         self.observation_space = spaces.Dict(
             build_spaces(self.sensors, find_preset(self.tasks.preset), self._map_shape)
-            | {"instruction": text_space(self.tasks.episodes), "collided": spaces.Discrete(2)}
+            | word_spaces(self.words, self.tasks.episodes)
+            | {"collided": spaces.Discrete(2)}
         )
 
     def reset(
@@ -131,8 +141,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         self._distance = self._measure(self._simulator.pose)
         return self._pack(observation), self._info(False)
 
-    def step(self, action: int) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Take one of STOP 0, FORWARD 1, LEFT 2, RIGHT 3.
+    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Take one of STOP 0, FORWARD 1, LEFT 2, RIGHT 3, or a continuous action.
 
         Raises:
             SimError: before reset, after the end, or no such action.
@@ -141,7 +151,9 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
         if simulator is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         before = self._distance
-        result = simulator.step(int(action))
+        result = simulator.step(
+            read_action(action, simulator.agent) if self.continuous else int(action)
+        )
         self._distance = self._measure(simulator.pose)
         there = self._distance < self.success_distance
         if simulator.episode.in_area:
@@ -236,6 +248,9 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], int]):
             "instruction": observation.instruction,
             "collided": int(observation.collided),
         }
+        if "instruction_tokens" in self.words:
+            space = self.observation_space["instruction_tokens"]  # type: ignore[index]
+            packed["instruction_tokens"] = encode_text(observation.instruction, space.shape[0])
         for name in self.sensors:
             value = getattr(observation, name)
             if name == "goal_vector":
@@ -279,15 +294,6 @@ def build_spaces(
     return {name: known[name] for name in sorted(sensors)}
 
 
-def text_space(episodes: Sequence[Episode]) -> spaces.Text:
-    """A space that holds every instruction: printable ASCII and whatever else they use."""
-    texts = [episode.instruction for episode in episodes]
-    return spaces.Text(
-        max_length=max(TEXT_LIMIT, *map(len, texts)),
-        charset=_PRINTABLE.union(*map(set, texts)),
-    )
-
-
 def largest_map(tasks: TaskSet) -> tuple[int, int]:
     """(H, W) [px] that holds the map picture of every scene."""
     shapes = [make().grid.shape for make in tasks.scenes.values()]
@@ -295,9 +301,9 @@ def largest_map(tasks: TaskSet) -> tuple[int, int]:
 
 
 ENVIRONMENTS: dict[str, dict[str, Any]] = {
-    "gn0/GoalNav-v1": {"sensors": ("rgb", "depth")},
-    "gn0/MapNav-v1": {"sensors": ("rgb", "history", "bev", "occupancy")},
-    "gn0/PointNav-v1": {"sensors": ("goal_vector", "ranges")},
+    "gn0/GoalNav-v1": {"sensors": ("instruction", "rgb", "depth")},
+    "gn0/MapNav-v1": {"sensors": ("instruction", "rgb", "history", "bev", "occupancy")},
+    "gn0/PointNav-v1": {"sensors": ("instruction", "goal_vector", "ranges")},
 }
 
 

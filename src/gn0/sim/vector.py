@@ -28,14 +28,15 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.renderer import visible_backend
 from gn0.scenes.scene import Scene
 from gn0.sim.batch import FIELD_MEMORY, SimulatorBatch
+from gn0.sim.batch_continuous import SimulatorBatchContinuous
 from gn0.sim.batch_eyes import Snapshot
+from gn0.sim.continuous import build_action_space
 from gn0.sim.env import (
     STEP_COST,
     SUCCESS_REWARD,
     VECTOR_LIMIT,
     build_spaces,
     largest_map,
-    text_space,
 )
 from gn0.sim.open import open_simulator, split_look
 from gn0.sim.presets import find_preset
@@ -43,14 +44,14 @@ from gn0.sim.sensors import (
     SensorConfig,
     SensorSuite,
     check_map_mode,
-    check_sensors,
 )
 from gn0.sim.tasks import load_tasks
+from gn0.sim.words import encode_text, split_sensors, word_spaces
 
 _DRAWS = 64  # episodes that an environment draws ahead
 
 
-class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], NDArray[Any]]):
+class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
     """Goal navigation in many scenes at once; see `GoalNavEnv` for what one of them is.
 
     Args:
@@ -59,7 +60,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         suite: a suite folder, instead of scenes.
         episodes: episodes or a Parquet file of them; sampled when absent.
         sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
-            pose.
+            pose, instruction (text), instruction_tokens; what is not named is absent.
         preset: camera preset by name.
         backend: renderer backend.
         agent: the body, instead of the preset's.
@@ -71,9 +72,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         visible_sets: draw pictures from the splats visible near each place, not from all; see
             `gn0.render.visible`.
         map_mode: what bev and occupancy show, see `GoalNavEnv`; the suite's, else prior.
+        action_space: "discrete" or "continuous", see `gn0.sim.continuous`.
 
     Raises:
-        ConfigError: an unknown sensor, preset, backend or render mode.
+        ConfigError: an unknown sensor, preset, backend, action space or render mode.
         EpisodeError: no episode, or one of a scene that is not here.
         SimError: num_envs < 1, or an agent whose turns never come full circle.
         StorageError, FormatError: a file is missing or broken.
@@ -92,7 +94,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         suite: Path | str | None = None,
         episodes: Sequence[Episode] | Path | str | None = None,
         *,
-        sensors: Iterable[str] = ("goal_vector",),
+        sensors: Iterable[str] = ("instruction", "goal_vector"),
         preset: str | None = None,
         backend: str = "auto",
         agent: AgentSpec | None = None,
@@ -103,12 +105,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         field_memory: int = FIELD_MEMORY,
         visible_sets: bool = False,
         map_mode: str | None = None,
+        action_space: str = "discrete",
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
         self.render_mode = render_mode
         self.num_envs = num_envs
-        self.sensors = check_sensors(sensors)
+        self.sensors, self.words = split_sensors(sensors)
+        self.single_action_space = build_action_space(action_space)
         self.success_distance = success_distance
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
@@ -117,7 +121,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         camera = find_preset(self.tasks.preset)
         self._backend = visible_backend(backend) if visible_sets else backend
         self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
-        self.batch = SimulatorBatch(
+        engine = SimulatorBatchContinuous if action_space == "continuous" else SimulatorBatch
+        self.batch: SimulatorBatch = engine(
             num_envs,
             self.tasks.scenes,
             SensorConfig(active=frozenset(self._drawn), preset=camera, map_mode=self.map_mode),
@@ -129,11 +134,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         )
         self._numbers = self.batch.table.add(self.tasks.episodes)
         self._map_shape = largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
-        self.single_action_space = spaces.Discrete(4)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
             build_spaces(self.sensors, camera, self._map_shape)
-            | {"instruction": text_space(self.tasks.episodes), "collided": spaces.Discrete(2)}
+            | word_spaces(self.words, self.tasks.episodes)
+            | {"collided": spaces.Discrete(2)}
         )
         self.observation_space = _batch_dict(self.single_observation_space, num_envs)
         self._everyone = np.arange(num_envs)
@@ -156,6 +161,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
                 [e.instruction for e in listed],
             )
         )
+        if "instruction_tokens" in self.words:
+            space = self.single_observation_space["instruction_tokens"]  # type: ignore[index]
+            self._tokens = np.array([encode_text(t, space.shape[0]) for t in self._texts])
 
     def _open_suite(self, look: str) -> SensorSuite:
         scene_id, light = split_look(look)
@@ -201,7 +209,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
     def step(
         self, actions: Any
     ) -> tuple[dict[str, Any], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Take one action each: STOP 0, FORWARD 1, LEFT 2, RIGHT 3.
+        """Take one action each: STOP 0, FORWARD 1, LEFT 2, RIGHT 3, or a row of four numbers.
 
         Raises:
             SimError: wrong shape or type, or no such action; then nobody has moved.
@@ -318,7 +326,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[np.int64], ND
         """What agents `which` sense now, and what their pictures will need."""
         found = self.batch.observe(which, VECTOR_LIMIT)
         found["collided"] = self.batch.state.collided[which].astype(np.int64)
-        found["instruction"] = tuple(self._texts[self.batch.state.episode[which]].tolist())
+        number = self.batch.state.episode[which]
+        if "instruction" in self.words:
+            found["instruction"] = tuple(self._texts[number].tolist())
+        if "instruction_tokens" in self.words:
+            found["instruction_tokens"] = self._tokens[number]
         return found, self.batch.snapshot(which)
 
     def _finish(

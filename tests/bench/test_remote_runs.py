@@ -254,7 +254,7 @@ def test_the_command_line_says_with_its_exit_code_that_an_episode_failed(
         return bench_run.run(
             bench_run.Args(
                 suite=str(flats_suite.folder), out=str(tmp_path / out), policy="remote",
-                policy_option=options, episodes=1, no_report=True,
+                policy_option=options, limit=1, no_report=True,
             )
         )  # fmt: skip
 

@@ -60,7 +60,7 @@ from gn0.errors import EpisodeError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
-from gn0.missions.files import read_table, save_episodes
+from gn0.missions.files import fill_rare_columns, read_table, save_episodes
 from gn0.missions.generate.judge import REASONS
 from gn0.missions.generate.missions import build_missions, count_missions
 from gn0.missions.generate.pool import load_paths, paths_table, save_table, texts_table
@@ -360,12 +360,14 @@ def _link_scene(entry: SceneEntry, scenes: Path) -> None:
 
 def _join_tables(target: Path, parts: Sequence[Path]) -> None:
     """Tables one after the other, a row group each, in one file."""
-    schema = read_table(parts[0]).schema
+    names = {name for part in parts for name in read_table(part).column_names}
+    schema = fill_rare_columns(read_table(parts[0]), sorted(names)).schema
 
     def write(stream: IO[bytes]) -> None:
         with pq.ParquetWriter(stream, schema, compression="zstd", store_schema=True) as writer:
             for part in parts:
-                writer.write_table(read_table(part))
+                table = fill_rare_columns(read_table(part), sorted(names))
+                writer.write_table(table)
 
     write_atomic(target, write)
 

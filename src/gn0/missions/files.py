@@ -117,6 +117,17 @@ def _schema(used: Sequence[str]) -> pa.Schema:
     )
 
 
+def fill_rare_columns(table: pa.Table, names: Sequence[str]) -> pa.Table:
+    """The table with those of the rare columns that `names` has, empty where it had none."""
+    for name, kind, absent in RARE_COLUMNS:
+        if name in names and name not in table.column_names:
+            field = pa.field(name, kind, nullable=False)
+            table = table.append_column(field, pa.array([absent] * len(table), kind))
+    ours = [name for name, *_ in RARE_COLUMNS if name in table.column_names]
+    others = [name for name in table.column_names if name not in ours]
+    return table.select([*others, *ours])
+
+
 def world_to_nav(grid: OccupancyGrid, points: NDArray[np.floating]) -> F64:
     """3DGS world points [N, 2] m in GN-Matrix's "world": a shift by −(lower + upper)."""
     x0, y0, x1, y1 = grid.bounds

@@ -218,9 +218,11 @@ def test_a_damaged_manifest_is_not_taken_for_a_generation(
         generate_missions([flat_folder], tmp_path, SETTINGS)
 
 
-def test_paths_of_earlier_runs_do_not_come_again(homes: Path, made: Path, tmp_path: Path) -> None:
-    out = tmp_path / "more"
-    _, manifest = generate_missions([homes], out, SETTINGS, seed=1, name="more", against=[made])
+def test_paths_of_earlier_runs_do_not_come_again(homes: Path, tmp_path: Path) -> None:
+    made, out = tmp_path / "made", tmp_path / "more"
+    evenly = msgspec.structs.replace(SETTINGS, starts="uniform")  # knows nothing of earlier paths
+    generate_missions([homes], made, evenly, seed=1, name="made")
+    _, manifest = generate_missions([homes], out, evenly, seed=1, name="more", against=[made])
     assert manifest.request.earlier and all(s.earlier == 6 for s in manifest.scenes)
     assert sum(s.fell_to_earlier for s in manifest.scenes) > 0, "the seed is that of before"
     old = load_paths(made / PATHS)

@@ -65,7 +65,7 @@ def success_rate(env: FlatVectorEnv, act: Callable[[Any], Any]) -> float:
         ended = (stopped | cut) & playing
         found += sum(infos["final_info"][i]["success"] for i in np.flatnonzero(ended))
         playing &= ~ended
-    return found / env.num_envs
+    return float(found) / env.num_envs
 
 
 def learn(

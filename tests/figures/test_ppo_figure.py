@@ -43,7 +43,10 @@ def test_the_rows_count_seeds_and_the_time_of_the_fourth() -> None:
     assert (seeds.value, seeds.passed) == (4, True)
     assert minutes.value == pytest.approx(200 / 60)
     assert rate.value == pytest.approx(4000 / 140)
-    assert not ppo.sum_up([c[:1] for c in curves], "here")[0].passed
+    never = ppo.sum_up([c[:1] for c in curves], "here")
+    assert [row.passed for row in never[:2]] == [False, False]
+    assert "not reached in 10 s" in never[1].detail
+    assert all(np.isfinite(row.value) for row in never)
     assert ppo.seed_row(2, curves[2]).detail == "10 s 10%, 140 s 60%"
 
 

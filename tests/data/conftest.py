@@ -69,6 +69,15 @@ def webdataset(
 
 
 @pytest.fixture(scope="session")
+def webdataset_once(
+    data_suite: Suite, settings_of: Callable[..., BuildSettings], tmp_path_factory
+) -> Dataset:
+    """With maps and goal pictures once, beside the shards; do not write to it."""
+    out = tmp_path_factory.mktemp("o") / "data"
+    return build_dataset(data_suite, out, settings_of(maps="once"))
+
+
+@pytest.fixture(scope="session")
 def lerobot(
     data_suite: Suite, settings_of: Callable[..., BuildSettings], tmp_path_factory
 ) -> Dataset:

@@ -77,7 +77,8 @@ EXPORTS = {
 # verbs that open none of these: they make things, look at single files, or speak of this machine
 OTHERS = {
     "demo", "doctor", "figures", "scene generate", "scene import", "scene corpus", "scene check",
-    "scene show", "scene light", "scene visible", "scene inspect", "scene convert",
+    "scene show", "scene light", "scene visible", "scene inspect", "scene convert", "list",
+    "completion",
 }  # fmt: skip
 CASES = [
     (kind, case, links)

@@ -37,6 +37,8 @@ def test_twelve_formats_are_there() -> None:
         exporter = get_dataset_exporter(name)
         assert isinstance(exporter, DatasetExporter) and exporter.name == name
     with pytest.raises(ConfigError, match="known: gn-matrix"):
+        get_dataset_exporter("xyzzy")
+    with pytest.raises(ConfigError, match=r"did you mean navid .* or navila"):
         get_dataset_exporter("navi")
 
 

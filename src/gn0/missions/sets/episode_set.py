@@ -230,6 +230,9 @@ def find_placement(exporter: Exporter, grid: OccupancyGrid, name: str) -> Placem
     )
 
 
+LONGEST_PATH = 10_000.0  # m of a path that is resampled
+
+
 def place_task(task: Task, placement: Placement, agent: AgentSpec, split: str = "") -> Episode:
     """The task as an episode of its scene, in the world frame.
 
@@ -237,7 +240,8 @@ def place_task(task: Task, placement: Placement, agent: AgentSpec, split: str = 
     one; else the format's path, with points at most 0.25 m apart.
 
     Raises:
-        EpisodeError: no goal is known, the instruction is empty, or a value is not finite.
+        EpisodeError: no goal is known, the instruction is empty, a value is not finite, or the path
+            is absurdly long.
     """
     where = f"episode {task.id!r}"
     if task.goal is None:
@@ -281,4 +285,11 @@ def _scored_path(
     # what is not finite is refused with the episode
     if not np.isfinite(gaps).all() or gaps.max(initial=0.0) <= SPACING + 1e-6:
         return path, "file"
+    # 40,000 points; a damaged number would ask for billions
+    if gaps.max() > LONGEST_PATH or gaps.sum() > LONGEST_PATH:
+        raise EpisodeError(
+            f"its path is more than {LONGEST_PATH:g} m long",
+            where=f"episode {task.id!r}",
+            remedy="mend the path, or leave the episode out",
+        )
     return densify_path(path), "resampled"

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from gn0.errors import SimError
+from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_rollout import RolloutCollector
 from gn0.sim.vector import VectorEnv
@@ -55,6 +57,38 @@ def test_all_floats_are_those_of_the_cpu(device, plans, memory) -> None:
             for name in ("pose", "distance_to_goal", "success"):
                 assert final[name].numpy().tobytes() == facts["final_info"][name].tobytes()
     assert (there.simulator.store.dropped > 0) == (memory < 2**30)
+
+
+@pytest.mark.small
+def test_bodies_that_slide_do_so_as_on_the_cpu(device, plans) -> None:
+    """Rooms and a thicket of single cells; what is left of a cut move goes along the walls."""
+    cells = (np.random.default_rng(5).random((90, 70)) < 0.12).astype(np.uint8)
+    cells[[0, -1]] = cells[:, [0, -1]] = 1
+    thicket = build_map_scene(OccupancyGrid(cells, 0.07, (-2.0, 1.0)), "thicket")
+    body = AgentSpec(radius=0.10, camera_height=1.25, forward_step=0.6, sliding=True)
+    scenes = [*plans[0], thicket]
+    episodes = [
+        episode
+        for scene in scenes
+        for episode in build_point_episodes(scene, NavigationMap(scene.grid, 0.1), 6, agent=body)
+    ]
+    count, steps = (2048, 300) if device.kind == "cuda" else (30, 40)
+    settings = {"episodes": episodes, "sensors": ("pose",), "max_steps": 40, "agent": body}
+    there = VectorEnvDevice(count, scenes, device=device, **settings)
+    here = VectorEnv(count, scenes, **settings)
+    seen, want = there.reset(seed=5)[0], here.reset(seed=5)[0]
+    rng, slid = np.random.default_rng(2), 0
+    for t in range(steps):
+        before = want["pose"][:, :2].copy()
+        actions = rng.choice(4, count, p=[0.01, 0.69, 0.2, 0.1])
+        seen, rewards, *_ = there.step(device.upload(actions))
+        want, gains, stopped, cut, _ = here.step(actions)
+        for name in ("pose", "collided"):
+            assert seen[name].numpy().tobytes() == want[name].tobytes(), (t, name)
+        assert rewards.numpy().tobytes() == gains.tobytes()
+        moved = np.linalg.norm(want["pose"][:, :2] - before, axis=1)
+        slid += int((want["collided"].astype(bool) & ~(stopped | cut) & (moved > 0.1)).sum())
+    assert slid > 2 * steps
 
 
 @pytest.mark.small

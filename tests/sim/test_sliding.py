@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+import shutil
 
 import numpy as np
 import pytest
 
 from gn0.device.host import DeviceHost
-from gn0.errors import SimError
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
@@ -17,9 +17,10 @@ from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.open import open_simulator
 from gn0.sim.state import Action
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_point_episodes
+from gn0.testing.scenes import build_map_scene, build_point_episodes
 
 SLIDER = AgentSpec(radius=0.10, camera_height=1.25, sliding=True)
+STRIDER = AgentSpec(radius=0.10, camera_height=1.25, forward_step=0.6, sliding=True)
 
 
 def half_plane(degrees: float) -> tuple[NavigationMap, tuple[float, float], float]:
@@ -114,14 +115,40 @@ def test_simulator_and_vector_env_slide_alike_and_others_stop_as_ever(plan_scene
     assert slid > 10
 
 
-def test_the_device_refuses_a_body_that_slides(plan_scene) -> None:
-    with pytest.raises(SimError, match="slide along walls are not stepped on the device"):
-        VectorEnvDevice(
-            2, plan_scene, agent=SLIDER, device=DeviceHost(),
-            episodes=build_point_episodes(
-                plan_scene, NavigationMap(plan_scene.grid, 0.1), 1, agent=SLIDER
-            ),
-        )  # fmt: skip
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+def test_bodies_on_a_device_slide_to_the_bit_as_those_on_the_cpu(plan_scene) -> None:
+    """In a flat and in a thicket, where every way along a wall is tried, corners included."""
+    rng = np.random.default_rng(5)
+    cells = (rng.random((90, 70)) < 0.12).astype(np.uint8)
+    cells[[0, -1]] = cells[:, [0, -1]] = 1
+    thicket = build_map_scene(OccupancyGrid(cells, 0.07, (-2.0, 1.0)), "thicket")
+    scenes = [plan_scene, thicket]
+    episodes = [
+        episode
+        for scene in scenes
+        for episode in build_point_episodes(
+            scene, NavigationMap(scene.grid, STRIDER.radius), 4, agent=STRIDER
+        )
+    ]
+    settings = {
+        "episodes": episodes, "sensors": ("goal_vector",), "agent": STRIDER, "max_steps": 40
+    }  # fmt: skip
+    there = VectorEnvDevice(60, scenes, device=DeviceHost(3), **settings)
+    here = VectorEnv(60, scenes, **settings)
+    there.reset(seed=4)
+    here.reset(seed=4)
+    slid = 0
+    for _ in range(120):
+        before = here.batch.poses()[:, :2].copy()
+        actions = rng.choice([1, 2, 3], size=60, p=[0.7, 0.2, 0.1])
+        seen, rewards, _, _, infos = there.step(actions)
+        want, gains, _, cut, facts = here.step(actions)
+        assert infos["pose"].numpy().tobytes() == facts["pose"].tobytes()
+        assert rewards.numpy().tobytes() == gains.tobytes()
+        assert seen["collided"].numpy().tobytes() == want["collided"].tobytes()
+        moved = np.linalg.norm(facts["pose"][:, :2] - before, axis=1)
+        slid += int((want["collided"].astype(bool) & ~cut & (moved > 0.08)).sum())
+    assert slid > 300
 
 
 def test_sliding_is_kept_with_an_episode(plan_scene, tmp_path) -> None:

@@ -93,11 +93,6 @@ class SimulatorDevice:
                 f"{count} agents of {max_steps} steps with {ahead} draws ahead",
                 remedy=f"give 1 to {AGENTS_MAX} agents, a step or more, and 1 to 1024 draws",
             )
-        if agent.sliding:
-            raise SimError(
-                "bodies that slide along walls are not stepped on the device",
-                remedy="use VectorEnv, or a body with sliding=False",
-            )
         self.count, self.device, self.config = count, device, config
         self.ahead, self.steps = ahead, 0
         self.kernels = device.load(SOURCE)
@@ -136,6 +131,7 @@ class SimulatorDevice:
         self._rows: DeviceArray | None = None
         self._world: np.void | None = None
         self._plain = pack_struct(OUTPUTS, **self.outputs)
+        self._stepper = "slide_agents" if agent.sliding else "step_agents"
         self._asked: tuple[int, Download] | None = None
         self._safe = 0  # steps after which the queues may be empty, as far as is known
 
@@ -218,7 +214,7 @@ class SimulatorDevice:
         outputs = self._plain
         if into:
             outputs = pack_struct(OUTPUTS, **(self.outputs | dict(into)))
-        self.launch("step_agents", self.count, codes, outputs)
+        self.launch(self._stepper, self.count, codes, outputs)
         self.steps += 1
         if self.final_ranges is not None:
             self._read_ranges(

@@ -57,6 +57,90 @@ __device__ __forceinline__ bool trace(const Episode &e, double &x, double &y, do
   return hit;
 }
 
+#define PROJECTIONS 2      // the numbers of maps/slide.py
+#define AROUND 3           // cells each way that tell how a wall runs
+#define LEAST 1e-9         // m of progress that is worth a projection
+
+// Unit vector towards the blocked cells around, near ones first; zero if undecided.
+__device__ __forceinline__ double2 face_wall(const Episode &e, i64 row, i64 col) {
+  double nx = 0.0, ny = 0.0;
+#pragma unroll 1  // 28 cells side by side would be half of the kernel
+  for (int dr = -AROUND; dr <= AROUND; dr++) {
+#pragma unroll 1
+    for (int dc = -AROUND; dc <= AROUND; dc++) {
+      int square = dr * dr + dc * dc;
+      if (square > 0 && square <= AROUND * AROUND && is_blocked(e, row + dr, col + dc)) {
+        nx += (double)dc / (double)square;
+        ny += (double)dr / (double)square;
+      }
+    }
+  }
+  double length = sqrt(nx * nx + ny * ny);
+  return length < 1e-9 ? make_double2(0.0, 0.0) : make_double2(nx / length, ny / length);
+}
+
+// `trace`, going on along the wall where the move is cut: `slide_points` of maps/slide.py.
+__device__ __forceinline__ bool slide(const Episode &e, double &x, double &y, double x1, double y1) {
+  if (!trace(e, x, y, x1, y1)) return false;
+  double rx = x1 - x, ry = y1 - y;
+  for (int time = 0; time < PROJECTIONS; time++) {
+    i64 row = (i64)floor((y - e.y) / e.resolution), col = (i64)floor((x - e.x) / e.resolution);
+    double2 n = face_wall(e, row, col);
+    double into = rx * n.x + ry * n.y, tx = rx, ty = ry;
+    if (into > 0.0) {
+      tx = rx - into * n.x;
+      ty = ry - into * n.y;
+    }
+    double length = sqrt(tx * tx + ty * ty);
+    double best = 0.0, best_x = x, best_y = y, end_x = x, end_y = y;
+    bool best_hit = true;
+    // along the tangent; the same one or two cells off the wall, over a stair; bent off it; and
+    // along an axis where all of these stand still
+    for (int way = 0; way < 6; way++) {
+      if (way >= 4 && best > LEAST) break;
+      if (way < 4 && length <= LEAST) continue;
+      double px = x, py = y, dx = tx, dy = ty;
+      if (way == 1 || way == 2) {
+        double lift = fmin((double)way * e.resolution, 0.5 * length);
+        trace(e, px, py, x - lift * n.x, y - lift * n.y);
+        dx = tx * (1.0 - lift / length);
+        dy = ty * (1.0 - lift / length);
+      } else if (way == 3) {
+        dx = tx - n.x * e.resolution;
+        dy = ty - n.y * e.resolution;
+        double size = sqrt(dx * dx + dy * dy);
+        dx = dx * length / size;
+        dy = dy * length / size;
+      } else if (way == 4) {
+        dx = rx;
+        dy = 0.0;
+      } else if (way == 5) {
+        dx = 0.0;
+        dy = ry;
+      }
+      double qx = px, qy = py;
+      bool cut = trace(e, qx, qy, px + dx, py + dy);
+      double gain = way < 4 ? ((qx - x) * tx + (qy - y) * ty) / length
+                            : sqrt((qx - x) * (qx - x) + (qy - y) * (qy - y));
+      if (gain > best + LEAST) {
+        best = gain;
+        best_x = qx;
+        best_y = qy;
+        best_hit = cut;
+        end_x = px + dx;
+        end_y = py + dy;
+      }
+    }
+    if (best <= LEAST) break;
+    x = best_x;
+    y = best_y;
+    if (!best_hit) break;
+    rx = end_x - x;
+    ry = end_y - y;
+  }
+  return true;
+}
+
 __device__ __forceinline__ float2 see_goal(const Episode &e, double x, double y, int turns) {
   const double *heading = e.headings + turns * 3;
   double dx = e.goal_x - x, dy = e.goal_y - y, c = heading[1], s = heading[2];
@@ -119,7 +203,8 @@ KERNEL(read_actions)(World w, const void *actions, int width, int step, u8 *code
 }
 
 // One action each (0..3), rewards and ends, and the next episode for those that ended.
-KERNEL(step_agents)(World w, const u8 *codes, Outputs out) {
+template <bool SLIDES>
+__device__ __forceinline__ void step_agent(const World &w, const u8 *codes, const Outputs &out) {
   int i = blockIdx.x * blockDim.x + threadIdx.x;
   if (i >= w.count || w.status[0] != CLEAR) return;
   int slot = w.slot[i], action = codes[i], turns = w.turns[i];
@@ -129,7 +214,8 @@ KERNEL(step_agents)(World w, const u8 *codes, Outputs out) {
   bool hit = false;
   if (action == FORWARD) {
     const double *heading = e.headings + turns * 3;
-    hit = trace(e, p.x, p.y, p.x + w.forward * heading[1], p.y + w.forward * heading[2]);
+    double x1 = p.x + w.forward * heading[1], y1 = p.y + w.forward * heading[2];
+    hit = SLIDES ? slide(e, p.x, p.y, x1, y1) : trace(e, p.x, p.y, x1, y1);
     after = measure(e, p.x, p.y);
   } else if (action == LEFT) {
     turns = (turns + 1) % w.circle;
@@ -170,6 +256,11 @@ KERNEL(step_agents)(World w, const u8 *codes, Outputs out) {
   }
   tell(w, i, out);
 }
+
+KERNEL(step_agents)(World w, const u8 *codes, Outputs out) { step_agent<false>(w, codes, out); }
+
+// The same for bodies that slide: a kernel of its own, so that others take no registers for it.
+KERNEL(slide_agents)(World w, const u8 *codes, Outputs out) { step_agent<true>(w, codes, out); }
 
 // Begin episodes: slot >= 0 that one, -1 none, -2 the next in the agent's queue.
 KERNEL(place_agents)(World w, const int *slots, Outputs out) {

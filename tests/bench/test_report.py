@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import itertools
 import json
@@ -18,7 +19,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.bench.drawing import MapWindow, path_marks, simplify
+from gn0.bench.drawing import CELL, MapWindow, fit_view, path_marks, simplify
 from gn0.bench.report import choose_videos, load_run, write_report
 from gn0.bench.results import EpisodeResult
 from gn0.bench.runner import run_suite
@@ -100,6 +101,22 @@ def test_it_tells_intervals_protocol_and_both_errors(page: Path, runs: list[Path
 def test_the_same_runs_give_the_same_report(runs: list[Path], page: Path, tmp_path: Path) -> None:
     again = write_report(runs, tmp_path / "again.html", videos=1)
     assert again.read_bytes() == page.read_bytes()
+
+
+def test_it_offers_the_table_as_csv_and_says_how_to_open_an_episode(
+    runs: list[Path], page: Path
+) -> None:
+    tags = Tags(page.read_text()).found
+    link = next(a for t, a in tags if t == "a" and a.get("download"))
+    kind, _, body = str(link["href"]).partition(",")
+    assert kind.startswith("data:text/csv") and link["download"] == "episodes.csv"
+    lines = base64.b64decode(body).decode().splitlines()
+    assert len(lines) == 13 and lines[0].startswith("policy,episode,scene")
+    folders = json.loads(next(a["data-folders"] or "" for _, a in tags if "data-folders" in a))
+    assert [(page.parent / way).resolve() for way in folders] == [run.resolve() for run in runs]
+    classes = [a.get("class") for t, a in tags if t == "button"]
+    assert classes.count("view") == 12
+    assert [a.get("class") for t, a in tags if t == "table"].count("breakdown") == 2
 
 
 def test_it_lands_beside_the_run_and_says_what_is_missing(
@@ -301,7 +318,7 @@ PROBE = """
 """
 
 
-def evaluate(page: Path, script: str, profile: Path) -> str:
+def evaluate(page: Path, script: str, profile: Path, *flags: str) -> str:
     """The string that a script returns in a page, over Chromium's debugging pipe."""
     to_read, to_write = os.pipe()
     from_read, from_write = os.pipe()
@@ -310,7 +327,7 @@ def evaluate(page: Path, script: str, profile: Path) -> str:
     process = subprocess.Popen(
         [
             *("bash", "-c", command, "bash", str(CHROMIUM), *FLAGS, "--remote-debugging-pipe"),
-            *(f"--user-data-dir={profile}", page.as_uri()),
+            *(f"--user-data-dir={profile}", *flags, page.as_uri()),
         ],
         pass_fds=(to_read, from_write),
         stderr=subprocess.DEVNULL,
@@ -365,6 +382,41 @@ def evaluate(page: Path, script: str, profile: Path) -> str:
         os.close(to_write)
         process.kill()
         process.wait()
+
+
+WIDE = """
+(async () => {
+  for (const cell of document.querySelectorAll("#episode-table td.number")) {
+    if (cell.colSpan > 1) continue;
+    const small = cell.querySelector(".interval");
+    cell.firstChild.textContent = small ? "1128.27" : "10000";
+    if (small) small.textContent = "1128.27 shortest";
+  }
+  for (const small of document.querySelectorAll(".task .quiet")) {
+    small.textContent = "a_policy_with_a_long_name · an_episode_with_a_long_name_000123";
+  }
+  const cut = [];
+  for (const box of document.querySelectorAll(".scroll, html")) {
+    if (box.scrollWidth > box.clientWidth) cut.push([box.scrollWidth, box.clientWidth]);
+  }
+  const map = document.querySelector(".map svg").getBoundingClientRect();
+  document.querySelector(".view").click();
+  return JSON.stringify({
+    cut, page: document.documentElement.clientWidth, map: map.width,
+    command: document.getElementById("command").textContent,
+  });
+})()
+"""
+
+
+@pytest.mark.browser
+@needs_browser
+def test_no_column_is_cut_at_1400_px(page: Path, runs: list[Path], tmp_path: Path) -> None:
+    said = json.loads(evaluate(page, WIDE, tmp_path / "profile", "--window-size=1400,900"))
+    assert 1380 <= said["page"] <= 1400 and said["cut"] == [] and said["map"] >= 200
+    episode = next(iter(load_run(runs[1]).results)).episode.rpartition("_")[0]
+    command = said["command"].split()
+    assert command[:4] == ["gn0", "view", *map(str, runs)] and f"--episode={episode}" in command[4]
 
 
 @pytest.mark.browser
@@ -429,6 +481,25 @@ def test_a_clip_is_vp9_in_mp4_and_decodes_to_what_went_in() -> None:
     assert len(decoded) == 10
     error = np.abs(decoded[4].astype(int) - frames[4].astype(int))
     assert np.median(error) <= 6
+
+
+@pytest.mark.parametrize("size", [(40.0, 3.0), (3.0, 40.0), (10.0, 8.0), (8.0, 11.0), (60.0, 6.0)])
+def test_a_thin_plan_fills_its_cell_and_shows_the_whole_episode(size: tuple[float, float]) -> None:
+    window = MapWindow(-2.0, 1.0, -2.0 + size[0], 1.0 + size[1])
+    share = np.linspace(0.35, 0.5, 9)[:, None]
+    points = np.array([-2.0, 1.0]) + share * np.array(size)
+    view = fit_view(window, points)
+    left, top, width, height = map(float, view.box.split())
+    shape = width / height * CELL[1] / CELL[0]
+    assert min(shape, 1 / shape) >= 0.45, "less than half of the cell is used"
+    whole = [float(number) for number in view.whole.split()]
+    assert left >= 0 and top >= 0
+    assert left + width <= whole[2] + 0.1 and top + height <= whole[3] + 0.1
+    spots = window.place(points)
+    if view.turn:
+        spots = np.column_stack([spots[:, 1], window.size[0] - spots[:, 0]])
+    assert (spots >= (left - 0.1, top - 0.1)).all()
+    assert (spots <= (left + width + 0.1, top + height + 0.1)).all()
 
 
 def test_map_drawing_keeps_shape_and_places_north_up() -> None:

@@ -178,6 +178,28 @@ def test_a_replay_plays_to_its_end(flat, page, tmp_path):
         assert page.evaluate("window.gn0Hacked") is None
 
 
+def test_a_link_opens_the_episode_that_it_names(flat, page, tmp_path):
+    suite = build_suite([flat], tmp_path / "suite", count=3, seed=1, max_steps=6)
+    run_suite(suite, "random", tmp_path / "run", workers=1)
+    first, second, third = load_replay([tmp_path / "run"]).episodes
+    view = (str(tmp_path / "run"), "--splats", "2000", "--episode", second.id)
+    shown = "[...document.querySelectorAll('input')].map(input => input.value).join()"
+    with running_view(*view) as (url, _):
+        page.navigate(url)
+        page.wait_for(f"{shown}.includes({second.id!r})", what="the episode of --episode")
+        page.navigate(f"{url}&episode={third.id}")
+        page.wait_for(f"{shown}.includes({third.id!r})", what="the episode of the link")
+        page.navigate("about:blank")  # the cookie is known now
+        page.navigate(f"{url.partition('?')[0]}?episode={first.id}")
+        page.wait_for(
+            f"{shown}.includes({first.id!r})", what="the episode of a link without secret"
+        )
+        page.navigate(f"{url}&episode=%3Cscript%3Ewindow.gn0Hacked=1%3C/script%3E")
+        page.wait_for("/was not recorded here/.test(document.body.innerText)", what="the reason")
+        assert page.evaluate("window.gn0Hacked") is None
+        assert page.failures == [] and page.dialogs == []
+
+
 def test_check_ends_by_itself_and_a_stranger_is_told_no(flat):
     done = subprocess.run(
         [sys.executable, "-m", "gn0", "view", str(flat), "--check", "--port", "0"],

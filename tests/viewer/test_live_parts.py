@@ -241,6 +241,8 @@ def test_the_gate_lets_in_who_knows_the_secret():
     assert gate.judge("/?secret=wrong", Headers())[0] == 403
     status, _, more = gate.judge(f"/?secret={gate.secret}", Headers())
     assert status == 303 and more["Location"] == "/" and "HttpOnly" in more["Set-Cookie"]
+    _, _, deep = gate.judge(f"/?secret={gate.secret}&episode=a%0d%0aX%26b", Headers())
+    assert deep["Location"] == "/?episode=a%0D%0AX%26b"
     cookie = more["Set-Cookie"].partition(";")[0]
     assert gate.judge("/", Headers(Cookie=f"other=1; {cookie}")) is None
     assert gate.judge("/", Headers(Cookie=cookie[:-1]))[0] == 403

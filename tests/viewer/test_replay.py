@@ -9,7 +9,8 @@ import pytest
 
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import build_suite
-from gn0.errors import BenchError, StorageError
+from gn0.cli import view
+from gn0.errors import BenchError, ConfigError, StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.viewer.replay import load_replay
@@ -85,6 +86,20 @@ def test_other_runs_are_refused_with_the_reason(runs, tmp_path):
     shutil.rmtree(tmp_path / "suite")
     with pytest.raises(BenchError, match="suite"):
         load_replay([tmp_path / "other"])
+
+
+def test_an_episode_is_found_by_its_id_or_the_nearest_is_named(runs):
+    replay = load_replay(runs)
+    wanted = replay.episodes[-1]
+    assert replay.find(wanted.id) == wanted
+    with pytest.raises(BenchError, match=f"not recorded here .*did you mean '{wanted.id}'"):
+        replay.find(wanted.id + "x")
+    args = view.Args(paths=tuple(map(str, runs)), episode=wanted.id)
+    assert view.find_view(args).keywords["first"] == wanted.id
+    with pytest.raises(BenchError, match="not recorded"):
+        view.find_view(view.Args(paths=(str(runs[0]),), episode="gone"))
+    with pytest.raises(ConfigError, match="an episode is shown of runs"):
+        view.find_view(view.Args(paths=(str(runs[0].parent / "flat"),), episode=wanted.id))
 
 
 def test_two_runs_of_one_policy_get_names_of_their_own(runs):

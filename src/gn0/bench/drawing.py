@@ -23,6 +23,9 @@ from gn0.scenes.scene import Scene
 
 UNITS = 20.0  # SVG units a metre: one decimal is 5 mm
 MARGIN = 0.6  # m around the walkable ground
+CELL = 235.0, 170.0  # width and greatest height of a map in the table, in ratio as in report.css
+THIN = 0.5  # a map that covers less of its cell is turned or cut
+ROOM = 1.5  # m around an episode where its map is cut
 FLAT = 0.02  # m: corners that deviate less are left out of a drawn path
 
 
@@ -61,6 +64,66 @@ def find_window(grid: OccupancyGrid) -> MapWindow:
         x0, y0 = max(x0, low[0] - MARGIN), max(y0, low[1] - MARGIN)
         x1, y1 = min(x1, high[0] + MARGIN), min(y1, high[1] + MARGIN)
     return MapWindow(float(x0), float(y0), float(x1), float(y1))
+
+
+@dataclass(frozen=True)
+class MapView:
+    """How an episode's map stands in its cell.
+
+    Attributes:
+        box: viewBox of the part that the cell shows.
+        whole: viewBox of the whole map.
+        turn: transform of what is drawn, "" where north is up; else north is to the left.
+        north: where a turned map says so: x, y and the height of letters [SVG units].
+        wide: whether the whole map is more than twice as wide as it is high.
+    """
+
+    box: str
+    whole: str
+    turn: str
+    north: tuple[float, float, float]
+    wide: bool
+
+
+def fit_view(window: MapWindow, points: NDArray[np.floating]) -> MapView:
+    """The view of an episode that goes through `points` [N, 2] m.
+
+    A map that would leave half of its cell empty is turned where that helps, and cut to where the
+    episode is where it does not.
+    """
+    width, height = window.size
+    turned = height > width and _cover(width, height) < THIN
+    across, up = (height, width) if turned else (width, height)
+    left, right, top, bottom = 0.0, across, 0.0, up
+    if _cover(across, up) < THIN and len(points):
+        spots = window.place(points)
+        if turned:
+            spots = np.column_stack([spots[:, 1], width - spots[:, 0]])
+        (x0, y0), (x1, y1) = spots.min(axis=0) - ROOM * UNITS, spots.max(axis=0) + ROOM * UNITS
+        left, right = _stretch(float(x0), float(x1), up * CELL[0] / CELL[1], across)
+        top, bottom = _stretch(float(y0), float(y1), across * CELL[1] / CELL[0], up)
+    letters = 0.1 * (bottom - top)
+    return MapView(
+        box=f"{left:.1f} {top:.1f} {right - left:.1f} {bottom - top:.1f}",
+        whole=f"0 0 {across:.1f} {up:.1f}",
+        turn=f"translate(0 {width:.1f}) rotate(-90)" if turned else "",
+        north=(round(left + 0.3 * letters, 1), round(top + letters, 1), round(letters, 1)),
+        wide=across > 2 * up,
+    )
+
+
+def _cover(width: float, height: float) -> float:
+    """Share of a cell that a map of that shape covers."""
+    shape = width / max(height, 1e-9) * CELL[1] / CELL[0]
+    return min(shape, 1 / max(shape, 1e-9))
+
+
+def _stretch(low: float, high: float, least: float, limit: float) -> tuple[float, float]:
+    """An interval grown to a length of at least `least`, within 0 and `limit`."""
+    grow = max(least - (high - low), 0.0) / 2
+    low, high = low - grow, high + grow
+    shift = max(-low, 0.0) - max(high - limit, 0.0) if high - low < limit else 0.0
+    return max(low + shift, 0.0), min(high + shift, limit)
 
 
 def data_uri(data: bytes, kind: str) -> str:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -21,12 +23,14 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from gn0.bench.breakdown import Bar, split_categories, split_lengths
 from gn0.bench.drawing import (
     MapWindow,
     bev_symbol,
     data_uri,
     encode_jpeg,
     find_window,
+    fit_view,
     path_marks,
     plan_symbol,
 )
@@ -44,6 +48,7 @@ from gn0.bench.results import (
     load_summary,
     load_traces,
 )
+from gn0.bench.spreadsheet import render_csv
 from gn0.bench.standing import group_runs
 from gn0.bench.suite import SUITE_FILE, Suite, load_suite, load_suite_scene
 from gn0.bench.track import read_track
@@ -192,12 +197,18 @@ def write_report(
                 remedy="report them apart",
             )
     path = Path(out) if out is not None else Path(folders[0]) / "report.html"
-    write_text(path, _render(ran, loaded, videos, backend, progress))
+    write_text(path, _render(ran, loaded, videos, backend, progress, beside=path.parent))
     return path
 
 
 def _render(
-    suite: Suite, runs: list[RunData], videos: int, backend: str, progress: Progress
+    suite: Suite,
+    runs: list[RunData],
+    videos: int,
+    backend: str,
+    progress: Progress,
+    *,
+    beside: Path,
 ) -> str:
     episodes = {episode.id: episode for episode in suite.episodes}
     names = _run_names(runs)
@@ -258,6 +269,14 @@ def _render(
             for group in group_runs([run.summary for run in runs])
         ],
         rows=rows,
+        histograms=_histograms(runs, episodes),
+        table=data_uri(
+            render_csv(
+                [(name, run.results) for name, run in zip(names, runs, strict=True)], episodes
+            ),
+            "text/csv;charset=utf-8",
+        ),
+        folders=json.dumps([_way_to(run.folder, beside) for run in runs]),
         symbols=symbols,
         videos=shown,
         protocol=_protocol_rows(runs, names),
@@ -373,6 +392,7 @@ def _row(
     """What the template shows of one episode of one run; rank 0 comes first."""
     m = result.metrics
     outcome = result.status if m is None else ("success" if m.success else "failure")
+    path = np.array(trace.poses, np.float64).reshape(-1, 3)[:, :2]
     return {
         "episode": episode.id,
         "scene": episode.scene_id,
@@ -383,13 +403,14 @@ def _row(
         "rank": {"failed": 0, "invalid": 1, "failure": 2, "success": 3}[outcome],
         "reason": result.reason or _explain(result),
         "metrics": m,
-        "view_box": art.window.view_box,
+        "view": fit_view(art.window, np.array([*episode.path, episode.goal, *path])),
+        "can_view": episode.id.isprintable(),
         "bev": art.bev,
         "plan": art.plan,
         "marks": path_marks(
             art.window,
             reference=np.array(episode.path, np.float64).reshape(-1, 2),
-            path=np.array(trace.poses, np.float64).reshape(-1, 3)[:, :2],
+            path=path,
             goal=episode.goal,
             goal_set=episode.goal_set,
             collided=trace.collided,
@@ -399,6 +420,27 @@ def _row(
         "poster": "",
         "clip": -1,
     }
+
+
+def _histograms(
+    runs: Sequence[RunData], episodes: dict[str, Episode]
+) -> list[tuple[str, str, list[Bar]]]:
+    """Title, what the bars are of, and the bars."""
+    results = [run.results for run in runs]
+    found = [
+        ("By path length", "shortest way", split_lengths(results)),
+        ("By goal category", "category", split_categories(results, episodes)),
+    ]
+    return [entry for entry in found if entry[2]]
+
+
+def _way_to(folder: Path, beside: Path) -> str:
+    """A run's folder as seen from the page's: the page works out the rest where it is opened."""
+    try:
+        way = os.path.relpath(folder, beside)
+    except ValueError:  # another drive
+        way = str(folder.absolute())
+    return Path(way).as_posix()
 
 
 def _released(run: RunData, name: str) -> dict[str, Any]:

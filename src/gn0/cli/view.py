@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 EXAMPLES = """  gn0 view out/flat
   gn0 view out/flat --splats 300000 --camera n1
   gn0 view out/demo/runs/oracle out/demo/runs/random
+  gn0 view out/demo/runs/oracle --episode apartment_0003
   gn0 view out/demo/apartment --results out/demo/runs/oracle
   gn0 view capture.ply --up=-y"""
 
@@ -32,6 +33,7 @@ class Args(Config, frozen=True):
     Attributes:
         paths: a scene folder, a splat file, a suite, or run folders as `gn0 bench run` writes them.
         results: run folders whose episodes are replayed in that scene.
+        episode: id of the episode of a run to begin with, as results and reports say it.
         splats: how many splats the browser gets; 60,000 still move without a GPU.
         camera: eyes and body of the agent, a camera preset by name.
         up: which axis of a splat file points up; auto proposes one.
@@ -49,6 +51,7 @@ class Args(Config, frozen=True):
         tyro.conf.arg(metavar="SCENE_OR_RUN [SCENE_OR_RUN ...]"),
     ]
     results: tuple[str, ...] = ()
+    episode: str = ""
     splats: Annotated[int, msgspec.Meta(ge=100, le=5_000_000)] = 60_000
     camera: str = "gn_bench"
     up: Literal["auto", "+z", "-z", "+y", "-y", "+x", "-x"] = "auto"
@@ -107,7 +110,13 @@ def find_view(args: Args) -> Any:
 
         runs = [Path(r) for r in args.results] if args.results else paths
         replay = load_replay(runs, first if args.results else None)
-        return partial(ReplayView, replay=replay, splats=args.splats)
+        if args.episode:
+            replay.find(args.episode)
+        return partial(ReplayView, replay=replay, splats=args.splats, first=args.episode)
+    if args.episode:
+        raise ConfigError(
+            "an episode is shown of runs", where="--episode", remedy="gn0 view RUN --episode ID"
+        )
     if len(paths) > 1:
         raise ConfigError(
             "several paths that are no runs", remedy="one scene or file, or several run folders"

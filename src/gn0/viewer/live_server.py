@@ -16,12 +16,12 @@ import logging
 import secrets
 import socket
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, urlencode, urlsplit
 
 from gn0.errors import ConfigError, StorageError
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 DEFAULT_PORT = 8080
 PORTS_TRIED = 100
+EPISODE_LIMIT = 1000  # characters of an id in an address
 CLOSED = "This view is private. Open the whole address that `gn0 view` printed, secret included.\n"
 
 
@@ -71,11 +72,20 @@ class Gate:
         asked = parse_qs(urlsplit(path).query).get("secret", [""])[0]
         if self._right(asked):
             cookie = f"{self.cookie}={self.secret}; Path=/; HttpOnly; SameSite=Lax"
-            return 303, "", {"Location": "/", "Set-Cookie": cookie, "Cache-Control": "no-store"}
+            episode = wanted_episode(path)
+            place = f"/?{urlencode({'episode': episode})}" if episode else "/"
+            return 303, "", {"Location": place, "Set-Cookie": cookie, "Cache-Control": "no-store"}
         return 403, CLOSED, {}
 
     def _right(self, value: str) -> bool:
         return secrets.compare_digest(value.encode(), self.secret.encode())
+
+
+def wanted_episode(path: str) -> str:
+    """The episode that a requested path and query asks for; "" for none."""
+    parts = urlsplit(path)
+    wanted = parse_qs(parts.query).get("episode", [""])[0] if parts.path == "/" else ""
+    return wanted if len(wanted) <= EPISODE_LIMIT else ""
 
 
 @dataclass(frozen=True)
@@ -87,12 +97,15 @@ class LiveServer:
         url: the address to open, with its secret.
         port: where it listens.
         asked_port: where it was asked to.
+        asks: called with the id of the episode that a visitor's address asks for, from the
+            server's own thread; the id is whatever somebody typed.
     """
 
     viser: viser.ViserServer
     url: str
     port: int
     asked_port: int
+    asks: list[Callable[[str], None]] = field(default_factory=list)
 
 
 # viser's page unpacks its own scripts and its sorter of splats is compiled by emscripten, so inline
@@ -191,7 +204,8 @@ def open_server(
     chosen = find_port(host, port)
     gate = Gate.fresh()
     # what viser prints of itself would bury our own line
-    with contextlib.redirect_stdout(io.StringIO()), _gated(gate) as used:
+    asks: list[Callable[[str], None]] = []
+    with contextlib.redirect_stdout(io.StringIO()), _gated(gate, asks) as used:
         server = _private(module)(host=host, port=chosen, label=label, verbose=False)
     try:
         if not used:
@@ -202,7 +216,8 @@ def open_server(
         actual = server.get_port()
         shown = "localhost" if host in ("0.0.0.0", "::", "localhost") else host  # noqa: S104
         shown = f"[{shown}]" if ":" in shown else shown
-        yield LiveServer(server, f"http://{shown}:{actual}/?secret={gate.secret}", actual, port)
+        url = f"http://{shown}:{actual}/?secret={gate.secret}"
+        yield LiveServer(server, url, actual, port, asks)
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
@@ -219,7 +234,7 @@ def _private(module: Any) -> Any:
 
 
 @contextlib.contextmanager
-def _gated(gate: Gate) -> Iterator[list[bool]]:
+def _gated(gate: Gate, asks: list[Callable[[str], None]]) -> Iterator[list[bool]]:
     """Put the gate in front of the next server that the websockets library starts.
 
     viser hands no hook through, so its call is caught on the way: `process_request` is documented
@@ -234,6 +249,9 @@ def _gated(gate: Gate) -> Iterator[list[bool]]:
     def answer(inner: Any, connection: Any, request: Any) -> Any:
         refusal = gate.judge(request.path, request.headers)
         if refusal is None:
+            episode = wanted_episode(request.path)
+            for ask in asks if episode else ():
+                ask(episode)
             return dress_page(inner(connection, request)) if inner else None
         _silence(connection)
         status, text, more = refusal

@@ -5,6 +5,7 @@ Everything comes from the poses that `gn0 bench run` wrote down; no policy runs 
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from gn0.bench.metrics import METRICS
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.bench.suite import SUITE_FILE, Suite
-from gn0.errors import BenchError
+from gn0.errors import BenchError, brief
 from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode
 from gn0.scenes.folder import load_scene
@@ -60,6 +61,22 @@ class Replay:
         """One line for a list: an outcome mark a run, the id, the instruction."""
         marks = "".join(_mark(run.results.get(episode.id)) for run in self.runs)
         return name_line(f"{marks} {episode.id} · {episode.instruction}", 90)
+
+    def find(self, name: str) -> Episode:
+        """The episode of that id.
+
+        Raises:
+            BenchError: no run recorded it; names the nearest.
+        """
+        known = {episode.id: episode for episode in self.episodes}
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1) or list(known)[:1]
+            raise BenchError(
+                f"episode {brief(name)} was not recorded here",
+                where="--episode",
+                remedy=f"did you mean {brief(near[0])}? The page lists all of them",
+            )
+        return known[name]
 
     def length(self, episode: Episode) -> int:
         """Steps of the longest run."""

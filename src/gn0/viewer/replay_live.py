@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw
 
 from gn0.bench.suite import load_suite_scene
 from gn0.bench.video import clip_camera
+from gn0.errors import BenchError
 from gn0.geometry import U8, view_from_pose
 from gn0.missions.episode import Episode
 from gn0.render.renderer import Renderer, build_renderer
@@ -42,16 +43,20 @@ class ReplayView:
         loop: the thread that does the work.
         replay: what was recorded.
         splats: how many splats the browser gets.
+        first: id of the episode to begin with; "" for the first of the list.
     """
 
-    def __init__(self, live: LiveServer, loop: LiveLoop, *, replay: Replay, splats: int) -> None:
+    def __init__(
+        self, live: LiveServer, loop: LiveLoop, *, replay: Replay, splats: int, first: str = ""
+    ) -> None:
         self.server, self.loop, self.replay, self.count = live.viser, loop, replay, splats
+        live.asks.append(lambda name: loop.post(partial(self._open_link, name), key="link"))
         self.stage = LiveStage(live.viser)
         about = replay.suite.about
         self.preset = find_preset(about.camera)
         self.agent = about.agent
         self.scene: Scene | None = None
-        self.episode: Episode = replay.episodes[0]
+        self.episode: Episode = replay.find(first) if first else replay.episodes[0]
         self.step, self.playing, self.speed = 0, False, 4.0
         self.camera = "free"
         self._began = (0.0, 0)  # when playing began [s], and at which step
@@ -68,7 +73,7 @@ class ReplayView:
         self._titles = {self.replay.title(e): e for e in self.replay.episodes}
         self._enter(self.episode.scene_id)
         self._build_panels()
-        self._choose(self.replay.title(self.episode))
+        self._turn_to(self.episode)
         self.server.on_client_connect(lambda client: self.loop.post(partial(self._greet, client)))
 
     def _refit(self, client: Any) -> None:
@@ -180,10 +185,19 @@ class ReplayView:
         self._show(0)
 
     def _turn_page(self, by: int) -> None:
-        titles = list(self._titles)
-        place = titles.index(self.replay.title(self.episode)) + by
-        self._list.value = titles[place % len(titles)]
+        episodes = self.replay.episodes
+        self._turn_to(episodes[(episodes.index(self.episode) + by) % len(episodes)])
+
+    def _turn_to(self, episode: Episode) -> None:
+        self._list.value = self.replay.title(episode)
         self._choose(self._list.value)
+
+    def _open_link(self, name: str) -> None:
+        """A visitor's address asks for an episode."""
+        try:
+            self._turn_to(self.replay.find(name))
+        except BenchError as error:
+            self._task.content = plain(error.what)
 
     def _toggle(self) -> None:
         if self.playing:

@@ -11,11 +11,14 @@
   const stage = document.getElementById("stage");
   document.querySelector(".tools").hidden = false;
 
+  const textOf = (row) => Array.from(
+    row.cells[1].querySelectorAll("span"), (span) => span.textContent.toLowerCase(),
+  ).join(" ");
   const filter = () => {
     const words = find.value.toLowerCase().split(/\s+/).filter(Boolean);
     let shown = 0;
     for (const row of rows) {
-      const text = row.cells[1].textContent.toLowerCase();
+      const text = words.length ? textOf(row) : "";
       const fits = (!policy || !policy.value || row.dataset.run === policy.value)
         && (!outcome.value || row.dataset.outcome === outcome.value)
         && words.every((word) => text.includes(word));
@@ -54,6 +57,59 @@
     });
   }
 
+  // The command that opens an episode: run folders are told as seen from this page, so that they
+  // are right wherever the folder lies now.
+  const viewer = document.getElementById("viewer");
+  const command = document.getElementById("command");
+  const address = document.getElementById("address");
+  const deep = document.getElementById("deep");
+  const windows = /^\/[A-Za-z]:\//.test(location.pathname);
+  const quote = (word) => {
+    if (/^[\w@%+=:,./-]+$/.test(word)) return word;
+    return windows ? `"${word.replaceAll('"', '""')}"` : `'${word.replaceAll("'", "'\\''")}'`;
+  };
+  const placeOf = (way) => {
+    if (location.protocol !== "file:" || /^(\/|[A-Za-z]:)/.test(way)) return way;
+    const parts = decodeURIComponent(location.pathname).split("/").slice(windows ? 1 : 0, -1);
+    for (const part of way.split("/")) {
+      if (part === "..") parts.pop();
+      else if (part !== ".") parts.push(part);
+    }
+    return parts.join("/") || "/";
+  };
+  // no sign that a terminal acts on, and on Windows none that its shells expand between quotes
+  const isPlain = (text) => !(windows && /["$`%!]/.test(text)) && !/[\u0000-\u001f\u007f-\u009f\u2028\u2029]/.test(text);
+  const link = () => {
+    deep.hidden = true;
+    deep.removeAttribute("href");
+    let found = null;
+    try { found = new URL(address.value.trim()); } catch { return; }
+    if (found.protocol !== "http:" && found.protocol !== "https:") return;
+    found.searchParams.set("episode", viewer.dataset.episode);
+    deep.href = found.href;
+    deep.hidden = false;
+  };
+  const offer = (row) => {
+    const folders = JSON.parse(table.dataset.folders).map(placeOf);
+    const places = folders.map((folder) => (folder.startsWith("-") ? `./${folder}` : folder));
+    const words = ["gn0", "view", ...places, `--episode=${row.dataset.text}`];
+    viewer.hidden = !row.querySelector(".view") || !words.every(isPlain);
+    if (viewer.hidden) return;
+    viewer.dataset.episode = row.dataset.text;
+    command.textContent = words.map(quote).join(" ");
+    link();
+  };
+  address.addEventListener("input", link);
+  document.getElementById("copy").addEventListener("click", async (event) => {
+    try {
+      await navigator.clipboard.writeText(command.textContent);
+    } catch {
+      getSelection().selectAllChildren(command);
+      document.execCommand("copy");
+    }
+    event.target.textContent = "copied";
+  });
+
   const open = (row, watch) => {
     stage.replaceChildren();
     const task = row.cells[1].cloneNode(true);
@@ -72,14 +128,22 @@
       }
     }
     for (const map of row.querySelectorAll(".map svg")) {
-      stage.append(map.cloneNode(true));
+      const large = map.cloneNode(true);
+      large.setAttribute("viewBox", large.dataset.whole);
+      for (const north of large.querySelectorAll(".north")) north.remove();
+      stage.append(large);
       if (watch) break;
     }
+    offer(row);
     closer.showModal();
   };
   for (const row of rows) {
     row.classList.add("live");
     for (const map of row.querySelectorAll(".map svg")) map.addEventListener("click", () => open(row, false));
+    for (const view of row.querySelectorAll(".view")) {
+      view.hidden = false;
+      view.addEventListener("click", () => open(row, false));
+    }
     for (const play of row.querySelectorAll(".play")) {
       play.hidden = false;
       play.addEventListener("click", () => open(row, true));
@@ -87,6 +151,9 @@
   }
   document.getElementById("close").addEventListener("click", () => closer.close());
   closer.addEventListener("click", (event) => { if (event.target === closer) closer.close(); });
-  closer.addEventListener("close", () => stage.replaceChildren());
+  closer.addEventListener("close", () => {
+    stage.replaceChildren();
+    document.getElementById("copy").textContent = "copy";
+  });
   filter();
 })();

@@ -16,6 +16,7 @@ from gn0.geometry import Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.alike import GoalGatherer, build_targets, likeness_of
 from gn0.missions.episode import VISIBLE_FROM_ABOVE, Episode
+from gn0.missions.footprints import build_footprints
 from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject
 from gn0.sim.state import Trajectory
@@ -167,3 +168,25 @@ def test_what_the_map_shows_from_above_is_marked(flat: Scene) -> None:
     assert not below.is_seen_from_above(0)
     assert likeness_of(covered) is likeness_of(covered)
     assert VISIBLE_FROM_ABOVE == "visible from above"
+
+
+def test_gaps_between_footprints_are_those_of_another_geometry() -> None:
+    """Shapely's, of boxes at any angle, side by side, one within another and without width."""
+    rng = np.random.default_rng(0)
+    boxes = [
+        ObjectBox(
+            centre=tuple(rng.uniform(-3, 3, 3)),
+            size=tuple(rng.uniform(0, 2, 3) * (rng.random(3) < 0.9)),
+            yaw=float(rng.uniform(-3, 3) if k % 2 else rng.integers(4) * np.pi / 2),
+        )
+        for k in range(60)
+    ]
+    prints = build_footprints(boxes)
+    shapes = np.array([shapely.Polygon(corners) for corners in prints.corners])
+    everyone = np.arange(len(boxes))
+    for k in everyone:
+        away = shapely.distance(shapes[k], shapes)
+        np.testing.assert_allclose(prints.gaps(k, everyone), away, rtol=0, atol=1e-12)
+        near = [i for i in prints.around(k, 0.5) if prints.gaps(k, [i])[0] <= 0.5]
+        assert near == [i for i in everyone if i != k and away[i] <= 0.5]
+    assert prints.gaps(0, []).shape == (0,)

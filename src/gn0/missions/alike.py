@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely import Polygon, STRtree, distance
 
 from gn0.maps.goals import GoalSet
 from gn0.maps.navigation import NavigationMap
+from gn0.missions.footprints import Footprints, build_footprints
 from gn0.missions.language.surroundings import Surroundings, surroundings_of
 from gn0.missions.language.words import definite, indefinite, is_plural, is_stuff, spoken_name
 from gn0.missions.targets import (
@@ -30,7 +30,7 @@ from gn0.missions.targets import (
     room_box,
     wall_cells,
 )
-from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneRoom
+from gn0.scenes.scene import Scene, SceneObject, SceneRoom
 
 NEXT_TO = 1.0  # m between two footprints: one would say "next to"; nobody beyond NEIGHBOUR_REACH
 SIDES = 4  # places at one instance of several
@@ -60,13 +60,11 @@ class Likeness:
 
     Attributes:
         surroundings: names and rooms.
-        footprints: of each object [N], seen from above.
-        tree: of the footprints.
+        footprints: of each object, seen from above.
     """
 
     surroundings: Surroundings
-    footprints: NDArray[np.object_]
-    tree: STRtree
+    footprints: Footprints
     _near: dict[int, frozenset[str]] = field(default_factory=dict)
     _found: dict[GoalWords, tuple[int, ...]] = field(default_factory=dict)
 
@@ -92,9 +90,9 @@ class Likeness:
     def _neighbours(self, index: int, reach: float) -> list[int]:
         """Objects within a distance [m] of another and not in another room, itself left out."""
         room = self.surroundings.room_of
-        hits = self.tree.query(self.footprints[index], predicate="dwithin", distance=reach)
-        near = [int(i) for i in np.sort(hits) if i != index]
-        return [i for i in near if room[i] == room[index] or min(room[i], room[index]) < 0]
+        near = self.footprints.around(index, reach)
+        near = near[self.footprints.gaps(index, near) <= reach]
+        return [i for i in near.tolist() if room[i] == room[index] or min(room[i], room[index]) < 0]
 
     def _names_near(self, index: int) -> frozenset[str]:
         """Names that fit something near an object, shorter ones included."""
@@ -124,7 +122,7 @@ class Likeness:
                 continue
             if _clash(beside, name) or beside in taken:
                 continue
-            gap = float(distance(self.footprints[index], self.footprints[i]))
+            gap = float(self.footprints.gaps(index, [i])[0])
             near.append((round(gap, 6), beside))
         if near:
             return words._replace(near=min(near)[1]), (index,)
@@ -146,18 +144,11 @@ def likeness_of(scene: Scene) -> Likeness:
     with _lock:
         found = _kept.get(scene)
     if found is None:
-        prints = np.array([footprint(o.box) for o in scene.objects], np.object_)
-        found = Likeness(surroundings_of(scene), prints, STRtree(prints))
+        prints = build_footprints([o.box for o in scene.objects])
+        found = Likeness(surroundings_of(scene), prints)
         with _lock:
             _kept[scene] = found
     return found
-
-
-def footprint(box: ObjectBox) -> Polygon:
-    """A box seen from above."""
-    c, s = np.cos(box.yaw), np.sin(box.yaw)
-    half = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * np.maximum(box.size[:2], 1e-3) / 2
-    return Polygon(half @ np.array([(c, s), (-s, c)]) + box.centre[:2])
 
 
 def rooms_like(scene: Scene, room: SceneRoom) -> tuple[SceneRoom, ...]:
@@ -277,10 +268,10 @@ class GoalGatherer:
         u, v = (a.ravel() for a in np.meshgrid(t * box.size[0], t * box.size[1]))
         points = np.column_stack([c * u - s * v, s * u + c * v]) + np.array(box.centre[:2])
         seen = np.ones(len(points), np.bool_)
-        for i in self._likeness.tree.query(self._likeness.footprints[index]).tolist():
+        for i in self._likeness.footprints.around(index).tolist():
             other = objects[i].box
             above = other.centre[2] + other.size[2] / 2 > top + 0.02 and other.centre[2] <= BEV_CUT
-            if i != index and above:
+            if above:
                 oc, os = np.cos(other.yaw), np.sin(other.yaw)
                 d = points - np.array(other.centre[:2])
                 local = np.abs(np.column_stack([d @ (oc, os), d @ (-os, oc)]))

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection
+from websockets.sync.client import connect as connect_to
 
 from gn0.errors import ConfigError, PolicyError
 from gn0.policies.remote.client import RemoteClient, read_busy
@@ -21,6 +22,11 @@ from gn0.policies.remote.wire import REQUEST_LIMITS, decode_message, encode_mess
 from gn0.policies.simple import PolicyRandom
 
 TRY_AGAIN_LATER = 1013  # RFC 6455's registry of close codes at IANA: "Try Again Later"
+
+
+def connect(url: str, **options: Any) -> ClientConnection:
+    """An open connection that lives until it is closed: what `websockets` 16 and 17 both know."""
+    return connect_to(url, **options).__enter__()
 
 
 class PolicyHeld:

@@ -198,7 +198,8 @@ def _crowd(url: str, clients: int, seconds: float) -> tuple[list[float], list[fl
             begun = time.perf_counter()
             try:
                 if channel is None:
-                    channel = connect(url, compression=None, ping_interval=None)
+                    opened = connect(url, compression=None, ping_interval=None)
+                    channel = opened.__enter__()  # kept across turns
                     channel.recv()
                     continue
                 channel.send(question)

@@ -125,7 +125,7 @@ class RemoteClient:
                 ping_interval=None,
                 compression=None,  # pictures over loopback: deflating them costs more than it saves
                 additional_headers=headers,
-            )
+            ).__enter__()  # as websockets 17 wants it; 16 and before give the same connection
         except InvalidStatus as error:
             channel.close()
             code = error.response.status_code

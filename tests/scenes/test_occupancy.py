@@ -180,3 +180,9 @@ def _cut_polygon(triangle: np.ndarray, low: float, high: float) -> list[tuple[fl
                 t = (z - a[2]) / (b[2] - a[2])
                 points.append(tuple((a + t * (b - a))[:2]))
     return points
+
+
+def test_what_hangs_overhead_does_not_widen_the_map():
+    room = joined(*room_mesh())
+    eaves = joined(*room_mesh(), box_mesh((-3, -3, 2.3), (7, 6, 2.4)))  # over the band, and far out
+    assert build_occupancy(eaves).cells.shape == build_occupancy(room).cells.shape

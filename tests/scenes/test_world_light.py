@@ -18,7 +18,7 @@ from gn0.scenes.rooms import build_rooms
 from gn0.scenes.scene import ObjectBox, SceneObject
 from gn0.scenes.sdf import SdfLight
 from gn0.scenes.textures import Paint, TextureAlbedo
-from gn0.scenes.world_light import close_ceiling, drop_outside, light_world
+from gn0.scenes.world_light import _daylight, close_ceiling, drop_outside, light_world
 from gn0.scenes.world_mesh import WorldMeshes
 
 _spec = importlib.util.spec_from_file_location("boxes", Path(__file__).parent / "boxes.py")
@@ -123,6 +123,22 @@ def test_windows_shine_into_the_room(house):
     ratio_lit = lit.irradiance[:, 2] / lit.irradiance[:, 0]
     ratio_dark = dark.irradiance[:, 2] / dark.irradiance[:, 0]
     assert ratio_lit.mean() != pytest.approx(ratio_dark.mean(), rel=1e-3)  # daylight is bluer
+
+
+@pytest.mark.parametrize("along", ["x", "y"])
+def test_daylight_starts_at_the_windows_inner_face_and_shines_in(house, along):
+    _, grid, rooms = house
+    centre, size, inwards = {
+        "y": ((-0.05, 1.5, 1.4), (0.1, 1.6, 1.2), (1.0, 0.0)),
+        "x": ((2.0, -0.05, 1.4), (1.6, 0.1, 1.2), (0.0, 1.0)),
+    }[along]
+    window = SceneObject(id="w", category="window", box=ObjectBox(centre=centre, size=size))
+    (lamp,) = _daylight((window,), rooms, grid)
+    face = np.add(centre[:2], np.multiply(0.05, inwards))  # half of the wall's 0.1 m
+    gap = (np.array(lamp.centre[:2]) - face) @ inwards
+    assert 0 < gap < 0.05
+    assert lamp.direction[:2] == pytest.approx(inwards, abs=1e-9)
+    assert lamp.size[0] == pytest.approx(0.9 * 1.6) and lamp.size[1] == pytest.approx(0.9 * 1.2)
 
 
 def test_flat_light_changes_nothing(house):

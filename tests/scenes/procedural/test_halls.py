@@ -172,6 +172,29 @@ def test_a_yard_is_outdoors() -> None:
             assert nav.region_of(*thing.box.centre[:2]) < 0, thing.id
 
 
+def test_the_ground_of_a_yard_ends_where_its_zones_end() -> None:
+    draft = hall("courtyard")
+    triangles = draft.mesh.vertices[draft.mesh.faces]
+    level = (np.ptp(triangles[..., 2], axis=1) < 1e-6) & (draft.mesh.instance < 0)
+    for room in draft.rooms:
+        low, high = np.min(room.polygon, axis=0), np.max(room.polygon, axis=0)
+        corners = [low, (high[0], low[1]), high, (low[0], high[1])]
+        # a level face of the shell has its corners in those of the zone
+        wide = triangles[level & (np.ptp(triangles[..., 0], axis=1) > 0.9 * (high - low)[0])]
+        near = (
+            np.abs(wide[:, :, None, :2] - np.array(corners)[None, None]).max(axis=-1).min(axis=-1)
+        )
+        assert (near.max(axis=1) < 1e-3).any(), room.id
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clear_sky_is_palest_at_the_horizon(seed: int) -> None:
+    sky = hall("courtyard", "small", seed).sky
+    assert sky is not None
+    assert all(up < down for up, down in zip(sky.zenith, sky.horizon, strict=True))
+    assert max(sky.horizon) < 1.0
+
+
 def test_an_unknown_style_is_refused() -> None:
     for kind in HALLS:
         with pytest.raises(SceneError, match="unknown style"):

@@ -19,7 +19,9 @@ from gn0.maps.navigation import NavigationMap
 from gn0.render.renderer import build_renderer
 from gn0.scenes.example import build_example_scene
 from gn0.sim.open import open_simulator
+from gn0.sim.presets import find_preset
 from gn0.sim.state import Action
+from gn0.viewer.live_eyes import canvas_camera, draw_canvas
 from gn0.viewer.live_loop import LiveLoop
 from gn0.viewer.live_map import MapAgent, plan_map
 from gn0.viewer.live_server import Gate, fetch_page, find_port, is_loopback, open_server
@@ -312,3 +314,23 @@ def test_up_of_a_bare_file_is_proposed(capsys: pytest.CaptureFixture[str]) -> No
     assert find_up(transform_cloud(cloud, rotation=to_minus_y)) == "-y"
     assert "--up says otherwise" in capsys.readouterr().out
     assert find_up(cloud.select(np.arange(5))) == "+z"
+
+
+def test_a_canvas_of_any_shape_holds_the_agents_whole_picture():
+    preset = find_preset("gn_bench")
+    pose = Pose2D(2.0, 1.5, 0.4)
+    scene = build_example_scene(spacing=0.1)
+    renderer = build_renderer(scene.gaussians, "cpu")
+    for size in ((300, 120), (120, 300), (160, 120)):
+        camera, (left, top, right, bottom) = canvas_camera(preset.rgb, size)
+        assert (camera.width, camera.height) == size
+        assert left >= 0 and top >= 0 and right <= size[0] and bottom <= size[1]
+        assert right - left == size[0] or bottom - top == size[1]
+        corner = ((left - camera.cx) / camera.fx, (top - camera.cy) / camera.fy)
+        own = (-preset.rgb.cx / preset.rgb.fx, -preset.rgb.cy / preset.rgb.fy)
+        assert corner == pytest.approx(own, abs=2 / min(size))  # rounded to a pixel
+        drawn = draw_canvas(renderer, preset, pose, 1.3, size, beyond=0.0)
+        assert drawn.shape == (size[1], size[0], 3)
+        outside = np.ones(drawn.shape[:2], bool)
+        outside[top:bottom, left:right] = False
+        assert not drawn[outside].any() and drawn[~outside].mean() > 20

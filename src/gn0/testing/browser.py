@@ -326,6 +326,9 @@ def _connect(address: str) -> Any:
     from websockets.sync.client import connect
 
     more: dict[str, Any] = {"max_size": None}
-    if "proxy" in inspect.signature(connect).parameters:  # since 15; a proxy is of no use here
+    known = inspect.signature(connect).parameters
+    if "proxy" in known:  # since 15; a proxy is of no use here
         more["proxy"] = None
+    if "ping_interval" in known:  # a page that draws without a GPU may be silent for long; every
+        more["ping_interval"] = None  # command has a limit of its own
     return connect(address, **more)

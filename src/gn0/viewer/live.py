@@ -13,6 +13,7 @@ from gn0.render.camera import Camera
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.state import Action
+from gn0.viewer.live_eyes import LiveEyes
 from gn0.viewer.live_loop import LiveLoop
 from gn0.viewer.live_map import AGENT, PICTURES, LiveMap, MapAgent, PictureKind, bev_map, plan_map
 from gn0.viewer.live_server import LiveServer
@@ -22,7 +23,6 @@ from gn0.viewer.live_stage import (
     LiveBody,
     LiveStage,
     behind,
-    eyes,
     from_above,
     overview,
 )
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 CEILING_CUT = 2.3  # what lies higher hides rooms from above [m]
 CAMERAS = ("free", "the agent's eyes", "behind the agent")
 DETAILS = (30_000, 100_000, 300_000, 1_000_000)
-_ACTIONS = {"forward": Action.FORWARD, "left": Action.LEFT, "right": Action.RIGHT}
+KEY_ACTIONS = {"forward": Action.FORWARD, "left": Action.LEFT, "right": Action.RIGHT}
 BEV_PIXELS = 2048
 FLOOR = 0.15  # what is hit by a click lower than this is floor [m]
 HEAD_START, ALONE = 0.6, 5.0  # how long the agent waits for a visitor's page, for a visitor [s]
@@ -77,6 +77,7 @@ class SceneView:
         self.preset = find_preset(preset) if isinstance(preset, str) else preset
         self.server = live.viser
         self.stage = LiveStage(live.viser)
+        self.eyes = LiveEyes(live.viser, self.stage, self.preset, self.preset.agent.camera_height)
         self.cut = ceiling_cut(scene)
         self.walk: AgentWalk | None = None
         self.kind: PictureKind = "RGB"
@@ -105,12 +106,19 @@ class SceneView:
 
     def _greet(self, client: Any) -> None:
         """A visitor came: his window decides how far away the overview is."""
-        fit, key = partial(self.stage.refit, client, self.scene), f"fit {client.client_id}"
+        fit, key = partial(self._refit, client), f"fit {client.client_id}"
         client.camera.on_update(lambda _: self.loop.post(fit, key=key))
         if self.camera == CAMERAS[0]:
             self.stage.look_over(self.scene)
         else:
             self._look()
+
+    def _refit(self, client: Any) -> None:
+        """A window changed its shape, or its visitor moved the camera."""
+        if self.eyes.is_stale(client):
+            self.loop.post(self._look_out, key="eyes")
+        else:
+            self.stage.refit(client, self.scene)
 
     def finish(self) -> None:
         """Do now what `tick` would leave for later: wake the agent."""
@@ -156,7 +164,7 @@ class SceneView:
         hear(self.loop, views.on_click, self._jump)
         with gui.add_folder("Layers", expand_by_default=False):
             self._layer("Splats", True, lambda on: self.stage.show(splats=on))
-            self._ceiling = self._layer("Ceiling", False, lambda on: self.stage.show(ceiling=on))
+            self._layer("Ceiling", False, lambda on: self.stage.show(ceiling=on))
             self._layer("Plan on the floor", False, self._lay_plan)
             self._layer("Room names", True, lambda on: self.stage.show_labels(rooms=on))
             self._layer("Object names", False, lambda on: self.stage.show_labels(objects=on))
@@ -262,11 +270,11 @@ class SceneView:
 
     def _move(self, word: str) -> None:
         if self.walk is not None and self.walk.standing:
-            self.walk.act(_ACTIONS[word])
+            self.walk.act(KEY_ACTIONS[word])
             self._refresh()
 
     def _click(self, origin: Any, direction: Any) -> None:
-        if self.walk is None or not self.walk.standing:
+        if self.walk is None or not self.walk.standing or self.eyes.open:
             return
         spot = self._floor_at(origin, direction)
         if spot is None:
@@ -308,7 +316,8 @@ class SceneView:
         if walk.last.bumped:
             text += "\n\n**Bump.** An obstacle cut this short."
         self._status.content = text + f"\n\nbumps so far: {walk.bumps}"
-        self._look()
+        if not self.eyes.open:  # else drawn with the other pictures
+            self._look()
         self.loop.post(self._draw, key="draw")
 
     def _draw(self) -> None:
@@ -319,27 +328,33 @@ class SceneView:
         else:
             self._picture.image = self.walk.picture(self.kind)
         self._plan_image.image = self.plan.draw([agent])
+        self._look_out()
+
+    def _look_out(self) -> None:
+        """Draw the canvas anew while it shows what the agent sees."""
+        if self.camera == CAMERAS[1] and self._renderer is not None:
+            assert self.walk is not None
+            self.eyes.show(
+                self._renderer, self.walk.pose, "depth" if self.kind == "depth" else "RGB"
+            )
 
     def _tell(self, text: str) -> None:
         self._status.content = f"**{text}**"
 
     def _look(self) -> None:
         assert self.walk is not None
-        pose, preset = self.walk.pose, self.preset
         if self.camera == CAMERAS[1]:
-            pitch = math.radians(preset.pitch_degrees)
-            place = eyes(pose, preset.agent.camera_height, pitch)
-            self.stage.look(*place, math.radians(preset.rgb.vfov))
+            self.loop.post(self._look_out, key="eyes")
         elif self.camera == CAMERAS[2]:
-            self.stage.look(*behind(pose), math.radians(60))
+            self.stage.look(*behind(self.walk.pose), math.radians(60))
 
     def _follow(self, camera: str) -> None:
         self.camera = camera
         inside = camera == CAMERAS[1]
-        self._ceiling.value = inside
-        self.stage.show(ceiling=inside)
+        if not inside:
+            self.eyes.hide()
         if self.body is not None and self.walk is not None and self.walk.standing:
-            self.body.show(not inside)
+            self.body.show(not inside, trail=not inside)
             self._look()
         if camera == CAMERAS[0]:
             self._jump("overview")
@@ -352,8 +367,7 @@ class SceneView:
         if self.camera != CAMERAS[0]:
             self.camera = CAMERAS[0]
             self._cameras.value = CAMERAS[0]
-            self._ceiling.value = False
-            self.stage.show(ceiling=False)
+            self.eyes.hide()
             if self.body is not None:
                 self.body.show(True)
         if where == "overview":

@@ -34,7 +34,7 @@ class LiveBody:
 
     def __init__(self, server: viser.ViserServer, name: str, agent: AgentSpec, colour: Colour):
         self._scene, self._name, self._colour = server.scene, name, colour
-        self._shown = True
+        self._trail_shown = True
         self._frame = server.scene.add_frame(name, show_axes=False)
         height = max(BODY_HEIGHT, agent.camera_height + 0.15)
         radius = max(agent.radius, 0.05)
@@ -58,10 +58,14 @@ class LiveBody:
             self._line = None
         if len(trail) > 1:
             self._line = add_line(self._scene, f"{self._name}_trail", trail, self._colour, 0.08, 4)
+            self._line.visible = self._trail_shown
 
-    def show(self, visible: bool) -> None:
-        """Show or hide the body; the trail stays."""
+    def show(self, visible: bool, *, trail: bool = True) -> None:
+        """Show or hide the body, and its trail."""
         self._frame.visible = visible
+        self._trail_shown = trail
+        if self._line is not None:
+            self._line.visible = trail
 
     def remove(self) -> None:
         """Take body and trail away."""
@@ -107,6 +111,8 @@ class LiveStage:
         self._fitted: dict[int, tuple[float, F64]] = {}  # visitor -> aspect, position of overview
         self.ceiling = False
         self.splats_shown = True
+        self.veiled = False
+        self._names_shown = {"rooms": False, "objects": False}
 
     def show_splats(self, splats: LiveSplats, cut: float | None) -> None:
         """Put splats on the stage; those above `cut` [m] are the ceiling and can be hidden."""
@@ -123,7 +129,7 @@ class LiveStage:
                     rgbs=part.colours,
                     opacities=part.opacities[:, None],
                     scale=1 / _FINE,
-                    visible=self.splats_shown and (name == "low" or self.ceiling),
+                    visible=self._is_shown(name),
                 )
 
     def show(self, *, splats: bool | None = None, ceiling: bool | None = None) -> None:
@@ -131,10 +137,25 @@ class LiveStage:
         self.splats_shown = self.splats_shown if splats is None else splats
         self.ceiling = self.ceiling if ceiling is None else ceiling
         for name, handle in self._splats.items():
-            handle.visible = self.splats_shown and (name == "low" or self.ceiling)
+            handle.visible = self._is_shown(name)
+
+    def _is_shown(self, name: str) -> bool:
+        return self.splats_shown and not self.veiled and (name == "low" or self.ceiling)
+
+    def veil(self, veiled: bool) -> None:
+        """Put everything but the agents out of sight, or show again what was shown."""
+        if veiled == self.veiled:
+            return
+        self.veiled = veiled
+        self.show()
+        self.show_labels(**self._names_shown)
+        for handle in (*self._task, *([] if self._plan is None else [self._plan])):
+            handle.visible = not veiled
 
     def add_labels(self, scene: Scene, *, rooms: bool, objects: bool) -> None:
         """Names of rooms and objects, shown or not."""
+        self._names_shown = {"rooms": rooms, "objects": objects}
+        rooms, objects = rooms and not self.veiled, objects and not self.veiled
         for number, room in enumerate(scene.rooms):
             x, y = np.asarray(room.polygon, np.float64).mean(axis=0)
             self._rooms.append(
@@ -162,10 +183,14 @@ class LiveStage:
 
     def show_labels(self, *, rooms: bool | None = None, objects: bool | None = None) -> None:
         """Show or hide the names of rooms, of objects."""
-        for wanted, handles in ((rooms, self._rooms), (objects, self._things)):
+        for kind, wanted, handles in (
+            ("rooms", rooms, self._rooms),
+            ("objects", objects, self._things),
+        ):
             if wanted is not None:
+                self._names_shown[kind] = wanted
                 for handle in handles:
-                    handle.visible = wanted
+                    handle.visible = wanted and not self.veiled
 
     def show_plan(self, picture: U8 | None, bounds: tuple[float, float, float, float]) -> None:
         """Lay a plan [H, W, 3] of x0, y0, x1, y1 [m] on the floor; None takes it away."""
@@ -181,6 +206,7 @@ class LiveStage:
                 render_height=y1 - y0,
                 wxyz=(0.0, 1.0, 0.0, 0.0),  # viser draws pictures y down, as seen by a camera
                 position=((x0 + x1) / 2, (y0 + y1) / 2, 0.015),
+                visible=not self.veiled,
             )
 
     def show_task(
@@ -201,6 +227,8 @@ class LiveStage:
         ]
         if len(path) > 1:
             self._task.append(add_line(scene, "/task/path", path, REFERENCE, 0.06, 4))
+        for handle in self._task:
+            handle.visible = not self.veiled
 
     def clear(self) -> None:
         """Empty the stage for another scene."""
@@ -282,14 +310,6 @@ def from_above(scene: Scene) -> tuple[F64, F64]:
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
     height = 1.15 * max((x1 - x0) / 1.3, y1 - y0)
     return middle + np.array([0.0, -0.01 * height, height]), middle
-
-
-def eyes(pose: Pose2D, height: float, pitch: float = 0.0) -> tuple[F64, F64]:
-    """Position and target [m] of the agent's own eyes."""
-    position = np.array([pose.x, pose.y, height])
-    flat = math.cos(pitch)
-    ahead = (math.cos(pose.yaw) * flat, math.sin(pose.yaw) * flat, math.sin(pitch))
-    return position, position + np.array(ahead)
 
 
 def behind(pose: Pose2D) -> tuple[F64, F64]:

@@ -19,11 +19,12 @@ from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.sim.simulator import STEP_SECONDS
 from gn0.viewer.live import PANEL, ceiling_cut, hear
+from gn0.viewer.live_eyes import LiveEyes
 from gn0.viewer.live_loop import LiveLoop
 from gn0.viewer.live_map import AGENT, LiveMap, MapAgent, plan_map
 from gn0.viewer.live_server import LiveServer
 from gn0.viewer.live_splats import build_live_splats
-from gn0.viewer.live_stage import OVERVIEW_FOV, LiveBody, LiveStage, eyes, overview
+from gn0.viewer.live_stage import OVERVIEW_FOV, LiveBody, LiveStage, overview
 from gn0.viewer.live_text import name_line, plain
 from gn0.viewer.plan import font
 from gn0.viewer.replay import Replay
@@ -55,6 +56,7 @@ class ReplayView:
         about = replay.suite.about
         self.preset = find_preset(about.camera)
         self.agent = about.agent
+        self.eyes = LiveEyes(live.viser, self.stage, self.preset, about.agent.camera_height)
         self.scene: Scene | None = None
         self.episode: Episode = replay.find(first) if first else replay.episodes[0]
         self.step, self.playing, self.speed = 0, False, 4.0
@@ -78,7 +80,10 @@ class ReplayView:
 
     def _refit(self, client: Any) -> None:
         assert self.scene is not None
-        self.stage.refit(client, self.scene)
+        if self.eyes.is_stale(client):
+            self.loop.post(self._look, key="eyes")
+        else:
+            self.stage.refit(client, self.scene)
 
     def _greet(self, client: Any) -> None:
         """A visitor came: his window decides how far away the overview is."""
@@ -254,7 +259,6 @@ class ReplayView:
             if pose is not None:
                 trail = self.replay.trail(run, self.episode, step)
                 body.move(pose, trail, self.replay.bumped(run, self.episode, step))
-        self._look()
         self.loop.post(self._draw, key="draw")
 
     def _draw(self) -> None:
@@ -288,6 +292,7 @@ class ReplayView:
             agents, reference=self.episode.path, goal=self.episode.goal
         )
         self._drawn = True
+        self._look()
 
     def _column(self, pictures: dict[int, U8], width: int) -> U8:
         """Each run's picture under a bar with its colour, name and last action."""
@@ -309,19 +314,18 @@ class ReplayView:
         assert self.scene is not None
         self.camera = camera
         chosen = self._eyes.get(camera)
-        self.stage.show(ceiling=chosen is not None)
-        for i, body in enumerate(self._bodies):
-            body.show(i != chosen)
+        for body in self._bodies:
+            body.show(chosen is None, trail=chosen is None)
         if chosen is None:
+            self.eyes.hide()
             self.stage.look_over(self.scene)
         else:
             self._look()
 
     def _look(self) -> None:
+        """Draw the canvas anew while it shows what an agent sees."""
         chosen = self._eyes.get(self.camera)
-        if chosen is not None:
+        if chosen is not None and self._renderer is not None:
             pose = self.replay.pose(self.replay.runs[chosen], self.episode, self.step)
             if pose is not None:
-                pitch = math.radians(self.preset.pitch_degrees)
-                place = eyes(pose, self.agent.camera_height, pitch)
-                self.stage.look(*place, math.radians(self.preset.rgb.vfov))
+                self.eyes.show(self._renderer, pose)

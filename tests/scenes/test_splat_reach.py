@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.gaussians.morton import morton_order
 from gn0.geometry import rotation_from_quaternion, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
@@ -17,8 +20,9 @@ from gn0.scenes.check import check_scene
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.needles import find_needles
+from gn0.scenes.procedural import refine
 from gn0.scenes.shading import SurfaceSample
-from gn0.scenes.surfels import build_surfels
+from gn0.scenes.surfels import build_surfels, outlines_of, place_surfels, shade_surfels
 
 
 class Grey:
@@ -104,6 +108,36 @@ def test_coarse_splats_end_at_most_ten_centimetres_beyond_their_face() -> None:
     assert cloud.scales.max() > 0.1  # coarse indeed
     assert np.maximum(-at, at - (3, 2)).max() <= 0.10 + 1e-5
     assert cloud.scales.max() <= 0.5
+
+
+def test_no_splat_of_a_refined_scene_reaches_too_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit that draws each splat as far as it may, on a skirting and a panel of coarse splats."""
+    panel = mesh_of(np.array([(0, 0, 1), (3, 0, 1), (3, 2, 1), (0, 2, 1)]), [(0, 1, 2), (0, 2, 3)])
+    mesh = join_meshes([panel, skirting(X, Y, WIDTH, 0.1)])
+    placement = place_surfels(mesh, Grey(mesh), count=400)
+    cloud, outlines = shade_surfels(placement, Grey(mesh)), outlines_of(placement)
+
+    def overdo(cloud: GaussianCloud, **_: object) -> GaussianCloud:
+        cloud = cloud.select(morton_order(cloud.means))
+        aside = np.float32(0.02) * rotation_from_quaternion(cloud.quats)[:, :, 0]
+        grown = cloud.scales * np.array([7.0, 2.5, 1.0], np.float32)
+        return replace(cloud, means=(cloud.means + aside).astype(np.float32), scales=grown)
+
+    monkeypatch.setattr(refine, "get_plugin", lambda *_: overdo)
+    monkeypatch.setattr(refine, "place_views", lambda *_: ([np.eye(4)], [0]))
+    monkeypatch.setattr(refine, "trace_picture", lambda *_, **__: np.zeros((480, 640, 3), np.uint8))
+    draft: Any = SimpleNamespace(mesh=mesh)
+    fitted = refine.refine_draft(draft, Grey(mesh), cloud, outlines, area=1.0)
+    assert len(fitted) == len(cloud)
+    wild = find_needles(overdo(cloud))
+    assert len(wild.long) > 10 and len(wild.bare) > 10
+    needles = find_needles(fitted)
+    assert not len(needles.long) and not len(needles.bare)
+    low = fitted.means[:, 2] < 0.5
+    assert (fitted.scales[low, 0] > 1.2 * cloud.scales.min()).all(), "none has dwindled to a dot"
+    at, bounds = ends(fitted)[..., :2], np.where(low[:, None], (X, Y), (3.0, 2.0))[:, None]
+    assert np.maximum(-at, at - bounds).max() <= 0.10 + 1e-5
+    assert np.minimum(at, bounds - at).min(axis=2)[low].max() <= WIDTH + 0.10 + 1e-5
 
 
 def test_floor_depth_reads_short_by_less_than_one_percent() -> None:

@@ -14,7 +14,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
 from gn0.scenes.procedural.apartment import draft_apartment
 from gn0.scenes.procedural.draft import SceneDraft
-from gn0.scenes.procedural.finish import cover_draft, light_draft
+from gn0.scenes.procedural.finish import cover_outlined, light_draft
 from gn0.scenes.procedural.generate import floor_area
 from gn0.scenes.procedural.refine import refine_draft
 from gn0.scenes.rays import RayCaster
@@ -68,13 +68,13 @@ def measure_psnr(ctx: FigureContext) -> list[FigureRow]:
         ]
         area = floor_area(draft)
         for target in density:
-            cloud = cover_draft(draft, shader, int(target * area), seed=seed)
+            cloud, outlines = cover_outlined(draft, shader, int(target * area), seed=seed)
             density[target].append(len(cloud) / area)
             for refined in (False, True) if target == 20_000 else (False,):
                 if refined:
                     start = time.perf_counter()
                     cloud = refine_draft(
-                        draft, shader, cloud, area=area, seed=seed, progress=ctx.progress
+                        draft, shader, cloud, outlines, area=area, seed=seed, progress=ctx.progress
                     )
                     seconds.append(time.perf_counter() - start)
                 picture = RendererCpu(cloud, RenderOptions(rgb_float=True)).render(

@@ -2,17 +2,65 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64, rotation_from_quaternion
 from gn0.jit import njit, prange
 from gn0.scenes.charts import Charts
 
 FARTHEST = 0.10  # that two standard deviations reach beyond the outline of a piece of surface [m]
 SIGMA_MOST = 0.5  # standard deviation of any disc [m]
+_LITTLE = 0.25  # of the area of a disc that moved: with less, it lies as before
 _STEPS = 6  # of the search for the farthest end
 _WAYS = 8  # directions in which a disc is looked at: along its axes and between
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """The pieces of surface that discs lie on, and how far each disc may leave its own.
+
+    Attributes:
+        charts: pieces of surface.
+        chart: the piece of each disc [N].
+        spacing: of each disc's tile [N] m.
+        least: standard deviation that is never cut [m].
+    """
+
+    charts: Charts
+    chart: NDArray[np.integer]
+    spacing: F64
+    least: float
+
+    def select(self, which: NDArray[np.integer]) -> Outlines:
+        """Those of some discs."""
+        return replace(self, chart=self.chart[which], spacing=self.spacing[which])
+
+    def hold(self, scales: F32, point: F32, quats: F32) -> F32:
+        """Scales of discs [N, 3] m, cut back where a disc reaches too far; see `hold_reach`."""
+        return hold_reach(scales, point, quats, self.charts, self.chart, self.spacing, self.least)
+
+    def hold_cloud(self, cloud: GaussianCloud, before: GaussianCloud) -> GaussianCloud:
+        """A cloud whose discs have moved, none of them farther beyond its outline than allowed.
+
+        A disc that moved so far out that little of it would be left lies as it did `before`.
+        """
+        scales = self.hold(cloud.scales, cloud.means, cloud.quats)
+        little = _size(scales) < _LITTLE * np.minimum(_size(before.scales), _size(cloud.scales))
+        keep = ~little[:, None]
+        return replace(
+            cloud,
+            means=np.where(keep, cloud.means, before.means),
+            quats=np.where(keep, cloud.quats, before.quats),
+            scales=np.where(keep, scales, before.scales),
+        )
+
+
+def _size(scales: F32) -> F32:
+    return np.asarray(scales[:, 0] * scales[:, 1])
 
 
 def hold_reach(

@@ -22,7 +22,7 @@ from gn0.scenes.charts import Charts, build_charts
 from gn0.scenes.discs import THICKNESS, Discs, shape_discs
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.rays import RayCaster
-from gn0.scenes.reach import hold_reach
+from gn0.scenes.reach import Outlines
 from gn0.scenes.shading import Shader
 from gn0.scenes.tiles import PICKS, Cells, Tiles, fill_tiles, plan_tiles
 
@@ -160,14 +160,8 @@ def shade_surfels(
     mesh, cells, discs = placement.mesh, placement.cells, placement.discs
     albedo, irradiance, colour, normal, rough = _shade_cells(shader, cells)
     scales = discs.scales * np.array([1, 1, 0], np.float32) * _widen(rough)[:, None]
-    scales = hold_reach(
-        np.maximum(scales, np.float32(THICKNESS)),
-        discs.point,
-        discs.quats,
-        placement.charts,
-        cells.chart,
-        placement.tiles.spacing[cells.tile],
-        THICKNESS,
+    scales = outlines_of(placement).hold(
+        np.maximum(scales, np.float32(THICKNESS)), discs.point, discs.quats
     )
     label = mesh.instance[cells.face]
     if label_of_instance is not None:
@@ -183,6 +177,13 @@ def shade_surfels(
         irradiance=irradiance,
         normal=normal,
     )
+
+
+def outlines_of(placement: Placement) -> Outlines:
+    """How far each of the placed discs may reach."""
+    cells = placement.cells
+    spacing = placement.tiles.spacing[cells.tile]
+    return Outlines(placement.charts, cells.chart, spacing, THICKNESS)
 
 
 def _spread_budget(

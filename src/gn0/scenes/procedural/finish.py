@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
@@ -11,9 +12,10 @@ from gn0.scenes.bake import DRAFT, BakeSettings, bake_light
 from gn0.scenes.exposure import LEAST, weigh_views
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.surface import ProceduralSurface
+from gn0.scenes.reach import Outlines
 from gn0.scenes.shading import Shader
 from gn0.scenes.sky import OpenAirShader, find_vault
-from gn0.scenes.surfels import Placement, place_surfels, shade_surfels
+from gn0.scenes.surfels import Placement, outlines_of, place_surfels, shade_surfels
 from gn0.scenes.tone import BakedShader, choose_exposure
 
 DARK = 0.01  # of the median irradiance: less is not seen
@@ -110,19 +112,32 @@ def cover_draft(
     progress: Progress = no_progress,
 ) -> GaussianCloud:
     """At most `count` Gaussians that show a lit draft, labelled by object index."""
+    return cover_outlined(draft, shader, count, seed=seed, progress=progress)[0]
+
+
+def cover_outlined(
+    draft: SceneDraft,
+    shader: Shader,
+    count: int,
+    *,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> tuple[GaussianCloud, Outlines]:
+    """`cover_draft`, and how far each of its splats may reach."""
     placement = place_draft(draft, shader, count, seed=seed, progress=progress)
     progress("surfels", 5, 6)
     cloud = shade_surfels(placement, shader, np.arange(max(len(draft.objects), 1)))
     progress("surfels", 6, 6)
-    return _drop_unlit(cloud)
+    lit = _find_lit(cloud)
+    return cloud.select(lit), outlines_of(placement).select(lit)
 
 
-def _drop_unlit(cloud: GaussianCloud) -> GaussianCloud:
-    """Without the discs that no light reaches.
+def _find_lit(cloud: GaussianCloud) -> NDArray[np.int64]:
+    """All but the discs that no light reaches.
 
     They lie between surfaces that touch or nearly touch; nobody can see them, but where two
     layers are closer than a disc is wide they would show through the upper one as dark stripes.
     """
     assert cloud.irradiance is not None
     level = cloud.irradiance.max(axis=1)
-    return cloud.select(np.flatnonzero(level > DARK * float(np.median(level))))
+    return np.flatnonzero(level > DARK * float(np.median(level)))

@@ -12,7 +12,7 @@ from gn0.config import Config, check_config
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
-from gn0.scenes.procedural.finish import cover_draft, floor_area, light_draft
+from gn0.scenes.procedural.finish import cover_outlined, floor_area, light_draft
 from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
 from gn0.scenes.procedural.refine import refine_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo
@@ -64,9 +64,11 @@ def build_generated(
     shader = light_draft(draft, quality=settings.light, seed=settings.seed, progress=progress)
     area = floor_area(draft)
     count = int(density * area)
-    cloud = cover_draft(draft, shader, count, seed=settings.seed, progress=progress)
+    cloud, outlines = cover_outlined(draft, shader, count, seed=settings.seed, progress=progress)
     if settings.refine:
-        cloud = refine_draft(draft, shader, cloud, area=area, seed=settings.seed, progress=progress)
+        cloud = refine_draft(
+            draft, shader, cloud, outlines, area=area, seed=settings.seed, progress=progress
+        )
     corners = draft.mesh.vertices[np.unique(draft.mesh.faces)]
     return Scene(
         id=scene_id,

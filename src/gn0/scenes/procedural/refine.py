@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.gaussians.morton import morton_order
 from gn0.geometry import F64, view_from_pose
 from gn0.plugins import get_plugin
 from gn0.progress import Progress, no_progress
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.rays import RayCaster
+from gn0.scenes.reach import Outlines
 from gn0.scenes.shading import Shader
 from gn0.scenes.truth import trace_picture
 from gn0.seeds import random_stream
@@ -69,18 +70,20 @@ def refine_draft(
     draft: SceneDraft,
     shader: Shader,
     cloud: GaussianCloud,
+    outlines: Outlines,
     *,
     area: float,
     seed: int = 0,
     refiner: str = "cpu",
     progress: Progress = no_progress,
 ) -> GaussianCloud:
-    """Splats of a draft, fitted to ray-traced pictures of it.
+    """Splats of a draft, fitted to ray-traced pictures of it; none reaches farther than before.
 
     Args:
         draft: the furnished building.
         shader: its look.
-        cloud: its splats, see `cover_draft`.
+        cloud: its splats, see `cover_outlined`.
+        outlines: how far each of them may reach.
         area: of floor [m²]; views and steps grow with it.
         seed: root of views, rays and order.
         refiner: plug-in that fits; the scenes know no renderer.
@@ -100,7 +103,9 @@ def refine_draft(
         rng = random_stream(seed, "refine rays", v)
         pictures.append(trace_picture(draft.mesh, shader, *_lens(lens), view, rng, caster=caster))
     progress("photographs", len(views), len(views))
-    result: Any = refine(
+    order = morton_order(cloud.means)  # in which refiners give splats back
+    cloud = cloud.select(order)
+    refined = refine(
         cloud,
         lenses=[LENSES[k] for k in lenses],
         views=np.stack(views),
@@ -110,7 +115,7 @@ def refine_draft(
         seed=seed,
         progress=progress,
     )
-    return result
+    return outlines.select(order).hold_cloud(refined, cloud)
 
 
 def _pick(pictures: list[NDArray[np.uint8]], v: int) -> NDArray[np.uint8]:

@@ -21,7 +21,7 @@ import pytest
 from gn0.bench import looks
 from gn0.bench.looks import LOADER
 from gn0.bench.suite import Suite, save_suite
-from gn0.data import cache, part
+from gn0.data import cache, cache_webdataset, part
 from gn0.data.build import build_dataset
 from gn0.data.dataset import load_dataset_file, open_dataset
 from gn0.data.draw import look_ahead
@@ -407,7 +407,8 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     settings = BuildSettings(pictures=PictureSettings(quality=85, depth=depth, maps=maps))
     build_dataset(few, tmp_path / "cpu", settings)
     drawn = msgspec.structs.replace(settings, pictures=with_backend(settings.pictures, "cuda"))
-    monkeypatch.setattr(cache, "encode_picture", encoded_here)
+    for module in (cache, cache_webdataset):  # what goals look like is put into the shard
+        monkeypatch.setattr(module, "encode_picture", encoded_here)
     built = build_dataset(few, tmp_path / "cuda", drawn)
     assert made[0] == built.about.rows > 16
     assert made[0] >= maps_made[0] > 8  # a turn leaves the dots where they are

@@ -206,8 +206,8 @@ def episode_rows(entries: Sequence[EpisodeEntry], film: Film) -> list[dict[str, 
                 f"{key}/from_timestamp": span.first / film.fps,
                 f"{key}/to_timestamp": (span.first + entry.length) / film.fps,
             }
-        for name, stats in entry.stats.items():
-            row |= {f"stats/{name}/{what}": value for what, value in stats.items()}
+        for name, stats in sorted(entry.stats.items()):  # notes of a part come back in any order
+            row |= {f"stats/{name}/{what}": value for what, value in sorted(stats.items())}
         rows.append(row)
         first += entry.length
     return rows

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0.figures.spread import spread
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.missions.generate.missions import build_missions
@@ -72,29 +74,55 @@ def goal_episodes(scene: Scene, count: int, seed: int = 0) -> list[Episode]:
     )
 
 
-def measure_twins(ctx: FigureContext) -> list[FigureRow]:
+@dataclass(frozen=True)
+class GoalCounts:
+    """What became of the goals of one scene."""
+
+    goals: int
+    missing: int
+    sets: int
+    areas: int
+    above: int
+    alone: int
+    categories: Counter[str]
+    faults: tuple[str, ...]
+
+
+def judge_scene(unit: tuple[KindName, int]) -> GoalCounts:
     """Every instance that a goal's text fits, by a rule of its own; those that do not count."""
-    goals = missing = sets = areas = above = alone = 0
-    shares: list[float] = []
+    scene = draft_scene(*unit)
+    judge = JudgeTwins(scene, NavigationMap(scene.grid, RADIUS))
+    episodes = goal_episodes(scene, GOALS)
+    twins = [judge.twins(episode) for episode in episodes]
     faults: list[str] = []
-    for number, kind in enumerate(KINDS):
-        categories: Counter[str] = Counter()
-        for seed in range(SCENES):
-            ctx.progress("kinds", number * SCENES + seed, len(KINDS) * SCENES)
-            scene = draft_scene(kind, seed)
-            judge = JudgeTwins(scene, NavigationMap(scene.grid, RADIUS))
-            for episode in goal_episodes(scene, GOALS):
-                twins = judge.twins(episode)
-                wrong = [t for t in twins if not t.counts]
-                missing += bool(wrong)
-                if wrong:
-                    faults.append(f"{episode.id}: {wrong[0].id} ({episode.instruction})")
-                goals += 1
-                alone += not twins and not episode.in_area
-                sets += episode.goal_set is not None and not episode.in_area
-                areas += episode.in_area
-                above += bool(episode.tier)
-                categories[episode.mission.category] += 1  # type: ignore[union-attr]
+    for episode, fitting in zip(episodes, twins, strict=True):
+        wrong = [twin for twin in fitting if not twin.counts]
+        if wrong:
+            faults.append(f"{episode.id}: {wrong[0].id} ({episode.instruction})")
+    return GoalCounts(
+        goals=len(episodes),
+        missing=len(faults),
+        sets=sum(e.goal_set is not None and not e.in_area for e in episodes),
+        areas=sum(e.in_area for e in episodes),
+        above=sum(bool(e.tier) for e in episodes),
+        alone=sum(not t and not e.in_area for e, t in zip(episodes, twins, strict=True)),
+        categories=Counter(e.mission.category for e in episodes),  # type: ignore[union-attr]
+        faults=tuple(faults),
+    )
+
+
+def measure_twins(ctx: FigureContext) -> list[FigureRow]:
+    """Goals of every kind of building, and who could not tell theirs apart."""
+    units = [(kind, seed) for kind in KINDS for seed in range(SCENES)]
+    every = list(spread(judge_scene, units, ctx, "scenes"))
+    goals, missing, sets, areas, above, alone = (
+        sum(getattr(counts, name) for counts in every)
+        for name in ("goals", "missing", "sets", "areas", "above", "alone")
+    )
+    faults = [fault for counts in every for fault in counts.faults]
+    shares: list[float] = []
+    for first in range(0, len(every), SCENES):
+        categories = sum((c.categories for c in every[first : first + SCENES]), Counter[str]())
         shares.append(100 * categories.most_common(1)[0][1] / sum(categories.values()))
     detail = f"{SCENES} scenes of each of {len(KINDS)} kinds, {GOALS} goals asked for in each"
     told = f"; first: {faults[0]}" if faults else ""

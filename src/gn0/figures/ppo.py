@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +19,7 @@ from gn0.figures.board import (
     row_at_least,
     row_at_most,
 )
+from gn0.figures.spread import cores_here, keep_to_cores
 from gn0.missions.episode import Episode
 from gn0.scenes.example import build_example_scene
 from gn0.sim.adapters import FlatVectorEnv, build_vec_env
@@ -119,17 +122,38 @@ def learn(
             return looks
 
 
+def learn_by_twos(ctx: FigureContext) -> Iterator[Sequence[Look]]:
+    """The curve of each seed, on two cores of its own; side by side where there are more."""
+    pairs = list(zip(*[iter(cores_here())] * 2, strict=False))
+    if len(pairs) < SEEDS:
+        for seed in range(SEEDS):
+            ctx.progress("sim.ppo", seed, SEEDS)
+            yield learn(seed)
+        return
+    with ThreadPoolExecutor(SEEDS) as pool:
+        yield from pool.map(_learn_apart, range(SEEDS), pairs[:SEEDS])
+
+
+def _learn_apart(seed: int, cores: tuple[int, int]) -> Sequence[Look]:
+    """One seed in a process that has these cores alone."""
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(
+        1, mp_context=spawn, initializer=keep_to_cores, initargs=(cores,)
+    ) as pool:
+        return pool.submit(learn, seed).result()
+
+
 def measure_ppo(ctx: FigureContext) -> list[FigureRow]:
     """PPO on PointNav: success on held-out episodes, by seed and by time."""
     where = (
         f"built-in flat, {AGENTS} agents, goal vector and 72 rays, STOP within {SUCCESS:g} m, "
         f"{HELD_OUT} held-out episodes, Stable-Baselines3 on the CPU"
     )
-    curves, rows = [], []
-    for seed in range(SEEDS):
-        ctx.progress("sim.ppo", seed, SEEDS)
-        curves.append(learn(seed))
-        rows.append(seed_row(seed, curves[-1]))
+    curves: list[Sequence[Look]] = []
+    rows: list[FigureRow] = []
+    for curve in learn_by_twos(ctx):
+        rows.append(seed_row(len(curves), curve))
+        curves.append(curve)
         ctx.report(rows[-1])
     return [*rows, *sum_up(curves, where)]
 

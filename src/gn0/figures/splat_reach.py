@@ -128,7 +128,7 @@ def count_overreach(placement: Placement, cloud: GaussianCloud) -> tuple[int, fl
 
 
 def _reach_of(unit: tuple[KindName, int, SizeName]) -> tuple[int, int, int, float, float]:
-    """Splats of a draft that break the rule, that `scene check` names, all; farthest, longest [m]."""
+    """Splats of a draft: breaking the rule, named by `scene check`, all; farthest, longest [m]."""
     placement, cloud = _place_draft(*unit)
     broken, reach, sigma = count_overreach(placement, cloud)
     needles = find_needles(cloud)

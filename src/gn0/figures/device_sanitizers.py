@@ -23,7 +23,7 @@ from gn0.jobs.process import count_cores
 
 TOOLS = ("memcheck", "racecheck", "initcheck", "synccheck")
 LIMIT = "GN0_FIGURE_SECONDS"  # for all, where less is left than ALL_LIMIT
-ALL_LIMIT, JOB_LIMIT, PLAIN_LIMIT = 500.0, 280.0, 120.0  # s
+ALL_LIMIT, JOB_LIMIT, PLAIN_LIMIT = 500.0, 460.0, 120.0  # s
 _MEMORY = 2 << 30  # bytes of the card that a process may need
 _PORTS = 16  # a checker and its process talk over one; by default they all try the same ten
 _PORT = 20_000  # the first: below those that systems give away by themselves

@@ -122,7 +122,11 @@ def join_clips(clips: Sequence[bytes], fps: int, take: Sequence[int] | None = No
     import av
 
     stream, done = io.BytesIO(), 0
-    with av.open(stream, "w", format="mp4") as out:
+    ticks = fps  # a second, as FFmpeg takes them for a stream that it encodes: enough, and whole
+    while ticks < 10_000:
+        ticks *= 2
+    options = {"video_track_timescale": str(ticks)}
+    with av.open(stream, "w", format="mp4", options=options) as out:
         target: Any = None
         for number, data in enumerate(clips):
             with av.open(io.BytesIO(data), "r") as clip:
@@ -130,7 +134,6 @@ def join_clips(clips: Sequence[bytes], fps: int, take: Sequence[int] | None = No
                 if target is None:
                     # opaque: the packets are copied, so no encoder of that name is needed
                     target = out.add_stream_from_template(source, opaque=True)
-                    target.time_base = Fraction(1, fps)
                 taken = 0
                 for packet in clip.demux(source):
                     if packet.dts is None or (take is not None and taken >= take[number]):

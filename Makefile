@@ -2,12 +2,13 @@
 PYTHON ?= python3
 VENV ?= .venv
 READERS ?= .venv-readers
+RL ?= .venv-rl
 BIN := $(VENV)/bin
 OUT ?= out/demo
 TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
-.PHONY: install dev demo test test-all readers lowest search faults coverage lint types package figures pictures clean
+.PHONY: install dev demo test test-all readers rl lowest search faults coverage lint types package figures pictures clean
 
 install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
 
@@ -51,6 +52,16 @@ $(READERS)/.installed: pyproject.toml .ci/readers.txt
 	$(READERS)/bin/pip install $(PIP_FLAGS) --no-deps lerobot==0.4.4
 	@touch $@
 
+rl: $(RL)/.installed ## Stable-Baselines3 itself learns in our environments
+	$(RL)/bin/python -c 'import stable_baselines3'
+	$(RL)/bin/python -m pytest -p no:cacheprovider -ra tests/sim/test_adapters.py tests/figures/test_ppo_figure.py $(PYTEST_FLAGS)
+
+$(RL)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(RL)
+	$(RL)/bin/pip install $(PIP_FLAGS) torch==2.13.0
+	$(RL)/bin/pip install $(PIP_FLAGS) -c constraints.txt -e '.[rl]' hypothesis pytest pytest-timeout pytest-xdist
+	@touch $@
+
 LOWEST_TESTS ?= tests/core tests/policies tests/bench/test_metrics.py tests/bench/test_suite.py tests/bench/test_replay.py \
   tests/sim/test_env.py tests/gaussians/test_ply_dialects.py tests/maps tests/export/test_words_and_cameras.py
 
@@ -82,4 +93,4 @@ pictures: demo ## refresh the README's pictures from the demo's own output
 	$(BIN)/python docs/refresh_pictures.py $(OUT)
 
 clean:
-	rm -rf $(VENV) $(READERS) out .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(READERS) $(RL) out .pytest_cache .mypy_cache .ruff_cache

@@ -49,6 +49,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "wall_follower": "gn0.policies.simple:PolicyWallFollower",
         "random": "gn0.policies.simple:PolicyRandom",
         "explorer": "gn0.policies.explorer:PolicyExplorer",
+        "recorded": "gn0.policies.recorded:PolicyRecorded",
         "remote": "gn0.policies.remote.policy:PolicyRemote",
     },
     "policy_host": {"own-process": "gn0.policies.remote.isolated:PolicyIsolated"},

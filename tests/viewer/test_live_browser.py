@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gn0.bench.replay import replay_run
+from gn0.bench.report import load_run
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import build_suite
 from gn0.figures.view import running_view
@@ -236,6 +238,32 @@ def test_a_link_opens_the_episode_that_it_names(flat, page, tmp_path):
         page.wait_for("/was not recorded here/.test(document.body.innerText)", what="the reason")
         assert page.evaluate("window.gn0Hacked") is None
         assert page.failures == [] and page.dialogs == []
+
+
+def test_a_walk_by_hand_is_scored_and_saved_as_a_run(flat, page, tmp_path):
+    build_suite([flat], tmp_path / "suite", count=2, seed=1, max_steps=40)
+    with running_view(str(tmp_path / "suite"), "--record", str(tmp_path / "hand")) as (url, _):
+        page.navigate(url)
+        page.wait_for("/step 0 of 40/.test(document.body.innerText)", what="the start", wait=120)
+        page.press("j", "KeyJ")
+        page.wait_for("/step 1 of 40: turn left/.test(document.body.innerText)", what="a turn")
+        press_button(page, "Begin again")
+        page.wait_for("/step 0 of 40/.test(document.body.innerText)", what="the start again")
+        page.press("l", "KeyL")
+        page.press("i", "KeyI")
+        page.wait_for("/step 2 of 40: forward/.test(document.body.innerText)", what="a step")
+        press_button(page, "Stop")
+        page.wait_for("/1 of 2 episodes are walked/.test(document.body.innerText)", what="a score")
+        page.press("n", "KeyN")
+        page.wait_for("/step 0 of 40/.test(document.body.innerText)", what="the next episode")
+        assert page.evaluate("window.gn0Frames || 0") == 0, "no splats are sent"
+        assert page.evaluate("window.gn0Hacked") is None and page.failures == []
+    run = load_run(tmp_path / "hand")
+    assert run.summary.policy == "human" and run.summary.valid == 1
+    (trace,) = run.traces.values()
+    assert trace.actions == (3, 1, 0)
+    assert run.about["episodes"][trace.episode]["attempts"] == 2
+    assert replay_run(tmp_path / "hand", tmp_path / "suite").ok
 
 
 def test_check_ends_by_itself_and_a_stranger_is_told_no(flat):

@@ -135,6 +135,7 @@ ISOLATION_WORDS: dict[Isolation, str] = {
     "own process": "own process, same user: no memory is shared with the harness, an empty folder, "
     "no path of suite or scene; files are not isolated",
     "server": "behind a socket, wherever its server runs",
+    "a person": "a person at a page that shows what is named above and nothing else",
 }
 
 

@@ -155,7 +155,7 @@ def _plain(poses: Iterable[Pose2D]) -> tuple[tuple[float, float, float], ...]:
     return tuple((float(p.x), float(p.y), float(p.yaw)) for p in poses)
 
 
-Isolation = Literal["in-process", "own process", "server"]
+Isolation = Literal["in-process", "own process", "server", "a person"]
 
 
 class PolicyCard(msgspec.Struct, frozen=True, kw_only=True):

@@ -140,7 +140,7 @@ def run_suite(
         )
     plugin_modules = import_plugins(plugin_modules, only_locate=isolate)
     source = digest_policy(policy_name, plugin_modules, isolated=isolate)
-    episodes = _choose(suite, max_episodes)
+    episodes = choose_episodes(suite, max_episodes)
     out = Path(out)
     check_room(out, len(episodes))
     options = dict(policy_options or {})
@@ -152,10 +152,10 @@ def run_suite(
                 tempfile.TemporaryDirectory(prefix="gn0-isolated-", ignore_cleanup_errors=True)
             )
             settings = msgspec.structs.replace(settings, isolated=empty)
-        _sweep(out)
+        sweep_run(out)
         if not resume:
-            _forget(out)
-        run = _Run(
+            forget_run(out)
+        run = RunState(
             out,
             suite,
             episodes,
@@ -212,7 +212,12 @@ def build_settings(
     )
 
 
-def _choose(suite: Suite, max_episodes: int | None) -> tuple[Episode, ...]:
+def choose_episodes(suite: Suite, max_episodes: int | None) -> tuple[Episode, ...]:
+    """The first so many episodes by id; all without a number.
+
+    Raises:
+        BenchError: fewer than one.
+    """
     if max_episodes is not None and max_episodes < 1:
         raise BenchError(f"max_episodes is {max_episodes}", remedy="give at least 1")
     return suite.episodes[:max_episodes]
@@ -256,7 +261,7 @@ def check_room(out: Path, episodes: int) -> None:
         )
 
 
-def _sweep(out: Path) -> None:
+def sweep_run(out: Path) -> None:
     """Remove what a killed run left half-written; a folder only when nobody can be filling it."""
     for path in out.glob(f"{TEMPORARY_PREFIX}*"):
         with contextlib.suppress(OSError):
@@ -266,13 +271,14 @@ def _sweep(out: Path) -> None:
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def _forget(out: Path) -> None:
+def forget_run(out: Path) -> None:
+    """Remove what an earlier run left."""
     for name in (SUMMARY, RESULTS, TRAJECTORIES, RUN, JOURNAL):
         with contextlib.suppress(FileNotFoundError):
             (out / name).unlink()
 
 
-class _Run:
+class RunState:
     """The state of a run: what the journal knows, and what is still to do."""
 
     def __init__(
@@ -316,7 +322,7 @@ class _Run:
         others = [name for name, value in self.identity.items() if head.get(name) != value]
         if others and head.get("type") == "run" and self._is_barren(others):
             self.journal.close()
-            _forget(self.out)
+            forget_run(self.out)
             self.journal = Journal(self.out / JOURNAL)
             self.journal.append({"type": "run", **self.identity})
             return
@@ -406,9 +412,9 @@ class _Run:
         if isinstance(card, str):
             self.tell(f"the policy could not be asked whether it is still the same: {card}")
         else:
-            self._check_card(card)
+            self.check_card(card)
 
-    def _check_card(self, card: PolicyCard) -> None:
+    def check_card(self, card: PolicyCard) -> None:
         """Take a worker's word on who the policy is; all of them must say the same.
 
         Raises:
@@ -451,7 +457,8 @@ class _Run:
         self.sessions.append(about)
         self.journal.append({"type": "session", "about": about})
 
-    def _record(self, result: EpisodeResult, trace: EpisodeTrace, about: dict[str, Any]) -> None:
+    def record(self, result: EpisodeResult, trace: EpisodeTrace, about: dict[str, Any]) -> None:
+        """Put an episode's result on the disk; the first one counts."""
         if self.ledger.holds(result.episode):  # never twice, whatever a worker says
             return
         place = self.journal.append(
@@ -519,7 +526,7 @@ class _Run:
         elif isinstance(message, Ready):
             worker.ready, worker.deadline = True, float("inf")
             self.stillborn, self.built = 0, True
-            self._check_card(message.card)
+            self.check_card(message.card)
         elif isinstance(message, Refused):
             what = f"policy {self.identity['policy']!r} cannot be built: {message.what}"
             if self.built:
@@ -538,7 +545,7 @@ class _Run:
                 "attempts": self.attempts[worker.episode],
                 "worker": worker.number,
             }
-            self._record(message.result, message.trace, about)
+            self.record(message.result, message.trace, about)
             worker.episode, worker.deadline = "", float("inf")
         elif isinstance(message, Broke):
             if message.fatal:
@@ -589,7 +596,7 @@ class _Run:
             "worker": worker.number,
             "traceback": words[-20_000:],
         }
-        self._record(result, EpisodeTrace(episode=episode.id), about)
+        self.record(result, EpisodeTrace(episode=episode.id), about)
 
     def finish(self, settings: Open, name: str) -> RunSummary:
         """Write the files of the finished run."""

@@ -20,7 +20,9 @@ EXAMPLES = """  gn0 data dagger out/suite --policy wall_follower --beta 0.5 --ou
   gn0 data dagger out/suite --policy random --beta 0.8 --schedule power --iteration 3 --out out/d3
   gn0 data dagger out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --beta 0 \\
       --workers 2 --pictures webdataset --out out/mine
-  gn0 data dagger out/suite --policy straight --halting gn0-release --out out/official"""
+  gn0 data dagger out/suite --policy straight --halting gn0-release --out out/official
+  gn0 data dagger out/suite --policy recorded --policy-option run=out/by_hand --labels own \\
+      --beta 0 --halting none --out out/demonstrations"""
 
 
 class Args(Config, frozen=True):
@@ -38,7 +40,8 @@ class Args(Config, frozen=True):
         halting: what ends an episode near the goal: paper, ten steps within the success distance
             and then STOP; gn0-release, ten steps after leaving the goal zone; none.
         labels: how actions are labelled: exact, mpc, or gn0-release; by default exact, and
-            gn0-release with that halting rule.
+            gn0-release with that halting rule. own: with what the policy itself did next, so that
+            its walks are demonstrations (--beta 0 --halting none).
         tokens: what map tokens count over: the whole map (global) or a square around the agent.
         pictures: the cache of pictures: webdataset, lerobot, or none (`gn0 data render` makes one
             later).
@@ -61,7 +64,7 @@ class Args(Config, frozen=True):
     schedule: Literal["constant", "power", "first"] = "constant"
     iteration: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
     halting: Literal["paper", "gn0-release", "none"] = "paper"
-    labels: Literal["", "exact", "mpc", "gn0-release"] = ""
+    labels: Literal["", "exact", "mpc", "gn0-release", "own"] = ""
     tokens: Literal["global", "ego"] = "global"
     pictures: Literal["webdataset", "lerobot", "none"] = "none"
     map_mode: Literal["prior", "explored", "none"] | None = None
@@ -94,9 +97,7 @@ def run(args: Args) -> int:
         suite = open_suite(args.suite, beside=f"{args.out.rstrip('/')}-episodes")
         settings = BuildSettings(
             tokens=TokenSettings(frame=args.tokens),
-            labels=LabelSettings(
-                variant=args.labels or ("gn0-release" if args.halting == "gn0-release" else "exact")
-            ),
+            labels=LabelSettings(variant=_label_variant(args)),
             chunk=args.chunk,
             pictures=PictureSettings(layout=args.pictures),
             dagger=DaggerSettings(
@@ -111,6 +112,7 @@ def run(args: Args) -> int:
                 max_steps=args.max_steps or suite.about.max_steps,
                 seed=args.seed,
                 plugins=import_plugins(args.plugin),
+                demonstrate=args.labels == "own",
             ),
         )
         dataset = build_dagger(
@@ -126,3 +128,10 @@ def run(args: Args) -> int:
     print(f"dataset: {out}")
     print(f"next:    gn0 data balance {out}    or train on it as it is")
     return 0
+
+
+def _label_variant(args: Args) -> Literal["exact", "mpc", "gn0-release"]:
+    """How the expert labels; a demonstration needs him for the distance to the goal alone."""
+    if args.labels and args.labels != "own":
+        return args.labels
+    return "gn0-release" if args.halting == "gn0-release" else "exact"

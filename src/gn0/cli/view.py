@@ -1,4 +1,4 @@
-"""Walk through a scene in the browser, replay runs side by side, or look at a splat file.
+"""Walk through a scene in the browser, replay runs, walk episodes by hand, or look at a splat file.
 
 The agent moves by the simulator's own actions and collides as a policy's would; its pictures are
 drawn from all splats, while the browser gets a thinned set. Nobody but this machine can reach the
@@ -24,6 +24,7 @@ EXAMPLES = """  gn0 view out/flat
   gn0 view out/demo/runs/oracle out/demo/runs/random
   gn0 view out/demo/runs/oracle --episode apartment_0003
   gn0 view out/demo/apartment --results out/demo/runs/oracle
+  gn0 view out/suite --record out/by_hand --name Ada
   gn0 view capture.ply --up=-y"""
 
 
@@ -33,7 +34,12 @@ class Args(Config, frozen=True):
     Attributes:
         paths: a scene folder, a splat file, a suite, or run folders as `gn0 bench run` writes them.
         results: run folders whose episodes are replayed in that scene.
-        episode: id of the episode of a run to begin with, as results and reports say it.
+        episode: id of the episode to begin with, as results and reports say it.
+        record: walk the episodes of a suite yourself: the folder of the run that is written, scored
+            like any policy's. It goes on where an earlier recording there stopped.
+        name: what tables and reports call a recorded run.
+        limit: record only the first so many episodes, by id; 0 for all.
+        fresh: forget an earlier recording.
         splats: how many splats the browser gets; 60,000 still move without a GPU.
         camera: eyes and body of the agent, a camera preset by name.
         up: which axis of a splat file points up; auto proposes one.
@@ -52,6 +58,10 @@ class Args(Config, frozen=True):
     ]
     results: tuple[str, ...] = ()
     episode: str = ""
+    record: str = ""
+    name: str = ""
+    limit: Annotated[int, msgspec.Meta(ge=0)] = 0
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
     splats: Annotated[int, msgspec.Meta(ge=100, le=5_000_000)] = 60_000
     camera: str = "gn_bench"
     up: Literal["auto", "+z", "-z", "+y", "-y", "+x", "-x"] = "auto"
@@ -65,11 +75,62 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Serve the page until Ctrl-C."""
-    from gn0.viewer.live_loop import LiveLoop
-    from gn0.viewer.live_server import need_viser, open_server
+    from gn0.errors import ConfigError
+    from gn0.viewer.live_server import need_viser
 
     need_viser()
-    build = find_view(args)
+    if args.record:
+        return _record(args)
+    if args.name or args.limit or args.fresh:
+        raise ConfigError(
+            "--name, --limit and --fresh belong to a recording",
+            remedy="gn0 view SUITE --record OUT",
+        )
+    return _serve(args, find_view(args))
+
+
+def _record(args: Args) -> int:
+    """Let a person walk the episodes of a suite, and say how they went."""
+    from functools import partial
+
+    from gn0.bench.recording import open_recorder
+    from gn0.bench.suite import open_suite
+    from gn0.cli.tables import print_summaries
+    from gn0.errors import ConfigError
+    from gn0.viewer.live_record import RecordView
+
+    if len(args.paths) != 1 or args.results:
+        raise ConfigError(
+            "one suite is walked at a time", where="--record", remedy="gn0 view SUITE --record OUT"
+        )
+    suite = open_suite(args.paths[0], beside=args.record)
+    known = [episode.id for episode in suite.episodes]
+    if args.episode and args.episode not in known:
+        raise ConfigError(
+            f"the suite has no episode {args.episode[:80]!r}",
+            where="--episode",
+            remedy=f"its first is {known[0]}" if known else "choose another suite",
+        )
+    with open_recorder(
+        suite,
+        args.record,
+        name=args.name,
+        max_episodes=args.limit or None,
+        resume=not args.fresh,
+    ) as recorder:
+        code = _serve(args, partial(RecordView, recorder=recorder, first=args.episode))
+        summary = recorder.write()
+    print_summaries([summary])
+    if summary.valid:
+        print(f"next: gn0 bench report {args.record}    or gn0 view {args.record}")
+    return code
+
+
+def _serve(args: Args, build: Any) -> int:
+    """Serve a view until Ctrl-C."""
+    from gn0.viewer.live_loop import LiveLoop
+    from gn0.viewer.live_server import open_server
+
     loop = LiveLoop()
     with open_server(args.host, args.port, allow_remote=args.allow_remote) as live:
         announce(args, live)
@@ -132,7 +193,8 @@ def find_view(args: Args) -> Any:
         raise ConfigError(
             "is a suite, not a scene",
             where=first,
-            remedy="gn0 view one of its scenes/ folders, or a run of the suite",
+            remedy="gn0 view one of its scenes/ folders or a run of the suite, or walk its "
+            "episodes yourself with --record OUT",
         )
     from gn0.gaussians.files import load_cloud
     from gn0.viewer.live_file import FileView

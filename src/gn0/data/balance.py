@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from gn0.config import Config, load_json
 from gn0.data.dataset import Dataset, open_dataset
+from gn0.data.samples import ACTIONS_AHEAD
 from gn0.errors import DataError, FormatError
 from gn0.geometry import F32, F64
 from gn0.missions.files import read_table
@@ -278,7 +279,7 @@ def _read_samples(
         progress("reading samples", number, count)
         actions = table.column("actions").combine_chunks()
         flat = actions.flatten().to_numpy(zero_copy_only=False)
-        classes.append(np.asarray(flat, np.int8).reshape(table.num_rows, -1)[:, 0])
+        classes.append(np.asarray(flat, np.int8).reshape(table.num_rows, ACTIONS_AHEAD)[:, 0])
         parts += [part.name] * bool(table.num_rows)
         sizes += [table.num_rows] * bool(table.num_rows)
         rows.append(np.arange(table.num_rows, dtype=np.int32))

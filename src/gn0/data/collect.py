@@ -8,17 +8,19 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from gn0.bench.results import TRAJECTORIES
 from gn0.bench.runner import SECRETS
 from gn0.bench.suite import Suite
 from gn0.data.build import build_dataset
 from gn0.data.dagger import check_options
 from gn0.data.dataset import Dataset
 from gn0.data.samples import ACTIONS_AHEAD
-from gn0.data.settings import BuildSettings
+from gn0.data.settings import BuildSettings, DaggerSettings
 from gn0.errors import ConfigError
 from gn0.plugins import get_plugin, import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.sim.state import Action
+from gn0.storage import content_hash, read_bytes, safe_join
 
 
 class DaggerSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -33,6 +35,7 @@ class DaggerSummary(msgspec.Struct, frozen=True, kw_only=True):
         wrong_stops: of them, where the policy said STOP and the label did not.
         missed_stops: of them, where the label said STOP and the policy did not.
         arrived: episodes whose last state is within the success distance and ended with STOP.
+        demonstrated: whether the labels are what was done, not the expert's.
     """
 
     episodes: int
@@ -43,6 +46,7 @@ class DaggerSummary(msgspec.Struct, frozen=True, kw_only=True):
     wrong_stops: int
     missed_stops: int
     arrived: int
+    demonstrated: bool = False
 
 
 def build_dagger(
@@ -64,9 +68,11 @@ def build_dagger(
     """
     if settings.dagger is None:
         raise ConfigError("no policy to drive", remedy="give BuildSettings(dagger=…)")
-    check_options(settings.dagger.options, SECRETS)
-    import_plugins(settings.dagger.plugins)
-    get_plugin("policy", settings.dagger.policy)
+    dagger = _pin_run(settings.dagger)
+    settings = msgspec.structs.replace(settings, dagger=dagger)
+    check_options(dagger.options, SECRETS)
+    import_plugins(dagger.plugins)
+    get_plugin("policy", dagger.policy)
     return build_dataset(
         suite,
         out,
@@ -76,6 +82,15 @@ def build_dagger(
         ray_address=ray_address,
         progress=progress,
     )
+
+
+def _pin_run(dagger: DaggerSettings) -> DaggerSettings:
+    """The settings with the digest of a recorded run, so that another run is another dataset."""
+    run = dagger.options.get("run")
+    if dagger.policy != "recorded" or not run or "digest" in dagger.options:
+        return dagger
+    digest = content_hash(read_bytes(safe_join(str(run), TRAJECTORIES)))
+    return msgspec.structs.replace(dagger, options={**dagger.options, "digest": digest})
 
 
 def sum_up(dataset: Dataset) -> DaggerSummary:
@@ -105,13 +120,29 @@ def sum_up(dataset: Dataset) -> DaggerSummary:
         wrong_stops=counts["wrong"],
         missed_stops=counts["missed"],
         arrived=counts["arrived"],
+        demonstrated=bool(dagger is not None and dagger.demonstrate),
     )
 
 
 def describe_summary(summary: DaggerSummary) -> str:
     """A summary in a few lines of plain words."""
     states = max(summary.states, 1)
-    lines = [
+    if summary.demonstrated:
+        lines = [
+            f"{summary.states:,} states of {summary.episodes:,} walks, each labelled with the next "
+            f"{ACTIONS_AHEAD} actions and 3 m of the walk itself",
+            f"{summary.arrived} of {summary.episodes} walks ended at the goal; an obstacle cut "
+            f"{summary.collided / states:.1%} of the steps short",
+        ]
+    else:
+        lines = _describe_collected(summary, states)
+    if summary.skipped:
+        lines.append(f"{summary.skipped} episodes could not be driven: see dataset.json")
+    return "\n".join(lines)
+
+
+def _describe_collected(summary: DaggerSummary, states: int) -> list[str]:
+    return [
         f"{summary.states:,} states of {summary.episodes:,} episodes, each labelled with "
         f"{ACTIONS_AHEAD} actions and the next 3 m",
         f"the policy said what the expert would do in {summary.agreed / states:.1%} of them, "
@@ -120,6 +151,3 @@ def describe_summary(summary: DaggerSummary) -> str:
         f"{summary.missed_stops}; {summary.arrived} of {summary.episodes} episodes ended at "
         "the goal",
     ]
-    if summary.skipped:
-        lines.append(f"{summary.skipped} episodes could not be driven: see dataset.json")
-    return "\n".join(lines)

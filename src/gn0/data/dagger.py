@@ -13,10 +13,14 @@ Where the policy hovers near the goal without saying STOP a halting rule ends th
         1 m to 3 m. After leaving it again the agent has ten more steps; the labels of these end
         with STOP where they enter the zone.
     none: the expert's label alone.
+
+A demonstration (`DaggerSettings.demonstrate`) is labelled with what was done next and the way that
+was walked, as the expert's own walks are with theirs.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,9 +38,9 @@ from gn0.data.labels import (
 )
 from gn0.data.samples import NO_TOKEN, POINTS, EpisodeRows
 from gn0.data.settings import DaggerSettings, Halting
-from gn0.data.ways import sample_way_points
+from gn0.data.ways import SPACING, sample_way_points
 from gn0.errors import ConfigError, EpisodeError, Gn0Error, PolicyError, SimError
-from gn0.geometry import F64, Pose2D, wrap_angle
+from gn0.geometry import F32, F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.seeds import random_stream
@@ -203,6 +207,8 @@ def collect_visited(
         visits.append(_Visit(pose, action, tuple(ahead.tolist()), said, result.collided))
         observation = result.observation
         if result.terminated or result.truncated:
+            if settings.demonstrate:
+                return _demonstration(episode, field, visits, simulator.pose)
             return _rows(episode, field, visits)
 
 
@@ -272,6 +278,47 @@ def _rows(episode: Episode, field: GeodesicField, visits: list[_Visit]) -> Episo
         source="dagger",
         policy_actions=tuple((visit.said,) for visit in visits),
     )
+
+
+def _demonstration(
+    episode: Episode, field: GeodesicField, visits: list[_Visit], end: Pose2D
+) -> EpisodeRows:
+    """Rows that say of each state what was done from there on."""
+    rows = _rows(episode, field, visits)
+    done = np.r_[rows.executed, np.zeros(ACTIONS_AHEAD, np.int8)]
+    actions = np.lib.stride_tricks.sliding_window_view(done, ACTIONS_AHEAD)[: len(rows)]
+    waypoints, valid = walked_way(rows.poses, (end.x, end.y))
+    return dataclasses.replace(
+        rows,
+        actions=np.ascontiguousarray(actions),
+        waypoints=waypoints,
+        valid=valid,
+        source="demonstration",
+    )
+
+
+def walked_way(poses: F64, end: tuple[float, float]) -> tuple[F32, I8]:
+    """The next 3 m of a walk from each of its states, as `Labels.waypoints` tells them.
+
+    Args:
+        poses: [T, 3] x, y [m] and yaw [rad].
+        end: where the walk ended [m].
+
+    Returns:
+        Points [T, 13, 2] m in the agent's frame, the last repeated where the walk ends, and how
+        many are no repetitions [T].
+    """
+    line = np.vstack([poses[:, :2], end])
+    along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    rest = along[-1] - along[:-1]
+    ahead = along[:-1, None] + np.minimum(SPACING * np.arange(POINTS), rest[:, None])
+    offset = np.stack([np.interp(ahead, along, line[:, axis]) for axis in (0, 1)], axis=-1)
+    offset -= poses[:, None, :2]
+    cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    dx, dy = offset[..., 0], offset[..., 1]
+    waypoints = np.stack([cos * dx + sin * dy, cos * dy - sin * dx], axis=-1)
+    valid = 1 + np.ceil(rest / SPACING - _SAME)
+    return waypoints.astype(np.float32), np.clip(valid, 1, POINTS).astype(np.int8)
 
 
 def check_options(options: Mapping[str, Any], secrets: tuple[str, ...]) -> None:

@@ -29,8 +29,8 @@ TOKENS = 1000  # map tokens run from 0 to 999
 PICTURES = ("rgb", "history", "bev", "occupancy")  # hashed, in the order of their columns
 DEPTH = "depth"  # hashed as well where a dataset stores it, in a column behind all others
 NO_TOKEN = -1  # of a table without map tokens
-Source = Literal["expert", "dagger"]
-SOURCES: tuple[Source, ...] = ("expert", "dagger")
+Source = Literal["expert", "dagger", "demonstration"]
+SOURCES: tuple[Source, ...] = ("expert", "dagger", "demonstration")
 
 I8 = NDArray[np.int8]
 I16 = NDArray[np.int16]
@@ -87,7 +87,8 @@ class EpisodeRows:
         valid: [T] how many waypoints are not repetitions, 1..13.
         distance: [T] walking distance to the goal [m]; +inf where there is no way.
         collided: [T] whether the action was cut short.
-        source: "expert" or "dagger".
+        source: "expert"; "dagger", a policy's walk with the expert's labels; or "demonstration", a
+            walk by hand or of a policy, labelled with what was done.
         policy_actions: [T] what a policy said there; empty for the expert.
         hashes: of the raw pixels of each picture, by name ("rgb", …; "depth" where the dataset
             stores it); empty where not rendered.
@@ -289,7 +290,7 @@ def _check_values(table: pa.Table, path: Path | str) -> None:
     valid = _column(table, "valid")
     refuse("valid", (valid < 1) | (valid > POINTS), f"is outside 1 to {POINTS}")
     source = _column(table, "source")
-    refuse("source", ~np.isin(source, SOURCES), "is neither expert nor dagger")
+    refuse("source", ~np.isin(source, SOURCES), "is none of " + ", ".join(SOURCES))
     ids, steps = _column(table, "episode_id"), _column(table, "step")
     if len(ids):
         begins = np.r_[True, ids[1:] != ids[:-1]]

@@ -9,6 +9,7 @@ import msgspec
 from gn0.config import Config
 from gn0.data.codec import AnyFrame, EgoFrame
 from gn0.data.labels import LabelSettings
+from gn0.errors import ConfigError
 from gn0.maps.grid import OccupancyGrid
 from gn0.sim.sensors import MapFrame
 
@@ -108,6 +109,8 @@ class DaggerSettings(Config, frozen=True):
         max_steps: actions until an episode is cut off.
         seed: of the draws of who acts.
         plugins: modules to import first, for policies of others.
+        demonstrate: what the policy did is the label, not what the expert would have done; unset
+            in files where it is off.
     """
 
     policy: str
@@ -121,6 +124,17 @@ class DaggerSettings(Config, frozen=True):
     max_steps: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 500
     seed: int = 0
     plugins: tuple[str, ...] = ()
+    demonstrate: bool | msgspec.UnsetType = msgspec.UNSET
+
+    def __post_init__(self) -> None:
+        if self.demonstrate is False:  # one way to say it
+            msgspec.structs.force_setattr(self, "demonstrate", msgspec.UNSET)
+        if self.demonstrate and (self.expert_share > 0 or self.halting != "none"):
+            raise ConfigError(
+                "a demonstration is walked by the policy alone",
+                where="--labels own",
+                remedy="give --beta 0 and --halting none",
+            )
 
     @property
     def expert_share(self) -> float:

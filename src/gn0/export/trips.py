@@ -52,7 +52,8 @@ class Trip:
         moves: [N] 1 FORWARD, 2 LEFT, 3 RIGHT; the STOP at the end is not among them.
         ahead: [N+1, K] what should be done next at each pose, filled up with STOP.
         stopped: whether it ended with STOP.
-        source: "expert", or "dagger" for a walk of a policy with the expert's labels.
+        source: "expert"; "dagger" for a walk of a policy with the expert's labels; "demonstration"
+            for one with its own.
         rows: its samples, a row a pose: waypoints, map tokens, distances; None where unknown.
     """
 

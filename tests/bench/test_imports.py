@@ -21,6 +21,7 @@ from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, SceneError, StorageError
 from gn0.missions.sets.episode_set import load_set
 from gn0.missions.sets.json_file import load_exact, same_values, save_exact
+from gn0.missions.sets.vocabulary import cut_words
 
 FORMATS = {"gn-matrix": "e.parquet", "gn-matrix-json": "tasks", "vlnce": "val.json.gz"}
 
@@ -173,6 +174,44 @@ def test_a_foreign_row_in_imported_is_noticed(flats_suite: Suite, tmp_path: Path
         export_set(load_suite(tmp_path / "suite"), "gn-matrix", tmp_path / "f.parquet")
     with pytest.raises(StorageError, match="exists already"):
         export_set(flats_suite, "gn-matrix", tmp_path / "e.parquet")
+
+
+def test_exported_tokens_are_rows_of_r2rs_table(
+    flats_suite: Suite, shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """VLN-CE's models look tokens up in R2R's words, whatever list the file brings."""
+    r2r = shared_data / "vln/R2R_VLNCE_v1-2_preprocessed/val_seen/val_seen.json.gz"
+    table = load_exact(r2r)["instruction_vocab"]["word_list"]
+    out, home = tmp_path / "val.json.gz", str(flats_suite.folder)
+    export = ["missions", "export", home, "--format", "vlnce", "--out"]
+    assert main([*export, str(out), "--vocabulary", str(r2r)]) == 0
+    told = capsys.readouterr().out
+    assert "misread" not in told
+    lacks = "words that R2R's vocabulary lacks" in told
+    odd = 0
+    for episode in load_exact(out)["episodes"]:
+        said = episode["instruction"]
+        read = [table[token] for token in said["instruction_tokens"] if token]
+        for word, row in zip(cut_words(said["instruction_text"]), read, strict=True):
+            assert row == word or (row == "<unk>" and word not in table)
+            odd += row == "<unk>"
+    assert lacks == (odd > 0)
+    assert main([*export, str(tmp_path / "own.json.gz")]) == 0
+    assert "will misread the instructions" in capsys.readouterr().out
+    parquet = ["missions", "export", home, "--format", "gn-matrix", "--vocabulary", str(r2r)]
+    for refused, why in (
+        ([*parquet, "--out", str(tmp_path / "e.parquet")], "gn-matrix has no tokens"),
+        ([*export, str(tmp_path / "a.gz"), "--vocabulary", str(tmp_path / "no.gz")], "no.gz"),
+        ([*export, str(tmp_path / "b.gz"), "--vocabulary", str(tmp_path / "own.json.gz")],
+         "the vocabulary of another set"),
+    ):  # fmt: skip
+        assert main(refused) == 2
+        assert why in capsys.readouterr().err
+    assert {path.name for path in tmp_path.iterdir()} == {"val.json.gz", "own.json.gz"}
+    own = tmp_path / "own.json.gz"
+    import_set(own, scenes_of(flats_suite), tmp_path / "suite")
+    with pytest.raises(ConfigError, match="whose words are not R2R's"):
+        export_set(load_suite(tmp_path / "suite"), "vlnce", tmp_path / "c.gz", vocabulary=r2r)
 
 
 def test_the_commands_say_what_became_of_a_set(

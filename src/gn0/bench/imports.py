@@ -17,7 +17,7 @@ import msgspec
 from gn0.bench.profiles import profile_settings
 from gn0.bench.suite import Suite, save_suite
 from gn0.config import load_json
-from gn0.errors import BenchError, EpisodeError, SceneError
+from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.sets.check import FrameCheck, check_frame, why_unfit
@@ -29,6 +29,8 @@ from gn0.missions.sets.episode_set import (
     load_set,
     place_task,
 )
+from gn0.missions.sets.vlnce import ExporterVlnce
+from gn0.missions.sets.vocabulary import are_r2r_words, load_r2r_words
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
@@ -247,16 +249,33 @@ def load_imported(suite: Suite) -> tuple[ImportedFile, EpisodeSet] | None:
 
 
 def export_set(
-    suite: Suite, format: str, out: Path | str, *, overwrite: bool = False
+    suite: Suite,
+    format: str,
+    out: Path | str,
+    *,
+    overwrite: bool = False,
+    vocabulary: Path | str = "",
 ) -> EpisodeSet:
     """Write a suite's episodes in a foreign format: the rows they came from, where it is theirs.
 
+    Args:
+        suite: the suite.
+        format: exporter name.
+        out: what to write.
+        overwrite: whether a file may be there.
+        vocabulary: a file of VLN-CE's R2R whose words the tokens are of (format vlnce).
+
     Raises:
-        ConfigError: no such format.
+        ConfigError: no such format, or a vocabulary for tokens that are not made here.
         BenchError, StorageError, FormatError, EpisodeError: the suite is damaged.
         StorageError: `out` exists, or cannot be written.
     """
     exporter = get_exporter(format)
+    words = load_r2r_words(vocabulary) if vocabulary else ()
+    if words and not isinstance(exporter, ExporterVlnce):
+        raise ConfigError(
+            f"{format} has no tokens", where="--vocabulary", remedy="leave it out, or write vlnce"
+        )
     target = Path(out)
     if target.exists() and not (overwrite and target.is_file()):
         from gn0.errors import StorageError
@@ -265,6 +284,14 @@ def export_set(
     found = load_imported(suite)
     if found is not None and found[0].format == format:
         episodes = found[1]
+        if words and not are_r2r_words(found[1].native.words):
+            raise ConfigError(
+                "the suite gives back the file it came from, whose words are not R2R's",
+                where="--vocabulary",
+                remedy="leave it out, or export the suite that this file was made of",
+            )
+    elif isinstance(exporter, ExporterVlnce):
+        episodes = exporter.build(suite.episodes, {}, suite.about.name, words)
     else:
         grids: Mapping[str, Any] = {
             scene.id: load_scene(suite.scene_folder(scene.id)).grid for scene in suite.about.scenes

@@ -14,7 +14,8 @@ from gn0.config import Config
 
 EXAMPLES = """  gn0 missions export out/suite --format gn-matrix --out episodes.parquet
   gn0 missions export out/suite --format gn-matrix-json --out tasks
-  gn0 missions export out/suite --format vlnce --out val/val.json.gz"""
+  gn0 missions export out/suite --format vlnce --out val/val.json.gz
+  gn0 missions export out/suite --format vlnce --vocabulary R2R/train.json.gz --out val.json.gz"""
 
 
 class Args(Config, frozen=True):
@@ -25,27 +26,31 @@ class Args(Config, frozen=True):
         format: gn-matrix (a Parquet file), gn-matrix-json (a folder), vlnce (a .json.gz file), or
             a plug-in's.
         out: what to write; must not exist.
+        vocabulary: any {split}.json.gz of VLN-CE's R2R: tokens of vlnce are of its words, which the
+            models of VLN-CE know.
     """
 
     suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
     format: str
     out: str
+    vocabulary: str = ""
 
 
 def run(args: Args) -> int:
     """Write, and say how much."""
     from gn0.bench.imports import export_set
     from gn0.bench.suite import open_suite
+    from gn0.export.vlnce import MISREAD
     from gn0.missions.sets.vlnce import VlnceFile
-    from gn0.missions.sets.vocabulary import are_r2r_words
+    from gn0.missions.sets.vocabulary import are_r2r_words, count_unknown, tell_unknown
 
-    written = export_set(open_suite(args.suite), args.format, args.out)
-    if isinstance(written.native, VlnceFile):
-        words = written.native.document.get("instruction_vocab", {}).get("word_list", [])
+    suite = open_suite(args.suite)
+    written = export_set(suite, args.format, args.out, vocabulary=args.vocabulary)
+    if isinstance(written.native, VlnceFile) and written.native.words:
+        words = written.native.words
         if not are_r2r_words(words):
-            print(
-                "note: tokens are of a list of this set's own words, which the models of VLN-CE "
-                "misread; `gn0 export vlnce-r2r DATA --vocabulary FILE` writes R2R's"
-            )
+            print("note: " + MISREAD.format(count=len(words)))
+        elif odd := count_unknown((task.instruction for task in written.tasks), words):
+            print("note: " + tell_unknown(odd))
     print(f"{len(written.tasks)} episodes of {len(written.scenes)} scenes: {args.out}")
     return 0

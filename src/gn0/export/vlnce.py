@@ -11,7 +11,6 @@ our ids are kept beside the files.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,14 @@ from gn0.missions.frames import habitat_rotation, habitat_to_world, world_to_hab
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.json_file import load_exact, save_exact
 from gn0.missions.sets.vlnce import TOKENS, ExporterVlnce, VlnceFile
-from gn0.missions.sets.vocabulary import R2R_COUNT, are_r2r_words, cut_words, load_r2r_words
+from gn0.missions.sets.vocabulary import (
+    R2R_COUNT,
+    are_r2r_words,
+    count_unknown,
+    cut_words,
+    load_r2r_words,
+    tell_unknown,
+)
 from gn0.sim.kinematics import heading_yaw
 from gn0.storage import safe_join, write_bytes
 
@@ -78,7 +84,6 @@ RXR_SHAPE: Shape = {
     ]
 }
 TRUTH_SHAPE: Shape = {"*": {"locations": [_PLACE], "forward_steps": "int", "actions": ["int"]}}
-SHOWN = 12  # odd words told
 LANGUAGE, ANNOTATOR = "en-US", "gn0"
 RXR_TURN = 30.0  # degrees
 OTHER_TURNS = "ground truth in turns other than the 30° of RxR's agent"
@@ -281,12 +286,7 @@ def write_splits(
         path = split_path(folder, split, role)
         save_exact(path, part.document)
         save_exact(path.with_name(path.name.replace(".json.gz", "_gt.json.gz")), part.truth)
-    unknown: Counter[str] = Counter()
-    if words:
-        known = frozenset(words)
-        for episode in episodes:
-            unknown.update(w for w in cut_words(episode.instruction) if w not in known)
-    odd = dict(sorted(unknown.items(), key=lambda item: (-item[1], item[0])))
+    odd = count_unknown((e.instruction for e in episodes), words) if words else {}
     about = About(episodes[0].agent.turn_degrees, splits, role, odd)
     write_bytes(folder / ABOUT, msgspec.json.encode(about) + b"\n")
 
@@ -312,11 +312,7 @@ def remark_splits(folder: Path) -> list[str]:
             return [MISREAD.format(count=len(words))]
     except (Gn0Error, LookupError, TypeError, AttributeError):
         return []  # the check tells what is wrong
-    if not about.unknown:
-        return []
-    shown = ", ".join(f"{word} {count}" for word, count in list(about.unknown.items())[:SHOWN])
-    more = "" if len(about.unknown) <= SHOWN else f" and {len(about.unknown) - SHOWN} more"
-    return [f"words that R2R's vocabulary lacks, with how often they come: {shown}{more}"]
+    return [tell_unknown(about.unknown)] if about.unknown else []
 
 
 def check_splits(folder: Path, faults: Faults) -> None:

@@ -71,6 +71,13 @@ class VlnceFile:
     document: dict[str, Any]
     truth: dict[str, Any] | None
 
+    @property
+    def words(self) -> list[str]:
+        """The words that its tokens are of; none in RxR's files."""
+        vocabulary = self.document.get("instruction_vocab")
+        words = vocabulary.get("word_list") if isinstance(vocabulary, dict) else None
+        return [str(word) for word in words] if isinstance(words, list) else []
+
 
 def truth_path(path: Path) -> Path:
     """`{split}_gt.json.gz` of `{split}.json.gz`."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from gn0.storage import storage_error
 PAD, UNKNOWN = "<pad>", "<unk>"
 PAD_INDEX, UNKNOWN_INDEX = 0, 1
 R2R_COUNT = 2504
+SHOWN = 12  # odd words told
 # SHA-256 of R2R's words with a line break between each, the same in every split
 R2R_DIGEST = "b945ae8224429b025bb83545383e3a2332bccc26f04900ab9954dfee3ff67f73"
 _MARKS = re.compile(r"([^\w-]+)")
@@ -50,6 +51,20 @@ def are_r2r_words(words: Sequence[str]) -> bool:
         len(words) == R2R_COUNT
         and hashlib.sha256("\n".join(words).encode("utf-8", "replace")).hexdigest() == R2R_DIGEST
     )
+
+
+def count_unknown(texts: Iterable[str], words: Iterable[str]) -> dict[str, int]:
+    """Words of texts that a list lacks, and how often they come, the commonest first."""
+    known = frozenset(words)
+    counts = Counter(word for text in texts for word in cut_words(text) if word not in known)
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+
+
+def tell_unknown(counts: Mapping[str, int]) -> str:
+    """A line about words that R2R's list lacks."""
+    shown = ", ".join(f"{word} {count}" for word, count in list(counts.items())[:SHOWN])
+    more = "" if len(counts) <= SHOWN else f" and {len(counts) - SHOWN} more"
+    return f"words that R2R's vocabulary lacks, with how often they come: {shown}{more}"
 
 
 class _Vocabulary(msgspec.Struct):

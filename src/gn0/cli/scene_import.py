@@ -47,6 +47,7 @@ class Args(Config, frozen=True):
             put a flat ground there, for objects scanned without their floor.
         yaw: bare captures: walls turns them along x and y, keep leaves the heading.
         seed_point: bare captures: X Y [m] on the open floor to map from.
+        least_area: bare captures: under so much walkable ground [m²] it asks, and writes nothing.
         level: bare captures: level of detail of a streamed SOG, 0 the finest.
     """
 
@@ -65,6 +66,7 @@ class Args(Config, frozen=True):
     floor: str = "auto"
     yaw: Literal["walls", "keep"] = "walls"
     seed_point: tuple[float, float] | None = None
+    least_area: float = 1.0
     level: int | None = None
 
 
@@ -81,6 +83,7 @@ def run(args: Args) -> int:
         floor=args.floor,
         yaw=args.yaw,
         seed_point=args.seed_point,
+        least_area=args.least_area,
         level=args.level,
     )
     with draw_progress() as progress:

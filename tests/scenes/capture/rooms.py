@@ -63,9 +63,9 @@ FURNITURE = {
 }
 
 
-def two_rooms(*, ceiling: bool = True) -> GaussianCloud:
+def two_rooms(*, ceiling: bool = True, height: float = HEIGHT) -> GaussianCloud:
     """Two rooms with a door between them, a bed, a cupboard, a chest and a table on four legs."""
-    w, d, h = WIDTH, DEPTH, HEIGHT
+    w, d, h = WIDTH, DEPTH, height
     lie = 0.005  # surfaces lie this far behind what one sees
     parts = [
         rectangle((0, 0, -lie), (w, 0, 0), (0, d, 0)),
@@ -85,6 +85,19 @@ def two_rooms(*, ceiling: bool = True) -> GaussianCloud:
     if ceiling:
         parts.append(rectangle((0, 0, h + lie), (w, 0, 0), (0, d, 0)))
     return join_clouds(parts)
+
+
+def lawn(margin: float = 9.0, spacing: float = 0.12) -> GaussianCloud:
+    """Flat ground round the rooms, as wide as `margin` [m] on every side."""
+    w, d, m = WIDTH, DEPTH, margin
+    return join_clouds(
+        [
+            rectangle((-m, -m, -0.005), (w + 2 * m, 0, 0), (0, m, 0), spacing),
+            rectangle((-m, d, -0.005), (w + 2 * m, 0, 0), (0, m, 0), spacing),
+            rectangle((-m, 0, -0.005), (m, 0, 0), (0, d, 0), spacing),
+            rectangle((w, 0, -0.005), (m, 0, 0), (0, d, 0), spacing),
+        ]
+    )
 
 
 def truth_cells() -> NDArray[np.bool_]:

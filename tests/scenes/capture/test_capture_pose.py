@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gn0.errors import ConfigError, SceneError
+from gn0.gaussians.cloud import join_clouds
 from gn0.gaussians.files import load_cloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.scenes.capture.gravity import name_direction, propose_up, sample_surface
@@ -87,10 +88,13 @@ def test_evidence_is_said_in_words(flat):
     assert shares == sorted(shares, reverse=True) and sum(shares) == pytest.approx(1, abs=1e-3)
 
 
-def test_without_a_ceiling_the_scale_is_a_doubt(shapes):
-    pose = propose_pose(shapes.two_rooms(ceiling=False), CaptureSettings())
+def test_without_anything_of_known_size_the_scale_is_a_doubt(shapes):
+    """Ground and a ball on it; walls, doors and tables would have voted."""
+    ball = transform_cloud(shapes.ball(0.5), shift=(3, 3, 0.5))
+    ground = join_clouds([shapes.rectangle((0, 0, 0), (6, 0, 0), (0, 6, 0)), ball])
+    pose = propose_pose(ground, CaptureSettings(up="z"))
     assert pose.scale == 1.0 and "--scale" in pose.doubts["scale"]
-    assert pose.ceiling is None
+    assert pose.ceiling is None and "votes" not in pose.evidence
 
 
 def test_known_lengths_give_the_scale(flat):

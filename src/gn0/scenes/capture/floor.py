@@ -1,4 +1,4 @@
-"""The floor, the ceiling and the walls' direction of a capture, once up is known roughly."""
+"""The floor and the walls' direction of a capture, once up is known roughly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ LEAN = 20.0  # degrees by which a floor may lean from the rough up
 LEAST_WALL = 0.30  # of the upright surface along two directions: less and walls give no yaw
 _TRIES = 1000
 _LOOKED_AT = 12_000  # points that judge a plane
-_CEILING = 0.30  # of the floor's area: the least that a ceiling has
 
 
 @dataclass(frozen=True)
@@ -139,33 +138,6 @@ def _refit(
     left = np.abs(p @ tilted - level)
     (middle,) = weighted_quantile(left, weight[near], (0.5,))
     return tilted, level, middle / 0.6745
-
-
-def find_ceiling(sample: SurfaceSample, floor: FloorPlane) -> float | None:
-    """Height of the ceiling above the floor in the file's units, or None.
-
-    The highest level that carries a good share of the floor's surface, with hardly anything
-    above it.
-    """
-    up = np.asarray(floor.up)
-    height = sample.points @ up - floor.height
-    step = sample.size / 300
-    facing = (np.abs(sample.normals @ up) > 0.9) & sample.flat
-    above = facing & (height > 6 * step)
-    if not above.any():
-        return None
-    bins = np.floor(height[above] / step).astype(np.int64)
-    mass = np.bincount(bins, sample.weight[above])
-    pair = mass + np.append(mass[1:], 0)
-    on_floor = float(sample.weight[facing & (np.abs(height) <= 2 * step)].sum())
-    strong = np.flatnonzero(pair >= _CEILING * on_floor)
-    if not len(strong):
-        return None
-    level = int(strong[-1])
-    near = above & (height >= level * step) & (height < (level + 2) * step)
-    if sample.weight[height > (level + 6) * step].sum() > 0.10:
-        return None
-    return float(weighted_quantile(height[near], sample.weight[near], (0.5,))[0])
 
 
 def find_wall_yaw(sample: SurfaceSample, up: NDArray[np.floating]) -> tuple[float, float]:

@@ -73,8 +73,8 @@ class SurfaceSample:
     size: float  # diagonal of the middle 96 %
 
 
-def sample_surface(cloud: GaussianCloud) -> SurfaceSample:
-    """Opaque Gaussians, at most `SAMPLE`, weighted by the area that they cover.
+def sample_surface(cloud: GaussianCloud, most: int = SAMPLE) -> SurfaceSample:
+    """Opaque Gaussians, at most so many, weighted by the area that they cover.
 
     Raises:
         SceneError: hardly any Gaussian is opaque.
@@ -85,9 +85,9 @@ def sample_surface(cloud: GaussianCloud) -> SurfaceSample:
             f"only {len(keep)} splats are opaque enough to see a surface in",
             remedy="check the file with `gn0 scene inspect`",
         )
-    if len(keep) > SAMPLE:
+    if len(keep) > most:
         rng = random_stream(0, "capture", "surface sample")
-        keep = np.sort(rng.choice(keep, SAMPLE, replace=False))
+        keep = np.sort(rng.choice(keep, most, replace=False))
     part = cloud.select(keep)
     normals, flat = disc_normals(part)
     sizes = np.sort(part.scales.astype(np.float64), axis=1)
@@ -236,14 +236,19 @@ def column_cover(sample: SurfaceSample, up: F64, on_floor: NDArray[np.bool_]) ->
     """Share of the columns with matter in them that have floor."""
     a, b = plane_axes(up)
     cell = sample.size / _COLUMNS
-    flat = np.stack([sample.points @ a, sample.points @ b], axis=1)
-    key = np.floor(flat / cell).astype(np.int64)
-    _, column = np.unique(key, axis=0, return_inverse=True)
-    column = column.reshape(-1)
+    column = number_columns(sample.points @ a, sample.points @ b, cell)
     total = np.bincount(column, sample.weight)
     mine = np.bincount(column[on_floor], sample.weight[on_floor], len(total))
     real = total > 0.1 * np.median(total)
     return float((mine[real] > 0.03 * np.median(total)).mean()) if real.any() else 0.0
+
+
+def number_columns(a: F64, b: F64, cell: float) -> NDArray[np.intp]:
+    """The number [N] of the square column in which each point lies, counted from 0."""
+    i, j = (np.floor(v / cell).astype(np.int64) for v in (a, b))
+    i, j = i - i.min(), j - j.min()
+    _, column = np.unique(i * (int(j.max()) + 1) + j, return_inverse=True)
+    return np.asarray(column.reshape(-1))
 
 
 def _extent(values: F64, weight: F64) -> float:

@@ -15,11 +15,10 @@ from scipy import ndimage
 from gn0.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from gn0.scenes.boxes import upright_box
 from gn0.scenes.capture.extinction import VoxelFrame
-from gn0.scenes.capture.occupancy import CaptureOccupancy
+from gn0.scenes.capture.occupancy import WALL_TOP, CaptureOccupancy
 from gn0.scenes.rooms import RoomMap, assign_rooms, build_rooms
 from gn0.scenes.scene import SceneObject
 
-WALL_TOP = 1.85  # m: what reaches this is taken for a wall (or a wardrobe)
 STEP = 0.20  # m: neighbouring cells of one thing differ by less in height
 LEAST_AREA = 0.03  # m²
 LEAST_SIDE = 0.25  # m, longest

@@ -14,12 +14,14 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.scenes.capture.discs import disc_normals
+from gn0.scenes.capture.enclosure import find_inside
 from gn0.scenes.capture.extinction import SOLID, VoxelFrame, measure_extinction, solid_enough
 from gn0.scenes.capture.smooth import smooth_surfaces
 
 COMPONENT = 30  # voxels: smaller clumps float
 FLOOR_DEPTH = 0.15  # m below z = 0 that still count as floor
 HOLE = 0.30  # m: holes in the floor up to twice this wide are taken for scanning gaps
+WALL_TOP = 1.85  # m: what reaches this is taken for a wall (or a wardrobe)
 NECK = 0.10  # m: half the width of the narrowest way that the flood takes
 GROUND_MARGIN = 2.0  # m of assumed ground round what was captured
 SEED_CLEARANCE = 0.25  # m: the seed's region must let a disc of this radius pass
@@ -36,6 +38,9 @@ class CaptureOccupancy:
         grid: free where the seed's open floor reaches, occupied where matter is, else unknown.
         seed: (x, y) [m] from which the floor was flooded.
         left_out: open floor [m²] that the seed does not reach.
+        outside: open floor [m²] outside the walls, reached or not; 0 where nothing is enclosed.
+        open_floor: all open floor [m²].
+        seed_outside: whether the seed lies outside walls that enclose something.
         solid: voxels that hold matter, small clumps removed [layers, rows, columns].
         frame: of the voxels.
         floating: voxels removed as small clumps.
@@ -44,6 +49,9 @@ class CaptureOccupancy:
     grid: OccupancyGrid
     seed: tuple[float, float]
     left_out: float
+    outside: float
+    open_floor: float
+    seed_outside: bool
     solid: NDArray[np.bool_]
     frame: VoxelFrame
     floating: int
@@ -79,13 +87,16 @@ def build_capture_occupancy(
     last = first + round((band[1] - band[0]) / frame.size[2])
     occupied = solid[first:last].any(axis=0)
     floor = np.ones_like(occupied) if ground else find_floor_cells(cloud, frame, band[0])
-    open_ = floor & ~occupied
+    open_ = np.asarray(floor & ~occupied)
     grid = OccupancyGrid(
         cells=np.where(occupied, OCCUPIED, UNKNOWN).astype(np.uint8),
         resolution=resolution,
         origin=(frame.origin[0], frame.origin[1]),
     )
-    place = _seed_cell(grid, open_, seed)
+    head = np.asarray(solid[round((WALL_TOP - frame.origin[2]) / frame.size[2]) - 1 :].any(axis=0))
+    found = find_inside(head, open_, resolution)
+    # nobody scans a flat from its garden: the flood starts within walls where there are any
+    place = _seed_cell(grid, open_, seed, within=open_ if found is None else found[0])
     reached = flood(open_, place, resolution)
     cells = grid.cells.copy()
     cells[reached] = FREE
@@ -93,6 +104,9 @@ def build_capture_occupancy(
         grid=grid.with_cells(cells),
         seed=grid.centre_of(*place) if seed is None else (float(seed[0]), float(seed[1])),
         left_out=float(_roomy(open_ & ~reached, resolution).sum()) * resolution**2,
+        outside=0.0 if found is None else float(found[1].sum()) * resolution**2,
+        open_floor=float(open_.sum()) * resolution**2,
+        seed_outside=found is not None and bool(found[1][place]),
         solid=solid,
         frame=frame,
         floating=int(dense.sum() - solid.sum()),
@@ -203,9 +217,13 @@ def _roomy(open_: NDArray[np.bool_], resolution: float) -> NDArray[np.bool_]:
 
 
 def _seed_cell(
-    grid: OccupancyGrid, open_: NDArray[np.bool_], seed: tuple[float, float] | None
+    grid: OccupancyGrid,
+    open_: NDArray[np.bool_],
+    seed: tuple[float, float] | None,
+    *,
+    within: NDArray[np.bool_],
 ) -> tuple[int, int]:
-    """The cell to flood from.
+    """The cell to flood from: the one given, or the roomiest `within` the largest region there.
 
     Raises:
         SceneError: no open floor, or the seed given is not on it.
@@ -213,8 +231,8 @@ def _seed_cell(
     if not open_.any():
         raise SceneError(
             "the capture has no open floor at the agent's height",
-            remedy="check --up, --scale and --floor against the printed evidence; "
-            "--floor HEIGHT assumes a flat floor at that height",
+            remedy="give what you know: --scale or --scale-from, --up, --height-band LOW HIGH for "
+            "a lower body; --floor HEIGHT assumes a flat floor at that height",
         )
     if seed is not None:
         row, col = grid.cell_of(*seed)
@@ -227,8 +245,8 @@ def _seed_cell(
             )
         return row, col
     clearance = ndimage.distance_transform_edt(np.pad(open_, 1))[1:-1, 1:-1] * grid.resolution
-    wide = clearance >= SEED_CLEARANCE
-    labels, count = ndimage.label(wide if wide.any() else open_)
+    wide = within & (clearance >= SEED_CLEARANCE)
+    labels, count = ndimage.label(wide if wide.any() else within)
     largest = int(np.argmax(np.bincount(labels.ravel(), minlength=count + 1)[1:])) + 1
     best = np.where(labels == largest, clearance, -1.0)
     r, c = np.unravel_index(int(np.argmax(best)), best.shape)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from gn0.errors import SceneError
@@ -15,7 +16,6 @@ from gn0.scenes.capture.floor import (
     LEAST_SHARE,
     LEAST_WALL,
     FloorPlane,
-    find_ceiling,
     find_wall_yaw,
     fit_floor,
 )
@@ -29,16 +29,13 @@ from gn0.scenes.capture.gravity import (
     weigh_ends,
     weighted_quantile,
 )
-from gn0.scenes.capture.settings import (
-    CaptureSettings,
-    read_floor,
-    read_scale_rule,
-    read_up,
-)
+from gn0.scenes.capture.levels import Storey, find_storey
+from gn0.scenes.capture.scale import ScaleFound, collect_votes, find_scale
+from gn0.scenes.capture.settings import CaptureSettings, read_floor, read_up
 
 SURE = 0.75  # share of the best up above which it is taken without a warning
-CEILINGS = (2.1, 4.2)  # m: ceilings of rooms
-USUAL_CEILING = 2.6  # m
+_HANGING = -0.05  # of UpCandidate.low: things of rooms the right way up lie at +0.1
+_LID = 0.6  # of the built columns under a level that closes a storey
 _STILL = math.radians(0.02)  # a turn below this is within what a fit can tell
 
 
@@ -49,6 +46,7 @@ class CapturePose:
     Attributes:
         rotation: proper [3, 3]: the file's up becomes +z.
         scale: metres per unit of the file.
+        found: how the scale was found, with every vote.
         lift: added to z [m]: the floor comes to 0.
         ground: the floor was given, so it is assumed to be flat and everywhere.
         floor: what was found, in the file's units; None when the floor was given.
@@ -61,6 +59,7 @@ class CapturePose:
 
     rotation: F64
     scale: float
+    found: ScaleFound
     lift: float
     ground: bool
     floor: FloorPlane | None
@@ -105,13 +104,14 @@ def propose_pose(cloud: GaussianCloud, settings: CaptureSettings) -> CapturePose
                 remedy="an object on its own? `--floor bottom` puts it on flat ground; "
                 + doubts.get("up", "wrong way up? give --up"),
             )
+        storey = find_storey(sample, floor)
+        _refuse_ceilings(candidates, storey)
         leaned = math.degrees(math.acos(min(1.0, float(np.dot(floor.up, up)))))
         evidence["up"] += f"; levelled by the floor, {leaned:.2f}° away"
         up = np.asarray(floor.up)
         evidence["up"] = f"{name_direction(up)}, from {evidence['up']}"
         height = floor.height
-        ceiling = find_ceiling(sample, floor)
-        if ceiling is None and floor.share < LEAST_SHARE:
+        if storey.height is None and floor.share < LEAST_SHARE:
             doubts["floor"] = (
                 f"there is no ceiling, and only {floor.share:.0%} of the surface is floor: this "
                 "may be an object with its side taken for a floor; then give --up and "
@@ -122,17 +122,30 @@ def propose_pose(cloud: GaussianCloud, settings: CaptureSettings) -> CapturePose
             height = weighted_quantile(sample.points @ up, sample.weight, (0.005,))[0]
         else:
             height = said
-        ceiling = None
+        storey = Storey()
         evidence["floor"] = f"given: flat ground at {height:.4g} along up, seen or not"
-    scale = _find_scale(sample, settings, up, height, ceiling, evidence, doubts)
     rotation, walls = _find_rotation(sample, settings, up, evidence)
+    along = rotation
+    if settings.yaw != "walls":  # doors are looked for along the walls all the same
+        along = _find_rotation(sample, msgspec.structs.replace(settings, yaw="walls"), up, {})[0]
+    tally = collect_votes(cloud, along, height, storey)
+    found = find_scale(settings, up, height, storey, tally, sample.size)
+    evidence["scale"] = found.evidence
+    if found.tally is not None:
+        evidence["votes"] = found.votes
+    if found.doubt:
+        doubts["scale"] = found.doubt
+    scale = found.scale
+    if len(storey.ceilings) > 1 or storey.next_floor is not None:
+        evidence["levels"] = _level_words(storey, scale)
     return CapturePose(
         rotation=rotation,
         scale=scale,
+        found=found,
         lift=-height * scale,
         ground=said is not None,
         floor=floor,
-        ceiling=None if ceiling is None else ceiling * scale,
+        ceiling=None if storey.ceiling is None else storey.ceiling * scale,
         candidates=tuple(candidates),
         walls=walls,
         evidence=evidence,
@@ -175,6 +188,29 @@ def _find_up(
     return np.asarray(best.up), candidates
 
 
+def _refuse_ceilings(candidates: list[UpCandidate], storey: Storey) -> None:
+    """Refuse a room stood on its ceiling: all that it holds then hangs, and nothing is above.
+
+    Raises:
+        SceneError: what was taken for the floor is the ceiling of a room whose floor is missing.
+    """
+    if not candidates or storey.height is None:
+        return
+    if any(level.cover >= _LID for level in storey.ceilings):
+        return
+    best = candidates[0]
+    if best.low >= _HANGING:
+        return
+    up = name_direction(-np.asarray(best.up))
+    raise SceneError(
+        f"no floor found: the one large level surface is a ceiling, for things lie {best.low:+.2f} "
+        "from it, at the other end of the walls, where no floor was scanned",
+        remedy=f"to lay flat ground at the foot of the walls, give --up={up.split()[0]} "
+        f"--floor bottom; if it was scanned without its ceiling, --up="
+        f"{best.name.split()[0]} takes the surface for the floor",
+    )
+
+
 def _lying(low: float) -> str:
     return f"{'low' if low >= 0 else 'high'} ({low:+.2f})"
 
@@ -187,64 +223,14 @@ def _floor_words(floor: FloorPlane) -> str:
     )
 
 
-def _find_scale(
-    sample: SurfaceSample,
-    settings: CaptureSettings,
-    up: F64,
-    height: float,
-    ceiling: float | None,
-    evidence: dict[str, str],
-    doubts: dict[str, str],
-) -> float:
-    if settings.scale:
-        evidence["scale"] = f"given: {settings.scale:g} m a unit"
-        return float(settings.scale)
-    if settings.scale_from:
-        rule = read_scale_rule(settings.scale_from)
-        points = np.asarray(rule.points, np.float64)
-        if rule.kind == "ceiling":
-            if ceiling is None:
-                raise SceneError(
-                    "no ceiling found to take the scale from",
-                    where="--scale-from",
-                    remedy="use two-points:METRES@x,y,z@x,y,z, or --scale FACTOR",
-                )
-            length = ceiling
-        elif rule.kind == "two-points":
-            length = float(np.linalg.norm(points[1] - points[0]))
-        else:
-            length = float(points[0] @ up - height)
-        if not length > 0:
-            raise SceneError(
-                f"{rule.kind} measures {length:.4g} units in the file",
-                where="--scale-from",
-                remedy="the point must lie above the floor; check it and --up",
-            )
-        scale = rule.metres / length
-        evidence["scale"] = (
-            f"{scale:.5g} m a unit, from {rule.kind} {rule.metres:g} m = {length:.4g} units"
-        )
-        return scale
-    if ceiling is None:
-        evidence["scale"] = "1 m a unit, assumed: no ceiling to judge by"
-        doubts["scale"] = (
-            f"nothing shows the scale: one unit is taken for 1 m, so the capture is "
-            f"{sample.size:.3g} m from corner to corner; give --scale or --scale-from"
-        )
-        return 1.0
-    if CEILINGS[0] <= ceiling <= CEILINGS[1]:
-        evidence["scale"] = f"1 m a unit: the ceiling is {ceiling:.2f} units up, as in metres"
-        return 1.0
-    scale = USUAL_CEILING / ceiling
-    evidence["scale"] = (
-        f"{scale:.4g} m a unit, proposed: the ceiling is {ceiling:.4g} units up and taken for "
-        f"{USUAL_CEILING} m"
+def _level_words(storey: Storey, scale: float) -> str:
+    rooms = ", ".join(
+        f"{level.height * scale:.2f} m over {level.cover:.0%}" for level in storey.ceilings
     )
-    doubts["scale"] = (
-        f"the scale rests on a ceiling of {USUAL_CEILING} m; measure it and give "
-        "--scale-from ceiling:METRES"
-    )
-    return scale
+    words = f"ceilings at {rooms} of what is built"
+    if storey.next_floor is not None:
+        words += f"; a storey above at {storey.next_floor.height * scale:.2f} m"
+    return words
 
 
 def _find_rotation(

@@ -24,6 +24,7 @@ class CaptureSettings(Config, frozen=True):
         floor: "auto", "bottom", or a height along up in units of the file: a flat ground there.
         yaw: "walls" turns the walls along x and y, "keep" leaves the heading.
         seed_point: (x, y) [m] on open floor in the scene's frame; None for the proposed one.
+        least_area: walkable ground [m²] under which the import asks instead of writing a scene.
         level: level of detail of a streamed file; None for the finest.
     """
 
@@ -33,6 +34,7 @@ class CaptureSettings(Config, frozen=True):
     floor: str = "auto"
     yaw: Literal["walls", "keep"] = "walls"
     seed_point: tuple[float, float] | None = None
+    least_area: float = 1.0
     level: int | None = None
 
 
@@ -75,6 +77,12 @@ def check_capture_settings(settings: CaptureSettings) -> CaptureSettings:
             f"scale {settings.scale:g} is not a positive number",
             where="--scale",
             remedy="give the metres that one unit of the file stands for, e.g. 0.01",
+        )
+    if not (math.isfinite(settings.least_area) and settings.least_area >= 0):
+        raise ConfigError(
+            f"least area {settings.least_area:g} is no area",
+            where="--least-area",
+            remedy="give square metres, e.g. 0.2, or 0 to take whatever comes",
         )
     return settings
 

@@ -19,12 +19,21 @@ from gn0.scenes.capture.occupancy import (
     main_extent,
 )
 from gn0.scenes.capture.pose import CapturePose, propose_pose
-from gn0.scenes.capture.settings import check_capture_settings
+from gn0.scenes.capture.settings import CaptureSettings, check_capture_settings
 from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.scenes.sources import ImportSettings, scene_id_from
 
 SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb", ".gltf")
-TOPICS = ("up", "floor", "scale", "yaw", "map", "labels")  # of evidence, in reading order
+TOPICS = (
+    "up",
+    "floor",
+    "levels",
+    "scale",
+    "votes",
+    "yaw",
+    "map",
+    "labels",
+)  # of evidence, in reading order
 INDEXES = ("meta.json", "lod-meta.json")  # of unbundled and of streamed SOG folders
 
 
@@ -57,8 +66,10 @@ class SceneSourceCapture:
         progress("reading splats", 0, 4)
         file = load_cloud(path, level=told.level)
         progress("finding up, floor and scale", 1, 4)
+        found = ""
         try:
             pose = propose_pose(file.cloud, told)
+            found = _found_words(pose)
             cloud = pose.apply(file.cloud)
             progress("mapping", 2, 4)
             occupancy = build_capture_occupancy(
@@ -69,8 +80,10 @@ class SceneSourceCapture:
                 seed=told.seed_point,
                 ground=pose.ground,
             )
+            refuse_tiny(occupancy, told)
         except SceneError as error:
-            raise SceneError(error.what, where=error.where or path, remedy=error.remedy) from None
+            what = f"{error.what}; no scene was written; {found}" if found else error.what
+            raise SceneError(what, where=error.where or path, remedy=error.remedy) from None
         progress("finding things", 3, 4)
         labels = find_things(occupancy, settings.height_band, pose.walls)
         progress("finding things", 4, 4)
@@ -89,6 +102,41 @@ class SceneSourceCapture:
             bounds=np.stack([low, high]).astype(np.float64),
             load_cloud=lambda: cloud,
         )
+
+
+def _found_words(pose: CapturePose) -> str:
+    """What a frame rests on, for a message that asks for something better."""
+    topics = [t for t in ("up", "floor", "scale", "votes") if t in pose.evidence]
+    words = "; ".join(
+        f"{topic}: {pose.evidence[topic].split('; runner-up')[0]}" for topic in topics
+    )
+    return f"found were {words}" + "".join(f"; doubtful: {d}" for d in pose.doubts.values())
+
+
+def refuse_tiny(occupancy: CaptureOccupancy, settings: CaptureSettings) -> None:
+    """Ask where hardly any ground is walkable: something that was proposed must be wrong.
+
+    Raises:
+        SceneError: how little it is, and what can be said instead.
+    """
+    area = occupancy.grid.free_area
+    if area >= settings.least_area:
+        return
+    x0, y0, x1, y1 = occupancy.grid.bounds
+    ways = [
+        f"--scale or --scale-from (the map is now {x1 - x0:.3g} x {y1 - y0:.3g} m)",
+        "--up or --floor HEIGHT if it lies wrong",
+        "--height-band LOW HIGH for a lower body",
+    ]
+    if occupancy.left_out >= 0.5:
+        ways.insert(
+            0, f"--seed-point X Y ({occupancy.left_out:.1f} m² of other open floor was left out)"
+        )
+    raise SceneError(
+        f"only {area:.2f} m² of ground can be walked on",
+        remedy=f"give {', '.join(ways)}; or --least-area {max(area - 0.005, 0):.2f} to take it "
+        "as it is",
+    )
 
 
 def describe_capture(
@@ -110,6 +158,9 @@ def describe_capture(
         "seed_x": round(occupancy.seed[0], 3),
         "seed_y": round(occupancy.seed[1], 3),
     }
+    if pose.found.tally is not None:
+        for vote in pose.found.tally.votes:
+            out[f"vote_{vote.kind.replace(' ', '_')}"] = float(f"{vote.scale:.6g}")
     for topic, words in pose.evidence.items():
         out[f"evidence_{topic}"] = words
     out["evidence_map"] = (
@@ -126,6 +177,13 @@ def describe_capture(
         )
     for topic, words in pose.doubts.items():
         out[f"doubt_{topic}"] = words
+    if occupancy.outside > 0.5 * occupancy.open_floor:
+        out["doubt_ground"] = (
+            f"most of the ground lies outside the walls ({occupancy.outside:.0f} of "
+            f"{occupancy.open_floor:.0f} m²): the map starts "
+            + ("there as told" if occupancy.seed_outside else "within them")
+            + "; what lies outside is walkable only where a way out was scanned"
+        )
     if occupancy.left_out > max(1.0, 0.1 * grid.free_area) and math.isfinite(occupancy.left_out):
         out["doubt_map"] = (
             f"{occupancy.left_out:.1f} m² of open floor cannot be reached from the seed: to walk "

@@ -12,6 +12,7 @@ from gn0.bench.recording import HUMAN, open_recorder, shown_sensors
 from gn0.bench.replay import recorded_actions, replay_run
 from gn0.bench.report import load_run, write_report
 from gn0.bench.runner import run_suite
+from gn0.bench.standing import tell_standings
 from gn0.bench.suite import Suite
 from gn0.bench.track import Track
 from gn0.errors import BenchError
@@ -52,6 +53,8 @@ def test_a_walk_by_hand_scores_what_a_policy_of_the_same_actions_does(
     page = write_report([tmp_path / "hand", oracle], tmp_path / "r.html", videos=0)
     assert "Ada" in page.read_text()
     assert compare_runs(tmp_path / "hand", oracle)
+    told = tell_standings(run.summary, load_run(oracle).summary)
+    assert "A ran by hand, B in-process" in told
 
 
 def test_a_recording_goes_on_and_a_walk_that_ended_stays(

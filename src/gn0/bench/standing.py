@@ -62,6 +62,8 @@ def _brief(title: str) -> str:
 
 
 def _ran(summary: RunSummary) -> str:
-    return {"in-process": "in-process", "own process": "in a process of its own"}.get(
-        summary.isolation, "at its server"
-    )
+    return {
+        "in-process": "in-process",
+        "own process": "in a process of its own",
+        "a person": "by hand",
+    }.get(summary.isolation, "at its server")

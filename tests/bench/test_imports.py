@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,9 @@ from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, SceneError, StorageError
 from gn0.missions.sets.episode_set import load_set
 from gn0.missions.sets.json_file import load_exact, same_values, save_exact
+from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
 from gn0.missions.sets.vocabulary import cut_words
+from gn0.testing.scenes import with_goal_sets
 
 FORMATS = {"gn-matrix": "e.parquet", "gn-matrix-json": "tasks", "vlnce": "val.json.gz"}
 
@@ -176,6 +179,23 @@ def test_a_foreign_row_in_imported_is_noticed(flats_suite: Suite, tmp_path: Path
         export_set(flats_suite, "gn-matrix", tmp_path / "e.parquet")
 
 
+def test_places_that_a_format_has_no_room_for_are_counted(
+    flats_suite: Suite,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of twelve episodes four have two places and four an area."""
+    suite = replace(flats_suite, episodes=tuple(with_goal_sets(list(flats_suite.episodes))))
+    monkeypatch.setattr("gn0.bench.suite.open_suite", lambda _: suite)
+    export = ["missions", "export", "suite", "--format"]
+    for format, name in FORMATS.items():
+        assert main([*export, format, "--out", str(tmp_path / name)]) == 0
+        told = capsys.readouterr().out
+        assert (f"note: 4 × {OTHERS_LOST}" in told) == (format != "vlnce")
+        assert f"note: 4 × {AREA_LOST}" in told
+
+
 def test_exported_tokens_are_rows_of_r2rs_table(
     flats_suite: Suite, shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -196,6 +216,7 @@ def test_exported_tokens_are_rows_of_r2rs_table(
             assert row == word or (row == "<unk>" and word not in table)
             odd += row == "<unk>"
     assert lacks == (odd > 0)
+    assert AREA_LOST not in told and OTHERS_LOST not in told
     assert main([*export, str(tmp_path / "own.json.gz")]) == 0
     assert "will misread the instructions" in capsys.readouterr().out
     parquet = ["missions", "export", home, "--format", "gn-matrix", "--vocabulary", str(r2r)]

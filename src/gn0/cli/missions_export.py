@@ -6,6 +6,7 @@ their own format.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Annotated
 
 import tyro
@@ -16,6 +17,8 @@ EXAMPLES = """  gn0 missions export out/suite --format gn-matrix --out episodes.
   gn0 missions export out/suite --format gn-matrix-json --out tasks
   gn0 missions export out/suite --format vlnce --out val/val.json.gz
   gn0 missions export out/suite --format vlnce --vocabulary R2R/train.json.gz --out val.json.gz"""
+
+SEVERAL = {"gn-matrix": False, "gn-matrix-json": False, "vlnce": True}  # takes several goals
 
 
 class Args(Config, frozen=True):
@@ -41,6 +44,7 @@ def run(args: Args) -> int:
     from gn0.bench.imports import export_set
     from gn0.bench.suite import open_suite
     from gn0.export.vlnce import MISREAD
+    from gn0.missions.sets.lost_goals import find_lost
     from gn0.missions.sets.vlnce import VlnceFile
     from gn0.missions.sets.vocabulary import are_r2r_words, count_unknown, tell_unknown
 
@@ -52,5 +56,11 @@ def run(args: Args) -> int:
             print("note: " + MISREAD.format(count=len(words)))
         elif odd := count_unknown((task.instruction for task in written.tasks), words):
             print("note: " + tell_unknown(odd))
+    lost = Counter[str]()
+    if args.format in SEVERAL:
+        for episode in suite.episodes:
+            lost.update(find_lost(episode, several=SEVERAL[args.format]))
+    for what, count in lost.items():
+        print(f"note: {count:,} × {what}")
     print(f"{len(written.tasks)} episodes of {len(written.scenes)} scenes: {args.out}")
     return 0

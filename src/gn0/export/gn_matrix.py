@@ -22,6 +22,7 @@ from gn0.export.trips import Recovered, Trip
 from gn0.missions.episode import Episode
 from gn0.missions.frames import NavFrame, Placement
 from gn0.missions.sets.episode_set import EpisodeSet, Exporter, get_exporter
+from gn0.missions.sets.lost_goals import find_lost
 from gn0.storage import safe_join, write_bytes
 
 ABOUT = "gn0_gn_matrix.json"
@@ -51,7 +52,11 @@ class ExporterGnMatrixParquet(OwnPoses):
 
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """Nothing yet: a file holds all episodes of a split."""
-        return {"episode": msgspec.to_builtins(trip.episode), "gn0": name_of(trip)}
+        return {
+            "episode": msgspec.to_builtins(trip.episode),
+            "gn0": name_of(trip),
+            "notes": find_lost(trip.episode, several=False),
+        }
 
     def finish(self, records: Sequence[Record], job: Job) -> None:
         """All files."""

@@ -31,6 +31,7 @@ from gn0.export.exporter import (
 from gn0.export.trips import ExportSource, Trip
 from gn0.folder import LOCK, holds_leftovers_only, lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
+from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
 
@@ -347,7 +348,11 @@ def remark_export(folder: Path | str, format: str = "") -> list[str]:
         ConfigError, StorageError, FormatError: as `check_export`.
     """
     name = format or load_export_file(folder).format
-    return get_dataset_exporter(name).remarks(Path(folder))
+    lost: list[str] = []
+    if (Path(folder) / EXPORT_FILE).is_file():
+        notes = load_export_file(folder).notes
+        lost = [f"{notes[what]:,} × {what}" for what in (OTHERS_LOST, AREA_LOST) if what in notes]
+    return get_dataset_exporter(name).remarks(Path(folder)) + lost
 
 
 def check_export(folder: Path | str, format: str = "") -> list[str]:

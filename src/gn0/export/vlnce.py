@@ -30,6 +30,7 @@ from gn0.missions.episode import Episode
 from gn0.missions.frames import habitat_rotation, habitat_to_world, world_to_habitat
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.json_file import load_exact, save_exact
+from gn0.missions.sets.lost_goals import find_lost
 from gn0.missions.sets.vlnce import TOKENS, ExporterVlnce, VlnceFile
 from gn0.missions.sets.vocabulary import (
     R2R_COUNT,
@@ -133,6 +134,7 @@ def remember(trip: Trip, settings: ExportSettings, tokens: bool = True) -> Recor
     known = frozenset(read_words(settings)) if tokens else frozenset()
     unknown = sum(word not in known for word in words) if known else 0
     notes = {UNKNOWN_WORDS: unknown, CUT: int(len(words) > TOKENS)}
+    notes |= find_lost(trip.episode, several=True)
     kept = np.r_[True, trip.moves == FORWARD]
     return {
         "episode": msgspec.to_builtins(trip.episode),
@@ -214,8 +216,8 @@ class ExporterVlnceRxR(ExporterVlnceR2R):
     def write(self, trip: Trip, place: Place, job: Job) -> Record:
         """As in R2R style; turns other than RxR's are counted."""
         other = abs(trip.episode.agent.turn_degrees - RXR_TURN) > 1e-9
-        notes = {OTHER_TURNS: 1} if other else {}
-        return {**remember(trip, job.settings, tokens=False), "notes": notes}
+        remembered = remember(trip, job.settings, tokens=False)
+        return {**remembered, "notes": remembered["notes"] | ({OTHER_TURNS: 1} if other else {})}
 
     def reads(self, settings: ExportSettings) -> str:
         """Nothing: there are no tokens."""

@@ -1,0 +1,26 @@
+"""What a foreign file cannot say of our goals, and so what its harness counts otherwise."""
+
+from __future__ import annotations
+
+from gn0.missions.episode import Episode
+
+OTHERS_LOST = (
+    "goal of several places, of which the file names the nearest one: who stops at another has "
+    "failed there"
+)
+AREA_LOST = (
+    "goal that is the inside of a room, which the file names by one place: who stops near it has "
+    "arrived there, and who stops elsewhere in the room has not"
+)
+
+
+def find_lost(episode: Episode, *, several: bool) -> dict[str, int]:
+    """What is lost of an episode's goal: one of the above → 1, or nothing.
+
+    Args:
+        episode: with its goal set.
+        several: whether the format takes several places.
+    """
+    if episode.in_area:
+        return {AREA_LOST: 1}
+    return {} if several or len(episode.goals) == 1 else {OTHERS_LOST: 1}

@@ -30,7 +30,7 @@ from gn0.export.navdp import encode_obstacles, load_obstacles, trace_way
 from gn0.export.pictures import encode_depth
 from gn0.export.words import coarsen_turns, find_runs, merge_amounts
 from gn0.maps.grid import OccupancyGrid
-from gn0.sim.presets import find_preset
+from gn0.sim.presets import find_preset, preset_names
 
 MOVES = st.lists(st.integers(1, 3), max_size=40)
 POSES = st.lists(
@@ -127,6 +127,18 @@ def test_a_place_ahead_is_below_the_middle_of_the_picture() -> None:
     assert np.allclose(depth, [2, 2, -2])
     assert pixels[0, 0] == pytest.approx(320) and pixels[0, 1] > 240
     assert pixels[1, 0] < 320  # left in the world, left in the picture
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_a_picture_given_out_smaller_has_the_camera_of_its_own_size(name: str) -> None:
+    """The pinhole camera: half the width over the tangent of half the angle of view."""
+    preset = find_preset(name)
+    drawn = preset.rgb
+    half = math.atan(drawn.width / 2 / drawn.fx)
+    width, height = preset.picture_size
+    k = intrinsics(preset)
+    assert k[0, 0] == pytest.approx(width / 2 / math.tan(half))
+    assert (k[0, 2] / width, k[1, 2] / height) == pytest.approx((0.5, 0.5))
 
 
 @given(st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=2, max_size=8))

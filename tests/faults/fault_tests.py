@@ -72,13 +72,21 @@ class TestMap:
         """Modules that a file imports, and those that it names in texts: plug-ins, workers."""
         names: set[str] = set()
         texts: set[str] = set()
+        package = (
+            ".".join(path.parent.parts[path.parent.parts.index("src") + 1 :])
+            if "src" in path.parent.parts
+            else ""
+        )
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 names |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
                 names |= {node.module, *(f"{node.module}.{a.name}" for a in node.names)}
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                texts.add(node.value.split(":")[0])
+                stem, colon, _ = node.value.partition(":")
+                texts.add(stem)
+                if colon:  # "courtyard:draft_courtyard", told from where it stands
+                    texts.add(f"{package}.{stem}")
         return names & self.modules.keys(), texts & self.modules.keys()
 
     def module_of(self, file: str) -> str:

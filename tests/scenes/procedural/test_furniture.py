@@ -15,28 +15,49 @@ import gn0.scenes.procedural as package
 from gn0.scenes.procedural.building import choose_palette
 from gn0.scenes.procedural.parts import Item
 
+MODULES = (
+    "gn0.scenes.procedural.furniture_bath",
+    "gn0.scenes.procedural.furniture_clutter",
+    "gn0.scenes.procedural.furniture_decor",
+    "gn0.scenes.procedural.furniture_depot",
+    "gn0.scenes.procedural.furniture_fixtures",
+    "gn0.scenes.procedural.furniture_garden",
+    "gn0.scenes.procedural.furniture_home",
+    "gn0.scenes.procedural.furniture_kitchen",
+    "gn0.scenes.procedural.furniture_light",
+    "gn0.scenes.procedural.furniture_office",
+    "gn0.scenes.procedural.furniture_public",
+    "gn0.scenes.procedural.furniture_seats",
+    "gn0.scenes.procedural.furniture_shop",
+    "gn0.scenes.procedural.furniture_storage",
+    "gn0.scenes.procedural.furniture_tables",
+    "gn0.scenes.procedural.furniture_tools",
+)
+
 
 def builders() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Those that need no more than a stream and a palette."""
-    for module in pkgutil.iter_modules(package.__path__):
-        if not module.name.startswith("furniture_"):
-            continue
-        loaded = importlib.import_module(f"{package.__name__}.{module.name}")
+    for module in MODULES:
+        loaded = importlib.import_module(module)
         for name, build in vars(loaded).items():
-            if not name.startswith("build_") or getattr(build, "__module__", "") != loaded.__name__:
+            if not name.startswith("build_") or getattr(build, "__module__", "") != module:
                 continue
-            if inspect.signature(build).return_annotation != "Item":
-                continue
+            signature = inspect.signature(build)
             asked = [
                 p.name
-                for p in inspect.signature(build).parameters.values()
+                for p in signature.parameters.values()
                 if p.default is inspect.Parameter.empty
             ]
-            if set(asked) <= {"rng", "palette"}:
-                yield f"{module.name}.{name}", build
+            if signature.return_annotation == "Item" and set(asked) <= {"rng", "palette"}:
+                yield f"{module.rpartition('.')[2]}.{name}", build
 
 
 BUILDERS = dict(builders())
+
+
+def test_no_module_is_forgotten() -> None:
+    there = {m.name for m in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")}
+    assert {name for name in there if ".furniture_" in name} == set(MODULES)
 
 
 def build_one(name: str, seed: int = 0) -> Item:

@@ -48,6 +48,7 @@ class Args(Config, frozen=True):
         yaw: bare captures: walls turns them along x and y, keep leaves the heading.
         seed_point: bare captures: X Y [m] on the open floor to map from.
         least_area: bare captures: under so much walkable ground [m²] it asks, and writes nothing.
+        open_doors: bare captures: take the leaves of doors found closed out of splats and map.
         level: bare captures: level of detail of a streamed SOG, 0 the finest.
     """
 
@@ -67,6 +68,7 @@ class Args(Config, frozen=True):
     yaw: Literal["walls", "keep"] = "walls"
     seed_point: tuple[float, float] | None = None
     least_area: float = 1.0
+    open_doors: bool = False
     level: int | None = None
 
 
@@ -84,6 +86,7 @@ def run(args: Args) -> int:
         yaw=args.yaw,
         seed_point=args.seed_point,
         least_area=args.least_area,
+        open_doors=args.open_doors,
         level=args.level,
     )
     with draw_progress() as progress:

@@ -87,6 +87,13 @@ def two_rooms(*, ceiling: bool = True, height: float = HEIGHT) -> GaussianCloud:
     return join_clouds(parts)
 
 
+def leaf() -> GaussianCloud:
+    """A closed leaf with a handle in the doorway of the rooms, in the middle of the wall."""
+    low, high = (4.025, DOOR[0], 0.003), (4.075, DOOR[1], 2.05)
+    handle = box((3.97, DOOR[0] + 0.05, 1.0), (4.13, DOOR[0] + 0.15, 1.04))
+    return join_clouds([box(low, high), handle])
+
+
 def lawn(margin: float = 9.0, spacing: float = 0.12) -> GaussianCloud:
     """Flat ground round the rooms, as wide as `margin` [m] on every side."""
     w, d, m = WIDTH, DEPTH, margin

@@ -13,6 +13,8 @@ from gn0.errors import SceneError
 from gn0.gaussians.cloud import join_clouds
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.transform import transform_cloud
+from gn0.maps.navigation import NavigationMap
+from gn0.scenes.capture.closed_doors import find_closed_doors
 from gn0.scenes.capture.doorways import Doorway
 from gn0.scenes.capture.enclosure import enclosed_share
 from gn0.scenes.capture.levels import Level, Storey
@@ -20,7 +22,9 @@ from gn0.scenes.capture.patches import Patch
 from gn0.scenes.capture.pose import propose_pose
 from gn0.scenes.capture.scale import find_scale
 from gn0.scenes.capture.settings import CaptureSettings
+from gn0.scenes.capture.source import evidence_lines
 from gn0.scenes.capture.votes import count_votes
+from gn0.scenes.folder import load_scene
 from gn0.scenes.sources import import_scene
 from gn0.testing.bare_capture import BareSettings, draw_frame, save_bare_capture
 
@@ -64,6 +68,7 @@ def test_a_garden_round_the_flat_hides_neither_ceiling_nor_rooms(shapes, tmp_pat
     assert known["ceiling"] == pytest.approx(2.6, rel=WITHIN)
     assert scene.grid.free_area == pytest.approx(floor_area(shapes), rel=0.12)
     assert "most of the ground lies outside the walls" in str(known["doubt_ground"])
+    assert any("most of the ground lies outside" in line for line in evidence_lines(scene.source))
     # every vote is kept with the scene
     assert known["vote_doors"] == pytest.approx(0.37, rel=WITHIN)
     assert known["vote_ceiling"] == pytest.approx(0.37, rel=WITHIN)
@@ -160,6 +165,49 @@ def test_a_flat_whose_floor_was_not_scanned_is_not_stood_on_its_head(shapes, tmp
     told = CaptureSettings(up="-y", floor="bottom", scale=frame.scale)
     scene = import_scene(tmp_path / "scan.ply", tmp_path / "scene", capture=told)
     assert scene.grid.free_area == pytest.approx(2 * floor_area(shapes), rel=0.6)
+
+
+def test_a_door_found_closed_is_named_and_opens_when_told(shapes, tmp_path, capsys):
+    """One room was mapped, the other left out, and nothing said why."""
+    closed = join_clouds([shapes.two_rooms(), shapes.leaf()])
+    frame = save_bare_capture(closed, tmp_path / "scan.ply", BareSettings(scale=0.4, seed=5))
+    command = ["scene", "import", str(tmp_path / "scan.ply"), "--scale", str(frame.scale)]
+    assert main([*command, "--out", str(tmp_path / "shut")]) == 0
+    said = capsys.readouterr().out
+    assert "doors  1 found closed, at (" in said and "give --open-doors" in said
+    shut = load_scene(tmp_path / "shut")
+    assert shut.grid.free_area < 0.75 * floor_area(shapes)
+    assert main([*command, "--open-doors", "--out", str(tmp_path / "open")]) == 0
+    said = capsys.readouterr().out
+    assert "1 opened" in said and "still no way" not in said
+    scene = load_scene(tmp_path / "open")
+    assert scene.grid.free_area == pytest.approx(floor_area(shapes), rel=0.08)
+    assert (NavigationMap(scene.grid, 0.2).region_areas > 1).sum() == 1
+    # the leaf is gone from the splats, the walls, jambs and the floor are not
+    gone = len(closed) - len(scene.gaussians)
+    assert 0.97 * len(shapes.leaf()) <= gone <= 1.03 * len(shapes.leaf())
+    assert scene.source.settings["doors_opened"] == 1
+
+
+def test_cupboards_and_open_doors_are_no_closed_doors(shapes):
+    wardrobe = shapes.box((4.1, 2.5, 0.0), (4.6, 3.4, 2.05))
+    cloud = join_clouds([shapes.two_rooms(), wardrobe])
+    assert find_closed_doors(cloud, 2.6) == ()
+    (door,) = find_closed_doors(join_clouds([cloud, shapes.leaf()]), 2.6)
+    assert door.leads and door.centre == pytest.approx((4.05, 1.95), abs=0.03)
+    assert door.width == pytest.approx(0.9, abs=0.03) and abs(door.head - 2.05) < 0.02
+    # a room behind that was never entered
+    half = cloud.select(np.flatnonzero((cloud.means[:, 0] < 4.2) | (cloud.means[:, 2] > 0.1)))
+    (door,) = find_closed_doors(join_clouds([half, shapes.leaf()]), 2.6)
+    assert not door.leads and "no floor seen behind" in door.words
+
+
+def test_opening_doors_where_none_is_closed_is_said(flat, tmp_path):
+    save_ply(flat, tmp_path / "scan.ply")
+    told = CaptureSettings(up="z", scale=1.0, open_doors=True)
+    scene = import_scene(tmp_path / "scan.ply", tmp_path / "scene", capture=told)
+    assert "none was found closed" in str(scene.source.settings["evidence_doors"])
+    assert len(scene.gaussians) == len(flat)
 
 
 def test_walls_enclose_what_most_directions_from_it_end_at():

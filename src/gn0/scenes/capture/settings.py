@@ -25,6 +25,7 @@ class CaptureSettings(Config, frozen=True):
         yaw: "walls" turns the walls along x and y, "keep" leaves the heading.
         seed_point: (x, y) [m] on open floor in the scene's frame; None for the proposed one.
         least_area: walkable ground [m²] under which the import asks instead of writing a scene.
+        open_doors: take the leaves of doors that were closed out of the splats and the map.
         level: level of detail of a streamed file; None for the finest.
     """
 
@@ -35,6 +36,7 @@ class CaptureSettings(Config, frozen=True):
     yaw: Literal["walls", "keep"] = "walls"
     seed_point: tuple[float, float] | None = None
     least_area: float = 1.0
+    open_doors: bool = False
     level: int | None = None
 
 

@@ -12,6 +12,7 @@ from gn0.gaussians.cloud_file import CloudFile
 from gn0.gaussians.files import load_cloud
 from gn0.geometry import quaternion_from_rotation
 from gn0.progress import Progress, no_progress
+from gn0.scenes.capture.closed_doors import ClosedDoor, find_closed_doors, open_doors
 from gn0.scenes.capture.objects import CaptureLabels, find_things
 from gn0.scenes.capture.occupancy import (
     CaptureOccupancy,
@@ -24,16 +25,9 @@ from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.scenes.sources import ImportSettings, scene_id_from
 
 SUFFIXES = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".glb", ".gltf")
-TOPICS = (
-    "up",
-    "floor",
-    "levels",
-    "scale",
-    "votes",
-    "yaw",
-    "map",
-    "labels",
-)  # of evidence, in reading order
+TOPICS = (  # of evidence, in reading order
+    "up", "floor", "levels", "scale", "votes", "yaw", "doors", "map", "ground", "labels",
+)  # fmt: skip
 INDEXES = ("meta.json", "lod-meta.json")  # of unbundled and of streamed SOG folders
 
 
@@ -71,6 +65,12 @@ class SceneSourceCapture:
             pose = propose_pose(file.cloud, told)
             found = _found_words(pose)
             cloud = pose.apply(file.cloud)
+            doors = find_closed_doors(cloud, pose.ceiling, ground=pose.ground)
+            taken = 0
+            if told.open_doors and any(door.leads for door in doors):
+                stays = open_doors(cloud, tuple(door for door in doors if door.leads))
+                taken = int((~stays).sum())
+                cloud = cloud.select(np.flatnonzero(stays))
             progress("mapping", 2, 4)
             occupancy = build_capture_occupancy(
                 cloud,
@@ -93,7 +93,10 @@ class SceneSourceCapture:
             source=SceneSourceInfo(
                 kind=self.name,
                 detail=_detail(file),
-                settings=describe_capture(settings, pose, occupancy, labels),
+                settings={
+                    **describe_capture(settings, pose, occupancy, labels),
+                    **describe_doors(doors, occupancy, told.open_doors, taken),
+                },
                 label_source="heuristic" if labels.objects else "none",
             ),
             grid=occupancy.grid,
@@ -189,6 +192,36 @@ def describe_capture(
             f"{occupancy.left_out:.1f} m² of open floor cannot be reached from the seed: to walk "
             "there instead, give --seed-point X Y"
         )
+    return out
+
+
+def describe_doors(
+    doors: tuple[ClosedDoor, ...], occupancy: CaptureOccupancy, opened: bool, taken: int
+) -> dict[str, str | int | float | bool | None]:
+    """What `scene.json` records of doors found closed: where, and what was done about them."""
+    leading = [door for door in doors if door.leads]
+    out: dict[str, str | int | float | bool | None] = {"doors_closed": len(doors)}
+    if not doors:
+        if opened:
+            out["evidence_doors"] = "none was found closed, so there was none to open"
+        return out
+    named = "; ".join(door.words for door in doors)
+    out["evidence_doors"] = f"{len(doors)} found closed, at {named}"
+    if not opened:
+        if leading:
+            out["doubt_doors"] = (
+                f"{len(leading)} closed doors block the way between places whose floor was seen: "
+                "to take their leaves out of the splats and the map, give --open-doors"
+            )
+        return out
+    out["doors_opened"] = len(leading)
+    out["evidence_doors"] = (
+        f"{out['evidence_doors']}; {len(leading)} opened: the {taken:,} splats of their leaves and "
+        "handles were taken out, and the map was made without them"
+    )
+    shut = [door.words for door in leading if not occupancy.grid.is_free(*door.centre)]
+    if shut:
+        out["doubt_doors"] = f"opened, and still no way through: {'; '.join(shut)}"
     return out
 
 

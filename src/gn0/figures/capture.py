@@ -298,7 +298,7 @@ def measure_frames(ctx: FigureContext) -> list[FigureRow]:
         ),
         FigureRow(
             name="scale, largest error", value=100 * float(np.abs(scales - 1).max()), unit="%",
-            detail=f"{detail}; ceilings of 2.5-2.8 m taken for 2.6 m where the unit is no metre",
+            detail=f"{detail}; a vote of doors, tables, seats, worktops and ceilings",
         ),
         FigureRow(
             name="proposing a frame, median", value=float(np.median(seconds)), unit="s",

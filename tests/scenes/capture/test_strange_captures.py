@@ -25,6 +25,7 @@ from gn0.scenes.capture.settings import CaptureSettings
 from gn0.scenes.capture.source import evidence_lines
 from gn0.scenes.capture.votes import count_votes
 from gn0.scenes.folder import load_scene
+from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.sources import import_scene
 from gn0.testing.bare_capture import BareSettings, draw_frame, save_bare_capture
 
@@ -219,3 +220,21 @@ def test_walls_enclose_what_most_directions_from_it_end_at():
     assert share[:8].max() < 0.65 and share[:, 60:].max() < 0.65
     assert enclosed_share(wall.T)[30, 25] == share[25, 30]
     assert math.isclose(share[25, 30], enclosed_share(wall[::-1])[34, 30])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "scale", "suffix"), [(1, 0.37, ".splat"), (4, 1.31, ".ply")])
+def test_generated_flats_of_unknown_size_come_out_as_they_were(seed, scale, suffix, tmp_path):
+    """As `scene generate --as-capture` writes them, and with a lawn round the walls."""
+    truth = build_generated(
+        GenerateSettings(seed=seed, size="small", density=5000, light="draft"), "flat"
+    )
+    ceiling = max(wall.height for wall in truth.walls)
+    scan = tmp_path / f"scan{suffix}"
+    save_bare_capture(truth.gaussians, scan, BareSettings(scale=scale, tilt=11.0, seed=seed))
+    scene = import_scene(scan, tmp_path / "scene")
+    known = scene.source.settings
+    assert known["frame_scale"] == pytest.approx(scale, rel=WITHIN)
+    assert known["ceiling"] == pytest.approx(ceiling, rel=WITHIN)
+    assert scene.grid.free_area == pytest.approx(truth.grid.free_area, rel=0.12)
+    assert {"vote_doors", "vote_ceiling"} <= set(known)

@@ -187,9 +187,10 @@ def describe_capture(
             + ("there as told" if occupancy.seed_outside else "within them")
             + "; what lies outside is walkable only where a way out was scanned"
         )
-    if occupancy.left_out > max(1.0, 0.1 * grid.free_area) and math.isfinite(occupancy.left_out):
+    rooms = occupancy.left_out - (0.0 if occupancy.seed_outside else occupancy.outside)
+    if rooms > max(1.0, 0.1 * grid.free_area) and math.isfinite(rooms):
         out["doubt_map"] = (
-            f"{occupancy.left_out:.1f} m² of open floor cannot be reached from the seed: to walk "
+            f"{rooms:.1f} m² of open floor cannot be reached from the seed: to walk "
             "there instead, give --seed-point X Y"
         )
     return out

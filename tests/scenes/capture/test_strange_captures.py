@@ -114,6 +114,10 @@ def test_votes_that_disagree_are_named():
     assert agreed.scale == pytest.approx(0.1, rel=0.02)
     assert {vote.kind for vote in agreed.votes} == {"doors", "tables", "seats", "ceiling"}
     assert count_votes(Storey(), (door(2.03),), ()) is None
+    # shelves alone are believed less, and that is said
+    shelves = count_votes(storey, (), (top(7.4, 100), top(4.5, 20)))
+    found = find_scale(CaptureSettings(), np.array([0, 0, 1.0]), 0.0, storey, shelves, 100.0)
+    assert "no door was found" in found.doubt
 
 
 def test_a_given_scale_that_all_votes_contradict_is_doubted(flat):

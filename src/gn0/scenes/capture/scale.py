@@ -15,7 +15,7 @@ from gn0.scenes.capture.gravity import sample_surface
 from gn0.scenes.capture.levels import Storey
 from gn0.scenes.capture.patches import TOPS, find_patches, level_sample
 from gn0.scenes.capture.settings import CaptureSettings, read_scale_rule
-from gn0.scenes.capture.votes import AGREE, UNIT_NEAR, Tally, count_votes
+from gn0.scenes.capture.votes import AGREE, DOOR, UNIT_NEAR, Tally, count_votes
 
 CEILINGS = (2.1, 4.2)  # m: ceilings of rooms
 USUAL_CEILING = 2.6  # m
@@ -122,13 +122,15 @@ def _voted(storey: Storey, tally: Tally) -> ScaleFound:
             "found to vote; measure it and give --scale-from ceiling:METRES, or --scale",
             tally,
         )
-    within = max(5, round(200 * tally.spread))
+    within = f"right to about {max(5, round(200 * tally.spread))} %"
+    if not any(vote.kind == DOOR.name for vote in tally.votes):
+        # shelves of a shop stand at the heights of tables and seats of another size
+        within = "of things that may not be what they seem, for no door was found"
     return ScaleFound(
         tally.scale,
         f"{tally.scale:.4g} m a unit, proposed{_many(tally)}",
         split
-        or f"the scale is a vote, right to about {within} %; to settle it, measure something and "
-        "give --scale-from",
+        or f"the scale is a vote {within}; to settle it, measure something and give --scale-from",
         tally,
     )
 

@@ -143,7 +143,7 @@ def measure_needles(ctx: FigureContext) -> list[FigureRow]:
         sizes += [(kind, seed, "small") for kind in KINDS]
     found = np.array(list(spread(_reach_of, sizes, ctx, "scenes")))
     broken, named, splats = found[:, :3].sum(axis=0).astype(int).tolist()
-    farthest, longest = found[:, 3:].max(axis=0).tolist()
+    farthest, longest = found[:, 3:].max(axis=0).round(6).tolist()  # places are float32
     detail = f"{len(sizes)} scenes of {len(KINDS)} kinds, {splats:,} splats, unlit"
     return [
         row_at_most("splats that reach too far, generated", broken, 0, "", detail),

@@ -54,6 +54,15 @@ def dataset(data_suite: Suite, by_hand: Path) -> Dataset:
     return open_dataset(by_hand.parent / "data")
 
 
+def test_the_verb_says_where_the_dataset_is_and_what_to_do_next(
+    dataset, data_suite, by_hand, capsys
+) -> None:
+    assert demonstrate(data_suite, by_hand, by_hand.parent / "data") == 0
+    told = capsys.readouterr().out
+    assert f"dataset: {by_hand.parent / 'data'}" in told
+    assert f"gn0 data balance {by_hand.parent / 'data'}" in told
+
+
 def test_samples_say_what_was_done_not_what_should_have_been(dataset, by_hand, data_suite) -> None:
     traces = load_run(by_hand).traces
     rows = [r for part in dataset.about.parts for r in dataset.part_rows(part)]

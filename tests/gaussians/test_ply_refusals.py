@@ -146,6 +146,18 @@ def test_the_place_of_a_fault_is_its_byte():
     assert caught.value.offset == bad.index(b"property floot y")
 
 
+def test_the_place_of_a_faulty_element_is_its_line(tmp_path):
+    bad = swap(PACKED, b"uint packed_scale", b"int packed_scale")
+    path = tmp_path / "packed.ply"
+    path.write_bytes(bad)
+    with pytest.raises(FormatError) as caught:
+        load_cloud(path)
+    assert caught.value.offset == bad.index(b"element vertex")
+    path.write_bytes(swap(PACKED, b"element vertex", b"element vertax"))
+    with pytest.raises(FormatError, match=r"vertex|chunk"):
+        load_cloud(path)
+
+
 FOREIGN = {
     "zip": (b"PK\x03\x04" + b"\0" * 60, "the zip has no directory"),
     "json": (b'{"version": 2}', "JSON"),

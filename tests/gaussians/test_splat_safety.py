@@ -248,6 +248,16 @@ def test_no_cut_of_a_file_is_read_or_leaks(data, tmp_path):
             load_cloud(path)
 
 
+def test_a_gltf_that_names_no_buffer_and_has_none_is_refused(tmp_path):
+    document = json.loads(build_gltf(TEN, "text")["splats.gltf"])
+    length = document["buffers"][0]["byteLength"]
+    del document["buffers"][0]["uri"]
+    path = tmp_path / "splats.gltf"
+    path.write_text(json.dumps(document))
+    with pytest.raises(FormatError, match=f"should have {length} bytes, and 0 are there"):
+        load_cloud(path)
+
+
 ESCAPES = ["../out", "/etc/passwd", "a/../../out", "..\\out", "C:\\out", "%2e%2e/out", "~/out",
            "a\0b", "", "link/out", "nul", "COM1.webp"]  # fmt: skip
 

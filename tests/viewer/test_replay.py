@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import build_suite
+from gn0.bench.suite import build_suite, load_suite
 from gn0.cli import view
 from gn0.errors import BenchError, ConfigError, StorageError
 from gn0.scenes.example import build_example_scene
@@ -105,3 +105,11 @@ def test_an_episode_is_found_by_its_id_or_the_nearest_is_named(runs):
 def test_two_runs_of_one_policy_get_names_of_their_own(runs):
     names = [run.name for run in load_replay([runs[0], runs[0]]).runs]
     assert names == ["oracle (oracle)", "oracle (oracle)"]
+
+
+def test_what_a_run_never_came_to_counts_as_lost_and_comes_first(runs, tmp_path) -> None:
+    suite = load_suite(runs[0].parent / "suite")
+    run_suite(suite, "oracle", tmp_path / "partial", workers=1, max_episodes=2)
+    replay = load_replay([runs[0], tmp_path / "partial"])
+    missing = suite.episodes[2].id
+    assert [e.id for e in replay.episodes] == [missing, *sorted(e.id for e in suite.episodes[:2])]

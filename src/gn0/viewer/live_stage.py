@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -95,7 +96,10 @@ def add_line(
     xy = np.asarray(points, np.float32).reshape(-1, 2)
     line = np.column_stack([xy, np.full(len(xy), height, np.float32)])
     pairs = np.stack([line[:-1], line[1:]], axis=1)
-    return scene.add_line_segments(name, pairs, colors=colour, line_width=width)
+    wide: dict[str, Any] = {"line_width": width}
+    if "thickness" in inspect.signature(scene.add_line_segments).parameters:  # viser 1.1 and later
+        wide = {"thickness": width, "thickness_units": "screen"}
+    return scene.add_line_segments(name, pairs, colors=colour, **wide)
 
 
 class LiveStage:

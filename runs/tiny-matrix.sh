@@ -62,9 +62,10 @@ gn0 data stats "$OUT/data"
 say "every export"
 # formats with pictures draw, encode and read back every frame: a few episodes show as much as all
 few() { case $1 in gn-matrix* | vlnce-*) ;; *) echo "--limit 21" ;; esac; }
+whole_turns() { case $1 in navid | uninavid) echo "--merge-turns" ;; esac; }  # these walks turn by 15°, its agent by 30°
 for format in gn-matrix gn-matrix-json vlnce-r2r vlnce-rxr vln-pe interndata-n1 navdp lerobot-v3 \
     navid uninavid streamvln navila; do
-  gn0 export "$format" "$OUT/data" --out "$OUT/export/$format" $(few "$format")
+  gn0 export "$format" "$OUT/data" --out "$OUT/export/$format" $(few "$format") $(whole_turns "$format")
   gn0 export check "$OUT/export/$format"
 done
 

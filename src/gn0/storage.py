@@ -217,6 +217,7 @@ def folder_atomic(path: Path | str, *, overwrite: bool = False, marker: str = ""
         except OSError:
             if old is not None:
                 os.replace(old / "old", path)
+                shutil.rmtree(old, ignore_errors=True)
             raise
         temporary = None
         _fsync_dir(path.parent)

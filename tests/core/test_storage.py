@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,34 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
         (folder / "new").write_text("x")
     assert names(tmp_path / "out") == ["new"]
     assert names(tmp_path) == ["out"]
+
+
+def test_what_stood_there_is_back_when_the_new_folder_cannot_take_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    for standing in (True, False):
+        if standing:
+            out.mkdir()
+            (out / "whole").write_text("old")
+        real = os.replace
+
+        def refuse(source, target, real=real):
+            if Path(target) == out and Path(source).name != "old":
+                raise OSError(28, "No space left on device")
+            real(source, target)
+
+        monkeypatch.setattr(os, "replace", refuse)
+        with (
+            pytest.raises(StorageError, match="No space left"),
+            folder_atomic(out, overwrite=True, marker="whole") as folder,
+        ):
+            (folder / "whole").write_text("new")
+        monkeypatch.undo()
+        if standing:
+            assert (out / "whole").read_text() == "old"
+            shutil.rmtree(out)
+        assert sorted(tmp_path.iterdir()) == []
 
 
 def test_json_refuses_nan(tmp_path: Path) -> None:

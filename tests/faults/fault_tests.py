@@ -72,11 +72,8 @@ class TestMap:
         """Modules that a file imports, and those that it names in texts: plug-ins, workers."""
         names: set[str] = set()
         texts: set[str] = set()
-        package = (
-            ".".join(path.parent.parts[path.parent.parts.index("src") + 1 :])
-            if "src" in path.parent.parts
-            else ""
-        )
+        parts = path.parent.relative_to(self.root).parts
+        package = ".".join(parts[1:])  # below src or tests
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 names |= {alias.name for alias in node.names}

@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
 from gn0.figures.board import FigureContext
+from gn0.jobs.process import count_cores
 
 Unit = TypeVar("Unit")
 Found = TypeVar("Found")
@@ -40,7 +41,7 @@ def spread(
         name: of the units, for the bar.
     """
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(len(cores_here()), MOST), mp_context=spawn) as pool:
+    with ProcessPoolExecutor(min(count_cores(), MOST), mp_context=spawn) as pool:
         for number, found in enumerate(pool.map(work, units)):
             ctx.progress(name, number + 1, len(units))
             yield found

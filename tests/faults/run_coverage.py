@@ -68,7 +68,7 @@ def measure(folder: str, marks: str, settings: Path, out: Path) -> int:
         return subprocess.run(command, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT).returncode
 
 
-def report(settings: Path, out: Path) -> float:
+def report(settings: Path, out: Path, fast: bool) -> float:
     """Put the parts together, print the rooms, write `figures.json`; the percentage."""
     parts = sorted(map(str, (out / "data").glob("*.coverage*")))
     whole = out / "whole.coverage"
@@ -102,6 +102,7 @@ def report(settings: Path, out: Path) -> float:
     detail = (
         f"{totals['num_branches']} branches in {len(found['files'])} files without torch and GPU; "
         f"compiled bodies left out by rule; tests of {', '.join(folders)}"
+        + (", without the slow ones" if fast else "")
     )
     rows = [
         {"name": "branches taken by the tests", "value": round(share, 2), "unit": "%",
@@ -150,7 +151,7 @@ def main() -> int:
         thread.start()
     for thread in threads:
         thread.join()
-    share = report(settings, out)
+    share = report(settings, out, asked.fast)
     if failed:
         print(f"tests failed in {', '.join(failed)}: see {out}/FOLDER.txt")
     return 0 if share >= WANTED and not failed else 1

@@ -198,6 +198,86 @@ def test_held_bytes_are_bounded() -> None:
     assert gate.inside == 0 and not gate.is_full
 
 
+class Clock:
+    """Time that passes when it is told to."""
+
+    now = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    found = Clock()
+    monkeypatch.setattr("gn0.policies.remote.gate.time", found)
+    return found
+
+
+def ask(gate: Gate, clock: Clock, who: str, thinking: float = 0.1) -> float | None:
+    """Seconds after which to come again; None if the question was answered."""
+    try:
+        with gate.enter(1, who):
+            clock.now += thinking
+    except BusyError as busy:
+        return busy.retry_after
+    return None
+
+
+def test_a_crowd_that_is_told_off_comes_back_one_by_one(clock: Clock) -> None:
+    """Nobody knocks twice: the times told are a question's length apart."""
+    gate = Gate(queue=0)
+    for _ in range(50):  # the gate learns how long a question takes
+        ask(gate, clock, "teacher")
+    with gate.enter(1, "first"):
+        told = [ask(gate, clock, f"guest {k}") for k in range(20)]
+    assert told == pytest.approx([0.1 * (k + 1) for k in range(20)], rel=0.01)
+    begun = clock.now
+    for k, seconds in enumerate(told):
+        assert seconds is not None
+        clock.now = max(clock.now, begun + seconds)
+        assert ask(gate, clock, f"guest {k}") is None
+
+
+def test_who_never_pauses_keeps_nobody_out(clock: Clock) -> None:
+    gate = Gate(queue=0)
+    turns, again = {"greedy": 0, "patient": 0}, {"greedy": 0.0, "patient": 0.0}
+    inside, until = contextlib.ExitStack(), 0.0
+    asks = ""  # whose question is answered
+    for _ in range(20_000):
+        clock.now += 0.001
+        if asks and clock.now >= until:
+            inside.close()
+            turns[asks] += 1
+            asks = ""
+        for who in ("greedy", "patient"):  # one asks all the time, the other when it is told to
+            if who == asks or (who == "patient" and clock.now < again[who]):
+                continue
+            try:
+                inside.enter_context(gate.enter(1, who))
+                asks, until = who, clock.now + 0.1
+            except BusyError as busy:
+                again[who] = clock.now + busy.retry_after
+    inside.close()
+    assert turns["patient"] >= 0.4 * sum(turns.values()) >= 0.4 * 180
+
+
+def test_who_leaves_or_stays_away_is_not_waited_for(clock: Clock) -> None:
+    gate = Gate(queue=0)
+    for _ in range(50):
+        ask(gate, clock, "patient")
+    with gate.enter(1, "patient"):
+        assert ask(gate, clock, "gone") is not None
+    clock.now += 0.05
+    assert ask(gate, clock, "newcomer") is not None
+    gate.forget("gone"), gate.forget("newcomer")  # they have hung up
+    assert ask(gate, clock, "next") is None
+    with gate.enter(1, "patient"):
+        assert ask(gate, clock, "late") is not None
+    clock.now += 0.25  # and who does not come is not waited for
+    assert ask(gate, clock, "next") is None
+
+
 def test_a_failing_question_gives_its_place_back() -> None:
     gate = Gate(queue=0)
     for _ in range(3):

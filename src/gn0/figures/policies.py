@@ -182,7 +182,7 @@ THINKING = 0.02  # s the served policy takes
 
 def _crowd(url: str, clients: int, seconds: float) -> tuple[list[float], list[float]]:
     """Seconds of answered and of refused questions, of so many clients who never wait."""
-    from websockets.exceptions import WebSocketException
+    from websockets.exceptions import InvalidStatus, WebSocketException
     from websockets.sync.client import connect
 
     question = encode_message(
@@ -204,10 +204,11 @@ def _crowd(url: str, clients: int, seconds: float) -> tuple[list[float], list[fl
                     continue
                 channel.send(question)
                 said = decode_message(channel.recv())
-            except (WebSocketException, OSError):  # 503 at the door, or hung up on
+            except (WebSocketException, OSError) as error:  # 503 at the door, or hung up on
                 channel = None
                 refused.append(time.perf_counter() - begun)
-                time.sleep(0.25)
+                told = error.response.headers if isinstance(error, InvalidStatus) else {}
+                time.sleep(min(float(told.get("Retry-After", 0.25)), seconds))
                 continue
             took = time.perf_counter() - begun
             busy = said.get("status") == "busy"

@@ -1,7 +1,9 @@
 """Who may wait for a policy: a queue with an end, so that nobody waits without bound.
 
 A server asks one policy at a time. Who finds the queue full, or the memory for questions used up,
-is told at once when to come again; those inside wait no longer than the queue is long.
+is told at once when to come again; those inside wait no longer than the queue is long. The times
+told are one question apart, and places are kept for those whose time has come, so a crowd neither
+knocks all the time nor is kept out by two who never pause.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 
 from gn0.errors import PolicyError
 
@@ -17,6 +19,7 @@ QUEUE_LIMIT = 8  # questions that wait while one is answered
 BYTES_LIMIT = 128 << 20  # of all questions that are held
 FIRST_GUESS = 0.05  # s a question takes, before any was answered
 SHORTEST, LONGEST = 0.02, 30.0  # s after which to come again
+_LATE = 0.1  # s after its time that a place is kept: the way of a message, and a sleep's slack
 _SMOOTHING = 0.2  # share of the newest question in the mean
 
 
@@ -44,8 +47,9 @@ class Gate:
         self.queue, self.size = queue, size
         self._turn = threading.Lock()
         self._count = threading.Lock()
-        self._inside = self._held = self._turned_away = 0
+        self._inside = self._held = 0
         self._mean = FIRST_GUESS
+        self._booked: dict[Hashable, float] = {}  # when each of those told is to come again
 
     @property
     def is_full(self) -> bool:
@@ -58,21 +62,40 @@ class Gate:
         return self._inside
 
     def retry_after(self) -> float:
-        """Seconds until it is worth asking again; not the same for all who ask at once."""
-        spread = 1.0 + (self._turned_away % 8) / 8
-        return min(max(self._mean * (1 + self._inside) * spread / 2, SHORTEST), LONGEST)
+        """Seconds until somebody without a place should ask: when all those before have been."""
+        waiting = self._inside + len(self._booked)
+        return min(max(self._mean * waiting, SHORTEST), LONGEST)
+
+    def forget(self, who: Hashable) -> None:
+        """Keep no place for somebody who has left."""
+        with self._count:
+            self._booked.pop(who, None)
+
+    def _turn_away(self, who: Hashable, now: float, early: bool) -> BusyError:
+        """Book a time after all others', or the next one for who came when told."""
+        seconds = self.retry_after() if early else min(max(self._mean, SHORTEST), LONGEST)
+        if who is not None:
+            self._booked[who] = now + seconds
+        return BusyError(seconds)
 
     @contextlib.contextmanager
-    def enter(self, size: int) -> Iterator[None]:
+    def enter(self, size: int, who: Hashable = None) -> Iterator[None]:
         """Wait for the turn of a question of so many bytes, and take it.
+
+        Args:
+            size: bytes of the question.
+            who: asks; a place is kept for who comes again when told. None: nobody known.
 
         Raises:
             BusyError: at once, when too many wait or too much is held.
         """
         with self._count:
-            if self._inside > self.queue or (self._inside and self._held + size > self.size):
-                self._turned_away += 1
-                raise BusyError(self.retry_after())
+            now = time.monotonic()
+            self._booked = {w: t for w, t in self._booked.items() if now < t + _LATE}
+            early = now < self._booked.pop(who, now + LONGEST)
+            due = sum(t < now + self._mean for t in self._booked.values()) if early else 0
+            if self._inside + due > self.queue or (self._inside and self._held + size > self.size):
+                raise self._turn_away(who, now, early)
             self._inside += 1
             self._held += size
         try:

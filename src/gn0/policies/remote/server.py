@@ -204,7 +204,7 @@ class PolicyServer:
                 if session is None:
                     with self._building:
                         session = PolicySession(self._spare.pop() if self._spare else self._build())
-                connection.send(self._answer(session, frame))
+                connection.send(self._answer(session, frame, connection))
         except _Leave as leave:
             _hang_up(connection, str(leave))
         except (ConnectionClosed, TimeoutError, OSError):
@@ -216,8 +216,9 @@ class PolicyServer:
         finally:
             self._open.discard(connection)
             self._silent.pop(connection, None)
+            self._gate.forget(connection)
 
-    def _answer(self, session: PolicySession, frame: bytes | str) -> bytes | str:
+    def _answer(self, session: PolicySession, frame: bytes | str, who: object) -> bytes | str:
         """The reply to a request; a text is an error.
 
         Raises:
@@ -230,7 +231,7 @@ class PolicyServer:
             if not session.asks_policy(request):
                 return encode_message(session.reply(request))
             try:
-                with self._gate.enter(len(frame)):
+                with self._gate.enter(len(frame), who):
                     reply = session.reply(request)
             except BusyError as busy:
                 if session.extended:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 import warnings
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,8 @@ import pytest
 
 from gn0.errors import ConfigError, FormatError, JobError
 from gn0.jobs import run_jobs
+from gn0.jobs.process import WorkerProcess
+from gn0.jobs.run import TRIES
 
 WORK = """
 import os, signal, sys, time
@@ -30,6 +34,11 @@ def fall_once(payload):
 
 def fall(payload):
     sys.stderr.write("no room left for this\\n"); sys.stderr.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def count_and_fall(payload):
+    with open(payload["mark"], "a") as file:
+        file.write("x")
     os.kill(os.getpid(), signal.SIGKILL)
 
 def hang(payload):
@@ -104,6 +113,38 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ConfigError, match="no executor 'slurm'"):
         run("square", executor="slurm")
     assert run("square", 0, workers=4) == {}
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
+def test_a_worker_that_is_slow_to_say_where_it_is_is_waited_for(tmp_path: Path) -> None:
+    """It is stopped, and goes on a fifth of a second after it was asked."""
+    ready = threading.Event()
+    (tmp_path / "gn0_test_waits.py").write_text(
+        "import faulthandler, signal, time\nfaulthandler.register(signal.SIGUSR1)\n"
+        "print('here', flush=True)\ntime.sleep(60)\n"
+    )
+    worker = WorkerProcess("gn0_test_waits", lambda line: ready.set(), 1, [str(tmp_path)])
+    try:
+        assert ready.wait(30.0)
+        os.kill(worker.pid, signal.SIGSTOP)
+        threading.Timer(0.2, os.kill, (worker.pid, signal.SIGCONT)).start()
+        assert "most recent call first" in worker.ask_where()
+    finally:
+        worker.end()
+
+
+@pytest.mark.slow
+def test_ray_tries_a_unit_twice_as_processes_do(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # as below
+        warnings.simplefilter("ignore", DeprecationWarning)
+        with pytest.raises(JobError, match=r"worker of unit 0 was lost"):
+            run("count_and_fall", 1, executor="ray", extra={"mark": str(tmp_path / "mark")})
+    assert (tmp_path / "mark").read_text() == "x" * TRIES
 
 
 @pytest.mark.slow

@@ -125,6 +125,22 @@ def test_targets_are_used_evenly_and_starts_spread_over_the_rooms(episodes: list
     assert len(quarters) == 4
 
 
+def test_starts_come_from_every_square_metre_alike() -> None:
+    """150 starts in 36 squares (paper, Alg. 2, line 5): four in each, where chance alone varies."""
+    scene = make_scene(objects=(thing("sofa", "sofa", 1.0, 1.0),), closed=True)
+    found = sample_goal_episodes(
+        scene,
+        NavigationMap(scene.grid, 0.2),
+        150,
+        minimum_length=0.3,
+        similarity=SimilaritySettings(frechet=0.0),
+    )
+    corner = 0.32  # m: the first free cell beside the walls, where the squares begin
+    squares = np.floor(np.array([e.start[:2] for e in found]) - corner).astype(int)
+    counts = np.unique(squares, axis=0, return_counts=True)[1]
+    assert counts.var() < 0.5 * counts.mean()  # of a Poisson process: its mean
+
+
 def test_no_two_episodes_are_nearly_the_same_task(episodes: list[Episode]) -> None:
     limit = SimilaritySettings()
     paths = [resample_path(np.array(e.path), limit.samples) for e in episodes]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from gn0.errors import PlanError, PolicyError
 from gn0.geometry import polyline_length
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
+from gn0.maps.pose_astar import plan_actions
 from gn0.missions.episode import AgentSpec, Episode, MissionInstruction
 from gn0.policies.oracle import PolicyOracle
 from gn0.seeds import random_stream
@@ -84,6 +86,22 @@ def test_a_smaller_stop_distance_is_kept(plan: Simulator) -> None:
     for episode in build_point_episodes(plan.scene, plan.navigation, 3, 6, minimum=4.0):
         _, end = judge(plan, run_episode(plan, PolicyOracle(stop_distance=0.1), episode))
         assert end <= 0.1
+
+
+def test_it_plans_once_when_nobody_moves_the_agent(
+    plan: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans: list[Any] = []
+
+    def count(*given: Any, **more: Any) -> Any:
+        plans.append(given)
+        return plan_actions(*given, **more)
+
+    monkeypatch.setattr("gn0.policies.oracle.plan_actions", count)
+    for episode in build_point_episodes(plan.scene, plan.navigation, 3, 8, minimum=5.0):
+        plans.clear()
+        run_episode(plan, PolicyOracle(), episode)
+        assert len(plans) == 1
 
 
 def test_it_plans_again_when_somebody_moves_the_agent(plan: Simulator) -> None:

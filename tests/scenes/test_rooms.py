@@ -95,6 +95,14 @@ def test_an_alcove_is_not_torn_apart():
     assert (rooms.label[grid.cells == 0] >= 0).mean() > 0.99
 
 
+def test_a_shaft_is_no_room():
+    """Two square metres with a wall all round: there is no neighbour that it could join."""
+    shaft = TWO.replace("#             #              #", "#             #      ########", 2)
+    shaft = shaft.replace("#      ########", "#      #      #", 1)
+    _, rooms = split(shaft, scale=8)
+    assert len(rooms.rooms) == 2
+
+
 def test_types_come_from_furniture():
     bed = SceneObject(
         id="b", category="bed", box=ObjectBox(centre=(0.0, 3.2, 0.3), size=(1.5, 2, 0.6))

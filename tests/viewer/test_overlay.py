@@ -44,6 +44,20 @@ def test_a_good_path_is_blue_from_start_to_goal(
     assert amount(picture, START) > 80 and amount(picture, GOAL) > 40
 
 
+def test_the_goals_star_stands_on_two_tips(
+    room: Scene, renderer: Renderer, episode: Episode
+) -> None:
+    still = msgspec.structs.replace(episode, path=())
+    picture = np.asarray(render_overlay(room, [still], renderer, width=1400), np.int64)
+    rows, cols = np.nonzero(np.abs(picture - GOAL).max(axis=2) < 12)
+    near = np.abs(cols - np.median(cols)) < 60  # the legend has one, too
+    rows, cols = rows[near], cols[near]
+    near = np.abs(rows - np.median(rows)) < 60
+    rows, cols = rows[near], cols[near]
+    low, high = cols[rows >= rows.max() - 2], cols[rows <= rows.min() + 2]
+    assert np.ptp(low) > 2 * np.ptp(high)
+
+
 def test_what_leaves_the_floor_is_red(room: Scene, renderer: Renderer, episode: Episode) -> None:
     x0, y0, x1, _ = room.grid.bounds
     through = msgspec.structs.replace(episode, path=((x0 - 0.2, y0 + 1.0), (x1 + 0.2, y0 + 1.0)))

@@ -96,10 +96,12 @@ def test_an_alcove_is_not_torn_apart():
 
 
 def test_a_shaft_is_no_room():
-    """Two square metres with a wall all round: there is no neighbour that it could join."""
-    shaft = TWO.replace("#             #              #", "#             #      ########", 2)
-    shaft = shaft.replace("#      ########", "#      #      #", 1)
-    _, rooms = split(shaft, scale=8)
+    """1.4 x 1.4 m with a wall all round: there is no neighbour that it could join."""
+    wide = "#             #              #\n"
+    shaft = "#             #         #    #\n" * 4 + "#             #         ######\n"
+    grid, rooms = split(TWO.replace(wide * 4, shaft, 1), scale=7)
+    inside = grid.cell_of(-1.0 + 27 * 0.35, 2.0 + 11 * 0.35)
+    assert grid.cells[inside] == 0 and rooms.label[inside] == -1
     assert len(rooms.rooms) == 2
 
 

@@ -61,6 +61,19 @@ def test_the_work_after_a_step_that_ended_is_not_silent_either(recorder: Recorde
     assert recorder.said == [("surfels", "", 5.0)]
 
 
+def test_a_verb_that_ends_at_once_says_nothing_and_a_long_one_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with draw_progress("checking"):
+        pass
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(heartbeat, "SILENCE", 0.0)
+    with draw_progress("checking") as progress:
+        assert isinstance(progress, Heartbeat)
+        progress.beat()
+    assert "checking: 0/?, going on for 0 s" in capsys.readouterr().err
+
+
 def test_workers_that_compile_are_spoken_for(
     recorder: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,11 +110,27 @@ def test_compiling_is_said_once_and_counted(
     assert lines.count(COMPILING) == 1
 
 
-def test_a_terminal_shows_what_follows_a_step_that_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
+class Terminal(io.StringIO):
+    """A screen that remembers."""
 
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_shows_a_verb_that_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    with draw_progress("checking"):
+        pass
+    assert "checking" not in screen.getvalue()
+    monkeypatch.setattr(heartbeat, "SILENCE", 0.0)
+    with draw_progress("checking") as progress:
+        assert isinstance(progress, Heartbeat)
+        progress.beat()
+    assert "checking" in screen.getvalue()
+
+
+def test_a_terminal_shows_what_follows_a_step_that_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setattr(heartbeat, "SILENCE", 0.0)

@@ -49,6 +49,11 @@ def hang(payload):
 def refuse(payload):
     raise FormatError("bad header", file="a.ply", offset=7, remedy="write it again")
 
+def tell(payload, progress):
+    for done in range(4):
+        progress("writing", done, 3)
+    return {"n": payload["n"]}
+
 def stumble(payload):
     return {}["nothing"]
 """
@@ -157,3 +162,19 @@ def test_ray_gives_the_same_answers(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         warnings.simplefilter("ignore", DeprecationWarning)
         found = run("square", workers=2, executor="ray")
     assert {i: a["square"] for i, a in found.items()} == {i: i * i for i in range(5)}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("count", [1, 5])
+def test_the_bar_moves_while_units_are_at_work(workers: int, count: int) -> None:
+    """What several units say of the same step is added up; what is said of units stays as it is."""
+    units: list[tuple[str, int, int]] = []
+    steps: list[tuple[str, int, int]] = []
+    run(
+        "tell", count, workers=workers,
+        progress=lambda *step: units.append(step), steps=lambda *step: steps.append(step),
+    )  # fmt: skip
+    assert units == [("units", done, count) for done in range(count + 1)]
+    assert steps[-1] == ("writing", 3 * count, 3 if count == 1 else 0)
+    assert [done for _, done, _ in steps] == sorted(done for _, done, _ in steps)
+    assert len(steps) >= 2 * count  # a worker leaves out what nobody could read

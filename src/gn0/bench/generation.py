@@ -238,10 +238,11 @@ def _run_units(
         names=[entry.id for entry in todo],
         what="scenes",
         progress=lambda stage, now, _total: progress(stage, done + now, len(entries)),
+        steps=progress,
     )
 
 
-def generate_scene(payload: dict[str, Any]) -> dict[str, Any]:
+def generate_scene(payload: dict[str, Any], progress: Progress = no_progress) -> dict[str, Any]:
     """One unit of work: a scene's paths, texts and episodes in a folder of their own.
 
     Raises:
@@ -261,11 +262,13 @@ def generate_scene(payload: dict[str, Any]) -> dict[str, Any]:
         split=payload["split"],
         held_out=payload["held_out"],
         earlier=[record.array for record in known],
+        progress=progress,
     )
     provider = open_provider(settings.language, **payload["options"])
     texts, fallbacks = write_path_texts(
-        scene, navigation, paths, settings, provider, request.seed, eye=agent.camera_height
-    )
+        scene, navigation, paths, settings, provider, request.seed, eye=agent.camera_height,
+        progress=progress,
+    )  # fmt: skip
     episodes = build_missions(
         scene,
         navigation,
@@ -275,6 +278,7 @@ def generate_scene(payload: dict[str, Any]) -> dict[str, Any]:
         request.seed,
         agent=agent,
         camera=find_preset(request.camera).rgb,
+        progress=progress,
     )
     report = msgspec.structs.replace(
         paths.report,

@@ -89,16 +89,20 @@ def say_backend(backend: str) -> None:
 
 
 @contextmanager
-def draw_progress() -> Iterator[Progress]:
+def draw_progress(begun: str = "") -> Iterator[Progress]:
     """A progress sink: rich bars on a terminal, a line every few seconds in a log.
 
     No step is silent: on a terminal a wheel turns and the seconds run, in a log a step that takes
     long is said to go on. That kernels are compiled, once, is a step of its own.
+
+    Args:
+        begun: names the work within the block, for verbs that mostly end at once: it is said only
+            of work that takes long.
     """
     if sys.stderr.isatty():
-        yield from _draw_bars()
+        yield from _draw_bars(begun)
         return
-    with beating(_lines(), _say_still) as progress:
+    with beating(_lines(), _say_still, begun) as progress:
         yield progress
 
 
@@ -107,7 +111,7 @@ def _say_still(stage: str, where: str, seconds: float) -> None:
     print(f"{step} for {seconds:.0f} s", file=sys.stderr, flush=True)
 
 
-def _draw_bars() -> Iterator[Progress]:
+def _draw_bars(begun: str) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -144,6 +148,8 @@ def _draw_bars() -> Iterator[Progress]:
             # the wheel and the seconds of an unfinished step move without being told
             if not where and not unnamed:
                 unnamed.append(bars.add_task(f"after {stage}", total=None))
+            if where and stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=None)
 
         def show(stage: str, done: int, total: int) -> None:
             while unnamed and stage != COMPILING:
@@ -152,7 +158,7 @@ def _draw_bars() -> Iterator[Progress]:
                 tasks[stage] = bars.add_task(stage, total=total or None)
             bars.update(tasks[stage], completed=done, total=total or None)  # type: ignore[arg-type]
 
-        with beating(show, show_still) as progress:
+        with beating(show, show_still, begun) as progress:
             yield progress
         while unnamed:
             bars.remove_task(unnamed.pop())
@@ -165,6 +171,8 @@ def _lines() -> Progress:
     def show(stage: str, done: int, total: int) -> None:
         now = time.monotonic()
         begin, before = first.setdefault(stage, (now, done))
+        if done < before:  # the step begins again
+            begin, before = first[stage] = now, done
         finished = total > 0 and done >= total and stage != COMPILING
         if finished or now - last.get(stage, -_QUIET_SECONDS) >= _QUIET_SECONDS:
             last[stage] = now

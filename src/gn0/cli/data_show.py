@@ -34,6 +34,7 @@ def run(args: Args) -> int:
     import io
     from pathlib import Path
 
+    from gn0.cli.console import draw_progress
     from gn0.data.dataset import open_dataset
     from gn0.data.sheet import draw_sheet
     from gn0.errors import ConfigError
@@ -45,8 +46,8 @@ def run(args: Args) -> int:
         raise ConfigError(
             f"cannot write {args.out!r}", where="--out", remedy="end it with .png or .jpg"
         )
-    dataset = open_dataset(args.dataset)
-    sheet = draw_sheet(dataset, args.episode, args.steps)
+    with draw_progress("drawing the sheet"):
+        sheet = draw_sheet(open_dataset(args.dataset), args.episode, args.steps)
     stream = io.BytesIO()
     sheet.save(stream, kind, **({"quality": 88} if kind == "JPEG" else {}))
     write_bytes(args.out, stream.getvalue())

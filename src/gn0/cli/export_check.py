@@ -30,12 +30,15 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Say what is wrong; 1 when something is."""
+    from gn0.cli.console import draw_progress
     from gn0.export.session import check_export, remark_export
 
-    faults = check_export(args.folder, args.format)
+    with draw_progress("checking the export"):
+        faults = check_export(args.folder, args.format)
+        remarks = remark_export(args.folder, args.format)
     for fault in faults:
         print(f"fault: {fault}")
-    for remark in remark_export(args.folder, args.format):
+    for remark in remarks:
         print(f"note: {remark}")
     if not faults:
         print(f"{args.folder}: no faults")

@@ -33,6 +33,7 @@ class Heartbeat:
         still: called when a step, or what follows it unnamed, has been silent for `SILENCE`, and
             again each time that it has.
         clock: seconds, as `time.monotonic`.
+        begun: a step that is under way, of which nothing is said unless it takes long.
     """
 
     def __init__(
@@ -40,12 +41,13 @@ class Heartbeat:
         sink: Progress,
         still: Still,
         clock: Callable[[], float] = time.monotonic,
+        begun: str = "",
     ) -> None:
         self._sink = sink
         self._still = still
         self._clock = clock
         self._lock = threading.RLock()
-        self._step: tuple[str, int, int] | None = None
+        self._step: tuple[str, int, int] | None = (begun, 0, 0) if begun else None
         self._since = self._spoken = clock()
         self._compiled = self._depth = 0
         self._listener: Any = None
@@ -88,9 +90,9 @@ class Heartbeat:
 
 
 @contextlib.contextmanager
-def beating(sink: Progress, still: Still) -> Iterator[Progress]:
+def beating(sink: Progress, still: Still, begun: str = "") -> Iterator[Progress]:
     """A sink that is never silent for long; a thread looks at the clock until the block ends."""
-    heart = Heartbeat(sink, still)
+    heart = Heartbeat(sink, still, begun=begun)
     ended = threading.Event()
 
     def run() -> None:

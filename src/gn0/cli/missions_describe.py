@@ -60,6 +60,7 @@ def run(args: Args) -> int:
     import numpy as np
 
     from gn0.bench.suite import load_suite_scene, open_suite
+    from gn0.cli.console import draw_progress
     from gn0.maps.navigation import NavigationMap
     from gn0.missions.language.describe import describe_route
     from gn0.scenes.scene import SceneObject, SceneRoom
@@ -79,10 +80,11 @@ def run(args: Args) -> int:
             if episode.scene_id != name:
                 continue
             radius = episode.agent.radius
-            navigation = maps.setdefault(radius, NavigationMap(scene.grid, radius))
-            path = np.array(episode.path or (episode.start[:2], episode.goal))
-            target = by_id.get(getattr(episode.mission, "object_id", ""))
-            route = describe_route(scene, navigation, path, episode.start[2], target)
+            with draw_progress("describing the route"):
+                navigation = maps.setdefault(radius, NavigationMap(scene.grid, radius))
+                path = np.array(episode.path or (episode.start[:2], episode.goal))
+                target = by_id.get(getattr(episode.mission, "object_id", ""))
+                route = describe_route(scene, navigation, path, episode.start[2], target)
             print(f"{episode.id}, {route.length:.1f} m, scene {name}")
             refused += _print_route(route, provider, args)
             if args.out:
@@ -150,10 +152,12 @@ def _print_route(route: RouteDescription, provider: TextProvider, args: Args) ->
 
 
 def _draw(scene, route, path, yaw: float, out: Path) -> None:  # type: ignore[no-untyped-def]
+    from gn0.cli.console import draw_progress
     from gn0.render.renderer import build_renderer
     from gn0.storage import write_atomic
     from gn0.viewer.route import render_route
 
-    picture = render_route(scene, build_renderer(scene.gaussians), route, path, yaw)
+    with draw_progress("drawing the route"):
+        picture = render_route(scene, build_renderer(scene.gaussians), route, path, yaw)
     write_atomic(out, lambda stream: picture.save(stream, "PNG"))
     print(f"  drawn to {out}")

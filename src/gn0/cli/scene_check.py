@@ -27,18 +27,20 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Print the findings, worst first."""
+    from gn0.cli.console import draw_progress
     from gn0.scenes.check import check_folder
     from gn0.scenes.folder import load_scene
     from gn0.viewer.see_through import check_see_through
 
-    findings = check_folder(args.folder)
-    if not any(finding.level == "error" for finding in findings):
-        found = check_see_through(load_scene(args.folder))
-        findings = (
-            [f for f in findings if f.level == "warning"]
-            + found
-            + [f for f in findings if f.level == "note"]
-        )
+    with draw_progress("checking the scene"):
+        findings = check_folder(args.folder)
+        if not any(finding.level == "error" for finding in findings):
+            found = check_see_through(load_scene(args.folder))
+            findings = (
+                [f for f in findings if f.level == "warning"]
+                + found
+                + [f for f in findings if f.level == "note"]
+            )
     for finding in findings:
         print(f"{finding.level:<8}{finding.code}: {finding.text}")
         if finding.remedy:

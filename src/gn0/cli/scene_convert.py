@@ -33,7 +33,7 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Convert, and say what came of it."""
-    from gn0.cli.console import plain_text
+    from gn0.cli.console import draw_progress, plain_text
     from gn0.errors import ConfigError, StorageError
     from gn0.gaussians.files import load_cloud
     from gn0.gaussians.ply import save_ply
@@ -49,10 +49,11 @@ def run(args: Args) -> int:
         raise StorageError(
             "file exists already", where=out, remedy="choose another name, or add --overwrite"
         )
-    file = load_cloud(args.source, level=args.level)
     packed = out.name.lower().endswith(".compressed.ply")
     save = save_ply_packed if packed else save_ply
-    save(file.cloud, out, comments=[f"converted by GN0 from {file.format}"])
+    with draw_progress("converting the file"):
+        file = load_cloud(args.source, level=args.level)
+        save(file.cloud, out, comments=[f"converted by GN0 from {file.format}"])
     dropped = f", {file.dropped:,} left out as non-finite" if file.dropped else ""
     print(
         f"{plain_text(str(out))}: {len(file.cloud):,} Gaussians{dropped}, "

@@ -32,10 +32,11 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Print what the file holds."""
-    from gn0.cli.console import plain_text
+    from gn0.cli.console import draw_progress, plain_text
     from gn0.gaussians.files import describe_cloud_file
 
-    facts = describe_cloud_file(args.file, level=args.level)
+    with draw_progress("reading the file"):
+        facts = describe_cloud_file(args.file, level=args.level)
     if args.json:
         print(json.dumps(facts, indent=1))
         return 0

@@ -86,7 +86,11 @@ def run(args: Args) -> int:
             "--name, --limit and --fresh belong to a recording",
             remedy="gn0 view SUITE --record OUT",
         )
-    return _serve(args, find_view(args))
+    from gn0.cli.console import draw_progress
+
+    with draw_progress("reading what is shown"):
+        build = find_view(args)
+    return _serve(args, build)
 
 
 def _record(args: Args) -> int:
@@ -128,14 +132,16 @@ def _record(args: Args) -> int:
 
 def _serve(args: Args, build: Any) -> int:
     """Serve a view until Ctrl-C."""
+    from gn0.cli.console import draw_progress
     from gn0.viewer.live_loop import LiveLoop
     from gn0.viewer.live_server import open_server
 
     loop = LiveLoop()
     with open_server(args.host, args.port, allow_remote=args.allow_remote) as live:
         announce(args, live)
-        view = build(live, loop)
-        view.open()
+        with draw_progress("opening the view"):
+            view = build(live, loop)
+            view.open()
         if args.check:
             return _check(view, live, loop)
         try:

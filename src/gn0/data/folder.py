@@ -77,6 +77,7 @@ def run_parts(
             ray_address=ray_address,
             names=[f"part {plan.name}" for plan in left],
             done=take,
+            steps=progress,
         )
     return parts
 

@@ -7,7 +7,7 @@ at all; so a part that was interrupted is simply made again, to the same bytes.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,10 +30,12 @@ from gn0.data.settings import PictureSettings
 from gn0.errors import DataError, EpisodeError, PlanError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
+from gn0.progress import Progress, no_progress
 from gn0.sim.collision import check_places
 from gn0.storage import safe_join, write_bytes
 
 if TYPE_CHECKING:
+    from gn0.data.cache import DrawnStep
     from gn0.render.share.client import DrawServer
 
 
@@ -95,7 +97,7 @@ def open_building(folder: Path | str) -> Dataset:
     return _open(str(folder), (Path(folder) / DATASET_FILE).stat().st_mtime_ns)
 
 
-def build_part(payload: dict[str, Any]) -> dict[str, Any]:
+def build_part(payload: dict[str, Any], progress: Progress = no_progress) -> dict[str, Any]:
     """Walk, label and draw the episodes of a part; write its sample table and its shard.
 
     Raises:
@@ -104,14 +106,14 @@ def build_part(payload: dict[str, Any]) -> dict[str, Any]:
     """
     plan = msgspec.convert(payload, PartPlan)
     dataset = open_building(plan.folder)
-    blocks, skipped = collect_part(dataset, plan)
-    blocks, files, notes = draw_part(dataset, plan, blocks)
+    blocks, skipped = collect_part(dataset, plan, progress)
+    blocks, files, notes = draw_part(dataset, plan, blocks, progress)
     part = write_part(dataset, plan, blocks, skipped)
     answer: dict[str, Any] = msgspec.to_builtins(PartDone(part, tuple(files), notes))
     return answer
 
 
-def render_part(payload: dict[str, Any]) -> dict[str, Any]:
+def render_part(payload: dict[str, Any], progress: Progress = no_progress) -> dict[str, Any]:
     """Draw a part again from its sample table: poses in, pictures out.
 
     The hashes that the table has are checked; where it has none, it gets them.
@@ -124,7 +126,7 @@ def render_part(payload: dict[str, Any]) -> dict[str, Any]:
     dataset = open_building(plan.folder)
     known = next(part for part in dataset.about.parts if part.name == plan.name)
     blocks = dataset.part_rows(known)
-    drawn, files, notes = draw_part(dataset, plan, blocks)
+    drawn, files, notes = draw_part(dataset, plan, blocks, progress)
     # a run that was killed may have written the table, hashes and all, before anybody noted it
     noted = dataset.about.rendered and all(block.rendered for block in blocks)
     part = known if noted else write_part(dataset, plan, drawn, known.skipped)
@@ -133,7 +135,10 @@ def render_part(payload: dict[str, Any]) -> dict[str, Any]:
 
 
 def draw_part(
-    dataset: Dataset, plan: PartPlan, blocks: Sequence[EpisodeRows]
+    dataset: Dataset,
+    plan: PartPlan,
+    blocks: Sequence[EpisodeRows],
+    progress: Progress = no_progress,
 ) -> tuple[list[EpisodeRows], list[FileRecord], dict[str, Any]]:
     """Draw the pictures of a part into its cache.
 
@@ -149,15 +154,24 @@ def draw_part(
 
     drawer = PartDrawer(dataset, blocks, settings, drawing=plan.drawing)
     notes: dict[str, Any] = {}
+    steps = told_steps(drawer.steps(), sum(map(len, blocks)), progress)
     if settings.layout == "lerobot":
-        files, notes = write_videos(dataset, plan.number, drawer.steps(), settings)
+        files, notes = write_videos(dataset, plan.number, steps, settings)
     else:
-        files = write_shard(dataset.folder, plan.name, drawer.steps(), settings)
+        files = write_shard(dataset.folder, plan.name, steps, settings)
     return drawer.hashed_blocks(), files, notes
 
 
+def told_steps(steps: Iterable[DrawnStep], count: int, progress: Progress) -> Iterator[DrawnStep]:
+    """The steps of a part, each told when it is drawn."""
+    progress("drawing samples", 0, count)
+    for done, step in enumerate(steps, 1):
+        yield step
+        progress("drawing samples", done, count)
+
+
 def collect_part(
-    dataset: Dataset, plan: PartPlan
+    dataset: Dataset, plan: PartPlan, progress: Progress = no_progress
 ) -> tuple[list[EpisodeRows], list[SkippedEpisode]]:
     """The samples of a part's episodes, and the episodes that cannot be walked."""
     navigation = dataset.navigation(plan.scene)
@@ -173,7 +187,8 @@ def collect_part(
             driver = Driver(dataset)
     blocks: list[EpisodeRows] = []
     skipped: list[SkippedEpisode] = []
-    for name in plan.episodes:
+    for done, name in enumerate(plan.episodes):
+        progress("walking episodes", done, len(plan.episodes))
         episode = dataset.episode(name)
         try:
             check_places(navigation, episode, dataset.about.agent.radius)
@@ -184,6 +199,7 @@ def collect_part(
             )
         except (EpisodeError, PlanError) as error:
             skipped.append(SkippedEpisode(id=name, reason=error.what))
+    progress("walking episodes", len(plan.episodes), len(plan.episodes))
     return blocks, skipped
 
 

@@ -227,6 +227,7 @@ def _redraw(
             done=take,
             what="parts drawn again",
             progress=progress,
+            steps=progress,
         )
     if broken - covered:  # what the parts have in common
         finish_cache(dataset, settings, [done[part.name] for part in dataset.about.parts])

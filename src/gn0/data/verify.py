@@ -28,7 +28,7 @@ from gn0.data.dataset import (
 )
 from gn0.data.drawing import count_workers, open_drawing
 from gn0.data.folder import parts_journal
-from gn0.data.part import PartPlan, collect_part, file_digest, open_building
+from gn0.data.part import PartPlan, collect_part, file_digest, open_building, told_steps
 from gn0.data.samples import EpisodeRows, decode_rows, digest_labels, load_sample_table
 from gn0.errors import Gn0Error, StorageError
 from gn0.jobs import ExecutorName, run_jobs
@@ -365,11 +365,12 @@ def _compare_pixels(
         done=take,
         what="parts drawn",
         progress=progress,
+        steps=progress,
     )
     return damages, dataset.about.rows
 
 
-def compare_part(payload: dict[str, str]) -> dict[str, list[str]]:
+def compare_part(payload: dict[str, str], progress: Progress = no_progress) -> dict[str, list[str]]:
     """Samples of a part whose pictures have other hashes when drawn again; runs in a worker."""
     from gn0.data.draw import PartDrawer
 
@@ -384,7 +385,7 @@ def compare_part(payload: dict[str, str]) -> dict[str, list[str]]:
         files=False,
     )
     rows = []
-    for step in drawer.steps():
+    for step in told_steps(drawer.steps(), part.rows, progress):
         for name, found in step.hashes.items():
             known = step.block.hashes.get(name)
             if known is None or known[step.step] != found:

@@ -11,9 +11,10 @@ from __future__ import annotations
 import queue
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import msgspec
@@ -22,7 +23,7 @@ from gn0 import errors
 from gn0.errors import ConfigError, Gn0Error, JobError
 from gn0.jobs.cluster import import_ray, join_cluster
 from gn0.jobs.process import WorkerProcess, count_cores
-from gn0.jobs.worker import Answer, Unit, work
+from gn0.jobs.worker import Answer, Told, Unit, work
 from gn0.progress import Progress, no_progress
 
 ExecutorName = Literal["process", "ray"]
@@ -46,13 +47,15 @@ def run_jobs(
     done: Callable[[int, dict[str, Any]], None] = ignore_answer,
     what: str = "units",
     progress: Progress = no_progress,
+    steps: Progress = no_progress,
 ) -> None:
     """Call `function` on every payload; `done(index, answer)` is called as they end.
 
     One worker on this machine is this very process. Several share its cores.
 
     Args:
-        function: "module:name" of a function that takes and returns a dict of plain JSON values.
+        function: "module:name" of a function that takes and returns a dict of plain JSON values;
+            one that takes `progress`, too, can tell of its steps.
         payloads: one a unit, tried in this order.
         workers: how many at a time.
         executor: "process" on this machine, "ray" on a cluster whose machines see the same files.
@@ -62,6 +65,8 @@ def run_jobs(
         done: hears of each unit once, in this process.
         what: the units' name in the progress bar.
         progress: progress sink.
+        steps: progress sink of the steps within units, added up over all of them; their totals are
+            not known where there are several units. Nothing is heard from a cluster.
 
     Raises:
         ConfigError: fewer than one worker, or no such executor.
@@ -85,14 +90,15 @@ def run_jobs(
         finished += 1
         progress(what, finished, len(units))
 
+    sums = _Sums(steps, alone=len(units) == 1)
     progress(what, 0, len(units))
     if executor == "ray":
         _run_on_ray(units, min(workers, max(len(units), 1)), ray_address, labels, settle)
     elif workers == 1 or len(units) <= 1:
         for unit in units:
-            settle(work(unit))
+            settle(work(unit, sums.of(unit.index)))
     else:
-        _run_in_processes(units, min(workers, len(units)), limit, labels, settle)
+        _run_in_processes(units, min(workers, len(units)), limit, labels, settle, sums)
 
 
 def _error_of(answer: Answer, label: str) -> Gn0Error:
@@ -106,6 +112,31 @@ def _error_of(answer: Answer, label: str) -> Gn0Error:
     kinds = [k for k in vars(errors).values() if isinstance(k, type) and issubclass(k, Gn0Error)]
     kind = next((k for k in kinds if k.code == answer.code), Gn0Error)
     return kind(answer.what, where=answer.where, remedy=answer.remedy)
+
+
+class _Sums:
+    """The steps within units, added up: one bar, however many are at work.
+
+    Args:
+        sink: who draws.
+        alone: there is but one unit, whose totals are those of all.
+    """
+
+    def __init__(self, sink: Progress, *, alone: bool) -> None:
+        self._sink = sink
+        self._alone = alone
+        self._of: dict[tuple[str, int], int] = {}
+        self._all: Counter[str] = Counter()
+
+    def hear(self, index: int, stage: str, done: int, total: int) -> None:
+        """A unit has come so far."""
+        self._all[stage] += done - self._of.get((stage, index), 0)
+        self._of[stage, index] = done
+        self._sink(stage, self._all[stage], total if self._alone else 0)
+
+    def of(self, index: int) -> Progress:
+        """The sink of one unit."""
+        return partial(self.hear, index)
 
 
 @dataclass(eq=False)
@@ -123,6 +154,7 @@ def _run_in_processes(
     limit: float,
     labels: Sequence[str],
     settle: Callable[[Answer], None],
+    sums: _Sums,
 ) -> None:
     heard: queue.Queue[tuple[int, bytes | None]] = queue.Queue()
     waiting = deque(units)
@@ -130,7 +162,7 @@ def _run_in_processes(
     seats: dict[int, _Seat] = {}
     threads = max(1, count_cores() // workers)
     number = 0
-    decoder = msgspec.json.Decoder(Answer)
+    decoder: msgspec.json.Decoder[Answer | Told] = msgspec.json.Decoder(Answer | Told)
 
     def lease(process: WorkerProcess) -> _Seat:
         unit = waiting.popleft()
@@ -162,7 +194,11 @@ def _run_in_processes(
             if line is None:
                 _give_back(seats.pop(at), waiting, tries, labels, "")
                 continue
-            settle(decoder.decode(line))
+            message = decoder.decode(line)
+            if isinstance(message, Told):
+                sums.hear(message.index, message.stage, message.done, message.total)
+                continue
+            settle(message)
             seat = seats.pop(at)
             if waiting:
                 seats[at] = lease(seat.process)

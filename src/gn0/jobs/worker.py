@@ -6,6 +6,8 @@ function; nothing in a payload is executed.
 
 from __future__ import annotations
 
+import inspect
+import time
 import traceback
 from collections.abc import Callable
 from importlib import import_module
@@ -15,6 +17,9 @@ import msgspec
 
 from gn0.errors import Gn0Error
 from gn0.jobs.child import open_channel
+from gn0.progress import Progress, no_progress
+
+_OFTEN = 0.25  # s between two words of a worker on the same step
 
 
 class Unit(msgspec.Struct, frozen=True):
@@ -25,7 +30,7 @@ class Unit(msgspec.Struct, frozen=True):
     payload: dict[str, Any]
 
 
-class Answer(msgspec.Struct, frozen=True):
+class Answer(msgspec.Struct, frozen=True, tag=True):
     """What came of a unit: a value, or an error in its four parts."""
 
     index: int
@@ -36,19 +41,32 @@ class Answer(msgspec.Struct, frozen=True):
     remedy: str = ""
 
 
-def find_function(name: str) -> Callable[[dict[str, Any]], dict[str, Any] | None]:
+class Told(msgspec.Struct, frozen=True, tag=True):
+    """How far a unit has come, as a progress sink hears it."""
+
+    index: int
+    stage: str
+    done: int
+    total: int
+
+
+def find_function(name: str) -> Callable[..., dict[str, Any] | None]:
     """The function "module:name"."""
     module, attribute = name.split(":")
-    function: Callable[[dict[str, Any]], dict[str, Any] | None] = getattr(
-        import_module(module), attribute
-    )
+    function: Callable[..., dict[str, Any] | None] = getattr(import_module(module), attribute)
     return function
 
 
-def work(unit: Unit) -> Answer:
-    """Do one unit; whatever it raises becomes part of the answer."""
+def work(unit: Unit, progress: Progress = no_progress) -> Answer:
+    """Do one unit; whatever it raises becomes part of the answer.
+
+    A function that has a parameter `progress` is given the sink.
+    """
     try:
-        return Answer(unit.index, find_function(unit.function)(unit.payload) or {})
+        function = find_function(unit.function)
+        tells = "progress" in inspect.signature(function).parameters
+        told = {"progress": progress} if tells else {}
+        return Answer(unit.index, function(unit.payload, **told) or {})
     except Gn0Error as error:
         return Answer(unit.index, None, error.code, error.what, error.where, error.remedy)
     except Exception as error:
@@ -61,7 +79,21 @@ def main() -> int:
     inbox, send = open_channel()
     decoder = msgspec.json.Decoder(Unit)
     while True:
-        send(msgspec.json.encode(work(decoder.decode(inbox.get()))))
+        unit = decoder.decode(inbox.get())
+        send(msgspec.json.encode(work(unit, _sparing(unit.index, send))))
+
+
+def _sparing(index: int, send: Callable[[bytes], None]) -> Progress:
+    """A sink that tells the parent, and not more often than anybody can read."""
+    last: dict[str, float] = {}
+
+    def tell(stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if now - last.get(stage, -_OFTEN) >= _OFTEN or done == total:
+            last[stage] = now
+            send(msgspec.json.encode(Told(index, stage, done, total)))
+
+    return tell
 
 
 if __name__ == "__main__":

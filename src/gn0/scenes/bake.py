@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gn0.config import Config
 from gn0.geometry import F32, F64
 from gn0.jit import njit, prange
-from gn0.progress import Progress, no_progress
+from gn0.progress import Progress, no_progress, told_parts
 from gn0.scenes.charts import Charts, build_charts
 from gn0.scenes.lumels import Lumels, build_lumels
 from gn0.scenes.mesh import SceneMesh
@@ -31,6 +31,8 @@ from gn0.seeds import derive_seed
 _LIFT = 2e-3  # rays start this far above their surface [m]
 _SUN_SPREAD = 0.012  # tangent of the half angle of the sun's soft edge (the true sun: 0.0047)
 _KINDS = {"rectangle": 0, "sphere": 1, "window": 0}
+_PART = 32_768  # lumels lit by lamps between two words on progress
+_RAYS = 1_000_000  # at a time
 
 
 class BakeSettings(Config, frozen=True):
@@ -115,41 +117,48 @@ def bake_light(
         progress: progress sink.
     """
     options = settings or BakeSettings()
+    progress("light", 0, 7)
     charts = charts or build_charts(mesh)
     caster = RayCaster(mesh)
     blocker = caster
     if opaque is not None and not opaque.all() and opaque.any():
         blocker = RayCaster(_faces_of(mesh, opaque))
+    progress("light", 1, 7)
     coarse = build_lumels(mesh, charts, options.coarse, two_sided=options.two_sided, caster=caster)
+    progress("light", 2, 7)
     fine = build_lumels(mesh, charts, options.fine, two_sided=options.two_sided, caster=caster)
     if options.two_sided:
         coarse, fine = _turn_outward(coarse, caster, seed), _turn_outward(fine, caster, seed)
-    progress("light", 1, 4)
-    direct = _direct_light(fine, blocker, lamps, sun, options, seed)
+    progress("light", 3, 7)
+    direct = _direct_light(fine, blocker, lamps, sun, options, seed, progress)
+    progress("light", 4, 7)
     direct = _smooth(fine, direct)
-    progress("light", 2, 4)
+    progress("light", 5, 7)
     albedo, emission = surface.reflect(coarse.face, coarse.bary)
     albedo = _mean_albedo(surface, coarse, mesh)
-    table = _gather_table(coarse, caster, mesh, options.rays, derive_seed(seed, "bounce"))
-    progress("light", 3, 4)
+    table = _gather_table(coarse, caster, mesh, options.rays, derive_seed(seed, "bounce"), progress)
+    progress("light", 6, 7)
     straight = fine.lookup(direct, coarse.point, coarse.normal)
     # the insides of cupboards and walls see nothing that is lit
     open_share = (table >= 0).mean(axis=1)
     from_sky = np.zeros_like(straight)
     if sky is not None:
-        from_sky, share = gather_sky(coarse, blocker, sky, options.rays, derive_seed(seed, "sky"))
+        from_sky, share = gather_sky(
+            coarse, blocker, sky, options.rays, derive_seed(seed, "sky"), progress
+        )
         straight = straight + from_sky
         open_share = np.minimum(open_share + share, 1.0)
     glow = np.asarray(emission, np.float32) if options.glow else np.zeros_like(straight)
     bounced = np.zeros_like(straight)
     for _ in range(options.bounces):
         bounced = _gather(table, glow + albedo * (straight + bounced))
-    progress("light", 4, 4)
+    bounced = _smooth(coarse, bounced if sky is None else bounced + from_sky)
+    progress("light", 7, 7)
     return LightField(
         direct=fine,
         direct_value=direct,
         bounced=coarse,
-        bounced_value=_smooth(coarse, bounced if sky is None else bounced + from_sky),
+        bounced_value=bounced,
         albedo=albedo,
         open_area=coarse.area * np.square(open_share).astype(np.float32),
     )
@@ -200,6 +209,7 @@ def _direct_light(
     sun: Sun | None,
     options: BakeSettings,
     seed: int,
+    progress: Progress,
 ) -> F32:
     table = np.zeros((len(lamps), 16))
     for row, lamp in zip(table, lamps, strict=True):
@@ -217,24 +227,32 @@ def _direct_light(
         d = np.asarray(sun.direction, np.float64)
         sun_table[:3] = d / np.linalg.norm(d)
         sun_table[3:] = sun.colour
-    return _direct_kernel(
-        lumels.point, lumels.normal, caster.boxes, caster.links, caster.corners,
-        table, sun_table, options.samples, derive_seed(seed, "direct") & 0x7FFFFFFF,
-    )  # fmt: skip
+    out = np.zeros((len(lumels), 3), np.float32)
+    for part in told_parts("light of lamps", len(lumels), _PART, progress):
+        _direct_kernel(
+            lumels.point, lumels.normal, caster.boxes, caster.links, caster.corners,
+            table, sun_table, options.samples, derive_seed(seed, "direct") & 0x7FFFFFFF,
+            out, part.start, part.stop,
+        )  # fmt: skip
+    return out
 
 
 def _gather_table(
-    lumels: Lumels, caster: RayCaster, mesh: SceneMesh, rays: int, seed: int
+    lumels: Lumels,
+    caster: RayCaster,
+    mesh: SceneMesh,
+    rays: int,
+    seed: int,
+    progress: Progress,
 ) -> NDArray[np.int32]:
     """The lumel that each ray of each lumel meets [L, rays]; −1 for none."""
     table = np.empty((len(lumels), rays), np.int32)
     normals = mesh.normals()
-    step = max(1, 2_000_000 // rays)
-    for lo in range(0, len(lumels), step):
-        part = slice(lo, lo + step)
+    step = max(1, _RAYS // rays)
+    for part in told_parts("light between surfaces", len(lumels), step, progress):
         face, point = _hemisphere_hits(
             lumels.point[part], lumels.normal[part], caster.boxes, caster.links, caster.order,
-            caster.corners, rays, lo, seed & 0x7FFFFFFF, normals, lumels.two_sided,
+            caster.corners, rays, part.start, seed & 0x7FFFFFFF, normals, lumels.two_sided,
         )  # fmt: skip
         hit = np.flatnonzero(face >= 0)
         found = np.full(len(face), -1, np.int32)
@@ -343,11 +361,12 @@ def _openness(point, normal, boxes, links, corners, seed):  # type: ignore[no-un
 
 
 @njit(parallel=True, error_model="numpy")
-def _direct_kernel(point, normal, boxes, links, corners, lamps, sun, samples, seed):  # type: ignore[no-untyped-def]
-    """Irradiance / π from lamps and sun at each point [L, 3]."""
-    out = np.zeros((len(point), 3), np.float32)
+def _direct_kernel(  # type: ignore[no-untyped-def]
+    point, normal, boxes, links, corners, lamps, sun, samples, seed, out, first, end
+):
+    """Irradiance / π from lamps and sun [L, 3] at the points from `first` until `end`."""
     has_sun = sun[3] + sun[4] + sun[5] > 0.0
-    for i in prange(len(point)):
+    for i in prange(first, end):
         stack = np.empty(STACK, np.int32)
         nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
         ox, oy, oz = point[i, 0] + _LIFT * nx, point[i, 1] + _LIFT * ny, point[i, 2] + _LIFT * nz
@@ -426,4 +445,3 @@ def _direct_kernel(point, normal, boxes, links, corners, lamps, sun, samples, se
                 green += e * sun[4]
                 blue += e * sun[5]
         out[i, 0], out[i, 1], out[i, 2] = red, green, blue
-    return out

@@ -96,6 +96,7 @@ def generate_corpus(
                 done=note,
                 what="scenes",
                 progress=progress,
+                steps=progress,
             )
         about = CorpusFile(
             layout=LAYOUT,
@@ -143,7 +144,9 @@ def _payload(
     }
 
 
-def build_corpus_scene(payload: Mapping[str, Any]) -> dict[str, Any]:
+def build_corpus_scene(
+    payload: Mapping[str, Any], progress: Progress = no_progress
+) -> dict[str, Any]:
     """Make one scene into its folder (a unit of `run_jobs`) and say what is in it."""
     part = msgspec.convert(payload["part"], CorpusPart)
     folder = Path(payload["folder"])
@@ -162,16 +165,24 @@ def build_corpus_scene(payload: Mapping[str, Any]) -> dict[str, Any]:
             },
             GenerateSettings,
         )
-        scene = generate_scene(settings, folder, overwrite=True)
+        scene = generate_scene(settings, folder, overwrite=True, progress=progress)
     elif (source / "scene.json").is_file():
         loaded = load_scene(source)
         form: Literal["exact", "packed"] = "packed" if part.packed else "exact"
-        scene = save_scene(replace(loaded, id=folder.name), folder, cloud_form=form, overwrite=True)
+        scene = save_scene(
+            replace(loaded, id=folder.name),
+            folder,
+            cloud_form=form,
+            overwrite=True,
+            progress=progress,
+        )
     else:
         options: dict[str, Any] = {"height_band": part.height_band} if part.height_band else {}
         options |= {"density": part.density} if part.density else {}
         form = "packed" if part.packed else "exact"
-        scene = import_scene(source, folder, cloud_form=form, overwrite=True, **options)
+        scene = import_scene(
+            source, folder, cloud_form=form, overwrite=True, progress=progress, **options
+        )
     if not scene.grid.free_area:
         raise SceneError(
             "nothing is walkable", where=f"scene {scene.id!r}", remedy="see `gn0 scene check`"

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gn0.geometry import F32, F64, quaternion_from_rotation
 from gn0.jit import njit, prange
+from gn0.progress import Progress, no_progress, told_parts
 from gn0.scenes.charts import Charts
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.rays import STACK, RayCaster, closest_hit
@@ -26,6 +27,7 @@ INSET_EDGE = 0.006  # and step back this far from edges with nothing beyond [m]
 EDGE = 0.35  # share of a cell that its disc along an open side takes
 _SPLIT_LEAST = 0.005  # narrower cells are not split [m]
 _LIFT = 2e-3
+_PART = 131_072  # discs probed between two words on progress
 _BLUR = 0.005  # widening by a renderer, half a pixel at about four metres [m]
 
 
@@ -61,7 +63,13 @@ class Discs:
 
 
 def shape_discs(
-    cells: Cells, charts: Charts, mesh: SceneMesh, caster: RayCaster, *, oriented: bool
+    cells: Cells,
+    charts: Charts,
+    mesh: SceneMesh,
+    caster: RayCaster,
+    *,
+    oriented: bool,
+    progress: Progress = no_progress,
 ) -> Discs:
     """Discs in the tangent planes of their cells.
 
@@ -71,7 +79,9 @@ def shape_discs(
         mesh: the surfaces.
         caster: a ray caster of the same mesh.
         oriented: face normals point out of solids, so that discs inside them can be dropped.
+        progress: progress sink.
     """
+    progress("shaping surfels", 1, 4)
     normal = mesh.normals()[cells.face]
     axis_u, axis_v, up = (charts.axes[cells.chart, k] for k in range(3))
     # moving by one along a chart axis moves along the face by that and a bit along the normal
@@ -97,10 +107,15 @@ def shape_discs(
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
     e1, e2 = c * t1 + s * t2, c * t2 - s * t1
     width = np.sqrt(12.0 * np.maximum(np.stack([large, small], 1), 1e-9))  # [N, 2] m
-    open_sides, free, depth, hidden = _probe_sides(
-        cells.point, normal, e1, e2, width, caster.boxes, caster.links, caster.order,
-        caster.corners, mesh.normals(), oriented,
-    )  # fmt: skip
+    n, normals = len(normal), mesh.normals()
+    open_sides, free = np.empty((n, 4), np.bool_), np.empty((n, 4), np.bool_)
+    depth, hidden = np.empty(n), np.empty(n, np.bool_)
+    for part in told_parts("sides of surfels", n, _PART, progress):
+        open_sides[part], free[part], depth[part], hidden[part] = _probe_sides(
+            cells.point[part], normal[part], e1[part], e2[part], width[part],
+            caster.boxes, caster.links, caster.order, caster.corners, normals, oriented,
+        )  # fmt: skip
+    progress("shaping surfels", 2, 4)
     cell = np.arange(len(normal))
     point = cells.point
     for k, axis in ((0, e1), (1, e2)):
@@ -124,6 +139,7 @@ def shape_discs(
         open_sides = np.concatenate([open_sides, outer_open])
         free = np.concatenate([free, outer_free])
         cell = np.concatenate([cell, cell[edge]])
+    progress("shaping surfels", 3, 4)
     e1, e2, normal, hidden = e1[cell], e2[cell], normal[cell], hidden[cell]
     count = open_sides.reshape(-1, 2, 2).sum(2)  # [N, axis]
     factor = np.array([SIGMA, SIGMA_ONE, SIGMA_BOTH])[count]

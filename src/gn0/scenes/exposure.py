@@ -6,23 +6,34 @@ import numpy as np
 
 from gn0.geometry import F64
 from gn0.jit import njit, prange
+from gn0.progress import Progress, no_progress, told_parts
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.rays import STACK, RayCaster, closest_hit
 from gn0.seeds import random_stream
 
 _EYES = (0.5, 1.6)  # heights of cameras [m]
 _CLEARANCE = 0.22  # of a camera to everything round it [m]
+_LOOKS = 4  # points of a face that are looked at, each by its own cameras
+_PART = 32_768  # faces between two words on progress
 LEAST = 0.3  # weight of what no camera sees: maps are drawn from above, too
 
 
-def weigh_views(mesh: SceneMesh, *, cameras: int = 160, sight: float = 8.0, seed: int = 0) -> F64:
+def weigh_views(
+    mesh: SceneMesh,
+    *,
+    cameras: int = 160,
+    sight: float = 8.0,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> F64:
     """Weight of each face for the fineness of its sampling [F], about 1 in the mean.
 
     Cameras stand at random free places. A face weighs by the cube root of the mean of
     cos / distance² over the cameras that see it: the share of a picture that it fills. (The cube
     root, because that is how the best spacing of surfels depends on the weight of an error.)
-    Cameras see `sight` [m] far.
+    Cameras see `sight` [m] far. Progress is of the looks at a face.
     """
+    progress("looking round", 0, _LOOKS * len(mesh))
     caster = RayCaster(mesh)
     eyes = _free_places(mesh, caster, cameras, seed)
     areas = mesh.areas()
@@ -33,16 +44,24 @@ def weigh_views(mesh: SceneMesh, *, cameras: int = 160, sight: float = 8.0, seed
     # a large face is judged by several of its points
     rng = random_stream(seed, "exposure")
     share = np.zeros(len(mesh))
-    for k in range(4):
+    normals = mesh.normals()
+    for k in range(_LOOKS):
         bary = rng.dirichlet((1.0, 1.0, 1.0), len(mesh)) if k else np.full((len(mesh), 3), 1 / 3)
         point = np.einsum("fk,fki->fi", bary, corners) if k else middle
-        share += _seen_share(
-            point, mesh.normals(), eyes[k::4].copy(), caster.boxes, caster.links, caster.corners,
-            float(sight) ** 2,
-        )  # fmt: skip
-    weight = np.cbrt(share / 4)
+        own = eyes[k::_LOOKS].copy()
+        for part in told_parts("looking round", len(mesh), _PART, _after(k, progress)):
+            share[part] += _seen_share(
+                point[part], normals[part], own, caster.boxes, caster.links, caster.corners,
+                float(sight) ** 2,
+            )  # fmt: skip
+    weight = np.cbrt(share / _LOOKS)
     mean = np.average(weight, weights=areas)
     return np.maximum(weight / max(mean, 1e-9), LEAST)
+
+
+def _after(looks: int, progress: Progress) -> Progress:
+    """A sink for one look at each face, of all."""
+    return lambda stage, done, faces: progress(stage, looks * faces + done, _LOOKS * faces)
 
 
 def _free_places(mesh: SceneMesh, caster: RayCaster, count: int, seed: int) -> F64:

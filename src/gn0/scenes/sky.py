@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F32, F64
+from gn0.progress import Progress, no_progress, told_parts
 from gn0.scenes.lumels import Lumels
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.procedural.draft import Material, Sky
@@ -41,7 +42,12 @@ def sky_radiance(sky: Sky, direction: NDArray[np.floating]) -> F64:
 
 
 def gather_sky(
-    lumels: Lumels, blocker: RayCaster, sky: Sky, rays: int, seed: int
+    lumels: Lumels,
+    blocker: RayCaster,
+    sky: Sky,
+    rays: int,
+    seed: int,
+    progress: Progress = no_progress,
 ) -> tuple[F32, F32]:
     """What the sky sends straight to each lumel.
 
@@ -51,6 +57,7 @@ def gather_sky(
         sky: the sky.
         rays: over each lumel.
         seed: root of the rays' random shifts.
+        progress: progress sink.
 
     Returns:
         Irradiance / π [L, 3], and the share of the rays that get out to the sky [L].
@@ -61,8 +68,7 @@ def gather_sky(
     light = np.zeros((count, 3), np.float32)
     share = np.zeros(count, np.float32)
     step = max(1, _CHUNK // rays)
-    for lo in range(0, count, step):
-        part = slice(lo, min(lo + step, count))
+    for part in told_parts("light of the sky", count, step, progress):
         normal = lumels.normal[part].astype(np.float64)
         # a rank-1 lattice, turned by a random shift at each lumel
         u = ((k + 0.5) / rays + shift[part, :1]) % 1.0

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gn0.errors import SceneError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.geometry import F32, F64
-from gn0.progress import Progress, no_progress
+from gn0.progress import Progress, no_progress, told_parts
 from gn0.scenes.charts import Charts, build_charts
 from gn0.scenes.discs import THICKNESS, Discs, shape_discs
 from gn0.scenes.mesh import SceneMesh
@@ -29,6 +29,7 @@ from gn0.scenes.tiles import PICKS, Cells, Tiles, fill_tiles, plan_tiles
 _THIN = 0.06  # solids below this thickness need care [m]
 _OUTLINE = 0.02  # error of a length of outline, against the variance of colour
 _GROUND = 0.05  # level faces no farther from z = 0 are floor [m]
+_PART = 65_536  # cells shaded at a time
 _FLOOR = 1.2  # least fineness of floors: their depth reads short by most of a disc's size
 
 
@@ -86,7 +87,7 @@ def build_surfels(
         progress=progress,
     )
     progress("surfels", 5, 6)
-    cloud = shade_surfels(placement, shader, label_of_instance)
+    cloud = shade_surfels(placement, shader, label_of_instance, progress)
     progress("surfels", 6, 6)
     return cloud
 
@@ -114,24 +115,28 @@ def place_surfels(
     caster = RayCaster(mesh)
 
     def place(target: int, fineness: F64 | None) -> tuple[Tiles, Cells, Discs]:
+        progress("shaping surfels", 0, 4)
         tiles = plan_tiles(charts, target, fineness)
         cells = fill_tiles(charts, mesh, tiles, seed)
-        discs = shape_discs(cells, charts, mesh, caster, oriented=oriented)
+        discs = shape_discs(cells, charts, mesh, caster, oriented=oriented, progress=progress)
         if unseen is not None:
             # one side of a thin solid is enough: a disc shows on both, and the unlit side of a
             # table top would shine through its lit one, for renderers sort discs by their centres
             spare = unseen[cells.face[discs.cell]] & (discs.depth < _THIN)
             spare &= mesh.normals()[cells.face[discs.cell], 2] < 0.5
             discs = replace(discs, keep=discs.keep & ~spare)
-        return tiles, cells.select(discs.cell), discs
+        cells = cells.select(discs.cell)
+        progress("shaping surfels", 4, 4)
+        return tiles, cells, discs
 
     progress("surfels", 1, 6)
     # a coarse pass tells what is hidden (it costs nothing) and what needs many discs
     tiles, some, pilot = place(max(count // 6, 1), None)
     progress("surfels", 2, 6)
     fineness = _spread_budget(
-        shader, charts, some, pilot, weight=detail, mesh=mesh, tiles=len(tiles.chart)
-    )
+        shader, charts, some, pilot, weight=detail, mesh=mesh, tiles=len(tiles.chart),
+        progress=progress,
+    )  # fmt: skip
     progress("surfels", 3, 6)
     target, before = count, np.inf
     while True:
@@ -155,10 +160,11 @@ def shade_surfels(
     placement: Placement,
     shader: Shader,
     label_of_instance: NDArray[np.integer] | None = None,
+    progress: Progress = no_progress,
 ) -> GaussianCloud:
     """Placed discs with their colours, in the same order; see `build_surfels`."""
     mesh, cells, discs = placement.mesh, placement.cells, placement.discs
-    albedo, irradiance, colour, normal, rough = _shade_cells(shader, cells)
+    albedo, irradiance, colour, normal, rough = _shade_cells(shader, cells, progress)
     scales = discs.scales * np.array([1, 1, 0], np.float32) * _widen(rough)[:, None]
     scales = outlines_of(placement).hold(
         np.maximum(scales, np.float32(THICKNESS)), discs.point, discs.quats
@@ -195,6 +201,7 @@ def _spread_budget(
     mesh: SceneMesh,
     weight: NDArray[np.floating] | None,
     tiles: int,
+    progress: Progress,
 ) -> F64:
     """How finely to sample each tile, up to a factor.
 
@@ -209,7 +216,7 @@ def _spread_budget(
 
     shown = np.where(discs.keep, discs.area, 0.0)
     area = np.maximum(total(discs.area), 1e-12)
-    variance = _colour_variance(shader, cells)
+    variance = _colour_variance(shader, cells, progress)
     # variance grows with the cell: per length, by the cell's own size
     texture = total(variance / np.sqrt(np.maximum(discs.area, 1e-9)) * shown) / area
     outline = total(discs.open_length * discs.keep) / area
@@ -233,14 +240,13 @@ def _is_floor(mesh: SceneMesh) -> NDArray[np.bool_]:
     return np.asarray(level & (np.abs(z).max(axis=1) < _GROUND))
 
 
-def _colour_variance(shader: Shader, cells: Cells) -> F64:
+def _colour_variance(shader: Shader, cells: Cells, progress: Progress) -> F64:
     """Variance of the display colour between the shaded points of each cell [N]."""
     n = len(cells.face)
     out = np.empty(n)
-    for lo in range(0, n, 65536):
-        part = cells.select(slice(lo, min(n, lo + 65536)))
-        colour = shader.shade(*_picked(part)).colour.reshape(-1, PICKS, 3)
-        out[lo : lo + len(colour)] = colour.var(axis=1).mean(axis=1)
+    for part in told_parts("detail of surfels", n, _PART, progress):
+        sample = shader.shade(*_picked(cells.select(part)))
+        out[part] = sample.colour.reshape(-1, PICKS, 3).var(axis=1).mean(axis=1)
     return out
 
 
@@ -256,7 +262,9 @@ def _widen(rough: F32) -> F32:
     return (1.0 + 0.13 * plain).astype(np.float32)
 
 
-def _shade_cells(shader: Shader, cells: Cells) -> tuple[F32, F32, F32, F32, F32]:
+def _shade_cells(
+    shader: Shader, cells: Cells, progress: Progress
+) -> tuple[F32, F32, F32, F32, F32]:
     """Mean albedo, irradiance, display colour and normal of each cell [N, 3].
 
     The last is the standard deviation of the colour within each cell [N].
@@ -264,8 +272,7 @@ def _shade_cells(shader: Shader, cells: Cells) -> tuple[F32, F32, F32, F32, F32]
     n = len(cells.face)
     out = [np.empty((n, 3), np.float32) for _ in range(4)]
     rough = np.empty(n, np.float32)
-    for lo in range(0, n, 65536):
-        part = slice(lo, min(n, lo + 65536))
+    for part in told_parts("colours of surfels", n, _PART, progress):
         sample = shader.shade(*_picked(cells.select(part)))
         parts = (sample.albedo, sample.irradiance, sample.colour, sample.normal)
         for target, values in zip(out, parts, strict=True):

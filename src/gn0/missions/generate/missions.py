@@ -22,6 +22,7 @@ from gn0.missions.generate.pool import PathRecord, PathText
 from gn0.missions.generate.scene import ScenePaths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.targets import GoalTarget
+from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.light import LightCondition, draw_condition
 from gn0.seeds import random_stream
@@ -43,6 +44,7 @@ def build_missions(
     *,
     agent: AgentSpec,
     camera: Camera,
+    progress: Progress = no_progress,
 ) -> list[Episode]:
     """The episodes of a scene's paths, those of one path next to each other.
 
@@ -55,13 +57,15 @@ def build_missions(
         seed: root seed.
         agent: the body.
         camera: the agent's own, whose shape goal pictures have.
+        progress: progress sink.
     """
     by_path: dict[str, dict[str, PathText]] = {}
     for text in texts:
         by_path.setdefault(text.path_id, {})[text.style] = text
     photographer = GoalPhotographer(scene, navigation, camera, agent.camera_height)
     episodes = []
-    for record, target in zip(paths.records, paths.targets, strict=True):
+    for done, (record, target) in enumerate(zip(paths.records, paths.targets, strict=True)):
+        progress("missions", done, len(paths.records))
         told = by_path.get(record.path_id, {})
         light = draw_light(record, settings, seed)
         for kind, mission in _missions(record, target, told, photographer, settings, seed):
@@ -83,6 +87,7 @@ def build_missions(
                     )
                 )
             )
+    progress("missions", len(paths.records), len(paths.records))
     return episodes
 
 

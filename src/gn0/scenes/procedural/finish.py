@@ -88,9 +88,7 @@ def place_draft(
     cameras, sight = max(CAMERAS, int(CAMERAS_PER_M2 * floor_area(draft))), SIGHT
     if draft.sky is not None:
         cameras, sight = CAMERAS, SIGHT_OUTDOORS
-    progress("looking round", 0, 1)
-    weight = weigh_views(draft.mesh, cameras=cameras, sight=sight, seed=seed)
-    progress("looking round", 1, 1)
+    weight = weigh_views(draft.mesh, cameras=cameras, sight=sight, seed=seed, progress=progress)
     return place_surfels(
         draft.mesh,
         shader,
@@ -126,7 +124,7 @@ def cover_outlined(
     """`cover_draft`, and how far each of its splats may reach."""
     placement = place_draft(draft, shader, count, seed=seed, progress=progress)
     progress("surfels", 5, 6)
-    cloud = shade_surfels(placement, shader, np.arange(max(len(draft.objects), 1)))
+    cloud = shade_surfels(placement, shader, np.arange(max(len(draft.objects), 1)), progress)
     progress("surfels", 6, 6)
     lit = _find_lit(cloud)
     return cloud.select(lit), outlines_of(placement).select(lit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import subprocess
 import sys
 import time
@@ -75,12 +76,21 @@ def test_a_verb_that_ends_at_once_says_nothing_and_a_long_one_does(
 
 
 def test_workers_that_compile_are_spoken_for(
-    recorder: Recorder, monkeypatch: pytest.MonkeyPatch
+    recorder: Recorder, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    """What they have put into the cache is counted, so that the bar moves."""
+    import gn0.jit
+
     monkeypatch.setattr(heartbeat, "_kernels_came", lambda seconds: seconds <= 5.5)
+    monkeypatch.setattr(gn0.jit, "kernel_cache", lambda: tmp_path)
     recorder.heart("episodes", 0, 9)
-    recorder.wait(5)
-    assert recorder.shown[-1] == (COMPILING, 0, 0)
+    for kernels in range(2):
+        recorder.wait(5)
+        assert recorder.shown[-1] == (COMPILING, kernels, 0)
+        new = tmp_path / f"module_{kernels}" / "kernel.nbc"
+        new.parent.mkdir()
+        new.touch()
+        os.utime(new, (time.time() + 1, time.time() + 1))  # a file's clock may be a tick behind
 
 
 def test_compiling_is_said_once_and_counted(

@@ -348,3 +348,12 @@ def test_a_format_without_words_takes_a_path_once(tmp_path: Path) -> None:
 def test_a_name_that_is_no_name_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match="cannot stand in ids"):
         ExportSettings(name=name)
+
+
+def test_the_bar_moves_within_an_episode(short_source: ExportSource, tmp_path: Path) -> None:
+    said: list[tuple[str, int, int]] = []
+    done = run_export(
+        short_source, "streamvln", tmp_path / "out", progress=lambda *step: said.append(step)
+    )
+    pictures = [count for stage, count, _ in said if stage == "pictures"]
+    assert pictures == list(range(1, len(pictures) + 1)) and len(pictures) >= done.frames > 2

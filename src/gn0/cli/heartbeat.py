@@ -50,6 +50,7 @@ class Heartbeat:
         self._step: tuple[str, int, int] | None = (begun, 0, 0) if begun else None
         self._since = self._spoken = clock()
         self._compiled = self._depth = 0
+        self._born = time.time()
         self._listener: Any = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
@@ -70,7 +71,9 @@ class Heartbeat:
             stage, done, total = self._step
             ended = 0 < total <= done
             if not self._depth and _kernels_came(now - self._spoken):
-                self._sink(COMPILING, self._compiled, 0)  # in a process that works for this one
+                # in a process that works for this one: the cache says how many they are
+                self._compiled = max(self._compiled, _count_kernels(self._born))
+                self._sink(COMPILING, self._compiled, 0)
             self._still(stage, "" if ended else f"{done}/{total or '?'}", now - self._since)
             self._spoken = now
 
@@ -133,11 +136,26 @@ def _kernels_came(seconds: float) -> bool:
 
     Workers compile in processes of their own, which keep what they compiled in the same cache.
     """
-    jit = sys.modules.get("gn0.jit")
-    folder: Path | None = getattr(jit, "kernel_cache", lambda: None)()
+    folder = _kernel_folder()
     if folder is None:
         return False
     least = time.time() - seconds
     with contextlib.suppress(OSError):
         return any(child.stat().st_mtime >= least for child in folder.iterdir() if child.is_dir())
     return False
+
+
+def _count_kernels(since: float) -> int:
+    """How many kernels were put into the cache since a time [s]."""
+    folder = _kernel_folder()
+    if folder is None:
+        return 0
+    with contextlib.suppress(OSError):
+        return sum(kernel.stat().st_mtime >= since for kernel in folder.rglob("*.nbc"))
+    return 0
+
+
+def _kernel_folder() -> Path | None:
+    jit = sys.modules.get("gn0.jit")
+    folder: Path | None = getattr(jit, "kernel_cache", lambda: None)()
+    return folder

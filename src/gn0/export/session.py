@@ -11,7 +11,7 @@ import json
 import shutil
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from gn0.export.exporter import (
     Record,
     get_dataset_exporter,
 )
-from gn0.export.trips import ExportSource, Trip
+from gn0.export.trips import ExportSource, EyesTold, Trip
 from gn0.folder import LOCK, holds_leftovers_only, lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
 from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
@@ -208,7 +208,8 @@ def _write_all(
 ) -> ExportFile:
     folder = job.folder
     write_json(folder / EXPORT_FILE, msgspec.to_builtins(about))
-    records = _write_trips(exporter, job, plan, progress)
+    told = replace(job, source=replace(job.source, eyes=EyesTold(job.source.eyes, progress)))
+    records = _write_trips(exporter, told, plan, progress)
     exporter.finish(records, job)
     notes: Counter[str] = Counter()
     for record in records:

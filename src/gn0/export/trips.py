@@ -6,8 +6,9 @@ make their own.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from gn0.errors import EpisodeError
 from gn0.geometry import F32, F64, U8
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import Episode
+from gn0.progress import Progress
 from gn0.sim.presets import CameraPreset
 from gn0.sim.sensors import MapFrame
 
@@ -111,6 +113,43 @@ class Eyes(Protocol):
     def goal(self, trip: Trip) -> U8 | None:
         """What its goal looks like [H, W, 3], through the dataset's camera; None without one."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class EyesTold:
+    """Eyes that tell of each picture they make; a trip of many pictures is not silent.
+
+    Attributes:
+        eyes: that make them.
+        progress: progress sink; how many pictures there will be is not known.
+    """
+
+    eyes: Eyes
+    progress: Progress
+    _count: Iterator[int] = field(default_factory=lambda: itertools.count(1))
+
+    def frames(self, trip: Trip, sensors: Sensors) -> Iterator[Frame]:
+        """See `Eyes.frames`."""
+        return self._told(self.eyes.frames(trip, sensors))
+
+    def look(
+        self, trip: Trip, poses: F64, preset: CameraPreset, sensors: Sensors
+    ) -> Iterator[Frame]:
+        """See `Eyes.look`."""
+        return self._told(self.eyes.look(trip, poses, preset, sensors))
+
+    def maps(self, trip: Trip) -> MapView:
+        """See `Eyes.maps`."""
+        return self.eyes.maps(trip)
+
+    def goal(self, trip: Trip) -> U8 | None:
+        """See `Eyes.goal`."""
+        return self.eyes.goal(trip)
+
+    def _told(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        for frame in frames:
+            self.progress("pictures", next(self._count), 0)
+            yield frame
 
 
 class SceneCard(NamedTuple):

@@ -119,15 +119,14 @@ def place_surfels(
         tiles = plan_tiles(charts, target, fineness)
         cells = fill_tiles(charts, mesh, tiles, seed)
         discs = shape_discs(cells, charts, mesh, caster, oriented=oriented, progress=progress)
+        progress("shaping surfels", 4, 4)
         if unseen is not None:
             # one side of a thin solid is enough: a disc shows on both, and the unlit side of a
             # table top would shine through its lit one, for renderers sort discs by their centres
             spare = unseen[cells.face[discs.cell]] & (discs.depth < _THIN)
             spare &= mesh.normals()[cells.face[discs.cell], 2] < 0.5
             discs = replace(discs, keep=discs.keep & ~spare)
-        cells = cells.select(discs.cell)
-        progress("shaping surfels", 4, 4)
-        return tiles, cells, discs
+        return tiles, cells.select(discs.cell), discs
 
     progress("surfels", 1, 6)
     # a coarse pass tells what is hidden (it costs nothing) and what needs many discs

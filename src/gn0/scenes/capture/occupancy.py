@@ -13,6 +13,7 @@ from gn0.errors import SceneError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from gn0.progress import Progress, no_progress
 from gn0.scenes.capture.discs import disc_normals
 from gn0.scenes.capture.enclosure import find_inside
 from gn0.scenes.capture.extinction import SOLID, VoxelFrame, measure_extinction, solid_enough
@@ -65,6 +66,7 @@ def build_capture_occupancy(
     noise: float = 0.0,
     seed: tuple[float, float] | None = None,
     ground: bool = False,
+    progress: Progress = no_progress,
 ) -> CaptureOccupancy:
     """Occupancy of an agent's body band.
 
@@ -75,13 +77,17 @@ def build_capture_occupancy(
         noise: standard deviation [m] of the points of a surface about it, as the floor shows it.
         seed: (x, y) [m] on open floor; by default the roomiest place of the largest open region.
         ground: the floor is assumed to be everywhere, seen or not.
+        progress: progress sink.
 
     Raises:
         SceneError: there is nothing to stand on, or the seed is not on open floor.
     """
+    progress("finding what is solid", 0, 3)
     cloud = replace(cloud, means=smooth_surfaces(cloud, noise))
+    progress("finding what is solid", 1, 3)
     frame = voxel_frame(cloud, resolution, band, margin=GROUND_MARGIN if ground else 0.0)
     dense = measure_extinction(cloud, frame) > SOLID
+    progress("finding what is solid", 2, 3)
     solid = drop_small(dense, COMPONENT)
     first = round((band[0] - frame.origin[2]) / frame.size[2])
     last = first + round((band[1] - band[0]) / frame.size[2])
@@ -94,6 +100,7 @@ def build_capture_occupancy(
         origin=(frame.origin[0], frame.origin[1]),
     )
     head = np.asarray(solid[round((WALL_TOP - frame.origin[2]) / frame.size[2]) - 1 :].any(axis=0))
+    progress("finding what is solid", 3, 3)
     found = find_inside(head, open_, resolution)
     # nobody scans a flat from its garden: the flood starts within walls where there are any
     place = _seed_cell(grid, open_, seed, within=open_ if found is None else found[0])

@@ -57,21 +57,23 @@ class SceneSourceCapture:
             ConfigError: a setting does not make sense.
         """
         told = check_capture_settings(settings.capture)
-        progress("reading splats", 0, 4)
+        progress("reading splats", 0, 6)
         file = load_cloud(path, level=told.level)
-        progress("finding up, floor and scale", 1, 4)
+        progress("finding up, floor and scale", 1, 6)
         found = ""
         try:
             pose = propose_pose(file.cloud, told)
             found = _found_words(pose)
+            progress("turning upright", 2, 6)
             cloud = pose.apply(file.cloud)
+            progress("looking for closed doors", 3, 6)
             doors = find_closed_doors(cloud, pose.ceiling, ground=pose.ground)
             taken = 0
             if told.open_doors and any(door.leads for door in doors):
                 stays = open_doors(cloud, tuple(door for door in doors if door.leads))
                 taken = int((~stays).sum())
                 cloud = cloud.select(np.flatnonzero(stays))
-            progress("mapping", 2, 4)
+            progress("mapping", 4, 6)
             occupancy = build_capture_occupancy(
                 cloud,
                 resolution=settings.resolution,
@@ -79,14 +81,15 @@ class SceneSourceCapture:
                 noise=pose.noise,
                 seed=told.seed_point,
                 ground=pose.ground,
+                progress=progress,
             )
             refuse_tiny(occupancy, told)
         except SceneError as error:
             what = f"{error.what}; no scene was written; {found}" if found else error.what
             raise SceneError(what, where=error.where or path, remedy=error.remedy) from None
-        progress("finding things", 3, 4)
+        progress("finding things", 5, 6)
         labels = find_things(occupancy, settings.height_band, pose.walls)
-        progress("finding things", 4, 4)
+        progress("finding things", 6, 6)
         low, high = main_extent(cloud)
         return Scene(
             id=settings.scene_id or scene_id_from(path.resolve().stem),

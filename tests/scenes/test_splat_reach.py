@@ -110,6 +110,19 @@ def test_coarse_splats_end_at_most_ten_centimetres_beyond_their_face() -> None:
     assert cloud.scales.max() <= 0.5
 
 
+def test_the_splat_of_a_speck_lies_on_the_speck() -> None:
+    """A bent flake, 2 mm by 0.2 mm: sunk along its slope, its splat came to lie beside it."""
+    size = np.array([0.0021, 0.0002])
+    (x, y), lift = size, 25e-6
+    flake = np.array([(0, 0, 0), (x, 0, lift), (x, y, 0), (0, y, lift)])
+    mesh = mesh_of(flake, [(0, 1, 2), (0, 2, 3)])
+    cloud = build_surfels(mesh, Grey(mesh), count=1)
+    at = ends(cloud)[..., :2]
+    beyond = np.linalg.norm(np.maximum(0, np.maximum(-at, at - size)), axis=-1)
+    assert beyond.max() <= size.max() + 1e-4  # one spacing: the flake is one cell
+    assert (cloud.means[:, :2] >= -1e-6).all() and (cloud.means[:, :2] <= size + 1e-6).all()
+
+
 def test_no_splat_of_a_refined_scene_reaches_too_far(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fit that draws each splat as far as it may, on a skirting and a panel of coarse splats."""
     panel = mesh_of(np.array([(0, 0, 1), (3, 0, 1), (3, 2, 1), (0, 2, 1)]), [(0, 1, 2), (0, 2, 3)])

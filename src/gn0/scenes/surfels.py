@@ -165,14 +165,14 @@ def shade_surfels(
     mesh, cells, discs = placement.mesh, placement.cells, placement.discs
     albedo, irradiance, colour, normal, rough = _shade_cells(shader, cells, progress)
     scales = discs.scales * np.array([1, 1, 0], np.float32) * _widen(rough)[:, None]
-    scales = outlines_of(placement).hold(
+    scales, means = outlines_of(placement).hold(
         np.maximum(scales, np.float32(THICKNESS)), discs.point, discs.quats
     )
     label = mesh.instance[cells.face]
     if label_of_instance is not None:
         label = np.where(label >= 0, np.asarray(label_of_instance)[label], -1)
     return GaussianCloud(
-        means=discs.point,
+        means=means,
         quats=discs.quats,
         scales=scales,
         opacities=discs.opacity,

@@ -199,6 +199,27 @@ def test_check_names_a_needle_and_a_giant() -> None:
     assert found["needle-splats"].level == "warning" and found["needle-splats"].remedy
 
 
+def test_check_lets_the_sky_be_coarse_but_names_a_needle_out_there() -> None:
+    """Splats of 13 cm whose neighbours are half a metre off: a gap in a room, sky 12 m above it."""
+    scene = build_example_scene(spacing=0.1)
+    cloud = scene.gaussians
+    middle = cloud.means.mean(axis=0)
+
+    def named(height: float, sigma: float, apart: float) -> bool:
+        """A row of three of them in the air over the room: is one named?"""
+        means, scales, quats = cloud.means.copy(), cloud.scales.copy(), cloud.quats.copy()
+        means[:3] = (*middle[:2], height)
+        means[:3, 0] += np.array([-apart, 0, apart], np.float32)
+        scales[:3], quats[:3] = (sigma, 0.02, 0.001), (1, 0, 0, 0)
+        needles = find_needles(replace(cloud, means=means, scales=scales, quats=quats), scene.grid)
+        return bool(np.isin(needles.bare, np.arange(3)).any())
+
+    assert named(1.2, 0.13, 0.5)
+    assert not named(14.0, 0.13, 0.5)
+    assert named(14.0, 0.13, 3.0), "nothing at all goes on there"
+    assert named(14.0, 0.45, 3.0)
+
+
 def test_charts_keep_a_skirting_in_one_piece() -> None:
     """What makes the first test one: corners do not part the strips."""
     assert len(build_charts(skirting(X, Y, WIDTH, 0.1))) == 1

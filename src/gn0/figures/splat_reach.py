@@ -16,6 +16,7 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.needles import find_needles
+from gn0.scenes.occupancy import build_occupancy
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.finish import floor_area, place_draft
 from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName
@@ -131,7 +132,7 @@ def _reach_of(unit: tuple[KindName, int, SizeName]) -> tuple[int, int, int, floa
     """Splats of a draft: breaking the rule, named by `scene check`, all; farthest, longest [m]."""
     placement, cloud = _place_draft(*unit)
     broken, reach, sigma = count_overreach(placement, cloud)
-    needles = find_needles(cloud)
+    needles = find_needles(cloud, build_occupancy(placement.mesh))  # as `check_scene` does
     return broken, len(np.union1d(needles.long, needles.bare)), len(cloud), reach, sigma
 
 

@@ -270,7 +270,7 @@ def _check_splats(scene: Scene, cloud: GaussianCloud) -> Iterator[Finding]:
 
 def _check_needles(scene: Scene, cloud: GaussianCloud) -> Iterator[Finding]:
     """Splats that are longer than what they show; each kind names its longest."""
-    needles = find_needles(cloud)
+    needles = find_needles(cloud, scene.grid)
     giants = float((cloud.scales.max(axis=1) > 2.0).mean())
     if giants > 0.001:
         yield Finding(

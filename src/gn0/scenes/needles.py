@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.geometry import rotation_from_quaternion
+from gn0.geometry import F64, rotation_from_quaternion
+from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.scenes.reach import FARTHEST, SIGMA_MOST
 
 _NEAR = 0.20  # of the place before a splat's end lies another, in sheets of coarse splats, too [m]
+_SEEN = 3.0  # sheets are coarser in proportion to how much farther off than this one stands [m]
+_TALL = 2.0  # eyes are nowhere higher above the floor [m]
 _MOST = 200_000  # splats looked at, the longest first
 
 
@@ -29,13 +32,20 @@ class Needles:
     bare: NDArray[np.int64]
 
 
-def find_needles(cloud: GaussianCloud) -> Needles:
+def find_needles(cloud: GaussianCloud, grid: OccupancyGrid | None = None) -> Needles:
     """The splats of a cloud that reach too far.
 
     A surface of splats goes on where a splat ends: near the place on its long axis that is
     `FARTHEST` short of its end, two standard deviations out, lies the centre of another. Where
     none does, the splat stands out into the open or into the next room. Where that place is
     nearer than `FARTHEST` to its own centre, that cannot be told.
+
+    What nobody comes near is shown by fewer splats, such as the sky over a yard, and nobody sees
+    its gaps: farther than `_SEEN` from wherever one may stand, "near" grows with the distance.
+
+    Args:
+        cloud: the splats.
+        grid: where one may stand; without it, every splat counts as seen closely.
     """
     scales = cloud.scales.astype(np.float64)
     order = np.argsort(-scales.max(axis=1), kind="stable")
@@ -55,5 +65,18 @@ def find_needles(cloud: GaussianCloud) -> Needles:
         distance, found = tree.query(end, k=2)
         # the splat itself does not count
         nearest = np.where(found[:, 0] == some, distance[:, 1], distance[:, 0])
-        bare |= nearest > _NEAR + 2.0 * width
+        near = np.full(len(some), _NEAR)
+        gap = np.flatnonzero(nearest > near + 2.0 * width)
+        near[gap] *= np.maximum(1.0, _sight(end[gap], grid) / _SEEN)
+        bare |= nearest > near + 2.0 * width
     return Needles(long, some[bare])
+
+
+def _sight(points: F64, grid: OccupancyGrid | None) -> F64:
+    """From how near places [N, 3] can be looked at [N] m, walls or not."""
+    free = np.empty((0, 2), np.int64) if grid is None else np.argwhere(grid.cells == FREE)
+    if grid is None or not len(free) or not len(points):
+        return np.zeros(len(points))
+    aside = cKDTree(grid.centres_of(free)).query(points[:, :2])[0]
+    height = points[:, 2]
+    return np.hypot(aside, np.maximum(0.0, np.maximum(height - _TALL, -height)))

@@ -8,9 +8,9 @@ same bytes for any thread count and, as far as IEEE goes, on any machine.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,37 +18,27 @@ from pathlib import Path
 from typing import Any
 
 from gn0.cache import trust_folder
+from gn0.kernel_key import kernel_key
 from gn0.storage import cache_dir
 
-_KEPT_DAYS = 30.0  # caches of other versions of the kernels are removed after so long
-
-
-def kernel_digest() -> str:
-    """Digest of every module that holds kernels.
-
-    Numba checks a cached kernel against its own file only, not against the files of kernels that
-    it calls: a stale caller may crash. So each version of the kernels has a cache of its own.
-    """
-    digest = hashlib.blake2b(digest_size=8)
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        source = path.read_bytes()
-        if b"gn0.jit" in source:
-            digest.update(path.name.encode() + b"\0" + source + b"\0")
-    return digest.hexdigest()
+_NAME = "kernel"  # of the files in a kernel's folder
+_KEPT_DAYS = 30.0  # code that was not used for so long is removed
+_TIDY_DAYS = 1.0  # how often that is looked for
 
 
 def _claim_cache() -> str:
-    """The cache of these kernels, older ones tidied away; "" where it cannot be trusted."""
-    mine = cache_dir() / "numba" / kernel_digest()
-    known = mine.exists()
+    """The folder of compiled kernels, old ones tidied away; "" where it cannot be trusted."""
+    mine = cache_dir() / "numba"
     if not trust_folder(mine):
         return ""
     with contextlib.suppress(OSError):  # an unwritable cache only costs compile time
-        if not known:
-            for other in mine.parent.iterdir():
-                if time.time() - other.stat().st_mtime > _KEPT_DAYS * 86400:
+        stamp = mine / "tidied"
+        if not stamp.exists() or time.time() - stamp.stat().st_mtime > _TIDY_DAYS * 86400:
+            for other in mine.iterdir():
+                used = max(path.stat().st_mtime for path in (other, *other.glob("*.nbi")))
+                if time.time() - used > _KEPT_DAYS * 86400:
                     shutil.rmtree(other, ignore_errors=True)
-        os.utime(mine)
+            stamp.touch()
     return str(mine)
 
 
@@ -69,6 +59,7 @@ if not _named and (_claimed := _claim_cache()):
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numba  # noqa: E402 (it reads its settings when imported)
+from numba.core.caching import IndexDataCacheFile  # noqa: E402
 
 _config: Any = numba.config
 if not _config.CACHE_DIR:  # Numba was imported before us
@@ -96,15 +87,49 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return lambda kernel: _forgive(compiler(kernel))
 
 
+def is_compiled(kernel: Any) -> bool:
+    """Whether a kernel has compiled code in the cache, as it is now."""
+    return _caching and (_home_of(kernel) / f"{_NAME}.nbi").exists()
+
+
+def _home_of(kernel: Any) -> Path:
+    """The folder of a kernel's code: a new one for whatever changes that code."""
+    function = kernel.py_func
+    name = f"{function.__module__}.{function.__qualname__}".removeprefix("gn0.")
+    return (
+        Path(str(_config.CACHE_DIR)) / f"{name.replace('<', '').replace('>', '')}-{_key_of(kernel)}"
+    )
+
+
+def _key_of(kernel: Any) -> str:
+    return f"py{sys.version_info.major}{sys.version_info.minor}-{kernel_key(kernel)}"
+
+
 def _forgive(kernel: Any) -> Any:
-    """The kernel, whose cache may fail: a full disk or a damaged file costs compile time only."""
+    """The kernel, with a cache by what it is made of, which may fail.
+
+    A full disk or a damaged file costs compile time only.
+    """
     cache = getattr(kernel, "_cache", None)
     load, save = getattr(cache, "load_overload", None), getattr(cache, "save_overload", None)
     if cache is None or load is None or save is None:
         return kernel
+    placed = False
+
+    def place() -> None:  # at the first call: only then are all globals there
+        nonlocal placed
+        if not placed:
+            placed = True
+            home = _home_of(kernel)
+            cache._cache_path = str(home)
+            cache._cache_file = IndexDataCacheFile(str(home), _NAME, home.name)
+            cache._impl.locator.ensure_cache_path = lambda: home.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(OSError):
+                os.utime(home / f"{_NAME}.nbi")  # used: not to be tidied away
 
     def load_or_not(*arguments: Any) -> Any:
         try:
+            place()
             return load(*arguments)
         except Exception:  # whatever half a file leads to
             with contextlib.suppress(Exception):
@@ -113,6 +138,7 @@ def _forgive(kernel: Any) -> Any:
 
     def save_or_not(*arguments: Any) -> None:
         with contextlib.suppress(Exception):
+            place()
             save(*arguments)
 
     cache.load_overload, cache.save_overload = load_or_not, save_or_not

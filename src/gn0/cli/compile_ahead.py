@@ -12,7 +12,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 _CODE = "from gn0.cli.compile_ahead import use_kernels; use_kernels()"
 
@@ -35,10 +34,10 @@ def compile_ahead() -> Iterator[None]:
 
 
 def _is_compiled() -> bool:
-    import gn0.jit  # noqa: F401 (it says where the cache is)
+    from gn0.jit import is_compiled
+    from gn0.render.cpu_raster import blend
 
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR", ""))
-    return any(folder.rglob("cpu_raster*.nbi"))
+    return is_compiled(blend)
 
 
 def use_kernels() -> None:

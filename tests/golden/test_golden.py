@@ -19,6 +19,7 @@ def _load() -> ModuleType:
 
 
 golden = _load()
+LONG = ("scene", "exports")
 
 
 @pytest.fixture(scope="session")
@@ -29,10 +30,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     "part",
-    [
-        pytest.param(p, marks=pytest.mark.slow if p.startswith("scene") else ())
-        for p in golden.PARTS
-    ],
+    [pytest.param(p, marks=pytest.mark.slow if p.startswith(LONG) else ()) for p in golden.PARTS],
 )
 def test_the_same_bytes_as_before(part: str, workshop: Path) -> None:
     """A digest that a commit changes on purpose is written again, and its body says why."""

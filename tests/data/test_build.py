@@ -23,12 +23,12 @@ from gn0.data.dataset import (
 )
 from gn0.data.labels import label_states
 from gn0.data.render import render_dataset
-from gn0.data.samples import ACTIONS_AHEAD
 from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import BenchError, DataError, FormatError, StorageError
 from gn0.folder import lock_folder
 from gn0.geometry import Pose2D, agent_to_world
+from gn0.paper import ACTIONS_AHEAD
 from gn0.scenes.folder import load_scene
 
 

@@ -20,10 +20,11 @@ from gn0.maps.lattice import (
     LatticeProblem,
     discretize_path,
 )
-from gn0.maps.lattice_states import FORWARD, LEFT, RIGHT, ROOT_POWERS, STOP
+from gn0.maps.lattice_states import ROOT_POWERS
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.maps.ros import load_ros_map
+from gn0.paper import FORWARD, LEFT, RIGHT, STOP
 from gn0.seeds import random_stream
 
 STEP, TURN = 0.25, math.radians(15)

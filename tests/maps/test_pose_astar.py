@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from gn0.errors import PlanError
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
-from gn0.maps.pose_astar import FORWARD, LEFT, RIGHT, WEIGHTS, plan_actions
+from gn0.maps.pose_astar import WEIGHTS, plan_actions
+from gn0.paper import FORWARD, LEFT, RIGHT
 
 TURN_COST = 0.02
 

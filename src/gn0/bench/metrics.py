@@ -18,9 +18,8 @@ from gn0.errors import EpisodeError
 from gn0.geometry import F64, polyline_length
 from gn0.jit import njit
 from gn0.missions.episode import Episode
+from gn0.paper import SUCCESS_RADIUS
 from gn0.sim.state import Trajectory
-
-SUCCESS_RADIUS = 3.0  # m, strictly less
 
 # geodesic distance to the goal [m] of points [N, 2] m, +inf where there is no way
 DistanceToGoal = Callable[[F64], NDArray[np.floating]]

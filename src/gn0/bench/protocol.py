@@ -25,8 +25,8 @@ from gn0.storage import content_hash
 
 # what decides a result; the rest of the package may change between two sessions of one run
 _DECIDING = (
-    "geometry.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim", "policies",
-    "bench/metrics.py", "bench/release.py", "bench/worker.py", "device/kernels",
+    "geometry.py", "paper.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim",
+    "policies", "bench/metrics.py", "bench/release.py", "bench/worker.py", "device/kernels",
 )  # fmt: skip
 _SOURCES = {".py", ".cu", ".cuh"}
 

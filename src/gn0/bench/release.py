@@ -19,6 +19,7 @@ import numpy as np
 from gn0.errors import SimError
 from gn0.maps.release import DistanceMeter, ReleaseMap
 from gn0.missions.episode import Episode
+from gn0.paper import SUCCESS_RADIUS
 from gn0.sim.policy import Policy, PolicyPrivileged
 from gn0.sim.simulator import action_code
 from gn0.sim.state import Action, Observation, Trajectory
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator
 
 PATIENCE = 25  # checks of unchanged distance that the harness still allows
-SUCCESS_RADIUS = 3.0  # m
 
 
 class ReleaseScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -19,7 +19,6 @@ from typing import Annotated, Literal, cast
 
 import msgspec
 
-from gn0.bench.metrics import SUCCESS_RADIUS
 from gn0.bench.profiles import (
     PROFILES,
     RELEASE,
@@ -35,6 +34,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, mission_kind
 from gn0.missions.files import check_unique, episodes_digest_bytes, load_episodes, save_episodes
 from gn0.missions.goal import MINIMUM_LENGTH, check_episode_fits, sample_goal_episodes
+from gn0.paper import SUCCESS_RADIUS
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene

@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 
 from gn0.errors import ConfigError, FormatError
 from gn0.geometry import F32, F64
+from gn0.paper import ACTIONS_AHEAD
 from gn0.sim.sensors import MapFrame
 
 TOKENS = 1000
-ACTIONS_AHEAD = 6
 ACTION_TOKENS = ("<STOP>", "<FWD>", "<LEFT>", "<RIGHT>")  # in the order of their codes
 ACTION_BEGIN, ACTION_END = "<action>", "</action>"
 ANSWER_LENGTH = 16_384  # characters that are looked at; a whole answer has about 400

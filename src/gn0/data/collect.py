@@ -14,9 +14,9 @@ from gn0.bench.suite import Suite
 from gn0.data.build import build_dataset
 from gn0.data.dagger import check_options
 from gn0.data.dataset import Dataset
-from gn0.data.samples import ACTIONS_AHEAD
 from gn0.data.settings import BuildSettings, DaggerSettings
 from gn0.errors import ConfigError
+from gn0.paper import ACTIONS_AHEAD
 from gn0.plugins import get_plugin, import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.sim.state import Action

@@ -28,21 +28,15 @@ from typing import Any
 
 import numpy as np
 
-from gn0.data.labels import (
-    ACTIONS_AHEAD,
-    I8,
-    LabelSettings,
-    cut_at,
-    label_states,
-    plan_from,
-)
-from gn0.data.samples import NO_TOKEN, POINTS, EpisodeRows
+from gn0.data.labels import I8, LabelSettings, cut_at, label_states, plan_from
+from gn0.data.samples import NO_TOKEN, EpisodeRows
 from gn0.data.settings import DaggerSettings, Halting
-from gn0.data.ways import SPACING, sample_way_points
+from gn0.data.ways import sample_way_points
 from gn0.errors import ConfigError, EpisodeError, Gn0Error, PolicyError, SimError
 from gn0.geometry import F32, F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.missions.episode import Episode, MissionFollow
+from gn0.paper import ACTIONS_AHEAD, POINTS, SPACING
 from gn0.seeds import random_stream
 from gn0.sim.kinematics import Heading
 from gn0.sim.policy import Policy

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gn0.config import Config
 from gn0.data.tracking import plan_tracking
-from gn0.data.ways import POINTS, sample_way_points
+from gn0.data.ways import sample_way_points
 from gn0.errors import PlanError
 from gn0.geometry import F32, F64, wrap_angle
 from gn0.maps.distance import GeodesicField
@@ -35,12 +35,12 @@ from gn0.maps.navigation import NavigationMap
 from gn0.maps.pose_astar import plan_actions
 from gn0.maps.ray import is_line_free, trace_move
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.paper import ACTIONS_AHEAD, POINTS
 from gn0.sim.collision import move_agent
 from gn0.sim.kinematics import Heading, heading_cycle, step_forward
 from gn0.sim.state import Action
 
 LabelVariant = Literal["exact", "mpc", "gn0-release"]
-ACTIONS_AHEAD = 6
 ROUNDING = 1e-3  # m within the limit, so that no rounding in a metric can put a STOP outside it
 # plans from arbitrary states: at most 2 % dearer than the best, found four times as quickly
 STATE_WEIGHT, STATE_SUBCELLS = 1.02, 1

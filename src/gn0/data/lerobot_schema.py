@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.data.samples import ACTIONS_AHEAD, POINTS, EpisodeRows
+from gn0.data.samples import EpisodeRows
 from gn0.geometry import F64, U8, wrap_angle
+from gn0.paper import ACTIONS_AHEAD, POINTS
 from gn0.render.depth import to_metres
 from gn0.sim.history import (
     COLUMNS,

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from gn0.errors import FormatError
 from gn0.geometry import F32, F64
 from gn0.missions.files import read_table
+from gn0.paper import ACTIONS_AHEAD, POINTS
 from gn0.storage import content_hash
 
 SAMPLE_LAYOUT = 1  # of the table below; raise it when a column changes its name or meaning
-ACTIONS_AHEAD = 6
-POINTS = 13  # where the agent is, and 12 points at 0.25 m of arc length: 3 m
 TOKENS = 1000  # map tokens run from 0 to 999
 PICTURES = ("rgb", "history", "bev", "occupancy")  # hashed, in the order of their columns
 DEPTH = "depth"  # hashed as well where a dataset stores it, in a column behind all others

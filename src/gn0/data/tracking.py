@@ -27,7 +27,6 @@ from gn0.errors import ConfigError
 from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.lattice_states import (
-    FORWARD,
     HEADING_AT,
     HEADINGS,
     LAST_AT,
@@ -36,6 +35,7 @@ from gn0.maps.lattice_states import (
     expand_states,
     place_states,
 )
+from gn0.paper import FORWARD, FORWARD_STEP, TURN_DEGREES
 
 GUARD = 1.0  # actions that a plan may lose against the quickest, for the sake of the way
 LOOK_AHEAD = 0.5  # m along the way at which a state should look
@@ -70,8 +70,8 @@ def plan_tracking(
     ahead: NDArray[np.floating],
     *,
     stop_distance: float,
-    step: float = 0.25,
-    turn_degrees: float = 15.0,
+    step: float = FORWARD_STEP,
+    turn_degrees: float = TURN_DEGREES,
     horizon: int = 8,
     discount: float = 0.95,
 ) -> list[int]:

@@ -29,9 +29,7 @@ from gn0.geometry import F32, F64
 from gn0.maps.astar import PlannerAstar
 from gn0.maps.distance import GeodesicField
 from gn0.maps.grid import OccupancyGrid
-
-POINTS = 13  # where the agent is, and twelve more
-SPACING = 0.25  # m of arc length between them
+from gn0.paper import POINTS, SPACING
 
 
 class _Bends(NamedTuple):

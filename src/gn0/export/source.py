@@ -13,10 +13,11 @@ from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.draw import bare_map, eyes_of
 from gn0.data.pictures import goal_picture, map_picture
 from gn0.data.samples import EpisodeRows
-from gn0.export.trips import STOP, ExportSource, Frame, MapView, SceneCard, Sensors, Trip
+from gn0.export.trips import ExportSource, Frame, MapView, SceneCard, Sensors, Trip
 from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import Episode, MissionGoal
+from gn0.paper import STOP
 from gn0.scenes.folder import load_scene_file
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset, find_preset

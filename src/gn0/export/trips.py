@@ -19,11 +19,11 @@ from gn0.errors import EpisodeError
 from gn0.geometry import F32, F64, U8
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import Episode
+from gn0.paper import FORWARD, LEFT, RIGHT, STOP
 from gn0.progress import Progress
 from gn0.sim.presets import CameraPreset
 from gn0.sim.sensors import MapFrame
 
-STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3
 Sensors = tuple[Literal["rgb", "depth"], ...]
 RGB: Sensors = ("rgb",)
 RGBD: Sensors = ("rgb", "depth")

@@ -24,7 +24,7 @@ from gn0.export.faults import Faults, load_typed
 from gn0.export.names import load_names, name_of, save_names
 from gn0.export.nodes import thin_path
 from gn0.export.schema import Shape, describe_shape, shape_differences
-from gn0.export.trips import FORWARD, LEFT, RIGHT, Recovered, Trip
+from gn0.export.trips import Recovered, Trip
 from gn0.geometry import F64
 from gn0.missions.episode import Episode
 from gn0.missions.frames import habitat_rotation, habitat_to_world, world_to_habitat
@@ -40,6 +40,7 @@ from gn0.missions.sets.vocabulary import (
     load_r2r_words,
     tell_unknown,
 )
+from gn0.paper import FORWARD, LEFT, RIGHT
 from gn0.sim.kinematics import heading_yaw
 from gn0.storage import safe_join, write_bytes
 

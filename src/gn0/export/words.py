@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from gn0.export.trips import FORWARD, LEFT, RIGHT, STOP, Trip
+from gn0.export.trips import Trip
+from gn0.paper import FORWARD, LEFT, RIGHT, STOP
 
 WORD = {STOP: "stop", FORWARD: "forward", LEFT: "left", RIGHT: "right"}
 

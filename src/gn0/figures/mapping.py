@@ -15,6 +15,7 @@ from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.missions.goal import sample_goal_episodes
+from gn0.paper import BEV_CUT
 from gn0.plugins import get_plugin
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.scene import Scene
@@ -22,7 +23,6 @@ from gn0.scenes.sources import import_scene
 from gn0.sim.mapping import Mapper
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode
-from gn0.sim.sensors import CEILING_CUT
 
 PRESET = "gn_bench"
 EPISODES = 6
@@ -73,7 +73,7 @@ def walk(scene: Scene, episodes: Sequence[Episode]) -> list[Walk]:
 def make_mapper(scene: Scene) -> Mapper:
     """A mapper of BEV and occupancy for the figures' preset."""
     config = open_simulator(scene, PRESET).config
-    return Mapper(scene.grid, config.preset, config.preset.agent, CEILING_CUT, coloured=True)
+    return Mapper(scene.grid, config.preset, config.preset.agent, BEV_CUT, coloured=True)
 
 
 def time_steps(mapper: Mapper, walks: Sequence[Walk]) -> F64:

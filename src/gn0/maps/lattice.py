@@ -27,14 +27,10 @@ from gn0.errors import ConfigError, PlanError
 from gn0.geometry import F64, Pose2D, wrap_angle
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.lattice_states import (
-    FORWARD,
     HEADINGS,
     LAST_AT,
-    LEFT,
     LONGEST_HORIZON,
     ORIGIN_KEY,
-    RIGHT,
-    STOP,
     check_moves,
     end_costs,
     expand_states,
@@ -46,6 +42,7 @@ from gn0.maps.lattice_states import (
 )
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import trace_points
+from gn0.paper import FORWARD, FORWARD_STEP, LEFT, RIGHT, STOP, TURN_DEGREES
 
 BUMP_AHEAD = 0.06  # m from where a FORWARD was cut short to the bump: more than BUMP_RADIUS
 BUMPS_KEPT = 64
@@ -107,8 +104,8 @@ class LatticeProblem:
         self,
         path: NDArray[np.floating],
         *,
-        step: float = 0.25,
-        turn_degrees: float = 15.0,
+        step: float = FORWARD_STEP,
+        turn_degrees: float = TURN_DEGREES,
         is_move_free: NavigationMap | OccupancyGrid | MoveCheck | None = None,
         stop_distance: float = 0.15,
         look_ahead: float = 0.5,
@@ -281,8 +278,8 @@ class ActionPlanner:
     def __init__(
         self,
         path: NDArray[np.floating],
-        step: float = 0.25,
-        turn_degrees: float = 15.0,
+        step: float = FORWARD_STEP,
+        turn_degrees: float = TURN_DEGREES,
         is_move_free: NavigationMap | OccupancyGrid | MoveCheck | None = None,
         *,
         stop_distance: float = 0.15,
@@ -456,8 +453,8 @@ def discretize_path(
     pose: Pose2D,
     *,
     method: str = "dp",
-    step: float = 0.25,
-    turn_degrees: float = 15.0,
+    step: float = FORWARD_STEP,
+    turn_degrees: float = TURN_DEGREES,
     is_move_free: NavigationMap | OccupancyGrid | MoveCheck | None = None,
     stop_distance: float = 0.15,
     horizon: int = 8,

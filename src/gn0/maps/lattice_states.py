@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from gn0.jit import njit
 from gn0.maps.ray import trace_points
 
-STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3  # the codes of VLN-CE
 HEADINGS = 24
 LONGEST_HORIZON = 16  # coefficients must stay within six bits
 BUMP_RADIUS = 0.05  # m round a place where a FORWARD was cut short against expectation

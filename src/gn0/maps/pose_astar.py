@@ -22,8 +22,8 @@ from gn0.errors import PlanError
 from gn0.jit import njit
 from gn0.maps.distance import GeodesicField
 from gn0.maps.ray import trace_points
+from gn0.paper import FORWARD_STEP
 
-FORWARD, LEFT, RIGHT = 1, 2, 3  # the codes of `gn0.sim.state.Action`
 SUBCELLS = 2  # merging bins along a cell's edge, unless told otherwise
 NODES = 3_000_000  # poses looked at before the weight is raised
 WEIGHTS = (1.01, 1.05, 1.2, 2.0, 10.0)
@@ -213,7 +213,7 @@ def plan_actions(
     yaws: Sequence[float],
     *,
     tolerance: float = 0.25,
-    step: float = 0.25,
+    step: float = FORWARD_STEP,
     turn_cost: float = 0.02,
     weight: float = WEIGHTS[0],
     subcells: int = SUBCELLS,

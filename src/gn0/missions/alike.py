@@ -30,6 +30,7 @@ from gn0.missions.targets import (
     room_box,
     wall_cells,
 )
+from gn0.paper import BEV_CUT
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom
 
 NEXT_TO = 1.0  # m between two footprints: one would say "next to"; nobody beyond NEIGHBOUR_REACH
@@ -37,7 +38,6 @@ SIDES = 4  # places at one instance of several
 TWIN_REACH = 2.9  # m: an instance that one cannot walk up to counts from as far as this
 SEEN_SHARE = 0.5  # of a footprint that nothing covers from above
 SEEN_SIZE = 0.4  # m, longest side of what the bird's-eye view shows well enough
-BEV_CUT = 2.3  # m; the bird's-eye view leaves out what lies higher
 _SAMPLES = 9  # points a side of a footprint
 
 

@@ -10,6 +10,7 @@ import msgspec
 from gn0.errors import EpisodeError
 from gn0.geometry import Pose2D
 from gn0.maps.goals import GoalSet
+from gn0.paper import FORWARD_STEP, TURN_DEGREES
 from gn0.render.light import LightCondition
 
 
@@ -117,8 +118,8 @@ class AgentSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     radius: float = 0.20
     camera_height: float = 1.30
-    forward_step: float = 0.25
-    turn_degrees: float = 15.0
+    forward_step: float = FORWARD_STEP
+    turn_degrees: float = TURN_DEGREES
     sliding: bool | msgspec.UnsetType = msgspec.UNSET
 
     def __post_init__(self) -> None:

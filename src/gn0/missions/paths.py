@@ -12,11 +12,10 @@ from gn0.errors import PlanError
 from gn0.geometry import F64
 from gn0.maps.goals import GoalSet
 from gn0.maps.grid import OccupancyGrid
+from gn0.paper import SPACING
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
-
-SPACING = 0.25  # m between points of a reference path: one FORWARD
 
 
 def resample_path(points: NDArray[np.floating], count: int) -> F64:

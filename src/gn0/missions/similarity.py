@@ -16,6 +16,7 @@ from gn0.config import Config
 from gn0.geometry import F64
 from gn0.jit import njit
 from gn0.missions.paths import resample_path
+from gn0.paper import FRECHET, GOAL_RADIUS, START_RADIUS
 from gn0.storage import content_hash
 
 
@@ -29,9 +30,9 @@ class SimilaritySettings(Config, frozen=True):
         samples: points a path is resampled to before comparison.
     """
 
-    start_radius: float = 1.0
-    goal_radius: float = 1.0
-    frechet: float = 0.75
+    start_radius: float = START_RADIUS
+    goal_radius: float = GOAL_RADIUS
+    frechet: float = FRECHET
     samples: int = 48
 
 

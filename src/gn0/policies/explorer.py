@@ -17,6 +17,7 @@ from gn0.maps.grid import FREE, GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.lattice import ActionPlanner
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.smooth import densify_path
+from gn0.paper import FORWARD_STEP, TURN_DEGREES
 from gn0.sim.sensors import RED
 from gn0.sim.state import Action, Observation, Sensor
 
@@ -44,8 +45,8 @@ class PolicyExplorer:
         stop_distance: float = 0.25,
         radius: float = 0.20,
         margins: tuple[float, ...] = (0.05, 0.0, -0.05, -0.10, -0.20),
-        step: float = 0.25,
-        turn_degrees: float = 15.0,
+        step: float = FORWARD_STEP,
+        turn_degrees: float = TURN_DEGREES,
     ) -> None:
         self.stop_distance = stop_distance
         self.radius = radius

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from gn0.errors import ConfigError
+from gn0.paper import TURN_DEGREES
 from gn0.sim.state import Action
 
 TEXT_LIMIT = 20_000  # characters of an answer that are read
@@ -36,7 +37,7 @@ _NUMBER = re.compile(r"-?[0-9]+")
 _TURNS = {"left": Action.LEFT, "right": Action.RIGHT}
 
 
-def parse_navid(text: str, turn_degrees: float = 15.0) -> TextAnswer:
+def parse_navid(text: str, turn_degrees: float = TURN_DEGREES) -> TextAnswer:
     """What NaVid says, as in "The next action is turn left 30 degrees": one kind of action.
 
     The first of stop, forward, left, right (in that order of precedence) that occurs, with the
@@ -58,7 +59,7 @@ def parse_navid(text: str, turn_degrees: float = 15.0) -> TextAnswer:
     return TextAnswer(_turn(_TURNS[word], 30.0 * count, turn_degrees), True)
 
 
-def parse_uninavid(text: str, turn_degrees: float = 15.0) -> TextAnswer:
+def parse_uninavid(text: str, turn_degrees: float = TURN_DEGREES) -> TextAnswer:
     """What Uni-NaVid says, as in "forward forward left stop"; other words are passed over.
 
     A forward is 25 cm, a turn 30°; nothing after stop counts.
@@ -88,7 +89,7 @@ _NAVILA_AMOUNT = {
 }
 
 
-def parse_navila(text: str, turn_degrees: float = 15.0) -> TextAnswer:
+def parse_navila(text: str, turn_degrees: float = TURN_DEGREES) -> TextAnswer:
     """What NaVILA says, as in "The next action is move forward 75 cm": one kind of action.
 
     A missing number means 25 cm or 15°; one that is no multiple is the nearest of 25, 50, 75 cm or

@@ -13,10 +13,11 @@ import numpy as np
 from PIL import Image
 
 from gn0.geometry import U8
+from gn0.paper import HISTORY
 
 TILE_WIDTH, TILE_HEIGHT = 160, 120
 ROWS = COLUMNS = 4
-LENGTH = ROWS * COLUMNS
+LENGTH = HISTORY  # of tiles, which fill rows and columns
 
 
 def reduce_picture(rgb: U8, width: int, height: int) -> U8:

@@ -13,6 +13,7 @@ from gn0.config import check_config
 from gn0.errors import SceneError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
+from gn0.paper import BEV_CUT
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.renderer import (
@@ -24,7 +25,7 @@ from gn0.render.renderer import (
 )
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.sensors import CEILING_CUT, EYES, MAPS, SensorConfig, check_map_mode, check_sensors
+from gn0.sim.sensors import EYES, MAPS, SensorConfig, check_map_mode, check_sensors
 from gn0.sim.simulator import Simulator
 from gn0.storage import content_hash
 
@@ -58,7 +59,7 @@ def open_simulator(
     agent: AgentSpec | None = None,
     max_steps: int = 500,
     *,
-    cut_height: float = CEILING_CUT,
+    cut_height: float = BEV_CUT,
     map_mode: str = "prior",
     navigation: NavigationMap | None = None,
     light: LightCondition | None = None,

@@ -15,6 +15,7 @@ from gn0.geometry import F32, F64, U8, Pose2D, view_from_pose, world_to_agent
 from gn0.maps.grid import GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.missions.episode import GoalPicture
+from gn0.paper import BEV_CUT
 from gn0.render.camera import Camera
 from gn0.sim.history import reduce_pictures
 from gn0.sim.presets import CameraPreset, find_preset
@@ -31,7 +32,6 @@ EYES = frozenset({"rgb", "depth", "history", "goal_picture"})  # these need a re
 MAPS = frozenset({"bev", "occupancy"})
 PICTURES = EYES | MAPS
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
-CEILING_CUT = 2.3  # m: the BEV leaves out what is above, so one looks into rooms
 GREEN, RED = (0, 255, 0), (255, 0, 0)
 
 
@@ -55,7 +55,7 @@ class SensorConfig(Config, frozen=True):
     range_limit: float = 10.0
     disc_radius: int = 3
     map_mode: MapMode = "prior"
-    cut_height: float = CEILING_CUT
+    cut_height: float = BEV_CUT
 
     def __post_init__(self) -> None:
         check_sensors(self.active)

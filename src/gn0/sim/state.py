@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
+from gn0 import paper
 from gn0.geometry import F32, U8, Pose2D
 
 Sensor = Literal[
@@ -21,10 +22,10 @@ before; `explored`, what the agent's own depth has seen since reset; `none`: the
 class Action(IntEnum):
     """VLN-CE compliant local actions."""
 
-    STOP = 0
-    FORWARD = 1
-    LEFT = 2
-    RIGHT = 3
+    STOP = paper.STOP
+    FORWARD = paper.FORWARD
+    LEFT = paper.LEFT
+    RIGHT = paper.RIGHT
 
 
 class Teleport(NamedTuple):

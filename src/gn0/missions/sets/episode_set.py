@@ -28,7 +28,8 @@ from gn0.missions.episode import (
     check_episode,
 )
 from gn0.missions.frames import Placement
-from gn0.missions.paths import SPACING, densify_path
+from gn0.missions.paths import densify_path
+from gn0.paper import SPACING
 from gn0.plugins import get_plugin, plugin_names
 from gn0.storage import check_contained
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from gn0.errors import ConfigError, PolicyError
 from gn0.geometry import U8
+from gn0.paper import TURN_DEGREES
 from gn0.policies.remote.answers import (
     ActionFormat,
     Answer,
@@ -71,7 +72,7 @@ class PolicyRemote:
         action_format: ActionFormat = "auto",
         translation_frame: str = "chunk_start",
         answers: str = "",
-        turn_degrees: float = 15.0,
+        turn_degrees: float = TURN_DEGREES,
         pose: bool = False,
         stop_eps: float = 1e-3,
         max_translation: float = 0.0,

@@ -1,0 +1,38 @@
+"""The paper's constants, each once. Line numbers are of `gn0.tex`, the source of the paper's text.
+
+What the paper leaves open and we chose is marked "ours". Defaults of settings are taken from here;
+a number that another format demands (`gn0.export`) stands with that format.
+"""
+
+from __future__ import annotations
+
+STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3
+"""Codes of the four actions, as VLN-CE has them (l. 723)."""
+
+FORWARD_STEP = 0.25
+"""m that FORWARD moves (l. 723)."""
+
+TURN_DEGREES = 15.0
+"""Degrees that LEFT and RIGHT turn (l. 723)."""
+
+SUCCESS_RADIUS = 3.0
+"""m: who stops nearer than this to the goal has succeeded; strictly nearer is ours (l. 931)."""
+
+ACTIONS_AHEAD = 6
+"""Next actions in a label (l. 750)."""
+
+POINTS = 13
+"""Waypoints of a label: where the agent is, and twelve more (l. 1795)."""
+
+SPACING = 0.25
+"""m of arc length between points: of a label (l. 1795), and of a reference path (ours)."""
+
+HISTORY = 16
+"""Earlier views that an agent remembers (l. 706)."""
+
+START_RADIUS, GOAL_RADIUS, FRECHET = 1.0, 1.0, 0.75
+"""m: paths whose starts and goals are nearer are compared, and one below that discrete Fréchet
+distance is a duplicate; the rule is the paper's (l. 1481, 1499), the metres are ours."""
+
+BEV_CUT = 2.3
+"""m above the floor from which the bird's-eye view leaves out what is higher (ours)."""

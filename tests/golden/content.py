@@ -17,6 +17,7 @@ import io
 import json
 import os
 import platform
+import re
 import sys
 import tempfile
 from collections import defaultdict
@@ -35,6 +36,7 @@ FORMATS = (
 RUN_FILES = ("results.jsonl", "trajectories.jsonl", "summary.json")  # the others hold times
 LEFT_OUT = {".lock"}
 VIEWS = 10  # a camera
+_VERSION = re.compile(rb"\d+\.\d+\.\d+\+[0-9a-f]{12}")  # as `gn0.bench.protocol` writes it
 PACKAGES = ("numpy", "numba", "llvmlite", "scipy", "pillow", "pyarrow", "av")
 
 
@@ -55,13 +57,18 @@ def digest(data: bytes) -> str:
     return hashlib.blake2b(data, digest_size=8).hexdigest()
 
 
+def read_file(path: Path) -> bytes:
+    """A file's bytes, without the version of the code that it names."""
+    return _VERSION.sub(rb"", path.read_bytes()) if path.suffix == ".json" else path.read_bytes()
+
+
 def digest_folder(folder: Path) -> dict[str, str]:
     """One digest for the files of each kind, by the ends of their names."""
     kinds: dict[str, list[bytes]] = defaultdict(list)
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.name not in LEFT_OUT:
             name = path.relative_to(folder).as_posix()
-            kinds[path.suffix or path.name].append(f"{name} {digest(path.read_bytes())}".encode())
+            kinds[path.suffix or path.name].append(f"{name} {digest(read_file(path))}".encode())
     return {kind: f"{len(lines)} {digest(b' '.join(lines))}" for kind, lines in kinds.items()}
 
 
@@ -167,7 +174,7 @@ def runs(root: Path) -> dict[str, str]:
         out = root / f"run-{policy}"
         command("bench", "run", make_suite(root), "--policy", policy, "--backend", "cpu",
                 "--out", out)  # fmt: skip
-        found |= {f"{policy} {name}": digest((out / name).read_bytes()) for name in RUN_FILES}
+        found |= {f"{policy} {name}": digest(read_file(out / name)) for name in RUN_FILES}
     return found
 
 

@@ -82,7 +82,7 @@ from gn0.storage import (
 
 # what decides the bytes: half a generation is not gone on with by other code
 _DECIDING = (
-    "geometry.py", "seeds.py", "maps", "missions", "render/light.py", "sim/presets.py",
+    "geometry.py", "paper.py", "seeds.py", "maps", "missions", "render/light.py", "sim/presets.py",
     "bench/generation.py", "bench/generation_folder.py",
 )  # fmt: skip
 

@@ -11,6 +11,7 @@ import contextlib
 import logging
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 
 from gn0.storage import cache_dir
@@ -31,7 +32,7 @@ def code_cache(part: str) -> Path | None:
 def trust_folder(folder: Path) -> bool:
     """Whether code may be kept in and taken from a folder, which is made if need be."""
     why = find_strangers(folder)
-    if not why:
+    if not why and not folder.is_dir():
         make_private(folder)
         why = find_strangers(folder)  # somebody may have been quicker
     if why and os.environ.get(_TOLD) != str(folder):
@@ -68,17 +69,25 @@ def find_strangers(folder: Path) -> str:
         for level in (real, *real.parents):
             if level.exists() and (why := _fault_of(level, own=level == real)):
                 return why
-        for place, folders, files in os.walk(real):
-            for name in (*folders, *files):
-                path = Path(place, name)
-                owner = path.lstat().st_uid
-                if owner not in (os.geteuid(), 0):
-                    return f"{path} belongs to {_name_user(owner)}"
+        for path, owner in _walk_owners(real):
+            if owner not in (os.geteuid(), 0):
+                return f"{path} belongs to {_name_user(owner)}"
     except FileNotFoundError:
         return ""  # a file that another process of ours has just replaced
     except (OSError, RuntimeError) as error:
         return f"{folder} cannot be looked at: {error}"
     return ""
+
+
+def _walk_owners(folder: Path) -> Iterator[tuple[str, int]]:
+    """Each thing below a folder with its owner: every process looks, so without a `Path` each."""
+    left: list[str] = [str(folder)] if folder.is_dir() else []
+    while left:
+        with contextlib.suppress(PermissionError), os.scandir(left.pop()) as entries:
+            for entry in entries:
+                yield entry.path, entry.stat(follow_symlinks=False).st_uid
+                if entry.is_dir(follow_symlinks=False):
+                    left.append(entry.path)
 
 
 def _fault_of(folder: Path, *, own: bool) -> str:

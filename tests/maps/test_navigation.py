@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy import ndimage
 
 from gn0.errors import PlanError
 from gn0.geometry import polyline_length
@@ -47,6 +48,16 @@ def test_regions_are_numbered_from_the_largest():
     assert walk.region_of(math.nan, 0.5) == -1
     assert (np.diff(walk.region_areas) <= 0).all()
     assert walk.region_areas.sum() == pytest.approx(walk.inflated.free_area)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 1.0])
+def test_regions_are_what_an_independent_labelling_finds(share):
+    cells = (np.random.default_rng(5).random((41, 67)) < share).astype(np.uint8)
+    regions = label_regions(OccupancyGrid(cells, 0.05, (0.0, 0.0)))
+    theirs, count = ndimage.label(cells == 0)  # by shared edges, numbered in reading order
+    sizes = np.bincount(theirs.ravel(), minlength=count + 1)[1:]
+    places = [-1, *np.argsort(np.argsort(-sizes, kind="stable"), kind="stable")]
+    assert (regions == np.array(places)[theirs]).all()
 
 
 def test_the_nearest_free_point():

@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gn0.errors import SceneError
 from gn0.geometry import F64
@@ -171,6 +170,8 @@ def _inside(
     open_cells: NDArray[np.bool_], resolution: float, pocket_area: float, pocket_radius: float
 ) -> NDArray[np.bool_]:
     """Open cells that belong to the building: not the outside, and no pockets."""
+    from scipy import ndimage  # here, so that a simulator does not load it
+
     labels, count = ndimage.label(open_cells)
     if not count:
         return open_cells

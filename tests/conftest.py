@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
 import os
 import shutil
 import signal
@@ -41,6 +43,36 @@ def shared_data() -> Path:
     if folder is None:
         pytest.skip("third-party data not present: set GN0_DATA to its folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def no_processes() -> Callable[[], contextlib.AbstractContextManager[None]]:
+    """Makes benchmark runs by one worker stay in this process: see workers_here.py."""
+    path = Path(__file__).with_name("workers_here.py")
+    spec = importlib.util.spec_from_file_location("workers_here", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found: Callable[[], contextlib.AbstractContextManager[None]] = module.no_processes
+    return found
+
+
+@pytest.fixture
+def worker_here(
+    no_processes: Callable[[], contextlib.AbstractContextManager[None]],
+) -> Iterator[None]:
+    """In one test no run by one worker starts a process."""
+    with no_processes():
+        yield
+
+
+@pytest.fixture(scope="module")
+def workers_here(
+    no_processes: Callable[[], contextlib.AbstractContextManager[None]],
+) -> Iterator[None]:
+    """In a whole file no run by one worker starts a process."""
+    with no_processes():
+        yield
 
 
 @pytest.fixture

@@ -17,6 +17,8 @@ from gn0.cli.main import main
 from gn0.errors import BenchError, StorageError
 from gn0.testing.simulated_suites import told_apart
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 def test_the_oracle_beats_chance_and_nothing_beats_itself(
     flats_suite: Suite, tmp_path: Path

@@ -19,7 +19,10 @@ from gn0.errors import BenchError
 from gn0.render.light import LightCondition
 from gn0.render.share.client import DrawServer
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets"),
+    pytest.mark.usefixtures("workers_here"),
+]
 PLUGIN = ("seeing_policies",)
 
 

@@ -7,7 +7,8 @@ import json
 import shutil
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -62,11 +63,15 @@ def cluster(still_code: None, scratch_cache: None) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def unbroken(
-    still_code: None, flats_suite: Suite, tmp_path_factory: pytest.TempPathFactory
+    still_code: None,
+    flats_suite: Suite,
+    tmp_path_factory: pytest.TempPathFactory,
+    no_processes: Callable[[], AbstractContextManager[None]],
 ) -> Path:
-    """One worker on this machine, in order, never interrupted."""
+    """One worker in this process, in order, never interrupted."""
     out = tmp_path_factory.mktemp("unbroken") / "run"
-    run_suite(flats_suite, "odd", out, plugin_modules=("odd_policies",))
+    with no_processes():
+        run_suite(flats_suite, "odd", out, plugin_modules=("odd_policies",))
     return out
 
 

@@ -30,6 +30,8 @@ from gn0.storage import storage_error
 from gn0.testing.crash_generation import crash_generations, folder_digest
 from gn0.testing.plain_paths import plain_verdict
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 SETTINGS = MissionSettings(per_scene=6, minimum_length=3.0, lights=2)
 
 

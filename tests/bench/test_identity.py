@@ -27,6 +27,8 @@ from gn0.policies.remote.wire import decode_message, encode_message
 from gn0.policies.simple import PolicyRandom
 from gn0.testing.rogue_servers import serve_bare
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 SOURCE = """
 from gn0.plugins import _registered, register
 from gn0.sim.state import Action

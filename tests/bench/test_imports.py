@@ -26,6 +26,8 @@ from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
 from gn0.missions.sets.vocabulary import cut_words
 from gn0.testing.scenes import with_goal_sets
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 FORMATS = {"gn-matrix": "e.parquet", "gn-matrix-json": "tasks", "vlnce": "val.json.gz"}
 
 

@@ -25,6 +25,8 @@ from gn0.policies.remote.isolated import PolicyIsolated
 from gn0.seeds import load_stream, random_stream, save_stream
 from gn0.sim.state import Observation
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 PLUGIN = Path(__file__).parent / "plugin"
 SAME = ("results.jsonl", "trajectories.jsonl")
 

@@ -16,6 +16,8 @@ from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, PolicyError
 from gn0.sim.tasks import load_tasks
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 def rewrite(suite: Suite, **changes: object) -> Path:
     path = suite.folder / "suite.json"

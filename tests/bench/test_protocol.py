@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import msgspec
+import pytest
 
 from gn0.bench.protocol import code_version, config_hash, protocol_card
 from gn0.bench.results import PolicyCard
@@ -12,6 +13,8 @@ from gn0.bench.runner import run_suite
 from gn0.bench.schedule import Schedule
 from gn0.bench.suite import Suite
 from gn0.missions.episode import Episode
+
+pytestmark = pytest.mark.usefixtures("workers_here")
 
 
 def card_of(suite: Suite, **fields: object) -> dict[str, str]:

@@ -18,6 +18,8 @@ from gn0.bench.track import Track
 from gn0.errors import BenchError
 from gn0.sim.state import Action
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 @pytest.fixture(scope="module")
 def oracle(flats_suite: Suite, tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -35,6 +35,8 @@ from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action, Observation, Trajectory
 from gn0.testing.scenes import build_map_scene
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 CELLS = np.zeros((120, 200), np.uint8)
 CELLS[:, 100:102] = 1
 CELLS[40:80, 100:102] = 0  # a door 2 m wide

@@ -26,6 +26,8 @@ from gn0.errors import ConfigError, PolicyError
 from gn0.policies.remote.wire import decode_message, encode_message
 from gn0.testing.rogue_servers import ROGUES, serve_bare
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
 QUICK = {"connect_timeout": 5.0, "request_timeout": 2.0, "metadata_timeout": 0.5}

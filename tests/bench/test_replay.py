@@ -18,6 +18,8 @@ from gn0.bench.suite import Suite, build_suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, FormatError, StorageError
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 PLUGIN = Path(__file__).parent / "plugin"
 RESULTS, TRAJECTORIES = "results.jsonl", "trajectories.jsonl"
 
@@ -38,7 +40,7 @@ def recorded(
 ) -> Path:
     """Chance over both flats."""
     out = tmp_path_factory.mktemp("recorded") / "run"
-    run_suite(flats_suite, "random", out, workers=2)
+    run_suite(flats_suite, "random", out)
     return out
 
 

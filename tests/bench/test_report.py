@@ -29,6 +29,8 @@ from gn0.errors import BenchError, StorageError
 from gn0.maps.goals import GoalSet
 from gn0.scenes.folder import load_scene
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 CHROMIUM = next(
     (p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None
 )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pytest
 
 from gn0.bench.report import draw_scene, load_run
 from gn0.bench.runner import run_suite
@@ -14,6 +15,8 @@ from gn0.bench.video import BAD, CAPTION, render_clip
 from gn0.geometry import U8, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.light import draw_condition
+
+pytestmark = pytest.mark.usefixtures("workers_here")
 
 
 def test_a_clip_is_lit_as_its_episode_was(flats_suite: Suite, tmp_path: Path) -> None:

@@ -75,8 +75,15 @@ def unbroken(
 
 @pytest.mark.parametrize(("workers", "shuffle"), [(2, None), (3, 11), (1, 5)])
 def test_any_number_of_workers_in_any_order_gives_the_same_bytes(
-    flats_suite: Suite, unbroken: Path, tmp_path: Path, workers: int, shuffle: int | None
+    flats_suite: Suite,
+    unbroken: Path,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+    workers: int,
+    shuffle: int | None,
 ) -> None:
+    if workers == 1:
+        request.getfixturevalue("worker_here")
     run_odd(flats_suite, tmp_path / "run", workers, shuffle_seed=shuffle, pause=0.001)
     assert outputs(tmp_path / "run") == outputs(unbroken)
 
@@ -196,6 +203,7 @@ def test_a_kill_after_any_write_loses_nothing(flats_suite: Suite, cut_after_writ
         assert {p.name for p in left.iterdir()} == {p.name for p in whole.iterdir()}
 
 
+@pytest.mark.usefixtures("worker_here")
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 def test_ctrl_c_ends_all_workers_and_the_run_goes_on_later(
     flats_suite: Suite, unbroken: Path, tmp_path: Path
@@ -213,6 +221,7 @@ def test_ctrl_c_ends_all_workers_and_the_run_goes_on_later(
     assert outputs(out) == outputs(unbroken)
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_a_damaged_tail_of_the_journal_costs_only_that_episode(
     flats_suite: Suite, unbroken: Path, tmp_path: Path
 ) -> None:
@@ -244,6 +253,7 @@ def test_a_journal_of_something_else_is_refused_and_leftovers_are_swept(
         run_odd(flats_suite, tmp_path / "other")
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_another_run_in_the_same_folder_is_refused(
     flats_suite: Suite, unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -275,23 +285,28 @@ def _made(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("odd", "reason", "shown"),
+    ("odd", "when", "workers", "reason", "shown"),
     [
-        ("raise", "ValueError: the policy lost its mind", "in misbehave"),
-        ("die", "was killed by SIGKILL", ""),
-        ("exit", "ended with exit code 7", ""),
+        ("raise", "sofa", 1, "ValueError: the policy lost its mind", "in misbehave"),
+        ("die", "coffee", 2, "was killed by SIGKILL", ""),
+        ("exit", "wardrobe", 1, "ended with exit code 7", ""),
     ],
 )
 def test_a_dying_policy_costs_its_episodes_only_and_names_them(
     flats_suite: Suite,
     tmp_path: Path,
     odd: str,
+    when: str,
+    workers: int,
     reason: str,
     shown: str,
     caplog: pytest.LogCaptureFixture,
+    request: pytest.FixtureRequest,
 ) -> None:
-    summary = run_odd(flats_suite, tmp_path / "run", 2, odd=odd, when="sofa")
-    expected = {e.id for e in flats_suite.episodes if "sofa" in e.instruction}
+    if odd == "raise":
+        request.getfixturevalue("worker_here")
+    summary = run_odd(flats_suite, tmp_path / "run", workers, odd=odd, when=when)
+    expected = {e.id for e in flats_suite.episodes if when in e.instruction}
     assert expected and len(expected) < 12
     assert {r.episode for r in summary.failed} == expected
     assert {r.reason for r in summary.failed} == {reason}
@@ -311,13 +326,13 @@ def test_a_hanging_policy_is_ended_soon_after_its_limit_and_shows_where_it_hung(
 ) -> None:
     begin = time.monotonic()
     summary = run_odd(
-        flats_suite, tmp_path / "run", odd="hang", when="desk", max_episodes=6,
-        episode_time_limit=2.0,
+        flats_suite, tmp_path / "run", odd="hang", when="desk", max_episodes=2,
+        episode_time_limit=1.0,
     )  # fmt: skip
     assert time.monotonic() - begin < 60
-    stuck = [e for e in flats_suite.episodes[:6] if "desk" in e.instruction]
+    stuck = [e for e in flats_suite.episodes[:2] if "desk" in e.instruction]
     assert stuck and [r.episode for r in summary.failed] == [e.id for e in stuck]
-    assert all(r.reason == "took longer than 2 s" for r in summary.failed)
+    assert all(r.reason == "took longer than 1 s" for r in summary.failed)
     about = json.loads((tmp_path / "run" / "run.json").read_text())
     assert "in misbehave" in about["episodes"][stuck[0].id]["traceback"]
 
@@ -326,12 +341,12 @@ def test_a_policy_that_never_lets_go_of_the_interpreter_is_ended_too(
     flats_suite: Suite, tmp_path: Path
 ) -> None:
     summary = run_odd(
-        flats_suite, tmp_path / "run", odd="grip", when="desk", max_episodes=6,
-        episode_time_limit=5.0,
+        flats_suite, tmp_path / "run", odd="grip", when="desk", max_episodes=2,
+        episode_time_limit=2.0,
     )  # fmt: skip
-    stuck = [e for e in flats_suite.episodes[:6] if "desk" in e.instruction]
+    stuck = [e for e in flats_suite.episodes[:2] if "desk" in e.instruction]
     assert stuck and [r.episode for r in summary.failed] == [e.id for e in stuck]
-    assert summary.exit_code == 1 and summary.valid == 6 - len(stuck)
+    assert summary.exit_code == 1 and summary.valid == 2 - len(stuck)
     about = json.loads((tmp_path / "run" / "run.json").read_text())
     assert "in misbehave" in about["episodes"][stuck[0].id]["traceback"], "it shows where"
 
@@ -339,12 +354,12 @@ def test_a_policy_that_never_lets_go_of_the_interpreter_is_ended_too(
 def test_a_policy_that_eats_all_memory_costs_its_episodes_by_name(
     flats_suite: Suite, tmp_path: Path
 ) -> None:
-    summary = run_odd(flats_suite, tmp_path / "run", odd="gorge", when="desk", max_episodes=6)
-    stuck = {e.id for e in flats_suite.episodes[:6] if "desk" in e.instruction}
+    summary = run_odd(flats_suite, tmp_path / "run", odd="gorge", when="desk", max_episodes=2)
+    stuck = {e.id for e in flats_suite.episodes[:2] if "desk" in e.instruction}
     assert stuck and {r.episode for r in summary.failed} == stuck
     for failure in summary.failed:
         assert "MemoryError" in failure.reason or "was killed by SIG" in failure.reason
-    assert summary.valid == 6 - len(stuck)
+    assert summary.valid == 2 - len(stuck)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
@@ -389,6 +404,7 @@ def test_a_policy_that_prints_does_not_confuse_the_run(
     assert same == (unbroken / "results.jsonl").read_bytes()
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_a_pose_that_is_not_a_number_fails_the_episode_by_name(
     flats_suite: Suite, tmp_path: Path
 ) -> None:
@@ -430,6 +446,7 @@ def test_a_full_disk_is_told_before_the_work(
     assert [p.name for p in (tmp_path / "run").iterdir()] == []
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_a_disk_that_fills_up_during_a_run_ends_it_and_the_run_goes_on_later(
     flats_suite: Suite, unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,6 +19,8 @@ from gn0.missions.episode import Episode
 from gn0.missions.files import save_episodes
 from gn0.scenes.folder import load_scene
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 @pytest.fixture
 def copy(flats_suite: Suite, tmp_path: Path) -> Path:

@@ -16,6 +16,8 @@ from gn0.cli.main import main
 from gn0.cli.tables import print_summaries
 from gn0.errors import ConfigError
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 OBJECT = Track(goal="object")
 
 

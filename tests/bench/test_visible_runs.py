@@ -9,6 +9,8 @@ from gn0.cli.bench_run import Args
 from gn0.errors import BenchError
 from gn0.render.renderer import VISIBLE
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 def test_scored_runs_use_all_splats_unless_told(flats_suite, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))

@@ -13,6 +13,8 @@ from gn0.missions.generate.settings import MissionSettings
 from gn0.scenes.folder import save_scene
 from gn0.testing.scenes import build_room_scene
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:

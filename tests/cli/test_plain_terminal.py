@@ -20,6 +20,8 @@ from gn0.cli.tables import print_summaries
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 ATTACKS = [
     "\x1b]0;owned\x07", "\x1b[2J\x1b[H", "\x1b]52;c;cm0gLXJm\x07", "\x9b31m", "\x1bP+q\x1b\\",
     "line\rhidden", "a\x08\x08b", "\u202etxt.exe", "zero\u200bwidth", "\x1b[8mhidden", "[red]x[/]",

@@ -23,6 +23,8 @@ from gn0.sim.tasks import load_tasks
 from gn0.storage import safe_join
 from gn0.testing.path_corpus import CLIMBING, HARMLESS, climbing_paths
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 PATHS = climbing_paths()
 # what a JSON file can hold: lone surrogates cannot be written as UTF-8
 WRITABLE = [p for p in PATHS if p.encode("utf-8", "replace").decode() == p]

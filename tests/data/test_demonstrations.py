@@ -25,6 +25,8 @@ from gn0.plugins import plugin_names
 from gn0.policies.recorded import PolicyRecorded
 from gn0.sim.state import Action
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 @pytest.fixture(scope="module")
 def by_hand(data_suite: Suite, tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -15,6 +15,8 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.viewer.replay import load_replay
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> list[Path]:

@@ -17,6 +17,8 @@ from gn0.viewer.plan import _quiet_spots
 from gn0.viewer.replay import load_replay
 from gn0.viewer.replay_live import ReplayView
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 pytest.importorskip("viser")
 STEP = 0.5  # s of simulated time that a step takes: docs/simulator.md
 

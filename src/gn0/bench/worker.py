@@ -13,7 +13,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,17 @@ import msgspec
 
 from gn0.bench.identity import digest_policy, read_identity
 from gn0.bench.looks import Look, needs_renderer
-from gn0.bench.messages import Begun, Broke, Done, Lease, Open, Ready, Refused, ToWorker
+from gn0.bench.messages import (
+    Begun,
+    Broke,
+    Done,
+    FromWorker,
+    Lease,
+    Open,
+    Ready,
+    Refused,
+    ToWorker,
+)
 from gn0.bench.metrics import compute_metrics
 from gn0.bench.profiles import ONE_STEP_PROFILES, RELEASE
 from gn0.bench.release import PolicyUnderRelease, score_release
@@ -276,30 +286,39 @@ def main() -> int:
     """Serve leases until the parent closes stdin."""
     inbox, say = open_channel()
 
-    def send(message: Any) -> None:
+    def send(message: FromWorker) -> None:
         say(msgspec.json.encode(message))
 
     decoder = msgspec.json.Decoder(ToWorker)
     worker: EpisodeWorker | None = None
     while True:
-        message = decoder.decode(inbox.get())
-        if isinstance(message, Open):
-            try:
-                worker = EpisodeWorker(message)
-                send(Ready(card=worker.card))
-            except Gn0Error as error:  # says itself what is wrong, and what to do
-                what = f"{error.where}: {error.what}" if error.where else error.what
-                send(Refused(what=what, traceback="", remedy=error.remedy))
-                return 1
-            except Exception as error:
-                send(Refused(what=describe_error(error), traceback=traceback.format_exc()))
-                return 1
-        elif isinstance(message, Lease):
-            assert worker is not None
-            _serve(worker, message, send)
+        worker = obey(worker, decoder.decode(inbox.get()), send)
+        if worker is None:
+            return 1
 
 
-def _serve(worker: EpisodeWorker, lease: Lease, send: Any) -> None:
+def obey(
+    worker: EpisodeWorker | None, message: ToWorker, send: Callable[[FromWorker], None]
+) -> EpisodeWorker | None:
+    """Do what one message says and send what came of it; None where no policy can be built."""
+    if isinstance(message, Lease):
+        assert worker is not None
+        _serve(worker, message, send)
+        return worker
+    try:
+        worker = EpisodeWorker(message)
+        send(Ready(card=worker.card))
+    except Gn0Error as error:  # says itself what is wrong, and what to do
+        what = f"{error.where}: {error.what}" if error.where else error.what
+        send(Refused(what=what, traceback="", remedy=error.remedy))
+        return None
+    except Exception as error:
+        send(Refused(what=describe_error(error), traceback=traceback.format_exc()))
+        return None
+    return worker
+
+
+def _serve(worker: EpisodeWorker, lease: Lease, send: Callable[[FromWorker], None]) -> None:
     episode = lease.episode
     try:
         simulator = worker.open_scene(

@@ -19,6 +19,8 @@ from gn0.scenes.folder import load_scene
 from gn0.scenes.sources import find_source, import_scene
 from gn0.viewer.capture import render_capture
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 @pytest.fixture(scope="module")
 def ply(flat, tmp_path_factory) -> Path:

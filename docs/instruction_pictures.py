@@ -16,7 +16,7 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.missions.language.describe import describe_route
 from gn0.missions.language.providers import open_provider
 from gn0.missions.language.write import write_texts
-from gn0.render.renderer import build_renderer
+from gn0.render.open import build_renderer
 from gn0.scenes.folder import load_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 from gn0.viewer.route import render_route, segment_words

@@ -109,7 +109,7 @@ def test_simulator_never_imports_a_renderer() -> None:
     """The simulator is handed its renderer: only the protocol and the camera are known to it."""
     for path in (SRC / "sim").glob("*.py"):
         used = {n for n in imports_of(path) if n.startswith("gn0.render.")}
-        known = tuple(f"gn0.render.{m}" for m in ("renderer", "camera", "bev", "light"))
+        known = tuple(f"gn0.render.{m}" for m in ("renderer", "open", "camera", "bev", "light"))
         assert all(name.startswith(known) for name in used), f"{path}: {used}"
 
 

@@ -22,7 +22,7 @@ _EXPORTS = {
     "SceneObject": "gn0.scenes.scene",
     "load_scene": "gn0.scenes.folder",
     "Camera": "gn0.render.camera",
-    "build_renderer": "gn0.render.renderer",
+    "build_renderer": "gn0.render.open",
     "Episode": "gn0.missions.episode",
     "Observation": "gn0.sim.state",
     "Simulator": "gn0.sim.simulator",

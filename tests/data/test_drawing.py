@@ -276,7 +276,7 @@ class BatchOnHost:
 
     def __init__(self) -> None:
         from gn0.device.host import DeviceHost
-        from gn0.render.share.cpu import RendererBatchCpu
+        from gn0.render.host import RendererBatchCpu
 
         self.device, self._batch = DeviceHost(), RendererBatchCpu()
         self.add, self.holds, self.prepare = (

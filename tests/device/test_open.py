@@ -16,7 +16,7 @@ from gn0.device import open as opening
 from gn0.device.device import KernelSource
 from gn0.device.open import find_device, open_device
 from gn0.errors import ConfigError, DeviceError
-from gn0.render.renderer import choose_backend
+from gn0.render.open import choose_backend
 
 
 @pytest.fixture(autouse=True)

@@ -183,7 +183,7 @@ def pictures(root: Path, backend: str) -> dict[str, str]:
     from gn0.geometry import view_from_pose
     from gn0.render.bev import bev_camera
     from gn0.render.camera import Camera
-    from gn0.render.renderer import build_renderer
+    from gn0.render.open import build_renderer
     from gn0.scenes.example import build_example_scene
 
     flat = build_example_scene()

@@ -17,8 +17,8 @@ from gn0.data.render import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.device.device import Device
+from gn0.render.cuda.depth import scale_on_device
 from gn0.render.depth import to_millimetres
-from gn0.render.share.depth import scale_on_device
 from gn0.render.share.jpeg import JpegEncoder
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene

@@ -15,7 +15,8 @@ from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_project import project_chunks
-from gn0.render.renderer import RenderOptions, build_renderer, check_views
+from gn0.render.open import build_renderer
+from gn0.render.renderer import RenderOptions, check_views
 from gn0.testing.check_renderer import check_renderer, random_cloud
 from gn0.testing.reference import RendererReference
 

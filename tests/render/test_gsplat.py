@@ -22,7 +22,8 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.plugins import get_plugin
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
-from gn0.render.renderer import RenderOptions, build_renderer, limit_to_visible
+from gn0.render.open import build_renderer, limit_to_visible
+from gn0.render.renderer import RenderOptions
 from gn0.testing.check_renderer import check_renderer, random_cloud
 
 

@@ -13,14 +13,8 @@ from gn0.geometry import view_from_above, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
-from gn0.render.renderer import (
-    VISIBLE,
-    Renderer,
-    RenderOptions,
-    build_renderer,
-    choose_backend,
-    limit_to_visible,
-)
+from gn0.render.open import build_renderer, choose_backend, limit_to_visible
+from gn0.render.renderer import VISIBLE, Renderer, RenderOptions
 from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
 from gn0.testing.check_renderer import check_renderer, psnr

@@ -16,7 +16,7 @@ from gn0.errors import ConfigError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.geometry import Pose2D, quaternion_from_rotation
 from gn0.maps.navigation import NavigationMap
-from gn0.render.renderer import build_renderer
+from gn0.render.open import build_renderer
 from gn0.scenes.example import build_example_scene
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import find_preset

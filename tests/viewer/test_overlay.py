@@ -10,7 +10,8 @@ from PIL import Image
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.missions.goal import sample_goal_episodes
-from gn0.render.renderer import Renderer, build_renderer
+from gn0.render.open import build_renderer
+from gn0.render.renderer import Renderer
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.scene import Scene
 from gn0.viewer.overlay import BLOCKED_PATH, GOAL, PATH, START, render_overlay, render_paths

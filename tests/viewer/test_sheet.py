@@ -10,7 +10,7 @@ import pytest
 
 from gn0.maps.grid import OCCUPIED
 from gn0.maps.navigation import NavigationMap
-from gn0.render.renderer import build_renderer
+from gn0.render.open import build_renderer
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.scene import SceneObject
 from gn0.viewer.plan import render_plan

@@ -13,7 +13,7 @@ from gn0.bench.suite import load_suite_scene
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.plugins import get_plugin, is_builtin
 from gn0.render.light import LightCondition, relight_cloud
-from gn0.render.renderer import choose_backend, name_drawing
+from gn0.render.open import choose_backend, name_drawing
 from gn0.render.share.client import DrawServer
 from gn0.sim.sensors import EYES, MAPS
 

@@ -18,7 +18,8 @@ from gn0.bench.results import Isolation, Moves, PolicyCard
 from gn0.bench.suite import Suite
 from gn0.bench.track import judge_policy, tell_track
 from gn0.missions.episode import PathSource
-from gn0.render.renderer import VISIBLE_BACKENDS, name_drawing
+from gn0.render.open import name_drawing
+from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.sim.presets import find_preset
 from gn0.sim.state import MapMode
 from gn0.storage import content_hash

@@ -59,7 +59,7 @@ from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
-from gn0.render.renderer import build_renderer
+from gn0.render.open import build_renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash
 from gn0.sim.presets import find_preset

@@ -44,7 +44,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.maps.release import ReleaseNavigation
 from gn0.missions.episode import mission_name
 from gn0.plugins import get_plugin
-from gn0.render.renderer import name_drawing
+from gn0.render.open import name_drawing
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.sim.open import open_simulator
 from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged

@@ -96,7 +96,7 @@ def run(args: Args) -> int:
     from gn0.bench.track import read_track
     from gn0.cli.console import draw_progress, plain_text, say_backend
     from gn0.cli.tables import print_summaries
-    from gn0.render.renderer import visible_backend
+    from gn0.render.open import visible_backend
 
     out = Path(args.out)
     say_backend(args.backend)

@@ -48,7 +48,7 @@ def use_kernels() -> None:
     from gn0.missions.goal import sample_goal_episodes
     from gn0.render.bev import render_bev
     from gn0.render.camera import Camera
-    from gn0.render.renderer import build_renderer
+    from gn0.render.open import build_renderer
     from gn0.scenes.example import build_example_scene
 
     scene = build_example_scene()

@@ -100,7 +100,7 @@ def claim_folder(out: Path, args: Args) -> None:
 
 def _draw_pictures(scene_folder: Path, pictures: Path, progress: Progress) -> None:
     """The sheet, and its four views as files of their own."""
-    from gn0.render.renderer import build_renderer
+    from gn0.render.open import build_renderer
     from gn0.scenes.folder import load_scene
     from gn0.viewer.sheet import render_sheet, render_views
     from gn0.viewer.viewpoints import choose_viewpoints

@@ -41,7 +41,7 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
     """(name, finding, mark) lines, and whether everything needed is here."""
     from gn0 import __version__
     from gn0.cli.doctor_gpu import examine_gpu
-    from gn0.render.renderer import choose_backend
+    from gn0.render.open import choose_backend
 
     rows: list[tuple[str, str, str]] = [
         ("gn0", f"{__version__} from {Path(__file__).resolve().parent.parent}", "✓"),

@@ -131,7 +131,7 @@ def _profiles() -> Iterator[tuple[str, str]]:
 
 def _renderers() -> Iterator[tuple[str, str]]:
     from gn0.plugins import get_plugin, plugin_names
-    from gn0.render.renderer import choose_backend
+    from gn0.render.open import choose_backend
 
     for name in plugin_names("renderer"):
         yield name, _first_line(get_plugin("renderer", name))

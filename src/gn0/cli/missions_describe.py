@@ -153,7 +153,7 @@ def _print_route(route: RouteDescription, provider: TextProvider, args: Args) ->
 
 def _draw(scene, route, path, yaw: float, out: Path) -> None:  # type: ignore[no-untyped-def]
     from gn0.cli.console import draw_progress
-    from gn0.render.renderer import build_renderer
+    from gn0.render.open import build_renderer
     from gn0.storage import write_atomic
     from gn0.viewer.route import render_route
 

@@ -69,7 +69,7 @@ def draw_episode(
     """The overlay of one episode, with its goal picture, or of all of a scene."""
     from gn0.bench.suite import load_suite_scene
     from gn0.missions.episode import MissionGoal
-    from gn0.render.renderer import build_renderer
+    from gn0.render.open import build_renderer
     from gn0.viewer.overlay import render_overlay
 
     name = episode.scene_id if episode is not None else scene_id

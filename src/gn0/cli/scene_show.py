@@ -28,7 +28,7 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Draw and write."""
     from gn0.cli.console import draw_progress
-    from gn0.render.renderer import build_renderer
+    from gn0.render.open import build_renderer
     from gn0.scenes.folder import load_scene
     from gn0.storage import check_writable, write_atomic
     from gn0.viewer.sheet import render_sheet

@@ -41,7 +41,7 @@ def run(args: Args) -> int:
 
     from gn0.cli.console import draw_progress
     from gn0.maps.navigation import NavigationMap
-    from gn0.render.renderer import build_renderer, choose_backend, limit_to_visible
+    from gn0.render.open import build_renderer, choose_backend, limit_to_visible
     from gn0.scenes.folder import load_scene
     from gn0.sim.presets import find_preset
 

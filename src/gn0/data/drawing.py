@@ -14,7 +14,7 @@ from gn0.data.settings import Backend, PictureSettings
 from gn0.errors import ConfigError, DataError, Gn0Error
 from gn0.jobs import ExecutorName
 from gn0.jobs.process import count_cores
-from gn0.render.renderer import choose_backend
+from gn0.render.open import choose_backend
 from gn0.render.share.client import DrawServer
 
 MOST_WORKERS = 64

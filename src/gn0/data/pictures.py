@@ -22,7 +22,8 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.camera import Camera
 from gn0.render.depth import to_millimetres
 from gn0.render.light import LightCondition
-from gn0.render.renderer import Output, Renderer, visible_backend
+from gn0.render.open import visible_backend
+from gn0.render.renderer import Output, Renderer
 from gn0.render.share.client import RendererShared
 from gn0.render.share.messages import Dots, Encode, MapPicture
 from gn0.scenes.scene import Scene

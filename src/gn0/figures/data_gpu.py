@@ -24,9 +24,9 @@ from gn0.figures.device import describe_device, is_emulation
 from gn0.geometry import view_from_pose
 from gn0.jobs.process import count_cores
 from gn0.render.cuda.batch import RendererBatch
+from gn0.render.cuda.depth import scale_on_device
 from gn0.render.renderer import Output
 from gn0.render.share.client import DrawServer
-from gn0.render.share.depth import scale_on_device
 from gn0.render.share.digest import Mosaics, digest_on_device
 from gn0.render.share.jpeg import JpegEncoder
 from gn0.render.share.maps import MapPainter

@@ -24,7 +24,7 @@ from gn0.missions.language.sight import EYE, HALF_WIDTH, sight_of
 from gn0.missions.language.template import ProviderTemplate
 from gn0.missions.language.write import write_texts
 from gn0.render.camera import Camera
-from gn0.render.renderer import build_renderer
+from gn0.render.open import build_renderer
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.occupancy import build_occupancy
 from gn0.scenes.procedural.generate import floor_area

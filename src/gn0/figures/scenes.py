@@ -14,7 +14,8 @@ from gn0.geometry import view_from_pose
 from gn0.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from gn0.maps.ros import load_ros_map
 from gn0.render.camera import Camera
-from gn0.render.renderer import RenderOptions, build_renderer
+from gn0.render.open import build_renderer
+from gn0.render.renderer import RenderOptions
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.scene import Scene
 from gn0.scenes.sources import import_scene

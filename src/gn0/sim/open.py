@@ -16,13 +16,8 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.paper import BEV_CUT
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
-from gn0.render.renderer import (
-    VISIBLE_BACKENDS,
-    Renderer,
-    build_renderer,
-    limit_to_visible,
-    name_drawing,
-)
+from gn0.render.open import build_renderer, limit_to_visible, name_drawing
+from gn0.render.renderer import VISIBLE_BACKENDS, Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import EYES, MAPS, SensorConfig, check_map_mode, check_sensors

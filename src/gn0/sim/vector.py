@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from gn0.errors import ConfigError, EpisodeError
 from gn0.geometry import U8
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.render.renderer import visible_backend
+from gn0.render.open import visible_backend
 from gn0.scenes.scene import Scene
 from gn0.sim.batch import FIELD_MEMORY, SimulatorBatch
 from gn0.sim.batch_continuous import SimulatorBatchContinuous

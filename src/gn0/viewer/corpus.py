@@ -7,7 +7,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw
 
 from gn0.progress import Progress, no_progress
-from gn0.render.renderer import build_renderer
+from gn0.render.open import build_renderer
 from gn0.scenes.corpus import CorpusFile
 from gn0.scenes.folder import load_scene
 from gn0.storage import safe_join

@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw
 
 from gn0.progress import Progress, no_progress
 from gn0.render.light import LightCondition, relight_cloud
-from gn0.render.renderer import build_renderer
+from gn0.render.open import build_renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash
 from gn0.viewer.plan import INK, MUTED, PAPER, font

@@ -217,7 +217,7 @@ class SceneView:
         # not needed for the first picture, and slow to import
         from gn0.maps.navigation import NavigationMap
         from gn0.render.bev import render_bev
-        from gn0.render.renderer import build_renderer
+        from gn0.render.open import build_renderer
         from gn0.sim.sensors import SensorConfig
         from gn0.sim.simulator import Simulator
         from gn0.viewer.live_walk import AgentWalk

@@ -14,7 +14,8 @@ from gn0.bench.video import clip_camera
 from gn0.errors import BenchError
 from gn0.geometry import U8, view_from_pose
 from gn0.missions.episode import Episode
-from gn0.render.renderer import Renderer, build_renderer
+from gn0.render.open import build_renderer
+from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.sim.simulator import STEP_SECONDS

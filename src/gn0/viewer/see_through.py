@@ -6,7 +6,7 @@ import numpy as np
 
 from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
-from gn0.render.renderer import build_renderer
+from gn0.render.open import build_renderer
 from gn0.scenes.check import Finding
 from gn0.scenes.scene import Scene
 from gn0.viewer.viewpoints import EYE, choose_viewpoints

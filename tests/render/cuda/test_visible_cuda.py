@@ -19,13 +19,8 @@ from gn0.render.cpu_pack import CHUNK
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.visible import RendererVisibleCuda
-from gn0.render.renderer import (
-    VISIBLE_CUDA,
-    RenderOptions,
-    choose_backend,
-    limit_to_visible,
-    visible_backend,
-)
+from gn0.render.open import choose_backend, limit_to_visible, visible_backend
+from gn0.render.renderer import VISIBLE_CUDA, RenderOptions
 from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator

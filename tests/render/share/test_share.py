@@ -25,8 +25,8 @@ from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.visible import RendererVisibleCuda
 from gn0.render.depth import to_millimetres
+from gn0.render.host import RendererBatchCpu
 from gn0.render.share.client import DrawConnection, RendererShared
-from gn0.render.share.cpu import RendererBatchCpu
 from gn0.render.share.messages import Dots, Draw, Encode, Floor, MapPicture, lay_out
 from gn0.render.share.server import Server, open_listener
 from gn0.render.visible import RendererVisible
@@ -579,7 +579,7 @@ def test_visible_sets_on_a_device_are_those_of_its_own_renderer(
 def test_a_scene_that_gave_way_is_read_ahead_again(serve, monkeypatch) -> None:
     """By the thread that hears of it, not by the one that draws; each time once."""
     batch = RendererBatchCpu()
-    monkeypatch.setattr("gn0.render.share.cpu.KEPT", 1)
+    monkeypatch.setattr("gn0.render.host.KEPT", 1)
     serving = serve(batch)
     by: list[str] = []
 

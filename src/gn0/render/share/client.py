@@ -24,13 +24,8 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.process import Ended, WorkerProcess
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
-from gn0.render.renderer import (
-    Output,
-    RenderResult,
-    check_views,
-    name_drawing,
-    visible_backend,
-)
+from gn0.render.open import name_drawing, visible_backend
+from gn0.render.renderer import Output, RenderResult, check_views
 from gn0.render.share.jpeg import join_files, read_tables
 from gn0.render.share.messages import (
     Area,

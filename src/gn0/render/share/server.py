@@ -36,8 +36,8 @@ from gn0.jobs.child import open_channel
 from gn0.jobs.worker import find_function
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
+from gn0.render.cuda.depth import with_millimetres
 from gn0.render.renderer import Output
-from gn0.render.share.depth import with_millimetres
 from gn0.render.share.files import FileMaker, Files
 from gn0.render.share.handing import Batch, Handing, Piece
 from gn0.render.share.messages import (
@@ -103,7 +103,7 @@ def open_batch(backend: str) -> tuple[BatchRenderer, str]:
         DeviceError: there is no usable device; says why.
     """
     if backend == "cpu":
-        from gn0.render.share.cpu import RendererBatchCpu
+        from gn0.render.host import RendererBatchCpu
 
         return RendererBatchCpu(), "CPU"
     from gn0.device.open import open_device

@@ -10,7 +10,7 @@ import numpy as np
 
 from gn0.device.device import Device, DeviceArray, KernelSource
 from gn0.render.depth import to_millimetres
-from gn0.render.share.cpu import PicturesHost
+from gn0.render.host import PicturesHost
 
 SOURCE = KernelSource("depth", (Path(__file__).parent / "kernels" / "depth.cu",))
 _THREADS = 256

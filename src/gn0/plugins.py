@@ -18,7 +18,6 @@ from gn0.errors import ConfigError
 Kind = Literal[
     "scene_source",
     "renderer",
-    "renderer_batch",
     "refiner",
     "mission",
     "policy",
@@ -40,7 +39,6 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "cuda": "gn0.render.cuda.renderer:RendererCuda",
         "gsplat": "gn0.render.gsplat:RendererGsplat",
     },
-    "renderer_batch": {"cuda": "gn0.render.cuda.batch:RendererBatch"},
     "refiner": {"cpu": "gn0.render.refine:refine_cloud"},
     "mission": {"goal": "gn0.missions.episode:MissionGoal"},
     "policy": {

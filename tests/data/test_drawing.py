@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -276,15 +277,16 @@ class BatchOnHost:
 
     def __init__(self) -> None:
         from gn0.device.host import DeviceHost
-        from gn0.render.host import RendererBatchCpu
+        from gn0.render.open import open_renderer
 
-        self.device, self._batch = DeviceHost(), RendererBatchCpu()
+        self.device, self._batch = DeviceHost(), open_renderer("cpu")
+        self.traits = replace(self._batch.traits, drawn_by="cuda on host", device=self.device)
         self.add, self.holds, self.prepare = (
             self._batch.add, self._batch.holds, self._batch.prepare
         )  # fmt: skip
 
-    def render(self, *args, **more):  # type: ignore[no-untyped-def]
-        found = self._batch.render(*args, **more).numpy()
+    def draw(self, *args, **more):  # type: ignore[no-untyped-def]
+        found = self._batch.draw(*args, **more)
         for name in ("rgb", "depth"):
             if (array := getattr(found, name)) is not None:
                 object.__setattr__(found, name, self.device.upload(array))
@@ -383,11 +385,11 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     an episode has once: what its goal looks like, and the map from above.
     """
     from gn0.data import draw, pictures
-    from gn0.render.share.client import RendererShared
+    from gn0.render.share.client import SceneEncoder
 
     listener, address = serve_here(BatchOnHost())
     made, maps_made, left = [0], [0], [0]
-    render_files, encode = RendererShared.render_files, cache.encode_picture
+    render_files, encode = SceneEncoder.render_files, cache.encode_picture
 
     def counted(*args):
         found = render_files(*args)
@@ -400,7 +402,7 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
         left[0] += 1
         return encode(*args)
 
-    monkeypatch.setattr(RendererShared, "render_files", counted)
+    monkeypatch.setattr(SceneEncoder, "render_files", counted)
     start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
                      walks.episodes[1:2], name="few")  # fmt: skip
@@ -433,13 +435,13 @@ def test_what_had_no_room_is_made_by_the_worker(
 ) -> None:
     """In the midst of a walk: its mosaics go on."""
     from gn0.data import pictures
-    from gn0.render.share.client import RendererShared
+    from gn0.render.share.client import SceneEncoder
 
     listener, address = serve_here(BatchOnHost())
     start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
                      walks.episodes[1:2], name="few")  # fmt: skip
-    render_files = RendererShared.render_files
+    render_files = SceneEncoder.render_files
     made: list[bool] = []
 
     def cramped(own, camera, views, wish, *args):
@@ -451,7 +453,7 @@ def test_what_had_no_room_is_made_by_the_worker(
 
     drawn = with_backend(PictureSettings(maps=maps), "cuda")
     build_dataset(few, tmp_path / "roomy", BuildSettings(pictures=drawn))
-    monkeypatch.setattr(RendererShared, "render_files", cramped)
+    monkeypatch.setattr(SceneEncoder, "render_files", cramped)
     monkeypatch.setattr(pictures, "BATCH", 5)
     build_dataset(few, tmp_path / "cramped", BuildSettings(pictures=drawn))
     listener.close()

@@ -34,7 +34,7 @@ def poses(turn: int) -> np.ndarray:
 
 def draw(batch: RendererBatch, turn: int) -> list[bytes]:
     with lock_of(batch.device):
-        got = batch.render(CAMERA, poses(turn), "a").numpy()
+        got = batch.draw(CAMERA, poses(turn), "a").numpy()
     assert got.rgb is not None and got.depth is not None and got.alpha is not None
     return [a.tobytes() for a in (got.rgb, got.depth, got.alpha)]
 

@@ -17,6 +17,7 @@ from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.depth import to_millimetres
+from gn0.render.renderer import DrawnScene
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.render.share.messages import Encode
 from gn0.render.share.server import Server, open_listener
@@ -27,7 +28,7 @@ CAMERA = Camera.from_hfov(48, 36, 90)
 
 def serve(
     device: DeviceCuda,
-) -> tuple[Server, threading.Thread, RendererShared, list[DeviceError]]:
+) -> tuple[Server, threading.Thread, DrawnScene, list[DeviceError]]:
     """A server in this process, its thread, its first customer, and what ends it."""
     server = Server(RendererBatch(device), lambda source: random_cloud(**source), 4)
     listener, address = open_listener()
@@ -42,7 +43,8 @@ def serve(
     threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
-    renderer = RendererShared(DrawConnection(address), "cuda", "a", {"count": 300, "seed": 1})
+    shared = RendererShared(DrawConnection(address), "cuda")
+    renderer = shared.add_source("a", {"count": 300, "seed": 1})
     return server, thread, renderer, lost
 
 
@@ -51,14 +53,14 @@ def test_pictures_and_files_come_through_the_drivers_calls(device: DeviceCuda) -
     views = np.stack([view_from_pose(-4, y, 0.2, 0.1 * y) for y in range(-3, 4)])
     emulated = RendererBatch(DeviceHost(1))
     emulated.add("a", lambda: random_cloud(300, seed=1))
-    wanted = emulated.render(CAMERA, views, "a").numpy()
+    wanted = emulated.draw(CAMERA, views, "a").numpy()
     for _ in range(3):  # pinned blocks are used again
         found = renderer.render(CAMERA, views)
         for name in ("rgb", "depth", "alpha"):
             assert getattr(found, name).tobytes() == getattr(wanted, name).tobytes(), name
     steps = np.arange(7, dtype=np.int32).tobytes()
     for wish in (Encode(85, 10**6, (16, 12), steps=steps), Encode(85, 10**6, (16, 12))):
-        made = renderer.render_files(CAMERA, views, wish)
+        made = renderer.encoder.render_files(CAMERA, views, wish)
         assert wanted.rgb is not None
         for picture, file in zip(wanted.rgb, made.files, strict=True):
             stream = io.BytesIO()
@@ -67,9 +69,9 @@ def test_pictures_and_files_come_through_the_drivers_calls(device: DeviceCuda) -
         assert len(made.mosaics) == len(wish.steps) // 4
     assert wanted.depth is not None
     for _ in range(2):
-        deep = renderer.render_millimetres(CAMERA, views, ("rgb", "depth"))
-        np.testing.assert_array_equal(deep["depth"], to_millimetres(wanted.depth))
-        np.testing.assert_array_equal(deep["rgb"], wanted.rgb)
+        deep = renderer.render(CAMERA, views, outputs=("rgb", "depth"), millimetres=True)
+        np.testing.assert_array_equal(deep.depth, to_millimetres(wanted.depth))
+        np.testing.assert_array_equal(deep.rgb, wanted.rgb)
     assert server.tally.views == 7 * 7 and not lost
 
 

@@ -51,7 +51,7 @@ def test_a_repeated_call_equals_a_fresh_one(
             )
             seen = sets.locate(camera, known.reshape(-1, 4, 4))
             sets.open([cell for cell in seen if cell is not None], batch.store.open("flat"))
-        return lambda some: batch.render(camera, some, "flat", visible=visible)
+        return lambda some: batch.draw(camera, some, "flat", visible=visible)
 
     replayed, works = [], Replay.draw
 

@@ -57,9 +57,9 @@ def test_a_view_is_what_it_is_alone(device) -> None:
         batch = RendererBatch(device, memory=memory)
         for key, cloud in clouds.items():
             batch.add(key, lambda cloud=cloud: cloud, key)  # type: ignore[misc]
-        found.append(batch.render(CAMERA, views, keys, tails=tails).numpy())
+        found.append(batch.draw(CAMERA, views, keys, tails=tails).numpy())
         for v, key in enumerate(keys):
-            alone = batch.render(CAMERA, views[v], key, tails=tails[v : v + 1]).numpy()
+            alone = batch.draw(CAMERA, views[v], key, tails=tails[v : v + 1]).numpy()
             for name in ("rgb", "depth", "alpha"):
                 assert getattr(found[-1], name)[v].tobytes() == getattr(alone, name)[0].tobytes()
     assert found[0].rgb is not None
@@ -106,13 +106,11 @@ def test_sets_of_a_batch(device, scale) -> None:
     batch.limit_to_visible("flat", "flat", scene.floor, scene.eye, options, cache=False)
     camera, views = flat_camera(scale.pixels, scale.pixels), scene.views(4, 3)
     keys = ["flat", "ball", "flat", "ball"]
-    got = batch.render(camera, views, keys, visible=True).numpy()
+    got = batch.draw(camera, views, keys, visible=True).numpy()
     whole = RendererCuda(scene.cloud, device=device)
     sets = RendererVisibleCuda(whole, "flat", scene.floor, scene.eye, options, cache=False)
     want = sets.render(camera, views[::2])
     assert got.rgb is not None
     assert want.rgb is not None
     assert got.rgb[::2].tobytes() == want.rgb.tobytes()
-    assert (
-        got.rgb[1::2].tobytes() == batch.render(camera, views[1::2], "ball").rgb.numpy().tobytes()
-    )  # type: ignore[union-attr]
+    assert got.rgb[1::2].tobytes() == batch.draw(camera, views[1::2], "ball").rgb.numpy().tobytes()  # type: ignore[union-attr]

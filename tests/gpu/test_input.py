@@ -71,6 +71,6 @@ def test_requests_that_make_no_sense(device) -> None:
     batch = RendererBatch(device)
     batch.add("a", lambda: cloud)
     with pytest.raises(RenderError):
-        batch.render(CAMERA, VIEW, "b")
+        batch.draw(CAMERA, VIEW, "b")
     with pytest.raises(RenderError):
-        batch.render(CAMERA, np.stack([VIEW, VIEW]), ["a"])
+        batch.draw(CAMERA, np.stack([VIEW, VIEW]), ["a"])

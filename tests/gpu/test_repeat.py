@@ -45,9 +45,9 @@ def test_a_view_does_not_depend_on_its_batch(device) -> None:
     keys = ["flat", "ball", "flat", "ball", "ball", "flat"]
     tail = tail_before(views, 100)
     tails = [None, tail, tail, None, tail, None]
-    together = batch.render(camera, views, keys, tails=tails).numpy()
+    together = batch.draw(camera, views, keys, tails=tails).numpy()
     for v, key in enumerate(keys):
-        alone = batch.render(camera, views[v], key, tails=[tails[v]]).numpy()
+        alone = batch.draw(camera, views[v], key, tails=[tails[v]]).numpy()
         for name in ("rgb", "depth", "alpha"):
             assert (getattr(alone, name)[0] == getattr(together, name)[v]).all(), (v, name)
 
@@ -69,9 +69,9 @@ def test_many_scenes_under_a_budget(device, scale) -> None:
 
         wide.add(key, lambda cloud=cloud: cloud)
         narrow.add(key, load)
-    want = _bytes(wide.render(camera, views, keys).numpy())
+    want = _bytes(wide.draw(camera, views, keys).numpy())
     for _ in range(2):
-        assert _bytes(narrow.render(camera, views, keys).numpy()) == want
+        assert _bytes(narrow.draw(camera, views, keys).numpy()) == want
     assert len(loads) > 4, "some were dropped and loaded again"
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from gn0.errors import RenderError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.render.bev import BEV_LIMIT, BevPicture, bev_camera, render_bev
-from gn0.render.cpu import RendererCpu
+from gn0.render.open import build_renderer
 from gn0.render.renderer import RenderOptions
 from gn0.testing.check_renderer import random_cloud
 
@@ -36,8 +36,8 @@ class Counting:
     name = "cpu"
 
     def __init__(self, cloud: GaussianCloud, options: RenderOptions | None = None) -> None:
-        self.inner = RendererCpu(cloud, options)
-        self.options = self.inner.options
+        self.inner = build_renderer(cloud, "cpu", options)
+        self.traits = self.inner.traits
         self.calls = 0
 
     def render(self, *args, **kwargs):
@@ -55,7 +55,7 @@ def test_marks_lie_where_the_conversion_says(cache) -> None:
     points = [(-1.975, -1.475, 0.1), (1.975, 1.475, 0.2), (0.525, -0.275, 1.0)]
     for point in points:
         cloud = marks([point])
-        bev = render_bev(cloud.content_hash, RendererCpu(cloud), BOUNDS, 0.05, 2.0)
+        bev = render_bev(cloud.content_hash, build_renderer(cloud, "cpu"), BOUNDS, 0.05, 2.0)
         assert bev.size == (80, 60)
         column, row = np.floor(bev.pixel_from_world(np.array(point[:2]))).astype(int)
         assert np.unravel_index(bev.rgb[..., 0].argmax(), (60, 80)) == (row, column)
@@ -66,8 +66,8 @@ def test_marks_lie_where_the_conversion_says(cache) -> None:
 
 def test_ceiling_is_cut_by_the_height_of_centres(cache) -> None:
     cloud = marks([(0.025, 0.025, 2.1), (1.025, 0.025, 1.9)])
-    low = render_bev(cloud.content_hash, RendererCpu(cloud), BOUNDS, 0.05, 2.0)
-    high = render_bev(cloud.content_hash, RendererCpu(cloud), BOUNDS, 0.05, 2.2)
+    low = render_bev(cloud.content_hash, build_renderer(cloud, "cpu"), BOUNDS, 0.05, 2.0)
+    high = render_bev(cloud.content_hash, build_renderer(cloud, "cpu"), BOUNDS, 0.05, 2.2)
     assert low.rgb[29, 40, 0] == 0 and low.rgb[29, 60, 0] > 250
     assert high.rgb[29, 40, 0] > 250 and high.rgb[29, 60, 0] > 250
 
@@ -133,7 +133,7 @@ def test_whatever_changes_the_picture_changes_the_key(cache) -> None:
 @pytest.mark.parametrize("damage", ["cut", "flip", "empty", "foreign", "shape", "folder"])
 def test_damaged_cache_is_rendered_again(cache, damage: str, caplog) -> None:
     cloud = random_cloud(200, seed=1)
-    first = render_bev(cloud.content_hash, RendererCpu(cloud), BOUNDS, 0.05, 2.0)
+    first = render_bev(cloud.content_hash, build_renderer(cloud, "cpu"), BOUNDS, 0.05, 2.0)
     (path,) = cache.iterdir()
     data = bytearray(path.read_bytes())
     if damage == "cut":
@@ -151,7 +151,7 @@ def test_damaged_cache_is_rendered_again(cache, damage: str, caplog) -> None:
         path.unlink()
         path.mkdir()
     with caplog.at_level(logging.WARNING, "gn0.render.bev"):
-        again = render_bev(cloud.content_hash, RendererCpu(cloud), BOUNDS, 0.05, 2.0)
+        again = render_bev(cloud.content_hash, build_renderer(cloud, "cpu"), BOUNDS, 0.05, 2.0)
     assert (again.rgb == first.rgb).all()
     assert "rendered again" in caplog.text
     if damage != "folder":
@@ -166,15 +166,17 @@ def test_without_a_place_for_the_cache_it_still_renders(tmp_path, monkeypatch, c
     monkeypatch.setenv("GN0_CACHE", str(blocked))
     cloud = random_cloud(50, seed=1)
     with caplog.at_level(logging.WARNING, "gn0.render.bev"):
-        bev = render_bev(cloud.content_hash, RendererCpu(cloud), BOUNDS, 0.05, 2.0)
+        bev = render_bev(cloud.content_hash, build_renderer(cloud, "cpu"), BOUNDS, 0.05, 2.0)
     assert bev.rgb.any()
     assert "not cached" in caplog.text
 
 
 def test_float_renderers_give_the_same_map(cache) -> None:
     cloud = random_cloud(200, seed=1)
-    as_u8 = render_bev(cloud.content_hash, RendererCpu(cloud), BOUNDS, 0.05, 2.0, cache=False)
-    renderer = RendererCpu(cloud, RenderOptions(rgb_float=True))
+    as_u8 = render_bev(
+        cloud.content_hash, build_renderer(cloud, "cpu"), BOUNDS, 0.05, 2.0, cache=False
+    )
+    renderer = build_renderer(cloud, "cpu", RenderOptions(rgb_float=True))
     as_float = render_bev(cloud.content_hash, renderer, BOUNDS, 0.05, 2.0, cache=False)
     assert (as_u8.rgb == as_float.rgb).all()
     assert not cache.exists()
@@ -201,6 +203,8 @@ def test_maps_without_meaning_are_refused(bounds, scale, cut, message: str) -> N
 def test_the_largest_map_is_drawn_in_one_call() -> None:
     cloud = marks([(0.0051, 0.0051, 0.5), (40.9549, 20.4749, 0.5)])
     bounds = np.array([[0, 0], [BEV_LIMIT * 0.01, 20.48]])
-    bev = render_bev(cloud.content_hash, RendererCpu(cloud), bounds, 0.01, 2.0, cache=False)
+    bev = render_bev(
+        cloud.content_hash, build_renderer(cloud, "cpu"), bounds, 0.01, 2.0, cache=False
+    )
     assert bev.size == (BEV_LIMIT, 2048)
     assert bev.rgb[2047, 0, 0] > 200 and bev.rgb[0, BEV_LIMIT - 1, 0] > 200

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gn0.device.host import DeviceHost
-from gn0.render.cuda.depth import scale_on_device, with_millimetres
+from gn0.render.cuda.depth import scale_on_device
 from gn0.render.depth import to_metres, to_millimetres
 
 METRES = np.array(
@@ -60,10 +60,7 @@ def test_a_device_makes_the_same_values(checked: bool) -> None:
 
 
 def test_pictures_without_depth_stay_as_they_are() -> None:
-    from gn0.render.host import PicturesHost
     from gn0.render.renderer import RenderResult
 
-    pictures = PicturesHost(RenderResult(np.zeros((1, 2, 2, 3), np.uint8), None, None))
-    assert with_millimetres(pictures) is pictures
-    there = pictures.numpy()  # as pictures on a device: not even looked at
-    assert with_millimetres(there) is there
+    pictures = RenderResult(np.zeros((1, 2, 2, 3), np.uint8), None, None)
+    assert pictures.in_millimetres() is pictures

@@ -22,8 +22,8 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.plugins import get_plugin
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
-from gn0.render.open import build_renderer, limit_to_visible
-from gn0.render.renderer import RenderOptions
+from gn0.render.open import build_renderer
+from gn0.render.renderer import ALONE, RenderOptions
 from gn0.testing.check_renderer import check_renderer, random_cloud
 
 
@@ -215,7 +215,7 @@ def test_what_is_missing_is_said(card: FakeCard, monkeypatch: pytest.MonkeyPatch
         renderer.render(camera, view_from_pose(0, 0, 0, 0))
     floor = OccupancyGrid(np.zeros((4, 4), np.uint8), 0.5, (0.0, 0.0))
     with pytest.raises(ConfigError, match="has no visible sets"):
-        limit_to_visible(renderer, "hash", floor, 1.3)
+        renderer.limit_to_visible(ALONE, "hash", floor, 1.3)
     bad = random_cloud(10, seed=1)
     bad.means[3] = np.nan
     with pytest.raises(RenderError, match="not finite"):

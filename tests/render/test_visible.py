@@ -13,8 +13,9 @@ from gn0.geometry import view_from_above, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
-from gn0.render.open import build_renderer, choose_backend, limit_to_visible
-from gn0.render.renderer import VISIBLE, Renderer, RenderOptions
+from gn0.render.host import RendererHost
+from gn0.render.open import build_renderer, choose_backend
+from gn0.render.renderer import ALONE, VISIBLE, DrawnScene, RenderOptions
 from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
 from gn0.testing.check_renderer import check_renderer, psnr
@@ -225,8 +226,9 @@ def test_all_cells_can_be_found_beforehand(make) -> None:
 def test_the_contract_of_renderers_holds(floor) -> None:
     """Everywhere but where sets apply it is the CPU renderer itself."""
 
-    def factory(cloud: GaussianCloud, options: RenderOptions) -> Renderer:
-        return limit_to_visible(RendererCpu(cloud, options), cloud.content_hash, floor, EYE)
+    def factory(cloud: GaussianCloud, options: RenderOptions) -> DrawnScene:
+        drawn = DrawnScene(build_renderer(cloud, "cpu", options))
+        return drawn.limit_to_visible(cloud.content_hash, floor, EYE)
 
     check_renderer(factory)
 
@@ -241,7 +243,9 @@ def test_refusals_say_what_to_do(make, cloud, floor) -> None:
     with pytest.raises(RenderError, match="threshold"):
         VisibleOptions(threshold=2)
     with pytest.raises(ConfigError, match="no visible sets"):
-        limit_to_visible(make(), "hash", floor, EYE)
+        RendererHost("mine", RendererCpu).limit_to_visible(ALONE, "hash", floor, EYE)
+    with pytest.raises(RenderError, match="limit_to_visible first"):
+        build_renderer(cloud, "cpu").open_sets(ALONE)
     assert choose_backend(VISIBLE)[0] == VISIBLE
     with pytest.raises(ConfigError, match="open_simulator"):
         build_renderer(cloud, VISIBLE)

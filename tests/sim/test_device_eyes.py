@@ -18,7 +18,7 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.light import LightCondition
-from gn0.render.renderer import RenderResult
+from gn0.render.renderer import RenderResult, Traits
 from gn0.sim import presets
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_eyes import box_weights
@@ -54,12 +54,17 @@ class RendererBatchCpu:
 
     def __init__(self, device) -> None:
         self.device = device
+        self.traits = Traits("cpu", device=device)
         self.load, self.renderers, self.calls = {}, {}, []
 
     def add(self, key, load, digest="") -> None:
         self.load[key] = load
 
-    def render(self, camera, views, keys, *, outputs, background=None, visible=None):
+    def render(self, *args, visible=False, extra=None, millimetres=False, **more):
+        camera, views, keys = args
+        return self.draw(camera, views.reshape(-1, 4, 4), keys, **more).numpy()
+
+    def draw(self, camera, views, keys, *, outputs, background=None, visible=None):
         views = np.asarray(views)
         names = [keys] * len(views) if isinstance(keys, str) else keys
         assert len(names) == len(views)
@@ -167,12 +172,17 @@ def test_one_scene_needs_no_word_from_the_device(rooms, monkeypatch) -> None:
     device = DeviceHost()
 
     class Fast(RendererBatchCpu):
-        takes_device_views = True
+        def __init__(self, device) -> None:
+            super().__init__(device)
+            self.traits = Traits("cpu", device=device, device_views=True)
 
-        def render(self, camera, views, keys, **more):
+        def draw(self, camera, views, keys, **more):
             host = np.empty(views.shape)
-            DeviceHost.download(device, views, host)
-            return super().render(camera, host, keys, **more)
+            if isinstance(views, np.ndarray):
+                host = views
+            else:
+                DeviceHost.download(device, views, host)
+            return super().draw(camera, host, keys, **more)
 
     plain = [e for e in episodes if e.scene_id == scenes[0].id and e.light is None]
     env = VectorEnvDevice(
@@ -195,7 +205,9 @@ def tiny(monkeypatch) -> str:
 class RendererByHost(RendererBatch):
     """Is told poses and scenes by the host, as before it could read them on the device."""
 
-    takes_device_views = False
+    def __init__(self, device) -> None:
+        super().__init__(device)
+        self.traits = replace(self.traits, device_views=False)
 
 
 @pytest.mark.parametrize("final", [False, True])
@@ -281,7 +293,7 @@ def test_pictures_need_what_they_are_made_of(rooms) -> None:
     settings = {"episodes": episodes, "device": device}
     with pytest.raises(SimError, match=r"\['rgb'\] need a renderer"):
         VectorEnvDevice(1, scenes, sensors=("rgb",), renderer=None, **settings)
-    with pytest.raises(ConfigError, match="no renderer batch named 'pencil'"):
+    with pytest.raises(ConfigError, match="no renderer named 'pencil'"):
         VectorEnvDevice(1, scenes, sensors=("rgb",), renderer="pencil", **settings)
     with pytest.raises(ConfigError, match="prior"):
         VectorEnvDevice(

@@ -21,7 +21,7 @@ from gn0.geometry import F64, U8, view_from_pose
 from gn0.missions.episode import Episode
 from gn0.render.bev import BevPicture
 from gn0.render.camera import Camera
-from gn0.render.renderer import Renderer
+from gn0.render.renderer import SceneRenderer
 from gn0.sim.presets import CameraPreset
 
 CODEC = "libvpx-vp9"
@@ -62,7 +62,7 @@ class ClipScene:
         camera_height: eye above the floor [m].
     """
 
-    renderer: Renderer
+    renderer: SceneRenderer
     bev: BevPicture
     preset: CameraPreset
     camera_height: float

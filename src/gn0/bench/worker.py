@@ -55,7 +55,7 @@ from gn0.sim.simulator import Simulator
 if TYPE_CHECKING:
     from gn0.missions.episode import Episode
     from gn0.render.light import LightCondition
-    from gn0.render.renderer import Renderer
+    from gn0.render.renderer import DrawnScene
     from gn0.scenes.scene import Scene
     from gn0.sim.state import Trajectory
 
@@ -143,7 +143,7 @@ class EpisodeWorker:
             self._hash, self._light = expected_hash, light
         return self._simulator
 
-    def _ask_for(self, look: Look) -> Renderer | None:
+    def _ask_for(self, look: Look) -> DrawnScene | None:
         """A renderer that asks the process that draws, where there is one and it is needed."""
         if not self.settings.drawing or not needs_renderer(
             self.policy.sensors, self.settings.map_mode
@@ -152,7 +152,7 @@ class EpisodeWorker:
         if self._connection is None:
             self._connection = DrawConnection(self.settings.drawing)
         drawn_by = name_drawing(self.settings.backend)
-        return RendererShared(self._connection, drawn_by, look.key, look.source)
+        return RendererShared(self._connection, drawn_by).add_source(look.key, look.source)
 
     def run(self, simulator: Simulator, episode: Episode) -> tuple[EpisodeResult, EpisodeTrace]:
         """Run and score one episode.

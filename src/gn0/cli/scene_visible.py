@@ -41,7 +41,8 @@ def run(args: Args) -> int:
 
     from gn0.cli.console import draw_progress
     from gn0.maps.navigation import NavigationMap
-    from gn0.render.open import build_renderer, choose_backend, limit_to_visible
+    from gn0.render.open import build_renderer, choose_backend
+    from gn0.render.renderer import DrawnScene
     from gn0.scenes.folder import load_scene
     from gn0.sim.presets import find_preset
 
@@ -50,25 +51,25 @@ def run(args: Args) -> int:
         progress("reading the scene", 0, 0)
         scene = load_scene(Path(args.folder))
         name, _ = choose_backend(args.backend)
-        renderer = limit_to_visible(
-            build_renderer(scene.gaussians, name),
+        drawn = DrawnScene(build_renderer(scene.gaussians, name)).limit_to_visible(
             scene.cloud_hash or scene.gaussians.content_hash,
             NavigationMap(scene.grid, body.radius).inflated,
             body.camera_height,
         )
+        sets = drawn.renderer.open_sets(drawn.key)
         start = time.perf_counter()
-        done = list(renderer.build(progress, most=args.cells or None))
+        done = list(sets.build(progress, most=args.cells or None))
         took = time.perf_counter() - start
-    built = renderer.built
-    sizes = [renderer.size_of(cell) for cell in done[:: max(len(done) // 16, 1)]]
+    built = sets.built
+    sizes = [sets.size_of(cell) for cell in done[:: max(len(done) // 16, 1)]]
     print(
-        f"{len(done)} of {len(renderer.cells)} cells, {built} found now by {renderer.name} "
+        f"{len(done)} of {len(sets.cells)} cells, {built} found now by {drawn.name} "
         f"in {took:.1f} s, others kept"
     )
     if sizes:
         share = sum(sizes) / len(sizes) / max(len(scene.gaussians), 1)
         print(f"a set holds {share:.0%} of the scene's {len(scene.gaussians)} splats, on average")
-    if renderer.files is not None:
-        print(f"cache: {renderer.files.nbytes / 1e6:.1f} MB in {renderer.files.folder}")
+    if sets.files is not None:
+        print(f"cache: {sets.files.nbytes / 1e6:.1f} MB in {sets.files.folder}")
     print("next: gn0 bench run SUITE --visible-sets --out out/run")
     return 0

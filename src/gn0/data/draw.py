@@ -32,6 +32,7 @@ from gn0.errors import DataError
 from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.light import LightCondition
+from gn0.render.renderer import DrawnScene
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.render.share.messages import MapPicture
 from gn0.sim.presets import find_preset
@@ -106,14 +107,15 @@ class Eyes:
             self._bare = MapPicture.of_pixels(np.ascontiguousarray(grey))
         return Painting(self._bare, Pose2D(*episode.start), encode)
 
-    def ask_for(self, scene_id: str, light: LightCondition | None) -> RendererShared | None:
+    def ask_for(self, scene_id: str, light: LightCondition | None) -> DrawnScene | None:
         """A renderer that asks the process that draws, where there is one."""
         if self._connection is None:
             return None
         about = self.dataset.about_scene(scene_id)
         folder = safe_join(self.dataset.folder, about.folder).resolve()
         look = Look(str(folder), about.id, about.hash, light)
-        return RendererShared(self._connection, self.settings.drawn_by, look.key, look.source)
+        shared = RendererShared(self._connection, self.settings.drawn_by)
+        return shared.add_source(look.key, look.source)
 
 
 def eyes_of(dataset: Dataset, settings: PictureSettings | None = None, drawing: str = "") -> Eyes:

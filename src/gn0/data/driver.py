@@ -19,13 +19,13 @@ from gn0.errors import DataError, Gn0Error, PolicyError
 from gn0.missions.episode import Episode
 from gn0.plugins import import_plugins
 from gn0.render.light import LightCondition
-from gn0.render.renderer import Renderer
+from gn0.render.renderer import DrawnScene
 from gn0.sim.open import name_look, open_simulator
 from gn0.sim.policy import Policy
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
 
-Ask = Callable[[str, LightCondition | None], Renderer | None]
+Ask = Callable[[str, LightCondition | None], DrawnScene | None]
 
 
 @lru_cache(maxsize=1)

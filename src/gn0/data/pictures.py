@@ -20,11 +20,9 @@ from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.camera import Camera
-from gn0.render.depth import to_millimetres
 from gn0.render.light import LightCondition
 from gn0.render.open import visible_backend
-from gn0.render.renderer import Output, Renderer
-from gn0.render.share.client import RendererShared
+from gn0.render.renderer import DrawnScene, Encoder, Output
 from gn0.render.share.messages import Dots, Encode, MapPicture
 from gn0.scenes.scene import Scene
 from gn0.sim.history import (
@@ -57,7 +55,7 @@ def build_eyes(
     *,
     visible_sets: bool = False,
     backend: str = "cpu",
-    renderer: Renderer | None = None,
+    renderer: DrawnScene | None = None,
 ) -> SensorSuite:
     """The sensors of an agent in a scene, under a light that the views and the BEV share.
 
@@ -206,14 +204,17 @@ def draw_millimetres(eyes: SensorSuite, views: F64) -> U16:
 def _render(
     eyes: SensorSuite, camera: Camera, views: F64, outputs: tuple[Output, ...]
 ) -> dict[str, NDArray[Any]]:
-    """Pictures by output, with depth in millimetres, whoever makes them of metres."""
-    renderer, background = eyes.renderer, eyes.config.preset.background
-    if isinstance(renderer, RendererShared):
-        return renderer.render_millimetres(camera, views, outputs, background)
-    assert renderer is not None
-    found = renderer.render(camera, views, outputs=outputs, background=background)
+    """Pictures by output, with depth in millimetres."""
+    assert eyes.renderer is not None
+    found = eyes.renderer.render(
+        camera,
+        views,
+        outputs=outputs,
+        background=eyes.config.preset.background,
+        millimetres=True,
+    )
     assert found.depth is not None
-    pictures: dict[str, NDArray[Any]] = {"depth": to_millimetres(found.depth)}
+    pictures: dict[str, NDArray[Any]] = {"depth": found.depth}
     return pictures if found.rgb is None else {"rgb": found.rgb, **pictures}
 
 
@@ -255,8 +256,8 @@ def draw_files(
     The poses are those of one walk, from its first step on. What that process has not made is left
     to who needs it. `painting`: let it make the occupancy pictures, too.
     """
-    renderer, preset = eyes.renderer, eyes.config.preset
-    assert isinstance(renderer, RendererShared)
+    encoder, preset = _encoder_of(eyes), eyes.config.preset
+    assert encoder is not None
     pixels = preset.rgb.width * preset.rgb.height + TILE_WIDTH * TILE_HEIGHT * LENGTH
     for begin in range(0, len(poses), BATCH):
         batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
@@ -282,7 +283,7 @@ def draw_files(
         )
         views, both = eyes.views_of(distinct), depth and preset.depth == preset.rgb
         outputs: tuple[Output, ...] = ("rgb", "depth") if both else ("rgb",)
-        found = renderer.render_files(preset.rgb, views, wish, preset.background, outputs, shown)
+        found = encoder.render_files(preset.rgb, views, wish, preset.background, outputs, shown)
         far = found.pictures.get("depth")
         if depth and far is None:
             far = draw_millimetres(eyes, views)
@@ -309,13 +310,16 @@ def files_wanted(eyes: SensorSuite, settings: PictureSettings) -> bool:
     """Whether the process that draws should make the jpg files, too: it must know their pixels."""
     preset = eyes.config.preset
     return (
-        isinstance(eyes.renderer, RendererShared)
-        and eyes.renderer.encodes
+        _encoder_of(eyes) is not None
         and (settings.layout, settings.format) == ("webdataset", "jpg")
         and preset.picture_size == (preset.rgb.width, preset.rgb.height)
         and preset.rgb.width % TILE_WIDTH == 0
         and preset.rgb.height % TILE_HEIGHT == 0
     )
+
+
+def _encoder_of(eyes: SensorSuite) -> Encoder | None:
+    return None if eyes.renderer is None else eyes.renderer.encoder
 
 
 def goal_picture(eyes: SensorSuite, episode: Episode) -> U8:

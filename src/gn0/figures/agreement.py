@@ -15,7 +15,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.files import load_cloud
 from gn0.geometry import F64, quaternion_from_rotation, view_from_pose
 from gn0.render.camera import Camera
-from gn0.render.renderer import Renderer, RenderOptions, RenderResult
+from gn0.render.renderer import RenderOptions, RenderResult, SceneRenderer
 from gn0.seeds import random_stream
 from gn0.testing.check_renderer import psnr
 
@@ -58,7 +58,7 @@ class Setting:
     least: float
     tail: GaussianCloud | None = None
 
-    def draw(self, renderer: Renderer) -> RenderResult:
+    def draw(self, renderer: SceneRenderer) -> RenderResult:
         """All pictures."""
         return renderer.render(self.camera, self.views, extra=self.tail)
 

@@ -157,7 +157,7 @@ def measure_stages(ctx: FigureContext, scene: Scene) -> list[FigureRow]:
     encoder = JpegEncoder(device)
 
     def draw(outputs: tuple[Output, ...] = ("rgb",)) -> Any:
-        found = batch.render(camera, views, "scene", outputs=outputs)
+        found = batch.draw(camera, views, "scene", outputs=outputs)
         device.synchronize()
         return found
 

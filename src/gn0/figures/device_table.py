@@ -299,7 +299,7 @@ def measure_scenes(ctx: FigureContext) -> list[FigureRow]:
     mine = [key for key in keys for _ in range(each)]
 
     def draw(visible: bool, by: RendererBatch = batch) -> Contender:
-        return lambda turn: by.render(
+        return lambda turn: by.draw(
             camera, poses[turn % BATCHES], mine, outputs=OUTPUTS, visible=visible
         )
 

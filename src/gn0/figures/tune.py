@@ -81,7 +81,7 @@ class SetsCase(TuneCase):
         batch = self.sets.full.batch
         batch.drawer = drawer
         views = self.views[turn % len(self.views)]
-        drawn = batch.render(
+        drawn = batch.draw(
             self.camera, views, "scene", outputs=("rgb", "depth"), visible=self.sets.sets
         )
         for into, array in zip(

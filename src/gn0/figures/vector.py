@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.camera import Camera
 from gn0.render.cpu import STAGES, RendererCpu
-from gn0.render.renderer import Renderer, RenderOptions, RenderResult
+from gn0.render.renderer import DrawnScene, RenderOptions, RenderResult, SceneRenderer
 from gn0.render.visible import RendererVisible
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
@@ -157,18 +157,15 @@ def measure_equality(ctx: FigureContext) -> list[FigureRow]:
     return [row_at_most("steps that differ from Simulator, of 100,000", found, 0, "steps", detail)]
 
 
-class _RendererCounting:
+@dataclass(frozen=True, eq=False)
+class _SceneCounting(DrawnScene):
     """Hands calls on and counts them."""
 
-    name = "counting"
-
-    def __init__(self, inner: Renderer) -> None:
-        self.inner = inner
-        self.calls = 0
+    calls: list[int] = field(default_factory=list)
 
     def render(self, camera: Camera, views: Any, **settings: Any) -> RenderResult:
-        self.calls += 1
-        return self.inner.render(camera, views, **settings)
+        self.calls.append(len(views))
+        return super().render(camera, views, **settings)
 
 
 def measure_pictures(ctx: FigureContext) -> list[FigureRow]:
@@ -184,14 +181,14 @@ def measure_pictures(ctx: FigureContext) -> list[FigureRow]:
     ]
     settings: dict[str, Any] = {"episodes": episodes, "sensors": ("rgb", "depth"), "max_steps": 8}
     env = VectorEnv(count, scenes, **settings)
-    counters: dict[str, _RendererCounting] = {}
+    counters: dict[str, _SceneCounting] = {}
     assert env.batch.eyes is not None
     opened = env.batch.eyes.open_suite
 
     def open_suite(scene_id: str) -> SensorSuite:
         suite = opened(scene_id)
         assert suite.renderer is not None
-        counters[scene_id] = _RendererCounting(suite.renderer)
+        counters[scene_id] = _SceneCounting(suite.renderer.renderer)
         suite.renderer = counters[scene_id]
         return suite
 
@@ -202,11 +199,11 @@ def measure_pictures(ctx: FigureContext) -> list[FigureRow]:
     actions = random_stream(2, "figure pictures").choice(4, (steps, count), p=WALK)
     most, different, spent = 0, 0, 0.0
     for row in actions:
-        before = {name: counter.calls for name, counter in counters.items()}
+        before = {name: len(counter.calls) for name, counter in counters.items()}
         start = time.perf_counter()
         observation, *_, infos = env.step(row)
         spent += time.perf_counter() - start
-        most = max(most, *(counters[name].calls - before.get(name, 0) for name in counters))
+        most = max(most, *(len(counters[name].calls) - before.get(name, 0) for name in counters))
         for i in range(count):
             twin = twins[infos["scene_id"][i]]
             twin.reset(by_id[infos["scene_id"][i], infos["episode_id"][i]])
@@ -230,7 +227,7 @@ def measure_pictures(ctx: FigureContext) -> list[FigureRow]:
     ]
 
 
-def _frame_ms(renderer: Renderer, camera: Camera, views: F64) -> float:
+def _frame_ms(renderer: SceneRenderer, camera: Camera, views: F64) -> float:
     start = time.perf_counter()
     for view in views:  # one frame a call, as a simulator asks for them
         renderer.render(camera, view)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gn0.errors import RenderError, StorageError
 from gn0.geometry import F64, U8, view_from_above
 from gn0.render.camera import Camera
-from gn0.render.renderer import Renderer
+from gn0.render.renderer import DrawnScene, Renderer
 from gn0.storage import cache_dir, content_hash, read_bytes, write_bytes
 
 BEV_LIMIT = 4096  # px a side
@@ -105,7 +105,7 @@ def bev_camera(
 
 def render_bev(
     cloud_hash: str,
-    renderer: Renderer,
+    renderer: Renderer | DrawnScene,
     bounds: NDArray[np.floating],
     metres_per_pixel: float = 0.02,
     cut_height: float = 2.3,
@@ -130,10 +130,10 @@ def render_bev(
     camera, view = bev_camera(bounds, metres_per_pixel, cut_height)
     corner = np.asarray(bounds, np.float64)[0, :2]
     origin = (float(corner[0]), float(corner[1]))
-    antialiased = bool(getattr(getattr(renderer, "options", None), "antialiased", False))
-    drawn_by = str(getattr(renderer, "drawn_by", renderer.name))
+    traits = renderer.traits
     key = content_hash(
-        *(_FORMAT, cloud_hash, drawn_by, int(antialiased), camera.width, camera.height),
+        *(_FORMAT, cloud_hash, traits.drawn_by, int(traits.antialiased)),
+        *(camera.width, camera.height),
         *(float(metres_per_pixel), float(cut_height), *origin, *map(float, background)),
     )
     path = cache_dir() / "bev" / f"{key}.bev"

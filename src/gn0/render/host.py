@@ -1,51 +1,110 @@
-"""The interface of the batch renderer over the CPU renderer: for machines without a GPU."""
+"""RendererHost: many scenes over a renderer of one cloud, with pictures in host memory.
+
+The renderers that draw one cloud (the CPU's, gsplat's, a plug-in's) need to know nothing else;
+scenes, their keys and their visible sets are kept here.
+"""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.errors import RenderError
+from gn0.errors import ConfigError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
-from gn0.render.cpu import RendererCpu
-from gn0.render.renderer import Output, RenderOptions, RenderResult
-from gn0.render.visible import RendererVisible
+from gn0.render.renderer import (
+    ALONE,
+    OUTPUTS,
+    VISIBLE_BACKENDS,
+    Colour,
+    Load,
+    Output,
+    RenderOptions,
+    RenderResult,
+    SceneRenderer,
+    Traits,
+    VisibleScene,
+    check_outputs,
+    check_views,
+)
 
-KEPT = 4  # scenes
+KEPT = 4  # scenes that are loaded at a time
+Build = Callable[[GaussianCloud, RenderOptions], SceneRenderer]
+Limit = Callable[[Any, str, OccupancyGrid, float], Any]
 
 
 @dataclass(frozen=True, eq=False)
-class PicturesHost:
-    """Pictures that are in host memory already."""
+class _Named:
+    """Where a scene's cloud comes from; `kept` ones are never dropped to make room."""
 
-    result: RenderResult
-
-    def numpy(self) -> RenderResult:
-        """The pictures."""
-        return self.result
+    load: Load
+    digest: str
+    kept: bool = False
 
 
-class RendererBatchCpu:
-    """Many scenes, views of any of them in a call; the pictures of `RendererCpu`, byte for byte.
+class RendererHost:
+    """Draws views of many scenes, each by a renderer of its own.
 
     Args:
-        options: image formation.
+        name: of the backend.
+        build: a renderer of one cloud.
+        options: image formation, for all scenes.
+        limit: makes of such a renderer one that draws from visible sets; None: it has none.
     """
 
-    name = "cpu"
-
-    def __init__(self, options: RenderOptions | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        build: Build,
+        options: RenderOptions | None = None,
+        limit: Limit | None = None,
+    ) -> None:
+        self.name = name
         self.options = options or RenderOptions()
-        self._loaders: dict[str, Callable[[], GaussianCloud]] = {}
-        self._renderers: OrderedDict[str, RendererCpu] = OrderedDict()
+        self.traits = Traits(name, self.options.antialiased, visible_sets=limit is not None)
+        self._build, self._limit = build, limit
+        self._named: dict[str, _Named] = {}
+        self._renderers: OrderedDict[str, SceneRenderer] = OrderedDict()  # least recent first
         self._floors: dict[str, tuple[str, OccupancyGrid, float]] = {}
-        self._visible: dict[str, RendererVisible] = {}
+        self._visible: dict[str, Any] = {}
+
+    def add(self, key: str, load: Load, digest: str = "") -> None:
+        """Name a scene; see `Renderer.add`."""
+        self._name(key, _Named(load, digest))
+
+    def keep(self, key: str, cloud: GaussianCloud, digest: str = "") -> None:
+        """Name a scene that stays; see `Renderer.keep`.
+
+        Raises:
+            RenderError: the cloud holds values that are not finite.
+        """
+        self.remove(key)
+        self._renderers[key] = self._build(cloud, self.options)
+        self._named[key] = _Named(_no_load, digest, kept=True)
+
+    def _name(self, key: str, named: _Named) -> None:
+        known = self._named.get(key)
+        same = known is not None and (
+            known.digest == named.digest
+            if named.digest or known.digest
+            else known.load == named.load
+        )
+        if not same:
+            self.remove(key)
+            self._named[key] = named
+        elif known is not None and not known.kept:
+            self._named[key] = named
+
+    def remove(self, key: str) -> None:
+        """Forget a scene, and its floor."""
+        for kept in (self._named, self._renderers, self._floors, self._visible):
+            kept.pop(key, None)
 
     def holds(self, key: str) -> bool:
         """Whether a scene is loaded; any thread may ask."""
@@ -58,57 +117,107 @@ class RendererBatchCpu:
     def limit_to_visible(
         self, key: str, cloud_hash: str, floor: OccupancyGrid, eye_height: float
     ) -> None:
-        """Let `render(…, visible=True)` draw a scene from visible sets; see `RendererBatch`."""
+        """Let `visible=True` draw a scene from visible sets; see `Renderer.limit_to_visible`.
+
+        Raises:
+            ConfigError: the backend has none.
+        """
+        if self._limit is None:
+            raise ConfigError(
+                f"renderer {self.name!r} has no visible sets",
+                remedy=f"use backend {' or '.join(map(repr, VISIBLE_BACKENDS.values()))}",
+            )
         self._floors[key] = (cloud_hash, floor, eye_height)
         self._visible.pop(key, None)
 
-    def add(self, key: str, load: Callable[[], GaussianCloud]) -> None:
-        """Name a scene; it is loaded when it is first drawn."""
-        self._loaders[key] = load
+    def open_sets(self, key: str) -> VisibleScene:
+        """The visible sets of a scene.
 
-    def render(
+        Raises:
+            RenderError: it was not limited to them.
+        """
+        if key not in self._floors:
+            raise RenderError(
+                f"scene {key!r} has no visible sets", remedy="call limit_to_visible first"
+            )
+        sets: VisibleScene = self._open(key, True)  # type: ignore[assignment]
+        return sets
+
+    def draw(
         self,
         camera: Camera,
         views: NDArray[np.floating],
-        keys: Sequence[str] | str,
+        keys: Sequence[str] | str = ALONE,
         *,
-        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
-        background: tuple[float, float, float] | None = None,
+        extra: GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = OUTPUTS,
+        background: Colour | None = None,
         visible: bool = False,
-    ) -> PicturesHost:
-        """Draw `views` [V, 4, 4], each of the scene that `keys` names.
-
-        `visible`: from visible sets, for scenes that have them.
+        millimetres: bool = False,
+    ) -> RenderResult:
+        """Draw views; see `Renderer.draw`. Neighbours of one scene are one call of its renderer.
 
         Raises:
-            RenderError: a key is unknown, or a view is none.
+            RenderError: a key is unknown, or see `SceneRenderer.render`.
         """
-        names = [keys] * len(views) if isinstance(keys, str) else list(keys)
-        parts: dict[str, list[NDArray[np.generic]]] = {name: [] for name in outputs}
-        begin = 0
-        while begin < len(names):
-            end = begin
-            while end < len(names) and names[end] == names[begin]:
-                end += 1
-            found = self._open(names[begin], visible).render(
-                camera, views[begin:end], outputs=outputs, background=background
+        if isinstance(keys, str):
+            runs = [(keys, views)]
+        else:
+            views = check_views(views)
+            if len(keys) != len(views):
+                raise RenderError(f"{len(keys)} keys for {len(views)} views", where="keys")
+            runs = [(keys[rows.start], views[rows]) for rows in _find_runs(keys)]
+        parts = [
+            self._open(key, visible).render(
+                camera, some, extra=extra, outputs=outputs, background=background
             )
-            for name in outputs:
-                parts[name].append(getattr(found, name))
-            begin = end
-        whole = {name: np.concatenate(arrays) for name, arrays in parts.items() if arrays}
-        return PicturesHost(RenderResult(*(whole.get(n) for n in ("rgb", "depth", "alpha"))))
+            for key, some in runs
+        ]
+        found = parts[0] if len(parts) == 1 else _join(parts, camera, outputs, self.options)
+        return found.in_millimetres() if millimetres else found
 
-    def _open(self, key: str, visible: bool) -> RendererCpu | RendererVisible:
-        if key not in self._loaders:
+    render = draw
+
+    def _open(self, key: str, visible: bool) -> SceneRenderer:
+        if key not in self._named:
             raise RenderError(f"no scene {key!r} was added", remedy="call add(key, load) first")
         if key not in self._renderers:
-            while len(self._renderers) >= KEPT:
-                self._visible.pop(self._renderers.popitem(last=False)[0], None)
-            self._renderers[key] = RendererCpu(self._loaders[key](), self.options)
+            idle = [name for name in self._renderers if not self._named[name].kept]
+            while len(idle) >= KEPT:  # let go before loading, not after
+                self._visible.pop(idle[0], None)
+                self._renderers.pop(idle.pop(0))
+            self._renderers[key] = self._build(self._named[key].load(), self.options)
         self._renderers.move_to_end(key)
-        if not visible or key not in self._floors:
+        if not visible or key not in self._floors or self._limit is None:
             return self._renderers[key]
         if key not in self._visible:
-            self._visible[key] = RendererVisible(self._renderers[key], *self._floors[key])
-        return self._visible[key]
+            self._visible[key] = self._limit(self._renderers[key], *self._floors[key])
+        drawn: SceneRenderer = self._visible[key]
+        return drawn
+
+
+def _find_runs(keys: Sequence[str]) -> list[slice]:
+    """Where neighbours have the same key."""
+    starts = [v for v in range(len(keys)) if not v or keys[v] != keys[v - 1]]
+    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(keys)], strict=True)]
+
+
+def _join(
+    parts: Sequence[RenderResult], camera: Camera, outputs: tuple[Output, ...],
+    options: RenderOptions,
+) -> RenderResult:  # fmt: skip
+    """Pictures of several calls, one after the other; those of no view where there is none."""
+    check_outputs(outputs)
+    found: dict[str, Any] = {}
+    for name in outputs:
+        if parts:
+            found[name] = np.concatenate([getattr(part, name) for part in parts])
+        else:
+            kind = np.float32 if name != "rgb" or options.rgb_float else np.uint8
+            shape = (0, camera.height, camera.width, *((3,) if name == "rgb" else ()))
+            found[name] = np.zeros(shape, kind)
+    return RenderResult(*(found.get(name) for name in OUTPUTS))
+
+
+def _no_load() -> GaussianCloud:
+    raise RenderError("a cloud that was to stay has been dropped", where="RendererHost")

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.maps.grid import OccupancyGrid
 from gn0.plugins import get_plugin
-from gn0.render.renderer import VISIBLE, VISIBLE_BACKENDS, VISIBLE_CUDA, Renderer, RenderOptions
-
-if TYPE_CHECKING:
-    from gn0.render.cuda.visible import RendererVisibleCuda
-    from gn0.render.visible import RendererVisible
+from gn0.render.renderer import (
+    ALONE,
+    VISIBLE,
+    VISIBLE_BACKENDS,
+    VISIBLE_CUDA,
+    Renderer,
+    RenderOptions,
+)
 
 
 def choose_backend(backend: str = "auto") -> tuple[str, str]:
@@ -56,51 +57,51 @@ def visible_backend(backend: str = "auto") -> str:
     )
 
 
-def build_renderer(
-    cloud: GaussianCloud, backend: str = "auto", options: RenderOptions | None = None
+def open_renderer(
+    backend: str = "auto", options: RenderOptions | None = None, device: Device | None = None
 ) -> Renderer:
-    """A renderer for a cloud.
+    """A renderer without scenes.
+
+    Args:
+        backend: "auto", "cpu", "cuda", or the name of a plug-in.
+        options: image formation.
+        device: draws, where the backend is "cuda"; what `open_device()` gives when None.
 
     Raises:
-        ConfigError: no such backend.
+        ConfigError: no such backend, or one of visible sets, which need a floor.
+        DeviceError: no usable card is here; says why and what to do.
     """
     name, _ = choose_backend(backend)
     if name in VISIBLE_BACKENDS:
         drawn = VISIBLE_BACKENDS[name]
         raise ConfigError(
             "visible sets need to know where eyes can be",
-            remedy=f"use open_simulator, or build_renderer(cloud, {drawn!r}) and limit_to_visible",
+            remedy=f"use open_simulator, or open backend {drawn!r} and call limit_to_visible",
         )
-    renderer: Renderer = get_plugin("renderer", name)(cloud, options or RenderOptions())
-    return renderer
+    if name == "cuda":  # kernels are not needed to know the protocol
+        from gn0.device.open import open_device
+        from gn0.render.cuda.batch import RendererBatch
+
+        return RendererBatch(device or open_device(), options)
+    from gn0.render.host import RendererHost
+
+    if name == "cpu":
+        from gn0.render.cpu import RendererCpu
+        from gn0.render.visible import RendererVisible
+
+        return RendererHost(name, RendererCpu, options, RendererVisible)
+    return RendererHost(name, get_plugin("renderer", name), options)
 
 
-def limit_to_visible(
-    renderer: Renderer, cloud_hash: str, floor: OccupancyGrid, eye_height: float
-) -> RendererVisible | RendererVisibleCuda:
-    """A renderer that draws from visible sets; see `gn0.render.visible.RendererVisible`.
-
-    Args:
-        renderer: draws; holds all splats.
-        cloud_hash: content hash of its cloud.
-        floor: free cells where eyes can be, inflated for the agent.
-        eye_height: of the cameras [m].
+def build_renderer(
+    cloud: GaussianCloud, backend: str = "auto", options: RenderOptions | None = None
+) -> Renderer:
+    """A renderer of one cloud: the scene that is drawn where no key is given.
 
     Raises:
-        ConfigError: the backend has no visible sets.
+        ConfigError: no such backend.
+        RenderError: the cloud holds values that are not finite.
     """
-    if renderer.name == "cuda":  # kernels are not needed to know the protocol
-        from gn0.render.cuda.renderer import RendererCuda
-        from gn0.render.cuda.visible import RendererVisibleCuda
-
-        if isinstance(renderer, RendererCuda):
-            return RendererVisibleCuda(renderer, cloud_hash, floor, eye_height)
-    from gn0.render.cpu import RendererCpu
-    from gn0.render.visible import RendererVisible
-
-    if isinstance(renderer, RendererCpu):
-        return RendererVisible(renderer, cloud_hash, floor, eye_height)
-    raise ConfigError(
-        f"renderer {renderer.name!r} has no visible sets",
-        remedy=f"use backend {' or '.join(map(repr, VISIBLE_BACKENDS.values()))}",
-    )
+    renderer = open_renderer(backend, options)
+    renderer.keep(ALONE, cloud)
+    return renderer

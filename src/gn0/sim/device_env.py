@@ -27,10 +27,11 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError, EpisodeError
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.plugins import get_plugin
+from gn0.render.open import open_renderer
+from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
-from gn0.sim.device_eyes import BatchRenderer, EyesDevice
+from gn0.sim.device_eyes import EyesDevice
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.env import build_spaces, largest_map
 from gn0.sim.presets import find_preset
@@ -66,7 +67,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
             pose, instruction; what is not named is absent.
         preset: camera preset by name.
-        renderer: draws colour, depth and BEV: a `BatchRenderer` on the same device, or the name
+        renderer: draws colour, depth and BEV: a `Renderer` on the same device, or the name
             of one.
         agent: the body, instead of the preset's.
         max_steps: actions until truncation.
@@ -109,7 +110,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         device: Device | str = "auto",
         sensors: Iterable[str] = ("instruction", "goal_vector"),
         preset: str | None = None,
-        renderer: BatchRenderer | str = "cuda",
+        renderer: Renderer | str = "cuda",
         agent: AgentSpec | None = None,
         max_steps: int | None = None,
         success_distance: float = 3.0,
@@ -150,7 +151,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         if self.sensors & PICTURES:
             if isinstance(renderer, str):
                 needed = self.sensors & (EYES | {"bev"})
-                chosen = get_plugin("renderer_batch", renderer)(self.device) if needed else None
+                chosen = open_renderer(renderer, device=self.device) if needed else None
             else:
                 chosen = renderer
             self._eyes = EyesDevice(

@@ -7,7 +7,7 @@ kernels.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.bev import render_bev
 from gn0.render.camera import Camera
 from gn0.render.light import relight_cloud
-from gn0.render.renderer import Output, RenderResult
+from gn0.render.renderer import DrawnScene, Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.device_layout import blocks_of
 from gn0.sim.device_store import MapPictures
@@ -36,59 +36,6 @@ if TYPE_CHECKING:
 
 _PIXELS = 256  # threads a block of kernels that have one a pixel
 _WEIGHT = 22  # bits of the weights of Pillow's box filter
-
-
-class Pictures(Protocol):
-    """Pictures of V views on a device; a field is None when it was not asked for."""
-
-    rgb: DeviceArray | None
-    depth: DeviceArray | None
-    alpha: DeviceArray | None
-
-    def numpy(self) -> RenderResult:
-        """The same in host memory."""
-        ...
-
-
-class BatchRenderer(Protocol):
-    """Renders views of many scenes at once; `gn0.render.cuda.batch.RendererBatch` is one.
-
-    One whose `takes_device_views` is True draws views that are on the device (float64 [V, 4, 4])
-    and, with `chosen=` (int32 [V] there), the scene that each number names among `keys`.
-    """
-
-    name: str
-
-    def add(self, key: str, load: Callable[[], GaussianCloud], digest: str = "") -> None:
-        """Name a scene; it is loaded when first drawn."""
-        ...
-
-    def render(
-        self,
-        camera: Camera,
-        views: Any,
-        keys: Any,
-        *,
-        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
-        background: tuple[float, float, float] | None = None,
-        visible: Any = None,
-    ) -> Pictures:
-        """Draw views (world-to-camera [V, 4, 4]), each of its own scene, or all of one."""
-        ...
-
-
-class _OneScene:
-    """A batch renderer as the renderer of one of its scenes, for the BEV and its cache."""
-
-    def __init__(self, renderer: BatchRenderer, key: str) -> None:
-        self.name = renderer.name
-        self.drawn_by = getattr(renderer, "drawn_by", renderer.name)  # part of it as well
-        self.options = getattr(renderer, "options", None)  # part of the key of a BEV
-        self._renderer, self._key = renderer, key
-
-    def render(self, camera: Camera, views: NDArray[np.floating], **more: Any) -> RenderResult:
-        views = views[None] if views.ndim == 2 else views
-        return self._renderer.render(camera, views, self._key, **more).numpy()
 
 
 class EyesDevice:
@@ -112,7 +59,7 @@ class EyesDevice:
         config: SensorConfig,
         scenes: Mapping[str, Callable[[], Scene]],
         agent: AgentSpec,
-        renderer: BatchRenderer | None,
+        renderer: Renderer | None,
         map_shape: tuple[int, int] | None,
         visible_sets: bool = False,
     ) -> None:
@@ -122,12 +69,17 @@ class EyesDevice:
                 f"sensors {sorted(drawn)} need a renderer",
                 remedy="hand a RendererBatch to VectorEnvDevice as renderer=",
             )
+        if drawn and renderer is not None and renderer.traits.device is None:
+            raise ConfigError(
+                f"renderer {renderer.name!r} draws in host memory, not on a device",
+                remedy="use renderer 'cuda', or VectorEnv",
+            )
         if config.explores:
             raise ConfigError(
                 "maps that agents make for themselves are not kept on a device",
                 remedy="use map mode 'prior', or VectorEnv",
             )
-        if visible_sets and drawn and not hasattr(renderer, "limit_to_visible"):
+        if visible_sets and renderer is not None and not renderer.traits.visible_sets:
             raise ConfigError("this renderer has no visible sets", remedy="leave visible_sets off")
         self.config = config
         self._wanted: frozenset[str] = frozenset(config.active)
@@ -153,7 +105,7 @@ class EyesDevice:
 
             renderer.add(look, load, look_hash(scene, light))
             if self._visible and self._wanted & EYES:
-                cast(Any, renderer).limit_to_visible(
+                renderer.limit_to_visible(
                     look,
                     scene.cloud_hash or scene.gaussians.content_hash,
                     inflate(scene.grid, self._agent.radius),
@@ -163,7 +115,7 @@ class EyesDevice:
         if "bev" in self._wanted and renderer is not None:
             picture = render_bev(
                 look_hash(scene, light),
-                _OneScene(renderer, look),
+                DrawnScene(renderer, look),
                 np.array(scene.grid.bounds).reshape(2, 2),
                 scene.grid.resolution,
                 self.config.cut_height,
@@ -271,7 +223,8 @@ class EyesDevice:
         All on the device, where episodes begin and end, if the renderer takes that; else the host
         waits for the device to know.
         """
-        there = bool(getattr(self._renderer, "takes_device_views", False))
+        assert self._renderer is not None
+        there = self._renderer.traits.device_views
         looks = simulator.store.looks_in_play()
         known = [look for look in looks if look is not None]
         chosen = None
@@ -310,7 +263,7 @@ class EyesDevice:
         rgb: DeviceArray | None = None
         depth: DeviceArray | None = None
         if want_rgb:
-            drawn = renderer.render(
+            drawn = renderer.draw(
                 preset.rgb,
                 views,
                 keys,
@@ -328,7 +281,7 @@ class EyesDevice:
                 self._reduce(simulator, rgb, width, height, small, None)
                 rgb = small
         if want_depth and depth is None:
-            depth = renderer.render(preset.depth, views, keys, outputs=("depth",), **more).depth
+            depth = renderer.draw(preset.depth, views, keys, outputs=("depth",), **more).depth
         if depth is not None and want_depth:
             low, high = preset.depth_range
             simulator.kernels["clip_depth"].launch(
@@ -403,7 +356,7 @@ class EyesDevice:
             camera, view = self._goal_eye(episode)
             groups.setdefault(camera, []).append((i, name_look(episode), view))
         for camera, group in groups.items():
-            rgb = self._renderer.render(
+            rgb = self._renderer.draw(
                 camera,
                 np.stack([view for _, _, view in group]),
                 [look for _, look, _ in group],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -16,8 +15,8 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.paper import BEV_CUT
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
-from gn0.render.open import build_renderer, limit_to_visible, name_drawing
-from gn0.render.renderer import VISIBLE_BACKENDS, Renderer
+from gn0.render.open import build_renderer, name_drawing
+from gn0.render.renderer import VISIBLE_BACKENDS, DrawnScene
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import EYES, MAPS, SensorConfig, check_map_mode, check_sensors
@@ -58,7 +57,7 @@ def open_simulator(
     map_mode: str = "prior",
     navigation: NavigationMap | None = None,
     light: LightCondition | None = None,
-    renderer: Renderer | None = None,
+    renderer: DrawnScene | None = None,
     one_step_moves: bool = False,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
@@ -106,7 +105,7 @@ def open_simulator(
     bev: BevPicture | None = None
     if renderer is None and (active & EYES or "bev" in active or explores):
         cloud = scene.gaussians if light is None else relight_cloud(scene.gaussians, light)
-        renderer = build_renderer(cloud, name_drawing(backend))
+        renderer = DrawnScene(build_renderer(cloud, name_drawing(backend)))
     if "bev" in active and renderer is not None and not explores:
         bev = render_bev(
             look_hash(scene, light),
@@ -116,11 +115,8 @@ def open_simulator(
             cut_height,
             background=cameras.background,
         )
-    if (
-        backend in VISIBLE_BACKENDS and renderer is not None
-    ):  # not for the BEV: it is seen from above
-        limit = getattr(renderer, "limit_to_visible", None)  # of one that asks another process
-        renderer = (limit or partial(limit_to_visible, renderer))(
+    if backend in VISIBLE_BACKENDS and renderer is not None:  # the BEV is seen from above
+        renderer = renderer.limit_to_visible(
             scene.cloud_hash or scene.gaussians.content_hash,
             navigation.inflated,
             body.camera_height,

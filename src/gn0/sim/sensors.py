@@ -24,7 +24,7 @@ from gn0.sim.state import MapMode, Sensor
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.render.bev import BevPicture
-    from gn0.render.renderer import Renderer
+    from gn0.render.renderer import DrawnScene
     from gn0.sim.mapping import Mapper
 
 SENSOR_NAMES: frozenset[str] = frozenset(get_args(Sensor))
@@ -192,7 +192,7 @@ class SensorSuite:
         config: SensorConfig,
         navigation: NavigationMap,
         camera_height: float,
-        renderer: Renderer | None = None,
+        renderer: DrawnScene | None = None,
         bev: BevPicture | None = None,
     ) -> None:
         drawn = config.active & (PICTURES if config.explores else EYES)

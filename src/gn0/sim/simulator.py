@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from gn0.maps.explored import ExploredState
     from gn0.maps.navigation import NavigationMap
     from gn0.render.bev import BevPicture
-    from gn0.render.renderer import Renderer
+    from gn0.render.renderer import DrawnScene
 
 STEP_SECONDS = 0.5
 
@@ -89,7 +89,7 @@ class Simulator:
         *,
         navigation: NavigationMap,
         sensors: SensorConfig | None = None,
-        renderer: Renderer | None = None,
+        renderer: DrawnScene | None = None,
         bev: BevPicture | None = None,
         agent: AgentSpec | None = None,
         max_steps: int = 500,

@@ -15,11 +15,11 @@ from gn0.errors import RenderError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud, join_clouds
 from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
-from gn0.render.renderer import Renderer, RenderOptions, RenderResult
+from gn0.render.renderer import RenderOptions, RenderResult, SceneRenderer
 from gn0.seeds import random_stream
 from gn0.testing.reference import RendererReference
 
-RendererFactory = Callable[[GaussianCloud, RenderOptions], Renderer]
+RendererFactory = Callable[[GaussianCloud, RenderOptions], SceneRenderer]
 
 
 def check_renderer(

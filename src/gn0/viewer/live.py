@@ -218,6 +218,7 @@ class SceneView:
         from gn0.maps.navigation import NavigationMap
         from gn0.render.bev import render_bev
         from gn0.render.open import build_renderer
+        from gn0.render.renderer import DrawnScene
         from gn0.sim.sensors import SensorConfig
         from gn0.sim.simulator import Simulator
         from gn0.viewer.live_walk import AgentWalk
@@ -248,7 +249,7 @@ class SceneView:
                 sensors=SensorConfig(
                     active=frozenset({"rgb", "depth", "bev", "occupancy"}), preset=preset
                 ),
-                renderer=self._renderer,
+                renderer=DrawnScene(self._renderer),
                 bev=bev,
                 max_steps=1_000_000,
             )

@@ -18,7 +18,7 @@ from gn0.viewer.live_stage import LiveStage
 from gn0.viewer.live_walk import colour_depth
 
 if TYPE_CHECKING:
-    from gn0.render.renderer import Renderer
+    from gn0.render.renderer import SceneRenderer
 
 SIDE_LIMIT = 1600  # px: a larger canvas gets a picture of this, enlarged
 BEYOND = 0.3  # brightness of what is drawn beyond the agent's own picture
@@ -49,7 +49,7 @@ def canvas_camera(camera: Camera, size: Size) -> tuple[Camera, tuple[int, int, i
 
 
 def draw_canvas(
-    renderer: Renderer,
+    renderer: SceneRenderer,
     preset: CameraPreset,
     pose: Pose2D,
     height: float,
@@ -114,7 +114,9 @@ class LiveEyes:
         """Whether the canvas shows what the agent sees."""
         return self._stage.veiled
 
-    def show(self, renderer: Renderer, pose: Pose2D, kind: Literal["RGB", "depth"] = "RGB") -> None:
+    def show(
+        self, renderer: SceneRenderer, pose: Pose2D, kind: Literal["RGB", "depth"] = "RGB"
+    ) -> None:
         """Draw the picture at `pose` for every visitor."""
         self._stage.veil(True)
         drawn: dict[Size, U8] = {}

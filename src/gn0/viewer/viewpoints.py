@@ -13,7 +13,7 @@ from gn0.geometry import F64, Pose2D, view_from_pose
 from gn0.maps.grid import FREE, OCCUPIED
 from gn0.maps.navigation import NavigationMap
 from gn0.render.camera import Camera
-from gn0.render.renderer import Renderer
+from gn0.render.renderer import SceneRenderer
 from gn0.scenes.rooms import room_at
 from gn0.scenes.scene import Scene
 
@@ -26,7 +26,7 @@ EYE, PITCH = 1.45, math.radians(-8)  # m, rad: where and how a person looks
 
 
 def choose_viewpoints(
-    scene: Scene, count: int = 4, radius: float = 0.25, *, renderer: Renderer | None = None
+    scene: Scene, count: int = 4, radius: float = 0.25, *, renderer: SceneRenderer | None = None
 ) -> list[Pose2D]:
     """Up to `count` poses with free space in front and many different things in sight.
 
@@ -74,7 +74,7 @@ def choose_viewpoints(
     return chosen
 
 
-def _look(renderer: Renderer, poses: list[Pose2D]) -> F64:
+def _look(renderer: SceneRenderer, poses: list[Pose2D]) -> F64:
     """How much a thumbnail from each pose shows: contrast everywhere, and depth in the middle."""
     camera = Camera.from_hfov(96, 72, 79.0)
     views = np.stack([view_from_pose(p.x, p.y, EYE, p.yaw, PITCH) for p in poses])

@@ -85,7 +85,7 @@ def bytes_of(pictures: PicturesDevice) -> list[bytes | None]:
 
 def fresh(*args: Any, sets: str = "", options: RenderOptions | None = None, **named: Any) -> Any:
     """What a renderer draws that drew nothing before."""
-    return bytes_of(batch_of(options=options, sets=sets).render(*args, **named))
+    return bytes_of(batch_of(options=options, sets=sets).draw(*args, **named))
 
 
 def settle(batch: RendererBatch, replays: list[Replay], *draws: Callable[[int], object]) -> None:
@@ -125,10 +125,10 @@ def test_each_is_what_it_is_alone(kind: str, replays: list[Replay]) -> None:
     sets = "ac" if "visible" in named else ""
     batch = batch_of(sets=sets)
     bring_sets(batch)
-    settle(batch, replays, lambda turn: batch.render(camera, views(turn), keys, **named))
+    settle(batch, replays, lambda turn: batch.draw(camera, views(turn), keys, **named))
     drawn = []
     for turn in range(5):
-        pictures = batch.render(camera, views(turn), keys, **named)
+        pictures = batch.draw(camera, views(turn), keys, **named)
         want = fresh(camera, views(turn), keys, sets=sets, **named)
         assert bytes_of(pictures) == want, turn
         drawn.append((pictures, want))
@@ -142,12 +142,12 @@ def test_with_sets_for_this_call_alone(replays: list[Replay]) -> None:
     batch, other = batch_of(sets="a"), batch_of(sets="a")
     bring_sets(batch)
     sets, theirs = batch._sets.pop("a"), other._sets.pop("a")
-    settle(batch, replays, lambda turn: batch.render(CAMERA, poses(turn), "a", visible=sets))
+    settle(batch, replays, lambda turn: batch.draw(CAMERA, poses(turn), "a", visible=sets))
     for turn in range(4):
-        got = bytes_of(batch.render(CAMERA, poses(turn), "a", visible=sets))
-        want = other.render(CAMERA, poses(turn), "a", visible=theirs, tails=NOTHING)
+        got = bytes_of(batch.draw(CAMERA, poses(turn), "a", visible=sets))
+        want = other.draw(CAMERA, poses(turn), "a", visible=theirs, tails=NOTHING)
         assert got == bytes_of(want), turn
-        assert got != bytes_of(other.render(CAMERA, poses(turn), "a", tails=NOTHING))
+        assert got != bytes_of(other.draw(CAMERA, poses(turn), "a", tails=NOTHING))
     assert len(replays) == 2
 
 
@@ -158,12 +158,12 @@ def test_with_and_without_sets_in_turns(replays: list[Replay]) -> None:
     wanted = (False, True, batch._sets["a"], None)
 
     def draw(turn: int) -> list[list[bytes | None]]:
-        return [bytes_of(batch.render(CAMERA, poses(turn), "a", visible=v)) for v in wanted]
+        return [bytes_of(batch.draw(CAMERA, poses(turn), "a", visible=v)) for v in wanted]
 
     settle(batch, replays, draw)
     for turn in range(4):
-        whole = bytes_of(other.render(CAMERA, poses(turn), "a", tails=NOTHING))
-        part = bytes_of(other.render(CAMERA, poses(turn), "a", visible=few, tails=NOTHING))
+        whole = bytes_of(other.draw(CAMERA, poses(turn), "a", tails=NOTHING))
+        part = bytes_of(other.draw(CAMERA, poses(turn), "a", visible=few, tails=NOTHING))
         assert draw(turn) == [whole, part, part, whole]
         assert whole != part
     assert len(replays) == 4 * 2
@@ -173,9 +173,9 @@ def test_with_and_without_sets_in_turns(replays: list[Replay]) -> None:
                                      RenderOptions(background=(0.5, 0.1, 0.3))])  # fmt: skip
 def test_with_options(options: RenderOptions, replays: list[Replay]) -> None:
     batch = batch_of(options=options)
-    settle(batch, replays, lambda turn: batch.render(CAMERA, poses(turn), "a"))
+    settle(batch, replays, lambda turn: batch.draw(CAMERA, poses(turn), "a"))
     for turn in range(4):
-        got = bytes_of(batch.render(CAMERA, poses(turn), "a"))
+        got = bytes_of(batch.draw(CAMERA, poses(turn), "a"))
         assert got == fresh(CAMERA, poses(turn), "a", options=options)
     assert len(replays) == 2
 
@@ -187,7 +187,7 @@ def test_kinds_that_take_turns_are_told_apart(replays: list[Replay]) -> None:
 
     def draw(kind: str, turn: int) -> PicturesDevice:
         camera, views, keys, named = KINDS[kind]
-        return batch.render(camera, views(turn), keys, **named)
+        return batch.draw(camera, views(turn), keys, **named)
 
     settle(batch, replays, *(partial(draw, kind) for kind in kinds))
     drawn = []
@@ -208,8 +208,8 @@ def test_the_oldest_kind_is_forgotten(replays: list[Replay]) -> None:
         """Draw a kind of call; whether it was replayed."""
         before = len(replays)
         background = (0.1 * kind, 0.0, 0.0)
-        got = bytes_of(batch.render(CAMERA, poses(kind)[0], "a", background=background))
-        assert got == bytes_of(plain.render(CAMERA, poses(kind)[0], "a", background=background,
+        got = bytes_of(batch.draw(CAMERA, poses(kind)[0], "a", background=background))
+        assert got == bytes_of(plain.draw(CAMERA, poses(kind)[0], "a", background=background,
                                             tails=NOTHING))  # fmt: skip
         return len(replays) > before
 
@@ -229,9 +229,9 @@ def test_the_oldest_kind_is_forgotten(replays: list[Replay]) -> None:
 def test_a_bad_view_is_said_as_the_first_time(wrong: str, sets: str, replays: list[Replay]) -> None:
     batch, named = batch_of(sets=sets), {"visible": True} if sets else {}
     bring_sets(batch)
-    settle(batch, replays, lambda turn: batch.render(CAMERA, poses(turn), "a", **named))
+    settle(batch, replays, lambda turn: batch.draw(CAMERA, poses(turn), "a", **named))
     for turn in range(3):
-        batch.render(CAMERA, poses(turn), "a", **named)
+        batch.draw(CAMERA, poses(turn), "a", **named)
     bad = poses(3)
     if wrong in ("nan", "both"):
         bad[3, 1, 2] = np.nan
@@ -246,11 +246,11 @@ def test_a_bad_view_is_said_as_the_first_time(wrong: str, sets: str, replays: li
     said = []
     for one in (batch_of(sets=sets), batch, batch):
         with pytest.raises(RenderError) as error:
-            one.render(CAMERA, bad, "a", **named)
+            one.draw(CAMERA, bad, "a", **named)
         said.append(str(error.value))
     assert len(set(said)) == 1
     replays.clear()
-    got = bytes_of(batch.render(CAMERA, poses(4), "a", **named))
+    got = bytes_of(batch.draw(CAMERA, poses(4), "a", **named))
     assert got == fresh(CAMERA, poses(4), "a", sets=sets, **named)
     assert len(replays) == 1, "it is still recorded"
 
@@ -270,21 +270,21 @@ def test_a_bad_view_is_said_as_the_first_time(wrong: str, sets: str, replays: li
 def test_a_bad_call_is_refused_each_time(named: dict[str, Any], match: str) -> None:
     batch = batch_of()
     for _ in range(3):
-        batch.render(CAMERA, poses(0), "a")
+        batch.draw(CAMERA, poses(0), "a")
     for _ in range(3):
         with pytest.raises(RenderError, match=match):
-            batch.render(CAMERA, **({"views": poses(1), "keys": "a"} | named))
+            batch.draw(CAMERA, **({"views": poses(1), "keys": "a"} | named))
 
 
 def test_a_drawer_draws_what_it_recorded_alone(replays: list[Replay]) -> None:
     batch = batch_of()
-    settle(batch, replays, lambda turn: batch.render(CAMERA, poses(turn), "a"))
+    settle(batch, replays, lambda turn: batch.draw(CAMERA, poses(turn), "a"))
     for turn in range(3):
-        batch.render(CAMERA, poses(turn), "a")
+        batch.draw(CAMERA, poses(turn), "a")
     assert len(replays) == 1
     batch.drawer = Drawer(batch.device)
     for turn in range(2):
-        got = bytes_of(batch.render(CAMERA, poses(0), "a"))
+        got = bytes_of(batch.draw(CAMERA, poses(0), "a"))
         assert got == fresh(CAMERA, poses(0), "a")
         assert batch.drawer.batches == 1
         assert len(replays) == 1 + turn
@@ -293,12 +293,12 @@ def test_a_drawer_draws_what_it_recorded_alone(replays: list[Replay]) -> None:
 
 def test_nothing_is_replayed_while_stages_are_told(replays: list[Replay]) -> None:
     batch, told = batch_of(), []
-    settle(batch, replays, lambda turn: batch.render(CAMERA, poses(turn), "a"))
+    settle(batch, replays, lambda turn: batch.draw(CAMERA, poses(turn), "a"))
     for turn in range(3):
-        batch.render(CAMERA, poses(turn), "a")
+        batch.draw(CAMERA, poses(turn), "a")
     batch.drawer.on_stage = told.append
-    batch.render(CAMERA, poses(3), "a")
+    batch.draw(CAMERA, poses(3), "a")
     assert told and len(replays) == 1
     batch.drawer.on_stage = None
-    batch.render(CAMERA, poses(4), "a")
+    batch.draw(CAMERA, poses(4), "a")
     assert len(replays) == 2

@@ -72,12 +72,12 @@ def bytes_of(pictures: PicturesDevice) -> list[bytes]:
 def fresh(views: np.ndarray, cloud: GaussianCloud) -> list[bytes]:
     batch = RendererBatch(DeviceHost())
     batch.add("it", lambda: cloud)
-    return bytes_of(batch.render(CAMERA, views, "it"))
+    return bytes_of(batch.draw(CAMERA, views, "it"))
 
 
 def repeat(batch: RendererBatch, keys: Any = "a", turns: int = 4, **named: Any) -> None:
     for turn in range(turns):
-        batch.render(CAMERA, poses(turn), keys, **named)
+        batch.draw(CAMERA, poses(turn), keys, **named)
 
 
 def test_another_scene_under_its_key(replays: list[Replay]) -> None:
@@ -85,16 +85,16 @@ def test_another_scene_under_its_key(replays: list[Replay]) -> None:
     repeat(batch)
     assert len(replays) == 2
     batch.add("a", lambda: cloud_of("x"), "another hash")
-    got = bytes_of(batch.render(CAMERA, poses(5), "a"))
+    got = bytes_of(batch.draw(CAMERA, poses(5), "a"))
     assert got == fresh(poses(5), cloud_of("x"))
     batch.remove("a")
     batch.add("a", lambda: cloud_of("y"), "hash of a")
-    got = bytes_of(batch.render(CAMERA, poses(5), "a"))
+    got = bytes_of(batch.draw(CAMERA, poses(5), "a"))
     assert got == fresh(poses(5), cloud_of("y"))
     assert len(replays) == 2
     repeat(batch)
     assert len(replays) == 4 + 1, "noted once already"
-    got = bytes_of(batch.render(CAMERA, poses(6), "a"))
+    got = bytes_of(batch.draw(CAMERA, poses(6), "a"))
     assert got == fresh(poses(6), cloud_of("y"))
 
 
@@ -103,7 +103,7 @@ def test_a_removed_scene_is_unknown() -> None:
     repeat(batch)
     batch.remove("a")
     with pytest.raises(Exception, match="no scene 'a'"):
-        batch.render(CAMERA, poses(5), "a")
+        batch.draw(CAMERA, poses(5), "a")
 
 
 @pytest.mark.parametrize("room", [1, 2])
@@ -113,13 +113,13 @@ def test_scenes_that_give_way_to_each_other(room: int, replays: list[Replay]) ->
         replays.clear()
         for key in "abc":
             repeat(batch, key)
-            got = bytes_of(batch.render(CAMERA, poses(3), key))
+            got = bytes_of(batch.draw(CAMERA, poses(3), key))
             assert got == fresh(poses(3), cloud_of(key))
     assert batch.store.loads == 9
     assert len(replays) > 3, "they are recorded where they stay"
-    got = bytes_of(batch.render(CAMERA, poses(7), list("abc")))  # in turns
+    got = bytes_of(batch.draw(CAMERA, poses(7), list("abc")))  # in turns
     for turn in range(3):
-        again = bytes_of(batch.render(CAMERA, poses(7), list("abc")))
+        again = bytes_of(batch.draw(CAMERA, poses(7), list("abc")))
         assert again == got, turn
 
 
@@ -127,14 +127,14 @@ def test_larger_buffers_end_a_recording(replays: list[Replay]) -> None:
     """A call of many views in between replaces what the graph writes to."""
     batch = batch_of()
     repeat(batch)
-    want = bytes_of(batch.render(CAMERA, poses(8), "a"))
+    want = bytes_of(batch.draw(CAMERA, poses(8), "a"))
     assert len(replays) == 3
     recorded = replays[0]
-    batch.render(CAMERA, poses(0, 40), "a")
+    batch.draw(CAMERA, poses(0, 40), "a")
     assert not recorded.alive
-    assert bytes_of(batch.render(CAMERA, poses(8), "a")) == want
+    assert bytes_of(batch.draw(CAMERA, poses(8), "a")) == want
     assert len(replays) == 3
-    assert bytes_of(batch.render(CAMERA, poses(8), "a")) == want, "recorded once more"
+    assert bytes_of(batch.draw(CAMERA, poses(8), "a")) == want, "recorded once more"
     assert len(replays) == 4
 
 
@@ -150,14 +150,14 @@ def test_lists_that_have_no_room_are_drawn_the_long_way(
         one.add("a", lambda: cloud)
     batch.drawer._first_density = 1e-6
     for _ in range(8):
-        batch.render(camera, little, "a")
+        batch.draw(camera, little, "a")
     drawn = len(replays)
     assert drawn > 2
-    got = bytes_of(batch.render(camera, much, "a"))
-    assert got == bytes_of(other.render(camera, much, "a"))
+    got = bytes_of(batch.draw(camera, much, "a"))
+    assert got == bytes_of(other.draw(camera, much, "a"))
     assert len(replays) == drawn
-    assert bytes_of(batch.render(camera, little, "a")) == bytes_of(
-        other.render(camera, little, "a", tails=NOTHING)
+    assert bytes_of(batch.draw(camera, little, "a")) == bytes_of(
+        other.draw(camera, little, "a", tails=NOTHING)
     )
 
 
@@ -170,12 +170,12 @@ def test_sets_that_are_cleared_or_opened(replays: list[Replay]) -> None:
 
     def check(view: np.ndarray, replayed: bool) -> None:
         before = len(replays)
-        got = bytes_of(batch.render(CAMERA, view, "a", visible=True))
+        got = bytes_of(batch.draw(CAMERA, view, "a", visible=True))
         assert (len(replays) > before) == replayed
         plain, whole = batch_of(), batch_of()
         limit(plain)
-        assert got == bytes_of(plain.render(CAMERA, view, "a", visible=True, tails=NOTHING))
-        assert got != bytes_of(whole.render(CAMERA, view, "a"))
+        assert got == bytes_of(plain.draw(CAMERA, view, "a", visible=True, tails=NOTHING))
+        assert got != bytes_of(whole.draw(CAMERA, view, "a"))
 
     for replayed in (False, False, True):
         check(mine, replayed)
@@ -196,22 +196,22 @@ def test_other_sets_of_the_scene() -> None:
     batch = batch_of()
     limit(batch)
     repeat(batch, visible=True)
-    first = bytes_of(batch.render(CAMERA, poses(5), "a", visible=True))
+    first = bytes_of(batch.draw(CAMERA, poses(5), "a", visible=True))
     other = VisibleOptions(cell=1.0, places=1, pixels=24, threshold=0.1)
     limit(batch, other)
-    got = bytes_of(batch.render(CAMERA, poses(5), "a", visible=True))
+    got = bytes_of(batch.draw(CAMERA, poses(5), "a", visible=True))
     plain = batch_of()
     limit(plain, other)
-    assert got == bytes_of(plain.render(CAMERA, poses(5), "a", visible=True, tails=NOTHING))
+    assert got == bytes_of(plain.draw(CAMERA, poses(5), "a", visible=True, tails=NOTHING))
     assert got != first
 
 
 def test_a_scene_gets_its_first_sets() -> None:
     batch = batch_of()
     repeat(batch, visible=True)
-    whole = bytes_of(batch.render(CAMERA, poses(5), "a", visible=True))
+    whole = bytes_of(batch.draw(CAMERA, poses(5), "a", visible=True))
     limit(batch)
-    assert bytes_of(batch.render(CAMERA, poses(5), "a", visible=True)) != whole
+    assert bytes_of(batch.draw(CAMERA, poses(5), "a", visible=True)) != whole
 
 
 def test_sets_beyond_their_memory() -> None:
@@ -221,8 +221,8 @@ def test_sets_beyond_their_memory() -> None:
     plain = batch_of()
     limit(plain)
     for turn in range(5):
-        got = bytes_of(batch.render(CAMERA, poses(turn), "a", visible=True))
-        want = plain.render(CAMERA, poses(turn), "a", visible=True, tails=NOTHING)
+        got = bytes_of(batch.draw(CAMERA, poses(turn), "a", visible=True))
+        want = plain.draw(CAMERA, poses(turn), "a", visible=True, tails=NOTHING)
         assert got == bytes_of(want)
         assert not sum(sets.used for sets in batch._sets.values())
 
@@ -266,7 +266,7 @@ def test_memory_of_sets_that_are_cleared() -> None:
     sets.open(sets.cells, batch.store.open("a"))
     repeat(batch, visible=True)
     batch.sets_memory, used, free = 1, sets.used, batch.device.memory()[0]
-    batch.render(CAMERA, poses(9), "a", visible=True, tails=NOTHING)
+    batch.draw(CAMERA, poses(9), "a", visible=True, tails=NOTHING)
     assert batch.device.memory()[0] >= free + used > free
 
 
@@ -284,7 +284,7 @@ def test_memory_of_sets_that_went_by_themselves(replays: list[Replay]) -> None:
     assert sets.clear()
     assert any(one() is not None for one in old)
     sets.open(sets.cells, batch.store.open("a"))
-    batch.render(CAMERA, poses(7), "a", visible=True)
+    batch.draw(CAMERA, poses(7), "a", visible=True)
     assert not any(one() is not None for one in old)
 
 
@@ -303,7 +303,7 @@ def test_a_full_device_gets_what_calls_hold(monkeypatch: pytest.MonkeyPatch) -> 
         return works(*args, **named)
 
     monkeypatch.setattr(type(batch.drawer), "pictures", full)
-    got = bytes_of(batch.render(CAMERA, poses(5), "a"))
+    got = bytes_of(batch.draw(CAMERA, poses(5), "a"))
     assert got == fresh(poses(5), cloud_of("a"))
     assert tries[2] > tries[1] > tries[0]
 
@@ -314,12 +314,12 @@ def test_renderers_of_one_device_share_its_buffers(replays: list[Replay]) -> Non
     first, second = batch_of(device=device), batch_of(device=device)
     for turn in range(4):
         for batch, key in ((first, "a"), (second, "b")):
-            got = bytes_of(batch.render(CAMERA, poses(turn), key))
+            got = bytes_of(batch.draw(CAMERA, poses(turn), key))
             assert got == fresh(poses(turn), cloud_of(key))
     assert len(replays) == 4
-    second.render(CAMERA, poses(0, 40), "b")
+    second.draw(CAMERA, poses(0, 40), "b")
     assert not any(replay.alive for replay in replays)
-    assert bytes_of(first.render(CAMERA, poses(5), "a")) == fresh(poses(5), cloud_of("a"))
+    assert bytes_of(first.draw(CAMERA, poses(5), "a")) == fresh(poses(5), cloud_of("a"))
 
 
 def test_nothing_of_another_thread_is_recorded(
@@ -365,7 +365,7 @@ def test_nothing_of_another_thread_is_recorded(
     assert len(recordings) == 1
     device.fill(filled, 7)
     device.fill(sent, 7)
-    got = bytes_of(batch.render(CAMERA, poses(5), "a"))
+    got = bytes_of(batch.draw(CAMERA, poses(5), "a"))
     assert len(replays) == 3
     assert got == fresh(poses(5), cloud_of("a"))
     assert (device.download(filled) == 7).all()
@@ -397,7 +397,7 @@ def test_many_threads_draw_and_copy() -> None:
             if turn % 4 == 3:
                 batch._forget_calls()  # so that more is recorded
             with lock_of(device):
-                got = bytes_of(batch.render(CAMERA, poses(turn), "a"))
+                got = bytes_of(batch.draw(CAMERA, poses(turn), "a"))
             assert got == fresh(poses(turn), cloud_of("a"))
     finally:
         stop.set()
@@ -409,11 +409,11 @@ def test_many_threads_draw_and_copy() -> None:
 def test_a_scene_that_is_replayed_gives_way_last() -> None:
     need = cloud_bytes(SPLATS, 0)
     batch = batch_of(memory=2 * need + need // 2)
-    batch.render(CAMERA, poses(0), "b")
+    batch.draw(CAMERA, poses(0), "b")
     repeat(batch)
-    batch.render(CAMERA, poses(0), "b")
+    batch.draw(CAMERA, poses(0), "b")
     repeat(batch)  # replayed
-    batch.render(CAMERA, poses(0), "c")
+    batch.draw(CAMERA, poses(0), "c")
     assert batch.holds("a")
     assert not batch.holds("b")
 
@@ -431,8 +431,8 @@ def test_an_interrupt_while_the_host_waits(
     with monkeypatch.context() as pressed:
         pressed.setattr(Heard, "wait", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            batch.render(CAMERA, poses(7), "a")
+            batch.draw(CAMERA, poses(7), "a")
     assert not any(replay.alive for replay in replays)
     for turn in range(4):
-        got = bytes_of(batch.render(CAMERA, poses(turn), "a"))
+        got = bytes_of(batch.draw(CAMERA, poses(turn), "a"))
         assert got == fresh(poses(turn), cloud_of("a"))

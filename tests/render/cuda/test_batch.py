@@ -56,9 +56,9 @@ def test_a_view_does_not_depend_on_its_batch() -> None:
     tail, other = random_cloud(60, seed=7), random_cloud(30, seed=8, sh_degree=1)
     tails = [None, tail, other, tail, None, random_cloud(0, seed=1)]
     batch = batch_of()
-    together = batch.render(CAMERA, poses, keys, tails=tails).numpy()
+    together = batch.draw(CAMERA, poses, keys, tails=tails).numpy()
     for v, key in enumerate(keys):
-        alone = batch.render(CAMERA, poses[v], key, tails=tails[v]).numpy()
+        alone = batch.draw(CAMERA, poses[v], key, tails=tails[v]).numpy()
         for name in ("rgb", "depth", "alpha"):
             assert getattr(together, name)[v].tobytes() == getattr(alone, name)[0].tobytes()
     assert batch.store.loads == 3
@@ -69,9 +69,9 @@ def test_a_view_does_not_depend_on_its_batch() -> None:
 def test_more_scenes_than_memory_are_drawn_in_turns() -> None:
     """Room for one scene at a time: the same bytes in the order of the views."""
     keys, poses = list("cabacb"), views(6)
-    want = batch_of().render(CAMERA, poses, keys).numpy()
+    want = batch_of().draw(CAMERA, poses, keys).numpy()
     tight = batch_of(cloud_bytes(SPLATS, 0))
-    got = tight.render(CAMERA, poses, keys).numpy()
+    got = tight.draw(CAMERA, poses, keys).numpy()
     for name in ("rgb", "depth", "alpha"):
         assert getattr(got, name).tobytes() == getattr(want, name).tobytes()
     assert tight.drawer.batches == 3
@@ -84,7 +84,7 @@ def test_more_scenes_than_memory_are_drawn_in_turns() -> None:
 def test_without_room_scenes_give_way(step: str, monkeypatch) -> None:
     """What the draw under way needs stays; when nothing is left to drop, the error is said."""
     batch = batch_of()
-    batch.render(CAMERA, views(3), list("abc"))
+    batch.draw(CAMERA, views(3), list("abc"))
     assert batch.store.resident == list("abc")
     works, room = getattr(type(batch.drawer), step), 1
 
@@ -94,49 +94,49 @@ def test_without_room_scenes_give_way(step: str, monkeypatch) -> None:
         return works(self, *args, **named)
 
     monkeypatch.setattr(type(batch.drawer), step, tight)
-    batch.render(CAMERA, views(1), "b")
+    batch.draw(CAMERA, views(1), "b")
     assert batch.store.resident == ["b"]
     room = -1
     with pytest.raises(DeviceMemoryError, match="no room"):
-        batch.render(CAMERA, views(1), "b")
+        batch.draw(CAMERA, views(1), "b")
 
 
 @either
 def test_one_tail_for_all_views() -> None:
     batch, tail, poses = batch_of(), random_cloud(50, seed=7), views(3)
-    one = batch.render(CAMERA, poses, "a", tails=tail).numpy()
-    each = batch.render(CAMERA, poses, "a", tails=[tail] * 3).numpy()
-    none = batch.render(CAMERA, poses, "a", tails=[None] * 3).numpy()
+    one = batch.draw(CAMERA, poses, "a", tails=tail).numpy()
+    each = batch.draw(CAMERA, poses, "a", tails=[tail] * 3).numpy()
+    none = batch.draw(CAMERA, poses, "a", tails=[None] * 3).numpy()
     assert one.rgb.tobytes() == each.rgb.tobytes() != none.rgb.tobytes()
-    assert none.rgb.tobytes() == batch.render(CAMERA, poses, "a").numpy().rgb.tobytes()
+    assert none.rgb.tobytes() == batch.draw(CAMERA, poses, "a").numpy().rgb.tobytes()
 
 
 @either
 def test_another_hash_shows_at_once() -> None:
     batch, poses = batch_of(), views(1)
-    before = batch.render(CAMERA, poses, "a").numpy().rgb
+    before = batch.draw(CAMERA, poses, "a").numpy().rgb
     batch.add("a", lambda: cloud_of("b"), "hash of a")
-    assert (batch.render(CAMERA, poses, "a").numpy().rgb == before).all()
+    assert (batch.draw(CAMERA, poses, "a").numpy().rgb == before).all()
     batch.add("a", lambda: cloud_of("b"), "hash of b")
-    after = batch.render(CAMERA, poses, "a").numpy().rgb
-    assert (after == batch.render(CAMERA, poses, "b").numpy().rgb).all()
+    after = batch.draw(CAMERA, poses, "a").numpy().rgb
+    assert (after == batch.draw(CAMERA, poses, "b").numpy().rgb).all()
     batch.remove("a")
     assert "a" not in batch
     with pytest.raises(RenderError, match="no scene 'a'"):
-        batch.render(CAMERA, poses, "a")
+        batch.draw(CAMERA, poses, "a")
 
 
 @either
 def test_outputs_and_options() -> None:
     batch = batch_of(options=RenderOptions(rgb_float=True, background=(1, 0, 0)))
     away = view_from_pose(9, 0, 0, 0)
-    pictures = batch.render(CAMERA, away, "a", outputs=("rgb",))
+    pictures = batch.draw(CAMERA, away, "a", outputs=("rgb",))
     assert pictures.depth is None
     assert pictures.alpha is None
     assert (pictures.numpy().rgb == np.float32([1, 0, 0])).all()
-    blue = batch.render(CAMERA, away, "a", background=(0, 0, 1)).numpy().rgb
+    blue = batch.draw(CAMERA, away, "a", background=(0, 0, 1)).numpy().rgb
     assert (blue == np.float32([0, 0, 1])).all()
-    assert batch.render(CAMERA, np.empty((0, 4, 4)), []).numpy().rgb.shape == (0, 30, 40, 3)
+    assert batch.draw(CAMERA, np.empty((0, 4, 4)), []).numpy().rgb.shape == (0, 30, 40, 3)
 
 
 @either
@@ -153,7 +153,7 @@ def test_outputs_and_options() -> None:
 )
 def test_refusals_say_what_is_wrong(named: dict, match: str) -> None:
     with pytest.raises(RenderError, match=match):
-        batch_of().render(CAMERA, views(2), **named)
+        batch_of().draw(CAMERA, views(2), **named)
 
 
 def test_renderers_of_a_device_share_their_buffers() -> None:

@@ -44,7 +44,7 @@ def bytes_of(pictures) -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def want() -> list[bytes]:
-    return bytes_of(batch_of().render(CAMERA, VIEWS, NAMES))
+    return bytes_of(batch_of().draw(CAMERA, VIEWS, NAMES))
 
 
 def test_scenes_that_only_the_device_knows(want, monkeypatch) -> None:
@@ -53,12 +53,12 @@ def test_scenes_that_only_the_device_knows(want, monkeypatch) -> None:
     poses, chosen = device.upload(VIEWS), device.upload(SHOWN)
     with monkeypatch.context() as no_waiting:
         no_waiting.setattr(device, "download", None)
-        pictures = batch.render(CAMERA, poses, KEYS, chosen=chosen)
+        pictures = batch.draw(CAMERA, poses, KEYS, chosen=chosen)
     assert bytes_of(pictures) == want
-    assert bytes_of(batch.render(CAMERA, poses, NAMES)) == want
-    one = batch.render(CAMERA, poses, "b")
-    assert bytes_of(one) == bytes_of(batch.render(CAMERA, VIEWS, "b"))
-    assert bytes_of(batch.render(CAMERA, poses, ["b"] * 5)) == bytes_of(one)
+    assert bytes_of(batch.draw(CAMERA, poses, NAMES)) == want
+    one = batch.draw(CAMERA, poses, "b")
+    assert bytes_of(one) == bytes_of(batch.draw(CAMERA, VIEWS, "b"))
+    assert bytes_of(batch.draw(CAMERA, poses, ["b"] * 5)) == bytes_of(one)
     assert batch.store.loads == 3
 
 
@@ -68,22 +68,22 @@ def test_what_the_host_arranges_is_the_same(want) -> None:
     poses, chosen = tight.device.upload(VIEWS), tight.device.upload(SHOWN)
     loads = []
     for _ in range(3):
-        assert bytes_of(tight.render(CAMERA, poses, KEYS, chosen=chosen)) == want
+        assert bytes_of(tight.draw(CAMERA, poses, KEYS, chosen=chosen)) == want
         loads.append(tight.store.loads)
     assert loads[2] - loads[1] == 1, "two stay, and make room for the third when they are drawn"
     pair = np.where(SHOWN == 3, 2, SHOWN)
-    two = tight.render(CAMERA, poses, ["a", None, "b"], chosen=tight.device.upload(pair))
-    assert bytes_of(two) == bytes_of(batch_of().render(CAMERA, VIEWS, list("baabb")))
+    two = tight.draw(CAMERA, poses, ["a", None, "b"], chosen=tight.device.upload(pair))
+    assert bytes_of(two) == bytes_of(batch_of().draw(CAMERA, VIEWS, list("baabb")))
     batch, tail = batch_of(), random_cloud(60, seed=7)
     poses, chosen = batch.device.upload(VIEWS), batch.device.upload(SHOWN)
-    mine = batch.render(CAMERA, poses, KEYS, chosen=chosen, tails=tail)
-    assert bytes_of(mine) == bytes_of(batch.render(CAMERA, VIEWS, NAMES, tails=tail))
+    mine = batch.draw(CAMERA, poses, KEYS, chosen=chosen, tails=tail)
+    assert bytes_of(mine) == bytes_of(batch.draw(CAMERA, VIEWS, NAMES, tails=tail))
 
 
 def test_a_full_device_lets_others_give_way(want, monkeypatch) -> None:
     batch = batch_of()
     batch.add("other", lambda: random_cloud(SPLATS, seed=5))
-    batch.render(CAMERA, VIEWS, "other")
+    batch.draw(CAMERA, VIEWS, "other")
     works, tries = type(batch.drawer).pictures, []
 
     def full(*args):
@@ -94,7 +94,7 @@ def test_a_full_device_lets_others_give_way(want, monkeypatch) -> None:
 
     monkeypatch.setattr(type(batch.drawer), "pictures", full)
     poses, chosen = batch.device.upload(VIEWS), batch.device.upload(SHOWN)
-    assert bytes_of(batch.render(CAMERA, poses, KEYS, chosen=chosen)) == want
+    assert bytes_of(batch.draw(CAMERA, poses, KEYS, chosen=chosen)) == want
     assert [len(names) for names in tries] == [4, 3]
 
 
@@ -126,12 +126,12 @@ def test_refusals_say_what_is_wrong(named: dict, match: str) -> None:
         if name in more:
             more[name] = batch.device.upload(more[name])
     with pytest.raises(RenderError, match=match):
-        batch.render(CAMERA, **more)
+        batch.draw(CAMERA, **more)
 
 
 def test_chosen_needs_views_on_the_device() -> None:
     batch = batch_of()
     with pytest.raises(RenderError, match="on the device"):
-        batch.render(CAMERA, VIEWS, KEYS, chosen=batch.device.upload(SHOWN))
+        batch.draw(CAMERA, VIEWS, KEYS, chosen=batch.device.upload(SHOWN))
     none = batch.device.empty((0, 4, 4), np.float64)
-    assert batch.render(CAMERA, none, "a").numpy().rgb.shape == (0, 30, 40, 3)
+    assert batch.draw(CAMERA, none, "a").numpy().rgb.shape == (0, 30, 40, 3)

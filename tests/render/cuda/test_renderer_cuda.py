@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -146,7 +147,7 @@ def test_map_pictures_of_card_emulation_and_cpu_are_kept_apart(tmp_path, monkeyp
     cloud = random_cloud(200, seed=1)
     bounds = np.array([[-2.0, -2], [2, 2]])
     card = factory(cloud)
-    card.drawn_by = card.name  # as if it were one
-    for renderer in (factory(cloud), card, RendererCpu(cloud)):
+    card.traits = replace(card.traits, drawn_by=card.name)  # as if it were one
+    for renderer in (factory(cloud), card, build_renderer(cloud, "cpu")):
         render_bev(cloud.content_hash, renderer, bounds, 0.1, 2.0)
     assert len(list((tmp_path / "bev").glob("*.bev"))) == 3

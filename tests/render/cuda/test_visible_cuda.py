@@ -19,7 +19,7 @@ from gn0.render.cpu_pack import CHUNK
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.visible import RendererVisibleCuda
-from gn0.render.open import choose_backend, limit_to_visible, visible_backend
+from gn0.render.open import choose_backend, visible_backend
 from gn0.render.renderer import VISIBLE_CUDA, RenderOptions
 from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
@@ -259,20 +259,20 @@ def test_sets_of_a_batch_go_with_their_scene(cloud, floor) -> None:
         batch.limit_to_visible("c", "three", floor, EYE)
     sets = batch.limit_to_visible("a", "one", floor, EYE, QUICK, cache=False)
     camera, poses, keys = Camera.from_hfov(40, 30, 90), views(4), list("abab")
-    mixed = batch.render(camera, poses, keys, visible=True).numpy().rgb
+    mixed = batch.draw(camera, poses, keys, visible=True).numpy().rgb
     assert sets.built > 0
     cells = [c if k == "a" else None for c, k in zip(sets.locate(camera, poses), keys, strict=True)]
-    named = batch.render(camera, poses, keys, visible=cells).numpy().rgb
+    named = batch.draw(camera, poses, keys, visible=cells).numpy().rgb
     assert named.tobytes() == mixed.tobytes()
-    whole = batch.render(camera, poses, keys).numpy().rgb
+    whole = batch.draw(camera, poses, keys).numpy().rgb
     assert (mixed[1::2] == whole[1::2]).all(), "a scene without sets is drawn whole"
     batch.store.give_way(["b"])
-    again = batch.render(camera, poses, keys, visible=True).numpy().rgb
+    again = batch.draw(camera, poses, keys, visible=True).numpy().rgb
     assert again.tobytes() == mixed.tobytes(), "numbers fit the cloud when it is loaded again"
     batch.add("a", lambda: wall(1.0, 6), "another")
     with pytest.raises(RenderError, match="no visible sets"):
-        batch.render(camera, poses, keys, visible=cells)
-    assert batch.render(camera, poses, keys, visible=True).rgb is not None
+        batch.draw(camera, poses, keys, visible=cells)
+    assert batch.draw(camera, poses, keys, visible=True).rgb is not None
 
 
 @either
@@ -284,14 +284,14 @@ def test_sets_of_all_scenes_share_a_memory(cloud, floor) -> None:
     for key in "ab":
         batch.add(key, lambda: cloud, key)
         sets[key] = batch.limit_to_visible(key, key, floor, EYE, QUICK)
-    first = batch.render(camera, poses, "a", visible=True).numpy().rgb
+    first = batch.draw(camera, poses, "a", visible=True).numpy().rgb
     assert (sets["a"].used, sets["b"].used) == (0, 0)
-    assert batch.render(camera, poses, "a", visible=True).numpy().rgb.tobytes() == first.tobytes()
+    assert batch.draw(camera, poses, "a", visible=True).numpy().rgb.tobytes() == first.tobytes()
     assert sets["a"].built == len(set(sets["a"].locate(camera, poses))), "read from the cache"
     batch.sets_memory = 2**30
-    batch.render(camera, poses, "a", visible=True)
+    batch.draw(camera, poses, "a", visible=True)
     batch.sets_memory = sets["a"].used
-    batch.render(camera, poses, "b", visible=True)
+    batch.draw(camera, poses, "b", visible=True)
     assert sets["a"].used == 0 < sets["b"].used
 
 
@@ -316,9 +316,7 @@ def test_sets_give_way_once_when_nothing_else_can(make, monkeypatch) -> None:
 def test_the_contract_of_renderers_holds(floor) -> None:
     def factory(cloud: GaussianCloud, options: RenderOptions) -> RendererVisibleCuda:
         full = RendererCuda(cloud, options, DeviceHost())
-        limited = limit_to_visible(full, cloud.content_hash, floor, EYE)
-        assert isinstance(limited, RendererVisibleCuda)
-        return limited
+        return RendererVisibleCuda(full, cloud.content_hash, floor, EYE)
 
     check_renderer(factory)
 
@@ -349,9 +347,9 @@ def test_it_is_a_choice_wherever_backends_are_named(monkeypatch) -> None:
     monkeypatch.setenv("GN0_DEVICE", "host")
     scene = build_room_scene(spacing=0.4)
     simulator = open_simulator(scene, backend=VISIBLE_CUDA, sensors={"rgb"})
-    renderer = simulator.suite.renderer
-    assert isinstance(renderer, RendererVisibleCuda)
-    assert renderer.cells
+    drawn = simulator.suite.renderer
+    assert drawn is not None and (drawn.name, drawn.visible) == (VISIBLE_CUDA, True)
+    assert drawn.renderer.open_sets(drawn.key).cells
     env = VectorEnv(2, scene, backend="cuda", visible_sets=True)
     assert env._backend == VISIBLE_CUDA
     env.close()
@@ -405,12 +403,12 @@ def test_the_device_finds_the_sets_of_its_views(cloud, floor, monkeypatch) -> No
     poses[4, :3, 3] += poses[4, :3, 2] * 0.5  # not at the height of eyes
     poses[5] = view_from_pose(9, 9, EYE, 0)  # over no floor
     poses[6] = view_from_pose(0.5, -0.5, EYE, 0.3)  # between cells
-    want = batch.render(camera, poses, keys, visible=True).numpy()
+    want = batch.draw(camera, poses, keys, visible=True).numpy()
     shown = np.array(["cba".index(key) for key in keys], np.int32)
     there, chosen = device.upload(poses), device.upload(shown)
 
     def draw():
-        return batch.render(camera, there, list("cba"), chosen=chosen, visible=True)
+        return batch.draw(camera, there, list("cba"), chosen=chosen, visible=True)
 
     with monkeypatch.context() as no_waiting:
         no_waiting.setattr(device, "download", None)
@@ -420,9 +418,9 @@ def test_the_device_finds_the_sets_of_its_views(cloud, floor, monkeypatch) -> No
             assert getattr(pictures.numpy(), name).tobytes() == getattr(want, name).tobytes()
     with monkeypatch.context() as no_arranging:  # nor does it arrange its own view by view
         no_arranging.setattr(batch, "_render", None)
-        own = batch.render(camera, poses, keys, visible=True).numpy()
+        own = batch.draw(camera, poses, keys, visible=True).numpy()
     assert own.rgb.tobytes() == want.rgb.tobytes()
-    whole = batch.render(camera, there, list("cba"), chosen=chosen).numpy()
+    whole = batch.draw(camera, there, list("cba"), chosen=chosen).numpy()
     assert whole.rgb.tobytes() != want.rgb.tobytes()
     built = [some.built for some in sets]
     sets[0].clear()  # missing sets are brought by the host, and the next call knows them again
@@ -435,12 +433,12 @@ def test_the_device_finds_the_sets_of_its_views(cloud, floor, monkeypatch) -> No
         draw()
     batch.store.give_way(["b"])  # clouds that come back are those that sets are drawn from
     assert draw().numpy().rgb.tobytes() == want.rgb.tobytes()
-    alone = batch.render(camera, there, "a", visible=True).numpy()
-    host = batch.render(camera, poses, "a", visible=True).numpy()
+    alone = batch.draw(camera, there, "a", visible=True).numpy()
+    host = batch.draw(camera, poses, "a", visible=True).numpy()
     assert alone.rgb.tobytes() == host.rgb.tobytes()
     above = Camera.orthographic(40, 30, 0.2)
-    flat = batch.render(above, there, list("cba"), chosen=chosen, visible=True).numpy()
-    assert flat.rgb.tobytes() == batch.render(above, poses, keys).numpy().rgb.tobytes()
+    flat = batch.draw(above, there, list("cba"), chosen=chosen, visible=True).numpy()
+    assert flat.rgb.tobytes() == batch.draw(above, poses, keys).numpy().rgb.tobytes()
 
 
 def test_sets_that_never_fit_are_tried_seldom(cloud, floor) -> None:
@@ -448,10 +446,10 @@ def test_sets_that_never_fit_are_tried_seldom(cloud, floor) -> None:
     batch.add("a", lambda: cloud, "one")
     batch.limit_to_visible("a", "one", floor, EYE, QUICK)
     camera, poses = Camera.from_hfov(16, 16, 90), views(2)
-    want = batch.render(camera, poses, "a", visible=True).numpy().rgb.tobytes()
+    want = batch.draw(camera, poses, "a", visible=True).numpy().rgb.tobytes()
     there = batch.device.upload(poses)
     before = batch.drawer.batches
     for _ in range(24):
-        assert batch.render(camera, there, "a", visible=True).numpy().rgb.tobytes() == want
+        assert batch.draw(camera, there, "a", visible=True).numpy().rgb.tobytes() == want
     assert batch.drawer.batches == before + 24
     assert batch._wait == 15

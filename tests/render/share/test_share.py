@@ -7,6 +7,7 @@ import shutil
 import socket
 import sys
 import threading
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -25,8 +26,10 @@ from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.visible import RendererVisibleCuda
 from gn0.render.depth import to_millimetres
-from gn0.render.host import RendererBatchCpu
-from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.render.host import RendererHost
+from gn0.render.open import open_renderer
+from gn0.render.renderer import DrawnScene
+from gn0.render.share.client import DrawConnection, DrawnViews, RendererShared, SceneEncoder
 from gn0.render.share.messages import Dots, Draw, Encode, Floor, MapPicture, lay_out
 from gn0.render.share.server import Server, open_listener
 from gn0.render.visible import RendererVisible
@@ -67,18 +70,18 @@ def views(count: int, seed: int = 0) -> np.ndarray:
                      for a in rng.uniform(-3, 3, count)])  # fmt: skip
 
 
-class BatchWithLimit(RendererBatchCpu):
+class BatchWithLimit(RendererHost):
     """As the CPU's, with memory for so many views; counts calls and their views."""
 
     def __init__(self, limit: int = 10**9) -> None:
-        super().__init__()
+        super().__init__("cpu", RendererCpu, None, RendererVisible)
         self.limit, self.calls = limit, []
 
-    def render(self, camera, matrices, keys, **more):  # type: ignore[no-untyped-def, override]
+    def draw(self, camera, matrices, keys, **more):  # type: ignore[no-untyped-def, override]
         self.calls.append((len(matrices), len(set(keys))))
         if len(matrices) > self.limit:
             raise DeviceMemoryError("not so much")
-        return super().render(camera, matrices, keys, **more)
+        return super().draw(camera, matrices, keys, **more)
 
 
 class Serving:
@@ -100,9 +103,9 @@ class Serving:
         except DeviceError:
             pass
 
-    def renderer(self, seed: int) -> RendererShared:
+    def renderer(self, seed: int) -> DrawnScene:
         self.open.append(DrawConnection(self.address))
-        return RendererShared(self.open[-1], "cpu", f"scene {seed}", {"seed": seed})
+        return RendererShared(self.open[-1], "cpu").add_source(f"scene {seed}", {"seed": seed})
 
     def close(self) -> None:
         for connection in self.open:
@@ -123,6 +126,11 @@ def serve():
         serving.close()
 
 
+def render_files(drawn: DrawnScene, *args: Any, **more: Any) -> DrawnViews:
+    """Files of a scene, whether or not its renderer says that it makes any."""
+    return SceneEncoder(drawn.renderer, drawn.key, drawn.visible).render_files(*args, **more)
+
+
 def expect_same(one, other, outputs=("rgb", "depth", "alpha")) -> None:
     for name in ("rgb", "depth", "alpha"):
         if name in outputs:
@@ -132,7 +140,7 @@ def expect_same(one, other, outputs=("rgb", "depth", "alpha")) -> None:
 
 
 def test_pictures_are_those_of_the_renderer(serve) -> None:
-    shared = serve(RendererBatchCpu()).renderer(1)
+    shared = serve(open_renderer("cpu")).renderer(1)
     alone = RendererCpu(random_cloud(1))
     for count in (1, 5, 40):  # 40: more than one request holds
         expect_same(shared.render(CAMERA, views(count)), alone.render(CAMERA, views(count)))
@@ -188,7 +196,7 @@ def test_too_little_memory_means_smaller_batches_said_once(serve) -> None:
 
 
 def test_one_that_fails_takes_nobody_with_it(serve) -> None:
-    serving = serve(RendererBatchCpu())
+    serving = serve(open_renderer("cpu"))
     good, bad = serving.renderer(1), serving.renderer(-1)
     for _ in range(2):
         with pytest.raises(RenderError, match="no such cloud") as caught:
@@ -203,14 +211,14 @@ def test_one_that_fails_takes_nobody_with_it(serve) -> None:
         good.render(CAMERA, views(1), extra=random_cloud(1))
 
 
-class BatchLost(RendererBatchCpu):
-    def render(self, *args, **more):  # type: ignore[no-untyped-def, override]
+class BatchLost(RendererHost):
+    def draw(self, *args, **more):  # type: ignore[no-untyped-def, override]
         raise DeviceError("the card fell off the bus")
 
 
 def test_scenes_are_read_while_others_are_drawn(serve, monkeypatch) -> None:
     """Once each, by whoever asks first; a slow one holds nobody up but those who want it."""
-    serving = serve(RendererBatchCpu())
+    serving = serve(open_renderer("cpu"))
     read: list[int] = []
     gate = threading.Event()
 
@@ -242,7 +250,7 @@ def test_scenes_are_read_while_others_are_drawn(serve, monkeypatch) -> None:
 
 
 def test_a_lost_device_is_told_to_those_who_wait(serve) -> None:
-    serving = serve(BatchLost())
+    serving = serve(BatchLost("cpu", RendererCpu))
     with pytest.raises(DeviceError, match="fell off the bus"):
         serving.renderer(1).render(CAMERA, views(1))
     serving.thread.join(5)
@@ -250,7 +258,7 @@ def test_a_lost_device_is_told_to_those_who_wait(serve) -> None:
 
 
 def test_what_is_no_message_ends_its_connection_alone(serve) -> None:
-    serving = serve(RendererBatchCpu())
+    serving = serve(open_renderer("cpu"))
     for data in (b"\xff\xff\xff\xff", b"\x03\x00\x00\x00abc", b"\x01"):
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as rude:
             rude.connect(serving.address.replace("@", "\0", 1))
@@ -260,15 +268,15 @@ def test_what_is_no_message_ends_its_connection_alone(serve) -> None:
     serving.renderer(1).render(CAMERA, views(1))
 
 
-class BatchOnDevice(RendererBatchCpu):
+class BatchOnDevice(RendererHost):
     """Pictures of the CPU renderer, on a device."""
 
     def __init__(self, device: DeviceHost) -> None:
-        super().__init__()
-        self.device = device
+        super().__init__("cpu", RendererCpu)
+        self.device, self.traits = device, replace(self.traits, device=device)
 
-    def render(self, *args, **more):  # type: ignore[no-untyped-def, override]
-        found = super().render(*args, **more).numpy()
+    def draw(self, *args, **more):  # type: ignore[no-untyped-def, override]
+        found = super().draw(*args, **more)
         for name in ("rgb", "depth", "alpha"):
             if (array := getattr(found, name)) is not None:
                 object.__setattr__(found, name, self.device.upload(array))
@@ -288,23 +296,24 @@ def test_pictures_of_a_device_come_through_pinned_memory(serve) -> None:
 @pytest.mark.parametrize("on_device", [False, True])
 def test_depth_comes_in_millimetres_beside_the_same_pictures(serve, on_device, most) -> None:
     """Made where the pictures are; with files and without, in batches of any size."""
-    batch = BatchOnDevice(DeviceHost()) if on_device else RendererBatchCpu()
+    batch = BatchOnDevice(DeviceHost()) if on_device else open_renderer("cpu")
     shared = serve(batch, most=most).renderer(1)
     alone = RendererCpu(random_cloud(1)).render(CAMERA, views(7))
     wanted = to_millimetres(alone.depth)
     assert (wanted == 0).any() and (wanted > 0).any()
-    found = shared.render_millimetres(CAMERA, views(7), ("rgb", "depth"))
-    np.testing.assert_array_equal(found["rgb"], alone.rgb)
-    assert found["depth"].dtype == np.uint16
-    np.testing.assert_array_equal(found["depth"], wanted)
-    (depth,) = shared.render_millimetres(CAMERA, views(7)[:2], ("depth",)).values()
-    np.testing.assert_array_equal(depth, wanted[:2])
+    found = shared.render(CAMERA, views(7), outputs=("rgb", "depth"), millimetres=True)
+    np.testing.assert_array_equal(found.rgb, alone.rgb)
+    assert found.depth.dtype == np.uint16
+    np.testing.assert_array_equal(found.depth, wanted)
+    found = shared.render(CAMERA, views(7)[:2], outputs=("depth",), millimetres=True)
+    assert found.rgb is None
+    np.testing.assert_array_equal(found.depth, wanted[:2])
     expect_same(shared.render(CAMERA, views(7)), alone)  # metres, as ever
     steps = np.arange(7, dtype=np.int32).tobytes()
     wish = Encode(85, 200_000, (16, 12), 4, 2, steps)
-    made = shared.render_files(CAMERA, views(7), wish, None, ("rgb", "depth"))
+    made = render_files(shared, CAMERA, views(7), wish, None, ("rgb", "depth"))
     np.testing.assert_array_equal(made.pictures["depth"], wanted)
-    plain = shared.render_files(CAMERA, views(7), wish)
+    plain = render_files(shared, CAMERA, views(7), wish)
     assert "depth" not in plain.pictures
     assert (made.files, made.mosaics) == (plain.files, plain.mosaics)
     assert made.files == ([jpeg_of(picture) for picture in alone.rgb] if on_device else [])
@@ -349,7 +358,7 @@ def test_files_of_views_and_of_what_was_seen_before(serve, most) -> None:
             wish = Encode(
                 85, 200_000, (16, 12), 4, 2, np.array(steps, np.int32).tobytes(), begin == 0
             )
-            found = renderer.render_files(CAMERA, views(7)[begin:end], wish)
+            found = render_files(renderer, CAMERA, views(7)[begin:end], wish)
             np.testing.assert_array_equal(found.pictures["rgb"], alone[begin:end])
             for index, number in enumerate(range(begin, end)):
                 wanted = Image.fromarray(alone[number]).resize((16, 12), Image.Resampling.BOX)
@@ -381,17 +390,17 @@ def test_files_of_views_and_of_what_was_seen_before(serve, most) -> None:
 
 def test_files_without_room_are_left_to_who_asked(serve) -> None:
     renderer = serve(BatchOnDevice(DeviceHost())).renderer(1)
-    found = renderer.render_files(CAMERA, views(2), Encode(85, 10))
+    found = render_files(renderer, CAMERA, views(2), Encode(85, 10))
     assert found.files == [] and not found.hashes and found.pictures["rgb"].shape == (2, 36, 48, 3)
-    none = serve(RendererBatchCpu()).renderer(1)
-    assert none.render_files(CAMERA, views(2), Encode(85, 10**6, (16, 12))).files == []
+    none = serve(open_renderer("cpu")).renderer(1)
+    assert render_files(none, CAMERA, views(2), Encode(85, 10**6, (16, 12))).files == []
     bad = Encode(85, 10**5, (16, 12), steps=np.int32([2]).tobytes())
     with pytest.raises(RenderError, match="step 0 has no view 2"):
-        renderer.render_files(CAMERA, views(2), bad)
+        render_files(renderer, CAMERA, views(2), bad)
     odd = Encode(85, 10**5, (17, 12), steps=np.int32([0]).tobytes())
     with pytest.raises(RenderError, match="no multiple"):
-        renderer.render_files(CAMERA, views(2), odd)
-    assert len(renderer.render_files(CAMERA, views(2), Encode(85, 10**5)).files) == 2
+        render_files(renderer, CAMERA, views(2), odd)
+    assert len(render_files(renderer, CAMERA, views(2), Encode(85, 10**5)).files) == 2
 
 
 def paint(shown: MapPicture, dots: Dots) -> list[np.ndarray]:
@@ -423,13 +432,13 @@ def test_occupancy_pictures_come_with_the_views(serve, most, encode, depth) -> N
             dots = Dots(places.tobytes(), 3, encode)
             steps = np.arange(5, dtype=np.int32).tobytes()
             wish = Encode(85, 200_000, (16, 12), 4, 2, steps, dots=dots)
-            found = renderer.render_files(CAMERA, views(5), wish, None, outputs, shown)
+            found = render_files(renderer, CAMERA, views(5), wish, None, outputs, shown)
             wanted = paint(shown, dots)
             assert found.hashes["maps"] == [content_hash(picture) for picture in wanted]
             assert found.maps == ([jpeg_of(picture) for picture in wanted] if encode else [])
             assert len(found.files) == len(found.mosaics) == len(found.hashes["mosaics"]) == 5
             assert len(found.hashes["depth"]) == (5 if depth else 0)
-            plain = renderer.render_files(CAMERA, views(5), Encode(85, 200_000))
+            plain = render_files(renderer, CAMERA, views(5), Encode(85, 200_000))
             assert plain.files == found.files and not plain.maps and not plain.hashes["maps"]
 
     wrong: list[BaseException] = []
@@ -458,9 +467,9 @@ def test_views_stay_on_the_device_where_files_stand_for_them(serve, most) -> Non
     steps = np.arange(7, dtype=np.int32).tobytes()
     for outputs in (("rgb",), ("depth", "rgb")):
         wish = Encode(85, 200_000, (16, 12), 4, 2, steps)
-        whole = renderer.render_files(CAMERA, views(7), wish, None, outputs)
+        whole = render_files(renderer, CAMERA, views(7), wish, None, outputs)
         spare = msgspec.structs.replace(wish, pixels=False)
-        found = renderer.render_files(CAMERA, views(7), spare, None, outputs)
+        found = render_files(renderer, CAMERA, views(7), spare, None, outputs)
         assert found.pictures.keys() == whole.pictures.keys() - {"rgb"}
         for name, array in found.pictures.items():
             np.testing.assert_array_equal(array, whole.pictures[name])
@@ -468,12 +477,12 @@ def test_views_stay_on_the_device_where_files_stand_for_them(serve, most) -> Non
             whole.files, whole.mosaics, whole.hashes,
         )  # fmt: skip
         tight = msgspec.structs.replace(spare, room=10)
-        found = renderer.render_files(CAMERA, views(7), tight, None, outputs)
+        found = render_files(renderer, CAMERA, views(7), tight, None, outputs)
         assert found.files == [] and not found.hashes and found.pictures.keys() == set(outputs)
         np.testing.assert_array_equal(found.pictures["rgb"], alone.rgb)
         if "depth" in outputs:
             np.testing.assert_array_equal(found.pictures["depth"], to_millimetres(alone.depth))
-    plain = serve(RendererBatchCpu()).renderer(1).render_files(CAMERA, views(7), spare)
+    plain = render_files(serve(open_renderer("cpu")).renderer(1), CAMERA, views(7), spare)
     np.testing.assert_array_equal(plain.pictures["rgb"], alone.rgb)
 
 
@@ -481,23 +490,23 @@ def test_dots_without_a_map_or_room(serve) -> None:
     renderer = serve(BatchOnDevice(DeviceHost())).renderer(1)
     one = Dots(bytes(16), 3, True)
     with pytest.raises(RenderError, match="without a map"):
-        renderer.render_files(CAMERA, views(1), Encode(85, 10**5, dots=one))
+        render_files(renderer, CAMERA, views(1), Encode(85, 10**5, dots=one))
     shown = MapPicture.of_pixels(np.random.default_rng(0).integers(0, 256, (40, 40), np.uint8))
     for bad in (Dots(bytes(15), 3, True), Dots(bytes(16), 101, True), Dots(bytes(16), -1, True)):
         with pytest.raises(RenderError, match="without a map"):
-            renderer.render_files(CAMERA, views(1), Encode(85, 10**5, dots=bad), shown=shown)
-    size = len(renderer.render_files(CAMERA, views(1), Encode(85, 10**5)).files[0])
-    tight = renderer.render_files(CAMERA, views(1), Encode(85, size, dots=one), shown=shown)
+            render_files(renderer, CAMERA, views(1), Encode(85, 10**5, dots=bad), shown=shown)
+    size = len(render_files(renderer, CAMERA, views(1), Encode(85, 10**5)).files[0])
+    tight = render_files(renderer, CAMERA, views(1), Encode(85, size, dots=one), shown=shown)
     assert (tight.files, tight.maps, tight.hashes) == ([], [], {})
-    none = renderer.render_files(
-        CAMERA, views(1), Encode(85, 10**5, dots=Dots(b"", 3, True)), shown=shown
+    none = render_files(
+        renderer, CAMERA, views(1), Encode(85, 10**5, dots=Dots(b"", 3, True)), shown=shown
     )
     assert len(none.files) == 1 and none.maps == none.hashes["maps"] == []
     broken = msgspec.structs.replace(shown, name="broken", shape=(3, 3))
     with pytest.raises(FormatError, match="another size"):
-        renderer.render_files(CAMERA, views(1), Encode(85, 10**5, dots=one), shown=broken)
-    plain = serve(RendererBatchCpu()).renderer(1)
-    found = plain.render_files(CAMERA, views(1), Encode(85, 10**5, dots=one), shown=shown)
+        render_files(renderer, CAMERA, views(1), Encode(85, 10**5, dots=one), shown=broken)
+    plain = serve(open_renderer("cpu")).renderer(1)
+    found = render_files(plain, CAMERA, views(1), Encode(85, 10**5, dots=one), shown=shown)
     assert found.files == [] and not found.hashes
 
 
@@ -519,7 +528,7 @@ def test_visible_sets_are_found_and_drawn_from_where_the_splats_are(
         wanted.append(alone.render(CAMERA, views(4)))
         shared.append(serving.renderer(1).limit_to_visible(cloud.content_hash, floor, height))
     expect_same(wanted[2], RendererCpu(cloud).render(CAMERA, views(4)))  # eyes are too low for it
-    assert shared[0].name == "cpu-visible" and not shared[0].encodes
+    assert shared[0].name == "cpu-visible" and shared[0].encoder is None
     found: dict[int, Any] = {}
 
     def ask(number: int) -> None:
@@ -538,17 +547,17 @@ def test_visible_sets_are_found_and_drawn_from_where_the_splats_are(
 
 
 def test_a_floor_that_is_none_is_refused(serve) -> None:
-    renderer = serve(RendererBatchCpu()).renderer(1)
+    renderer = serve(open_renderer("cpu")).renderer(1)
     floor = Floor.of_grid("0" * 32, FLOOR, 0.5)
     assert floor.grid.content_hash == FLOOR.content_hash
     bad = msgspec.structs.replace(floor, name="bad", shape=(3, 3))
     with pytest.raises(FormatError, match="another size"):
-        renderer._connection.draw(
+        renderer.renderer._connection.draw(
             "scene 1", {"seed": 1}, CAMERA, views(1), ("rgb",), None, floor=bad
         )
     draw = Draw(1, "scene 1", {"seed": 1}, CAMERA, views(1).tobytes(), ("rgb",), None, 1,
                 visible=True)  # fmt: skip
-    lonely = serve(RendererBatchCpu()).renderer(1)._connection
+    lonely = serve(open_renderer("cpu")).renderer(1).renderer._connection
     lonely._open_area(lay_out(CAMERA, ("rgb",), 1)[1])
     with pytest.raises(RenderError, match="without a floor"):
         lonely._ask(draw)
@@ -566,7 +575,7 @@ def test_visible_sets_on_a_device_are_those_of_its_own_renderer(
     cloud = random_cloud(1)
     serving = serve(RendererBatch(DeviceHost()))
     shared = serving.renderer(1)
-    assert shared.drawn_by == "cuda on host"
+    assert shared.traits.drawn_by == "cuda on host"
     limited = shared.limit_to_visible(cloud.content_hash, FLOOR, 0.5)
     full = RendererCuda(cloud, device=DeviceHost())
     alone = RendererVisibleCuda(full, cloud.content_hash, FLOOR, 0.5, options, cache=False)
@@ -578,7 +587,7 @@ def test_visible_sets_on_a_device_are_those_of_its_own_renderer(
 
 def test_a_scene_that_gave_way_is_read_ahead_again(serve, monkeypatch) -> None:
     """By the thread that hears of it, not by the one that draws; each time once."""
-    batch = RendererBatchCpu()
+    batch = open_renderer("cpu")
     monkeypatch.setattr("gn0.render.host.KEPT", 1)
     serving = serve(batch)
     by: list[str] = []

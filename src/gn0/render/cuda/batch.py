@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary, ref
@@ -19,6 +20,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cuda.calls import Call, Record, RecordedCalls, name_call
 from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.depth import scale_on_device
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.floors import Arranged, arrange_floors
 from gn0.render.cuda.pack import CloudReady, prepare_cloud
@@ -41,8 +43,16 @@ from gn0.render.cuda.request import (
     number_keys,
 )
 from gn0.render.cuda.store import CloudStore, Load
-from gn0.render.cuda.visible import Cell, VisibleSets, lock_of
-from gn0.render.renderer import Output, RenderOptions, check_views
+from gn0.render.cuda.visible import Cell, SceneSets, VisibleSets, lock_of
+from gn0.render.renderer import (
+    ALONE,
+    Colour,
+    Output,
+    RenderOptions,
+    RenderResult,
+    Traits,
+    check_views,
+)
 from gn0.render.visible_places import VisibleOptions
 
 _SETS_SHARE = 0.1  # of the memory that is free at the start, for visible sets
@@ -62,7 +72,6 @@ class RendererBatch:
     """
 
     name = "cuda"
-    takes_device_views = True  # and numbers of keys there, see `render`
 
     def __init__(
         self,
@@ -74,8 +83,14 @@ class RendererBatch:
     ) -> None:
         self.device = device
         self.options = options or RenderOptions()
-        # the emulation's last bits are not a card's: what is kept of it goes by another name
-        self.drawn_by = self.name if device.kind == "cuda" else f"{self.name} on {device.kind}"
+        self.traits = Traits(
+            # the emulation's last bits are not a card's: what is kept of it goes by another name
+            self.name if device.kind == "cuda" else f"{self.name} on {device.kind}",
+            self.options.antialiased,
+            visible_sets=True,
+            device=device,
+            device_views=True,
+        )
         self.store = CloudStore(device, memory)
         self.drawer = share_drawer(device)
         share = int(_SETS_SHARE * device.memory()[0])
@@ -113,6 +128,17 @@ class RendererBatch:
         if self.store.add(key, load, digest):
             self._sets.pop(key, None)
             self._forget_calls()
+
+    def keep(self, key: str, cloud: GaussianCloud, digest: str = "") -> CloudDevice:
+        """Bring a scene here now, to stay until it is removed; see `Renderer.keep`.
+
+        Raises:
+            RenderError: the cloud holds values that are not finite.
+            DeviceMemoryError: it is larger than the memory for clouds.
+        """
+        self._sets.pop(key, None)
+        self._forget_calls()
+        return self.store.keep(key, cloud, digest)
 
     def remove(self, key: str) -> None:
         """Forget a scene."""
@@ -157,17 +183,59 @@ class RendererBatch:
         self._forget_calls()
         return sets
 
+    def open_sets(self, key: str) -> SceneSets:
+        """The visible sets of a scene; see `Renderer.open_sets`.
+
+        Raises:
+            RenderError: it was not limited to them.
+        """
+        if key not in self._sets:
+            raise RenderError(
+                f"scene {key!r} has no visible sets", remedy="call limit_to_visible first"
+            )
+        return SceneSets(self._sets[key], lambda: self.store.open(key))
+
     def render(
         self,
         camera: Camera,
         views: NDArray[np.floating] | DeviceArray,
-        keys: Sequence[str | None] | str,
+        keys: Sequence[str | None] | str = ALONE,
+        *,
+        extra: GaussianCloud | None = None,
+        outputs: tuple[Output, ...] = OUTPUTS,
+        background: Colour | None = None,
+        visible: bool = False,
+        millimetres: bool = False,
+    ) -> RenderResult:
+        """As `draw`, with pictures in host memory.
+
+        Raises:
+            RenderError, DeviceError: see `draw`.
+        """
+        return self.draw(
+            camera,
+            views,
+            keys,
+            extra=extra,
+            outputs=outputs,
+            background=background,
+            visible=visible,
+            millimetres=millimetres,
+        ).numpy()
+
+    def draw(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating] | DeviceArray,
+        keys: Sequence[str | None] | str = ALONE,
         *,
         chosen: DeviceArray | None = None,
+        extra: GaussianCloud | None = None,
         tails: Sequence[GaussianCloud | None] | GaussianCloud | None = None,
         outputs: tuple[Output, ...] = OUTPUTS,
-        background: tuple[float, float, float] | None = None,
+        background: Colour | None = None,
         visible: bool | VisibleSets | Sequence[Cell | None] | None = None,
+        millimetres: bool = False,
     ) -> PicturesDevice:
         """Draw `views`, each of its own scene; the pictures stay on the device.
 
@@ -185,13 +253,15 @@ class RendererBatch:
             chosen: int32 [V] on the device, as `views` are: the scene of each view as a number
                 into `keys`, of any length. All of `keys` are brought here; None is a number that
                 no view may choose.
-            tails: moving splats of each view, or of all, drawn after the scene's at equal depth.
-                Views may share one cloud: it is brought over once.
+            extra: moving splats of all views, drawn after the scene's at equal depth.
+            tails: the same of each view, or of all. Views may share one cloud: it is brought
+                over once.
             outputs: what to draw.
             background: colour behind everything, 0..1; the option when None.
             visible: True takes the visible set where each eye is, for scenes that have sets
                 (`limit_to_visible`); sets do so for this call alone; or name a cell (column, row)
                 a view, None for all splats.
+            millimetres: depth as uint16, see `gn0.render.depth`.
 
         Raises:
             RenderError: a view is not finite or not rigid, an output or a scene is unknown, keys,
@@ -199,6 +269,23 @@ class RendererBatch:
             DeviceMemoryError: a scene is larger than the memory, or one view has no room.
             DeviceError: the device is lost.
         """
+        tail = tails if extra is None else extra
+        drawn = self._draw(camera, views, keys, chosen, tail, outputs, background, visible)
+        if millimetres and drawn.depth is not None:
+            return replace(drawn, depth=scale_on_device(self.device, drawn.depth))
+        return drawn
+
+    def _draw(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating] | DeviceArray,
+        keys: Sequence[str | None] | str,
+        chosen: DeviceArray | None,
+        tails: Sequence[GaussianCloud | None] | GaussianCloud | None,
+        outputs: tuple[Output, ...],
+        background: Colour | None,
+        visible: bool | VisibleSets | Sequence[Cell | None] | None,
+    ) -> PicturesDevice:
         with lock_of(self.device):
             asked: Call | None = None
             if tails is None and chosen is None and not isinstance(views, DeviceArray):
@@ -242,7 +329,7 @@ class RendererBatch:
         keys: list[str | None],
         chosen: NDArray[np.int32] | DeviceArray | None,
         outputs: tuple[Output, ...],
-        background: tuple[float, float, float] | None,
+        background: Colour | None,
         visible: bool | VisibleSets,
         asked: Call | None,
     ) -> PicturesDevice | None:
@@ -340,7 +427,7 @@ class RendererBatch:
         keys: Sequence[str] | str,
         tails: Sequence[GaussianCloud | None] | GaussianCloud | None,
         outputs: tuple[Output, ...],
-        background: tuple[float, float, float] | None,
+        background: Colour | None,
         visible: bool | VisibleSets | Sequence[Cell | None] | None,
     ) -> PicturesDevice:
         count = len(matrices)

@@ -50,7 +50,7 @@ class RendererCuda:
         self.size = len(cloud)
         memory = cloud_bytes(self.size, cloud.sh_degree)
         self.batch = RendererBatch(device, self.options, memory)
-        self.drawn_by = self.batch.drawn_by
+        self.traits = self.batch.traits
         self.cloud = self.batch.store.keep(_KEY, cloud)
 
     def render(
@@ -90,11 +90,11 @@ class RendererCuda:
         Raises:
             RenderError, DeviceError: see `render`.
         """
-        return self.batch.render(
+        return self.batch.draw(
             camera,
             views,
             _KEY,
-            tails=extra,
+            extra=extra,
             outputs=outputs,
             background=background,
             visible=visible,

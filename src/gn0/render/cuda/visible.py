@@ -8,7 +8,7 @@ in packed order, with boxes of its own chunks; the splats themselves are not cop
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from threading import RLock
@@ -388,7 +388,53 @@ def _words(cloud: CloudDevice) -> int:
     return -(-cloud.size // 32)
 
 
-class RendererVisibleCuda:
+class SceneSets:
+    """The visible sets of one scene beside its splats; see `gn0.render.renderer.VisibleScene`.
+
+    Args:
+        sets: where eyes can be.
+        open_cloud: brings the splats that they number to the device.
+    """
+
+    def __init__(self, sets: VisibleSets, open_cloud: Callable[[], CloudDevice]) -> None:
+        self.sets = sets
+        self.options, self.key = sets.options, sets.key
+        self._open_cloud = open_cloud
+
+    @property
+    def files(self) -> VisibleFiles | None:
+        """Those on disk; None without a cache."""
+        return self.sets.files(self._open_cloud())
+
+    @property
+    def cells(self) -> list[Cell]:
+        """Cells (column, row) that have a free place, in order."""
+        return self.sets.cells
+
+    @property
+    def built(self) -> int:
+        """Sets found by looking, so far."""
+        return self.sets.built
+
+    def size_of(self, cell: Cell) -> int:
+        """Splats of a cell's set.
+
+        Raises:
+            RenderError: the cell has no free place.
+        """
+        return self.sets.size_of(cell, self._open_cloud())
+
+    def build(self, progress: Progress = no_progress, *, most: int | None = None) -> Iterator[Cell]:
+        """Find the sets of all cells (or the first `most`) that the cache does not hold yet.
+
+        Raises:
+            RenderError: there is no cache to keep them in.
+            StorageError: the cache cannot be written.
+        """
+        return self.sets.build(self._open_cloud(), progress, most=most)
+
+
+class RendererVisibleCuda(SceneSets):
     """A `RendererCuda` that draws from visible sets where it can.
 
     Views of a pinhole camera whose eye is at `eye_height` over a cell of `floor` use that cell's
@@ -416,8 +462,7 @@ class RendererVisibleCuda:
         *,
         cache: bool = True,
     ) -> None:
-        self.full = renderer
-        self.sets = VisibleSets(
+        sets = VisibleSets(
             renderer.batch.drawer,
             cloud_hash,
             floor,
@@ -426,18 +471,8 @@ class RendererVisibleCuda:
             antialiased=renderer.options.antialiased,
             cache=cache,
         )
-        self.options, self.key = self.sets.options, self.sets.key
-        self.files = self.sets.files(renderer.cloud)
-
-    @property
-    def cells(self) -> list[Cell]:
-        """Cells (column, row) that have a free place, in order."""
-        return self.sets.cells
-
-    @property
-    def built(self) -> int:
-        """Sets found by looking, so far."""
-        return self.sets.built
+        super().__init__(sets, lambda: renderer.cloud)
+        self.full = renderer
 
     def render(
         self,
@@ -479,20 +514,3 @@ class RendererVisibleCuda:
             background=background,
             visible=self.sets,
         )
-
-    def size_of(self, cell: Cell) -> int:
-        """Splats of a cell's set.
-
-        Raises:
-            RenderError: the cell has no free place.
-        """
-        return self.sets.size_of(cell, self.full.cloud)
-
-    def build(self, progress: Progress = no_progress, *, most: int | None = None) -> Iterator[Cell]:
-        """Find the sets of all cells (or the first `most`) that the cache does not hold yet.
-
-        Raises:
-            RenderError: there is no cache to keep them in.
-            StorageError: the cache cannot be written.
-        """
-        return self.sets.build(self.full.cloud, progress, most=most)

@@ -9,9 +9,9 @@ import queue
 import sys
 import tempfile
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import msgspec
@@ -19,13 +19,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0 import errors
-from gn0.errors import DeviceError, Gn0Error, RenderError
+from gn0.errors import ConfigError, DeviceError, Gn0Error, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.process import Ended, WorkerProcess
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.open import name_drawing, visible_backend
-from gn0.render.renderer import Output, RenderResult, check_views
+from gn0.render.renderer import (
+    ALONE,
+    OUTPUTS,
+    VISIBLE_OF,
+    Colour,
+    DrawnScene,
+    Output,
+    RenderResult,
+    Traits,
+    VisibleScene,
+    check_outputs,
+    check_views,
+)
 from gn0.render.share.jpeg import join_files, read_tables
 from gn0.render.share.messages import (
     Area,
@@ -48,7 +60,6 @@ from gn0.render.share.messages import (
     send_message,
 )
 
-OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
 VIEWS = 32  # of a request at most: one area holds their pictures
 START_LIMIT = 120.0  # s: the first start compiles kernels
 GOES_ON = "give the same command again: it goes on where it stopped"
@@ -127,7 +138,7 @@ class DrawConnection:
         camera: Camera,
         views: NDArray[np.float64],
         outputs: tuple[Output, ...],
-        background: tuple[float, float, float] | None,
+        background: Colour | None,
         encode: Encode | None = None,
         floor: Floor | None = None,
         *,
@@ -252,94 +263,191 @@ def error_of(code: str, what: str, where: str, remedy: str) -> Gn0Error:
 
 
 class RendererShared:
-    """A `Renderer` of one scene whose pictures are drawn by another process.
+    """A `Renderer` whose pictures are drawn by another process; it holds no splats itself.
 
     Args:
-        connection: to that process; shared by the scenes of one thread.
+        connection: to that process; of one thread.
         name: of the backend that draws.
-        key: of the scene in its light; equal keys mean equal splats.
-        source: how that process loads the splats.
-        floor: draw from visible sets where eyes can be there.
 
     Attributes:
-        encodes: whether `render_files` is worth a try.
+        traits: what the other process can do.
+
+    Raises:
+        DeviceError: the process that draws is gone.
     """
 
-    def __init__(
-        self,
-        connection: DrawConnection,
-        name: str,
-        key: str,
-        source: Mapping[str, Any],
-        floor: Floor | None = None,
-    ) -> None:
+    def __init__(self, connection: DrawConnection, name: str) -> None:
         self.name = name
-        self.encodes = name_drawing(name) != "cpu"
-        self._connection, self._key, self._source = connection, key, dict(source)
-        self._floor = floor
+        self._connection = connection
+        self._sources: dict[str, dict[str, Any]] = {}
+        self._floors: dict[str, Floor] = {}
 
-    @property
-    def drawn_by(self) -> str:
-        """Who draws, in a name that tells a card from its emulation.
+    @cached_property
+    def traits(self) -> Traits:
+        """What the process that draws is and can do.
 
         Raises:
-            DeviceError: the process that draws is gone.
+            DeviceError: it is gone.
         """
-        return self._connection.drawn_by
+        encodes = name_drawing(self.name) != "cpu"
+        return Traits(
+            self._connection.drawn_by,
+            visible_sets=name_drawing(self.name) in VISIBLE_OF,
+            encoder=partial(SceneEncoder, self) if encodes else None,
+        )
+
+    def add_source(self, key: str, source: Mapping[str, Any]) -> DrawnScene:
+        """Name a scene by how the other process loads its splats; equal keys mean equal splats."""
+        if self._sources.get(key) != source:
+            self._sources[key] = dict(source)
+            self._floors.pop(key, None)
+        return DrawnScene(self, key)
+
+    def add(self, key: str, load: Callable[[], Any], digest: str = "") -> None:
+        """Name a scene by its splats.
+
+        Raises:
+            ConfigError: always: splats do not travel, see `add_source`.
+        """
+        raise ConfigError(
+            "splats are not sent to the process that draws",
+            remedy="say how it loads them: add_source(key, source)",
+        )
+
+    def keep(self, key: str, cloud: GaussianCloud, digest: str = "") -> None:
+        """As `add`.
+
+        Raises:
+            ConfigError: always, see `add`.
+        """
+        self.add(key, lambda: cloud, digest)
+
+    def remove(self, key: str) -> None:
+        """Forget a scene here; the other process lets go of it as others need the room."""
+        self._sources.pop(key, None)
+        self._floors.pop(key, None)
+
+    def holds(self, key: str) -> bool:
+        """Whether a scene can be asked for."""
+        return key in self._sources
+
+    def prepare(self, cloud: GaussianCloud) -> GaussianCloud:
+        """Nothing can be done beforehand here."""
+        return cloud
 
     def limit_to_visible(
-        self, cloud_hash: str, floor: OccupancyGrid, eye_height: float
-    ) -> RendererShared:
-        """The same scene, with views from visible sets; `gn0.render.renderer` says which.
+        self, key: str, cloud_hash: str, floor: OccupancyGrid, eye_height: float
+    ) -> None:
+        """Let `visible=True` draw a scene from visible sets; see `Renderer.limit_to_visible`.
 
         Raises:
             ConfigError: the backend has no visible sets.
         """
-        return RendererShared(
-            self._connection, visible_backend(self.name), self._key, self._source,
-            Floor.of_grid(cloud_hash, floor, eye_height),
-        )  # fmt: skip
+        visible_backend(self.name)
+        self._floors[key] = Floor.of_grid(cloud_hash, floor, eye_height)
 
-    def render(
+    def open_sets(self, key: str) -> VisibleScene:
+        """The visible sets of a scene.
+
+        Raises:
+            RenderError: always: the other process has them.
+        """
+        raise RenderError("visible sets are kept by the process that draws", where=repr(key))
+
+    def draw(
         self,
         camera: Camera,
         views: NDArray[np.floating],
+        keys: Sequence[str] | str = ALONE,
         *,
         extra: GaussianCloud | None = None,
         outputs: tuple[Output, ...] = OUTPUTS,
-        background: tuple[float, float, float] | None = None,
+        background: Colour | None = None,
+        visible: bool = False,
+        millimetres: bool = False,
     ) -> RenderResult:
-        """Draw views [V, 4, 4], `VIEWS` a request.
+        """Draw views [V, 4, 4], `VIEWS` of a scene a request; see `Renderer.draw`.
 
         Raises:
-            RenderError: a view is none, or `extra` splats are given: they do not travel.
+            RenderError: a view is none, a scene is unknown, or `extra` splats are given: they do
+                not travel.
             DeviceError: the device or the process that draws is lost.
         """
         if extra is not None and len(extra):
             raise RenderError("moving splats are not sent to another process")
         matrices = check_views(views)
-        if not len(matrices) or not outputs:
-            shape = (len(matrices), camera.height, camera.width)
-            empty = {"rgb": np.zeros((*shape, 3), np.uint8), "depth": np.zeros(shape, np.float32)}
-            empty["alpha"] = np.zeros(shape, np.float32)
-            return RenderResult(*(empty[n] if n in outputs else None for n in OUTPUTS))  # type: ignore[arg-type]
+        check_outputs(outputs)
+        if not isinstance(keys, str) and len(keys) != len(matrices):
+            raise RenderError(f"{len(keys)} keys for {len(matrices)} views", where="keys")
         parts = [
-            self._connection.draw(
-                self._key, self._source, camera, matrices[begin : begin + VIEWS], outputs,
-                background, None, self._floor,
+            self.ask(
+                key, camera, matrices[rows], outputs, background,
+                visible=visible, millimetres=millimetres,
             ).pictures
-            for begin in range(0, len(matrices), VIEWS)
+            for key, rows in _find_requests(keys, len(matrices) if outputs else 0)
         ]  # fmt: skip
-        whole = {n: parts[0][n] if len(parts) == 1 else np.concatenate([p[n] for p in parts])
-                 for n in outputs}  # fmt: skip
-        return RenderResult(*(whole.get(n) for n in OUTPUTS))
+        found: dict[str, Any] = {}
+        for name in outputs:
+            arrays = [part[name] for part in parts]
+            found[name] = (
+                arrays[0] if len(arrays) == 1
+                else np.concatenate(arrays) if arrays
+                else _empty(name, camera, millimetres)
+            )  # fmt: skip
+        return RenderResult(*(found.get(name) for name in OUTPUTS))
+
+    render = draw
+
+    def ask(
+        self,
+        key: str,
+        camera: Camera,
+        views: NDArray[np.floating],
+        outputs: tuple[Output, ...],
+        background: Colour | None = None,
+        *,
+        visible: bool = False,
+        millimetres: bool = False,
+        encode: Encode | None = None,
+        shown: MapPicture | None = None,
+    ) -> DrawnViews:
+        """One request: at most `VIEWS` views [V, 4, 4] of a scene, and files of them.
+
+        Raises:
+            RenderError: a view is none, there are too many, or the scene is unknown.
+            DeviceError: the device or the process that draws is lost.
+        """
+        matrices = check_views(views)
+        if not 0 < len(matrices) <= VIEWS:
+            raise RenderError(f"{len(matrices)} views in a request", remedy=f"give 1 to {VIEWS}")
+        if key not in self._sources:
+            raise RenderError(f"no scene {key!r} was added", remedy="call add_source first")
+        return self._connection.draw(
+            key, self._sources[key], camera, matrices, outputs, background, encode,
+            self._floors.get(key) if visible else None, millimetres=millimetres, shown=shown,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class SceneEncoder:
+    """Asks the process that draws a scene for files of its pictures.
+
+    Attributes:
+        renderer: asks.
+        key: of the scene.
+        visible: draw from visible sets.
+    """
+
+    renderer: RendererShared
+    key: str
+    visible: bool = False
 
     def render_files(
         self,
         camera: Camera,
         views: NDArray[np.floating],
         encode: Encode,
-        background: tuple[float, float, float] | None = None,
+        background: Colour | None = None,
         outputs: tuple[Output, ...] = ("rgb",),
         shown: MapPicture | None = None,
     ) -> DrawnViews:
@@ -352,38 +460,30 @@ class RendererShared:
             RenderError: a view is none, or there are too many.
             DeviceError: the device or the process that draws is lost.
         """
-        return self._draw(camera, views, outputs, background, encode, shown)
-
-    def render_millimetres(
-        self,
-        camera: Camera,
-        views: NDArray[np.floating],
-        outputs: tuple[Output, ...],
-        background: tuple[float, float, float] | None = None,
-    ) -> dict[str, NDArray[Any]]:
-        """Pictures of at most `VIEWS` views by output, with depth as uint16 millimetres.
-
-        Raises:
-            RenderError, DeviceError: as `render_files`.
-        """
-        return self._draw(camera, views, outputs, background, None).pictures
-
-    def _draw(
-        self,
-        camera: Camera,
-        views: NDArray[np.floating],
-        outputs: tuple[Output, ...],
-        background: tuple[float, float, float] | None,
-        encode: Encode | None,
-        shown: MapPicture | None = None,
-    ) -> DrawnViews:
-        matrices = check_views(views)
-        if not 0 < len(matrices) <= VIEWS:
-            raise RenderError(f"{len(matrices)} views in a request", remedy=f"give 1 to {VIEWS}")
-        return self._connection.draw(
-            self._key, self._source, camera, matrices, outputs, background, encode, self._floor,
-            millimetres="depth" in outputs, shown=shown,
+        return self.renderer.ask(
+            self.key, camera, views, outputs, background, visible=self.visible,
+            millimetres="depth" in outputs, encode=encode, shown=shown,
         )  # fmt: skip
+
+
+def _find_requests(keys: Sequence[str] | str, count: int) -> Iterator[tuple[str, slice]]:
+    """Neighbours of one scene, at most `VIEWS` at a time."""
+    begin = 0
+    while begin < count:
+        key = keys if isinstance(keys, str) else keys[begin]
+        end = begin + 1
+        while end < count and end - begin < VIEWS and (isinstance(keys, str) or keys[end] == key):
+            end += 1
+        yield key, slice(begin, end)
+        begin = end
+
+
+def _empty(name: str, camera: Camera, millimetres: bool) -> NDArray[Any]:
+    """Pictures of no views."""
+    shape = (0, camera.height, camera.width)
+    if name == "rgb":
+        return np.zeros((*shape, 3), np.uint8)
+    return np.zeros(shape, np.uint16 if name == "depth" and millimetres else np.float32)
 
 
 @dataclass(eq=False)

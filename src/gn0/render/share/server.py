@@ -23,21 +23,18 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from gn0.device.device import DeviceArray
 from gn0.errors import DeviceError, DeviceMemoryError, Gn0Error, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.child import open_channel
 from gn0.jobs.worker import find_function
-from gn0.maps.grid import OccupancyGrid
-from gn0.render.camera import Camera
-from gn0.render.cuda.depth import with_millimetres
-from gn0.render.renderer import Output
+from gn0.render.open import open_renderer
+from gn0.render.renderer import Pictures, Renderer
 from gn0.render.share.files import FileMaker, Files
 from gn0.render.share.handing import Batch, Handing, Piece
 from gn0.render.share.messages import (
@@ -64,56 +61,6 @@ _log = logging.getLogger(__name__)
 Loader = Callable[[dict[str, Any]], GaussianCloud]
 
 
-class BatchRenderer(Protocol):
-    """What the server draws with: `RendererBatch` of the cuda backend, or `RendererBatchCpu`."""
-
-    name: str
-
-    def holds(self, key: str) -> bool:
-        """Whether a scene is loaded; any thread may ask."""
-
-    def prepare(self, cloud: GaussianCloud) -> Any:
-        """What may be done beforehand with a cloud, in any thread; `load` may return it."""
-
-    def add(self, key: str, load: Callable[[], Any]) -> None:
-        """Name a scene; it is loaded when it is first drawn."""
-
-    def limit_to_visible(
-        self, key: str, cloud_hash: str, floor: OccupancyGrid, eye_height: float
-    ) -> object:
-        """Let `visible` draw a scene from visible sets."""
-
-    def render(
-        self,
-        camera: Camera,
-        views: NDArray[np.floating],
-        keys: Sequence[str] | str,
-        *,
-        outputs: tuple[Output, ...],
-        background: tuple[float, float, float] | None,
-        visible: bool,
-    ) -> Any:
-        """Pictures with fields rgb, depth, alpha, or with `numpy()` that gives such."""
-
-
-def open_batch(backend: str) -> tuple[BatchRenderer, str]:
-    """The batch renderer of a backend ("cpu" or "cuda"), and the name of its card.
-
-    Raises:
-        DeviceError: there is no usable device; says why.
-    """
-    if backend == "cpu":
-        from gn0.render.host import RendererBatchCpu
-
-        return RendererBatchCpu(), "CPU"
-    from gn0.device.open import open_device
-    from gn0.render.cuda.batch import RendererBatch
-
-    device = open_device("auto")
-    batch = RendererBatch(device)
-    return batch, device.name
-
-
 class Server:
     """Draws what connections ask for.
 
@@ -126,7 +73,7 @@ class Server:
 
     def __init__(
         self,
-        batch: BatchRenderer,
+        batch: Renderer,
         load: Loader,
         views: int = BATCH,
         note: Callable[[str], None] = _log.warning,
@@ -140,9 +87,9 @@ class Server:
         self._held: Request | None = None  # did not fit into the last batch
         self._said = False
         self._handing = Handing()
-        device = getattr(batch, "device", None)
+        device = batch.traits.device
         self._files = None if device is None else FileMaker(device)
-        self._drawn_by = DrawnBy(getattr(batch, "drawn_by", batch.name))
+        self._drawn_by = DrawnBy(batch.traits.drawn_by)
         self.tally = Tally()
 
     @property
@@ -353,16 +300,15 @@ class Server:
             if not begin and self._files is not None:
                 self._files.forget(group)
             start = time.perf_counter()
-            pictures = self._batch.render(
+            pictures = self._batch.draw(
                 first.camera,
                 views[begin:end],
                 keys[begin:end],
                 outputs=first.outputs,
                 background=first.background,
                 visible=first.visible,
+                millimetres=first.millimetres,
             )
-            if first.millimetres:
-                pictures = with_millimetres(pictures)
             pieces, at = [], 0
             for request in group:
                 size = request.draw.count
@@ -386,9 +332,9 @@ class Server:
                 encoding=time.perf_counter() - middle,
             )
 
-    def _make_files(self, pictures: Any, draw: Draw, pieces: list[Piece]) -> Files | None:
+    def _make_files(self, pictures: Pictures, draw: Draw, pieces: list[Piece]) -> Files | None:
         """Files of a batch, where they are wanted and its pictures are on a device."""
-        rgb, encode = getattr(pictures, "rgb", None), draw.encode
+        rgb, encode = pictures.rgb, draw.encode
         if encode is None or self._files is None or not isinstance(rgb, DeviceArray):
             return None
         owners = [(piece.request, piece.rows, piece.last) for piece in pieces]
@@ -439,7 +385,9 @@ def main() -> int:
             send(msgspec.json.encode(message))
 
     try:
-        batch, card = open_batch(args.backend)
+        batch = open_renderer(args.backend)
+        device = batch.traits.device
+        card = "CPU" if device is None else device.name
         load: Any = find_function(args.load)
         listener, address = open_listener()
     except Gn0Error as error:

@@ -14,11 +14,13 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.host import RendererHost
+from gn0.render.instance import Instance, move_instance
 from gn0.render.open import build_renderer, choose_backend
 from gn0.render.renderer import ALONE, VISIBLE, DrawnScene, RenderOptions
 from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
 from gn0.testing.check_renderer import check_renderer, psnr
+from gn0.testing.check_renderer_parts import ball_cloud, check_renderer_parts, pose_at
 
 EYE = 1.3
 QUICK = VisibleOptions(places=3, pixels=96)
@@ -142,6 +144,30 @@ def test_moving_splats_are_drawn_with_the_set(make) -> None:
     assert psnr(got, renderer.full.render(camera, poses, extra=person).rgb, 255) > 45
 
 
+def test_parts_are_drawn_with_the_set_and_hidden_by_its_walls(make) -> None:
+    """A ball in front of the near wall shows as its moved splats would; behind it, it does not."""
+    renderer = make()
+    ball = ball_cloud(800, 1, radius=0.3, sh_degree=1)
+    renderer.name_cloud("ball", ball)
+    camera, poses = Camera.from_hfov(90, 70, 100), views()
+    toward = np.stack([view_from_pose(0.1 * k, 0.1, EYE, 0.1 * k) for k in range(-2, 3)])
+    bare = renderer.render(camera, toward)
+    tint = np.array([[0.6, 0.9, 0.5], [0.5, 0, -0.9], [0, -0.4, 0.3], [0.2, 0.6, 0]])
+    for x, shows in ((1.2, True), (2.5, False)):
+        instance = Instance("ball", pose_at(x, 0.2, EYE, 4), tint)
+        got = renderer.render(camera, toward, parts=[instance])
+        moved = renderer.render(camera, toward, extra=move_instance(ball, instance))
+        assert psnr(got.rgb, moved.rgb, 255) > 75
+        assert np.abs(got.depth[got.alpha > 0.6] - moved.depth[got.alpha > 0.6]).max() < 1e-4
+        full = renderer.full.render(camera, toward, parts=[instance])
+        assert psnr(got.rgb, full.rgb, 255) > 45
+        near = (got.depth < bare.depth - 0.1)[got.alpha > 0.6]
+        assert near.mean() > 0.05 if shows else near.mean() < 0.005
+    assert renderer.built > 0
+    after = renderer.render(camera, poses).rgb.tobytes()
+    assert after == make().render(camera, poses).rgb.tobytes(), "parts are in no set"
+
+
 @pytest.mark.parametrize("damage", ["cut", "flip", "swap", "empty", "bomb"])
 def test_a_damaged_file_is_found_again(make, caplog, damage: str) -> None:
     renderer = make()
@@ -231,6 +257,12 @@ def test_the_contract_of_renderers_holds(floor) -> None:
         return drawn.limit_to_visible(cloud.content_hash, floor, EYE)
 
     check_renderer(factory)
+
+    def of_parts(cloud: GaussianCloud, options: RenderOptions) -> RendererVisible:
+        full = RendererCpu(cloud, options)
+        return RendererVisible(full, cloud.content_hash, floor, EYE, QUICK, cache=False)
+
+    check_renderer_parts(of_parts)
 
 
 def test_refusals_say_what_to_do(make, cloud, floor) -> None:

@@ -1,14 +1,15 @@
 """RendererCpu: 3D Gaussian splatting on any CPU, the same bytes every time.
 
 Depth order is (full float32 depth, index in the cloud), stable; splats of `extra` come after all
-static ones at equal depth. Nothing is reduced across threads, so the thread count cannot show.
+static ones at equal depth, and those of instances after both, in the order given. Nothing is
+reduced across threads, so the thread count cannot show.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 
@@ -23,7 +24,9 @@ from gn0.render import cpu_project as project
 from gn0.render.camera import Camera
 from gn0.render.cpu_bin import BLOCKS, fill_tiles, scan_tiles
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud
+from gn0.render.cpu_parts import NO_GAIN, NO_NORMALS, NamedClouds, PlacedPart
 from gn0.render.cpu_raster import TILE, raster_tiles
+from gn0.render.instance import Parts, check_parts
 from gn0.render.renderer import Output, RenderOptions, RenderResult, check_views
 from gn0.render.visible_mark import mark_tiles
 
@@ -36,8 +39,19 @@ class RendererCpu:
 
     name = "cpu"
 
-    def __init__(self, cloud: GaussianCloud, options: RenderOptions | None = None) -> None:
+    def __init__(
+        self,
+        cloud: GaussianCloud,
+        options: RenderOptions | None = None,
+        *,
+        named: NamedClouds | None = None,
+    ) -> None:
         """Pack the cloud.
+
+        Args:
+            cloud: the static splats.
+            options: how pictures are formed.
+            named: clouds of moving parts, if renderers of other scenes know the same.
 
         Raises:
             RenderError: the cloud holds values that are not finite.
@@ -46,8 +60,20 @@ class RendererCpu:
         self.size = len(cloud)
         with _threads(self.options.threads):
             self.cloud = pack_cloud(cloud)
+        self._named = NamedClouds() if named is None else named
         self._buffers = _Buffers()
         self.stage_seconds = dict.fromkeys(STAGES, 0.0)  # spent so far, for figures
+
+    def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
+        """Make a cloud known by a name, for instances of it; replaces what had the name before.
+
+        It is packed once: the same cloud under the same name again costs nothing.
+
+        Raises:
+            RenderError: no name, too many splats, or values that are not finite.
+        """
+        with _threads(self.options.threads):
+            self._named.hold(name, cloud)
 
     def render(
         self,
@@ -55,19 +81,26 @@ class RendererCpu:
         views: NDArray[np.floating],
         *,
         extra: GaussianCloud | None = None,
+        parts: Parts = (),
         outputs: tuple[Output, ...] = OUTPUTS,  # type: ignore[assignment]
         background: tuple[float, float, float] | None = None,
     ) -> RenderResult:
         """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.render`.
 
         Raises:
-            RenderError: a view is not finite or not rigid, an output is unknown, or a colour or
-                a splat is not finite.
+            RenderError: a view is not finite or not rigid, an output is unknown, a colour or
+                a splat is not finite, or `parts` are wrong (see `check_parts`).
         """
         matrices = check_views(views)
         clouds = [self.cloud] * len(matrices)
         return self.render_clouds(
-            camera, matrices, clouds, extra=extra, outputs=outputs, background=background
+            camera,
+            matrices,
+            clouds,
+            extra=extra,
+            parts=parts,
+            outputs=outputs,
+            background=background,
         )
 
     def render_clouds(
@@ -77,15 +110,17 @@ class RendererCpu:
         clouds: Iterable[PackedCloud],
         *,
         extra: GaussianCloud | None = None,
+        parts: Parts = (),
         outputs: tuple[Output, ...] = OUTPUTS,  # type: ignore[assignment]
         background: tuple[float, float, float] | None = None,
     ) -> RenderResult:
-        """Render each view [4, 4] of `matrices` from its own of `clouds`, parts of the whole.
+        """Render each view [4, 4] of `matrices` from its own of `clouds`, pieces of the whole.
 
-        A part is asked for when its view is drawn, and let go of after.
+        A piece is asked for when its view is drawn, and let go of after.
 
         Raises:
-            RenderError: an output is unknown, or a colour or a splat is not finite.
+            RenderError: an output is unknown, a colour or a splat is not finite, or `parts` are
+                wrong (see `check_parts`).
         """
         unknown = [name for name in outputs if name not in OUTPUTS]
         if unknown:
@@ -93,6 +128,7 @@ class RendererCpu:
         colour = np.array(self.options.background if background is None else background, np.float32)
         if colour.shape != (3,) or not np.isfinite(colour).all():
             raise RenderError("background is not three finite numbers", where="background")
+        instances = check_parts(parts, len(matrices), self._named)
         shape = (len(matrices), camera.height, camera.width)
         as_float = self.options.rgb_float
         rgb_type = np.float32 if as_float else np.uint8
@@ -110,11 +146,13 @@ class RendererCpu:
         no_u8, no_f32 = np.empty((1, 1, 3), np.uint8), np.empty((1, 1, 3), np.float32)
         no_map = np.empty((1, 1), np.float32)
         with _threads(self.options.threads):
-            moving = []
+            moving, first = [], self.size
             if extra is not None and len(extra):
-                moving.append((pack_cloud(extra, sort=False), self.size))
+                moving.append((pack_cloud(extra, sort=False), first))
+                first += len(extra)
             for v, (matrix, cloud) in enumerate(zip(matrices, clouds, strict=True)):
-                lists = self.arrange(camera, matrix, [(cloud, 0), *moving])
+                placed = self._named.place(instances[v], first)
+                lists = self.arrange(camera, matrix, [(cloud, 0), *moving], placed)
                 start = time.perf_counter()
                 raster_tiles(
                     *lists,
@@ -145,31 +183,45 @@ class RendererCpu:
                 )
 
     def arrange(
-        self, camera: Camera, matrix: F64, parts: list[tuple[PackedCloud, int]]
+        self,
+        camera: Camera,
+        matrix: F64,
+        clouds: list[tuple[PackedCloud, int]],
+        placed: Sequence[PlacedPart] = (),
     ) -> tuple[NDArray[np.generic] | bool, ...]:
-        """Project all parts and list each tile's splats; what `raster_tiles` takes first."""
+        """Project all clouds and list each tile's splats; what `raster_tiles` takes first.
+
+        Args:
+            camera: takes the picture.
+            matrix: world-to-camera [4, 4] m.
+            clouds: in the world, with what is added to their indices.
+            placed: clouds that stand elsewhere; each is seen in its own frame.
+        """
         view = view_parameters(camera, matrix)
         ortho = camera.model == "ortho"
         tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
         buffers = self._buffers
         marks = [time.perf_counter()]
-        chosen = []
-        for cloud, _ in parts:
-            seen = np.empty(cloud.chunks, np.int32)
-            chosen.append(seen[: project.cull_chunks(cloud.boxes, view, ortho, seen)])
-        total = sum(map(len, chosen))
+        drawn = [_Drawn(cloud, first, view, ortho) for cloud, first in clouds]
+        for part in placed:
+            seen = view_parameters(camera, matrix @ part.pose)
+            found = _Drawn(part.cloud, part.first, seen, ortho, part.gain, part.normals)
+            if len(found.chunks):
+                drawn.append(found)
+        total = sum(len(each.chunks) for each in drawn)
         buffers.need_rows(total * CHUNK)
-        histogram, starts = buffers.need_tiles(tiles_x * tiles_y, len(parts) * BLOCKS)
+        histogram, starts = buffers.need_tiles(tiles_x * tiles_y, len(drawn) * BLOCKS)
         counts = np.zeros(total, np.int32)
         ranges = np.empty((len(histogram), 2), np.int64)
         done = 0
-        for index, ((cloud, first), chunks) in enumerate(zip(parts, chosen, strict=True)):
+        for index, each in enumerate(drawn):
+            cloud, chunks = each.cloud, each.chunks
             blocks = slice(index * BLOCKS, (index + 1) * BLOCKS)
             project.project_chunks(
-                *(cloud.pack, cloud.order, np.int32(first), cloud.sh, cloud.degree, chunks),
-                *(view, ortho, self.options.antialiased, done * CHUNK, tiles_x),
+                *(cloud.pack, cloud.order, np.int32(each.first), cloud.sh, cloud.degree, chunks),
+                *(each.view, ortho, self.options.antialiased, done * CHUNK, tiles_x),
                 *(buffers.records, buffers.rects, buffers.keys, buffers.indices),
-                *(counts[done : done + len(chunks)], histogram[blocks]),
+                *(counts[done : done + len(chunks)], histogram[blocks], each.gain, each.normals),
             )
             edges = done + np.arange(BLOCKS + 1) * len(chunks) // BLOCKS
             ranges[blocks, 0], ranges[blocks, 1] = edges[:-1], edges[1:]
@@ -183,10 +235,28 @@ class RendererCpu:
         marks.append(time.perf_counter())
         for stage, start, end in zip(STAGES, marks, marks[1:], strict=False):
             self.stage_seconds[stage] += end - start
-        ordered = all(cloud.ordered for cloud, _ in parts)
+        ordered = all(each.cloud.ordered for each in drawn)
         (rows, spare_rows), (keys, spare_keys) = buffers.tile_rows, buffers.tile_keys
         lists = (starts, rows, keys, spare_rows, spare_keys)
         return (buffers.records, buffers.indices, ordered, *lists, spread_rows(tiles_y))
+
+
+class _Drawn:
+    """A cloud in one view: its view parameters, the chunks that may show, its gain."""
+
+    def __init__(
+        self,
+        cloud: PackedCloud,
+        first: int,
+        view: F32,
+        ortho: bool,
+        gain: F32 = NO_GAIN,
+        normals: F32 = NO_NORMALS,
+    ) -> None:
+        self.cloud, self.first, self.view = cloud, first, view
+        self.gain, self.normals = gain, normals
+        seen = np.empty(cloud.chunks, np.int32)
+        self.chunks = seen[: project.cull_chunks(cloud.boxes, view, ortho, seen)]
 
 
 class _Buffers:
@@ -197,7 +267,7 @@ class _Buffers:
         self.rects = np.empty((0, 4), np.int16)
         self.keys = np.empty(0, np.uint32)
         self.indices = np.empty(0, np.uint32)
-        self.histogram = np.empty((0, 0), np.int32)
+        self.histogram = np.empty(0, np.int32)
         self.tile_starts = np.empty(1, np.int32)
         self.tile_rows = (np.empty(0, np.int32), np.empty(0, np.int32))
         self.tile_keys = (np.empty(0, np.uint32), np.empty(0, np.uint32))
@@ -211,10 +281,12 @@ class _Buffers:
             self.indices = np.empty(rows, np.uint32)
 
     def need_tiles(self, tiles: int, blocks: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        if self.histogram.shape != (blocks, tiles):
-            self.histogram = np.empty((blocks, tiles), np.int32)
+        if len(self.histogram) < blocks * tiles:
+            self.histogram = np.empty(blocks * tiles, np.int32)
+        if len(self.tile_starts) < tiles + 1:
             self.tile_starts = np.empty(tiles + 1, np.int32)
-        return self.histogram, self.tile_starts
+        histogram = self.histogram[: blocks * tiles].reshape(blocks, tiles)
+        return histogram, self.tile_starts[: tiles + 1]
 
     def need_entries(self, entries: int) -> None:
         if entries > 2**31 - 1:

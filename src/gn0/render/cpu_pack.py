@@ -75,18 +75,18 @@ def pack_cloud(cloud: GaussianCloud, *, sort: bool = True) -> PackedCloud:
     boxes = np.zeros((count, 7), np.float32)
     opacity = np.minimum(cloud.opacities.astype(np.float64), 1.0)
     log_opacity = np.log(np.maximum(opacity, ALPHA_MIN / 2)).astype(np.float32)
-    sh = _read_only(cloud.sh)
+    sh = read_only(cloud.sh)
     _fill(
-        *(_read_only(cloud.means), _read_only(cloud.quats), _read_only(cloud.scales)),
+        *(read_only(cloud.means), read_only(cloud.quats), read_only(cloud.scales)),
         *(log_opacity, sh, order, np.int32(len(index)), pack, boxes),
     )
     degree = cloud.sh_degree
     if not degree:
-        sh = _read_only(np.zeros((1, 1, 3), np.float32))  # the colours are packed: let go of it
+        sh = read_only(np.zeros((1, 1, 3), np.float32))  # the colours are packed: let go of it
     return PackedCloud(pack, boxes, order, sh, degree, ordered)
 
 
-def _read_only(array: F32) -> F32:
+def read_only(array: F32) -> F32:
     """A read-only view: clouds from files may be so already, and kernels compile once for both."""
     view = array.view()
     view.setflags(write=False)

@@ -97,7 +97,7 @@ def cull_chunks(boxes, view, ortho, seen):  # type: ignore[no-untyped-def]
 @njit(error_model="numpy")
 def _project_block(  # type: ignore[no-untyped-def]
     begin, end, pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0,
-    tiles_x, records, rects, keys, indices, counts, tiles,
+    tiles_x, records, rects, keys, indices, counts, tiles, gain, normals,
 ):  # fmt: skip
     """Project chunks begin to end of `chunks`; see `project_chunks`."""
     r00, r01, r02 = view[0], view[1], view[2]
@@ -204,6 +204,16 @@ def _project_block(  # type: ignore[no-untyped-def]
                 o[CR], o[CG], o[CB] = sh_colour(
                     sh[index], degree, p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
                 )
+            if gain.shape[0] > 0:
+                for c in range(3):
+                    factor = gain[0, c]
+                    if gain.shape[0] > 1:
+                        factor += (
+                            gain[1, c] * normals[index, 0]
+                            + gain[2, c] * normals[index, 1]
+                            + gain[3, c] * normals[index, 2]
+                        )
+                    o[CR + c] *= max(factor, _ZERO)
             t = rects[row + n]
             t[0], t[1] = np.int16(np.int32(x0) >> 4), np.int16((np.int32(x1) + 15) >> 4)
             t[2], t[3] = np.int16(np.int32(y0) >> 4), np.int16((np.int32(y1) + 15) >> 4)
@@ -219,18 +229,19 @@ def _project_block(  # type: ignore[no-untyped-def]
 @njit(parallel=True)
 def project_chunks(  # type: ignore[no-untyped-def]
     pack, order, first_index, sh, degree, chunks, view, ortho, antialiased, row0, tiles_x, records,
-    rects, keys, indices, counts, histogram,
+    rects, keys, indices, counts, histogram, gain, normals,
 ):  # fmt: skip
     """Project the splats of `chunks`; chunk v fills rows from `row0 + v * CHUNK`.
 
     Fills `records` [rows, RECORD], `rects` [rows, 4] (first and past-the-last tile in x, in y),
     `keys` [rows] (depth bits), `indices` [rows] (index in the cloud, plus `first_index`),
     `counts[v]`, the rows filled, and `histogram` [blocks, tiles], entries of block b's chunks.
+    Colours are multiplied by `gain` (see `cpu_parts.PlacedPart`) at the splat's normal.
     """
     blocks = histogram.shape[0]
     for block in prange(blocks):
         begin, end = block * len(chunks) // blocks, (block + 1) * len(chunks) // blocks
         _project_block(
             begin, end, pack, order, first_index, sh, degree, chunks, view, ortho, antialiased,
-            row0, tiles_x, records, rects, keys, indices, counts, histogram[block],
+            row0, tiles_x, records, rects, keys, indices, counts, histogram[block], gain, normals,
         )  # fmt: skip

@@ -27,6 +27,7 @@ from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, FIELDS, REACH, PackedCloud
+from gn0.render.instance import Parts
 from gn0.render.renderer import VISIBLE, Output, RenderResult, check_views
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_mark import gather_chunks
@@ -53,7 +54,7 @@ class RendererVisible:
 
     Views of a pinhole camera whose eye is at `eye_height` over a cell of `floor` use that cell's
     set; it is read from the cache or found the first time. All other views, and orthographic
-    ones, use the full set. `extra` splats are always drawn.
+    ones, use the full set. `extra` splats and `parts` are in no set: they are always drawn.
 
     Args:
         renderer: draws; holds all splats.
@@ -101,12 +102,21 @@ class RendererVisible:
         """The cell that holds a point [m]."""
         return math.floor(x / self.options.cell), math.floor(y / self.options.cell)
 
+    def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
+        """Make a cloud known by a name, for instances of it; see `RendererCpu.name_cloud`.
+
+        Raises:
+            RenderError: see `RendererCpu.name_cloud`.
+        """
+        self.full.name_cloud(name, cloud)
+
     def render(
         self,
         camera: Camera,
         views: NDArray[np.floating],
         *,
         extra: GaussianCloud | None = None,
+        parts: Parts = (),
         outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
         background: tuple[float, float, float] | None = None,
     ) -> RenderResult:
@@ -118,7 +128,13 @@ class RendererVisible:
         matrices = check_views(views)
         clouds = (self._cloud_for(camera, matrix) for matrix in matrices)
         return self.full.render_clouds(
-            camera, matrices, clouds, extra=extra, outputs=outputs, background=background
+            camera,
+            matrices,
+            clouds,
+            extra=extra,
+            parts=parts,
+            outputs=outputs,
+            background=background,
         )
 
     def _cloud_for(self, camera: Camera, matrix: F64) -> PackedCloud:

@@ -1,0 +1,86 @@
+"""Clouds that the CPU renderer knows by name, packed once, and where instances of them stand."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F32, F64
+from gn0.render.cpu_pack import PackedCloud, pack_cloud, read_only
+from gn0.render.instance import Instance, check_named, digest_part, find_normals
+
+NO_GAIN = read_only(np.empty((0, 3), np.float32))  # colours stay as they are
+NO_NORMALS = read_only(np.empty((0, 3), np.float32))
+
+
+class PlacedPart(NamedTuple):
+    """A packed cloud and where it stands.
+
+    Attributes:
+        cloud: its splats, in its own frame.
+        first: added to a splat's index in its cloud, for ties in depth.
+        pose: part-to-world [4, 4] m.
+        gain: [0, 3] none, [1, 3] constant, or [4, 3] with the linear terms in the part's frame.
+        normals: [N, 3] by cloud index, in the part's frame; read for a gain of [4, 3] alone.
+    """
+
+    cloud: PackedCloud
+    first: int
+    pose: F64
+    gain: F32
+    normals: F32
+
+
+@dataclass(frozen=True, eq=False)
+class _NamedCloud:
+    cloud: PackedCloud
+    normals: F32
+    size: int
+    digest: str
+    source: weakref.ref[GaussianCloud]
+
+
+class NamedClouds:
+    """Packed clouds by name."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, _NamedCloud] = {}
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._held
+
+    def hold(self, name: str, cloud: GaussianCloud) -> None:
+        """Pack a cloud under a name, unless the very same is held there already.
+
+        Raises:
+            RenderError: the name or the cloud cannot be a part's.
+        """
+        held = self._held.get(name) if isinstance(name, str) else None
+        if held is not None and held.source() is cloud:
+            return
+        check_named(name, cloud)
+        digest = digest_part(cloud)
+        if held is not None and held.digest == digest:
+            return
+        packed = pack_cloud(cloud)
+        normals = read_only(find_normals(cloud))
+        self._held[name] = _NamedCloud(packed, normals, len(cloud), digest, weakref.ref(cloud))
+
+    def place(self, instances: Sequence[Instance], first: int) -> list[PlacedPart]:
+        """What to draw for checked instances; indices run on from `first`, in their order."""
+        placed = []
+        for instance in instances:
+            held = self._held[instance.cloud]
+            gain = instance.part_gain
+            if gain is None:
+                gain = NO_GAIN
+            elif not gain[1:].any():
+                gain = gain[:1]
+            placed.append(PlacedPart(held.cloud, first, instance.pose, gain, held.normals))
+            first += held.size
+        return placed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,8 @@ from gn0.leftovers import TEMPORARY_PREFIX, is_held_name, remove_dead
 from gn0.storage import check_contained, storage_error
 
 LOCK = ".lock"
+PROBE = ".gn0-probe"  # what `check_room` writes, and takes away
+_PROBE_BYTES = 1 << 20
 
 
 @contextlib.contextmanager
@@ -106,3 +109,36 @@ def forget_folder(folder: Path | str, marker: str) -> None:
                 shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
             except OSError as error:
                 raise storage_error(error, path, "remove") from error
+
+
+def check_room(out: Path, needed: int) -> None:
+    """Make a folder and prove that it can be written and has room, before any long work.
+
+    Args:
+        out: the folder.
+        needed: bytes that the work may write.
+
+    Raises:
+        StorageError: unwritable, or too little space.
+    """
+    check_contained(out)
+    probe = out / PROBE
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        try:
+            with open(probe, "wb") as stream:
+                stream.write(bytes(_PROBE_BYTES))
+                stream.flush()
+                os.fsync(stream.fileno())
+        finally:
+            with contextlib.suppress(OSError):
+                probe.unlink()
+        free = shutil.disk_usage(out).free
+    except OSError as error:
+        raise storage_error(error, out, "write results") from error
+    if free < needed:
+        raise storage_error(
+            OSError(28, f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed"),
+            out,
+            "write results",
+        )

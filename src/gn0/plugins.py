@@ -7,13 +7,17 @@ register through the entry-point group `gn0.plugins` (a module whose import call
 from __future__ import annotations
 
 import difflib
+import inspect
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module, invalidate_caches, metadata, util
 from pathlib import Path
 from typing import Any, Literal
 
 from gn0.errors import ConfigError
+
+# in the name of an option: never written down
+SECRETS = ("token", "password", "secret", "api_key")
 
 Kind = Literal[
     "scene_source",
@@ -140,6 +144,31 @@ def get_plugin(kind: Kind, name: str) -> Any:
         f"no {kind.replace('_', ' ')} named {name!r}",
         remedy=f"{meant}known: {', '.join(known) or 'none'}",
     )
+
+
+def build_plugin(kind: Kind, name: str, options: Mapping[str, Any]) -> Any:
+    """What the plug-in of that name makes of these options.
+
+    Raises:
+        ConfigError: no such plug-in, or it has no such option.
+    """
+    factory = get_plugin(kind, name)
+    try:
+        inspect.signature(factory).bind(**options)
+    except TypeError as error:
+        known = ", ".join(inspect.signature(factory).parameters) or "none"
+        raise ConfigError(
+            f"{kind} {name!r} does not take these options: {error}", remedy=f"known: {known}"
+        ) from None
+    except ValueError:  # a factory without a signature
+        pass
+    return factory(**options)
+
+
+def describe_error(error: BaseException) -> str:
+    """Type and text of what a plug-in raised, on one line."""
+    lines = str(error).splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
 def import_plugins(names: Sequence[str], *, only_locate: bool = False) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import pytest
 
 from gn0.bench import looks
 from gn0.bench.looks import Look, choose_run_backend, load_look, needs_renderer
-from gn0.bench.results import RESULTS, RUN, TRAJECTORIES
+from gn0.bench.run_files import RESULTS, RUN, TRAJECTORIES
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite, load_suite
 from gn0.errors import BenchError

@@ -153,7 +153,7 @@ def test_half_a_generation_is_not_gone_on_with_by_other_code(
     out = tmp_path / "missions"
     with monkeypatch.context() as patch:
         patch.setattr(generation, "generate_scene", lambda payload: 1 / 0)
-        patch.setattr(generation, "code_version", lambda names: "of yesterday")
+        patch.setattr(generation, "source_version", lambda names: "of yesterday")
         with pytest.raises(Exception, match="division"):
             generate_missions([homes], out, SETTINGS)
     with pytest.raises(BenchError, match="differs in software"):

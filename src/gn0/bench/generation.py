@@ -39,7 +39,6 @@ from gn0.bench.generation_folder import (
     find_finished,
     open_work,
 )
-from gn0.bench.protocol import code_version
 from gn0.bench.scene_list import SceneEntry, list_scenes
 from gn0.bench.suite import (
     EPISODE_FILE,
@@ -79,6 +78,7 @@ from gn0.storage import (
     write_atomic,
     write_json,
 )
+from gn0.version import source_version
 
 # what decides the bytes: half a generation is not gone on with by other code
 _DECIDING = (
@@ -173,7 +173,7 @@ def _describe(
 ) -> GenerationRequest:
     return GenerationRequest(
         layout=LAYOUT,
-        software=f"gn0 {code_version(_DECIDING)}",
+        software=f"gn0 {source_version(_DECIDING)}",
         name=name or out.resolve().name,
         seed=int(seed),
         camera=camera,

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Mapping
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
-import gn0
 from gn0.bench.identity import tell_identity
 from gn0.bench.profiles import DIFFERENCES, ONE_STEP_PROFILES, RELEASE
 from gn0.bench.results import Isolation, Moves, PolicyCard
@@ -23,29 +19,18 @@ from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.sim.presets import find_preset
 from gn0.sim.state import MapMode
 from gn0.storage import content_hash
+from gn0.version import source_version
 
 # what decides a result; the rest of the package may change between two sessions of one run
 _DECIDING = (
     "geometry.py", "paper.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim",
     "policies", "bench/metrics.py", "bench/release.py", "bench/worker.py", "device/kernels",
 )  # fmt: skip
-_SOURCES = {".py", ".cu", ".cuh"}
 
 
-@cache
-def code_version(deciding: tuple[str, ...] = _DECIDING) -> str:
-    """The package's version and a digest of the source that decides results.
-
-    `deciding`: the files and folders of the package that do.
-    """
-    root = Path(gn0.__file__).parent
-    digest = hashlib.blake2b(digest_size=6)
-    for name in deciding:
-        path = root / name
-        found = [file for file in path.rglob("*") if file.suffix in _SOURCES]
-        for file in sorted(found) if path.is_dir() else [path]:
-            digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes() + b"\0")
-    return f"{gn0.__version__}+{digest.hexdigest()}"
+def code_version() -> str:
+    """The package's version and a digest of the source that decides results."""
+    return source_version(_DECIDING)
 
 
 def config_hash(

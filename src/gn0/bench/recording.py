@@ -16,18 +16,11 @@ from gn0.bench.known import remember_suite
 from gn0.bench.messages import Open
 from gn0.bench.protocol import code_version, config_hash
 from gn0.bench.replay import PolicyReplay
-from gn0.bench.results import (
-    RESULTS,
-    EpisodeResult,
-    EpisodeTrace,
-    PolicyCard,
-    RunSummary,
-    load_results,
-)
+from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummary, load_results
+from gn0.bench.run_files import BYTES_PER_EPISODE, RESULTS
 from gn0.bench.runner import (
     RunState,
     build_settings,
-    check_room,
     choose_episodes,
     forget_run,
     sweep_run,
@@ -36,7 +29,7 @@ from gn0.bench.session import check_name
 from gn0.bench.suite import Suite
 from gn0.bench.worker import EpisodeWorker
 from gn0.errors import BenchError
-from gn0.folder import lock_folder
+from gn0.folder import check_room, lock_folder
 from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.sim.simulator import Simulator
@@ -170,7 +163,7 @@ def open_recorder(
     check_name(name)
     episodes = choose_episodes(suite, max_episodes)
     folder = Path(out)
-    check_room(folder, len(episodes))
+    check_room(folder, len(episodes) * BYTES_PER_EPISODE)
     backend = "auto"  # what is drawn is for the person alone
     settings = build_settings(suite, HUMAN, {}, (), backend)
     identity: dict[str, str] = {

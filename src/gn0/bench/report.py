@@ -40,7 +40,6 @@ from gn0.bench.metrics import METRICS
 from gn0.bench.profiles import DIFFERENCES
 from gn0.bench.release import SIDE_BY_SIDE
 from gn0.bench.results import (
-    RUN,
     EpisodeResult,
     EpisodeTrace,
     RunSummary,
@@ -48,6 +47,7 @@ from gn0.bench.results import (
     load_summary,
     load_traces,
 )
+from gn0.bench.run_files import RUN
 from gn0.bench.spreadsheet import render_csv
 from gn0.bench.standing import group_runs
 from gn0.bench.suite import SUITE_FILE, Suite, load_suite, load_suite_scene

@@ -19,6 +19,7 @@ import numpy as np
 from gn0.bench.intervals import Interval, bootstrap_interval
 from gn0.bench.metrics import METRICS, EpisodeMetrics
 from gn0.bench.release import ReleaseReport, ReleaseScore
+from gn0.bench.run_files import RESULTS, SUMMARY, TRAJECTORIES
 from gn0.bench.track import Standing
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError, StorageError
@@ -27,12 +28,6 @@ from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import MapMode, Trajectory
 from gn0.storage import check_contained, read_bytes, safe_join, storage_error, write_atomic
 
-RESULTS, TRAJECTORIES, SUMMARY, RUN = (
-    "results.jsonl",
-    "trajectories.jsonl",
-    "summary.json",
-    "run.json",
-)
 SIZE_LIMIT = 4 * 2**30  # bytes of a results file read at most
 T = TypeVar("T")
 

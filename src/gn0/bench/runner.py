@@ -31,10 +31,6 @@ from gn0.bench.pools import open_pool
 from gn0.bench.protocol import code_version, config_hash, protocol_card
 from gn0.bench.release import report_release
 from gn0.bench.results import (
-    RESULTS,
-    RUN,
-    SUMMARY,
-    TRAJECTORIES,
     EpisodeResult,
     EpisodeTrace,
     Moves,
@@ -43,27 +39,25 @@ from gn0.bench.results import (
     aggregate,
     iterate_results,
 )
+from gn0.bench.run_files import BYTES_PER_EPISODE, RESULTS, RUN, SUMMARY, TRAJECTORIES
 from gn0.bench.schedule import Schedule
 from gn0.bench.session import ask_card, check_name, stamp_now, tell_earlier
 from gn0.bench.suite import Suite, load_suite_scene
 from gn0.bench.track import judge_policy
 from gn0.errors import BenchError, ConfigError, PolicyError
-from gn0.folder import lock_folder
+from gn0.folder import check_room, lock_folder
 from gn0.missions.episode import Episode
-from gn0.plugins import import_plugins
+from gn0.plugins import SECRETS, import_plugins
 from gn0.progress import Progress, no_progress
-from gn0.storage import TEMPORARY_PREFIX, Journal, check_contained, storage_error, write_json
+from gn0.storage import TEMPORARY_PREFIX, Journal, write_json
 
 JOURNAL = "journal.jsonl"
 EPISODE_TIME_LIMIT = 300.0  # s
 LOAD_TIME_LIMIT = 900.0  # s to load a scene and to build the policy
 ATTEMPTS = 2  # one retry
 BUILD_ATTEMPTS = 3  # workers in a row that may die while they build the policy
-SECRETS = ("token", "password", "secret", "api_key")  # never written beside results
 HIDDEN = "(not kept)"
 HEED = 1.0  # s at most that messages are read before somebody looks for hung workers
-BYTES_PER_EPISODE = 200_000  # journal and results of a long episode
-PROBE_BYTES = 1 << 20
 ASK_TIMEOUT = 2.0  # s to reach a server that is asked nothing but who it is
 _RESUME = "choose another --out, or give --fresh to forget the earlier run"
 _log = logging.getLogger(__name__)
@@ -142,7 +136,7 @@ def run_suite(
     source = digest_policy(policy_name, plugin_modules, isolated=isolate)
     episodes = choose_episodes(suite, max_episodes)
     out = Path(out)
-    check_room(out, len(episodes))
+    check_room(out, len(episodes) * BYTES_PER_EPISODE)
     options = dict(policy_options or {})
     backend = choose_run_backend(backend, policy_name, suite.map_mode, isolated=isolate)
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
@@ -229,36 +223,6 @@ def _check_scenes(suite: Suite, episodes: Sequence[Episode], progress: Progress)
     for done, name in enumerate(names):
         progress("checking scenes", done, len(names))
         load_suite_scene(suite.scene_folder(name), name, suite.scene_hash(name))
-
-
-def check_room(out: Path, episodes: int) -> None:
-    """Make the folder and prove that it can be written and has room, before any long work.
-
-    Raises:
-        StorageError: unwritable, or too little space for this many episodes.
-    """
-    check_contained(out)
-    probe = out / ".gn0-probe"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        try:
-            with open(probe, "wb") as stream:
-                stream.write(bytes(PROBE_BYTES))
-                stream.flush()
-                os.fsync(stream.fileno())
-        finally:
-            with contextlib.suppress(OSError):
-                probe.unlink()
-        free = shutil.disk_usage(out).free
-    except OSError as error:
-        raise storage_error(error, out, "write results") from error
-    needed = episodes * BYTES_PER_EPISODE
-    if free < needed:
-        raise storage_error(
-            OSError(28, f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed"),
-            out,
-            "write results",
-        )
 
 
 def sweep_run(out: Path) -> None:

@@ -8,15 +8,14 @@ worker ends too, in the middle of an episode if need be.
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -38,12 +37,12 @@ from gn0.bench.profiles import ONE_STEP_PROFILES, RELEASE
 from gn0.bench.release import PolicyUnderRelease, score_release
 from gn0.bench.results import EpisodeResult, EpisodeTrace, Isolation, Moves, PolicyCard
 from gn0.bench.suite import load_suite_scene
-from gn0.errors import ConfigError, DeviceError, EpisodeError, Gn0Error, PlanError
+from gn0.errors import DeviceError, EpisodeError, Gn0Error, PlanError
 from gn0.jobs.child import open_channel
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.release import ReleaseNavigation
 from gn0.missions.episode import mission_name
-from gn0.plugins import get_plugin
+from gn0.plugins import build_plugin, describe_error, get_plugin
 from gn0.render.open import name_drawing
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.sim.open import open_simulator
@@ -77,7 +76,7 @@ class EpisodeWorker:
             policy = (
                 open_isolated(settings)
                 if settings.isolated
-                else build_policy(settings.policy, settings.options)
+                else build_plugin("policy", settings.policy, settings.options)
             )
         self.policy: Policy = policy
         check_map_mode(settings.map_mode, policy.sensors)
@@ -226,26 +225,6 @@ def open_isolated(settings: Open) -> Policy:
     return policy
 
 
-def build_policy(name: str, options: Mapping[str, Any]) -> Policy:
-    """The policy of that name with these options.
-
-    Raises:
-        ConfigError: no such policy, or it has no such option.
-    """
-    factory = get_plugin("policy", name)
-    try:
-        inspect.signature(factory).bind(**options)
-    except TypeError as error:
-        known = ", ".join(inspect.signature(factory).parameters) or "none"
-        raise ConfigError(
-            f"policy {name!r} does not take these options: {error}", remedy=f"known: {known}"
-        ) from None
-    except ValueError:  # a factory without a signature
-        pass
-    policy: Policy = factory(**options)
-    return policy
-
-
 def score(
     trajectory: Trajectory, episode: Episode, navigation: NavigationMap, success_radius: float
 ) -> tuple[EpisodeResult, EpisodeTrace]:
@@ -274,12 +253,6 @@ def _invalid(episode: Episode, error: EpisodeError | PlanError) -> EpisodeResult
     return EpisodeResult(
         episode=episode.id, scene=episode.scene_id, status="invalid", reason=error.what
     )
-
-
-def describe_error(error: BaseException) -> str:
-    """Type and text of an exception on one line."""
-    lines = str(error).splitlines()
-    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
 def main() -> int:

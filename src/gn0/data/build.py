@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from gn0.bench.generation_folder import MANIFEST
-from gn0.bench.runner import check_room
+from gn0.bench.run_files import BYTES_PER_EPISODE
 from gn0.bench.suite import EPISODE_FILE, Suite, copy_folder, load_suite, load_suite_scene
 from gn0.data.cache import check_cache_free
 from gn0.data.dataset import (
@@ -43,7 +43,7 @@ from gn0.data.render import finish_cache
 from gn0.data.samples import SAMPLE_LAYOUT
 from gn0.data.settings import BuildSettings
 from gn0.errors import DataError
-from gn0.folder import LOCK, lock_folder, sweep_folder
+from gn0.folder import LOCK, PROBE, check_room, lock_folder, sweep_folder
 from gn0.jobs import ExecutorName
 from gn0.progress import Progress, no_progress
 from gn0.render.share.client import DrawServer
@@ -94,7 +94,7 @@ def build_dataset(
     about = describe_dataset(suite, settings or BuildSettings())
     plans = plan_parts(suite, out, about.settings.chunk)
     _check_target(out, about)
-    check_room(out, len(suite.episodes))
+    check_room(out, len(suite.episodes) * BYTES_PER_EPISODE)
     with lock_folder(out, refuse=DataError):
         found = _check_target(out, about)
         sweep_folder(out)
@@ -174,7 +174,7 @@ def _check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
         DataError: the folder holds something else.
     """
     if not (out / DATASET_FILE).is_file():
-        ours = {LOCK, SCENE_FOLDER, EPISODE_FILE, MANIFEST, ".gn0-probe"}
+        ours = {LOCK, SCENE_FOLDER, EPISODE_FILE, MANIFEST, PROBE}
         names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
         others = [n for n in names if n not in ours and not n.startswith(TEMPORARY_PREFIX)]
         if others or (SCENE_FOLDER in names and LOCK not in names):

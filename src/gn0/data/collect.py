@@ -8,8 +8,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from gn0.bench.results import TRAJECTORIES
-from gn0.bench.runner import SECRETS
+from gn0.bench.run_files import digest_run
 from gn0.bench.suite import Suite
 from gn0.data.build import build_dataset
 from gn0.data.dagger import check_options
@@ -17,10 +16,9 @@ from gn0.data.dataset import Dataset
 from gn0.data.settings import BuildSettings, DaggerSettings
 from gn0.errors import ConfigError
 from gn0.paper import ACTIONS_AHEAD
-from gn0.plugins import get_plugin, import_plugins
+from gn0.plugins import SECRETS, get_plugin, import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.sim.state import Action
-from gn0.storage import content_hash, read_bytes, safe_join
 
 
 class DaggerSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,7 +87,7 @@ def _pin_run(dagger: DaggerSettings) -> DaggerSettings:
     run = dagger.options.get("run")
     if dagger.policy != "recorded" or not run or "digest" in dagger.options:
         return dagger
-    digest = content_hash(read_bytes(safe_join(str(run), TRAJECTORIES)))
+    digest = digest_run(str(run))
     return msgspec.structs.replace(dagger, options={**dagger.options, "digest": digest})
 
 

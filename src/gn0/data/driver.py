@@ -9,7 +9,6 @@ from functools import lru_cache
 import msgspec
 
 from gn0.bench.looks import needs_renderer
-from gn0.bench.worker import build_policy, describe_error
 from gn0.data.codec import encode_waypoints
 from gn0.data.dagger import collect_visited
 from gn0.data.dataset import Dataset
@@ -17,7 +16,7 @@ from gn0.data.samples import EpisodeRows
 from gn0.data.settings import DaggerSettings
 from gn0.errors import DataError, Gn0Error, PolicyError
 from gn0.missions.episode import Episode
-from gn0.plugins import import_plugins
+from gn0.plugins import build_plugin, describe_error, import_plugins
 from gn0.render.light import LightCondition
 from gn0.render.renderer import DrawnScene
 from gn0.sim.open import name_look, open_simulator
@@ -34,7 +33,7 @@ def _open_policy(settings: bytes) -> Policy:
     told = msgspec.json.decode(settings, type=DaggerSettings)
     import_plugins(told.plugins)
     try:
-        policy = build_policy(told.policy, told.options)
+        policy: Policy = build_plugin("policy", told.policy, told.options)
     except Gn0Error:
         raise
     except Exception as error:  # whatever a policy of others does

@@ -291,7 +291,7 @@ def measure_resume(context: FigureContext) -> list[FigureRow]:
     save_scene(build_example_scene(), scene)
     built = build_suite([scene], suite, count=EPISODES, seed=5, max_steps=300)
     broken, whole = context.work / "broken", context.work / "whole"
-    version, runner.code_version = runner.code_version, lambda: "trial"  # type: ignore[assignment]
+    version, runner.code_version = runner.code_version, lambda: "trial"
     try:
         with _serve_elsewhere("PolicyWallFollower", []) as url:
             left = []

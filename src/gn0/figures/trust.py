@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from gn0.bench.replay import replay_run
-from gn0.bench.results import SUMMARY, load_results
+from gn0.bench.results import load_results
+from gn0.bench.run_files import SUMMARY
 from gn0.bench.runner import run_suite
 from gn0.bench.suite import Suite, build_suite
 from gn0.errors import StorageError

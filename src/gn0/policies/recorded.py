@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gn0.bench.replay import recorded_actions
-from gn0.bench.results import TRAJECTORIES, load_traces
+from gn0.bench.results import load_traces
+from gn0.bench.run_files import digest_run
 from gn0.errors import EpisodeError, PolicyError
 from gn0.sim.state import Action, Observation, Sensor, Teleport
-from gn0.storage import content_hash, read_bytes, safe_join
 
 if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator
 
 SAME_START = 1e-6  # m or rad between the start of an episode and where its record begins
-
-
-def digest_run(run: Path | str) -> str:
-    """Digest of the trajectories of a run folder.
-
-    Raises:
-        StorageError: no finished run there.
-    """
-    return content_hash(read_bytes(safe_join(run, TRAJECTORIES)))
 
 
 class PolicyRecorded:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gn0.bench.results import RESULTS, SUMMARY, TRAJECTORIES
+from gn0.bench.run_files import RESULTS, SUMMARY, TRAJECTORIES
 from gn0.bench.runner import JOURNAL
 from gn0.bench.suite import Suite, build_suite
 from gn0.progress import Progress, no_progress

@@ -27,7 +27,7 @@ _PARENT = """
 import sys
 from gn0.bench import generation
 from gn0.bench.generation import generate_missions
-generation.code_version = lambda names: "trial"
+generation.source_version = lambda names: "trial"
 from gn0.missions.generate.settings import MissionSettings
 scenes, out, workers, paths = sys.argv[1:]
 settings = MissionSettings(per_scene=int(paths), minimum_length=2.0, lights=2)

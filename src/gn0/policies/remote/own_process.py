@@ -15,10 +15,10 @@ import msgspec
 import numpy as np
 
 from gn0.bench.identity import read_identity
-from gn0.bench.worker import build_policy, describe_error
 from gn0.errors import Gn0Error
 from gn0.geometry import U8
 from gn0.jobs.child import open_channel
+from gn0.plugins import build_plugin, describe_error
 from gn0.policies.remote.server import PolicyServer
 from gn0.sim.policy import Policy, PolicyNotes, PolicyPrivileged
 from gn0.sim.state import Displacement, Observation, Sensor, Teleport
@@ -103,7 +103,7 @@ def introduce(told: Told) -> tuple[Introduction, PolicyServer | None]:
     try:
         for module in told.plugin_modules:
             import_module(module)
-        policy = build_policy(told.policy, told.options)
+        policy = build_plugin("policy", told.policy, told.options)
         if isinstance(policy, PolicyPrivileged):
             return Introduction(
                 fault=f"policy {told.policy!r} is handed the simulator, which is elsewhere",

@@ -62,7 +62,7 @@ $(RL)/.installed: pyproject.toml constraints.txt
 	$(RL)/bin/pip install $(PIP_FLAGS) -c constraints.txt -e '.[rl]' hypothesis pytest pytest-timeout pytest-xdist
 	@touch $@
 
-LOWEST_TESTS ?= tests/core tests/policies tests/bench/test_metrics.py tests/bench/test_suite.py tests/bench/test_replay.py \
+LOWEST_TESTS ?= tests/core tests/policies tests/bench/test_metrics.py tests/suites/test_suite.py tests/bench/test_replay.py \
   tests/sim/test_env.py tests/gaussians/test_ply_dialects.py tests/maps tests/export/test_words_and_cameras.py
 
 lowest: ## the lowest versions that pyproject allows, in a virtual environment of their own (10 min)

@@ -11,11 +11,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
 
 from gn0.device.open import find_device
+
+if TYPE_CHECKING:
+    from gn0.suites.suite import Suite
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -45,15 +50,42 @@ def shared_data() -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
-def no_processes() -> Callable[[], contextlib.AbstractContextManager[None]]:
-    """Makes benchmark runs by one worker stay in this process: see workers_here.py."""
-    path = Path(__file__).with_name("workers_here.py")
-    spec = importlib.util.spec_from_file_location("workers_here", path)
+def load_beside(name: str) -> ModuleType:
+    """A module that lies beside this file; tests are no packages that could import it."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    found: Callable[[], contextlib.AbstractContextManager[None]] = module.no_processes
+    return module
+
+
+@pytest.fixture(scope="session")
+def flat_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The flat of flats.py as a scene folder."""
+    from gn0.scenes.folder import save_scene
+
+    folder = tmp_path_factory.mktemp("scene") / "flat"
+    save_scene(load_beside("flats").build_flat(), folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def flats_suite(flat_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Suite:
+    """Six episodes in each of two flats, sixty steps at most."""
+    from gn0.scenes.folder import save_scene
+    from gn0.suites.suite import build_suite, load_suite
+
+    root = tmp_path_factory.mktemp("flats")
+    save_scene(load_beside("flats").build_flat("talf", mirrored=True), root / "talf")
+    build_suite([flat_folder, root / "talf"], root / "suite", count=6, seed=3, max_steps=60)
+    return load_suite(root / "suite")
+
+
+@pytest.fixture(scope="session")
+def no_processes() -> Callable[[], contextlib.AbstractContextManager[None]]:
+    """Makes benchmark runs by one worker stay in this process: see workers_here.py."""
+    found: Callable[[], contextlib.AbstractContextManager[None]]
+    found = load_beside("workers_here").no_processes
     return found
 
 

@@ -12,9 +12,9 @@ from scipy import stats
 
 from gn0.bench.compare import compare_runs, name_pairing, paired_interval, sign_flip_chance
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite, build_suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, StorageError
+from gn0.suites.suite import Suite, build_suite
 from gn0.testing.simulated_suites import told_apart
 
 pytestmark = pytest.mark.usefixtures("workers_here")

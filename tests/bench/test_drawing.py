@@ -10,14 +10,14 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gn0.bench import looks
-from gn0.bench.looks import Look, choose_run_backend, load_look, needs_renderer
-from gn0.bench.run_files import RESULTS, RUN, TRAJECTORIES
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite, load_suite
 from gn0.errors import BenchError
 from gn0.render.light import LightCondition
 from gn0.render.share.client import DrawServer
+from gn0.suites import looks
+from gn0.suites.looks import Look, choose_run_backend, load_look, needs_renderer
+from gn0.suites.run_files import RESULTS, RUN, TRAJECTORIES
+from gn0.suites.suite import Suite, load_suite
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets"),

@@ -20,11 +20,11 @@ from gn0.bench.parcel import pack_folder, read_parcel, unpack_scene
 from gn0.bench.pool_ray import PoolRay
 from gn0.bench.pools import open_pool
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite
 from gn0.errors import BenchError, FormatError, PolicyError, StorageError
 from gn0.jobs.cluster import local_cluster
 from gn0.jobs.process import describe_end
 from gn0.missions.episode import AgentSpec
+from gn0.suites.suite import Suite
 
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
 PLUGIN = Path(__file__).parent / "plugin"

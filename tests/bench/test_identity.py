@@ -16,7 +16,6 @@ from gn0.bench.identity import digest_modules, digest_policy, read_identity
 from gn0.bench.report import write_report
 from gn0.bench.results import RunSummary, load_results, load_summary
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite
 from gn0.cli import bench_run
 from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, PolicyError
@@ -25,6 +24,7 @@ from gn0.policies.remote.extension import read_greeting
 from gn0.policies.remote.server import PolicyServer
 from gn0.policies.remote.wire import decode_message, encode_message
 from gn0.policies.simple import PolicyRandom
+from gn0.suites.suite import Suite
 from gn0.testing.rogue_servers import serve_bare
 
 pytestmark = pytest.mark.usefixtures("workers_here")

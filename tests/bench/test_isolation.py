@@ -17,13 +17,13 @@ from gn0.bench import runner
 from gn0.bench.report import write_report
 from gn0.bench.results import RunSummary
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, FormatError, PolicyError
 from gn0.geometry import Pose2D
 from gn0.policies.remote.isolated import PolicyIsolated
 from gn0.seeds import load_stream, random_stream, save_stream
 from gn0.sim.state import Observation
+from gn0.suites.suite import Suite
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from gn0.bench.results import EpisodeResult, EpisodeTrace, load_results, load_traces
-from gn0.bench.suite import Suite
 from gn0.errors import StorageError
 from gn0.storage import Journal
+from gn0.suites.suite import Suite
 from gn0.testing.instant_workers import STEPS, crowd_suite, run_instantly
 
 COUNT = 60

@@ -11,10 +11,10 @@ from gn0.bench.compare import compare_runs, name_difference
 from gn0.bench.report import write_report
 from gn0.bench.results import load_summary
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite, load_suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, PolicyError
 from gn0.sim.tasks import load_tasks
+from gn0.suites.suite import Suite, load_suite
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

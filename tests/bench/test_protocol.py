@@ -11,8 +11,8 @@ from gn0.bench.protocol import code_version, config_hash, protocol_card
 from gn0.bench.results import PolicyCard
 from gn0.bench.runner import run_suite
 from gn0.bench.schedule import Schedule
-from gn0.bench.suite import Suite
 from gn0.missions.episode import Episode
+from gn0.suites.suite import Suite
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -13,10 +13,10 @@ from gn0.bench.replay import recorded_actions, replay_run
 from gn0.bench.report import load_run, write_report
 from gn0.bench.runner import run_suite
 from gn0.bench.standing import tell_standings
-from gn0.bench.suite import Suite
-from gn0.bench.track import Track
 from gn0.errors import BenchError
 from gn0.sim.state import Action
+from gn0.suites.suite import Suite
+from gn0.suites.track import Track
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

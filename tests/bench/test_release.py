@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from gn0.bench.messages import Open
-from gn0.bench.profiles import DIFFERENCES
 from gn0.bench.protocol import protocol_card
 from gn0.bench.release import (
     PATIENCE,
@@ -22,7 +21,6 @@ from gn0.bench.release import (
 from gn0.bench.report import write_report
 from gn0.bench.results import EpisodeResult, PolicyCard, load_results, load_summary
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite
 from gn0.bench.worker import EpisodeWorker
 from gn0.errors import ConfigError
 from gn0.geometry import Pose2D
@@ -33,6 +31,8 @@ from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action, Observation, Trajectory
+from gn0.suites.profiles import DIFFERENCES
+from gn0.suites.suite import Suite
 from gn0.testing.scenes import build_map_scene
 
 pytestmark = pytest.mark.usefixtures("workers_here")

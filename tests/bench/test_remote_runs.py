@@ -20,10 +20,10 @@ from gn0.bench import runner
 from gn0.bench.executors import next_worker
 from gn0.bench.results import RunSummary, load_results, load_summary
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite
 from gn0.cli import bench_run
 from gn0.errors import ConfigError, PolicyError
 from gn0.policies.remote.wire import decode_message, encode_message
+from gn0.suites.suite import Suite
 from gn0.testing.rogue_servers import ROGUES, serve_bare
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -278,7 +278,7 @@ PARENT = """
 from gn0.bench import runner
 from gn0.bench.runner import run_suite
 runner.code_version = lambda: "1.0+still"
-from gn0.bench.suite import load_suite
+from gn0.suites.suite import load_suite
 run_suite(load_suite({suite!r}), "remote", {out!r}, workers=2,
           policy_options={{"url": {url!r}, "connect_timeout": 60}})
 """

@@ -14,9 +14,9 @@ import pytest
 from gn0.bench import replay, runner
 from gn0.bench.replay import differences, replay_run, rerun_policy
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite, build_suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, FormatError, StorageError
+from gn0.suites.suite import Suite, build_suite
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

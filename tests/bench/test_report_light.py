@@ -10,11 +10,11 @@ import pytest
 
 from gn0.bench.report import draw_scene, load_run
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite
 from gn0.bench.video import BAD, CAPTION, render_clip
 from gn0.geometry import U8, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.light import draw_condition
+from gn0.suites.suite import Suite
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -20,10 +20,10 @@ import pytest
 from gn0.bench import runner
 from gn0.bench.results import load_results, load_summary
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite
 from gn0.errors import BenchError, ConfigError, PolicyError, StorageError
 from gn0.folder import lock_folder
 from gn0.storage import Journal
+from gn0.suites.suite import Suite
 
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
 PLUGIN = Path(__file__).parent / "plugin"
@@ -107,7 +107,7 @@ sys.path.insert(0, {plugin!r})
 from gn0.bench import runner
 from gn0.bench.runner import run_suite
 runner.code_version = lambda: "1.0+still"
-from gn0.bench.suite import load_suite
+from gn0.suites.suite import load_suite
 run_suite(load_suite({suite!r}), "odd", {out!r}, workers={workers}, shuffle_seed={shuffle},
           policy_options={{"pause": 0.001}}, plugin_modules=("odd_policies",))
 """

@@ -21,7 +21,6 @@ import pytest
 
 from gn0.bench.metrics import compute_metrics
 from gn0.bench.protocol import describe_paths
-from gn0.bench.suite import Suite, SuiteFile
 from gn0.geometry import Pose2D
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.files import load_episodes, save_episodes
@@ -30,6 +29,7 @@ from gn0.missions.sets.episode_set import load_set, place_task
 from gn0.missions.sets.json_file import save_exact
 from gn0.missions.sets.vlnce import ExporterVlnce
 from gn0.sim.state import Trajectory
+from gn0.suites.suite import Suite, SuiteFile
 from gn0.testing.judge_metrics import judge_dtw
 from gn0.testing.scenes import build_floor_plan
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 import gn0.errors
-from gn0.bench.suite import open_suite
 from gn0.cli.completion import list_words
 from gn0.cli.list_names import list_kinds
 from gn0.cli.main import VERBS, main, suggest_verb
@@ -21,6 +20,7 @@ from gn0.folder import LOCK, forget_folder
 from gn0.plugins import import_plugins
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
+from gn0.suites.suite import open_suite
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 

@@ -11,7 +11,6 @@ import pytest
 
 from gn0.bench.messages import Lease
 from gn0.bench.parcel import MAGIC, unpack_scene
-from gn0.bench.suite import build_suite, load_suite
 from gn0.cli.main import main
 from gn0.errors import ConfigError, FormatError, Gn0Error, StorageError
 from gn0.gaussians.files import load_cloud
@@ -21,6 +20,7 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import check_scene_id, load_scene, save_scene
 from gn0.sim.tasks import load_tasks
 from gn0.storage import safe_join
+from gn0.suites.suite import build_suite, load_suite
 from gn0.testing.path_corpus import CLIMBING, HARMLESS, climbing_paths
 
 pytestmark = pytest.mark.usefixtures("workers_here")

@@ -10,7 +10,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gn0.bench.suite import Suite, save_suite
 from gn0.data.build import build_dataset
 from gn0.data.dataset import Dataset
 from gn0.data.settings import BuildSettings, PictureSettings
@@ -19,6 +18,7 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.render.light import LightCondition
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
+from gn0.suites.suite import Suite, save_suite
 
 CHUNK = 3  # episodes a part
 EVENING = LightCondition(name="evening", exposure=-1.0, kelvin=3200.0)

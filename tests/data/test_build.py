@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.bench.suite import save_suite
 from gn0.data.build import build_dataset
 from gn0.data.cache_webdataset import ShardReader
 from gn0.data.dataset import (
@@ -30,6 +29,7 @@ from gn0.folder import lock_folder
 from gn0.geometry import Pose2D, agent_to_world
 from gn0.paper import ACTIONS_AHEAD
 from gn0.scenes.folder import load_scene
+from gn0.suites.suite import save_suite
 
 
 def test_two_workers_write_the_bytes_of_one(

@@ -13,7 +13,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from gn0.bench.suite import save_suite
 from gn0.data.build import build_dataset
 from gn0.data.cache import decode_picture, load_manifest
 from gn0.data.cache_webdataset import ShardReader, draw_dots, sample_key
@@ -31,6 +30,7 @@ from gn0.errors import DataError, FormatError, StorageError
 from gn0.scenes.folder import load_scene
 from gn0.sim.sensors import SensorSuite
 from gn0.storage import write_json
+from gn0.suites.suite import save_suite
 
 
 @pytest.mark.parametrize("layout", ["webdataset", "lerobot"])

@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gn0.bench.suite import Suite, save_suite
 from gn0.data.build import build_dataset
 from gn0.data.dataset import JOURNAL
 from gn0.data.render import render_dataset
@@ -19,6 +18,7 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.presets import find_preset
+from gn0.suites.suite import Suite, save_suite
 
 CAMERA = "rgbd_224"
 

@@ -15,7 +15,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.bench.suite import Suite
 from gn0.cli.main import main
 from gn0.data.collect import build_dagger, describe_summary, sum_up
 from gn0.data.dagger import HALT_STEPS, collect_visited
@@ -34,6 +33,7 @@ from gn0.sim.rollout import run_episode
 from gn0.sim.sensors import SensorConfig
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action
+from gn0.suites.suite import Suite
 
 EXACT = LabelSettings()
 DRIVE: dict[str, object] = {"policy": "straight", "halting": "none", "max_steps": 60}
@@ -290,7 +290,7 @@ def test_two_workers_write_the_same_bytes_as_one(
 
 _CHILD = """
 import sys
-from gn0.bench.suite import load_suite
+from gn0.suites.suite import load_suite
 from gn0.data.collect import build_dagger
 from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
 settings = BuildSettings(chunk=2, pictures=PictureSettings(layout="none"), dagger=DaggerSettings(

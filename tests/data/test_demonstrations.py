@@ -12,7 +12,6 @@ from gn0.bench.recording import open_recorder
 from gn0.bench.replay import recorded_actions
 from gn0.bench.report import load_run
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite
 from gn0.cli.main import main
 from gn0.data.dagger import walked_way
 from gn0.data.dataset import Dataset, open_dataset
@@ -24,6 +23,7 @@ from gn0.export.source import open_source
 from gn0.plugins import plugin_names
 from gn0.policies.recorded import PolicyRecorded
 from gn0.sim.state import Action
+from gn0.suites.suite import Suite
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -15,8 +15,6 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from gn0.bench import looks
-from gn0.bench.suite import Suite, save_suite
 from gn0.cli.main import main
 from gn0.data.build import build_dataset
 from gn0.data.cache import decode_depth, encode_depth
@@ -34,6 +32,8 @@ from gn0.render.depth import to_metres, to_millimetres
 from gn0.scenes.folder import load_scene
 from gn0.sim.presets import find_preset
 from gn0.storage import content_hash
+from gn0.suites import looks
+from gn0.suites.suite import Suite, save_suite
 
 CAMERA = "rgbd_224"
 DEPTH = PictureSettings(depth=True)

@@ -19,9 +19,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.bench import looks
-from gn0.bench.looks import LOADER
-from gn0.bench.suite import Suite, save_suite
 from gn0.data import cache, cache_webdataset, part
 from gn0.data.build import build_dataset
 from gn0.data.dataset import load_dataset_file, open_dataset
@@ -33,12 +30,15 @@ from gn0.data.verify import verify_dataset
 from gn0.errors import ConfigError, DataError, DeviceError
 from gn0.render.share.client import DrawConnection, DrawServer
 from gn0.scenes.folder import load_scene
+from gn0.suites import looks
+from gn0.suites.looks import LOADER
+from gn0.suites.suite import Suite, save_suite
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
 
 PROGRAM = """
 import sys
-from gn0.bench import looks
+from gn0.suites import looks
 from gn0.data import build
 from gn0.data.settings import BuildSettings
 looks.SHARED = frozenset({"cpu"})

@@ -14,7 +14,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gn0.bench.suite import save_suite
 from gn0.data.build import build_dataset
 from gn0.data.dataset import Dataset
 from gn0.data.settings import BuildSettings, PictureSettings
@@ -23,6 +22,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
 from gn0.render.light import LightCondition
 from gn0.scenes.folder import save_scene
+from gn0.suites.suite import save_suite
 from gn0.testing.scenes import build_room_scene
 from gn0.viewer.stats import draw_coverage, render_stats
 

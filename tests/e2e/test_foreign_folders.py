@@ -19,9 +19,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from gn0.bench.known import known_suites
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import build_suite, load_suite
 from gn0.cli.main import VERBS, main
 from gn0.data.build import build_dataset
 from gn0.data.collect import build_dagger
@@ -31,6 +29,8 @@ from gn0.errors import StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.storage import check_contained
+from gn0.suites.known import known_suites
+from gn0.suites.suite import build_suite, load_suite
 
 MODULE = "a_strangers_module"
 OUTSIDE = "outside-of-it"

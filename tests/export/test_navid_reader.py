@@ -18,8 +18,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gn0.bench.generation import generate_missions
-from gn0.bench.suite import load_suite
 from gn0.cli.main import main
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
@@ -33,6 +31,8 @@ from gn0.missions.generate.settings import MissionSettings
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.sim.kinematics import heading_yaw
+from gn0.suites.generation import generate_missions
+from gn0.suites.suite import load_suite
 from gn0.testing.toy_trips import toy_source, toy_source_for
 
 # navid_agent.py 341, 345, 349: cm of a FORWARD, degrees of a turn, most of each; 102: the question

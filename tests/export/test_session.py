@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.bench.suite import save_suite
 from gn0.cli.main import main
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
@@ -30,6 +29,7 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.presets import find_preset
 from gn0.storage import Journal
+from gn0.suites.suite import save_suite
 from gn0.testing.check_dataset_exporter import read_tree
 from gn0.testing.toy_trips import build_toy_source, build_toy_trips, toy_source
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gn0.bench.suite import build_suite, load_suite
 from gn0.data.build import build_dataset
 from gn0.data.cache_webdataset import ShardReader
 from gn0.data.drawing import with_backend
@@ -22,6 +21,7 @@ from gn0.render.depth import to_millimetres
 from gn0.render.share.jpeg import JpegEncoder
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
+from gn0.suites.suite import build_suite, load_suite
 
 
 def pillow(picture: np.ndarray, quality: int) -> bytes:

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import build_suite, load_suite
 from gn0.device.device import Device
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
+from gn0.suites.suite import build_suite, load_suite
 
 
 @pytest.mark.parametrize("policy", ["oracle", "straight"])

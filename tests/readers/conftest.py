@@ -12,7 +12,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gn0.bench.suite import save_suite
 from gn0.data.build import build_dataset
 from gn0.data.dataset import Dataset
 from gn0.data.render import render_dataset
@@ -23,6 +22,7 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.presets import find_preset
+from gn0.suites.suite import save_suite
 
 CAMERA = "rgbd_224"
 DEPTH = PictureSettings(depth=True, depth_as="both")

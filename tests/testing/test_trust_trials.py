@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from gn0.bench.suite import Suite, build_suite
 from gn0.errors import StorageError
 from gn0.jit import njit
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.storage import read_bytes
+from gn0.suites.suite import Suite, build_suite
 from gn0.testing.crash import crash_runs
 from gn0.testing.disk_trials import run_disk_trials, why_no_small_disk
 from gn0.testing.memory import memory_bytes

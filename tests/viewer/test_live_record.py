@@ -9,11 +9,11 @@ import pytest
 
 from gn0.bench.recording import WalkRecorder, open_recorder
 from gn0.bench.report import load_run
-from gn0.bench.suite import Suite, build_suite, load_suite
-from gn0.bench.track import Track
 from gn0.cli.main import main
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
+from gn0.suites.suite import Suite, build_suite, load_suite
+from gn0.suites.track import Track
 from gn0.viewer.live_loop import LiveLoop
 from gn0.viewer.live_record import RecordView
 from gn0.viewer.live_server import LiveServer, open_server

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import build_suite, load_suite
 from gn0.cli import view
 from gn0.errors import BenchError, ConfigError, StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
+from gn0.suites.suite import build_suite, load_suite
 from gn0.viewer.replay import load_replay
 
 pytestmark = pytest.mark.usefixtures("workers_here")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import build_suite
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
+from gn0.suites.suite import build_suite
 from gn0.viewer.live_loop import LiveLoop
 from gn0.viewer.live_server import open_server
 from gn0.viewer.plan import _quiet_spots

@@ -1,1 +1,1 @@
-"""Metrics, suites, runner, results and the report."""
+"""Metrics, runner, results and the report."""

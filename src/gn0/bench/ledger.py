@@ -19,9 +19,9 @@ from typing import IO, Any, TypeVar
 import msgspec
 
 from gn0.bench.results import EpisodeResult, EpisodeTrace, write_lines
-from gn0.bench.run_files import RESULTS, RUN, TRAJECTORIES
 from gn0.missions.episode import Episode
 from gn0.storage import Journal, write_atomic
+from gn0.suites.run_files import RESULTS, RUN, TRAJECTORIES
 
 T = TypeVar("T")
 _id_of = attrgetter("id")

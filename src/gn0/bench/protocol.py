@@ -9,16 +9,16 @@ from typing import Any
 import msgspec
 
 from gn0.bench.identity import tell_identity
-from gn0.bench.profiles import DIFFERENCES, ONE_STEP_PROFILES, RELEASE
 from gn0.bench.results import Isolation, Moves, PolicyCard
-from gn0.bench.suite import Suite
-from gn0.bench.track import judge_policy, tell_track
 from gn0.missions.episode import PathSource
 from gn0.render.open import name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.sim.presets import find_preset
 from gn0.sim.state import MapMode
 from gn0.storage import content_hash
+from gn0.suites.profiles import DIFFERENCES, ONE_STEP_PROFILES, RELEASE
+from gn0.suites.suite import Suite
+from gn0.suites.track import judge_policy, tell_track
 from gn0.version import source_version
 
 # what decides a result; the rest of the package may change between two sessions of one run

@@ -12,12 +12,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from gn0.bench.known import remember_suite
 from gn0.bench.messages import Open
 from gn0.bench.protocol import code_version, config_hash
 from gn0.bench.replay import PolicyReplay
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummary, load_results
-from gn0.bench.run_files import BYTES_PER_EPISODE, RESULTS
 from gn0.bench.runner import (
     RunState,
     build_settings,
@@ -26,7 +24,6 @@ from gn0.bench.runner import (
     sweep_run,
 )
 from gn0.bench.session import check_name
-from gn0.bench.suite import Suite
 from gn0.bench.worker import EpisodeWorker
 from gn0.errors import BenchError
 from gn0.folder import check_room, lock_folder
@@ -34,6 +31,9 @@ from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action, Sensor
+from gn0.suites.known import remember_suite
+from gn0.suites.run_files import BYTES_PER_EPISODE, RESULTS
+from gn0.suites.suite import Suite
 
 HUMAN = "human"  # no plug-in: nobody can be asked again
 _ROWS = (

@@ -23,9 +23,7 @@ from gn0.bench.messages import Open
 from gn0.bench.protocol import code_version
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import EpisodeResult, EpisodeTrace, aggregate, encode_line
-from gn0.bench.run_files import RESULTS, TRAJECTORIES
 from gn0.bench.runner import HIDDEN, build_settings, run_suite
-from gn0.bench.suite import Suite
 from gn0.bench.worker import EpisodeWorker
 from gn0.errors import BenchError, Gn0Error, brief
 from gn0.plugins import SECRETS, describe_error
@@ -34,6 +32,8 @@ from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import Action, Observation, Sensor, Teleport
 from gn0.storage import read_bytes, safe_join
+from gn0.suites.run_files import RESULTS, TRAJECTORIES
+from gn0.suites.suite import Suite
 
 SHOWN = 20  # partings told at most
 BACKENDS = ("auto", "cpu", "cuda", "gsplat", *VISIBLE_BACKENDS)

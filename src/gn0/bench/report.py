@@ -35,9 +35,7 @@ from gn0.bench.drawing import (
     plan_symbol,
 )
 from gn0.bench.intervals import Interval
-from gn0.bench.known import known_suites, remember_suite
 from gn0.bench.metrics import METRICS
-from gn0.bench.profiles import DIFFERENCES
 from gn0.bench.release import SIDE_BY_SIDE
 from gn0.bench.results import (
     EpisodeResult,
@@ -47,11 +45,8 @@ from gn0.bench.results import (
     load_summary,
     load_traces,
 )
-from gn0.bench.run_files import RUN
 from gn0.bench.spreadsheet import render_csv
 from gn0.bench.standing import group_runs
-from gn0.bench.suite import SUITE_FILE, Suite, load_suite, load_suite_scene
-from gn0.bench.track import read_track
 from gn0.bench.video import ClipScene, render_clip
 from gn0.config import load_json
 from gn0.errors import BenchError, Gn0Error, brief
@@ -64,6 +59,11 @@ from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash
 from gn0.sim.presets import find_preset
 from gn0.storage import safe_join, write_text
+from gn0.suites.known import known_suites, remember_suite
+from gn0.suites.profiles import DIFFERENCES
+from gn0.suites.run_files import RUN
+from gn0.suites.suite import SUITE_FILE, Suite, load_suite, load_suite_scene
+from gn0.suites.track import read_track
 
 TEMPLATES = Path(__file__).parent / "templates"
 BEV_PIXELS = 760  # px along the longer side, fewer when there are many scenes

@@ -19,14 +19,14 @@ import numpy as np
 from gn0.bench.intervals import Interval, bootstrap_interval
 from gn0.bench.metrics import METRICS, EpisodeMetrics
 from gn0.bench.release import ReleaseReport, ReleaseScore
-from gn0.bench.run_files import RESULTS, SUMMARY, TRAJECTORIES
-from gn0.bench.track import Standing
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
 from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import MapMode, Trajectory
 from gn0.storage import check_contained, read_bytes, safe_join, storage_error, write_atomic
+from gn0.suites.run_files import RESULTS, SUMMARY, TRAJECTORIES
+from gn0.suites.track import Standing
 
 SIZE_LIMIT = 4 * 2**30  # bytes of a results file read at most
 T = TypeVar("T")
@@ -190,7 +190,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         protocol: (what, how) rows: what the harness really did.
         profile: the suite's profile in this run.
         release: what the official harness would report; under profile gn0-release only.
-        track: the suite's track in this run, "" for none; see `gn0.bench.track`.
+        track: the suite's track in this run, "" for none; see `gn0.suites.track`.
         standing: how the policy stands to it; "" in runs of before there were tracks.
         beyond: sensors of the policy that the track does not allow.
         isolation: where the policy ran; "" in runs of before that was told.

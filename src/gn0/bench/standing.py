@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gn0.bench.results import RunSummary
-from gn0.bench.track import read_track, tell_track
+from gn0.suites.track import read_track, tell_track
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from gn0.bench.identity import digest_policy, read_identity
-from gn0.bench.looks import Look, needs_renderer
 from gn0.bench.messages import (
     Begun,
     Broke,
@@ -33,10 +32,8 @@ from gn0.bench.messages import (
     ToWorker,
 )
 from gn0.bench.metrics import compute_metrics
-from gn0.bench.profiles import ONE_STEP_PROFILES, RELEASE
 from gn0.bench.release import PolicyUnderRelease, score_release
 from gn0.bench.results import EpisodeResult, EpisodeTrace, Isolation, Moves, PolicyCard
-from gn0.bench.suite import load_suite_scene
 from gn0.errors import DeviceError, EpisodeError, Gn0Error, PlanError
 from gn0.jobs.child import open_channel
 from gn0.maps.navigation import NavigationMap
@@ -50,6 +47,9 @@ from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged
 from gn0.sim.rollout import run_episode
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
+from gn0.suites.looks import Look, needs_renderer
+from gn0.suites.profiles import ONE_STEP_PROFILES, RELEASE
+from gn0.suites.suite import load_suite_scene
 
 if TYPE_CHECKING:
     from gn0.missions.episode import Episode

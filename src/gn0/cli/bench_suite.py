@@ -51,11 +51,11 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Sample, write, and say what came out."""
-    from gn0.bench.suite import build_suite
-    from gn0.bench.track import read_track
     from gn0.cli.console import draw_progress
     from gn0.errors import ConfigError
     from gn0.sim.presets import find_preset
+    from gn0.suites.suite import build_suite
+    from gn0.suites.track import read_track
 
     if not args.scenes:
         raise ConfigError("no scene folder given", remedy="gn0 bench suite SCENE [SCENE ...]")

@@ -78,7 +78,6 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Build, and say what came out."""
-    from gn0.bench.suite import open_suite
     from gn0.cli.console import draw_progress, say_aside, say_backend
     from gn0.data.build import build_dataset
     from gn0.data.dataset import DATASET_FILE
@@ -86,6 +85,7 @@ def run(args: Args) -> int:
     from gn0.data.labels import LabelSettings
     from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
     from gn0.folder import forget_folder
+    from gn0.suites.suite import open_suite
 
     pictures = PictureSettings(
         layout=args.layout,

@@ -80,7 +80,6 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Collect, and say what the policy did and what it should have done."""
-    from gn0.bench.suite import open_suite
     from gn0.cli.bench_run import read_options
     from gn0.cli.console import draw_progress
     from gn0.data.collect import build_dagger, describe_summary, sum_up
@@ -89,6 +88,7 @@ def run(args: Args) -> int:
     from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
     from gn0.folder import forget_folder
     from gn0.plugins import import_plugins
+    from gn0.suites.suite import open_suite
 
     out = Path(args.out)
     if args.fresh:

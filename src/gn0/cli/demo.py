@@ -47,11 +47,11 @@ def run(args: Args) -> int:
 
     from gn0.bench.report import write_report
     from gn0.bench.runner import run_suite
-    from gn0.bench.suite import build_suite
     from gn0.cli.compile_ahead import compile_ahead
     from gn0.cli.console import draw_progress
     from gn0.cli.tables import print_summaries
     from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
+    from gn0.suites.suite import build_suite
 
     started = time.monotonic()
     out = Path(args.out)

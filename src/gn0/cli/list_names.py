@@ -123,7 +123,7 @@ def _formats() -> Iterator[tuple[str, str]]:
 
 
 def _profiles() -> Iterator[tuple[str, str]]:
-    from gn0.bench.profiles import PROFILES
+    from gn0.suites.profiles import PROFILES
 
     for name in PROFILES:
         yield name, ""

@@ -59,11 +59,11 @@ def run(args: Args) -> int:
     """Describe and print; 1 when a text of the provider was not accepted."""
     import numpy as np
 
-    from gn0.bench.suite import load_suite_scene, open_suite
     from gn0.cli.console import draw_progress
     from gn0.maps.navigation import NavigationMap
     from gn0.missions.language.describe import describe_route
     from gn0.scenes.scene import SceneObject, SceneRoom
+    from gn0.suites.suite import load_suite_scene, open_suite
 
     suite = open_suite(args.suite)
     chosen = _choose(suite.episodes, args)

@@ -41,12 +41,12 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Write, and say how much."""
-    from gn0.bench.imports import export_set
-    from gn0.bench.suite import open_suite
     from gn0.export.vlnce import MISREAD
     from gn0.missions.sets.lost_goals import find_lost
     from gn0.missions.sets.vlnce import VlnceFile
     from gn0.missions.sets.vocabulary import are_r2r_words, count_unknown, tell_unknown
+    from gn0.suites.imports import export_set
+    from gn0.suites.suite import open_suite
 
     suite = open_suite(args.suite)
     written = export_set(suite, args.format, args.out, vocabulary=args.vocabulary)

@@ -18,8 +18,8 @@ import tyro
 from gn0.config import Config
 
 if TYPE_CHECKING:
-    from gn0.bench.generation_folder import Manifest
     from gn0.missions.generate.settings import MissionSettings
+    from gn0.suites.generation_folder import Manifest
 
 EXAMPLES = """  gn0 missions generate out/flat out/house --per-scene 100 --out out/missions
   gn0 missions generate out/corpus --workers 2 --lights 4 --out out/missions
@@ -179,9 +179,9 @@ def read_options(given: Sequence[str]) -> dict[str, Any]:
 
 def run(args: Args) -> int:
     """Generate, write, and say what came out."""
-    from gn0.bench.generation import generate_missions
     from gn0.cli.console import draw_progress
     from gn0.errors import ConfigError
+    from gn0.suites.generation import generate_missions
 
     if not args.scenes:
         raise ConfigError("no scene given", remedy="gn0 missions generate SCENE [SCENE ...]")

@@ -17,9 +17,9 @@ from gn0.config import Config
 if TYPE_CHECKING:
     from PIL import Image
 
-    from gn0.bench.suite import Suite
     from gn0.missions.episode import Episode
     from gn0.scenes.scene import Scene
+    from gn0.suites.suite import Suite
 
 EXAMPLES = """  gn0 missions show out/suite
   gn0 missions show out/suite flat_0003 --out flat_0003.png
@@ -50,7 +50,7 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Draw and write."""
-    from gn0.bench.suite import SUITE_FILE
+    from gn0.suites.suite import SUITE_FILE
 
     folder = Path(args.path)
     if (folder / SUITE_FILE).is_file() or (folder / "scene.json").is_file():
@@ -67,9 +67,9 @@ def draw_episode(
     split: str = "",
 ) -> Image.Image:
     """The overlay of one episode, with its goal picture, or of all of a scene."""
-    from gn0.bench.suite import load_suite_scene
     from gn0.missions.episode import MissionGoal
     from gn0.render.open import build_renderer
+    from gn0.suites.suite import load_suite_scene
     from gn0.viewer.overlay import render_overlay
 
     name = episode.scene_id if episode is not None else scene_id
@@ -122,10 +122,10 @@ def _beside(left: Image.Image, right: Image.Image) -> Image.Image:
 
 
 def _show_suite(args: Args) -> int:
-    from gn0.bench.suite import open_suite
     from gn0.cli.console import draw_progress
     from gn0.errors import EpisodeError
     from gn0.storage import write_atomic
+    from gn0.suites.suite import open_suite
 
     suite = open_suite(args.path)
     home = Path(args.path).resolve()

@@ -98,9 +98,9 @@ def _record(args: Args) -> int:
     from functools import partial
 
     from gn0.bench.recording import open_recorder
-    from gn0.bench.suite import open_suite
     from gn0.cli.tables import print_summaries
     from gn0.errors import ConfigError
+    from gn0.suites.suite import open_suite
     from gn0.viewer.live_record import RecordView
 
     if len(args.paths) != 1 or args.results:

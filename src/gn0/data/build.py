@@ -13,9 +13,6 @@ from typing import Any
 
 import msgspec
 
-from gn0.bench.generation_folder import MANIFEST
-from gn0.bench.run_files import BYTES_PER_EPISODE
-from gn0.bench.suite import EPISODE_FILE, Suite, copy_folder, load_suite, load_suite_scene
 from gn0.data.cache import check_cache_free
 from gn0.data.dataset import (
     DATASET_FILE,
@@ -54,6 +51,9 @@ from gn0.storage import (
     safe_join,
     write_bytes,
 )
+from gn0.suites.generation_folder import MANIFEST
+from gn0.suites.run_files import BYTES_PER_EPISODE
+from gn0.suites.suite import EPISODE_FILE, Suite, copy_folder, load_suite, load_suite_scene
 
 
 def build_dataset(

@@ -8,8 +8,6 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from gn0.bench.run_files import digest_run
-from gn0.bench.suite import Suite
 from gn0.data.build import build_dataset
 from gn0.data.dagger import check_options
 from gn0.data.dataset import Dataset
@@ -19,6 +17,8 @@ from gn0.paper import ACTIONS_AHEAD
 from gn0.plugins import SECRETS, get_plugin, import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.sim.state import Action
+from gn0.suites.run_files import digest_run
+from gn0.suites.suite import Suite
 
 
 class DaggerSummary(msgspec.Struct, frozen=True, kw_only=True):

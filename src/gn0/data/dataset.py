@@ -20,7 +20,6 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from gn0.bench.suite import load_suite_scene
 from gn0.config import Config, decode_json
 from gn0.data.samples import SAMPLE_LAYOUT, EpisodeRows, decode_rows, load_sample_table
 from gn0.data.settings import BuildSettings
@@ -32,6 +31,7 @@ from gn0.missions.files import load_episodes
 from gn0.sim.collision import move_agent
 from gn0.sim.kinematics import heading_yaw, step_forward
 from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_json
+from gn0.suites.suite import load_suite_scene
 
 if TYPE_CHECKING:
     from gn0.scenes.scene import Scene

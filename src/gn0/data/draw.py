@@ -11,7 +11,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from gn0.bench.looks import Look
 from gn0.data.cache import DrawnStep
 from gn0.data.dataset import Dataset, FileRecord
 from gn0.data.drawing import check_drawn_here
@@ -38,6 +37,7 @@ from gn0.render.share.messages import MapPicture
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
 from gn0.storage import RowDigest, content_hash, safe_join
+from gn0.suites.looks import Look
 
 PAINTED = 2**22  # pixels of a map at most that the process that draws paints dots on
 AHEAD = 64  # views drawn before they are wanted, where another process draws them

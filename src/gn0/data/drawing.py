@@ -8,7 +8,6 @@ from pathlib import Path
 
 import msgspec
 
-from gn0.bench import looks
 from gn0.data.dataset import DATASET_FILE, load_dataset_file
 from gn0.data.settings import Backend, PictureSettings
 from gn0.errors import ConfigError, DataError, Gn0Error
@@ -16,6 +15,7 @@ from gn0.jobs import ExecutorName
 from gn0.jobs.process import count_cores
 from gn0.render.open import choose_backend
 from gn0.render.share.client import DrawServer
+from gn0.suites import looks
 
 MOST_WORKERS = 64
 

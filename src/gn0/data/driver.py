@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import msgspec
 
-from gn0.bench.looks import needs_renderer
 from gn0.data.codec import encode_waypoints
 from gn0.data.dagger import collect_visited
 from gn0.data.dataset import Dataset
@@ -23,6 +22,7 @@ from gn0.sim.open import name_look, open_simulator
 from gn0.sim.policy import Policy
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
+from gn0.suites.looks import needs_renderer
 
 Ask = Callable[[str, LightCondition | None], DrawnScene | None]
 

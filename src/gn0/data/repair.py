@@ -13,7 +13,6 @@ from pathlib import Path
 
 import msgspec
 
-from gn0.bench.suite import load_suite
 from gn0.data.cache import MANIFEST, CacheManifest, cache_folder, load_manifest
 from gn0.data.dataset import JOURNAL, Dataset, open_dataset
 from gn0.data.draw import PartDrawer
@@ -29,6 +28,7 @@ from gn0.folder import lock_folder, sweep_folder
 from gn0.jobs import run_jobs
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, read_bytes, safe_join, write_bytes
+from gn0.suites.suite import load_suite
 
 # policies that a dataset may name and have run: they dial nobody, import nothing, open no file
 DRIVERS = ("oracle", "straight", "wall_follower", "random", "explorer")

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.bench.generation_folder import MANIFEST, Manifest
 from gn0.config import Config, load_json
 from gn0.data.dataset import Dataset
 from gn0.geometry import F64
 from gn0.maps.grid import FREE
 from gn0.missions.episode import Episode, MissionFollow, MissionGoal, MissionInstruction
 from gn0.progress import Progress, no_progress
+from gn0.suites.generation_folder import MANIFEST, Manifest
 
 ACTION_NAMES = ("stop", "forward", "left", "right")
 PAPER_SHARES = {"forward": 67.0, "left": 15.0, "right": 15.0, "stop": 3.0}  # %, after balancing

@@ -13,7 +13,6 @@ import numpy as np
 
 from gn0.bench.results import EpisodeResult, aggregate, load_results
 from gn0.bench.runner import JOURNAL, run_suite
-from gn0.bench.suite import build_suite
 from gn0.bench.worker import score
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0.gaussians.cloud import GaussianCloud
@@ -30,6 +29,7 @@ from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode
 from gn0.storage import Journal
+from gn0.suites.suite import build_suite
 from gn0.testing.judge_metrics import worst_disagreement
 
 MINIMUM_LENGTH = 5.0  # m, geodesic
@@ -149,7 +149,7 @@ def measure_agreement(ctx: FigureContext) -> list[FigureRow]:
 _PARENT = """
 import sys
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import load_suite
+from gn0.suites.suite import load_suite
 suite, out, workers, shuffle = sys.argv[1:]
 run_suite(load_suite(suite), "random", out, workers=int(workers), shuffle_seed=int(shuffle))
 """

@@ -12,8 +12,6 @@ import msgspec
 import numpy as np
 from PIL import Image
 
-from gn0.bench.looks import LOADER
-from gn0.bench.suite import Suite, build_suite, load_suite
 from gn0.data.build import build_dataset
 from gn0.data.cache import encode_depth, encode_picture
 from gn0.data.drawing import count_workers, with_backend
@@ -36,6 +34,8 @@ from gn0.scenes.scene import Scene
 from gn0.sim.history import build_mosaic, reduce_picture
 from gn0.sim.presets import find_preset
 from gn0.storage import content_hash
+from gn0.suites.looks import LOADER
+from gn0.suites.suite import Suite, build_suite, load_suite
 
 SAMPLES = 47_000_000  # of the paper
 LEAST = 3000.0  # full samples/s

@@ -8,7 +8,6 @@ from typing import Any
 
 import msgspec
 
-from gn0.bench.suite import save_suite
 from gn0.config import load_json
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
@@ -31,6 +30,7 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.missions.sets.json_file import load_exact
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
+from gn0.suites.suite import save_suite
 from gn0.testing.check_dataset_exporter import PICTURE_TOLERANCE, picture_difference
 from gn0.testing.toy_trips import toy_source, toy_source_for
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gn0.bench.generation import generate_missions
 from gn0.errors import PlanError
 from gn0.figures.bench import _apartment
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
@@ -26,6 +25,7 @@ from gn0.scenes.corpus import CorpusPart, CorpusSpec, SplitName, plan_corpus
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject
 from gn0.scenes.sources import import_scene
 from gn0.seeds import random_stream
+from gn0.suites.generation import generate_missions
 from gn0.testing.crash_generation import build_trial_scenes, crash_generations, folder_digest
 from gn0.testing.plain_paths import count_blocked_points, plain_frechet, plain_verdict
 from gn0.testing.scenes import build_floor_plan

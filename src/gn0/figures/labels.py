@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.bench.suite import Suite, build_suite, load_suite
 from gn0.data.balance import (
     NAMES,
     BalanceSettings,
@@ -49,6 +48,7 @@ from gn0.scenes.folder import save_scene
 from gn0.scenes.occupancy import build_occupancy
 from gn0.scenes.procedural.kinds import KINDS, KindName
 from gn0.seeds import random_stream
+from gn0.suites.suite import Suite, build_suite, load_suite
 from gn0.testing.crash_data import read_files
 
 RADIUS = 0.20  # m
@@ -291,7 +291,7 @@ def _dagger_settings(policy: str, beta: float, halting: str = "paper") -> BuildS
 
 _CHILD = """
 import sys
-from gn0.bench.suite import load_suite
+from gn0.suites.suite import load_suite
 from gn0.data.collect import build_dagger
 from gn0.figures.labels import _dagger_settings
 settings = _dagger_settings("wall_follower", 0.3)

@@ -10,10 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gn0.bench.imports import import_set
 from gn0.bench.release import SIDE_BY_SIDE
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import build_suite
 from gn0.figures.bench import _apartment
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0.maps.navigation import NavigationMap
@@ -34,6 +32,8 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
+from gn0.suites.imports import import_set
+from gn0.suites.suite import build_suite
 from gn0.testing.judge_release import JudgeRelease
 
 VLNCE = "vln/R2R_VLNCE_v1-2_preprocessed"
@@ -271,8 +271,8 @@ def measure_release(ctx: FigureContext) -> list[FigureRow]:
 
 def import_and_compare(ctx: FigureContext, suite: Path, scene: Path) -> FigureRow:
     """A suite exported as GN-Matrix and imported again: the largest shift of a start or goal."""
-    from gn0.bench.imports import export_set
-    from gn0.bench.suite import load_suite
+    from gn0.suites.imports import export_set
+    from gn0.suites.suite import load_suite
 
     mine = load_suite(suite)
     export_set(mine, "gn-matrix", ctx.work / "e.parquet")

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from gn0.bench.runner import JOURNAL, run_suite
-from gn0.bench.suite import build_suite
 from gn0.errors import PolicyError
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_most
 from gn0.policies.remote.policy import PolicyRemote
@@ -25,6 +24,7 @@ from gn0.progress import Progress
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.sim.state import Observation
+from gn0.suites.suite import build_suite
 from gn0.testing.fuzz import find_target, fuzz_reader
 from gn0.testing.rogue_servers import ROGUES, serve_bare
 
@@ -260,7 +260,7 @@ def measure_crowd(context: FigureContext) -> list[FigureRow]:
 _PARENT = """
 import sys
 from gn0.bench import runner
-from gn0.bench.suite import load_suite
+from gn0.suites.suite import load_suite
 runner.code_version = lambda: "trial"
 suite, out, url = sys.argv[1:]
 runner.run_suite(load_suite(suite), "remote", out, workers=2, policy_options={"url": url})

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gn0.bench.suite import Suite, build_suite, load_suite
 from gn0.data.build import build_dataset
 from gn0.data.cache import load_manifest
 from gn0.data.dataset import Dataset, FileRecord, open_dataset
@@ -22,6 +21,7 @@ from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.procedural.finish import floor_area
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.procedural.kinds import KINDS
+from gn0.suites.suite import Suite, build_suite, load_suite
 from gn0.testing.crash_data import read_files, run_data_crashes
 
 GAUSSIANS = 300_000

@@ -15,9 +15,7 @@ import numpy as np
 
 from gn0.bench.replay import replay_run
 from gn0.bench.results import load_results
-from gn0.bench.run_files import SUMMARY
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite, build_suite
 from gn0.errors import StorageError
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0.jobs.cluster import local_cluster
@@ -25,6 +23,8 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 from gn0.storage import Journal, safe_join
+from gn0.suites.run_files import SUMMARY
+from gn0.suites.suite import Suite, build_suite
 from gn0.testing.crash import SAME, crash_runs
 from gn0.testing.disk_trials import run_disk_trials, why_no_small_disk
 from gn0.testing.instant_workers import STEPS
@@ -175,7 +175,7 @@ def measure_growth(ctx: FigureContext) -> list[FigureRow]:
 _HASH_SEED = """
 import sys
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import load_suite
+from gn0.suites.suite import load_suite
 run_suite(load_suite(sys.argv[1]), "random", sys.argv[2], workers=2)
 """
 

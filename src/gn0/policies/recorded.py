@@ -9,9 +9,9 @@ import numpy as np
 
 from gn0.bench.replay import recorded_actions
 from gn0.bench.results import load_traces
-from gn0.bench.run_files import digest_run
 from gn0.errors import EpisodeError, PolicyError
 from gn0.sim.state import Action, Observation, Sensor, Teleport
+from gn0.suites.run_files import digest_run
 
 if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator

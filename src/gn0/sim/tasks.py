@@ -33,7 +33,7 @@ class _SuiteScene(msgspec.Struct, frozen=True):
 
 
 class _SuiteView(msgspec.Struct, frozen=True):
-    """The part of `suite.json` that an environment needs; `gn0.bench.suite` owns the file."""
+    """The part of `suite.json` that an environment needs; `gn0.suites.suite` owns the file."""
 
     scenes: tuple[_SuiteScene, ...]
     camera: str

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gn0.bench.run_files import RESULTS, SUMMARY, TRAJECTORIES
 from gn0.bench.runner import JOURNAL
-from gn0.bench.suite import Suite, build_suite
 from gn0.progress import Progress, no_progress
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.seeds import random_stream
 from gn0.storage import TEMPORARY_PREFIX, Journal
+from gn0.suites.run_files import RESULTS, SUMMARY, TRAJECTORIES
+from gn0.suites.suite import Suite, build_suite
 
 SAME = (RESULTS, TRAJECTORIES, SUMMARY)
 EPISODES, MAX_STEPS = 60, 120
@@ -29,7 +29,7 @@ PATIENCE = 60.0  # s until a run that says nothing is given up on
 _PARENT = """
 import sys
 from gn0.bench import runner
-from gn0.bench.suite import load_suite
+from gn0.suites.suite import load_suite
 runner.code_version = lambda: "trial"
 suite, out, workers, shuffle = sys.argv[1:]
 runner.run_suite(

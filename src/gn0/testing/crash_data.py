@@ -15,7 +15,6 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from gn0.bench.suite import Suite, build_suite
 from gn0.data.dataset import JOURNAL, open_dataset
 from gn0.data.folder import read_done
 from gn0.data.settings import BuildSettings, PictureSettings
@@ -27,6 +26,7 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.seeds import random_stream
 from gn0.storage import TEMPORARY_PREFIX
+from gn0.suites.suite import Suite, build_suite
 
 EPISODES, CHUNK = 10, 2
 KINDS = ("webdataset", "lerobot", "render")  # built with pictures, or drawn after the labels

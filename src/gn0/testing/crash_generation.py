@@ -11,12 +11,12 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gn0.bench.generation_folder import MANIFEST, PARTS, REPORT, WORK
 from gn0.progress import Progress, no_progress
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.seeds import random_stream
 from gn0.storage import TEMPORARY_PREFIX
+from gn0.suites.generation_folder import MANIFEST, PARTS, REPORT, WORK
 from gn0.testing.crash import child_processes
 
 SCENES, PATHS = 6, 12
@@ -25,8 +25,8 @@ PATIENCE = 120.0  # s until a generation that does not end is given up on
 # the code version is pinned: an edit of the package during the trial must not look like a crash
 _PARENT = """
 import sys
-from gn0.bench import generation
-from gn0.bench.generation import generate_missions
+from gn0.suites import generation
+from gn0.suites.generation import generate_missions
 generation.source_version = lambda names: "trial"
 from gn0.missions.generate.settings import MissionSettings
 scenes, out, workers, paths = sys.argv[1:]

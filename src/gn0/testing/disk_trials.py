@@ -20,13 +20,13 @@ import msgspec
 
 from gn0.bench.report import write_report
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import build_suite, load_suite, open_suite
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings
 from gn0.errors import Gn0Error, StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.storage import TEMPORARY_PREFIX, read_bytes
+from gn0.suites.suite import build_suite, load_suite, open_suite
 
 Fault = Literal["full", "read-only", "failing read"]
 MOUNT = "small"

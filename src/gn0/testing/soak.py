@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gn0.bench.runner import build_settings
-from gn0.bench.suite import Suite
 from gn0.bench.worker import EpisodeWorker
 from gn0.progress import Progress, no_progress
 from gn0.sim.open import open_simulator
 from gn0.sim.state import Action
+from gn0.suites.suite import Suite
 from gn0.testing.memory import memory_bytes
 
 WARM_UP = 0.1  # share of the resets before anything is counted: caches fill, kernels compile

@@ -13,11 +13,11 @@ from pathlib import Path
 from gn0.bench.metrics import METRICS
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import EpisodeResult, EpisodeTrace
-from gn0.bench.suite import SUITE_FILE, Suite
 from gn0.errors import BenchError, brief
 from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode
 from gn0.scenes.folder import load_scene
+from gn0.suites.suite import SUITE_FILE, Suite
 from gn0.viewer.live_text import name_line, plain, table
 
 # told apart in grey and by colour-blind eyes; the first is the agent's own red

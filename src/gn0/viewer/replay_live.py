@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
-from gn0.bench.suite import load_suite_scene
 from gn0.bench.video import clip_camera
 from gn0.errors import BenchError
 from gn0.geometry import U8, view_from_pose
@@ -19,6 +18,7 @@ from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.sim.simulator import STEP_SECONDS
+from gn0.suites.suite import load_suite_scene
 from gn0.viewer.live import PANEL, ceiling_cut, hear
 from gn0.viewer.live_eyes import LiveEyes
 from gn0.viewer.live_loop import LiveLoop

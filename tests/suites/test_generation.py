@@ -14,19 +14,19 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from gn0.bench import generation
 from gn0.bench.compare import compare_paths, compare_runs
-from gn0.bench.generation import generate_missions
-from gn0.bench.generation_folder import MANIFEST, PATHS, TEXTS, WORK
 from gn0.bench.pairing import tell_paths
 from gn0.bench.runner import run_suite
-from gn0.bench.scene_list import list_scenes
-from gn0.bench.suite import EPISODE_FILE, SUITE_FILE, Suite, load_suite
 from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
 from gn0.missions.generate.pool import load_paths, load_texts
 from gn0.missions.generate.settings import MissionSettings
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.storage import storage_error
+from gn0.suites import generation
+from gn0.suites.generation import generate_missions
+from gn0.suites.generation_folder import MANIFEST, PATHS, TEXTS, WORK
+from gn0.suites.scene_list import list_scenes
+from gn0.suites.suite import EPISODE_FILE, SUITE_FILE, Suite, load_suite
 from gn0.testing.crash_generation import crash_generations, folder_digest
 from gn0.testing.plain_paths import plain_verdict
 

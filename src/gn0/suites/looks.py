@@ -9,13 +9,13 @@ from typing import Any
 
 import msgspec
 
-from gn0.bench.suite import load_suite_scene
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.plugins import get_plugin, is_builtin
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import choose_backend, name_drawing
 from gn0.render.share.client import DrawServer
 from gn0.sim.sensors import EYES, MAPS
+from gn0.suites.suite import load_suite_scene
 
 LOADER = f"{__name__}:load_look"  # for `gn0.render.share.client.DrawServer`
 SHARED: frozenset[str] = frozenset({"cuda"})  # backends that one process draws with for all

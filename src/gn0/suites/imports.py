@@ -14,8 +14,6 @@ from typing import Any
 
 import msgspec
 
-from gn0.bench.profiles import profile_settings
-from gn0.bench.suite import Suite, save_suite
 from gn0.config import load_json
 from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError
 from gn0.maps.navigation import NavigationMap
@@ -36,6 +34,8 @@ from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.storage import safe_join, write_json
+from gn0.suites.profiles import profile_settings
+from gn0.suites.suite import Suite, save_suite
 
 IMPORTED, ABOUT = "imported", "imported.json"
 FILE_NAMES = {"gn-matrix": "episodes.parquet", "gn-matrix-json": "tasks", "vlnce": "split.json.gz"}

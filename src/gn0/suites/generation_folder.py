@@ -15,7 +15,6 @@ from typing import Any
 
 import msgspec
 
-from gn0.bench.suite import EPISODE_FILE
 from gn0.config import Config, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.folder import lock_folder, sweep_folder
@@ -23,6 +22,7 @@ from gn0.missions.episode import AgentSpec
 from gn0.missions.generate.scene import SceneReport
 from gn0.missions.generate.settings import MissionSettings
 from gn0.storage import check_contained, storage_error, write_json
+from gn0.suites.suite import EPISODE_FILE
 
 MANIFEST, PATHS, TEXTS = "manifest.json", "paths.parquet", "instructions.parquet"
 WORK, REQUEST, PARTS, REPORT = ".work", "request.json", "parts", "report.json"

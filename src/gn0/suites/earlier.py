@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gn0.bench.suite import SUITE_FILE, load_suite
 from gn0.errors import StorageError
 from gn0.geometry import polyline_length
 from gn0.missions.generate.pool import PathRecord, load_paths, paths_table, save_table
 from gn0.storage import content_hash
+from gn0.suites.suite import SUITE_FILE, load_suite
 
 PATHS = "paths.parquet"
 

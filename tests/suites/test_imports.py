@@ -12,18 +12,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from gn0.bench.imports import export_set, find_scenes, import_set, load_imported
 from gn0.bench.protocol import protocol_card
 from gn0.bench.replay import replay_run
 from gn0.bench.results import PolicyCard
 from gn0.bench.runner import run_suite
-from gn0.bench.suite import Suite, load_suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, SceneError, StorageError
 from gn0.missions.sets.episode_set import load_set
 from gn0.missions.sets.json_file import load_exact, same_values, save_exact
 from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
 from gn0.missions.sets.vocabulary import cut_words
+from gn0.suites.imports import export_set, find_scenes, import_set, load_imported
+from gn0.suites.suite import Suite, load_suite
 from gn0.testing.scenes import with_goal_sets
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -189,7 +189,7 @@ def test_places_that_a_format_has_no_room_for_are_counted(
 ) -> None:
     """Of twelve episodes four have two places and four an area."""
     suite = replace(flats_suite, episodes=tuple(with_goal_sets(list(flats_suite.episodes))))
-    monkeypatch.setattr("gn0.bench.suite.open_suite", lambda _: suite)
+    monkeypatch.setattr("gn0.suites.suite.open_suite", lambda _: suite)
     export = ["missions", "export", "suite", "--format"]
     for format, name in FORMATS.items():
         assert main([*export, format, "--out", str(tmp_path / name)]) == 0

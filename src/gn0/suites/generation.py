@@ -22,38 +22,6 @@ from typing import IO, Any, NamedTuple
 import msgspec
 import pyarrow.parquet as pq
 
-from gn0.bench.earlier import EarlierPaths, load_earlier, save_earlier
-from gn0.bench.generation_folder import (
-    LAYOUT,
-    MANIFEST,
-    PARTS,
-    PATHS,
-    REPORT,
-    TABLES,
-    TEXTS,
-    GenerationRequest,
-    Manifest,
-    RequestScene,
-    Totals,
-    clear_folder,
-    find_finished,
-    open_work,
-)
-from gn0.bench.scene_list import SceneEntry, list_scenes
-from gn0.bench.suite import (
-    EPISODE_FILE,
-    MAX_STEPS,
-    SCENE_FOLDER,
-    SUITE_FILE,
-    SUITE_VERSION,
-    Suite,
-    SuiteFile,
-    SuiteScene,
-    copy_folder,
-    load_suite,
-    load_suite_scene,
-)
-from gn0.bench.track import choose_track
 from gn0.config import load_json
 from gn0.errors import EpisodeError
 from gn0.jobs import ExecutorName, run_jobs
@@ -78,12 +46,44 @@ from gn0.storage import (
     write_atomic,
     write_json,
 )
+from gn0.suites.earlier import EarlierPaths, load_earlier, save_earlier
+from gn0.suites.generation_folder import (
+    LAYOUT,
+    MANIFEST,
+    PARTS,
+    PATHS,
+    REPORT,
+    TABLES,
+    TEXTS,
+    GenerationRequest,
+    Manifest,
+    RequestScene,
+    Totals,
+    clear_folder,
+    find_finished,
+    open_work,
+)
+from gn0.suites.scene_list import SceneEntry, list_scenes
+from gn0.suites.suite import (
+    EPISODE_FILE,
+    MAX_STEPS,
+    SCENE_FOLDER,
+    SUITE_FILE,
+    SUITE_VERSION,
+    Suite,
+    SuiteFile,
+    SuiteScene,
+    copy_folder,
+    load_suite,
+    load_suite_scene,
+)
+from gn0.suites.track import choose_track
 from gn0.version import source_version
 
 # what decides the bytes: half a generation is not gone on with by other code
 _DECIDING = (
     "geometry.py", "paper.py", "seeds.py", "maps", "missions", "render/light.py", "sim/presets.py",
-    "bench/generation.py", "bench/generation_folder.py",
+    "suites/generation.py", "suites/generation_folder.py",
 )  # fmt: skip
 
 
@@ -230,7 +230,7 @@ def _run_units(
     ]
     done = len(entries) - len(todo)
     run_jobs(
-        "gn0.bench.generation:generate_scene",
+        "gn0.suites.generation:generate_scene",
         payloads,
         workers=where.workers,
         executor=where.executor,

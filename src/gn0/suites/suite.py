@@ -19,15 +19,6 @@ from typing import Annotated, Literal, cast
 
 import msgspec
 
-from gn0.bench.profiles import (
-    PROFILES,
-    RELEASE,
-    VLNCE,
-    Profile,
-    profile_settings,
-    release_order,
-)
-from gn0.bench.track import Track, choose_track
 from gn0.config import Config, load_json
 from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
 from gn0.maps.navigation import NavigationMap
@@ -50,6 +41,15 @@ from gn0.storage import (
     safe_join,
     write_json,
 )
+from gn0.suites.profiles import (
+    PROFILES,
+    RELEASE,
+    VLNCE,
+    Profile,
+    profile_settings,
+    release_order,
+)
+from gn0.suites.track import Track, choose_track
 
 SUITE_FILE, EPISODE_FILE, SCENE_FOLDER = "suite.json", "episodes.parquet", "scenes"
 SUITE_VERSION = 1  # layout of suite.json

@@ -60,8 +60,8 @@ from gn0.render.renderer import (
 _FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
 _FILES = (
-    *("view.cuh", "views.cu", "project.cuh", "list.cu", "colour.cuh"),
-    *("group.cuh", "reach.cuh", "walk.cuh", "paint.cu"),
+    *("view.cuh", "pose.cuh", "views.cu", "project.cuh", "list.cuh", "list.cu", "colour.cuh"),
+    *("group.cuh", "reach.cuh", "walk.cuh", "paint.cuh", "paint.cu"),
 )
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up

@@ -37,17 +37,7 @@ KERNEL(write_views)(const double *__restrict__ matrices, const int *__restrict__
   if (v < words) here[v] = sent[v];
   if (v >= count) return;
   const double *m = matrices + (u64)(first + v) * 16;
-  bool finite = true, rigid = true;
-  for (int k = 0; k < 16; k++) finite = finite && fabs(m[k]) <= 1.7976931348623157e308;
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++) {
-      double dot = m[4 * i] * m[4 * j] + m[4 * i + 1] * m[4 * j + 1] + m[4 * i + 2] * m[4 * j + 2];
-      rigid = rigid && fabs(dot - (i == j ? 1.0 : 0.0)) < tolerance;
-    }
-  for (int k = 0; k < 4; k++) rigid = rigid && fabs(m[12 + k] - (k == 3 ? 1.0 : 0.0)) < tolerance;
-  double volume = m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) +
-                  m[2] * (m[4] * m[9] - m[5] * m[8]);
-  rigid = rigid && volume > 0.0;
+  bool finite = is_finite(m, 16), rigid = is_rigid(m, tolerance);
   u32 cloud = chosen ? (u32)chosen[first + v] : 0;
   bool known = cloud < named && clouds[cloud].rows != NO_CLOUD, held = true;
   if (finite && rigid && known) {

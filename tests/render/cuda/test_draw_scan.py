@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gn0.device.host import DeviceHost
-from gn0.render.cuda.draw import kernel_source
 from gn0.render.cuda.replay import NO_ROOM
+from gn0.render.cuda.source import kernel_source
 from gn0.render.cuda.tables import NOWHERE, VIEW
 from gn0.render.cuda.tune import MANY
 

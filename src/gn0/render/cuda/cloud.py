@@ -33,6 +33,7 @@ class CloudDevice:
         alive: splats packed.
         slots: for a part, uint32 [chunks * 256]: packed numbers in packed order, then 0xffffffff;
             `boxes` are those of its own chunks. None for the whole.
+        normals: of one that may be an instance, uint32 [rows] as `instances.pack_normals` has them.
     """
 
     splats: DeviceArray
@@ -45,6 +46,7 @@ class CloudDevice:
     size: int
     alive: int
     slots: DeviceArray | None = None
+    normals: DeviceArray | None = None
 
     @property
     def chunks(self) -> int:
@@ -59,7 +61,8 @@ class CloudDevice:
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
-        arrays = (self.splats, self.order, self.places, self.sh, self.boxes, self.slots)
+        arrays = (self.splats, self.order, self.places, self.sh, self.boxes, self.slots,
+                  self.normals)  # fmt: skip
         return sum(array.nbytes for array in arrays if array is not None)
 
 

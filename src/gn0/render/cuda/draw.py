@@ -12,18 +12,19 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device, DeviceArray, Kernel, KernelSource
+from gn0.device.device import Device, DeviceArray, Kernel
 from gn0.errors import DeviceError, DeviceMemoryError
 from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.instances import Instances, build_parts, mark_firsts
 from gn0.render.cuda.replay import (
     NO_ROOM,
     Heard,
@@ -33,6 +34,7 @@ from gn0.render.cuda.replay import (
     build_target,
     raise_wrong,
 )
+from gn0.render.cuda.source import kernel_source
 from gn0.render.cuda.tables import (
     CHUNK,
     GROUP,
@@ -40,29 +42,16 @@ from gn0.render.cuda.tables import (
     VIEW,
     Shares,
     build_views,
-    choose_chunks,
+    choose_shares,
     join_tables,
-    most_blocks,
     share_work,
 )
-from gn0.render.cuda.tune import FEW, MANY, Tuning, choose_tuning
+from gn0.render.cuda.tune import MANY, Tuning, choose_tuning
 from gn0.render.cuda.work import Lists, Work, WorkDevice
-from gn0.render.renderer import (
-    ALPHA_CAP,
-    ALPHA_MIN,
-    DILATION,
-    EXTENT_MAX,
-    TRANSMITTANCE_STOP,
-    VIEW_TOLERANCE,
-    Output,
-)
+from gn0.render.renderer import VIEW_TOLERANCE, Output
 
 _FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
-_FILES = (
-    *("view.cuh", "pose.cuh", "views.cu", "project.cuh", "list.cuh", "list.cu", "colour.cuh"),
-    *("group.cuh", "reach.cuh", "walk.cuh", "paint.cuh", "paint.cu"),
-)
 _ORTHO, _ANTIALIASED = 1, 2  # flags
 _SCAN = 2048  # counts a block of the scan adds up
 _SAMPLED = 4096  # lists from which on they get room by a sample of the splats
@@ -70,6 +59,7 @@ _BLOCKS_MAX = 2**31 - 1  # of a launch
 _ROOMS_SHARE = 1 / 8  # of the memory for lists, where all have the same room
 _ENTRIES_MAX = 2**32 - 1  # that a place of 32 bits can tell apart
 _ENTRY = 16  # bytes: of a list, and of the spare one that a long list is parted into
+_VIEW_WORDS = VIEW.itemsize // 4
 _CLASSES = 18  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
 _ROW = 256  # bytes that pictures sharing memory are laid out by
@@ -80,23 +70,6 @@ _log = logging.getLogger(__name__)
 
 def _flags(camera: Camera, antialiased: bool) -> int:
     return (_ORTHO if camera.model == "ortho" else 0) | (_ANTIALIASED if antialiased else 0)
-
-
-def kernel_source(tuning: Tuning) -> KernelSource:
-    """The drawing kernels."""
-    folder = Path(__file__).parent / "kernels"
-    constants = (
-        ("DILATION", float(DILATION)),
-        ("ALPHA_CAP", float(ALPHA_CAP)),
-        ("LOG_ALPHA_MIN", math.log(ALPHA_MIN)),
-        ("TRANSMITTANCE_STOP", float(TRANSMITTANCE_STOP)),
-        ("PAD", EXTENT_MAX * math.sqrt(DILATION) + 0.5),  # px: the dilation, and rounding
-    )
-    files = tuple(folder / name for name in _FILES)
-    return KernelSource("draw", files, (*tuning.defines, *constants))
-
-
-SOURCES = (kernel_source(MANY), kernel_source(FEW))  # what is compiled ahead of time
 
 
 class Drawer:
@@ -120,13 +93,14 @@ class Drawer:
         self.repeats = 0  # batches begun again with more room or fewer views
         self.entries = 0  # tile entries of the last batch
         self.on_stage: Callable[[str], None] | None = None  # told of each stage before it begins
-        self._loaded: dict[Tuning, Mapping[str, Kernel]] = {}
+        self._loaded: dict[tuple[Tuning, bool], Mapping[str, Kernel]] = {}
         self._held: dict[str, DeviceArray] = {}
         self._density: dict[tuple[object, ...], float] = {}  # entries a splat, by picture
         self._first_density = 0.5
         self._said = False
         self._plan: tuple[tuple[object, ...], Shares, list[DeviceArray]] | None = None
         self._named: tuple[bytes, DeviceArray] | None = None
+        self._lit: tuple[bytes, DeviceArray] | None = None
         self._longest: dict[tuple[object, ...], int] = {}  # entries of a list, by picture
         self._exact = False  # whether the next batch counts all splats: a sample fell short
         self._misses: dict[tuple[object, ...], int] = {}  # such samples, by picture
@@ -179,6 +153,7 @@ class Drawer:
         floors: DeviceArray | None = None,
         tails: Sequence[CloudDevice] = (),
         tail_of: NDArray[np.int32] | None = None,
+        instances: Instances | None = None,
         pictures: PicturesDevice,
         rows: NDArray[np.int64] | None = None,
         background: F32,
@@ -200,26 +175,35 @@ class Drawer:
                 each of the first clouds, which alone `cloud_of` may number; sets come after them.
             tails: moving clouds, once each, drawn after all others at equal depth.
             tail_of: [V] which of them a view shows, -1 for none.
+            instances: clouds that stand somewhere in views; drawn after all others at equal
+                depth, in the order given. With `matrices` on the device they are brought there.
             pictures: what to fill; its type decides the type of rgb.
             rows: [V] rows of `pictures` that the views fill; their own numbers when None.
             background: float32 [3].
             antialiased: compensate opacity for the dilation.
 
         Raises:
-            RenderError: a view on the device is not finite, not rigid, or of no cloud.
+            RenderError: a view or an instance on the device is not finite, not rigid, or of no
+                cloud; or there are more instances than keys can number.
             SetMissingError: the visible set of one is not here.
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
         """
         last = (None, build_target(pictures, background))
         work: Work
+        if instances is not None and not len(instances):
+            instances = None
         if isinstance(matrices, DeviceArray):
             assert not tails and rows is None and not isinstance(cloud_of, np.ndarray)
-            work = WorkDevice(camera, matrices, clouds, cloud_of, floors)
+            placed = None if instances is None else instances.place(self.device)
+            work = WorkDevice(camera, matrices, clouds, cloud_of, floors, placed)
         else:
             assert isinstance(cloud_of, np.ndarray)
-            work = Work(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows)
-        self._run(work, "paint_tiles", last, antialiased)
+            work = Work(
+                *(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows),
+                instances=instances,
+            )
+        self._run(work, "paint_tiles" if instances is None else "paint_parts", last, antialiased)
 
     def mark(
         self,
@@ -383,6 +367,7 @@ class Drawer:
         split = min(self.tuning.split, all_tiles) if room else 0
         aside = self._need("aside", 4 * split * room, np.uint64) if split else None
         shares, (clouds, groups, members), group_count, view_table = self._tables(work, views, own)
+        behind = None if work.instances is None else view_table[count * _VIEW_WORDS :]
         return Lists(
             first=views.start,
             count=count,
@@ -409,6 +394,8 @@ class Drawer:
             split=split,
             tiles=(np.uint32(work.tiles_x), np.uint32(tiles)),
             shape=(np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags)),
+            part_views=behind,
+            parts=None if behind is None else self._held["parts"],
         )
 
     def _launch(
@@ -421,11 +408,12 @@ class Drawer:
         header: ReplayHeader | None = None,
     ) -> None:
         """Launch all kernels of a batch."""
-        kernels, whole = self._kernels, np.uint32(lists.all_tiles)
+        kernels, whole = self._kernels_for(work), np.uint32(lists.all_tiles)
+        listing = "entries" if work.instances is None else "parts"
         zeros = lists.all_tiles + _CLASSES
         checked = 0
         if isinstance(work, WorkDevice):
-            checked = lists.count
+            checked = lists.count + (0 if work.instances is None else len(work.instances))
             self._write_views(work, lists, zeros, header)
         else:
             self.device.fill(lists.counts[:zeros], 0)
@@ -434,14 +422,14 @@ class Drawer:
         stride, many = np.uint32(lists.stride), lists.scan_blocks > 1
         if not lists.room:
             self._tell("count")
-            kernels["count_entries"].launch(lists.listing_blocks, CHUNK, *lists.listing, stride)
+            kernels[f"count_{listing}"].launch(lists.listing_blocks, CHUNK, *lists.listing, stride)
             self._tell("scan")
             scan = (lists.scan_blocks, 256, lists.counts, whole, stride)
             if many:
                 kernels["sum_counts"].launch(*scan, None, lists.sums, None)
             kernels["place_lists"].launch(*scan, lists.sums, lists.starts)
         self._tell("emit")
-        kernels["emit_entries"].launch(
+        kernels[f"emit_{listing}"].launch(
             *(lists.listing_blocks, CHUNK, *lists.listing, needed, lists.entries),
             *(np.uint64(lists.capacity), np.uint32(lists.room)),
         )
@@ -461,6 +449,7 @@ class Drawer:
             *(lists.views, lists.clouds, lists.starts, lists.counts, lists.entries),
             *(np.uint64(lists.capacity), np.uint32(lists.room), lists.aside),
             *(np.uint32(lists.split), lists.order, lists.state, *lists.tiles, *lists.shape, *last),
+            *(() if lists.parts is None else (lists.part_views, lists.parts)),
         )
 
     def _tables(
@@ -469,7 +458,6 @@ class Drawer:
         """Listing blocks and chunks of each; clouds, groups, members; number of groups; views."""
         if isinstance(work, WorkDevice):
             return self._tables_there(work, views, own)
-        shares, tables = self._share(work, work.cloud_of[views], work.tail_of[views], own)
         table = build_views(
             work.camera,
             work.matrices[views],
@@ -477,6 +465,23 @@ class Drawer:
             work.tail_of[views],
             work.rows[views],
         )
+        part_of = None
+        if work.instances is not None:
+            counts = work.instances.counts(work.count)
+            which = slice(int(counts[: views.start].sum()), int(counts[: views.stop].sum()))
+            mark_firsts(table, counts[views])
+            behind, parts = build_parts(
+                *(
+                    work.camera,
+                    work.matrices[views],
+                    work.instances,
+                    work.whose[which] - views.start,
+                ),
+                *(work.before[which], work.table, work.base, which),
+            )
+            part_of, table = work.part_of[which], np.concatenate([table, behind])
+            self._upload("parts", parts)
+        shares, tables = self._share(work, work.cloud_of[views], work.tail_of[views], own, part_of)
         return shares.sizes, tables, len(shares.groups), self._upload("views", table)
 
     def _tables_there(
@@ -484,7 +489,10 @@ class Drawer:
     ) -> tuple[tuple[int, int], list[DeviceArray], int, DeviceArray]:
         """The same of views that the host does not know: room for what the device will write."""
         count, known = views.stop - views.start, len(work.table)
-        view_table = self._need("views", count * VIEW.itemsize // 4, np.uint32)
+        many = 0 if work.instances is None else len(work.instances)
+        view_table = self._need("views", (count + many) * _VIEW_WORDS, np.uint32)
+        if many:
+            self._need("parts", many * _VIEW_WORDS, np.uint32)
         if not work.grouped:  # all show one cloud, so the host can share the work out
             nothing = np.zeros(count, np.int32)
             shares, tables = self._share(work, nothing, nothing - 1, own)
@@ -492,12 +500,10 @@ class Drawer:
         self._need("shown", known, np.uint32)
         tables = [self._clouds(work, own), *(
             self._need(name, words, np.uint32) for name, words in (
-                ("groups", known * GROUP.itemsize // 4), ("members", count))
+                ("groups", known * GROUP.itemsize // 4), ("members", count + many))
         )]  # fmt: skip
-        by, most, spread = self.tuning.shares
-        each = choose_chunks(most_blocks(work.chunks, count, by), most, spread)
-        blocks = most_blocks(work.chunks, count, by, each)
-        return (blocks, each), tables, known, view_table
+        shown = [(work.chunks[: work.base], count), (work.chunks[work.base :], many)]
+        return choose_shares(shown, *self.tuning.shares), tables, known, view_table
 
     def _write_views(
         self, work: WorkDevice, lists: Lists, zeros: int, header: ReplayHeader | None
@@ -511,12 +517,29 @@ class Drawer:
             *(np.float64(VIEW_TOLERANCE), np.uint32(lists.first), np.uint32(count)),
             *(work.like, lists.views, lists.counts, np.uint32(zeros), *sent),
         )
+        every = count
+        if work.instances is not None:
+            self._write_parts(work, lists, work.instances)
+            every += len(work.instances)
         if work.grouped:
             shown = self._need("shown", known, np.uint32)
             self._kernels["group_views"].launch(
-                *(1, 256, lists.views, lists.clouds, np.uint32(count), np.uint32(known)),
+                *(1, 256, lists.views, lists.clouds, np.uint32(every), np.uint32(known)),
                 *(np.uint32(lists.each), shown, lists.groups, lists.members),
             )
+
+    def _write_parts(self, work: WorkDevice, lists: Lists, instances: Instances) -> None:
+        """Let the device write the views of instances behind the others."""
+        count, firsts = len(instances), instances.firsts
+        given = (None, np.uint32(firsts)) if isinstance(firsts, int) else (firsts, np.uint32(0))
+        self._kernels_for(work)["write_parts"].launch(
+            *(-(-max(count, lists.count) // 128), 128),
+            *(work.poses, instances.poses, instances.gains, instances.chosen),
+            *(*given, lists.clouds, np.uint32(work.base), np.uint32(len(instances.clouds))),
+            *(self._normals(instances), np.float64(VIEW_TOLERANCE), np.uint32(lists.first)),
+            *(np.uint32(lists.count), np.uint32(work.count), np.uint32(count)),
+            *(work.like, lists.views, lists.parts),
+        )
 
     def record(
         self,
@@ -526,6 +549,7 @@ class Drawer:
         chosen: NDArray[np.int32] | None,
         *,
         floors: DeviceArray | None = None,
+        instances: Instances | None = None,
         antialiased: bool = False,
     ) -> Replay | None:
         """A call of `draw` with views of the host, to be drawn again with other poses.
@@ -538,35 +562,52 @@ class Drawer:
             clouds: as in `draw`.
             chosen: [V] which of `clouds` a view shows; all show the first when None.
             floors: as in `draw`.
+            instances: as in `draw`, on the host: their clouds, how many there are of each view,
+                and whether they have gains. Poses and gains are said with those of the views.
             antialiased: as in `draw`.
 
         Raises:
             DeviceMemoryError: there is no room for its tables.
             DeviceError: the device is lost.
         """
-        header = ReplayHeader(self.device, count)
+        many = 0 if instances is None else len(instances)
+        lit = instances is not None and instances.gains is not None
+        header = ReplayHeader(self.device, count, many, lit=lit)
         which = None if chosen is None else self.device.upload(chosen)
-        work = WorkDevice(camera, header.poses, clouds, which, floors)
+        placed: Instances | None = None
+        if instances is not None and many:
+            gains = header.gains if lit else None
+            placed = replace(instances, poses=header.part_poses, gains=gains).place(self.device)
+        work = WorkDevice(camera, header.poses, clouds, which, floors, placed)
         self._begin(work)
         if self._fit(work, 0) < count:
             return None
         flags = _flags(camera, antialiased)
         lists = self._lay_out(work, slice(0, count), flags, own=True)
-        _ = self._kernels  # compiled before it records
+        _ = self._kernels_for(work)  # compiled before it records
+        if placed is not None:
+            self._normals(placed)
         last = (header.target, np.zeros(1, TARGET)[0])
         with self.device.capture() as graph:
-            self._launch(work, lists, header.heard, "paint_tiles", last, header)
-        replay = Replay(header, graph, lists, (clouds, floors))
+            painting = "paint_tiles" if placed is None else "paint_parts"
+            self._launch(work, lists, header.heard, painting, last, header)
+        replay = Replay(header, graph, lists, (clouds, floors, placed, which))
         self._replays.add(replay)
         return replay
 
     def _share(
-        self, work: Work, cloud_of: NDArray[np.integer], tail_of: NDArray[np.integer], own: bool
+        self,
+        work: Work,
+        cloud_of: NDArray[np.integer],
+        tail_of: NDArray[np.integer],
+        own: bool,
+        part_of: NDArray[np.integer] | None = None,
     ) -> tuple[Shares, list[DeviceArray]]:
         """Who lists what, and its tables on the device; kept while calls show the same clouds."""
-        key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes(), self.tuning.shares)
+        key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes(), self.tuning.shares,
+               None if part_of is None else part_of.tobytes())  # fmt: skip
         if own or self._plan is None or self._plan[0] != key:
-            shares = share_work(work.table, cloud_of, tail_of, *self.tuning.shares)
+            shares = share_work(work.table, cloud_of, tail_of, *self.tuning.shares, part_of)
             words, where = join_tables(work.table, shares.groups, shares.members)
             held = self.device.upload(words) if own else self._upload("plan", words)
             plan = (key, shares, [held[at] for at in where])
@@ -583,6 +624,13 @@ class Drawer:
         if self._named is None or self._named[0] != key:
             self._named = (key, self._upload("clouds", work.table))
         return self._named[1]
+
+    def _normals(self, instances: Instances) -> DeviceArray:
+        """Where normals of clouds lie; kept while calls name the same ones."""
+        table = instances.normals
+        if self._lit is None or self._lit[0] != table.tobytes():
+            self._lit = (table.tobytes(), self.device.upload(table))
+        return self._lit[1]
 
     def _upload(self, name: str, table: NDArray[Any]) -> DeviceArray:
         words = table.view(np.uint32)
@@ -615,9 +663,17 @@ class Drawer:
 
     @property
     def _kernels(self) -> Mapping[str, Kernel]:
-        loaded = self._loaded.get(self.tuning)
+        return self._load(False)
+
+    def _kernels_for(self, work: Work) -> Mapping[str, Kernel]:
+        """Kernels by name; those of views with instances only where there are some."""
+        return self._kernels if work.instances is None else {**self._kernels, **self._load(True)}
+
+    def _load(self, parts: bool) -> Mapping[str, Kernel]:
+        loaded = self._loaded.get((self.tuning, parts))
         if loaded is None:
-            loaded = self._loaded[self.tuning] = self.device.load(kernel_source(self.tuning))
+            loaded = self.device.load(kernel_source(self.tuning, parts=parts))
+            self._loaded[self.tuning, parts] = loaded
         return loaded
 
     def _tell(self, stage: str) -> None:

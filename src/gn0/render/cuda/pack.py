@@ -26,7 +26,9 @@ from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32
 from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.instances import pack_normals
 from gn0.render.cuda.tables import CHUNK, NOWHERE, SPLATS_MAX
+from gn0.render.instance import PART_SPLATS_MAX, find_normals
 from gn0.render.renderer import ALPHA_MIN
 
 SPLAT = 16  # floats a packed splat
@@ -46,10 +48,10 @@ _SOURCE = KernelSource(
 )
 
 
-def cloud_bytes(splats: int, degree: int) -> int:
-    """Device memory of a cloud of so many splats, at most."""
-    chunks = -(-splats // CHUNK)
-    return chunks * (CHUNK * (SPLAT * 4 + 4 + SH_ROW[degree] * 2) + _BOX * 4) + splats * 4
+def cloud_bytes(splats: int, degree: int, *, part: bool = False) -> int:
+    """Device memory of a cloud of so many splats, at most; `part`: with their normals."""
+    chunks, more = -(-splats // CHUNK), 8 if part else 4
+    return chunks * (CHUNK * (SPLAT * 4 + more + SH_ROW[degree] * 2) + _BOX * 4) + splats * 4
 
 
 def cloud_kernels(device: Device) -> Mapping[str, Kernel]:
@@ -66,12 +68,14 @@ class CloudReady:
         places: uint32 [N] packed number of each splat; `NOWHERE` for those that cannot show.
         alive: how many can.
         ordered: whether packed numbers are the splats' own.
+        normals: uint32 [N] of a cloud that may be an instance, else None.
     """
 
     cloud: GaussianCloud
     places: NDArray[np.uint32]
     alive: int
     ordered: bool
+    normals: NDArray[np.uint32] | None = None
 
     def __len__(self) -> int:
         return len(self.cloud)
@@ -82,12 +86,22 @@ class CloudReady:
         return self.cloud.sh_degree
 
 
-def prepare_cloud(cloud: GaussianCloud, *, sort: bool = True) -> CloudReady:
+def prepare_cloud(cloud: GaussianCloud, *, sort: bool = True, part: bool = False) -> CloudReady:
     """Check a cloud and choose its packed order; needs no device, so any thread may do it.
 
+    Args:
+        cloud: the splats.
+        sort: put them in Morton order.
+        part: it may be an instance, and then brings its normals.
+
     Raises:
-        RenderError: see `upload_cloud`.
+        RenderError: see `upload_cloud`, or too many splats for a part.
     """
+    if part and len(cloud) > PART_SPLATS_MAX:
+        raise RenderError(
+            f"a part of {len(cloud):,} splats; the device renderer numbers {PART_SPLATS_MAX:,}",
+            remedy="split it",
+        )
     if len(cloud) > SPLATS_MAX:
         raise RenderError(
             f"a cloud of {len(cloud):,} splats; the device renderer numbers {SPLATS_MAX:,}",
@@ -98,7 +112,8 @@ def prepare_cloud(cloud: GaussianCloud, *, sort: bool = True) -> CloudReady:
     places = np.full(len(cloud), NOWHERE, np.uint32)
     places[index] = np.arange(len(index), dtype=np.uint32)
     ordered = len(index) == len(cloud) and bool((index[1:] > index[:-1]).all())
-    return CloudReady(cloud, places, len(index), ordered)
+    normals = pack_normals(find_normals(cloud)) if part else None
+    return CloudReady(cloud, places, len(index), ordered, normals)
 
 
 def upload_cloud(
@@ -217,7 +232,7 @@ def _upload_alike(device: Device, ready: Sequence[CloudReady], degree: int) -> l
         pack.run([(cloud, at) for cloud, at, _ in pieces], rows, splats, order, sh)
     kernels["box_chunks"].launch(row // CHUNK, CHUNK, splats, None, np.uint32(row), boxes)
     found = []
-    for lay in layouts:
+    for lay, one in zip(layouts, ready, strict=True):
         here = slice(lay.row, lay.row + lay.chunks * CHUNK)
         found.append(
             CloudDevice(
@@ -232,9 +247,18 @@ def _upload_alike(device: Device, ready: Sequence[CloudReady], degree: int) -> l
                 ordered=lay.ordered,
                 size=lay.size,
                 alive=lay.alive,
+                normals=_place_normals(device, one, lay.chunks * CHUNK),
             )
         )
     return found
+
+
+def _place_normals(device: Device, ready: CloudReady, rows: int) -> DeviceArray | None:
+    if ready.normals is None:
+        return None
+    placed, there = np.zeros(rows, np.uint32), ready.places != NOWHERE
+    placed[ready.places[there]] = ready.normals[there]
+    return device.upload(placed)
 
 
 class _Packer:

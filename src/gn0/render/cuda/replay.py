@@ -27,6 +27,16 @@ _WRONG = (  # with a view, as `views.cu` numbers it
     ("a view is of no scene that is here", "give numbers of keys that are not None"),
 )
 
+_PART = 2**31  # top bit of such a word: of an instance; then three bits say what
+_WRONG_PART = (  # as `parts.cu` numbers it
+    ("an instance's pose is not finite", ""),
+    ("an instance's pose is not a rigid transform", "give a rotation and a translation"),
+    ("an instance is of no cloud that is here", "give numbers of the call's clouds, or -1"),
+    ("an instance's gain is not finite", ""),
+    ("too many instances in a view, or instances of none", "give ascending offsets, 32 at most"),
+)
+_OFFSETS = 4
+
 NO_ROOM = 2**64 - 1  # where a list has outgrown its own
 _SILENCE = 0xFEFEFEFEFEFEFEFE  # where no word has come yet: never a word
 _EAGER = 2e-4  # s that the host waits without sleeping
@@ -78,10 +88,15 @@ def raise_wrong(word: int) -> None:
 
     Raises:
         SetMissingError: the visible set of a view is not there.
-        RenderError: a view is not finite, not rigid, or of no scene.
+        RenderError: a view or an instance is not finite, not rigid, or of nothing that is here.
     """
     if word & NOWHERE == NOWHERE:
         return
+    if word & _PART:
+        number, why = (word & (_PART - 1)) >> 3, word & 7
+        what, remedy = _WRONG_PART[why]
+        whose = f"{'view' if why == _OFFSETS else 'instance'} {number}"
+        raise RenderError(what, where=whose, remedy=remedy)
     where = f"view {(word & NOWHERE) >> 2}"
     if word & 3 == _NOT_HELD:
         raise SetMissingError("its visible set is not on the device", where=where)
@@ -133,10 +148,16 @@ class ReplayHeader:
     Args:
         device: draws.
         count: of views.
+        instances: of all of them together.
+        lit: whether instances have gains.
     """
 
-    def __init__(self, device: Device, count: int) -> None:
-        size = TARGET.itemsize + count * 128
+    def __init__(
+        self, device: Device, count: int, instances: int = 0, *, lit: bool = False
+    ) -> None:
+        behind = TARGET.itemsize + count * 128
+        gains = behind + instances * 128
+        size = gains + instances * 48 * lit
         block = device.pinned(size, np.uint8)
         self.heard = Heard(device)
         self.target = device.empty(TARGET.itemsize // 4, np.uint32)
@@ -150,9 +171,22 @@ class ReplayHeader:
         self.sent = (words, self.target, np.uint32(len(self.target)))
         self._places = block[:32].view(np.uint64)
         self._background = block[32:44].view(np.float32)
-        self._poses = block[TARGET.itemsize :].view(np.float64).reshape(count, 4, 4)
+        self._poses = block[TARGET.itemsize : behind].view(np.float64).reshape(count, 4, 4)
+        self._part_poses = block[behind:gains].view(np.float64).reshape(instances, 4, 4)
+        self._gains = block[gains:].view(np.float32).reshape(-1, 4, 3)
+        self.part_poses, self.gains = (
+            DeviceArray(device, array.ctypes.data, array.shape, array.dtype, block)
+            for array in (self._part_poses, self._gains)
+        )
 
-    def write(self, poses: NDArray[np.floating], pictures: PicturesDevice, background: F32) -> None:
+    def write(
+        self,
+        poses: NDArray[np.floating],
+        pictures: PicturesDevice,
+        background: F32,
+        part_poses: NDArray[np.floating] | None = None,
+        gains: F32 | None = None,
+    ) -> None:
         """Say what is to be drawn; only when the words of the call before have come."""
         rgb, depth, alpha = pictures.rgb, pictures.depth, pictures.alpha
         as_float = rgb is not None and rgb.dtype == np.float32
@@ -164,6 +198,10 @@ class ReplayHeader:
         )
         self._background[:] = background
         self._poses[:] = poses
+        if part_poses is not None:
+            self._part_poses[:] = part_poses
+        if gains is not None:
+            self._gains[:] = gains
         self.heard.hush()
 
 
@@ -193,7 +231,12 @@ class Replay:
         self._graph = self._lists = self._held = None
 
     def draw(
-        self, poses: NDArray[np.floating], pictures: PicturesDevice, background: F32
+        self,
+        poses: NDArray[np.floating],
+        pictures: PicturesDevice,
+        background: F32,
+        part_poses: NDArray[np.floating] | None = None,
+        gains: F32 | None = None,
     ) -> int | None:
         """Draw as many views as were recorded; the pictures may still be under way.
 
@@ -201,6 +244,8 @@ class Replay:
             poses: world-to-camera [V, 4, 4].
             pictures: what to fill.
             background: float32 [3].
+            part_poses: part-to-world [I, 4, 4] of as many instances as were recorded.
+            gains: theirs, float32 [I, 4, 3], if they had some.
 
         Returns:
             Entries of the lists; None when they had no room, and nothing was drawn.
@@ -211,7 +256,7 @@ class Replay:
             DeviceError: the device is lost.
         """
         assert self._graph is not None and self._lists is not None
-        self._header.write(poses, pictures, background)
+        self._header.write(poses, pictures, background, part_poses, gains)
         lists = self._lists
         try:
             self._graph.launch()

@@ -5,6 +5,7 @@ The layouts are those of `kernels/view.cuh` and `kernels/views.cu`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,6 +18,7 @@ from gn0.render.camera import Camera
 CHUNK = 256  # splats a chunk
 TILE = 16  # px
 NOWHERE = 0xFFFFFFFF
+TAIL = 2**31  # top bit of a key's low word: moves
 SPLATS_MAX = 2**27  # of a cloud: what indices in keys have room for, see `QUARTER_BITS`
 VIEW = np.dtype(
     [
@@ -32,7 +34,7 @@ VIEW = np.dtype(
         ("cloud", "<u4"),
         ("tail", "<u4"),
         ("row", "<u4"),
-        ("spare", "<u4", 3),
+        ("spare", "<u4", 3),  # what is wrong; of instances, see `kernels/view.cuh`
     ]
 )
 CLOUD = np.dtype(
@@ -137,11 +139,24 @@ def share_work(
     views_a_block: int,
     most_chunks: int = 1,
     spread: int = 1,
+    part_of: NDArray[np.integer] | None = None,
 ) -> Shares:
-    """Group views by the clouds, and by the tails, that they show."""
+    """Group views by the clouds, and by the tails, that they show.
+
+    Args:
+        clouds: table of all.
+        cloud_of: [V] which of them each view shows.
+        tail_of: [V] the same of its tail; -1 is none.
+        views_a_block: that a listing block projects its chunks for.
+        most_chunks: of a block.
+        spread: blocks that there should be before one takes several chunks.
+        part_of: [I] clouds of instances, whose views come behind the others; -1 is none.
+    """
     tables, members, all_rows = [], [], []
     first = 0
-    for is_tail, shown in ((0, cloud_of), (1, tail_of)):
+    moving = np.zeros(0, np.int64) if part_of is None else part_of
+    behind = len(cloud_of)
+    for is_tail, before, shown in ((0, 0, cloud_of), (1, 0, tail_of), (0, behind, moving)):
         shown = np.asarray(shown)
         by_cloud = np.argsort(shown, kind="stable")
         numbers, counts = np.unique(shown, return_counts=True)
@@ -149,7 +164,7 @@ def share_work(
             np.where(numbers >= 0, clouds["chunks"][numbers], 0) if len(clouds) else 0 * numbers
         )
         drawn = chunks > 0
-        members.append(by_cloud[np.repeat(drawn, counts)])
+        members.append(before + by_cloud[np.repeat(drawn, counts)])
         numbers, counts, chunks = numbers[drawn], counts[drawn], chunks[drawn]
         table = np.zeros(len(numbers), GROUP)
         table["cloud"], table["tail"], table["chunks"] = numbers, is_tail, chunks
@@ -180,6 +195,16 @@ def most_blocks(
     """
     each = np.sort(-(-chunks.astype(np.int64) // chunks_a_block))[::-1][:views]
     return int(each.sum()) + views // views_a_block * int(each[0]) if len(each) else 0
+
+
+def choose_shares(
+    shown: Sequence[tuple[NDArray[np.integer], int]], views_a_block: int, most: int, spread: int
+) -> tuple[int, int]:
+    """Blocks that suffice, and chunks of each, for clouds and how many views choose among them."""
+    rows = sum(most_blocks(chunks, views, views_a_block) for chunks, views in shown)
+    each = choose_chunks(rows, most, spread)
+    blocks = sum(most_blocks(chunks, views, views_a_block, each) for chunks, views in shown)
+    return blocks, each
 
 
 def join_tables(*tables: NDArray[np.generic]) -> tuple[NDArray[np.uint32], list[slice]]:

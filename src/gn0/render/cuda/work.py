@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import DeviceArray
+from gn0.errors import RenderError
 from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice, build_clouds
+from gn0.render.cuda.instances import BEFORE_TAILS, NO_PART, Instances, find_whose
 from gn0.render.cuda.tables import CHUNK, TILE, build_view
+from gn0.render.instance import PART_SPLATS_MAX
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -35,6 +38,8 @@ class Lists:
         split: tiles, of which four blocks draw a quarter each.
         tiles: across a picture, and of it.
         shape: width, height and flags.
+        part_views, parts: views of instances, which lie behind the others, and what painting
+            needs to know of each; None without.
     """
 
     first: int
@@ -62,6 +67,8 @@ class Lists:
     split: int
     tiles: tuple[np.uint32, np.uint32]
     shape: tuple[np.int32, np.int32, np.uint32]
+    part_views: DeviceArray | None = None
+    parts: DeviceArray | None = None
 
     @property
     def listing(self) -> tuple[Any, ...]:
@@ -77,7 +84,7 @@ class Lists:
 
 
 class Work:
-    """Views to draw, each of one of `clouds`; the tails lie behind the first `tails`."""
+    """Views to draw, each of one of `clouds`: scenes, from `tails` on tails, then instances'."""
 
     def __init__(
         self,
@@ -88,9 +95,10 @@ class Work:
         tail_of: NDArray[np.int32] | None,
         tails: int,
         rows: NDArray[np.int64] | None,
+        instances: Instances | None = None,
     ) -> None:
-        self._of_clouds(camera, clouds)
         self.count = count = len(matrices)
+        self._of_clouds(camera, clouds, instances)
         self.matrices, self.cloud_of = matrices, np.asarray(cloud_of)
         moving = np.full(count, -1) if tail_of is None else np.asarray(tail_of)
         self.tail_of = np.where(moving < 0, -1, moving + tails)
@@ -98,8 +106,27 @@ class Work:
         sizes = np.append(self.chunks * CHUNK, 0)  # of no tail: the last
         self.splats = sizes[self.cloud_of] + sizes[self.tail_of]
         self.picture: tuple[object, ...] = (camera.width, camera.height, camera.model)
+        if instances is None:
+            return
+        chosen = instances.chosen
+        assert isinstance(chosen, np.ndarray)
+        self.part_of = np.where(chosen == NO_PART, -1, self.base + chosen)
+        self.whose, self.before = find_whose(instances, count)
+        np.add.at(self.splats, self.whose, sizes[self.part_of])
+        self.picture = (*self.picture, "instances")
+        if tail_of is not None:
+            _check_tails(clouds, tails)
 
-    def _of_clouds(self, camera: Camera, clouds: Sequence[CloudDevice | None]) -> None:
+    def _of_clouds(
+        self,
+        camera: Camera,
+        clouds: Sequence[CloudDevice | None],
+        instances: Instances | None,
+    ) -> None:
+        self.base, self.instances = len(clouds), instances
+        if instances is not None:
+            instances.check(self.count)
+            clouds = [*clouds, *instances.clouds]
         self.camera, self.table = camera, build_clouds(clouds)
         self.held = clouds  # the table only points to them
         self.chunks = self.table["chunks"].astype(np.int64)
@@ -117,15 +144,37 @@ class WorkDevice(Work):
         clouds: Sequence[CloudDevice | None],
         chosen: DeviceArray | None,
         floors: DeviceArray | None,
+        instances: Instances | None = None,
     ) -> None:
-        self._of_clouds(camera, clouds)
         self.count, self.poses, self.chosen, self.floors = len(poses), poses, chosen, floors
+        self._of_clouds(camera, clouds, instances)
         self.named = len(clouds) if floors is None else len(floors)
-        self.grouped = chosen is not None or floors is not None
+        several = chosen is not None or floors is not None
+        self.grouped = several or instances is not None
         self.like = build_view(camera)
         # as if all showed the largest, so that lists are seldom thought too short
-        sets = self.chunks[self.named :]
-        largest = sets if len(sets) else self.chunks
+        sets = self.chunks[self.named : self.base]
+        largest = sets if len(sets) else self.chunks[: self.base]
         self.splats = np.full(self.count, largest.max(initial=0) * CHUNK)
         kind = ("chosen",) if floors is None else ("sets",)
-        self.picture = (camera.width, camera.height, camera.model, *(kind if self.grouped else ()))
+        self.picture = (camera.width, camera.height, camera.model, *(kind if several else ()))
+        if instances is not None:
+            each = -(-len(instances) // max(self.count, 1))
+            self.splats += each * int(self.chunks[self.base :].max(initial=0)) * CHUNK
+            self.picture = (*self.picture, "instances")
+
+
+def _check_tails(clouds: Sequence[CloudDevice | None], tails: int) -> None:
+    """With instances, a tail's splats are numbered behind those of its scene.
+
+    Raises:
+        RenderError: there are too many for that.
+    """
+    for n, cloud in enumerate(clouds):
+        most = BEFORE_TAILS if n < tails else PART_SPLATS_MAX
+        if cloud is not None and cloud.size > most:
+            raise RenderError(
+                f"a cloud of {cloud.size:,} splats beside instances and moving splats",
+                where="tails" if n >= tails else "clouds",
+                remedy=f"at most {most:,}, or draw the moving splats as an instance",
+            )

@@ -220,7 +220,7 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
   for (u32 k = threadIdx.x; k < count * 8; k += blockDim.x) {
     u32 view = members[g.first_member + first + k / 8];
     ((float4 *)&held[k / 8])[k % 8] = ((const float4 *)(views + view))[k % 8];
-    if (k % 8 == 0) held[k / 8].who = view;
+    if (k % 8 == 0) held[k / 8].who = INSTANCES && views[view].spare[IS_PART] ? views[view].spare[WHOSE] : view;
   }
   __syncthreads();
   u32 mask = 0;
@@ -247,11 +247,13 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
       s = load_splat(cloud.splats + (u64)slot * 4);
       if (EMIT && cloud.places) index = __ldg(cloud.order + slot);
     }
+    if (INSTANCES && g.tail) index += TAIL_INDEX;
     index <<= QUARTER_BITS;
-    if (g.tail) index |= TAIL;
+    if (!INSTANCES && g.tail) index |= TAIL;
     for (u32 rest = mask; rest; rest &= rest - 1) {
       const ViewHeld &one = held[__ffs(rest) - 1];
-      list_splat<EMIT>(s, index, load_view(one.view), flags, tiles_x, one.who * tiles, to);
+      u32 low = INSTANCES ? index | one.view.spare[IS_PART] : index;
+      list_splat<EMIT>(s, low, load_view(one.view), flags, tiles_x, one.who * tiles, to);
     }
   }
 }

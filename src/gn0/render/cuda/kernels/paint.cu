@@ -10,7 +10,7 @@ KERNEL_BOUNDED(paint_tiles, THREADS, BLOCKS)
   Corner c;
   if (!find_corner(c, order, counts, split, tiles_x, tiles)) return;
   paint(t, views, clouds, starts, counts, entries, capacity, room, aside, c, width, height, flags,
-        listed, given);
+        listed, given, {nullptr, nullptr});
 }
 
 struct Marks {  // bits of splats that weigh more than a threshold somewhere
@@ -59,5 +59,6 @@ KERNEL_BOUNDED(mark_tiles, THREADS, BLOCKS)
 #pragma unroll
   for (int i = 0; i < PIXELS; i++)
     p.through[i] = at.x + i < width && at.y < height ? 1.f : 0.f;
-  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, aside, c, flags);
+  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, aside, c, flags,
+            {nullptr, nullptr});
 }

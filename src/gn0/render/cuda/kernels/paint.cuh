@@ -57,7 +57,8 @@ __device__ __forceinline__ void paint(TileRoom &t, const View *__restrict__ view
                                       const u64 *__restrict__ starts, const u32 *__restrict__ counts,
                                       u64 *entries, u64 capacity, u32 room, u64 *aside, Corner c,
                                       int width, int height, u32 flags,
-                                      const Target *__restrict__ listed, Target given) {
+                                      const Target *__restrict__ listed, Target given,
+                                      Moving moving) {
   int2 at = find_first(c);
   Picture p;
 #pragma unroll
@@ -65,7 +66,7 @@ __device__ __forceinline__ void paint(TileRoom &t, const View *__restrict__ view
     p.through[i] = at.x + i < width && at.y < height ? 1.f : -1.f;
     p.red[i] = p.green[i] = p.blue[i] = p.depth[i] = 0.f;
   }
-  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, aside, c, flags);
+  walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, aside, c, flags, moving);
   __syncthreads();  // all have left the walk
   c = t.corner, at = find_first(c);
   const Target to = listed ? *listed : given;

@@ -9,6 +9,16 @@
 #define ALL_QUARTERS 15u     // left above, left below, right above, right below
 #define NOWHERE 0xffffffffu
 
+// With INSTANCES, whose keys have TAIL, too: the instance and its index share what is the
+// index else, and tails are numbered behind the splats of their scene.
+#define PART_BITS 22  // of an index in an instance's cloud
+#define PART_SHIFT (PART_BITS + QUARTER_BITS)
+#define PART_INDEX ((1u << PART_BITS) - 1)
+#define TAIL_INDEX ((1u << 27) - (1u << PART_BITS))  // of a tail's first splat
+#define TAIL_SLOT (1u << 27)                         // beside a slot: of a tail
+#define IS_PART 1  // words of `spare`, beside what is wrong with it: an instance's key bits, else 0
+#define WHOSE 2    // the view that an instance belongs to, or the first instance of a view
+
 struct alignas(16) View {  // 32 words
   float r[9], eye[3], fx, fy, cx, cy, near, far;
   float lim_xp, lim_xn, lim_yp, lim_yn, gain_x, gain_y, width, height;
@@ -27,6 +37,18 @@ struct Cloud {  // 64 bytes
 
 struct Group {  // views of one cloud, and the blocks that list it
   u32 cloud, tail, first_block, chunks, first_member, members, spare[2];
+};
+
+struct alignas(16) Part {  // 32 words: what painting needs to know of an instance, beside its view
+  float gain[12];      // of colours: constant, then along x, y, z of the cloud's own frame
+  const u32 *normals;  // of packed splats; null where there is no gain
+  u32 spare[2];
+  Cloud cloud;
+};
+
+struct Moving {  // instances of all views
+  const View *views;
+  const Part *parts;
 };
 
 struct Splat {

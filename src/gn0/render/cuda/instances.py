@@ -1,0 +1,215 @@
+"""Instances of clouds in a drawing call: the view is moved into a cloud's frame, no splat is.
+
+An instance is one more view, of its own cloud, whose entries go to the tiles of the view that it
+belongs to. The host writes those of views that it knows, a kernel (`kernels/parts.cu`) those of
+views on the device, with the same operations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.device.device import Device, DeviceArray
+from gn0.errors import RenderError
+from gn0.geometry import F32, F64
+from gn0.render.camera import Camera
+from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.tables import CLOUD, NOWHERE, SPLATS_MAX, TAIL, VIEW, build_views
+from gn0.render.instance import PART_SPLATS_MAX, PARTS_MAX
+
+NO_PART = -1  # instead of the number of a cloud: nothing stands there
+BEFORE_TAILS = SPLATS_MAX - PART_SPLATS_MAX  # splats of a scene, where views also have a tail
+PART = np.dtype(
+    [("gain", "<f4", 12), ("normals", "<u8"), ("spare", "<u4", 2), ("cloud", CLOUD)]
+)  # as in `kernels/view.cuh`
+_PART_SHIFT = 26  # of an instance's number in a key's low word
+_IS_PART, _WHOSE = 1, 2  # words of a view's `spare`
+_AXIS = 32767  # steps of a normal's coordinate
+
+
+@dataclass(frozen=True, eq=False)
+class Instances:
+    """What stands where in the views of a call; all arrays on the host, or all on the device.
+
+    Attributes:
+        clouds: different clouds, once each, that were brought there as parts.
+        poses: part-to-world, rigid, float64 [I, 4, 4].
+        chosen: int32 [I], which of `clouds`; `NO_PART` is nothing.
+        firsts: int32 [V + 1], where the instances of each view begin, and the end of all; or how
+            many each view has.
+        gains: float32 [I, 4, 3] of colours: constant, then along x, y, z of the world; None: 1.
+    """
+
+    clouds: Sequence[CloudDevice]
+    poses: F64 | DeviceArray
+    chosen: NDArray[np.int32] | DeviceArray
+    firsts: NDArray[np.int32] | DeviceArray | int
+    gains: F32 | DeviceArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def place(self, device: Device) -> Instances:
+        """The same with all arrays on the device."""
+
+        def there(array: NDArray[np.generic] | DeviceArray) -> DeviceArray:
+            return device.upload(array) if isinstance(array, np.ndarray) else array
+
+        firsts, gains = self.firsts, self.gains
+        return replace(
+            self,
+            poses=there(self.poses),
+            chosen=there(self.chosen),
+            firsts=firsts if isinstance(firsts, int) else there(firsts),
+            gains=None if gains is None else there(gains),
+        )
+
+    def check(self, views: int) -> None:
+        """Compare what the host knows with what kernels rely on.
+
+        Raises:
+            RenderError: more instances a view than keys can number, larger clouds, clouds that
+                were not brought there as parts, or arrays that do not belong together.
+        """
+        for n, cloud in enumerate(self.clouds):
+            if cloud.size > PART_SPLATS_MAX:
+                raise RenderError(
+                    f"an instance of {cloud.size:,} splats; keys number {PART_SPLATS_MAX:,}",
+                    where=f"cloud {n}",
+                    remedy="split it, or draw it as a scene",
+                )
+            if self.gains is not None and cloud.normals is None:
+                raise RenderError(
+                    "a cloud without normals cannot be lit", where=f"cloud {n}",
+                    remedy="bring it to the device as a part",
+                )  # fmt: skip
+        count = len(self)
+        firsts = self.firsts
+        if isinstance(firsts, int):
+            most, fits = firsts, firsts * views == count
+        elif isinstance(firsts, np.ndarray):
+            many = np.diff(firsts)
+            most = int(many.max(initial=0))
+            fits = len(firsts) == views + 1 and firsts[0] == 0 and firsts[-1] == count
+            fits = bool(fits and (many >= 0).all())
+        else:  # read there
+            most, fits = 0, firsts.shape == (views + 1,) and firsts.dtype == np.int32
+        gains = (count, 4, 3) if self.gains is None else self.gains.shape
+        whole = self.poses.shape[1:] == (4, 4) and self.chosen.shape == (count,)
+        if not (fits and whole and gains == (count, 4, 3)):
+            raise RenderError(
+                f"{count} instances do not belong to {views} views",
+                where="instances",
+                remedy="give poses [I, 4, 4], numbers [I], gains [I, 4, 3] and firsts [V + 1]",
+            )
+        if most > PARTS_MAX:
+            raise RenderError(
+                f"{most} instances in a view, {PARTS_MAX} at most",
+                where="view 0" if isinstance(firsts, int) else f"view {int(np.argmax(many))}",
+            )
+
+    def counts(self, views: int) -> NDArray[np.int64]:
+        """Instances of each view; only the host's."""
+        assert not isinstance(self.firsts, DeviceArray)
+        if isinstance(self.firsts, int):
+            return np.full(views, self.firsts, np.int64)
+        return np.diff(self.firsts).astype(np.int64)
+
+    @property
+    def normals(self) -> NDArray[np.uint64]:
+        """Where those of each cloud are on the device."""
+        found = [0 if c.normals is None else c.normals.pointer for c in self.clouds]
+        return np.array(found, np.uint64)
+
+
+def find_whose(instances: Instances, views: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The view of each instance, and how many of that view come before it."""
+    counts = instances.counts(views)
+    whose = np.repeat(np.arange(views), counts)
+    return whose, np.arange(len(whose)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def build_parts(
+    camera: Camera,
+    matrices: F64,
+    instances: Instances,
+    whose: NDArray[np.int64],
+    before: NDArray[np.int64],
+    table: NDArray[np.void],
+    base: int,
+    which: slice,
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Views and what painting needs of the instances `which` of some views.
+
+    Args:
+        camera: of all views.
+        matrices: world-to-camera [V, 4, 4], of the views of these instances.
+        instances: of the call, on the host.
+        whose: [I] of which of `matrices` each of `which` is an instance.
+        before: [I] how many of the same view come before it.
+        table: clouds of the call, those of instances from `base` on.
+        base: the first of them.
+        which: instances of the call.
+    """
+    assert isinstance(instances.poses, np.ndarray) and isinstance(instances.chosen, np.ndarray)
+    poses, chosen = instances.poses[which], instances.chosen[which]
+    there = chosen != NO_PART
+    cloud_of = np.where(there, base + chosen, 0)
+    none = np.full(len(chosen), -1)
+    views = build_views(camera, move_views(matrices[whose], poses), cloud_of, none, none)
+    views["cloud"][~there] = NOWHERE
+    views["spare"][:, _IS_PART] = TAIL | before.astype(np.uint32) << np.uint32(_PART_SHIFT)
+    views["spare"][:, _WHOSE] = whose
+    parts = np.zeros(len(chosen), PART)
+    if len(table) > base:
+        parts["cloud"] = table[cloud_of]
+    if isinstance(instances.gains, np.ndarray):
+        parts["normals"] = instances.normals[np.where(there, chosen, 0)]
+        parts["gain"] = turn_gains(instances.gains[which], poses)
+    return views, parts
+
+
+def mark_firsts(views: NDArray[np.void], counts: NDArray[np.int64]) -> None:
+    """Tell views where their instances begin among those of all."""
+    views["spare"][:, _WHOSE] = np.cumsum(counts) - counts
+
+
+def move_views(matrices: F64, poses: F64) -> F64:
+    """World-to-camera times part-to-world [I, 4, 4].
+
+    One product after another, as the kernel `write_parts` does it: the same bits.
+    """
+    moved = np.zeros((len(poses), 4, 4))
+    a = [matrices[:, :3, k, None] for k in range(4)]
+    b = [poses[:, k, None, :] for k in range(3)]
+    moved[:, :3] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    moved[:, :3, 3] += matrices[:, :3, 3]
+    moved[:, 3, 3] = 1.0
+    return moved
+
+
+def turn_gains(gains: F32, poses: F64) -> F32:
+    """Gains [I, 4, 3] along the axes of each part's own frame instead of the world's."""
+    turned = gains.astype(np.float64)
+    x, y, z = (gains[:, k, None, :].astype(np.float64) for k in (1, 2, 3))
+    r = poses[:, :3, :3, None]
+    turned[:, 1:] = r[:, 0] * x + r[:, 1] * y + r[:, 2] * z
+    return turned.astype(np.float32).reshape(len(gains), 12)
+
+
+def pack_normals(normals: F32) -> NDArray[np.uint32]:
+    """Unit normals [N, 3] as two numbers of 16 bits on an unfolded octahedron."""
+    n = normals.astype(np.float64)
+    n /= np.maximum(abs(n).sum(axis=1, keepdims=True), 1e-30)
+    side = np.where(n[:, :2] < 0, -1.0, 1.0)
+    flat = np.where(n[:, 2:] < 0, (1.0 - abs(n[:, 1::-1])) * side, n[:, :2])
+    steps = np.rint(np.clip(flat, -1, 1) * _AXIS).astype(np.int16).view(np.uint16).astype(np.uint32)
+    packed: NDArray[np.uint32] = steps[:, 0] | steps[:, 1] << np.uint32(16)
+    return packed
+
+
+assert PART.itemsize == VIEW.itemsize == 128

@@ -63,8 +63,9 @@ class DrawerCpu(Drawer):
 
     def draw(
         self, camera, matrices, clouds, cloud_of, *, tails=(), tail_of=None, pictures, rows=None,
-        background, antialiased=False, floors=None,
+        background, antialiased=False, floors=None, instances=None,
     ) -> None:  # fmt: skip
+        assert instances is None, "this drawer knows none"
         if floors is not None:
             raise SetMissingError("this drawer finds no sets")
         if isinstance(matrices, DeviceArray):

@@ -11,6 +11,7 @@ import pytest
 from gn0.device.host import DeviceHost
 from gn0.errors import RenderError
 from gn0.figures.flat import build_flat, flat_camera, flat_views
+from gn0.figures.moving import GAIN, build_ball, pose_ahead
 from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.geometry import F32, F64, view_from_above
 from gn0.render.camera import Camera
@@ -30,34 +31,6 @@ EXACT = RenderOptions(rgb_float=True)
 BLACK = np.zeros(3, np.float32)
 OUTPUTS = ("rgb", "depth", "alpha")
 CAMERA, VIEWS = flat_camera(48, 36), flat_views(4)
-
-
-def ball(count: int, seed: int, *, sh_degree: int = 0, radius: float = 0.5) -> GaussianCloud:
-    """Thin splats on a sphere: their normals point outwards."""
-    cloud = random_cloud(count, seed=seed, sh_degree=sh_degree)
-    away = cloud.means / np.maximum(np.linalg.norm(cloud.means, axis=1, keepdims=True), 1e-6)
-    return replace(
-        cloud, means=(radius * away).astype(np.float32), scales=np.minimum(cloud.scales, 0.06),
-        normal=away.astype(np.float32),
-    )  # fmt: skip
-
-
-def pose_ahead(view: F64, forward: float, right: float, turn: float) -> F64:
-    """Part-to-world of something that stands before a view, turned about a slanted axis."""
-    world = np.linalg.inv(view)
-    c, s = np.cos(turn), np.sin(turn)
-    turned = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) @ np.array(
-        [[1.0, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]]
-    )
-    pose = np.eye(4)
-    pose[:3, :3] = turned
-    pose[:3, 3] = (world @ (right, 0.1, forward, 1.0))[:3]
-    return pose
-
-
-GAIN = np.array(
-    [[0.8, 0.9, 1.1], [0.3, -0.2, 0.1], [0.1, 0.4, -0.3], [-0.2, 0.1, 0.35]], np.float32
-)
 
 
 def stand(count: int, views: F64, clouds: int, *, stream: int = 0) -> tuple[F64, F32, F32]:
@@ -131,7 +104,7 @@ def moved(clouds: list[GaussianCloud], instances: Instances, v: int) -> Gaussian
 @pytest.mark.parametrize("lit", [False, True])
 def test_an_instance_looks_as_if_its_splats_had_been_moved(degree: int, lit: bool) -> None:
     scene = build_flat(4000, sh_degree=degree)
-    clouds = [ball(400, 1, sh_degree=degree), random_cloud(300, seed=2, sh_degree=degree)]
+    clouds = [build_ball(400, 1, sh_degree=degree), random_cloud(300, seed=2, sh_degree=degree)]
     poses, gains, _ = stand(2, VIEWS, 2)
     chosen = np.array([0, 1, 1, 0, 0, 0, 1, NO_PART], np.int32)
     firsts = np.array([0, 2, 5, 5, 8], np.int32)
@@ -149,7 +122,7 @@ def test_an_instance_looks_as_if_its_splats_had_been_moved(degree: int, lit: boo
     assert psnr(rgb[0], bare.rgb[0]) < 40, "they are seen at all"
 
 
-CLOUDS = [ball(300, 1), random_cloud(200, seed=2, sh_degree=1)]
+CLOUDS = [build_ball(300, 1), random_cloud(200, seed=2, sh_degree=1)]
 SCENE = build_flat(2500)
 POSES, GAINS, CHOSEN = stand(2, VIEWS, 2, stream=3)
 SOME = Instances((), POSES, CHOSEN, np.array([0, 1, 1, 5, 8], np.int32), GAINS)

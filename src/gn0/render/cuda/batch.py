@@ -23,6 +23,8 @@ from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.depth import scale_on_device
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.floors import Arranged, arrange_floors
+from gn0.render.cuda.instances import Instances
+from gn0.render.cuda.named import NamedClouds, PartsDevice
 from gn0.render.cuda.pack import CloudReady, prepare_cloud
 from gn0.render.cuda.parts import (
     Part,
@@ -44,6 +46,7 @@ from gn0.render.cuda.request import (
 )
 from gn0.render.cuda.store import CloudStore, Load
 from gn0.render.cuda.visible import Cell, SceneSets, VisibleSets, lock_of
+from gn0.render.instance import Parts
 from gn0.render.renderer import (
     ALONE,
     Colour,
@@ -97,6 +100,7 @@ class RendererBatch:
         self.sets_memory = share if sets_memory is None else sets_memory
         self._sets: OrderedDict[str, VisibleSets] = OrderedDict()  # least recently used first
         self.store.on_drop = self._let_go
+        self._named = NamedClouds(device)
         self._arranged: Arranged | None = None
         self._calls = RecordedCalls(self.options)
         self._skip = self._wait = 0  # calls until views on the device are tried with sets again
@@ -139,6 +143,20 @@ class RendererBatch:
         self._sets.pop(key, None)
         self._forget_calls()
         return self.store.keep(key, cloud, digest)
+
+    def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
+        """Make a cloud known by a name, for instances of it; replaces what had the name before.
+
+        It is brought to the device now, and stays: the same cloud under the same name again costs
+        nothing.
+
+        Raises:
+            RenderError: no name, too many splats, or values that are not finite.
+            DeviceMemoryError: the device has no room for it.
+        """
+        with lock_of(self.device):
+            if self._named.hold(name, cloud, lambda bring: self._with_room(bring, (), [])):
+                self._forget_calls()
 
     def remove(self, key: str) -> None:
         """Forget a scene."""
@@ -202,6 +220,7 @@ class RendererBatch:
         keys: Sequence[str | None] | str = ALONE,
         *,
         extra: GaussianCloud | None = None,
+        parts: Parts | PartsDevice = (),
         outputs: tuple[Output, ...] = OUTPUTS,
         background: Colour | None = None,
         visible: bool = False,
@@ -217,6 +236,7 @@ class RendererBatch:
             views,
             keys,
             extra=extra,
+            parts=parts,
             outputs=outputs,
             background=background,
             visible=visible,
@@ -232,6 +252,7 @@ class RendererBatch:
         chosen: DeviceArray | None = None,
         extra: GaussianCloud | None = None,
         tails: Sequence[GaussianCloud | None] | GaussianCloud | None = None,
+        parts: Parts | PartsDevice = (),
         outputs: tuple[Output, ...] = OUTPUTS,
         background: Colour | None = None,
         visible: bool | VisibleSets | Sequence[Cell | None] | None = None,
@@ -256,6 +277,9 @@ class RendererBatch:
             extra: moving splats of all views, drawn after the scene's at equal depth.
             tails: the same of each view, or of all. Views may share one cloud: it is brought
                 over once.
+            parts: instances of clouds that have names here (`name_cloud`), drawn after all else at
+                equal depth: of all views, or a sequence of each; or with poses on the device, for
+                views there.
             outputs: what to draw.
             background: colour behind everything, 0..1; the option when None.
             visible: True takes the visible set where each eye is, for scenes that have sets
@@ -265,12 +289,13 @@ class RendererBatch:
 
         Raises:
             RenderError: a view is not finite or not rigid, an output or a scene is unknown, keys,
-                tails or sets are not one a view, or a colour or a splat is not finite.
+                tails or sets are not one a view, a colour or a splat is not finite, or `parts` are
+                wrong (see `check_parts`).
             DeviceMemoryError: a scene is larger than the memory, or one view has no room.
             DeviceError: the device is lost.
         """
         tail = tails if extra is None else extra
-        drawn = self._draw(camera, views, keys, chosen, tail, outputs, background, visible)
+        drawn = self._draw(camera, views, keys, chosen, tail, parts, outputs, background, visible)
         if millimetres and drawn.depth is not None:
             return replace(drawn, depth=scale_on_device(self.device, drawn.depth))
         return drawn
@@ -282,16 +307,20 @@ class RendererBatch:
         keys: Sequence[str | None] | str,
         chosen: DeviceArray | None,
         tails: Sequence[GaussianCloud | None] | GaussianCloud | None,
+        parts: Parts | PartsDevice,
         outputs: tuple[Output, ...],
         background: Colour | None,
         visible: bool | VisibleSets | Sequence[Cell | None] | None,
     ) -> PicturesDevice:
         with lock_of(self.device):
+            moving = self._place_parts(parts, views)
             asked: Call | None = None
             if tails is None and chosen is None and not isinstance(views, DeviceArray):
                 views = np.asarray(views)
-                asked = name_call(camera, views, keys, outputs, background, visible)
-                there = None if asked is None else self._calls.draw(asked, self.drawer, views)
+                asked = name_call(camera, views, keys, outputs, background, visible, moving)
+                there = (
+                    None if asked is None else self._calls.draw(asked, self.drawer, views, moving)
+                )
                 if there is not None:
                     self.store.touch([keys] if isinstance(keys, str) else dict.fromkeys(keys))
                     return there
@@ -310,7 +339,8 @@ class RendererBatch:
                 simple = False  # they are of one scene
             if simple and (visible is None or isinstance(visible, bool | VisibleSets)):
                 there = self._render_there(
-                    *(camera, poses, named, numbers, outputs, background, visible or False, asked)
+                    *(camera, poses, named, numbers, moving, outputs, background),
+                    *(visible or False, asked),
                 )
                 if there is not None:
                     return there
@@ -319,8 +349,22 @@ class RendererBatch:
                 if isinstance(numbers, DeviceArray):
                     numbers = numbers.numpy()
                 keys = choose_keys(named, [0] * len(poses) if numbers is None else numbers.tolist())
+                moving = None if moving is None else moving.fetch(len(poses))
             assert isinstance(poses, np.ndarray)
-            return self._render(camera, poses, name_all(keys), tails, outputs, background, visible)
+            return self._render(
+                camera, poses, name_all(keys), tails, moving, outputs, background, visible
+            )
+
+    def _place_parts(
+        self, parts: Parts | PartsDevice, views: NDArray[np.floating] | DeviceArray
+    ) -> Instances | None:
+        """Instances of views, whose poses are on the device only if those of the views are."""
+        if isinstance(parts, Sequence) and not parts:
+            return None
+        count = 1 if len(np.shape(views)) == 2 else len(views)
+        if isinstance(parts, PartsDevice) and not isinstance(views, DeviceArray):
+            raise RenderError("`parts` on the device need views there", where="parts")
+        return self._named.place(parts, count)
 
     def _render_there(
         self,
@@ -328,6 +372,7 @@ class RendererBatch:
         views: F64 | DeviceArray,
         keys: list[str | None],
         chosen: NDArray[np.int32] | DeviceArray | None,
+        moving: Instances | None,
         outputs: tuple[Output, ...],
         background: Colour | None,
         visible: bool | VisibleSets,
@@ -370,6 +415,7 @@ class RendererBatch:
                     None if chosen is None else self._place(chosen),
                 ),
                 floors=floors,
+                instances=moving,
                 pictures=pictures,
                 background=colour,
                 antialiased=self.options.antialiased,
@@ -382,6 +428,7 @@ class RendererBatch:
                     clouds,
                     chosen,
                     floors=floors,
+                    instances=moving,
                     antialiased=self.options.antialiased,
                 )
             return pictures
@@ -426,6 +473,7 @@ class RendererBatch:
         matrices: F64,
         keys: Sequence[str] | str,
         tails: Sequence[GaussianCloud | None] | GaussianCloud | None,
+        instances: Instances | None,
         outputs: tuple[Output, ...],
         background: Colour | None,
         visible: bool | VisibleSets | Sequence[Cell | None] | None,
@@ -458,6 +506,7 @@ class RendererBatch:
                 cloud_of,
                 tails=moving,
                 tail_of=None if tail_of is None else tail_of[rows],
+                instances=None if instances is None else instances.select(rows, count),
                 pictures=pictures,
                 rows=rows,
                 background=colour,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.render.camera import Camera
 from gn0.render.cuda.draw import Drawer
+from gn0.render.cuda.instances import Instances
 from gn0.render.cuda.replay import PicturesDevice, Replay, SetMissingError
 from gn0.render.cuda.visible import Cell, VisibleSets
 from gn0.render.renderer import Output, RenderOptions
@@ -35,6 +36,7 @@ class Call(NamedTuple):
     outputs: tuple[Output, ...]
     background: tuple[float, ...] | None
     visible: bool | VisibleSets | None
+    instances: tuple[object, ...] | None = None
 
 
 def name_call(
@@ -44,6 +46,7 @@ def name_call(
     outputs: tuple[Output, ...],
     background: Sequence[float] | None,
     visible: bool | VisibleSets | Sequence[Cell | None] | None,
+    instances: Instances | None = None,
 ) -> Call | None:
     """What a call is remembered by; None if it is not of a kind that is."""
     if not (visible is None or isinstance(visible, bool | VisibleSets)):
@@ -54,7 +57,8 @@ def name_call(
         return None
     named = keys if isinstance(keys, str) else tuple(keys)
     behind = None if background is None else tuple(background)
-    return Call(camera, named, views.shape, tuple(outputs), behind, visible)
+    moving = None if instances is None else instances.kind
+    return Call(camera, named, views.shape, tuple(outputs), behind, visible, moving)
 
 
 @dataclass(eq=False)
@@ -93,7 +97,11 @@ class RecordedCalls:
         self._seen: OrderedDict[Call, _Seen] = OrderedDict()  # last used last
 
     def draw(
-        self, call: Call, drawer: Drawer, views: NDArray[np.floating]
+        self,
+        call: Call,
+        drawer: Drawer,
+        views: NDArray[np.floating],
+        instances: Instances | None = None,
     ) -> PicturesDevice | None:
         """Draw as a call like it was drawn; None where none was, or it cannot be done so.
 
@@ -109,7 +117,9 @@ class RecordedCalls:
             count = 1 if views.ndim == 2 else len(views)
             pictures = drawer.pictures(call.camera, count, call.outputs, options.rgb_float)
             colour = options.background if call.background is None else call.background
-            if seen.replay.draw(views, pictures, np.array(colour, np.float32)) is not None:
+            behind = np.array(colour, np.float32)
+            moving = () if instances is None else (instances.poses, instances.gains)
+            if seen.replay.draw(views, pictures, behind, *moving) is not None:
                 self._seen.move_to_end(call)
                 return pictures
         except (DeviceMemoryError, SetMissingError):

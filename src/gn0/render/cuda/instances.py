@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.tables import CLOUD, NOWHERE, SPLATS_MAX, TAIL, VIEW, build_views
 from gn0.render.instance import PART_SPLATS_MAX, PARTS_MAX
+from gn0.render.renderer import VIEW_TOLERANCE
 
 NO_PART = -1  # instead of the number of a cloud: nothing stands there
 BEFORE_TAILS = SPLATS_MAX - PART_SPLATS_MAX  # splats of a scene, where views also have a tail
@@ -28,6 +30,13 @@ PART = np.dtype(
 )  # as in `kernels/view.cuh`
 _PART_SHIFT = 26  # of an instance's number in a key's low word
 _IS_PART, _WHOSE = 1, 2  # words of a view's `spare`
+WRONG_PART = (  # of an instance, as `parts.cu` numbers it
+    ("an instance's pose is not finite", ""),
+    ("an instance's pose is not a rigid transform", "give a rotation and a translation"),
+    ("an instance is of no cloud that is here", "give numbers of the call's clouds, or -1"),
+    ("an instance's gain is not finite", ""),
+    ("too many instances in a view, or instances of none", "give ascending offsets, 32 at most"),
+)
 _AXIS = 32767  # steps of a normal's coordinate
 
 
@@ -66,6 +75,47 @@ class Instances:
             chosen=there(self.chosen),
             firsts=firsts if isinstance(firsts, int) else there(firsts),
             gains=None if gains is None else there(gains),
+        )
+
+    def fetch(self, views: int) -> Instances:
+        """The same with all arrays on the host, checked as kernels check those on the device.
+
+        Raises:
+            RenderError: an instance is not finite, not rigid, or of no cloud, or offsets are none.
+        """
+
+        def here(array: NDArray[Any] | DeviceArray) -> NDArray[Any]:
+            return array.numpy() if isinstance(array, DeviceArray) else array
+
+        firsts, gains = self.firsts, self.gains
+        found = replace(
+            self,
+            poses=here(self.poses),
+            chosen=here(self.chosen),
+            firsts=firsts if isinstance(firsts, int) else here(firsts),
+            gains=None if gains is None else here(gains),
+        )
+        found.check(views)
+        shown = here(self.chosen) != NO_PART
+        _check_arrays(here(self.poses), here(self.chosen), found.gains, shown, len(self.clouds))
+        return found
+
+    def select(self, rows: NDArray[np.integer], views: int) -> Instances:
+        """Those of views `rows` of so many; only the host's."""
+        counts = self.counts(views)
+        begins = (np.cumsum(counts) - counts)[rows]
+        mine = counts[rows]
+        firsts = np.concatenate([[0], np.cumsum(mine)])
+        at = np.arange(firsts[-1]) + np.repeat(begins - firsts[:-1], mine)
+        assert isinstance(self.poses, np.ndarray) and isinstance(self.chosen, np.ndarray)
+        gains = self.gains
+        assert not isinstance(gains, DeviceArray)
+        return replace(
+            self,
+            poses=self.poses[at],
+            chosen=self.chosen[at],
+            firsts=firsts.astype(np.int32),
+            gains=None if gains is None else gains[at],
         )
 
     def check(self, views: int) -> None:
@@ -112,6 +162,14 @@ class Instances:
                 where="view 0" if isinstance(firsts, int) else f"view {int(np.argmax(many))}",
             )
 
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """What two calls with instances on the host have in common: all but poses and gains."""
+        assert isinstance(self.chosen, np.ndarray) and not isinstance(self.firsts, DeviceArray)
+        firsts = self.firsts if isinstance(self.firsts, int) else self.firsts.tobytes()
+        clouds = tuple(map(id, self.clouds))  # held by the recorded call
+        return (clouds, self.chosen.tobytes(), firsts, self.gains is None)
+
     def counts(self, views: int) -> NDArray[np.int64]:
         """Instances of each view; only the host's."""
         assert not isinstance(self.firsts, DeviceArray)
@@ -124,6 +182,32 @@ class Instances:
         """Where those of each cloud are on the device."""
         found = [0 if c.normals is None else c.normals.pointer for c in self.clouds]
         return np.array(found, np.uint64)
+
+
+def _check_arrays(
+    poses: F64,
+    chosen: NDArray[np.int32],
+    gains: Any,
+    shown: NDArray[np.bool_],
+    known: int,
+) -> None:
+    """Instances that are shown, one by one.
+
+    Raises:
+        RenderError: see `Instances.fetch`.
+    """
+    finite = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
+    safe = np.where(finite.reshape(-1, 1, 1), poses, 0.0)
+    rotation = safe[:, :3, :3]
+    off = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    off = np.maximum(off, np.abs(safe[:, 3] - (0, 0, 0, 1)).max(axis=1))
+    rigid = (off < VIEW_TOLERANCE) & (np.linalg.det(rotation) > 0)
+    here = (chosen >= 0) & (chosen < known)
+    lit = np.full(len(poses), True) if gains is None else np.isfinite(gains).all(axis=(1, 2))
+    for why, sound in enumerate((finite, rigid, here, lit)):
+        if not (sound | ~shown).all():
+            what, remedy = WRONG_PART[why]
+            raise RenderError(what, where=f"instance {np.argmin(sound | ~shown)}", remedy=remedy)
 
 
 def find_whose(instances: Instances, views: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray, Graph
 from gn0.errors import RenderError
 from gn0.geometry import F32
+from gn0.render.cuda.instances import WRONG_PART
 from gn0.render.cuda.tables import NOWHERE, TARGET
 from gn0.render.cuda.work import Lists
 from gn0.render.renderer import RenderResult
@@ -28,13 +29,6 @@ _WRONG = (  # with a view, as `views.cu` numbers it
 )
 
 _PART = 2**31  # top bit of such a word: of an instance; then three bits say what
-_WRONG_PART = (  # as `parts.cu` numbers it
-    ("an instance's pose is not finite", ""),
-    ("an instance's pose is not a rigid transform", "give a rotation and a translation"),
-    ("an instance is of no cloud that is here", "give numbers of the call's clouds, or -1"),
-    ("an instance's gain is not finite", ""),
-    ("too many instances in a view, or instances of none", "give ascending offsets, 32 at most"),
-)
 _OFFSETS = 4
 
 NO_ROOM = 2**64 - 1  # where a list has outgrown its own
@@ -94,7 +88,7 @@ def raise_wrong(word: int) -> None:
         return
     if word & _PART:
         number, why = (word & (_PART - 1)) >> 3, word & 7
-        what, remedy = _WRONG_PART[why]
+        what, remedy = WRONG_PART[why]
         whose = f"{'view' if why == _OFFSETS else 'instance'} {number}"
         raise RenderError(what, where=whose, remedy=remedy)
     where = f"view {(word & NOWHERE) >> 2}"

@@ -1,0 +1,38 @@
+"""Moving parts for figures and tests: balls of splats, and poses that views can see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F64
+from gn0.testing.check_renderer import random_cloud
+
+# a colour gain: constant, then along x, y and z of the world
+GAIN = np.array(
+    [[0.8, 0.9, 1.1], [0.3, -0.2, 0.1], [0.1, 0.4, -0.3], [-0.2, 0.1, 0.35]], np.float32
+)
+
+
+def build_ball(
+    count: int, seed: int, *, sh_degree: int = 0, radius: float = 0.5, size: float = 0.06
+) -> GaussianCloud:
+    """Splats of at most `size` m on a sphere; their normals point outwards."""
+    cloud = random_cloud(count, seed=seed, sh_degree=sh_degree)
+    away = cloud.means / np.maximum(np.linalg.norm(cloud.means, axis=1, keepdims=True), 1e-6)
+    scales = np.minimum(cloud.scales, size)
+    means = (radius * away).astype(np.float32)
+    return replace(cloud, means=means, scales=scales, normal=away.astype(np.float32))
+
+
+def pose_ahead(view: F64, forward: float, right: float, turn: float) -> F64:
+    """Part-to-world [4, 4] of what stands before a view, turned [rad] about a slanted axis."""
+    c, s = np.cos(turn), np.sin(turn)
+    about_z = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    slant = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
+    pose = np.eye(4)
+    pose[:3, :3] = about_z @ slant
+    pose[:3, 3] = (np.linalg.inv(view) @ (right, 0.1, forward, 1.0))[:3]
+    return pose

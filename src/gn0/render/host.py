@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import ConfigError, RenderError
-from gn0.gaussians.cloud import GaussianCloud
+from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
+from gn0.render.instance import Instance, Parts, check_named, check_parts, move_instance
 from gn0.render.renderer import (
     ALONE,
     OUTPUTS,
@@ -56,6 +57,7 @@ class RendererHost:
         build: a renderer of one cloud.
         options: image formation, for all scenes.
         limit: makes of such a renderer one that draws from visible sets; None: it has none.
+        takes_parts: whether such a renderer draws instances; else their splats are moved for it.
     """
 
     def __init__(
@@ -64,6 +66,8 @@ class RendererHost:
         build: Build,
         options: RenderOptions | None = None,
         limit: Limit | None = None,
+        *,
+        takes_parts: bool = False,
     ) -> None:
         self.name = name
         self.options = options or RenderOptions()
@@ -73,6 +77,8 @@ class RendererHost:
         self._renderers: OrderedDict[str, SceneRenderer] = OrderedDict()  # least recent first
         self._floors: dict[str, tuple[str, OccupancyGrid, float]] = {}
         self._visible: dict[str, Any] = {}
+        self._takes_parts = takes_parts
+        self._parts: dict[str, GaussianCloud] = {}  # clouds by name
 
     def add(self, key: str, load: Load, digest: str = "") -> None:
         """Name a scene; see `Renderer.add`."""
@@ -105,6 +111,16 @@ class RendererHost:
         """Forget a scene, and its floor."""
         for kept in (self._named, self._renderers, self._floors, self._visible):
             kept.pop(key, None)
+
+    def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
+        """Make a cloud known by a name; see `Renderer.name_cloud`.
+
+        Raises:
+            RenderError: the name or the cloud cannot be a part's.
+        """
+        if self._parts.get(name) is not cloud:
+            check_named(name, cloud)
+            self._parts[name] = cloud
 
     def holds(self, key: str) -> bool:
         """Whether a scene is loaded; any thread may ask."""
@@ -154,29 +170,53 @@ class RendererHost:
         background: Colour | None = None,
         visible: bool = False,
         millimetres: bool = False,
+        parts: Parts = (),
     ) -> RenderResult:
         """Draw views; see `Renderer.draw`. Neighbours of one scene are one call of its renderer.
 
         Raises:
-            RenderError: a key is unknown, or see `SceneRenderer.render`.
+            RenderError: a key is unknown, `parts` have no meaning, or see `SceneRenderer.render`.
         """
-        if isinstance(keys, str):
-            runs = [(keys, views)]
+        if isinstance(keys, str) and not parts:
+            runs = [(keys, views, slice(None))]
         else:
             views = check_views(views)
-            if len(keys) != len(views):
-                raise RenderError(f"{len(keys)} keys for {len(views)} views", where="keys")
-            runs = [(keys[rows.start], views[rows]) for rows in _find_runs(keys)]
-        parts = [
-            self._open(key, visible).render(
-                camera, some, extra=extra, outputs=outputs, background=background
-            )
-            for key, some in runs
-        ]
-        found = parts[0] if len(parts) == 1 else _join(parts, camera, outputs, self.options)
-        return found.in_millimetres() if millimetres else found
+            names = [keys] * len(views) if isinstance(keys, str) else keys
+            if len(names) != len(views):
+                raise RenderError(f"{len(names)} keys for {len(views)} views", where="keys")
+            runs = [(names[rows.start], views[rows], rows) for rows in _find_runs(names)]
+        moving = check_parts(parts, len(views), self._parts) if parts else []
+        named: dict[str, Any] = {"extra": extra, "outputs": outputs, "background": background}
+        found = []
+        for key, some, rows in runs:
+            renderer = self._open(key, visible)
+            if not any(moving[rows]):
+                found.append(renderer.render(camera, some, **named))
+            elif self._takes_parts:
+                self._tell(renderer, moving[rows])
+                found.append(renderer.render(camera, some, **named, parts=moving[rows]))  # type: ignore[call-arg]
+            else:
+                for view, instances in zip(some, moving[rows], strict=True):
+                    named["extra"] = self._move(extra, instances)
+                    found.append(renderer.render(camera, view, **named))
+                named["extra"] = extra
+        whole = found[0] if len(found) == 1 else _join(found, camera, outputs, self.options)
+        return whole.in_millimetres() if millimetres else whole
 
     render = draw
+
+    def _tell(self, renderer: Any, moving: Sequence[Sequence[Instance]]) -> None:
+        """Make the clouds of some instances known to a renderer of one scene."""
+        for name in dict.fromkeys(one.cloud for instances in moving for one in instances):
+            renderer.name_cloud(name, self._parts[name])
+
+    def _move(
+        self, extra: GaussianCloud | None, instances: Sequence[Instance]
+    ) -> GaussianCloud | None:
+        """The splats of instances where they stand, behind those of `extra`."""
+        moved = [move_instance(self._parts[one.cloud], one) for one in instances]
+        clouds = [cloud for cloud in (extra, *moved) if cloud is not None and len(cloud)]
+        return join_clouds(clouds) if clouds else None
 
     def _open(self, key: str, visible: bool) -> SceneRenderer:
         if key not in self._named:

@@ -89,7 +89,7 @@ def open_renderer(
         from gn0.render.cpu import RendererCpu
         from gn0.render.visible import RendererVisible
 
-        return RendererHost(name, RendererCpu, options, RendererVisible)
+        return RendererHost(name, RendererCpu, options, RendererVisible, takes_parts=True)
     return RendererHost(name, get_plugin("renderer", name), options)
 
 

@@ -21,6 +21,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
 from gn0.render.depth import to_millimetres
+from gn0.render.instance import Parts
 
 if TYPE_CHECKING:
     from gn0.device.device import Device
@@ -120,6 +121,7 @@ class Encoder(Protocol):
         background: Colour | None = None,
         outputs: tuple[Output, ...] = ("rgb",),
         shown: MapPicture | None = None,
+        parts: Parts = (),
     ) -> DrawnViews:
         """Pictures of views [V, 4, 4], and files of the colour ones."""
         ...
@@ -231,6 +233,13 @@ class Renderer(Protocol):
     def remove(self, key: str) -> None:
         """Forget a scene; one that is not known is no error."""
 
+    def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
+        """Make a cloud known by a name, for instances of it; the same one again costs nothing.
+
+        Raises:
+            RenderError: the name or the cloud cannot be a part's.
+        """
+
     def holds(self, key: str) -> bool:
         """Whether a scene's splats are ready to be drawn; any thread may ask."""
         ...
@@ -272,6 +281,7 @@ class Renderer(Protocol):
         background: Colour | None = None,
         visible: bool = False,
         millimetres: bool = False,
+        parts: Parts = (),
     ) -> Pictures:
         """Draw views; the pictures stay where they are made, see `Traits.device`.
 
@@ -284,10 +294,12 @@ class Renderer(Protocol):
             background: colour behind everything, 0..1; the option when None.
             visible: from visible sets, for scenes that have them, where they apply.
             millimetres: depth as uint16, see `gn0.render.depth`.
+            parts: instances of named clouds, one sequence for all views or one a view; drawn after
+                all else at equal depth. See `gn0.render.instance`.
 
         Raises:
-            RenderError: a view is not finite or not rigid, an output or a scene is unknown, or a
-                colour or a splat is not finite.
+            RenderError: a view is not finite or not rigid, an output or a scene is unknown, a
+                colour or a splat is not finite, or `parts` have no meaning.
         """
         ...
 
@@ -302,6 +314,7 @@ class Renderer(Protocol):
         background: Colour | None = None,
         visible: bool = False,
         millimetres: bool = False,
+        parts: Parts = (),
     ) -> RenderResult:
         """As `draw`, with pictures in host memory."""
         ...
@@ -345,6 +358,10 @@ class DrawnScene:
         self.renderer.limit_to_visible(self.key, cloud_hash, floor, eye_height)
         return replace(self, visible=True)
 
+    def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
+        """Make a cloud known by a name; see `Renderer.name_cloud`."""
+        self.renderer.name_cloud(name, cloud)
+
     def render(
         self,
         camera: Camera,
@@ -354,6 +371,7 @@ class DrawnScene:
         outputs: tuple[Output, ...] = OUTPUTS,
         background: Colour | None = None,
         millimetres: bool = False,
+        parts: Parts = (),
     ) -> RenderResult:
         """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.draw`."""
         return self.renderer.render(
@@ -365,6 +383,7 @@ class DrawnScene:
             background=background,
             visible=self.visible,
             millimetres=millimetres,
+            parts=parts,
         )
 
 

@@ -27,15 +27,19 @@ from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.cuda.visible import RendererVisibleCuda
 from gn0.render.depth import to_millimetres
 from gn0.render.host import RendererHost
+from gn0.render.instance import Instance
 from gn0.render.open import open_renderer
 from gn0.render.renderer import DrawnScene
 from gn0.render.share.client import DrawConnection, DrawnViews, RendererShared, SceneEncoder
 from gn0.render.share.messages import Dots, Draw, Encode, Floor, MapPicture, lay_out
+from gn0.render.share.parts import Cloud, PartRows
 from gn0.render.share.server import Server, open_listener
 from gn0.render.visible import RendererVisible
 from gn0.render.visible_places import VisibleOptions
+from gn0.scenes.parts import build_ball
 from gn0.sim.sensors import GREEN, RED, draw_disc
 from gn0.storage import content_hash
+from gn0.testing.check_renderer import random_cloud as many_shapes
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets"),
@@ -612,3 +616,74 @@ def test_a_scene_that_gave_way_is_read_ahead_again(serve, monkeypatch) -> None:
 def test_outputs_lie_apart_in_an_area() -> None:
     places, size = lay_out(CAMERA, ("rgb", "depth"), 3)
     assert places == [0, -(-3 * 48 * 36 * 3 // 64) * 64] and size >= places[1] + 3 * 48 * 36 * 4
+
+
+def part(x: float, gain: Any = None, cloud: str = "ball") -> Instance:
+    pose = np.eye(4)
+    pose[:3, 3] = x, 0.3, 0.4
+    return Instance(cloud, pose, gain)
+
+
+def test_moving_parts_are_sent_once_and_drawn_as_they_are_here(serve, monkeypatch) -> None:
+    """Poses and gains go over with each request, splats once; the bytes are those drawn here."""
+    serving = serve(open_renderer("cpu"))
+    ball, other = build_ball(0.2, spacing=0.03), many_shapes(40, seed=3, sh_degree=3)
+    shade = np.float32([[0.5, 0.6, 0.7], [0, 0, 0], [0, 0, 0], [0.4, 0.3, 0.2]])
+    moving = [(), (part(0.5),), (part(1.0, np.float32([1, 0.5, 0])), part(0.2, shade, "other")),
+              (part(-1, shade),)] * 10  # fmt: skip
+    alone = open_renderer("cpu")
+    alone.keep("scene", random_cloud(1))
+    taken: list[str] = []
+    take = serving.server._take_part
+    monkeypatch.setattr(
+        serving.server, "_take_part", lambda sent, fd: (taken.append(sent.name), take(sent, fd))
+    )
+    first, second = serving.renderer(1), serving.renderer(1)
+    for drawn in (first, second):
+        for renderer in (drawn, alone):
+            renderer.name_cloud("ball", ball)
+            renderer.name_cloud("other", other)
+        for _ in range(2):
+            found = drawn.render(CAMERA, views(40), parts=moving)
+            expect_same(found, alone.render(CAMERA, views(40), "scene", parts=moving))
+    assert len(taken) == 4 and len(set(taken)) == 2  # each connection sends each cloud once
+    plain = first.render(CAMERA, views(40))
+    assert (plain.rgb != found.rgb).any() and (plain.rgb[::4] == found.rgb[::4]).all()
+    first.name_cloud("ball", other)  # another cloud under its name: never the old one
+    again = first.render(CAMERA, views(3), parts=[part(0.5)])
+    expect_same(again, alone.render(CAMERA, views(3), "scene", parts=[part(0.5, cloud="other")]))
+    with pytest.raises(RenderError, match="no cloud is named 'box'"):
+        first.render(CAMERA, views(1), parts=[part(0.0, cloud="box")])
+    with pytest.raises(RenderError, match="pose is not finite"):
+        first.render(CAMERA, views(1), parts=[part(np.nan)])
+
+
+def test_parts_that_nobody_sent_are_refused(serve) -> None:
+    drawn = serve(open_renderer("cpu")).renderer(1)
+    connection = drawn.renderer._connection
+    drawn.name_cloud("ball", build_ball(0.2, spacing=0.03))
+    rows = PartRows.of_parts([(part(0.5),)], {"ball": "0" * 32})
+    assert [one.cloud for one in rows.read(1)[0]] == ["0" * 32]
+
+    def draw(sent: PartRows) -> None:
+        connection.draw("scene 1", {"seed": 1}, CAMERA, views(1), ("rgb",), None, parts=sent)
+
+    with pytest.raises(RenderError, match="was not sent"):
+        draw(rows)
+    drawn.render(CAMERA, views(1), parts=[part(0.5)])
+    (known,) = connection._clouds
+    good = msgspec.structs.replace(rows, clouds=(known,))
+    draw(good)
+    for field, value, match in (
+        ("poses", good.poses[:-8], "another shape"),
+        ("ends", np.int32([2]).tobytes(), "another shape"),
+        ("ends", np.int32([1, 1]).tobytes(), "another shape"),
+        ("cloud_of", np.int32([1]).tobytes(), "another shape"),
+        ("poses", np.full(16, np.inf).tobytes(), "not finite"),
+    ):
+        with pytest.raises((FormatError, RenderError), match=match):
+            draw(msgspec.structs.replace(good, **{field: value}))
+    for bad in (Cloud("x", -1, 1, False), Cloud("x", 5, 2, False), Cloud("x", 5, 1, True)):
+        with pytest.raises(FormatError):
+            bad.read(np.zeros(200, np.uint8))
+    draw(good)  # who was refused may go on

@@ -24,6 +24,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.process import Ended, WorkerProcess
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
+from gn0.render.instance import Parts, check_named, check_parts, digest_part
 from gn0.render.open import name_drawing, visible_backend
 from gn0.render.renderer import (
     ALONE,
@@ -59,6 +60,7 @@ from gn0.render.share.messages import (
     open_socket,
     send_message,
 )
+from gn0.render.share.parts import Cloud, PartRows
 
 VIEWS = 32  # of a request at most: one area holds their pictures
 START_LIMIT = 120.0  # s: the first start compiles kernels
@@ -114,6 +116,7 @@ class DrawConnection:
         self._area: NDArray[np.uint8] | None = None
         self._number = self._areas = 0
         self._floor = self._shown = ""  # that was sent last
+        self._clouds: set[str] = set()  # that were sent
 
     @cached_property
     def drawn_by(self) -> str:
@@ -144,11 +147,13 @@ class DrawConnection:
         *,
         millimetres: bool = False,
         shown: MapPicture | None = None,
+        parts: PartRows | None = None,
     ) -> DrawnViews:
         """Pictures of views [V, 4, 4], and files of them: copies of one's own.
 
         `floor`: draw from the visible sets of this one. `millimetres`: depth as uint16, see
-        `gn0.render.depth`. `shown`: the map that the dots of `encode` are on.
+        `gn0.render.depth`. `shown`: the map that the dots of `encode` are on. `parts`: instances of
+        clouds that were sent, by digest.
 
         Raises:
             DeviceError: the device or the process that draws is lost.
@@ -157,7 +162,7 @@ class DrawConnection:
         self._number += 1
         draw = Draw(
             self._number, key, dict(source), camera, np.ascontiguousarray(views).tobytes(),
-            outputs, background, self._areas, encode, floor is not None, millimetres,
+            outputs, background, self._areas, encode, floor is not None, millimetres, parts,
         )  # fmt: skip
         _, coded, size = lay_files(draw)
         try:
@@ -178,7 +183,7 @@ class DrawConnection:
         if spared and not answer.files:
             return self.draw(  # nothing stands for the views: bring them after all
                 key, source, camera, views, outputs, background, None, floor,
-                millimetres=millimetres,
+                millimetres=millimetres, parts=parts,
             )  # fmt: skip
         pictures = {
             name: array.copy()
@@ -210,6 +215,27 @@ class DrawConnection:
             "maps": hashes[last:],
         }  # fmt: skip
         return DrawnViews(pictures, files, mosaics, maps, named)
+
+    def send_cloud(self, cloud: GaussianCloud, digest: str) -> None:
+        """Bring a moving part's splats over, once a connection.
+
+        Raises:
+            DeviceError: the process that draws is gone.
+        """
+        if digest in self._clouds:
+            return
+        coefficients, normals = cloud.sh.shape[1], cloud.normal is not None
+        message = Cloud(digest, len(cloud), coefficients, normals)
+        descriptor = _open_memory()
+        try:
+            os.ftruncate(descriptor, max(message.size, 1))
+            message.lay(cloud, np.frombuffer(mmap.mmap(descriptor, max(message.size, 1)), np.uint8))
+            send_message(self._socket, message, [descriptor])
+        except OSError:
+            raise _lost() from None
+        finally:
+            os.close(descriptor)
+        self._clouds.add(digest)
 
     def _ask(self, message: msgspec.Struct) -> Drawn | DrawnBy:
         """The answer to a message.
@@ -281,6 +307,7 @@ class RendererShared:
         self._connection = connection
         self._sources: dict[str, dict[str, Any]] = {}
         self._floors: dict[str, Floor] = {}
+        self._parts: dict[str, tuple[GaussianCloud, str]] = {}
 
     @cached_property
     def traits(self) -> Traits:
@@ -302,6 +329,17 @@ class RendererShared:
             self._sources[key] = dict(source)
             self._floors.pop(key, None)
         return DrawnScene(self, key)
+
+    def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
+        """Make a cloud known by a name; see `Renderer.name_cloud`. It is sent when first drawn.
+
+        Raises:
+            RenderError: the name or the cloud cannot be a part's.
+        """
+        known = self._parts.get(name)
+        if known is None or known[0] is not cloud:
+            check_named(name, cloud)
+            self._parts[name] = (cloud, digest_part(cloud))
 
     def add(self, key: str, load: Callable[[], Any], digest: str = "") -> None:
         """Name a scene by its splats.
@@ -365,6 +403,7 @@ class RendererShared:
         background: Colour | None = None,
         visible: bool = False,
         millimetres: bool = False,
+        parts: Parts = (),
     ) -> RenderResult:
         """Draw views [V, 4, 4], `VIEWS` of a scene a request; see `Renderer.draw`.
 
@@ -379,16 +418,17 @@ class RendererShared:
         check_outputs(outputs)
         if not isinstance(keys, str) and len(keys) != len(matrices):
             raise RenderError(f"{len(keys)} keys for {len(matrices)} views", where="keys")
-        parts = [
+        moving = check_parts(parts, len(matrices), self._parts) if parts else []
+        some = [
             self.ask(
                 key, camera, matrices[rows], outputs, background,
-                visible=visible, millimetres=millimetres,
+                visible=visible, millimetres=millimetres, parts=moving[rows],
             ).pictures
             for key, rows in _find_requests(keys, len(matrices) if outputs else 0)
         ]  # fmt: skip
         found: dict[str, Any] = {}
         for name in outputs:
-            arrays = [part[name] for part in parts]
+            arrays = [pictures[name] for pictures in some]
             found[name] = (
                 arrays[0] if len(arrays) == 1
                 else np.concatenate(arrays) if arrays
@@ -410,11 +450,13 @@ class RendererShared:
         millimetres: bool = False,
         encode: Encode | None = None,
         shown: MapPicture | None = None,
+        parts: Parts = (),
     ) -> DrawnViews:
         """One request: at most `VIEWS` views [V, 4, 4] of a scene, and files of them.
 
         Raises:
-            RenderError: a view is none, there are too many, or the scene is unknown.
+            RenderError: a view is none, there are too many, the scene is unknown, or `parts`
+                have no meaning.
             DeviceError: the device or the process that draws is lost.
         """
         matrices = check_views(views)
@@ -422,9 +464,17 @@ class RendererShared:
             raise RenderError(f"{len(matrices)} views in a request", remedy=f"give 1 to {VIEWS}")
         if key not in self._sources:
             raise RenderError(f"no scene {key!r} was added", remedy="call add_source first")
+        rows: PartRows | None = None
+        moving = check_parts(parts, len(matrices), self._parts) if parts else []
+        if any(moving):
+            used = {one.cloud for instances in moving for one in instances}
+            for name in sorted(used):
+                self._connection.send_cloud(*self._parts[name])
+            rows = PartRows.of_parts(moving, {name: self._parts[name][1] for name in used})
         return self._connection.draw(
             key, self._sources[key], camera, matrices, outputs, background, encode,
             self._floors.get(key) if visible else None, millimetres=millimetres, shown=shown,
+            parts=rows,
         )  # fmt: skip
 
 
@@ -450,6 +500,7 @@ class SceneEncoder:
         background: Colour | None = None,
         outputs: tuple[Output, ...] = ("rgb",),
         shown: MapPicture | None = None,
+        parts: Parts = (),
     ) -> DrawnViews:
         """Pictures of at most `VIEWS` views [V, 4, 4], and files of the colour ones.
 
@@ -462,7 +513,7 @@ class SceneEncoder:
         """
         return self.renderer.ask(
             self.key, camera, views, outputs, background, visible=self.visible,
-            millimetres="depth" in outputs, encode=encode, shown=shown,
+            millimetres="depth" in outputs, encode=encode, shown=shown, parts=parts,
         )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from gn0.errors import DeviceError, FormatError
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.renderer import Output
+from gn0.render.share.parts import PartRows
 from gn0.storage import content_hash
 
 LIMIT = 2**26  # bytes of a message: 500,000 views
@@ -190,6 +191,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
         encode: files that are wanted as well.
         visible: draw from the visible sets of the `Floor` that was sent last.
         millimetres: depth as uint16, see `gn0.render.depth`.
+        parts: instances of clouds that were sent before.
     """
 
     number: int
@@ -203,6 +205,7 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
     encode: Encode | None = None
     visible: bool = False
     millimetres: bool = False
+    parts: PartRows | None = None
 
     @property
     def count(self) -> int:

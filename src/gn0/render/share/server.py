@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
+import mmap
 import os
 import queue
 import secrets
@@ -33,6 +34,7 @@ from gn0.errors import DeviceError, DeviceMemoryError, Gn0Error, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.child import open_channel
 from gn0.jobs.worker import find_function
+from gn0.render.instance import Instance, check_parts
 from gn0.render.open import open_renderer
 from gn0.render.renderer import Pictures, Renderer
 from gn0.render.share.files import FileMaker, Files
@@ -52,6 +54,7 @@ from gn0.render.share.messages import (
     lay_files,
     open_socket,
 )
+from gn0.render.share.parts import Cloud
 from gn0.render.share.request import Connection, Request
 
 BATCH = 256  # views a call
@@ -83,6 +86,7 @@ class Server:
         self._limited: dict[str, str] = {}  # floor whose visible sets a scene has
         self._loading: dict[str, Future[Any]] = {}
         self._lock = threading.Lock()
+        self._parts: dict[str, GaussianCloud] = {}  # of moving parts, by digest
         self._waiting: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._held: Request | None = None  # did not fit into the last batch
         self._said = False
@@ -112,13 +116,15 @@ class Server:
     def hear(self, connection: Connection) -> None:
         """Read a connection to its end."""
         inbox = Inbox(connection.socket)
-        decoder = msgspec.msgpack.Decoder(Area | Draw | Floor | MapPicture | Who)
+        decoder = msgspec.msgpack.Decoder(Area | Cloud | Draw | Floor | MapPicture | Who)
         floor: Floor | None = None
         shown: MapPicture | None = None
         try:
             while (message := inbox.next(decoder)) is not None:
                 if isinstance(message, Area):
                     connection.take_area(message, inbox.descriptors.pop(0))
+                elif isinstance(message, Cloud):
+                    self._take_part(message, inbox.descriptors.pop(0))
                 elif isinstance(message, Floor):
                     floor = message
                 elif isinstance(message, MapPicture):
@@ -134,6 +140,21 @@ class Server:
         finally:
             connection.closed = True
             connection.socket.close()
+
+    def _take_part(self, cloud: Cloud, descriptor: int) -> None:
+        """Keep the splats of a moving part; those that are known already are not read."""
+        try:
+            with self._lock:
+                if cloud.name in self._parts:
+                    return
+            if os.fstat(descriptor).st_size < max(cloud.size, 1):
+                raise DeviceError("an area is smaller than said", where="drawing socket")
+            with mmap.mmap(descriptor, max(cloud.size, 1)) as area:
+                found = cloud.read(np.frombuffer(bytes(area), np.uint8))
+            with self._lock:
+                self._parts[cloud.name] = found
+        finally:
+            os.close(descriptor)
 
     def _load_ahead(self, draw: Draw) -> None:
         """Make a scene that is not there ready in this thread, while others are drawn."""
@@ -282,6 +303,14 @@ class Server:
         if draw.key not in self._known:
             self._batch.add(draw.key, lambda: self._take_cloud(draw))
             self._known.add(draw.key)
+        if draw.parts is not None:
+            for name in draw.parts.clouds:
+                with self._lock:
+                    cloud = self._parts.get(name)
+                if cloud is None:
+                    raise RenderError("a moving part that was not sent", where="drawing socket")
+                self._batch.name_cloud(name, cloud)
+            check_parts(draw.parts.read(draw.count), draw.count, draw.parts.clouds)
         floor = request.floor
         if floor is not None and self._limited.get(draw.key) != floor.name:
             self._batch.limit_to_visible(draw.key, floor.cloud, floor.grid, floor.eye_height)
@@ -294,6 +323,11 @@ class Server:
             [np.frombuffer(r.draw.views, np.float64).reshape(-1, 4, 4) for r in group]
         )
         keys = [r.draw.key for r in group for _ in range(r.draw.count)]
+        moving: list[tuple[Instance, ...]] = []
+        if any(r.draw.parts is not None for r in group):
+            for r in group:
+                sent, count = r.draw.parts, r.draw.count
+                moving += [()] * count if sent is None else sent.read(count)
         for begin in range(0, len(views), self._views):
             end = min(begin + self._views, len(views))
             self._handing.make_room()
@@ -308,6 +342,7 @@ class Server:
                 background=first.background,
                 visible=first.visible,
                 millimetres=first.millimetres,
+                parts=moving[begin:end],
             )
             pieces, at = [], 0
             for request in group:

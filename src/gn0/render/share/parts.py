@@ -1,0 +1,122 @@
+"""Moving parts on their way to the process that draws: clouds once, then where they stand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import FormatError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.render.instance import PART_SPLATS_MAX, Instance
+
+
+class Cloud(msgspec.Struct, frozen=True, tag="cloud"):
+    """Splats of moving parts, in shared memory whose file descriptor comes along.
+
+    Attributes:
+        name: equal names mean equal splats.
+        count: N.
+        coefficients: K, of spherical harmonics.
+        normals: whether there are any.
+    """
+
+    name: str
+    count: int
+    coefficients: int
+    normals: bool
+
+    @property
+    def size(self) -> int:
+        """Bytes: means, quaternions, scales, opacities, harmonics, normals, float32."""
+        return self.count * (3 + 4 + 3 + 1 + 3 * self.coefficients + 3 * self.normals) * 4
+
+    def lay(self, cloud: GaussianCloud, area: NDArray[np.uint8]) -> None:
+        """Put a cloud's splats into an area."""
+        arrays = [cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.sh, cloud.normal]
+        held = [np.ravel(array) for array in arrays if array is not None]
+        area[: self.size].view(np.float32)[:] = np.concatenate(held, dtype=np.float32)
+
+    def read(self, area: NDArray[np.uint8]) -> GaussianCloud:
+        """The cloud in an area: a copy.
+
+        Raises:
+            FormatError: it is smaller than said.
+        """
+        if not 0 <= self.count <= PART_SPLATS_MAX or self.coefficients not in (1, 4, 9, 16):
+            raise FormatError("a cloud that nobody makes", field="count")
+        if len(area) < self.size:
+            raise FormatError("an area smaller than its cloud", field="count")
+        words, at = area[: self.size].view(np.float32), 0
+        widths = [(3,), (4,), (3,), (), (self.coefficients, 3), *([(3,)] * self.normals)]
+        arrays = []
+        for width in widths:
+            size = self.count * int(np.prod(width, dtype=int))
+            arrays.append(words[at : at + size].reshape(self.count, *width).copy())
+            at += size
+        means, quats, scales, opacities, sh, *normal = arrays
+        return GaussianCloud(
+            means, quats, scales, opacities, sh, normal=normal[0] if normal else None
+        )
+
+
+class PartRows(msgspec.Struct, frozen=True):
+    """Instances of the views of a draw.
+
+    Attributes:
+        clouds: names of those in use.
+        cloud_of: int32 [P] which of them an instance is of.
+        poses: float64 [P, 4, 4] part to world.
+        gains: float32 [P, 4, 3]; NaN where there is none.
+        ends: int32 [V] where the instances of each view end.
+    """
+
+    clouds: tuple[str, ...]
+    cloud_of: bytes
+    poses: bytes
+    gains: bytes
+    ends: bytes
+
+    @classmethod
+    def of_parts(cls, parts: Sequence[Sequence[Instance]], names: Mapping[str, str]) -> PartRows:
+        """Of the instances of each view; `names` are what the other side calls their clouds."""
+        rows = [one for instances in parts for one in instances]
+        clouds = {name: n for n, name in enumerate(dict.fromkeys(names[r.cloud] for r in rows))}
+        gains = np.full((len(rows), 4, 3), np.nan, np.float32)
+        for gain, row in zip(gains, rows, strict=True):
+            if row.gain is not None:
+                gain[:] = 0.0
+                gain[: 1 if row.gain.ndim == 1 else 4] = row.gain
+        return cls(
+            tuple(clouds),
+            np.array([clouds[names[row.cloud]] for row in rows], np.int32).tobytes(),
+            np.array([row.pose for row in rows], np.float64).tobytes(),
+            gains.tobytes(),
+            np.cumsum([len(instances) for instances in parts], dtype=np.int32).tobytes(),
+        )
+
+    def read(self, count: int) -> list[tuple[Instance, ...]]:
+        """The instances of each of `count` views.
+
+        Raises:
+            FormatError: they are none.
+        """
+        cloud_of = np.frombuffer(self.cloud_of, np.int32)
+        ends = np.frombuffer(self.ends, np.int32)
+        total = len(cloud_of)
+        good = len(self.poses) == total * 128 and len(self.gains) == total * 48
+        good = good and len(ends) == count and bool((np.diff(ends, prepend=0) >= 0).all())
+        good = good and (int(ends[-1]) if count else 0) == total
+        if not good or ((cloud_of < 0) | (cloud_of >= len(self.clouds))).any():
+            raise FormatError("instances of another shape than said", field="parts")
+        poses = np.frombuffer(self.poses, np.float64).reshape(-1, 4, 4)
+        gains = np.frombuffer(self.gains, np.float32).reshape(-1, 4, 3)
+        rows = [
+            Instance(self.clouds[cloud], pose, None if np.isnan(gain).any() else gain)
+            for cloud, pose, gain in zip(cloud_of.tolist(), poses, gains, strict=True)
+        ]
+        starts = [0, *ends.tolist()]
+        return [tuple(rows[a:b]) for a, b in pairwise(starts)]

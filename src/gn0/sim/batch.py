@@ -29,7 +29,7 @@ from gn0.sim.batch_kernels import (
 from gn0.sim.batch_tables import EpisodeTable, MapTable
 from gn0.sim.open import name_look
 from gn0.sim.sensors import PICTURES, SensorConfig
-from gn0.sim.simulator import goal_record, goal_view
+from gn0.sim.simulator import STEP_SECONDS, goal_record, goal_view
 from gn0.sim.state import Sensor
 
 if TYPE_CHECKING:
@@ -210,7 +210,8 @@ class SimulatorBatch:
             goals = np.array([goal_view(episode) for episode in episodes])
             records = [goal_record(episode) for episode in episodes]
         scenes = [name_look(episode) for episode in episodes]
-        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), starts, goals, records)
+        times = self.state.steps[chosen].astype(np.float64) * STEP_SECONDS
+        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), starts, goals, records, times)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of snapshots, arrays or lists [K, …] a sensor; see `BatchEyes.draw`.

@@ -14,6 +14,7 @@ from gn0.geometry import F64, Pose2D
 from gn0.missions.episode import AgentSpec, GoalPicture
 from gn0.sim.history import History
 from gn0.sim.mapping import Mapper
+from gn0.sim.motion import STILL, Moment
 from gn0.sim.sensors import EYES, MAPS, SensorConfig
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class Snapshot:
         kept: [K] what an agent has kept of its episode.
         due: [K] whether the agent's own map lacks what it sees now.
         mosaics: [K] history mosaics, when they carry that sensor.
+        times: [K] since their episodes began [s].
     """
 
     agents: NDArray[np.int64]
@@ -53,6 +55,10 @@ class Snapshot:
     kept: list[Kept]
     due: NDArray[np.bool_]
     mosaics: list[NDArray[np.uint8]]
+    times: F64
+
+
+Place = tuple[str, bytes]  # a scene, and a pose with the key of the moment there
 
 
 class BatchEyes:
@@ -88,7 +94,7 @@ class BatchEyes:
         self._scenes_kept = scenes_kept
         self._suites: OrderedDict[str, SensorSuite] = OrderedDict()
         self._histories = [History() for _ in range(count)] if "history" in self._wanted else []
-        self._place: list[tuple[str, bytes] | None] = [None] * count  # of the pictures below
+        self._place: list[Place | None] = [None] * count  # of the pictures below
         self._rgb: NDArray[np.uint8] | None = None
         self._depth: NDArray[np.float32] | None = None
         self._count = count
@@ -118,6 +124,7 @@ class BatchEyes:
         starts: F64,
         goals: F64,
         records: list[GoalPicture | None],
+        times: F64,
     ) -> Snapshot:
         """Where agents `which` stand now, with what they have kept of their episodes."""
         due = self._due[which]
@@ -125,7 +132,7 @@ class BatchEyes:
         agents = which.tolist()
         mosaics = [self._histories[i].mosaic() for i in agents] if self._histories else []
         kept = [self._kept[i] for i in agents]
-        return Snapshot(which, scenes, poses, starts, goals, records, kept, due, mosaics)
+        return Snapshot(which, scenes, poses, starts, goals, records, kept, due, mosaics, times)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of each snapshot, an array [K, …] a sensor.
@@ -156,17 +163,27 @@ class BatchEyes:
 
     def _draw_eyes(self, snapshots: Sequence[Snapshot], found: list[dict[str, Any]]) -> None:
         """Colour and depth."""
-        requests = [
-            (s, k, agent, (scene, pose.tobytes()))
-            for s, snapshot in enumerate(snapshots)
-            for k, (agent, scene, pose) in enumerate(
-                zip(snapshot.agents.tolist(), snapshot.scenes, snapshot.poses, strict=True)
+        requests: list[tuple[int, int, int, Place]] = []
+        moments: dict[Place, Moment] = {}
+        for s, snapshot in enumerate(snapshots):
+            rows = zip(
+                snapshot.agents.tolist(),
+                snapshot.scenes,
+                snapshot.poses,
+                snapshot.times.tolist(),
+                strict=True,
             )
-        ]
+            for k, (agent, scene, pose, time) in enumerate(rows):
+                suite, place = self._suites[scene], (scene, pose.tobytes())
+                if suite.motion is not None:
+                    moment = suite.moment_at(time)
+                    place = (scene, pose.tobytes() + moment.key)
+                    moments[place] = moment
+                requests.append((s, k, agent, place))
         missing = dict.fromkeys(
             place for _, _, agent, place in requests if self._place[agent] != place
         )
-        goals: list[tuple[Kept, tuple[str, bytes]]] = []
+        goals: list[tuple[Kept, Place]] = []
         if "goal_picture" in self._wanted:
             for snapshot in snapshots:
                 for kept, scene, goal, record in zip(
@@ -177,12 +194,13 @@ class BatchEyes:
                     elif kept.goal_picture is None:
                         goals.append((kept, (scene, goal.tobytes())))
             missing |= dict.fromkeys(place for _, place in goals)
-        drawn: dict[tuple[str, bytes], tuple[Any, Any]] = {}
+        drawn: dict[Place, tuple[Any, Any]] = {}
         for scene in sorted({scene for scene, _ in missing}):
             places = [place for place in missing if place[0] == scene]
-            poses = [Pose2D(*np.frombuffer(raw, np.float64).tolist()) for _, raw in places]
+            poses = [Pose2D(*np.frombuffer(raw[:24], np.float64).tolist()) for _, raw in places]
             wanted = self._drawn | {"rgb"} if goals else self._drawn
-            rgb, depth = self._suites[scene].look_many(poses, wanted)
+            then = [moments.get(place, STILL) for place in places]
+            rgb, depth = self._suites[scene].look_many(poses, wanted, then)
             for k, place in enumerate(places):
                 drawn[place] = (
                     None if rgb is None else rgb[k],

@@ -34,6 +34,7 @@ from gn0.sim.continuous import build_action_space
 from gn0.sim.device_eyes import EyesDevice
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.env import build_spaces, largest_map
+from gn0.sim.motion import Motion
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import (
     EYES,
@@ -80,6 +81,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             steps; fewer draws keep fewer distance fields there.
         visible_sets: draw from the splats visible near each place, not from all.
         map_mode: what bev and occupancy show, prior or none; the suite's, else prior.
+        motions: what moves in each scene, by its id, see `gn0.sim.motion`.
         strict: wait after each step with actions from the device, and raise at once if one is
             none; else some steps later, and nobody has moved in the meantime.
         final_pictures: draw for `infos["final_obs"]` what was seen last in episodes that ended.
@@ -119,6 +121,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         ahead: int = AHEAD,
         visible_sets: bool = False,
         map_mode: str | None = None,
+        motions: Mapping[str, Motion] | None = None,
         strict: bool = False,
         final_pictures: bool = False,
         action_space: str = "discrete",
@@ -155,7 +158,13 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             else:
                 chosen = renderer
             self._eyes = EyesDevice(
-                config, self.tasks.scenes, self.tasks.agent, chosen, map_shape, visible_sets
+                config,
+                self.tasks.scenes,
+                self.tasks.agent,
+                chosen,
+                map_shape,
+                visible_sets,
+                motions,
             )
         self.simulator = SimulatorDevice(
             num_envs,

@@ -27,7 +27,7 @@ False}`: Gymnasium reads texts from shared memory only once, so instructions wou
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space, read_action
 from gn0.sim.history import COLUMNS, ROWS, TILE_HEIGHT, TILE_WIDTH
+from gn0.sim.motion import Motion
 from gn0.sim.open import name_look, open_simulator, split_look
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import SensorConfig, check_map_mode
@@ -75,6 +76,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         render_mode: "rgb_array" gives the colour picture from `render()`.
         map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
             (explored), or nothing (none); the suite's, else prior.
+        motions: what moves in each scene, by its id, see `gn0.sim.motion`.
         action_space: "discrete" (STOP 0, FORWARD 1, LEFT 2, RIGHT 3), or "continuous", see
             `gn0.sim.continuous`.
     """
@@ -98,6 +100,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         success_distance: float = 3.0,
         render_mode: str | None = None,
         map_mode: str | None = None,
+        motions: Mapping[str, Motion] | None = None,
         action_space: str = "discrete",
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -109,6 +112,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
+        self._motions = dict(motions or {})
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
         self._simulators: OrderedDict[str, Simulator] = OrderedDict()
@@ -220,6 +224,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
                 self.tasks.max_steps,
                 map_mode=self.map_mode,
                 light=light,
+                motion=self._motions.get(scene_id),
             )
         self._simulators.move_to_end(look)
         while len(self._simulators) > SIMULATORS_KEPT:

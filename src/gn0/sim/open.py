@@ -18,6 +18,7 @@ from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import build_renderer, name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS, DrawnScene
 from gn0.scenes.scene import Scene
+from gn0.sim.motion import Motion
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensors import EYES, MAPS, SensorConfig, check_map_mode, check_sensors
 from gn0.sim.simulator import Simulator
@@ -59,6 +60,7 @@ def open_simulator(
     light: LightCondition | None = None,
     renderer: DrawnScene | None = None,
     one_step_moves: bool = False,
+    motion: Motion | None = None,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -79,6 +81,7 @@ def open_simulator(
         light: how the scene is lit, in views and BEV alike; as it was made when None.
         renderer: draws instead of one of `backend`; it must hold this scene in this light.
         one_step_moves: see `Simulator`.
+        motion: what moves in the scene, see `gn0.sim.motion`.
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -132,4 +135,5 @@ def open_simulator(
         agent=body,
         max_steps=max_steps,
         one_step_moves=one_step_moves,
+        motion=motion,
     )

@@ -18,6 +18,7 @@ from gn0.missions.episode import GoalPicture
 from gn0.paper import BEV_CUT
 from gn0.render.camera import Camera
 from gn0.sim.history import reduce_pictures
+from gn0.sim.motion import STILL, Moment, Motion, take_moment
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.state import MapMode, Sensor
 
@@ -182,6 +183,7 @@ class SensorSuite:
         camera_height: eye above the floor [m].
         renderer: needed for rgb, depth and history.
         bev: needed for bev; also sets the frame of the occupancy picture.
+        motion: what moves in the scene; nothing when None. Maps and goal pictures show none of it.
 
     Raises:
         SimError: a picture is asked for and nothing was handed in to make it.
@@ -194,6 +196,7 @@ class SensorSuite:
         camera_height: float,
         renderer: DrawnScene | None = None,
         bev: BevPicture | None = None,
+        motion: Motion | None = None,
     ) -> None:
         drawn = config.active & (PICTURES if config.explores else EYES)
         if drawn and renderer is None:
@@ -212,6 +215,10 @@ class SensorSuite:
         self._camera_height = camera_height
         self.renderer = renderer
         self._bev = bev
+        self.motion = motion
+        if motion is not None and renderer is not None:
+            for name, cloud in motion.clouds.items():
+                renderer.name_cloud(name, cloud)
         self._ring = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
         self._pitch = float(np.radians(config.preset.pitch_degrees))
 
@@ -238,17 +245,24 @@ class SensorSuite:
         rgb.setflags(write=False)
         return rgb
 
-    def look(self, pose: Pose2D, wanted: frozenset[str]) -> tuple[U8 | None, F32 | None]:
+    def moment_at(self, time: float) -> Moment:
+        """Where everything in the scene stands at a time since the episode began [s]."""
+        return take_moment(self.motion, time)
+
+    def look(
+        self, pose: Pose2D, wanted: frozenset[str], moment: Moment = STILL
+    ) -> tuple[U8 | None, F32 | None]:
         """Render the eyes at a pose: (rgb [H, W, 3], depth [Hd, Wd] m), None where not wanted."""
-        rgb, depth = self.look_many([pose], wanted)
+        rgb, depth = self.look_many([pose], wanted, [moment])
         return None if rgb is None else rgb[0], None if depth is None else depth[0]
 
     def look_many(
-        self, poses: Sequence[Pose2D], wanted: frozenset[str]
+        self, poses: Sequence[Pose2D], wanted: frozenset[str], moments: Sequence[Moment] = ()
     ) -> tuple[U8 | None, F32 | None]:
         """Render the eyes at many poses: (rgb [V, H, W, 3], depth [V, Hd, Wd] m).
 
-        One call of the renderer; two where colour and depth have cameras of their own.
+        `moments` are those of the poses; without them nothing moves. One call of the renderer;
+        two where colour and depth have cameras of their own.
         """
         want_rgb = bool(wanted & {"rgb", "history"})
         want_depth = "depth" in wanted
@@ -257,6 +271,9 @@ class SensorSuite:
         rgb: U8 | None = None
         depth: F32 | None = None
         assert self.renderer is not None
+        moving: dict[str, Any] = {}  # the same call as ever where nothing does
+        if any(moment.parts for moment in moments):
+            moving = {"parts": [moment.parts for moment in moments]}
         if want_rgb:
             both = want_depth and preset.depth == preset.rgb
             result = self.renderer.render(
@@ -264,6 +281,7 @@ class SensorSuite:
                 views,
                 outputs=("rgb", "depth") if both else ("rgb",),
                 background=preset.background,
+                **moving,
             )
             assert result.rgb is not None
             if result.rgb.dtype != np.uint8:
@@ -273,7 +291,7 @@ class SensorSuite:
             rgb = reduce_pictures(cast(U8, result.rgb), *preset.picture_size)
             depth = result.depth if both else None
         if want_depth and depth is None:
-            depth = self.renderer.render(preset.depth, views, outputs=("depth",)).depth
+            depth = self.renderer.render(preset.depth, views, outputs=("depth",), **moving).depth
         if depth is not None:
             low, high = preset.depth_range
             depth = np.clip(depth, np.float32(low), np.float32(high))

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.render.bev import BevPicture
     from gn0.render.renderer import DrawnScene
+    from gn0.sim.motion import Motion
 
 STEP_SECONDS = 0.5
 
@@ -75,6 +76,7 @@ class Simulator:
         agent: the body; the preset's when None. It is the simulator's agent that moves: the one
             in an episode says what the episode was planned for.
         max_steps: steps until an episode is truncated.
+        motion: what moves in the scene, by the time since the episode began.
         one_step_moves: a Teleport or Displacement takes one step whatever its length, as in the
             paper's global action space.
 
@@ -94,6 +96,7 @@ class Simulator:
         agent: AgentSpec | None = None,
         max_steps: int = 500,
         one_step_moves: bool = False,
+        motion: Motion | None = None,
     ) -> None:
         config = sensors or SensorConfig()
         self.scene = scene
@@ -108,7 +111,9 @@ class Simulator:
                 f"map inflated by {navigation.radius:g} m, agent radius {self.agent.radius:g} m",
                 remedy="build the NavigationMap with the agent's radius",
             )
-        self._suite = SensorSuite(config, navigation, self.agent.camera_height, renderer, bev)
+        self._suite = SensorSuite(
+            config, navigation, self.agent.camera_height, renderer, bev, motion
+        )
         self._mapper: Mapper | None = None
         if config.explores:
             self._mapper = Mapper(
@@ -208,7 +213,7 @@ class Simulator:
         self._collided = False
         self._over = False
         self._history.clear()
-        self._last_look: tuple[Pose2D, tuple[U8 | None, F32 | None]] | None = None
+        self._last_look: tuple[Pose2D, bytes, tuple[U8 | None, F32 | None]] | None = None
         self._goal_picture: U8 | None = None
         self._place(episode.start[0], episode.start[1], wrap_angle(episode.start[2]), 0)
         return self._observe()
@@ -348,11 +353,13 @@ class Simulator:
         self._yaw = heading_yaw(self._base, self._turns, self.agent.turn_degrees)
 
     def _look(self) -> tuple[U8 | None, F32 | None]:
-        """Pictures here; not drawn again while the agent stands still."""
-        pose = Pose2D(self._x, self._y, self._yaw)
-        if self._last_look is None or self._last_look[0] != pose:
-            self._last_look = (pose, self._suite.look(pose, self._drawn))
-        return self._last_look[1]
+        """Pictures here and now; not drawn again while nothing moves, the agent included."""
+        pose, last = Pose2D(self._x, self._y, self._yaw), self._last_look
+        moment = self._suite.moment_at(self._steps * STEP_SECONDS)
+        if last is None or last[0] != pose or last[1] != moment.key:
+            last = (pose, moment.key, self._suite.look(pose, self._drawn, moment))
+            self._last_look = last
+        return last[2]
 
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""

@@ -10,7 +10,7 @@ the new episode's first, and `infos["final_obs"]`, `infos["final_info"]` hold th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from gn0.sim.env import (
     build_spaces,
     largest_map,
 )
+from gn0.sim.motion import Motion
 from gn0.sim.open import open_simulator, split_look
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import (
@@ -72,6 +73,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         visible_sets: draw pictures from the splats visible near each place, not from all; see
             `gn0.render.visible`.
         map_mode: what bev and occupancy show, see `GoalNavEnv`; the suite's, else prior.
+        motions: what moves in each scene, by its id, see `gn0.sim.motion`.
         action_space: "discrete" or "continuous", see `gn0.sim.continuous`.
 
     Raises:
@@ -105,6 +107,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         field_memory: int = FIELD_MEMORY,
         visible_sets: bool = False,
         map_mode: str | None = None,
+        motions: Mapping[str, Motion] | None = None,
         action_space: str = "discrete",
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -117,6 +120,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
+        self._motions = dict(motions or {})
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset)
         self._backend = visible_backend(backend) if visible_sets else backend
@@ -176,6 +180,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             self.tasks.max_steps,
             map_mode=self.map_mode,
             light=light,
+            motion=self._motions.get(scene_id),
         ).suite
 
     def reset(

@@ -30,7 +30,12 @@ def data_suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
     root = tmp_path_factory.mktemp("walks")
     save_scene(build_example_scene(), root / "flat")
     scene = load_scene(root / "flat")
-    episodes = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 5, 0)
+    navigation = NavigationMap(scene.grid, 0.2)
+    short = {
+        "minimum_length": 1.5,
+        "maximum_length": 2.5,
+    }  # m: each state is drawn, again and again
+    episodes = sample_goal_episodes(scene, navigation, 5, 0, **short)
     change = msgspec.structs.replace
     episodes = [change(e, path_id=f"p{n}", split="train") for n, e in enumerate(episodes)]
     episodes[1] = change(episodes[1], light=EVENING)

@@ -27,6 +27,8 @@ from gn0.data.samples import PICTURES
 from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import DataError, FormatError, StorageError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.folder import load_scene
 from gn0.sim.sensors import SensorSuite
 from gn0.storage import write_json
@@ -73,9 +75,11 @@ def test_missions_of_one_path_are_drawn_once(webdataset, monkeypatch) -> None:
 
 
 def test_visible_sets_are_part_of_what_a_dataset_is(data_suite, settings_of, tmp_path) -> None:
-    dataset = build_dataset(
-        data_suite, tmp_path / "d", settings_of("webdataset", visible_sets=True)
-    )
+    scene = load_scene(data_suite.scene_folder("example-flat"))
+    navigation = NavigationMap(scene.grid, 0.2)
+    near = sample_goal_episodes(scene, navigation, 1, 0, minimum_length=0.5, maximum_length=1.0)
+    suite = save_suite(tmp_path / "suite", [scene], near, name="near")  # few places: a set for each
+    dataset = build_dataset(suite, tmp_path / "d", settings_of("webdataset", visible_sets=True))
     assert dataset.about.settings.pictures.visible_sets
     assert verify_dataset(dataset.folder, pixels=True).ok
     with pytest.raises(DataError, match="made to be drawn from visible sets"):

@@ -135,3 +135,12 @@ KERNEL(fill_it)(int *out) { fill<1>(out); }
                 1, 32, out
             )
             assert out.numpy().tolist() == list(range(size, 0, -1))
+
+
+def test_another_cache_does_not_bring_another_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kernels speak to the first of a process: a second one would hear of memory, but of no use."""
+    first = DeviceHost(checked=True)
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+    assert DeviceHost(checked=True)._watch is first._watch

@@ -66,6 +66,7 @@ _CHECKED = (
     "-fsanitize=thread,alignment,bounds,shift,float-cast-overflow,integer-divide-by-zero",
     *("--param", "tsan-instrument-func-entry-exit=0"),
 )
+_watches: dict[str, Any] = {}  # opened in this process
 _POISON = 0xFF  # NaN as a float, -1 as an integer: what nobody wrote shows
 _PAGE = mmap.PAGESIZE
 SHARED_MAX = 227 * 1024  # bytes of dynamic shared memory a block on the largest cards
@@ -165,12 +166,15 @@ class DeviceHost:
 
     def _open_watch(self) -> Any:
         text = _WATCH.read_text()
-        path = self._folder / f"watch-{content_hash(text, *_FLAGS, *_LINK)[:24]}.so"
-        if not path.exists():
-            self._compile("watch", text, path, (*_FLAGS, "-O2"))
-        watch = ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)  # kernels find it by its names
-        for name in ("allocate", "release", "fill"):
-            getattr(watch, f"gn0_watch_{name}").argtypes = [ctypes.c_size_t] * 2
+        name = f"watch-{content_hash(text, *_FLAGS, *_LINK)[:24]}.so"
+        if name not in _watches:  # kernels find it by its names: the first of a process is theirs
+            path = self._folder / name
+            if not path.exists():
+                self._compile("watch", text, path, (*_FLAGS, "-O2"))
+            _watches[name] = ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+        watch = _watches[name]
+        for entry in ("allocate", "release", "fill"):
+            getattr(watch, f"gn0_watch_{entry}").argtypes = [ctypes.c_size_t] * 2
         return watch
 
     def _filled(self, array: DeviceArray) -> None:
@@ -269,7 +273,7 @@ class DeviceHost:
         found = parse_prototypes(source.text)
         text = f'#include "{_SHIM}"\n{source.text}\n{_wrappers(found)}'
         flags = _FLAGS if self._watch is None else (*_FLAGS, *_CHECKED)
-        key = content_hash(text, _SHIM.read_text(), *flags, *_LINK)
+        key = content_hash(source.text, _SHIM.read_text(), *flags, *_LINK)
         path = self._folder / f"{source.name}-{key[:24]}.so"
         if not path.exists():
             self._compile(source.name, text, path, flags)

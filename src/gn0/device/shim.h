@@ -119,18 +119,24 @@ struct Fiber {
 #endif
   char *stack = nullptr;
   bool done = true;
-  uint64_t given[WARP_SIZE];  // what the lanes of the last warp operation gave
-  unsigned present = 0;       // which of them took part
-  unsigned met = 0;           // when, in a checked build
+  bool at_barrier = false;  // it waits for the round after `round` to begin
+  uint64_t round = 0;
+  unsigned mask = 0;     // the lanes that it waits for in a warp operation
+  unsigned present = 0;  // those that took part in the last one
+  unsigned met = 0;      // when, in a checked build
+  int slot = -1;         // of its warp: what they gave
 };
 
 struct Warp {
   uint64_t value[WARP_SIZE];
   unsigned arrived = 0, alive = 0;
+  uint64_t given[WARP_SIZE + 1][WARP_SIZE];  // of past operations, one that nobody reads among them
+  uint8_t readers[WARP_SIZE + 1];            // threads whose last operation it was
 };
 
 static std::vector<Fiber> fibers;
 static std::vector<Warp> warps;
+static std::vector<uint3> places;  // of threads in their block
 static const std::function<void()> *body;
 static unsigned threads, alive, arrived, current;
 static uint64_t barrier_round, progress;  // progress tells waiting from deadlock
@@ -160,7 +166,7 @@ inline void to_main() {
 inline void locate(unsigned t) {
   current = t;
   WATCH(gn0_thread = t;)
-  thread_index = {t % block_size.x, t / block_size.x % block_size.y, t / (block_size.x * block_size.y)};
+  thread_index = places[t];
 }
 
 inline void yield() { to_main(); }
@@ -188,16 +194,25 @@ inline int barrier(int vote) {
   votes += vote != 0;
   progress++;
   release_barrier();
+  Fiber &me = fibers[current];
+  me.round = round;
+  me.at_barrier = true;
   while (barrier_round == round) yield();
+  me.at_barrier = false;
   return last_votes;
 }
 
 inline void complete_warp(Warp &w, unsigned warp, unsigned mask) {
   WATCH(unsigned met = gn0_watch_meet();)
+  int slot = 0;
+  while (w.readers[slot]) slot++;
+  memcpy(w.given[slot], w.value, sizeof w.value);
   for (int l = 0; l < WARP_SIZE; l++)
     if (mask >> l & 1) {
       Fiber &f = fibers[warp * WARP_SIZE + l];
-      memcpy(f.given, w.value, sizeof w.value);
+      if (f.slot >= 0) w.readers[f.slot]--;
+      w.readers[slot]++;
+      f.slot = slot;
       f.present = mask;
       WATCH(f.met = met;)
     }
@@ -205,7 +220,7 @@ inline void complete_warp(Warp &w, unsigned warp, unsigned mask) {
   progress++;
 }
 
-// Every lane of `mask` gives a value; afterwards fibers[current].given holds all of them.
+// Every lane of `mask` gives a value; all of them, until the thread's next operation.
 inline const uint64_t *exchange(unsigned mask, uint64_t value) {
   unsigned warp = current / WARP_SIZE, lane = current % WARP_SIZE;
   Warp &w = warps[warp];
@@ -217,9 +232,13 @@ inline const uint64_t *exchange(unsigned mask, uint64_t value) {
     unsigned real = mask & w.alive;  // lanes that have returned are not waited for; a card may
     WATCH(if (real != mask && threads % WARP_SIZE == 0) fail("a warp operation whose mask names lanes that have returned");)
     if ((w.arrived & real) == real) complete_warp(w, warp, real);
-    else yield();
+    else {
+      fibers[current].mask = mask;
+      yield();
+      fibers[current].mask = 0;
+    }
   }
-  return fibers[current].given;
+  return w.given[fibers[current].slot];
 }
 
 static void entry() {
@@ -233,11 +252,25 @@ static void entry() {
   to_main();
 }
 
-inline void prepare(Fiber &f) {
+// Whether a thread would only find that what it waits for has not come.
+inline bool waits(unsigned t) {
+  const Fiber &f = fibers[t];
+  if (f.at_barrier) return barrier_round == f.round;
+  if (!f.mask) return false;
+  const Warp &w = warps[t / WARP_SIZE];
+  unsigned real = f.mask & w.alive;
+  WATCH(if (real != f.mask) return false;)
+  return (w.arrived >> (t % WARP_SIZE) & 1) && (w.arrived & real) != real;
+}
+
+// Stacks begin at addresses of their own within a page's distance, or a cache could hold few of them.
+inline void prepare(Fiber &f, unsigned t) {
   if (!f.stack) f.stack = (char *)mmap(nullptr, STACK, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-  f.done = false;
+  f.done = f.at_barrier = false;
+  f.mask = 0;
+  f.slot = -1;
 #if defined(__x86_64__)
-  void **top = (void **)(f.stack + STACK - 64);
+  void **top = (void **)(f.stack + STACK - 64 - t % 61 * 192);
   *--top = nullptr;  // keeps the stack aligned as after a call
   *--top = (void *)entry;
   for (int i = 0; i < 6; i++) *--top = nullptr;
@@ -245,7 +278,7 @@ inline void prepare(Fiber &f) {
 #else
   getcontext(&f.context);
   f.context.uc_stack.ss_sp = f.stack;
-  f.context.uc_stack.ss_size = STACK;
+  f.context.uc_stack.ss_size = STACK - t % 61 * 192;
   f.context.uc_link = nullptr;
   makecontext(&f.context, entry, 0);
 #endif
@@ -278,7 +311,10 @@ inline int run(const unsigned *grid, const unsigned *block, size_t shared, uint6
   block_size = {block[0], block[1], block[2]};
   threads = block[0] * block[1] * block[2];
   fibers.resize(std::max<size_t>(fibers.size(), threads));
-  warps.assign((threads + 31) / 32, Warp());
+  places.resize(threads);
+  for (unsigned t = 0; t < threads; t++)
+    places[t] = {t % block_size.x, t / block_size.x % block_size.y, t / (block_size.x * block_size.y)};
+  warps.resize((threads + 31) / 32);
   body = &work;
   failed = false;
   message[0] = 0;
@@ -317,7 +353,7 @@ inline int run(const unsigned *grid, const unsigned *block, size_t shared, uint6
     block_index = {(unsigned)(b % grid[0]), (unsigned)(b / grid[0] % grid[1]), (unsigned)(b / grid[0] / grid[1])};
     for (unsigned t = 0; t < threads; t++) {
       order[t] = t;
-      prepare(fibers[t]);
+      prepare(fibers[t], t);
     }
     if (seed)
       for (unsigned t = threads; t > 1; t--) std::swap(order[t - 1], order[next_random(t)]);
@@ -325,6 +361,7 @@ inline int run(const unsigned *grid, const unsigned *block, size_t shared, uint6
       unsigned count = std::min(32u, threads - (unsigned)w * 32);
       warps[w].alive = count == 32 ? ~0u : (1u << count) - 1;
       warps[w].arrived = 0;
+      memset(warps[w].readers, 0, sizeof warps[w].readers);
     }
     alive = threads;
     arrived = 0;
@@ -333,7 +370,7 @@ inline int run(const unsigned *grid, const unsigned *block, size_t shared, uint6
     while (alive) {
       uint64_t before = progress;
       for (unsigned t : order)
-        if (!fibers[t].done) {
+        if (!fibers[t].done && !waits(t)) {
           resume(t);
           if (failed) {
             result = 1;

@@ -9,7 +9,10 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 SRC = Path(__file__).resolve().parent.parent / "src" / "gn0"
 
@@ -65,6 +68,31 @@ def test_imports_go_down(path: Path) -> None:
         allowed = FLOORS[other] < FLOORS[room] or FLOORS[other] == FLOORS[room] == 0
         allowed = allowed or FLOORS[other] == FLOORS[room] == 8
         assert allowed, f"{path}: floor {FLOORS[room]} imports {name} of floor {FLOORS[other]}"
+
+
+def circles() -> list[set[str]]:
+    """Files that import each other in a circle; imports inside functions and for types count."""
+    names = [".".join(path.relative_to(SRC).with_suffix("").parts) for path in FILES]
+    number = {f"gn0.{name}": k for k, name in enumerate(names)}
+    edges = {
+        (k, number[name])
+        for k, path in enumerate(FILES)
+        for name in imports_of(path)
+        if name in number
+    }
+    ways = coo_array((np.ones(len(edges)), np.array(sorted(edges)).T), (len(FILES), len(FILES)))
+    _, group = connected_components(ways, connection="strong")
+    grouped = [{names[k] for k in np.flatnonzero(group == g)} for g in np.unique(group)]
+    return [circle for circle in grouped if len(circle) > 1]
+
+
+def test_files_in_a_circle_are_one_idea() -> None:
+    """At most three circles, each of one room."""
+    found = circles()
+    assert len(found) <= 3, found
+    for circle in found:
+        assert {name.split(".")[0] for name in circle} <= {"device", "render"}, circle
+        assert len({name.split(".")[0] for name in circle}) == 1, circle
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))

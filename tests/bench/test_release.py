@@ -11,15 +11,9 @@ import pytest
 
 from gn0.bench.messages import Open
 from gn0.bench.protocol import protocol_card
-from gn0.bench.release import (
-    PATIENCE,
-    PolicyUnderRelease,
-    ReleaseScore,
-    report_release,
-    score_release,
-)
+from gn0.bench.release import PATIENCE, PolicyUnderRelease, ReleaseScore, score_release
 from gn0.bench.report import write_report
-from gn0.bench.results import EpisodeResult, PolicyCard, load_results, load_summary
+from gn0.bench.results import EpisodeResult, PolicyCard, load_results, load_summary, report_release
 from gn0.bench.runner import run_suite
 from gn0.bench.worker import EpisodeWorker
 from gn0.errors import ConfigError

@@ -20,6 +20,7 @@ from gn0.data.dataset import (
     open_dataset,
     save_dataset_file,
 )
+from gn0.data.frames import read_frames
 from gn0.data.labels import label_states
 from gn0.data.render import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
@@ -274,7 +275,9 @@ def test_png_and_maps_in_every_sample_are_the_very_pixels(data_suite, settings_o
     name = dataset.sampled[0]
     kinds = ("rgb", "history", "bev", "occupancy")
     for one, other in zip(
-        dataset.frames(name, kinds), dataset.frames(name, kinds, exact=True), strict=True
+        read_frames(dataset, name, kinds),
+        read_frames(dataset, name, kinds, exact=True),
+        strict=True,
     ):
         for kind in kinds:
             np.testing.assert_array_equal(one[kind], other[kind])

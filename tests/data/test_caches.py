@@ -16,11 +16,11 @@ import pytest
 from gn0.data.build import build_dataset
 from gn0.data.cache import decode_picture, load_manifest
 from gn0.data.cache_webdataset import ShardReader, draw_dots, sample_key
-from gn0.data.dataset import compute_seal, open_dataset
+from gn0.data.dataset import compute_seal, file_digest, open_dataset
 from gn0.data.draw import PartDrawer
 from gn0.data.folder import read_done, write_journal
+from gn0.data.frames import read_frames
 from gn0.data.lerobot_schema import PixelSums, describe_array, join_stats
-from gn0.data.part import file_digest
 from gn0.data.render import choose_cache, render_dataset
 from gn0.data.repair import repair_dataset
 from gn0.data.samples import PICTURES
@@ -51,7 +51,7 @@ def test_a_part_whose_episodes_cannot_be_walked_is_empty_and_whole(
     assert [part.rows > 0 for part in dataset.about.parts] == [False, True]
     assert [len(part.skipped) for part in dataset.about.parts] == [3, 0]
     assert verify_dataset(dataset.folder, pixels=True).ok
-    frames = list(dataset.frames(dataset.sampled[0], ("rgb", "history")))
+    frames = list(read_frames(dataset, dataset.sampled[0], ("rgb", "history")))
     assert len(frames) == dataset.about.rows
 
 
@@ -183,7 +183,11 @@ def test_shards_of_version_1_are_read(data_suite, settings_of, tmp_path) -> None
     old = msgspec.structs.replace(old, seal=compute_seal(old))
     write_json(cache / "manifest.json", msgspec.to_builtins(old))
     name, kinds = part.episodes[0], ("rgb", "bev", "occupancy", "goal_picture")
-    frames = zip(dataset.frames(name, kinds), dataset.frames(name, kinds, exact=True), strict=True)
+    frames = zip(
+        read_frames(dataset, name, kinds),
+        read_frames(dataset, name, kinds, exact=True),
+        strict=True,
+    )
     for one, other in frames:
         for kind in ("bev", "occupancy"):
             assert np.array_equal(one[kind], other[kind])
@@ -199,9 +203,9 @@ def test_a_damaged_video_is_refused_in_words(lerobot, copy_of) -> None:
     for bad in (b"", data[: len(data) // 2], b"\0" * len(data)):
         video.write_bytes(bad)
         with pytest.raises(FormatError, match="video") as caught:
-            list(dataset.frames(dataset.sampled[0], ("rgb",)))
+            list(read_frames(dataset, dataset.sampled[0], ("rgb",)))
         assert "gn0 data repair" in caught.value.remedy
-    assert len(list(dataset.frames(dataset.sampled[0], ("rgb",), exact=True)))
+    assert len(list(read_frames(dataset, dataset.sampled[0], ("rgb",), exact=True)))
 
 
 def test_another_cache_layout_version_is_refused(webdataset, copy_of) -> None:

@@ -20,6 +20,7 @@ from gn0.data.build import build_dataset
 from gn0.data.cache import decode_depth, encode_depth
 from gn0.data.cache_webdataset import ShardReader, sample_key
 from gn0.data.dataset import Dataset, open_dataset
+from gn0.data.frames import read_frames
 from gn0.data.render import choose_cache, render_dataset
 from gn0.data.repair import repair_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
@@ -100,7 +101,7 @@ def test_a_16_bit_png_reads_back_here_and_elsewhere(size: tuple[int, int]) -> No
 
 def test_what_is_stored_is_the_renderers_depth_and_is_hashed(deep) -> None:
     for name in deep.sampled:
-        drawn = list(deep.frames(name, ("depth",), exact=True))
+        drawn = list(read_frames(deep, name, ("depth",), exact=True))
         part, rows = deep.part_of(name), deep.rows(name)
         reader = ShardReader(deep.folder, part.name, DEPTH)  # a part is an episode here
         assert len(rows.hashes["depth"]) == len(drawn) == part.rows
@@ -118,9 +119,9 @@ def test_what_is_stored_is_the_renderers_depth_and_is_hashed(deep) -> None:
 
 def test_frames_read_what_is_stored_unless_exact_metres_are_asked_for(deep, plain) -> None:
     name = deep.sampled[0]
-    stored = list(deep.frames(name, ("rgb", "depth")))
-    exact = list(deep.frames(name, ("depth",), exact=True))
-    drawn = list(plain.frames(name, ("depth",)))  # nothing is stored there
+    stored = list(read_frames(deep, name, ("rgb", "depth")))
+    exact = list(read_frames(deep, name, ("depth",), exact=True))
+    drawn = list(read_frames(plain, name, ("depth",)))  # nothing is stored there
     for one, other, third in zip(stored, exact, drawn, strict=True):
         assert one["depth"].dtype == np.float32
         np.testing.assert_array_equal(other["depth"], third["depth"])
@@ -180,7 +181,7 @@ def test_damage_to_a_depth_picture_is_named_and_repaired(deep, copy_of, files_of
     name = part.episodes[0]
     assert damage.rows == (f"depth.png of row 3 (episode {name!r}, step 2)",)
     with pytest.raises(FormatError, match="member is damaged"):
-        list(open_dataset(folder).frames(name, ("depth",)))
+        list(read_frames(open_dataset(folder), name, ("depth",)))
     (folder / deep.about.parts[0].path).unlink()
     assert repair_dataset(folder).ok
     assert files_of(folder) == files_of(deep.folder)
@@ -256,7 +257,7 @@ def test_a_lerobot_cache_of_a_dataset_with_depth_keeps_it(deep, copy_of) -> None
     assert repair_dataset(folder).ok
     assert data.read_bytes() == whole
     name, kinds = deep.sampled[0], ("rgb", "depth")
-    stored, drawn = (list(open_dataset(folder).frames(name, kinds, exact=e)) for e in (0, 1))
+    stored, drawn = (list(read_frames(open_dataset(folder), name, kinds, exact=e)) for e in (0, 1))
     for one, other in zip(stored, drawn, strict=True):
         assert np.abs(one["depth"] - other["depth"]).max() <= 0.00051
         assert not np.array_equal(one["rgb"], other["rgb"])  # from the video
@@ -284,9 +285,9 @@ def test_a_depth_camera_of_its_own_is_stored_in_its_own_size(data_suite, tmp_pat
     small = small_suite(data_suite, tmp_path, "vlnce_r2r", 1)
     dataset = build_dataset(small, tmp_path / "d", BuildSettings(pictures=DEPTH))
     name = dataset.sampled[0]
-    frame = next(dataset.frames(name, ("rgb", "depth")))
+    frame = next(read_frames(dataset, name, ("rgb", "depth")))
     assert frame["rgb"].shape == (224, 224, 3) and frame["depth"].shape == (256, 256)
-    exact = next(dataset.frames(name, ("depth",), exact=True))
+    exact = next(read_frames(dataset, name, ("depth",), exact=True))
     assert np.abs(frame["depth"] - exact["depth"]).max() < 0.0005 + 1e-5
     assert verify_dataset(dataset.folder, pixels=True).ok
 

@@ -24,6 +24,7 @@ from gn0.data.build import build_dataset
 from gn0.data.dataset import load_dataset_file, open_dataset
 from gn0.data.draw import look_ahead
 from gn0.data.drawing import choose_drawing, count_workers, open_drawing, with_backend
+from gn0.data.frames import read_frames
 from gn0.data.render import choose_cache, render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
@@ -499,14 +500,14 @@ def test_a_dataset_drawn_on_a_device_is_drawn_again_there_alone(
     render_dataset(tmp_path / "d")
     assert files_of(tmp_path / "d") == first
     assert verify_dataset(tmp_path / "d", pixels=True).ok
-    frame = next(built.frames(built.sampled[0], ("rgb", "depth"), exact=True))
+    frame = next(read_frames(built, built.sampled[0], ("rgb", "depth"), exact=True))
     assert frame["rgb"].shape == (36, 48, 3)
-    stored = next(built.frames(built.sampled[0], ("depth",)))["depth"]
+    stored = next(read_frames(built, built.sampled[0], ("depth",)))["depth"]
     assert 0 < np.abs(stored - frame["depth"]).max() < 0.0005 + 1e-5
     monkeypatch.setenv("GN0_DEVICE", "none")
     built.kept.clear()
     with pytest.raises(DataError, match="drawn by backend 'cuda', which does not run here"):
-        next(built.frames(built.sampled[0], ("rgb",), exact=True))
+        next(read_frames(built, built.sampled[0], ("rgb",), exact=True))
     shutil.rmtree(tmp_path / "d" / "pictures")
     with pytest.raises(DataError, match="backend 'cuda', which does not run here"):
         render_dataset(tmp_path / "d")

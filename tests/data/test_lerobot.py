@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from gn0.data.cache_lerobot import write_tables
+from gn0.data.frames import read_frames
 from gn0.data.lerobot_schema import FPS, TEXT, VIDEOS, motions
 from gn0.errors import DataError
 from gn0.export.session import check_export
@@ -94,7 +95,9 @@ def test_statistics_are_finite_and_of_the_right_shape(lerobot) -> None:
             values = np.array(own[what], float)
             assert values.shape == shape and np.isfinite(values).all(), name
         assert own["count"] == [lerobot.about.rows]
-    frames = [f["rgb"] for e in lerobot.sampled for f in lerobot.frames(e, ("rgb",), exact=True)]
+    frames = [
+        f["rgb"] for e in lerobot.sampled for f in read_frames(lerobot, e, ("rgb",), exact=True)
+    ]
     mean = np.mean([f.mean(axis=(0, 1)) for f in frames], axis=0) / 255
     np.testing.assert_allclose(np.ravel(stats[VIDEOS["rgb"]]["mean"]), mean, atol=0.01)
 
@@ -111,8 +114,8 @@ def test_missions_of_one_path_share_their_frames(lerobot) -> None:
     )  # fmt: skip
     spans = {k: v for k, v in twin.items() if k.startswith("videos/") and "goal" not in k}
     assert len(spans) == 16 and all(same[key] == value for key, value in spans.items())
-    frames = lerobot.frames("zwilling", ("rgb",))
-    others = lerobot.frames(same["gn0_id"], ("rgb",))
+    frames = read_frames(lerobot, "zwilling", ("rgb",))
+    others = read_frames(lerobot, same["gn0_id"], ("rgb",))
     assert all(np.array_equal(a["rgb"], b["rgb"]) for a, b in zip(frames, others, strict=True))
 
 

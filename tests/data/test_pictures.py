@@ -7,6 +7,7 @@ import pytest
 
 from gn0.data.codec import waypoint_pixels
 from gn0.data.draw import bare_map, eyes_of
+from gn0.data.frames import read_frames
 from gn0.data.pictures import SENSORS
 from gn0.data.samples import PICTURES
 from gn0.data.settings import TokenSettings
@@ -53,7 +54,7 @@ def test_hashes_are_those_of_what_the_simulator_shows(webdataset, watched) -> No
 def test_frames_drawn_again_are_what_the_simulator_shows(webdataset, watched) -> None:
     name = webdataset.sampled[0]
     observations, _ = watched[name]
-    frames = list(webdataset.frames(name, SENSORS, exact=True))
+    frames = list(read_frames(webdataset, name, SENSORS, exact=True))
     assert len(frames) == len(webdataset.rows(name))
     for frame, observation in zip(frames, observations, strict=False):
         for sensor in SENSORS:
@@ -66,7 +67,7 @@ def test_light_changes_view_and_map_alike_and_nothing_else(webdataset) -> None:
     hashes = {e.id: webdataset.rows(e.id).hashes for e in webdataset.episodes}
     assert hashes[lit[0].id]["bev"][0] == hashes[lit[1].id]["bev"][0]
     assert hashes[lit[0].id]["bev"][0] != hashes[plain[0].id]["bev"][0]
-    frames = [next(webdataset.frames(e.id, ("rgb",), exact=True)) for e in (lit[0], plain[0])]
+    frames = [next(read_frames(webdataset, e.id, ("rgb",), exact=True)) for e in (lit[0], plain[0])]
     assert frames[0]["rgb"].mean() < frames[1]["rgb"].mean()
 
 
@@ -90,8 +91,8 @@ def test_map_tokens_count_over_the_picture_that_is_shown(webdataset) -> None:
 
 def test_the_cache_shows_what_is_drawn_as_well_as_jpg_can(webdataset_once) -> None:
     for name in (webdataset_once.sampled[0], "zwilling"):
-        cached = list(webdataset_once.frames(name, PICTURES))
-        drawn = list(webdataset_once.frames(name, PICTURES, exact=True))
+        cached = list(read_frames(webdataset_once, name, PICTURES))
+        drawn = list(read_frames(webdataset_once, name, PICTURES, exact=True))
         assert len(cached) == len(drawn) == len(webdataset_once.rows(name))
         for one, other in zip(cached, drawn, strict=True):
             for sensor in ("bev", "occupancy"):  # png
@@ -103,8 +104,8 @@ def test_the_cache_shows_what_is_drawn_as_well_as_jpg_can(webdataset_once) -> No
 
 def test_videos_show_what_is_drawn_as_well_as_av1_can(lerobot) -> None:
     name = lerobot.sampled[-1]
-    cached = list(lerobot.frames(name, PICTURES))
-    drawn = list(lerobot.frames(name, PICTURES, exact=True))
+    cached = list(read_frames(lerobot, name, PICTURES))
+    drawn = list(read_frames(lerobot, name, PICTURES, exact=True))
     for one, other in zip(cached, drawn, strict=True):
         np.testing.assert_array_equal(one["occupancy"], other["occupancy"])
         for sensor in ("rgb", "history"):
@@ -113,7 +114,7 @@ def test_videos_show_what_is_drawn_as_well_as_av1_can(lerobot) -> None:
 
 
 def test_depth_comes_with_colour_from_the_cache(webdataset) -> None:
-    frame = next(webdataset.frames(webdataset.sampled[0], ("rgb", "depth")))
+    frame = next(read_frames(webdataset, webdataset.sampled[0], ("rgb", "depth")))
     assert frame["depth"].dtype == np.float32 and frame["depth"].shape == frame["rgb"].shape[:2]
 
 
@@ -124,17 +125,19 @@ def test_goal_pictures_are_the_simulators_and_are_kept(webdataset_once, lerobot)
             webdataset_once.scene(episode.scene_id), sensors={"goal_picture"}, light=episode.light
         )
         shown = simulator.reset(episode).goal_picture
-        drawn = next(webdataset_once.frames(name, ("goal_picture",), exact=True))["goal_picture"]
+        drawn = next(read_frames(webdataset_once, name, ("goal_picture",), exact=True))[
+            "goal_picture"
+        ]
         np.testing.assert_array_equal(drawn, shown)
-        cached = next(webdataset_once.frames(name, ("goal_picture", "rgb")))["goal_picture"]
+        cached = next(read_frames(webdataset_once, name, ("goal_picture", "rgb")))["goal_picture"]
         assert np.sqrt(((cached.astype(float) - drawn) ** 2).mean()) < 6
     # two missions of one path have goals of their own: the seed and the id turn the view
     for dataset in (webdataset_once, lerobot):
-        shown = [next(dataset.frames(name, ("goal_picture",))) for name in dataset.sampled]
+        shown = [next(read_frames(dataset, name, ("goal_picture",))) for name in dataset.sampled]
         assert len({one["goal_picture"].tobytes() for one in shown}) == 6
 
 
 def test_an_unknown_picture_is_refused_with_the_known_ones(webdataset) -> None:
     with pytest.raises(DataError, match="no picture 'sonar'") as caught:
-        webdataset.frames(webdataset.sampled[0], ("sonar",))
+        read_frames(webdataset, webdataset.sampled[0], ("sonar",))
     assert "history" in caught.value.remedy

@@ -17,8 +17,9 @@ from gn0.cli.main import main
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.errors import ConfigError, DataError, EpisodeError, FormatError, Gn0Error, StorageError
+from gn0.export.export_file import load_export_file
 from gn0.export.exporter import ExportSettings
-from gn0.export.session import check_export, load_export_file, run_export
+from gn0.export.session import check_export, run_export
 from gn0.export.shelf import Shelf
 from gn0.export.source import build_trip, open_source
 from gn0.export.trips import RGBD, ExportSource, Trip, differing_fields

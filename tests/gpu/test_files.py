@@ -12,6 +12,7 @@ from PIL import Image
 from gn0.data.build import build_dataset
 from gn0.data.cache_webdataset import ShardReader
 from gn0.data.drawing import with_backend
+from gn0.data.frames import read_frames
 from gn0.data.render import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
@@ -101,7 +102,7 @@ def test_a_dataset_comes_out_the_same_twice(card: Device, tmp_path: Path) -> Non
     assert files(tmp_path / "one") == before
     name = one.sampled[0]
     reader = ShardReader(one.folder, one.part_of(name).name, pictures)
-    for row, frame in enumerate(one.frames(name, ("rgb", "history", "depth"), exact=True)):
+    for row, frame in enumerate(read_frames(one, name, ("rgb", "history", "depth"), exact=True)):
         stored = reader.depth(row)
         near = (stored > 0) & (stored < 10_000)  # mm: the sensor's range
         np.testing.assert_array_equal(stored[near], to_millimetres(frame["depth"])[near])

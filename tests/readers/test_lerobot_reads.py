@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gn0.data.dataset import Dataset
+from gn0.data.frames import read_frames
 from gn0.data.lerobot_schema import DEPTH_KEY, FEATURES, FPS, VIDEOS, motions
 from gn0.export.exporter import ExportSettings
 from gn0.export.session import run_export
@@ -50,7 +51,7 @@ def test_every_field_of_every_sample(data: Any, walks: Dataset) -> None:
     for name in names:
         rows, episode = walks.rows(name), walks.episode(name)
         goal = bool(name != "words")
-        frames = walks.frames(name, kinds if goal else kinds[:-1], exact=True)
+        frames = read_frames(walks, name, kinds if goal else kinds[:-1], exact=True)
         for t, frame in enumerate(frames):
             item = data[index]
             assert item["task"] == episode.instruction

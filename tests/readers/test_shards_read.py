@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from gn0.data.dataset import Dataset
+from gn0.data.frames import read_frames
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 PICTURES = ("rgb", "history", "bev", "occupancy", "goal")
@@ -37,7 +38,7 @@ def _compare(walks: Dataset, about: dict[str, Any], pictures: dict[str, Any], de
     kinds = ["rgb", "history", "bev", "occupancy", "depth"]
     if name != "words":
         kinds.append("goal_picture")
-    for number, frame in enumerate(walks.frames(name, kinds, exact=True)):
+    for number, frame in enumerate(read_frames(walks, name, kinds, exact=True)):
         if number != t:
             continue
         for kind in PICTURES:

@@ -6,7 +6,8 @@ import numba
 import numpy as np
 import pytest
 
-from gn0.scenes.bake import BakeSettings, LightField, bake_light
+from gn0.scenes.bake import BakeSettings, bake_light
+from gn0.scenes.light_field import LightField
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.procedural.draft import Lamp, Sky, Sun
 from gn0.scenes.tone import ToneCurve, choose_exposure

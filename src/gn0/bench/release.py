@@ -9,8 +9,6 @@ STOP that the harness sent is not the agent's.
 from __future__ import annotations
 
 import math
-from array import array
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -25,7 +23,6 @@ from gn0.sim.simulator import action_code
 from gn0.sim.state import Action, Observation, Trajectory
 
 if TYPE_CHECKING:
-    from gn0.bench.results import EpisodeResult
     from gn0.sim.simulator import Simulator
 
 PATIENCE = 25  # checks of unchanged distance that the harness still allows
@@ -184,38 +181,3 @@ SIDE_BY_SIDE = (
     ("NE", "distance left", "NE_geo", 1.0, "m"),
     ("TL", "trajectory length", "TL", 1.0, "m"),
 )
-
-
-def report_release(results: Iterable[EpisodeResult]) -> ReleaseReport | None:
-    """What the official report would print; None when no episode was scored its way."""
-    lengths, errors, spls = array("d"), array("d"), array("d")
-    oracles = successes = zeroed = stops = forced = in_pixel = 0
-    for result in results:
-        s = result.release
-        if s is None:
-            continue
-        stopped = s.forced_stop is not None
-        lengths.append(s.path_length)
-        errors.append(s.distance_to_goal or 0.0)
-        spls.append(s.spl or 0.0)
-        oracles += s.oracle_success
-        successes += s.success
-        zeroed += s.distance_to_goal is None
-        stops += stopped
-        forced += s.success and stopped
-        in_pixel += s.distance_to_goal == 0.0 and (result.stopped or stopped)
-    n = len(lengths)
-    if not n:
-        return None
-    return ReleaseReport(
-        episodes=n,
-        TL=math.fsum(lengths) / n,
-        NE=math.fsum(errors) / n,
-        OS=oracles / n,
-        SR=successes / n,
-        SPL=math.fsum(spls) / n,
-        zeroed=zeroed,
-        forced_stops=stops,
-        forced_successes=forced,
-        in_goal_pixel=in_pixel,
-    )

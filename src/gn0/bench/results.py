@@ -329,3 +329,38 @@ def load_summary(run: Path | str) -> RunSummary:
             remedy="give the same `gn0 bench run` command again; it goes on where it stopped",
         )
     return load_json(path, RunSummary)
+
+
+def report_release(results: Iterable[EpisodeResult]) -> ReleaseReport | None:
+    """What the official report would print; None when no episode was scored its way."""
+    lengths, errors, spls = array("d"), array("d"), array("d")
+    oracles = successes = zeroed = stops = forced = in_pixel = 0
+    for result in results:
+        s = result.release
+        if s is None:
+            continue
+        stopped = s.forced_stop is not None
+        lengths.append(s.path_length)
+        errors.append(s.distance_to_goal or 0.0)
+        spls.append(s.spl or 0.0)
+        oracles += s.oracle_success
+        successes += s.success
+        zeroed += s.distance_to_goal is None
+        stops += stopped
+        forced += s.success and stopped
+        in_pixel += s.distance_to_goal == 0.0 and (result.stopped or stopped)
+    n = len(lengths)
+    if not n:
+        return None
+    return ReleaseReport(
+        episodes=n,
+        TL=math.fsum(lengths) / n,
+        NE=math.fsum(errors) / n,
+        OS=oracles / n,
+        SR=successes / n,
+        SPL=math.fsum(spls) / n,
+        zeroed=zeroed,
+        forced_stops=stops,
+        forced_successes=forced,
+        in_goal_pixel=in_pixel,
+    )

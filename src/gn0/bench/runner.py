@@ -27,7 +27,6 @@ from gn0.bench.ledger import Ledger
 from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
 from gn0.bench.pools import open_pool
 from gn0.bench.protocol import code_version, config_hash, protocol_card
-from gn0.bench.release import report_release
 from gn0.bench.results import (
     EpisodeResult,
     EpisodeTrace,
@@ -36,6 +35,7 @@ from gn0.bench.results import (
     RunSummary,
     aggregate,
     iterate_results,
+    report_release,
 )
 from gn0.bench.schedule import Schedule
 from gn0.bench.session import ask_card, check_name, stamp_now, tell_earlier

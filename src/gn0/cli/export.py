@@ -69,8 +69,9 @@ def run(args: Args) -> int:
     """Export, and say what was written and what was not."""
     from gn0.cli.console import draw_progress
     from gn0.config import check_config
+    from gn0.export.export_file import EXPORT_FILE
     from gn0.export.exporter import ExportSettings, get_dataset_exporter
-    from gn0.export.session import EXPORT_FILE, remark_export, run_export
+    from gn0.export.session import remark_export, run_export
     from gn0.export.source import open_source
     from gn0.folder import forget_folder
 

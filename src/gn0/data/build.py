@@ -24,6 +24,7 @@ from gn0.data.dataset import (
     DatasetScene,
     FileRecord,
     SuiteOrigin,
+    file_digest,
     load_dataset_file,
     open_dataset,
     save_dataset_file,
@@ -35,7 +36,7 @@ from gn0.data.folder import (
     run_parts,
     write_journal,
 )
-from gn0.data.part import PartDone, PartPlan, check_plan, drawn_at, file_digest
+from gn0.data.part import PartDone, PartPlan, check_plan, drawn_at
 from gn0.data.render import finish_cache
 from gn0.data.samples import SAMPLE_LAYOUT
 from gn0.data.settings import BuildSettings

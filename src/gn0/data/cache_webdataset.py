@@ -37,8 +37,7 @@ from gn0.data.cache import (
     write_maps,
     write_recorded,
 )
-from gn0.data.dataset import FileRecord
-from gn0.data.part import file_digest
+from gn0.data.dataset import FileRecord, file_digest
 from gn0.data.samples import DEPTH
 from gn0.data.settings import PictureSettings
 from gn0.errors import FormatError

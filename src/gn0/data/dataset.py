@@ -10,7 +10,8 @@ journal.jsonl           what is done, while a build goes on and after it
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -74,6 +75,11 @@ class FileRecord(Config, frozen=True):
     path: str
     size: int
     digest: str
+
+
+def file_digest(data: bytes) -> str:
+    """Digest of a file's bytes."""
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
 
 
 class SkippedEpisode(Config, frozen=True):
@@ -352,25 +358,6 @@ class Dataset:
             self.kept["navigation"] = NavigationMap(scene.grid, self.about.agent.radius)
         found: NavigationMap = self.kept["navigation"]
         return found
-
-    def frames(
-        self, episode_id: str, sensors: Iterable[str] = ("rgb",), *, exact: bool = False
-    ) -> Iterator[dict[str, np.ndarray[Any, Any]]]:
-        """What the agent saw at each step of an episode: a dict of pictures by sensor name.
-
-        Args:
-            episode_id: the episode.
-            sensors: any of rgb, history, bev, occupancy, goal_picture (uint8 [H, W, 3]) and depth
-                (float32 [H, W] m in the sensor's range).
-            exact: render, also where the cache has the picture (which may be compressed, or
-                rounded: stored depth is within 0.5 mm).
-
-        Raises:
-            DataError: the episode has no samples, or a sensor is none of these.
-        """
-        from gn0.data.frames import read_frames
-
-        return read_frames(self, episode_id, frozenset(sensors), exact=exact)
 
 
 def save_dataset_file(folder: Path, about: DatasetFile) -> None:

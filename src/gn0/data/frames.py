@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,22 @@ _FILMED = {"rgb", "history"}  # the other videos are maps on a canvas, and still
 
 
 def read_frames(
-    dataset: Dataset, episode_id: str, sensors: frozenset[str], *, exact: bool = False
+    dataset: Dataset, episode_id: str, sensors: Iterable[str] = ("rgb",), *, exact: bool = False
 ) -> Iterator[Frame]:
-    """See `Dataset.frames`."""
+    """What the agent saw at each step of an episode: a dict of pictures by sensor name.
+
+    Args:
+        dataset: the dataset.
+        episode_id: the episode.
+        sensors: any of rgb, history, bev, occupancy, goal_picture (uint8 [H, W, 3]) and depth
+            (float32 [H, W] m in the sensor's range).
+        exact: render, also where the cache has the picture (which may be compressed, or
+            rounded: stored depth is within 0.5 mm).
+
+    Raises:
+        DataError: the episode has no samples, or a sensor is none of these.
+    """
+    sensors = frozenset(sensors)
     unknown = sorted(sensors - set(FRAMES))
     if unknown:
         raise DataError(

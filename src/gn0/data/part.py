@@ -6,7 +6,6 @@ at all; so a part that was interrupted is simply made again, to the same bytes.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +21,7 @@ from gn0.data.dataset import (
     DatasetPart,
     FileRecord,
     SkippedEpisode,
+    file_digest,
     load_dataset_file,
 )
 from gn0.data.labels import label_along, plan_expert
@@ -79,11 +79,6 @@ class PartDone(msgspec.Struct, frozen=True):
     part: DatasetPart
     files: tuple[FileRecord, ...] = ()
     notes: dict[str, Any] = {}
-
-
-def file_digest(data: bytes) -> str:
-    """Digest of a file's bytes."""
-    return hashlib.blake2b(data, digest_size=16).hexdigest()
 
 
 @lru_cache(maxsize=1)

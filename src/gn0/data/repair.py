@@ -14,11 +14,11 @@ from pathlib import Path
 import msgspec
 
 from gn0.data.cache import MANIFEST, CacheManifest, cache_folder, load_manifest
-from gn0.data.dataset import JOURNAL, Dataset, open_dataset
+from gn0.data.dataset import JOURNAL, Dataset, file_digest, open_dataset
 from gn0.data.draw import PartDrawer
 from gn0.data.drawing import open_drawing
 from gn0.data.folder import parts_journal, read_done, write_journal
-from gn0.data.part import PartDone, PartPlan, collect_part, drawn_at, file_digest
+from gn0.data.part import PartDone, PartPlan, collect_part, drawn_at
 from gn0.data.render import check_rendered, finish_cache, plan_rendering, render_dataset
 from gn0.data.samples import encode_rows, encode_table
 from gn0.data.settings import PictureSettings

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from gn0.data.dataset import Dataset
+from gn0.data.frames import read_frames
 from gn0.data.samples import EpisodeRows
 from gn0.errors import DataError
 from gn0.geometry import F32, F64, U8
@@ -55,7 +56,7 @@ def draw_sheet(dataset: Dataset, episode_id: str = "", steps: int = 4) -> Image.
     shown = [name for name in CAPTIONS if name != "depth" or dataset.about.stores_depth]
     far = find_preset(dataset.about.camera).depth_range[1]
     lines = []
-    for t, pictures in enumerate(dataset.frames(rows.episode_id, shown)):
+    for t, pictures in enumerate(read_frames(dataset, rows.episode_id, shown)):
         if t in chosen:
             lines.append(_draw_line(pictures, rows, t, frame, far))
     width = max(line.width for line in lines)

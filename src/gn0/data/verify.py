@@ -24,11 +24,12 @@ from gn0.data.dataset import (
     Dataset,
     DatasetPart,
     FileRecord,
+    file_digest,
     open_dataset,
 )
 from gn0.data.drawing import count_workers, open_drawing
 from gn0.data.folder import parts_journal
-from gn0.data.part import PartPlan, collect_part, file_digest, open_building, told_steps
+from gn0.data.part import PartPlan, collect_part, open_building, told_steps
 from gn0.data.samples import EpisodeRows, decode_rows, digest_labels, load_sample_table
 from gn0.errors import Gn0Error, StorageError
 from gn0.jobs import ExecutorName, run_jobs

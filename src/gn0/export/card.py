@@ -9,8 +9,8 @@ from gn0.export.trips import ExportSource
 from gn0.storage import write_text
 
 if TYPE_CHECKING:
+    from gn0.export.export_file import ExportFile
     from gn0.export.exporter import DatasetExporter
-    from gn0.export.session import ExportFile
 
 CARD = "README.md"
 

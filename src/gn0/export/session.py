@@ -17,9 +17,9 @@ from typing import Any
 
 import msgspec
 
-from gn0.config import Config, load_json
-from gn0.errors import DataError, FormatError, Gn0Error, StorageError
+from gn0.errors import DataError, Gn0Error, StorageError
 from gn0.export.card import write_card
+from gn0.export.export_file import EXPORT_FILE, EXPORT_LAYOUT, ExportFile, load_export_file
 from gn0.export.exporter import (
     DatasetExporter,
     ExportSettings,
@@ -35,40 +35,8 @@ from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
 
-EXPORT_FILE, JOURNAL = "export.json", "journal.jsonl"
-EXPORT_LAYOUT = 1
+JOURNAL = "journal.jsonl"
 SAME_PATH = "another mission of a path that is there: the format has no use for words"
-
-
-class ExportFile(Config, frozen=True):
-    """The content of `export.json`.
-
-    Attributes:
-        layout: version of this file's layout.
-        format: exporter name.
-        dataset: name of the dataset.
-        digest: of the dataset and the settings.
-        settings: how it was exported.
-        written, frames: how many episodes and frames.
-        skipped: why episodes were left out, and how many.
-        notes: what the exporter counted beside that.
-        splits: episodes of each split.
-        agent: the body that walked the first of them.
-        complete: whether all of it is there.
-    """
-
-    layout: int
-    format: str
-    dataset: str
-    digest: str
-    settings: ExportSettings
-    written: int = 0
-    frames: int = 0
-    skipped: dict[str, int] = {}  # noqa: RUF012 (msgspec copies it)
-    notes: dict[str, int] = {}  # noqa: RUF012
-    splits: dict[str, int] = {}  # noqa: RUF012
-    agent: AgentSpec | None = None
-    complete: bool = False
 
 
 @dataclass(frozen=True)
@@ -263,24 +231,6 @@ def _claim(folder: Path, about: ExportFile) -> ExportFile | None:
             remedy="choose another --out",
         )
     return earlier
-
-
-def load_export_file(folder: Path | str) -> ExportFile:
-    """`export.json` of an export.
-
-    Raises:
-        StorageError: missing or unreadable.
-        FormatError: damaged, or of another layout.
-    """
-    path = Path(folder) / EXPORT_FILE
-    about = load_json(path, ExportFile)
-    if about.layout != EXPORT_LAYOUT:
-        raise FormatError(
-            f"layout {about.layout}, this version reads {EXPORT_LAYOUT}",
-            file=path,
-            remedy="export again",
-        )
-    return about
 
 
 def _write_trips(

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.draw import bare_map, eyes_of
+from gn0.data.frames import read_frames
 from gn0.data.pictures import goal_picture, map_picture
 from gn0.data.samples import EpisodeRows
 from gn0.export.trips import ExportSource, Frame, MapView, SceneCard, Sensors, Trip
@@ -105,7 +106,7 @@ class DatasetEyes:
 
     def frames(self, trip: Trip, sensors: Sensors) -> Iterator[Frame]:
         """See `Eyes.frames`."""
-        for seen in self.dataset.frames(trip.episode.id, sensors, exact=self.exact):
+        for seen in read_frames(self.dataset, trip.episode.id, sensors, exact=self.exact):
             yield Frame(seen.get("rgb"), seen.get("depth"))
 
     def look(

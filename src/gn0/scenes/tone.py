@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +10,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from gn0.gaussians.film import develop_film
 from gn0.geometry import F32
+from gn0.scenes.light_field import LightField
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.shading import Surface, SurfaceSample
-
-if TYPE_CHECKING:
-    from gn0.scenes.bake import LightField
 
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 GREY = 0.16  # where the local mean of radiance is put before the curve

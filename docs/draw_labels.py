@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gn0.data.dagger import collect_visited
-from gn0.data.labels import EXACT, label_states, walk_actions
+from gn0.data.expert_labels import EXACT, label_states, walk_actions
 from gn0.data.settings import DaggerSettings
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes

@@ -19,7 +19,7 @@ from gn0.missions.language.write import write_texts
 from gn0.render.open import build_renderer
 from gn0.scenes.folder import load_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
-from gn0.viewer.route import render_route, segment_words
+from gn0.viewer.route_picture import render_route, segment_words
 
 PICTURES = Path(__file__).resolve().parent / "pictures"
 QUICK = {"size": "small", "light": "draft", "density": 5000.0}

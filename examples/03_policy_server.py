@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from gn0.policies.remote.policy import PolicyRemote
+from gn0.policies.remote.policy_remote import PolicyRemote
 from gn0.policies.remote.server import PolicyServer, serve
 from gn0.testing.check_policy import check_policy
 

@@ -15,10 +15,10 @@ import msgspec
 import pytest
 
 from gn0.bench import runner
+from gn0.bench.episode_worker import EpisodeWorker, obey
 from gn0.bench.executors import Heard, Pool, Worker, next_worker
-from gn0.bench.messages import FromWorker, Open, ToWorker
-from gn0.bench.pools import open_pool
-from gn0.bench.worker import EpisodeWorker, obey
+from gn0.bench.pool_kinds import open_pool
+from gn0.bench.worker_messages import FromWorker, Open, ToWorker
 from gn0.jobs.process import Ended
 from gn0.sim.policy import SLOT_VARIABLE
 

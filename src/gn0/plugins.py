@@ -33,7 +33,7 @@ Kind = Literal[
 
 _BUILTIN: dict[str, dict[str, str]] = {
     "scene_source": {
-        "capture": "gn0.scenes.capture.source:SceneSourceCapture",
+        "capture": "gn0.scenes.capture.capture_source:SceneSourceCapture",
         "interiorgs": "gn0.scenes.interiorgs:SceneSourceInteriorGS",
         "ros-map": "gn0.scenes.ros_map:SceneSourceRosMap",
         "world": "gn0.scenes.world:SceneSourceWorld",
@@ -52,7 +52,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "random": "gn0.policies.simple:PolicyRandom",
         "explorer": "gn0.policies.explorer:PolicyExplorer",
         "recorded": "gn0.policies.recorded:PolicyRecorded",
-        "remote": "gn0.policies.remote.policy:PolicyRemote",
+        "remote": "gn0.policies.remote.policy_remote:PolicyRemote",
     },
     "policy_host": {"own-process": "gn0.policies.remote.isolated:PolicyIsolated"},
     "metric": {},

@@ -14,9 +14,9 @@ from gn0.bench.runner import run_suite
 from gn0.errors import BenchError
 from gn0.render.light import LightCondition
 from gn0.render.share.client import DrawServer
-from gn0.suites import looks
-from gn0.suites.looks import Look, choose_run_backend, load_look, needs_renderer
+from gn0.suites import scene_drawing
 from gn0.suites.run_files import RESULTS, RUN, TRAJECTORIES
+from gn0.suites.scene_drawing import Look, choose_run_backend, load_look, needs_renderer
 from gn0.suites.suite import Suite, load_suite
 
 pytestmark = [
@@ -51,7 +51,7 @@ def files(out: Path) -> tuple[bytes, bytes]:
 def test_one_process_draws_for_all_workers(small_suite, tmp_path, monkeypatch) -> None:
     options = {"plugin_modules": PLUGIN, "backend": "cpu", "max_episodes": 8}
     run_suite(small_suite, "seeing", tmp_path / "alone", **options)
-    monkeypatch.setattr(looks, "SHARED", frozenset({"cpu"}))
+    monkeypatch.setattr(scene_drawing, "SHARED", frozenset({"cpu"}))
     run_suite(small_suite, "seeing", tmp_path / "shared", workers=2, **options)
     assert files(tmp_path / "alone") == files(tmp_path / "shared")
     run = json.loads((tmp_path / "shared" / RUN).read_text())
@@ -84,7 +84,7 @@ def test_what_needs_a_renderer() -> None:
 def test_a_lost_drawing_process_ends_the_run_and_it_goes_on(
     small_suite, tmp_path, monkeypatch
 ) -> None:
-    monkeypatch.setattr(looks, "SHARED", frozenset({"cpu"}))
+    monkeypatch.setattr(scene_drawing, "SHARED", frozenset({"cpu"}))
     options = {"plugin_modules": PLUGIN, "backend": "cpu", "max_episodes": 8}
     entered = DrawServer.__enter__
 

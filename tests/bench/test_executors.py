@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from gn0.bench import pool_ray, runner
-from gn0.bench.messages import Lease, Open, Ready
-from gn0.bench.parcel import pack_folder, read_parcel, unpack_scene
+from gn0.bench.pool_kinds import open_pool
 from gn0.bench.pool_ray import PoolRay
-from gn0.bench.pools import open_pool
 from gn0.bench.runner import run_suite
+from gn0.bench.scene_archive import pack_folder, read_parcel, unpack_scene
+from gn0.bench.worker_messages import Lease, Open, Ready
 from gn0.errors import BenchError, FormatError, PolicyError, StorageError
 from gn0.jobs.cluster import local_cluster
 from gn0.jobs.process import describe_end

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gn0.bench.drawing import MARGIN, find_window
+from gn0.bench.report_maps import MARGIN, find_window
 from gn0.maps.grid import FREE, UNKNOWN, OccupancyGrid
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from gn0.bench.metrics import METRICS, compute_metrics, dynamic_time_warping
 from gn0.errors import EpisodeError
 from gn0.geometry import Pose2D
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.sim.state import Trajectory
 from gn0.testing.judge_metrics import judge_distances, judge_dtw, worst_disagreement

@@ -9,17 +9,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.bench.messages import Open
+from gn0.bench.episode_worker import EpisodeWorker
 from gn0.bench.protocol import protocol_card
-from gn0.bench.release import PATIENCE, PolicyUnderRelease, ReleaseScore, score_release
+from gn0.bench.release_score import PATIENCE, PolicyUnderRelease, ReleaseScore, score_release
 from gn0.bench.report import write_report
 from gn0.bench.results import EpisodeResult, PolicyCard, load_results, load_summary, report_release
 from gn0.bench.runner import run_suite
-from gn0.bench.worker import EpisodeWorker
+from gn0.bench.worker_messages import Open
 from gn0.errors import ConfigError
 from gn0.geometry import Pose2D
 from gn0.maps.grid import OccupancyGrid
-from gn0.maps.release import ReleaseMap, ReleaseNavigation
+from gn0.maps.release_map import ReleaseMap, ReleaseNavigation
 from gn0.missions.episode import AgentSpec, Episode, MissionInstruction
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode

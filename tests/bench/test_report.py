@@ -19,13 +19,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.bench.drawing import CELL, MapWindow, fit_view, path_marks, simplify
 from gn0.bench.report import choose_videos, load_run, write_report
+from gn0.bench.report_maps import CELL, MapWindow, fit_view, path_marks, simplify
 from gn0.bench.results import EpisodeResult
 from gn0.bench.runner import run_suite
 from gn0.bench.video import choose_frames, encode_clip
 from gn0.errors import BenchError, StorageError
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.scenes.folder import load_scene
 from gn0.suites.suite import Suite, build_suite, save_suite
 

@@ -21,7 +21,7 @@ from gn0.bench import runner
 from gn0.bench.results import load_results, load_summary
 from gn0.bench.runner import run_suite
 from gn0.errors import BenchError, ConfigError, PolicyError, StorageError
-from gn0.folder import lock_folder
+from gn0.locked_folder import lock_folder
 from gn0.storage import Journal
 from gn0.suites.suite import Suite
 

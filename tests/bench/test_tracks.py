@@ -11,7 +11,7 @@ from gn0.bench.report import find_suite, load_run, write_report
 from gn0.bench.runner import run_suite
 from gn0.bench.standing import group_runs, tell_standings
 from gn0.cli.main import main
-from gn0.cli.tables import print_summaries
+from gn0.cli.result_tables import print_summaries
 from gn0.errors import ConfigError
 from gn0.suites.suite import Suite, SuiteFile, load_suite
 from gn0.suites.track import Track, choose_track, judge_policy, read_track, tell_track

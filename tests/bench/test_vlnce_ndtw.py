@@ -22,9 +22,9 @@ import pytest
 from gn0.bench.metrics import compute_metrics
 from gn0.bench.protocol import describe_paths
 from gn0.geometry import Pose2D
+from gn0.missions.coordinate_frames import Placement
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.missions.files import load_episodes, save_episodes
-from gn0.missions.frames import Placement
+from gn0.missions.episode_files import load_episodes, save_episodes
 from gn0.missions.sets.episode_set import load_set, place_task
 from gn0.missions.sets.json_file import save_exact
 from gn0.missions.sets.vlnce import ExporterVlnce

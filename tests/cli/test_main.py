@@ -108,8 +108,8 @@ def test_unwritable_places_are_refused_before_the_work(
         raise AssertionError("began to work")
 
     monkeypatch.setattr("gn0.scenes.procedural.generate.build_generated", work)
-    monkeypatch.setattr("gn0.scenes.sources.find_source", work)
-    monkeypatch.setattr("gn0.viewer.sheet.render_sheet", work)
+    monkeypatch.setattr("gn0.scenes.scene_sources.find_source", work)
+    monkeypatch.setattr("gn0.viewer.scene_sheet.render_sheet", work)
     save_scene(build_example_scene(spacing=0.2), tmp_path / "flat")
     (tmp_path / "file").write_text("mine")
     for place in (f"{tmp_path}/file", f"{tmp_path}/file/below"):

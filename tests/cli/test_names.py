@@ -16,7 +16,7 @@ from gn0.cli.completion import list_words
 from gn0.cli.list_names import list_kinds
 from gn0.cli.main import VERBS, main, suggest_verb
 from gn0.errors import ConfigError, StorageError, error_table
-from gn0.folder import LOCK, forget_folder
+from gn0.locked_folder import LOCK, forget_folder
 from gn0.plugins import import_plugins
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene

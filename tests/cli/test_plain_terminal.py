@@ -15,7 +15,7 @@ from gn0.bench.results import EpisodeResult, load_summary
 from gn0.bench.runner import run_suite
 from gn0.cli.console import PlainStream, plain_text
 from gn0.cli.main import main
-from gn0.cli.tables import print_summaries
+from gn0.cli.result_tables import print_summaries
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.suites.suite import build_suite

@@ -57,8 +57,8 @@ def test_files_are_written_and_locks_do_without(tmp_path: Path) -> None:
     done = run_pretended(
         """
 from pathlib import Path
-from gn0.export.shelf import Shelf
-from gn0.folder import lock_folder, sweep_folder
+from gn0.export.staged_files import Shelf
+from gn0.locked_folder import lock_folder, sweep_folder
 from gn0.storage import Journal, folder_atomic, write_json
 out = Path("out")
 write_json(out / "one.json", {"a": 1})
@@ -101,7 +101,7 @@ def test_what_is_synced_on_windows_is_open_for_writing(tmp_path: Path) -> None:
     done = run_pretended(
         """
 from pathlib import Path
-import gn0.storage, gn0.export.card  # pathlib is ready before the system's name changes
+import gn0.storage, gn0.export.export_card  # pathlib is ready before the system's name changes
 os.name = "nt"
 real_open, real_sync, writable = os.open, os.fsync, set()
 def open_seen(path, flags, *rest):
@@ -116,7 +116,7 @@ def sync_seen(descriptor):
         raise OSError(9, "Bad file descriptor")
     real_sync(descriptor)
 os.open, os.fsync = open_seen, sync_seen
-import gn0.export.shelf as shelf
+import gn0.export.staged_files as shelf
 os.name = "posix"
 kept = shelf.Shelf()
 kept.put(Path("picture").absolute(), b"bytes")

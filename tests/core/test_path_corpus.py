@@ -9,12 +9,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gn0.bench.messages import Lease
-from gn0.bench.parcel import MAGIC, unpack_scene
+from gn0.bench.scene_archive import MAGIC, unpack_scene
+from gn0.bench.worker_messages import Lease
 from gn0.cli.main import main
 from gn0.errors import ConfigError, FormatError, Gn0Error, StorageError
-from gn0.gaussians.files import load_cloud
-from gn0.missions.files import load_episodes, save_episodes
+from gn0.gaussians.splat_files import load_cloud
+from gn0.missions.episode_files import load_episodes, save_episodes
 from gn0.plugins import get_plugin
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import check_scene_id, load_scene, save_scene

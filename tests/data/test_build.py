@@ -20,14 +20,14 @@ from gn0.data.dataset import (
     open_dataset,
     save_dataset_file,
 )
-from gn0.data.frames import read_frames
-from gn0.data.labels import label_states
-from gn0.data.render import render_dataset
+from gn0.data.episode_frames import read_frames
+from gn0.data.expert_labels import label_states
+from gn0.data.picture_build import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import BenchError, DataError, FormatError, StorageError
-from gn0.folder import lock_folder
 from gn0.geometry import Pose2D, agent_to_world
+from gn0.locked_folder import lock_folder
 from gn0.paper import ACTIONS_AHEAD
 from gn0.scenes.folder import load_scene
 from gn0.suites.suite import save_suite
@@ -228,14 +228,14 @@ def test_a_full_disk_ends_the_build_cleanly(
 ) -> None:
     import errno
 
-    from gn0.data import cache
+    from gn0.data import picture_cache
 
     def full(path, write):
         raise StorageError(
             "cannot write: No space left on device", where=path, remedy="the disk is full"
         ) from OSError(errno.ENOSPC, "full")
 
-    monkeypatch.setattr(cache, "write_atomic", full)
+    monkeypatch.setattr(picture_cache, "write_atomic", full)
     with pytest.raises(StorageError, match="No space left"):
         build_dataset(data_suite, tmp_path / "d", settings_of())
     monkeypatch.undo()

@@ -14,16 +14,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from gn0.data.build import build_dataset
-from gn0.data.cache import decode_picture, load_manifest
+from gn0.data.build_folder import read_done, write_journal
 from gn0.data.cache_webdataset import ShardReader, draw_dots, sample_key
 from gn0.data.dataset import compute_seal, file_digest, open_dataset
-from gn0.data.draw import PartDrawer
-from gn0.data.folder import read_done, write_journal
-from gn0.data.frames import read_frames
+from gn0.data.episode_frames import read_frames
 from gn0.data.lerobot_schema import PixelSums, describe_array, join_stats
-from gn0.data.render import choose_cache, render_dataset
+from gn0.data.part_pictures import PartDrawer
+from gn0.data.picture_build import choose_cache, render_dataset
+from gn0.data.picture_cache import decode_picture, load_manifest
 from gn0.data.repair import repair_dataset
-from gn0.data.samples import PICTURES
+from gn0.data.sample_table import PICTURES
 from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import DataError, FormatError, StorageError

@@ -9,7 +9,7 @@ import pytest
 
 from gn0.data.build import build_dataset
 from gn0.data.dataset import JOURNAL
-from gn0.data.render import render_dataset
+from gn0.data.picture_build import render_dataset
 from gn0.data.repair import repair_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset

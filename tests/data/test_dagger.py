@@ -19,8 +19,8 @@ from gn0.cli.main import main
 from gn0.data.collect import build_dagger, describe_summary, sum_up
 from gn0.data.dagger import HALT_STEPS, collect_visited
 from gn0.data.dataset import Dataset, open_dataset
-from gn0.data.labels import LabelSettings, label_states, walk_actions
-from gn0.data.samples import EpisodeRows
+from gn0.data.expert_labels import LabelSettings, label_states, walk_actions
+from gn0.data.sample_table import EpisodeRows
 from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
 from gn0.errors import ConfigError, DataError, EpisodeError, PolicyError
 from gn0.maps.navigation import NavigationMap

@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gn0.bench.recording import open_recorder
 from gn0.bench.replay import recorded_actions
 from gn0.bench.report import load_run
 from gn0.bench.runner import run_suite
+from gn0.bench.walk_recording import open_recorder
 from gn0.cli.main import main
 from gn0.data.dagger import walked_way
 from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.settings import DaggerSettings
 from gn0.errors import ConfigError, PolicyError
+from gn0.export.dataset_source import open_source
+from gn0.export.export_run import plan_export
 from gn0.export.exporter import ExportSettings, Job, get_dataset_exporter
-from gn0.export.session import plan_export
-from gn0.export.source import open_source
 from gn0.plugins import plugin_names
 from gn0.policies.recorded import PolicyRecorded
 from gn0.sim.state import Action

@@ -17,14 +17,14 @@ from PIL import Image
 
 from gn0.cli.main import main
 from gn0.data.build import build_dataset
-from gn0.data.cache import decode_depth, encode_depth
 from gn0.data.cache_webdataset import ShardReader, sample_key
 from gn0.data.dataset import Dataset, open_dataset
-from gn0.data.frames import read_frames
-from gn0.data.render import choose_cache, render_dataset
+from gn0.data.episode_frames import read_frames
+from gn0.data.picture_build import choose_cache, render_dataset
+from gn0.data.picture_cache import decode_depth, encode_depth
 from gn0.data.repair import repair_dataset
+from gn0.data.sample_sheet import draw_sheet
 from gn0.data.settings import BuildSettings, PictureSettings
-from gn0.data.sheet import draw_sheet
 from gn0.data.verify import compare_part, verify_dataset
 from gn0.errors import DataError, FormatError
 from gn0.maps.navigation import NavigationMap
@@ -33,7 +33,7 @@ from gn0.render.depth import to_metres, to_millimetres
 from gn0.scenes.folder import load_scene
 from gn0.sim.presets import find_preset
 from gn0.storage import content_hash
-from gn0.suites import looks
+from gn0.suites import scene_drawing
 from gn0.suites.suite import Suite, save_suite
 
 CAMERA = "rgbd_224"
@@ -188,7 +188,7 @@ def test_damage_to_a_depth_picture_is_named_and_repaired(deep, copy_of, files_of
 
 
 def test_a_depth_that_is_drawn_otherwise_is_named(deep, copy_of) -> None:
-    from gn0.data.samples import decode_rows, encode_rows, encode_table, load_sample_table
+    from gn0.data.sample_table import decode_rows, encode_rows, encode_table, load_sample_table
 
     folder = copy_of(deep)
     part = deep.about.parts[0]
@@ -209,7 +209,7 @@ def test_a_depth_that_is_drawn_otherwise_is_named(deep, copy_of) -> None:
 def test_one_process_that_draws_gives_the_same_bytes(
     suite, deep, tmp_path, files_of, monkeypatch, batch
 ) -> None:
-    monkeypatch.setattr(looks, "SHARED", frozenset({"cpu", "cuda"}))
+    monkeypatch.setattr(scene_drawing, "SHARED", frozenset({"cpu", "cuda"}))
     settings = BuildSettings(chunk=1, pictures=DEPTH)
     build_dataset(suite, tmp_path / "d", settings, workers=2, batch=batch)
     assert files_of(tmp_path / "d") == files_of(deep.folder)

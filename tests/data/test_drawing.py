@@ -19,27 +19,27 @@ import msgspec
 import numpy as np
 import pytest
 
-from gn0.data import cache, cache_webdataset, part
+from gn0.data import cache_webdataset, part, picture_cache
 from gn0.data.build import build_dataset
 from gn0.data.dataset import load_dataset_file, open_dataset
-from gn0.data.draw import look_ahead
-from gn0.data.drawing import choose_drawing, count_workers, open_drawing, with_backend
-from gn0.data.frames import read_frames
-from gn0.data.render import choose_cache, render_dataset
+from gn0.data.drawing_process import choose_drawing, count_workers, open_drawing, with_backend
+from gn0.data.episode_frames import read_frames
+from gn0.data.part_pictures import look_ahead
+from gn0.data.picture_build import choose_cache, render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import ConfigError, DataError, DeviceError
 from gn0.render.share.client import DrawConnection, DrawServer
 from gn0.scenes.folder import load_scene
-from gn0.suites import looks
-from gn0.suites.looks import LOADER
+from gn0.suites import scene_drawing
+from gn0.suites.scene_drawing import LOADER
 from gn0.suites.suite import Suite, save_suite
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
 
 PROGRAM = """
 import sys
-from gn0.suites import looks
+from gn0.suites import scene_drawing
 from gn0.data import build
 from gn0.data.settings import BuildSettings
 looks.SHARED = frozenset({"cpu"})
@@ -50,7 +50,7 @@ build.build_dataset(sys.argv[1], sys.argv[2], BuildSettings(chunk=1), workers=2)
 @pytest.fixture
 def served(monkeypatch: pytest.MonkeyPatch) -> None:
     """Datasets of the CPU backend are drawn by one process as well."""
-    monkeypatch.setattr(looks, "SHARED", frozenset({"cpu", "cuda"}))
+    monkeypatch.setattr(scene_drawing, "SHARED", frozenset({"cpu", "cuda"}))
 
 
 @pytest.fixture(scope="session")
@@ -121,7 +121,7 @@ def test_visible_sets_give_the_same_bytes_whoever_draws(
     settings = BuildSettings(pictures=PictureSettings(visible_sets=True))
     build_dataset(few, tmp_path / "shared", settings)
     assert list((tmp_path / "cache" / "visible").rglob("*.set"))
-    monkeypatch.setattr(looks, "SHARED", frozenset({"cuda"}))
+    monkeypatch.setattr(scene_drawing, "SHARED", frozenset({"cuda"}))
     build_dataset(few, tmp_path / "alone", settings)
     assert files_of(tmp_path / "shared") == files_of(tmp_path / "alone")
     assert verify_dataset(tmp_path / "shared", pixels=True).ok
@@ -171,10 +171,10 @@ def test_a_drawing_process_that_dies_is_said_and_the_build_goes_on(
 @pytest.mark.usefixtures("served")
 def test_a_slow_encoder_holds_the_views_back(walks, tmp_path, monkeypatch) -> None:
     """What waits is bounded; and the bytes are right, however slow encoding is."""
-    from gn0.data import draw
+    from gn0.data import part_pictures
 
     waiting, most, encoded = [0], [0], [0]
-    ahead, encode = draw.look_ahead, cache.encode_picture
+    ahead, encode = part_pictures.look_ahead, picture_cache.encode_picture
 
     def counted(source, limit):
         def items():
@@ -193,9 +193,9 @@ def test_a_slow_encoder_holds_the_views_back(walks, tmp_path, monkeypatch) -> No
             time.sleep(0.1)
         return encode(*args)
 
-    monkeypatch.setattr(draw, "look_ahead", counted)
-    monkeypatch.setattr(draw, "AHEAD", 3)
-    monkeypatch.setattr(cache, "encode_picture", slow)
+    monkeypatch.setattr(part_pictures, "look_ahead", counted)
+    monkeypatch.setattr(part_pictures, "AHEAD", 3)
+    monkeypatch.setattr(picture_cache, "encode_picture", slow)
     build_dataset(walks, tmp_path / "d", BuildSettings())
     assert 3 <= most[0] <= 3 + 2  # one in each hand
 
@@ -298,7 +298,7 @@ def serve_here(batch: Any) -> tuple[socket.socket, str]:
     """A server in threads of this process: its listener and its address."""
     from gn0.render.share.server import Server, open_listener
 
-    server = Server(batch, looks.load_look)
+    server = Server(batch, scene_drawing.load_look)
     listener, address = open_listener()
     threading.Thread(target=server.listen, args=(listener,), daemon=True).start()
     threading.Thread(target=server.serve, daemon=True).start()
@@ -385,12 +385,12 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     Nor of its depth, which a kernel makes millimetres of. Nothing is left to the worker but what
     an episode has once: what its goal looks like, and the map from above.
     """
-    from gn0.data import draw, pictures
+    from gn0.data import part_pictures, sample_pictures
     from gn0.render.share.client import SceneEncoder
 
     listener, address = serve_here(BatchOnHost())
     made, maps_made, left = [0], [0], [0]
-    render_files, encode = SceneEncoder.render_files, cache.encode_picture
+    render_files, encode = SceneEncoder.render_files, picture_cache.encode_picture
 
     def counted(*args):
         found = render_files(*args)
@@ -410,7 +410,7 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     settings = BuildSettings(pictures=PictureSettings(quality=85, depth=depth, maps=maps))
     build_dataset(few, tmp_path / "cpu", settings)
     drawn = msgspec.structs.replace(settings, pictures=with_backend(settings.pictures, "cuda"))
-    for module in (cache, cache_webdataset):  # what goals look like is put into the shard
+    for module in (picture_cache, cache_webdataset):  # what goals look like is put into the shard
         monkeypatch.setattr(module, "encode_picture", encoded_here)
     built = build_dataset(few, tmp_path / "cuda", drawn)
     assert made[0] == built.about.rows > 16
@@ -425,7 +425,7 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     shards = [name for name in one if name.endswith((".tar", ".index.parquet", ".png", ".jpg"))]
     assert shards and all(one[name] == other[name] for name in shards)
     assert b'"backend": "cuda"' in other["dataset.json"]
-    assert pictures.BATCH == 32 and draw.AHEAD == 64
+    assert sample_pictures.BATCH == 32 and part_pictures.AHEAD == 64
 
 
 @pytest.mark.slow
@@ -435,7 +435,7 @@ def test_what_had_no_room_is_made_by_the_worker(
     walks, tmp_path, files_of, monkeypatch, maps
 ) -> None:
     """In the midst of a walk: its mosaics go on."""
-    from gn0.data import pictures
+    from gn0.data import sample_pictures
     from gn0.render.share.client import SceneEncoder
 
     listener, address = serve_here(BatchOnHost())
@@ -455,7 +455,7 @@ def test_what_had_no_room_is_made_by_the_worker(
     drawn = with_backend(PictureSettings(maps=maps), "cuda")
     build_dataset(few, tmp_path / "roomy", BuildSettings(pictures=drawn))
     monkeypatch.setattr(SceneEncoder, "render_files", cramped)
-    monkeypatch.setattr(pictures, "BATCH", 5)
+    monkeypatch.setattr(sample_pictures, "BATCH", 5)
     build_dataset(few, tmp_path / "cramped", BuildSettings(pictures=drawn))
     listener.close()
     assert made[:4] == [True, False, True, False]
@@ -467,15 +467,15 @@ def test_what_had_no_room_is_made_by_the_worker(
 def test_maps_too_large_for_a_device_are_painted_by_the_worker(
     walks, tmp_path, files_of, monkeypatch
 ) -> None:
-    from gn0.data import draw
+    from gn0.data import part_pictures
 
     listener, address = serve_here(BatchOnHost())
     start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
                      walks.episodes[1:2], name="few")  # fmt: skip
     pictures = with_backend(PictureSettings(maps="every"), "cuda")
-    for name, most in (("painted", draw.PAINTED), ("left", 10)):
-        monkeypatch.setattr(draw, "PAINTED", most)
+    for name, most in (("painted", part_pictures.PAINTED), ("left", 10)):
+        monkeypatch.setattr(part_pictures, "PAINTED", most)
         build_dataset(few, tmp_path / name, BuildSettings(pictures=pictures))
     listener.close()
     assert files_of(tmp_path / "painted") == files_of(tmp_path / "left")

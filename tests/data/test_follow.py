@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gn0.data.expert_labels import walk_actions
 from gn0.data.follow import TargetTrack, desired_state, label_follow
-from gn0.data.labels import walk_actions
 from gn0.errors import EpisodeError, PlanError
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap

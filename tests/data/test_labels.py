@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gn0.data.labels import (
+from gn0.data.expert_labels import (
     EXACT,
     LabelSettings,
     cut_at,
@@ -22,7 +22,7 @@ from gn0.data.labels import (
     walk_actions,
     window_actions,
 )
-from gn0.data.ways import find_way, sample_way_points
+from gn0.data.waypoints import find_way, sample_way_points
 from gn0.errors import PlanError
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap

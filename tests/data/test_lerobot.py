@@ -9,10 +9,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from gn0.data.cache_lerobot import write_tables
-from gn0.data.frames import read_frames
+from gn0.data.episode_frames import read_frames
 from gn0.data.lerobot_schema import FPS, TEXT, VIDEOS, motions
 from gn0.errors import DataError
-from gn0.export.session import check_export
+from gn0.export.export_run import check_export
 
 
 def load(dataset, path: str):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gn0.data.codec import waypoint_pixels
-from gn0.data.draw import bare_map, eyes_of
-from gn0.data.frames import read_frames
-from gn0.data.pictures import SENSORS
-from gn0.data.samples import PICTURES
+from gn0.data.episode_frames import read_frames
+from gn0.data.part_pictures import bare_map, eyes_of
+from gn0.data.sample_pictures import SENSORS
+from gn0.data.sample_table import PICTURES
 from gn0.data.settings import TokenSettings
 from gn0.errors import DataError
 from gn0.sim.open import open_simulator

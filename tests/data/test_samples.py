@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from gn0.data.samples import (
+from gn0.data.sample_table import (
     COLUMNS,
     PICTURES,
     EpisodeRows,

@@ -16,15 +16,15 @@ from hypothesis import strategies as st
 
 from gn0.data.build import build_dataset
 from gn0.data.dataset import Dataset
+from gn0.data.dataset_stats import Coverage, DatasetStats, count_turns, measure_dataset, spread_of
 from gn0.data.settings import BuildSettings, PictureSettings
-from gn0.data.stats import Coverage, DatasetStats, count_turns, measure_dataset, spread_of
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
 from gn0.render.light import LightCondition
 from gn0.scenes.folder import save_scene
 from gn0.suites.suite import save_suite
 from gn0.testing.scenes import build_room_scene
-from gn0.viewer.stats import draw_coverage, render_stats
+from gn0.viewer.stats_page import draw_coverage, render_stats
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from gn0.data.labels import LabelSettings, label_states, walk_actions
+from gn0.data.expert_labels import LabelSettings, label_states, walk_actions
 from gn0.data.tracking import GUARD, actions_left, plan_tracking
 from gn0.errors import ConfigError
 from gn0.maps.grid import OccupancyGrid

@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from gn0.cli.main import main
 from gn0.data.dataset import open_dataset
 from gn0.data.repair import repair_dataset
-from gn0.data.samples import EpisodeRows, decode_rows, encode_rows, encode_table, load_sample_table
+from gn0.data.sample_table import (
+    EpisodeRows,
+    decode_rows,
+    encode_rows,
+    encode_table,
+    load_sample_table,
+)
 from gn0.data.verify import verify_dataset
 from gn0.errors import Gn0Error
 

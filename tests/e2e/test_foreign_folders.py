@@ -29,7 +29,7 @@ from gn0.errors import StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.storage import check_contained
-from gn0.suites.known import known_suites
+from gn0.suites.known_suites import known_suites
 from gn0.suites.suite import build_suite, load_suite
 
 MODULE = "a_strangers_module"

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from gn0.errors import ConfigError, Gn0Error
+from gn0.export.export_run import run_export
 from gn0.export.exporter import (
     DatasetExporter,
     ExportSettings,
     dataset_exporter_names,
     get_dataset_exporter,
 )
-from gn0.export.session import run_export
 from gn0.export.trips import ExportSource
 from gn0.seeds import random_stream
 from gn0.testing.check_dataset_exporter import check_dataset_exporter, check_round_trip

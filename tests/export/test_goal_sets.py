@@ -8,9 +8,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gn0.export.session import check_export, remark_export, run_export
+from gn0.export.export_run import check_export, remark_export, run_export
 from gn0.export.trips import ExportSource, Trip
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.missions.sets.json_file import load_exact
 from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
 from gn0.testing.toy_trips import toy_source

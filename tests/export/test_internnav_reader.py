@@ -23,8 +23,8 @@ import pytest
 from msgspec.structs import replace
 
 from gn0.errors import ConfigError
+from gn0.export.export_run import check_export, remark_export, run_export
 from gn0.export.exporter import ExportSettings, get_dataset_exporter
-from gn0.export.session import check_export, remark_export, run_export
 from gn0.export.trips import RGBD, ExportSource, Trip
 from gn0.export.vlnpe import plain_names
 from gn0.sim.presets import find_preset

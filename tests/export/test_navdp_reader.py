@@ -21,8 +21,8 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from gn0.export.export_run import check_export, remark_export, run_export
 from gn0.export.exporter import ExportSettings
-from gn0.export.session import check_export, remark_export, run_export
 from gn0.export.trips import RGBD, ExportSource, Trip
 from gn0.sim.presets import find_preset
 from gn0.testing.toy_trips import toy_source

@@ -23,9 +23,9 @@ from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.errors import DataError
 from gn0.export.clips import inspect_clip
+from gn0.export.dataset_source import open_source
+from gn0.export.export_run import check_export, run_export
 from gn0.export.exporter import ExportSettings, get_dataset_exporter
-from gn0.export.session import check_export, run_export
-from gn0.export.source import open_source
 from gn0.export.trips import ExportSource
 from gn0.missions.generate.settings import MissionSettings
 from gn0.scenes.example import build_example_scene

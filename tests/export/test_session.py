@@ -17,11 +17,11 @@ from gn0.cli.main import main
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.errors import ConfigError, DataError, EpisodeError, FormatError, Gn0Error, StorageError
+from gn0.export.dataset_source import build_trip, open_source
 from gn0.export.export_file import load_export_file
+from gn0.export.export_run import check_export, run_export
 from gn0.export.exporter import ExportSettings
-from gn0.export.session import check_export, run_export
-from gn0.export.shelf import Shelf
-from gn0.export.source import build_trip, open_source
+from gn0.export.staged_files import Shelf
 from gn0.export.trips import RGBD, ExportSource, Trip, differing_fields
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
@@ -119,7 +119,7 @@ def test_a_full_disk_is_told_and_the_export_goes_on(
 
 _CHILD = """
 import os, sys
-from gn0.export.session import run_export
+from gn0.export.export_run import run_export
 from gn0.testing.toy_trips import toy_source
 def progress(stage, done, total):
     if stage == "episodes" and done == 1:
@@ -318,7 +318,7 @@ def test_an_export_that_died_at_its_very_end_is_finished(
     short_source: ExportSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Killed after the last file, or after export.json and before the tidying up."""
-    from gn0.export import session
+    from gn0.export import export_run
 
     whole = tmp_path / "whole/out"
     run_export(short_source, "lerobot-v3", whole)
@@ -328,7 +328,7 @@ def test_an_export_that_died_at_its_very_end_is_finished(
         def die(*_: object) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(session, name, die)
+        monkeypatch.setattr(export_run, name, die)
         with pytest.raises(KeyboardInterrupt):
             run_export(short_source, "lerobot-v3", out)
         monkeypatch.undo()
@@ -337,7 +337,7 @@ def test_an_export_that_died_at_its_very_end_is_finished(
 
 
 def test_a_format_without_words_takes_a_path_once(tmp_path: Path) -> None:
-    from gn0.export.session import SAME_PATH
+    from gn0.export.export_run import SAME_PATH
 
     done = run_export(
         toy_source(2, longest=9), "navdp", tmp_path / "out", ExportSettings(spacing=0.3)

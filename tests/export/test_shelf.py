@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from gn0.export.export_run import check_export, run_export
 from gn0.export.exporter import ExportSettings
-from gn0.export.session import check_export, run_export
-from gn0.export.shelf import SMALL, Shelf
+from gn0.export.staged_files import SMALL, Shelf
 from gn0.testing.toy_trips import toy_source
 
 FRAME = bytes(range(256)) * (SMALL // 256)

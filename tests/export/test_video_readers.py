@@ -20,8 +20,8 @@ import pytest
 from PIL import Image
 
 from gn0.errors import DataError
+from gn0.export.export_run import run_export
 from gn0.export.exporter import ExportSettings
-from gn0.export.session import run_export
 from gn0.export.trips import RGB, ExportSource, Trip
 from gn0.testing.toy_trips import toy_source
 

@@ -25,9 +25,9 @@ import pytest
 
 from gn0.cli.main import main
 from gn0.errors import FormatError, Gn0Error, StorageError
+from gn0.export.export_run import check_export, remark_export, run_export
 from gn0.export.exporter import ExportSettings, get_dataset_exporter
 from gn0.export.nodes import thin_path
-from gn0.export.session import check_export, remark_export, run_export
 from gn0.export.trips import ExportSource
 from gn0.missions.sets.vocabulary import cut_words, load_r2r_words
 from gn0.testing.toy_trips import toy_source

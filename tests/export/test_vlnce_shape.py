@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gn0.export.export_run import run_export
 from gn0.export.exporter import ExportSettings, get_dataset_exporter
 from gn0.export.schema import describe_shape, shape_differences
-from gn0.export.session import run_export
 from gn0.export.vlnce import MAPS, R2R_SHAPE, TRUTH_SHAPE
 from gn0.missions.sets.json_file import load_exact
 from gn0.testing.toy_trips import toy_source

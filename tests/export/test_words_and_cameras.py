@@ -26,9 +26,9 @@ from gn0.export.cameras import (
     to_start_frame,
 )
 from gn0.export.clips import cut_clip, encode_frames, inspect_clip, read_clip
+from gn0.export.move_words import coarsen_turns, find_runs, merge_amounts
 from gn0.export.navdp import encode_obstacles, load_obstacles, trace_way
-from gn0.export.pictures import encode_depth
-from gn0.export.words import coarsen_turns, find_runs, merge_amounts
+from gn0.export.picture_files import encode_depth
 from gn0.maps.grid import OccupancyGrid
 from gn0.sim.presets import find_preset, preset_names
 

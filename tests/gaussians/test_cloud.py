@@ -10,8 +10,8 @@ import pytest
 from gn0.errors import FormatError
 from gn0.gaussians import cloud_file
 from gn0.gaussians.cloud import SH_C0, join_clouds
-from gn0.gaussians.files import load_cloud
 from gn0.gaussians.ply import save_ply
+from gn0.gaussians.splat_files import load_cloud
 from gn0.testing.splat_corpus import small_cloud
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.gaussians.files import load_cloud
+from gn0.gaussians.splat_files import load_cloud
 from gn0.testing.splat_corpus import (
     DC,
     DIALECTS,

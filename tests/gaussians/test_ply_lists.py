@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gn0.errors import FormatError
-from gn0.gaussians.files import load_cloud
 from gn0.gaussians.ply import decode_ply
 from gn0.gaussians.ply_header import PlyElement, PlyProperty, load_ply_header
 from gn0.gaussians.ply_lists import end_of_list_rows
 from gn0.gaussians.ply_rows import PlySource
+from gn0.gaussians.splat_files import load_cloud
 from gn0.testing.splat_corpus import DIALECTS, PlyDialect, build_ply, ply_columns, small_cloud
 
 PLAIN = DIALECTS["inria-sh0"].order

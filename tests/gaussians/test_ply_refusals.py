@@ -9,9 +9,9 @@ import sys
 import pytest
 
 from gn0.errors import FormatError, StorageError
-from gn0.gaussians.files import load_cloud
 from gn0.gaussians.ply_header import HEADER_LIMIT, parse_ply_header
-from gn0.testing.memory import peak_memory_bytes
+from gn0.gaussians.splat_files import load_cloud
+from gn0.testing.peak_memory import peak_memory_bytes
 from gn0.testing.splat_corpus import (
     DIALECTS,
     build_ply,
@@ -206,8 +206,8 @@ _MEASURE = """
 import sys, warnings
 warnings.simplefilter("error")
 from gn0.errors import FormatError
-from gn0.gaussians.files import load_cloud
-from gn0.testing.memory import peak_memory_bytes
+from gn0.gaussians.splat_files import load_cloud
+from gn0.testing.peak_memory import peak_memory_bytes
 before = peak_memory_bytes()
 try:
     cloud = load_cloud(sys.argv[1]).cloud

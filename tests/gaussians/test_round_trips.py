@@ -14,10 +14,10 @@ from hypothesis.extra import numpy as hnp
 from gn0.errors import FormatError, StorageError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.cloud_file import logit, sigmoid
-from gn0.gaussians.files import describe_cloud_file, load_cloud
 from gn0.gaussians.morton import morton_codes, morton_order
 from gn0.gaussians.ply import MIN_LOG_SCALE, save_ply
 from gn0.gaussians.ply_packed import CHUNK, save_ply_packed
+from gn0.gaussians.splat_files import describe_cloud_file, load_cloud
 from gn0.testing.splat_corpus import packed_file, small_cloud, without_colour_bounds
 
 FINITE = st.floats(-1e6, 1e6, width=32)

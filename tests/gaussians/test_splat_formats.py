@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from gn0.errors import FormatError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.gaussians.files import describe_cloud_file, load_cloud
 from gn0.gaussians.splat import looks_like_splat
+from gn0.gaussians.splat_files import describe_cloud_file, load_cloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.geometry import rotation_from_quaternion
 from gn0.testing.splat_corpus import check_cloud_file, small_cloud

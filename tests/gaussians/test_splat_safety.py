@@ -17,8 +17,8 @@ import pytest
 from PIL import Image
 
 from gn0.errors import FormatError, Gn0Error
-from gn0.gaussians.files import load_cloud
-from gn0.testing.memory import peak_memory_bytes
+from gn0.gaussians.splat_files import load_cloud
+from gn0.testing.peak_memory import peak_memory_bytes
 from gn0.testing.splat_corpus import small_cloud
 from gn0.testing.splat_writers import (
     build_gltf,
@@ -340,8 +340,8 @@ _MEASURE = """
 import sys, warnings
 warnings.simplefilter("error")
 from gn0.errors import FormatError
-from gn0.gaussians.files import load_cloud
-from gn0.testing.memory import peak_memory_bytes
+from gn0.gaussians.splat_files import load_cloud
+from gn0.testing.peak_memory import peak_memory_bytes
 import PIL.Image, PIL.WebPImagePlugin, pyarrow
 before = peak_memory_bytes()
 try:

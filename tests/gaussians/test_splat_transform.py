@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.gaussians.files import load_cloud
 from gn0.gaussians.morton import morton_order
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
+from gn0.gaussians.splat_files import load_cloud
 from gn0.testing.splat_corpus import small_cloud
 from gn0.testing.splat_transform import (
     PACKAGE,

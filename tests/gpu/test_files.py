@@ -11,9 +11,9 @@ from PIL import Image
 
 from gn0.data.build import build_dataset
 from gn0.data.cache_webdataset import ShardReader
-from gn0.data.drawing import with_backend
-from gn0.data.frames import read_frames
-from gn0.data.render import render_dataset
+from gn0.data.drawing_process import with_backend
+from gn0.data.episode_frames import read_frames
+from gn0.data.picture_build import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.device.device import Device

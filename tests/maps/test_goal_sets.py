@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gn0.errors import EpisodeError, PlanError
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.pose_astar import plan_actions

@@ -14,7 +14,7 @@ from PIL import Image
 
 from gn0.errors import FormatError, Gn0Error, StorageError
 from gn0.maps.grid import OccupancyGrid
-from gn0.maps.interiorgs import load_occupancy, save_occupancy
+from gn0.maps.interiorgs_map import load_occupancy, save_occupancy
 from gn0.maps.movingai import load_movingai_map, load_movingai_scenario
 from gn0.maps.ros import load_ros_map
 from gn0.seeds import random_stream

@@ -18,10 +18,10 @@ from gn0.maps.astar import PlannerAstar
 from gn0.maps.distance import GeodesicMap
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
+from gn0.maps.path_smoothing import densify_path, resample_adaptive, resample_path, smooth_path
 from gn0.maps.ray import is_line_free, line_cells
 from gn0.maps.regions import label_regions
 from gn0.maps.ros import load_ros_map
-from gn0.maps.smooth import densify_path, resample_adaptive, resample_path, smooth_path
 from gn0.seeds import random_stream
 
 POLYLINES = hnp.arrays(

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gn0.errors import EpisodeError, FormatError, Gn0Error, StorageError
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import (
     AgentSpec,
@@ -27,7 +27,7 @@ from gn0.missions.episode import (
     MissionInstruction,
     check_episode,
 )
-from gn0.missions.files import (
+from gn0.missions.episode_files import (
     GN_MATRIX_COLUMNS,
     LATER_COLUMNS,
     OUR_COLUMNS,
@@ -317,7 +317,7 @@ def test_reading_leaves_no_thread_behind(saved: Path) -> None:
     """A thread that lets go of our bytes while Python ends would abort the process."""
     code = (
         "import os, sys\n"
-        "import gn0.missions.files as files\n"
+        "import gn0.missions.episode_files as files\n"
         "before = len(os.listdir('/proc/self/task'))\n"
         "files.load_episodes(sys.argv[1])\n"
         "print(len(os.listdir('/proc/self/task')) - before)\n"

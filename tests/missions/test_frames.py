@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from gn0.errors import FormatError
 from gn0.maps.grid import OccupancyGrid
-from gn0.maps.interiorgs import load_occupancy
-from gn0.missions.frames import (
+from gn0.maps.interiorgs_map import load_occupancy
+from gn0.missions.coordinate_frames import (
     NavFrame,
     Placement,
     habitat_rotation,

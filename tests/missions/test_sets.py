@@ -20,8 +20,7 @@ from gn0.errors import ConfigError, EpisodeError, FormatError, Gn0Error, Storage
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionGoal
-from gn0.missions.files import GN_MATRIX_COLUMNS, load_episodes, save_episodes
-from gn0.missions.sets.check import check_frame, summarise
+from gn0.missions.episode_files import GN_MATRIX_COLUMNS, load_episodes, save_episodes
 from gn0.missions.sets.episode_set import (
     EpisodeSet,
     find_placement,
@@ -29,6 +28,7 @@ from gn0.missions.sets.episode_set import (
     load_set,
     place_task,
 )
+from gn0.missions.sets.frame_check import check_frame, summarise
 from gn0.missions.sets.gn_matrix import ExporterGnMatrix
 from gn0.missions.sets.gn_matrix_json import ExporterGnMatrixJson
 from gn0.missions.sets.json_file import load_exact, same_values, save_exact

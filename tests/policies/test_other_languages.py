@@ -13,7 +13,7 @@ import pytest
 from gn0.errors import FormatError
 from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.remote.extension import wants_text_keys
-from gn0.policies.remote.policy import PolicyRemote
+from gn0.policies.remote.policy_remote import PolicyRemote
 from gn0.policies.remote.wire import decode_message, encode_message
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode

@@ -18,7 +18,7 @@ import pytest
 from gn0.errors import ConfigError, PolicyError
 from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.remote.client import RemoteClient, check_url, find_token_for
-from gn0.policies.remote.policy import PolicyRemote, pick_url
+from gn0.policies.remote.policy_remote import PolicyRemote, pick_url
 from gn0.policies.remote.wire import encode_message
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode

@@ -22,7 +22,7 @@ from websockets.sync.client import connect as connect_to
 from gn0.errors import ConfigError, FormatError, PolicyError
 from gn0.geometry import Pose2D
 from gn0.missions.goal import sample_goal_episodes
-from gn0.policies.remote.policy import PolicyRemote
+from gn0.policies.remote.policy_remote import PolicyRemote
 from gn0.policies.remote.server import PolicyServer, PolicySession, build_reply
 from gn0.policies.remote.wire import WireLimits, decode_message, encode_message
 from gn0.policies.simple import PolicyRandom, PolicyStraight, PolicyWallFollower

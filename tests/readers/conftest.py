@@ -14,7 +14,7 @@ import pytest
 
 from gn0.data.build import build_dataset
 from gn0.data.dataset import Dataset
-from gn0.data.render import render_dataset
+from gn0.data.picture_build import render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import MissionInstruction

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from gn0.data.dataset import Dataset
-from gn0.data.frames import read_frames
+from gn0.data.episode_frames import read_frames
 from gn0.data.lerobot_schema import DEPTH_KEY, FEATURES, FPS, VIDEOS, motions
+from gn0.export.dataset_source import open_source
+from gn0.export.export_run import run_export
 from gn0.export.exporter import ExportSettings
-from gn0.export.session import run_export
-from gn0.export.source import open_source
 
 module = pytest.importorskip("lerobot.datasets.lerobot_dataset", exc_type=ImportError)
 pytestmark = pytest.mark.filterwarnings("ignore")

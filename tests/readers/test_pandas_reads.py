@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gn0.export.export_run import run_export
 from gn0.export.exporter import ExportSettings
-from gn0.export.session import run_export
 from gn0.testing.toy_trips import toy_source
 
 

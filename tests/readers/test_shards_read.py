@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gn0.data.dataset import Dataset
-from gn0.data.frames import read_frames
+from gn0.data.episode_frames import read_frames
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 PICTURES = ("rgb", "history", "bev", "occupancy", "goal")

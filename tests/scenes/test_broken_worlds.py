@@ -13,8 +13,8 @@ import pytest
 from gn0.errors import FormatError, Gn0Error, SceneError
 from gn0.scenes import world as world_module
 from gn0.scenes.folder import load_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.scenes.sdf import find_world_file, load_sdf
-from gn0.scenes.sources import import_scene
 from gn0.scenes.world_mesh import WorldMeshes, load_world_meshes
 
 _spec = importlib.util.spec_from_file_location("worlds", Path(__file__).parent / "test_world.py")

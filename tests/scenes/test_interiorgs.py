@@ -12,7 +12,7 @@ import pytest
 from gn0.errors import FormatError, Gn0Error, SceneError, StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
-from gn0.scenes.sources import find_source, import_scene
+from gn0.scenes.scene_sources import find_source, import_scene
 
 
 @pytest.fixture(scope="module")

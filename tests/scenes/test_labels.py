@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gn0.errors import FormatError
-from gn0.scenes.labels import (
+from gn0.scenes.label_file import (
     box_from_corners,
     encode_labels,
     load_labels,

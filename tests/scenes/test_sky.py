@@ -13,11 +13,11 @@ from gn0.scenes.bake import BakeSettings, bake_light
 from gn0.scenes.charts import build_charts
 from gn0.scenes.lumels import build_lumels
 from gn0.scenes.mesh import SceneMesh
+from gn0.scenes.procedural.assembly import Assembly
 from gn0.scenes.procedural.courtyard import build_vault
 from gn0.scenes.procedural.draft import Material, SceneDraft, Sky, Sun
 from gn0.scenes.procedural.finish import cover_draft, light_draft
 from gn0.scenes.procedural.palette import plain
-from gn0.scenes.procedural.parts import Assembly
 from gn0.scenes.procedural.shapes import build_box, build_panel
 from gn0.scenes.rays import RayCaster
 from gn0.scenes.scene import SceneRoom

@@ -9,7 +9,7 @@ from gn0.figures.scenes import compare_maps
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ros import load_ros_map
 from gn0.scenes.check import check_scene
-from gn0.scenes.sources import ImportSettings, import_scene
+from gn0.scenes.scene_sources import ImportSettings, import_scene
 from gn0.scenes.world import (
     load_sdf,
     load_world_meshes,

@@ -20,7 +20,7 @@ from gn0.scenes.check import check_scene
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.needles import find_needles
-from gn0.scenes.procedural import refine
+from gn0.scenes.procedural import refine_views
 from gn0.scenes.shading import SurfaceSample
 from gn0.scenes.surfels import build_surfels, outlines_of, place_surfels, shade_surfels
 
@@ -136,11 +136,13 @@ def test_no_splat_of_a_refined_scene_reaches_too_far(monkeypatch: pytest.MonkeyP
         grown = cloud.scales * np.array([7.0, 2.5, 1.0], np.float32)
         return replace(cloud, means=(cloud.means + aside).astype(np.float32), scales=grown)
 
-    monkeypatch.setattr(refine, "get_plugin", lambda *_: overdo)
-    monkeypatch.setattr(refine, "place_views", lambda *_: ([np.eye(4)], [0]))
-    monkeypatch.setattr(refine, "trace_picture", lambda *_, **__: np.zeros((480, 640, 3), np.uint8))
+    monkeypatch.setattr(refine_views, "get_plugin", lambda *_: overdo)
+    monkeypatch.setattr(refine_views, "place_views", lambda *_: ([np.eye(4)], [0]))
+    monkeypatch.setattr(
+        refine_views, "trace_picture", lambda *_, **__: np.zeros((480, 640, 3), np.uint8)
+    )
     draft: Any = SimpleNamespace(mesh=mesh)
-    fitted = refine.refine_draft(draft, Grey(mesh), cloud, outlines, area=1.0)
+    fitted = refine_views.refine_draft(draft, Grey(mesh), cloud, outlines, area=1.0)
     assert len(fitted) == len(cloud)
     wild = find_needles(overdo(cloud))
     assert len(wild.long) > 10 and len(wild.bare) > 10

@@ -15,8 +15,8 @@ from gn0.scenes.boxes import upright_box
 from gn0.scenes.collada import load_collada
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import ObjectBox, SceneObject
+from gn0.scenes.scene_sources import find_source, import_scene
 from gn0.scenes.sdf import find_world_file, load_sdf
-from gn0.scenes.sources import find_source, import_scene
 from gn0.scenes.textures import Paint, TextureAlbedo, load_texture
 from gn0.scenes.world import world_openings
 from gn0.scenes.world_mesh import category_of, common_prefix, load_world_meshes

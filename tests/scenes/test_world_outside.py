@@ -16,7 +16,7 @@ from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.rays import RayCaster
 from gn0.scenes.rooms import RoomMap, guess_room_type
 from gn0.scenes.ros_map import raise_walls, roomy_cells
-from gn0.scenes.sources import import_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.scenes.world_map import register_map, register_maps
 from gn0.scenes.world_mesh import WorldMeshes
 from gn0.scenes.world_sky import close_openings

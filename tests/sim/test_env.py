@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 import gn0
 from gn0.errors import ConfigError, EpisodeError, SimError
 from gn0.missions.episode import MissionInstruction
-from gn0.missions.files import save_episodes
+from gn0.missions.episode_files import save_episodes
 from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.oracle import PolicyOracle
 from gn0.scenes.folder import save_scene

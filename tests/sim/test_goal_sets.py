@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from gn0.bench.metrics import compute_metrics
-from gn0.data.labels import LabelSettings, label_along, label_states, plan_expert
+from gn0.data.expert_labels import LabelSettings, label_along, label_states, plan_expert
 from gn0.errors import EpisodeError
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.policies.oracle import PolicyOracle

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gn0.data.pictures import build_eyes, draw_views
+from gn0.data.sample_pictures import build_eyes, draw_views
 from gn0.device.host import DeviceHost
 from gn0.errors import RenderError, SimError
 from gn0.gaussians.cloud import GaussianCloud

@@ -12,7 +12,7 @@ from gn0.device.host import DeviceHost
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
-from gn0.missions.files import load_episodes, save_episodes
+from gn0.missions.episode_files import load_episodes, save_episodes
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.open import open_simulator
 from gn0.sim.state import Action

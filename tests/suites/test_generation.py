@@ -18,7 +18,7 @@ from gn0.bench.compare import compare_paths, compare_runs
 from gn0.bench.pairing import tell_paths
 from gn0.bench.runner import run_suite
 from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
-from gn0.missions.generate.pool import load_paths, load_texts
+from gn0.missions.generate.path_pool import load_paths, load_texts
 from gn0.missions.generate.settings import MissionSettings
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.storage import storage_error

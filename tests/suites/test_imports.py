@@ -22,7 +22,7 @@ from gn0.missions.sets.episode_set import load_set
 from gn0.missions.sets.json_file import load_exact, same_values, save_exact
 from gn0.missions.sets.lost_goals import AREA_LOST, OTHERS_LOST
 from gn0.missions.sets.vocabulary import cut_words
-from gn0.suites.imports import export_set, find_scenes, import_set, load_imported
+from gn0.suites.foreign_sets import export_set, find_scenes, import_set, load_imported
 from gn0.suites.suite import Suite, load_suite
 from gn0.testing.scenes import with_goal_sets
 

@@ -15,7 +15,7 @@ from gn0.bench.runner import run_suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, ConfigError, EpisodeError, FormatError, Gn0Error, StorageError
 from gn0.missions.episode import Episode
-from gn0.missions.files import save_episodes
+from gn0.missions.episode_files import save_episodes
 from gn0.scenes.folder import load_scene
 from gn0.suites.suite import Suite, build_suite, load_suite, open_suite, save_suite
 

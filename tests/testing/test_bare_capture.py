@@ -11,7 +11,7 @@ import pytest
 from gn0.cli.main import main
 from gn0.errors import ConfigError, StorageError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.gaussians.files import load_cloud
+from gn0.gaussians.splat_files import load_cloud
 from gn0.scenes.capture.pose import propose_pose
 from gn0.scenes.capture.settings import CaptureSettings
 from gn0.scenes.example import build_example_scene

@@ -24,7 +24,7 @@ from gn0.suites.suite import build_suite
 from gn0.testing.browser import BrowserPage, find_browser, open_browser
 from gn0.viewer.live_server import open_server
 from gn0.viewer.live_text import name_line, plain
-from gn0.viewer.replay import load_replay
+from gn0.viewer.recorded_runs import load_replay
 
 pytest.importorskip("viser")
 pytestmark = [

@@ -29,7 +29,7 @@ from gn0.viewer.live_splats import build_live_splats
 from gn0.viewer.live_stage import OVERVIEW_FOV, overview
 from gn0.viewer.live_text import name_line, plain
 from gn0.viewer.live_walk import AgentWalk, colour_depth
-from gn0.viewer.sheet import render_views
+from gn0.viewer.scene_sheet import render_views
 from gn0.viewer.viewpoints import choose_viewpoints
 
 HOSTILE = (

@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gn0.bench.recording import WalkRecorder, open_recorder
 from gn0.bench.report import load_run
+from gn0.bench.walk_recording import WalkRecorder, open_recorder
 from gn0.cli.main import main
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene

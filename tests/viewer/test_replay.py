@@ -13,7 +13,7 @@ from gn0.errors import BenchError, ConfigError, StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.suites.suite import build_suite, load_suite
-from gn0.viewer.replay import load_replay
+from gn0.viewer.recorded_runs import load_replay
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

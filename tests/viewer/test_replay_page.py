@@ -11,10 +11,10 @@ from gn0.bench.runner import run_suite
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.suites.suite import build_suite
+from gn0.viewer.floor_plan import _quiet_spots
 from gn0.viewer.live_loop import LiveLoop
 from gn0.viewer.live_server import open_server
-from gn0.viewer.plan import _quiet_spots
-from gn0.viewer.replay import load_replay
+from gn0.viewer.recorded_runs import load_replay
 from gn0.viewer.replay_live import ReplayView
 
 pytestmark = pytest.mark.usefixtures("workers_here")

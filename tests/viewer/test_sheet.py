@@ -13,8 +13,8 @@ from gn0.maps.navigation import NavigationMap
 from gn0.render.open import build_renderer
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.scene import SceneObject
-from gn0.viewer.plan import render_plan
-from gn0.viewer.sheet import render_sheet
+from gn0.viewer.floor_plan import render_plan
+from gn0.viewer.scene_sheet import render_sheet
 from gn0.viewer.viewpoints import choose_viewpoints
 
 

@@ -1,8 +1,8 @@
 """Executors: where the workers of a run live. The runner speaks to all of them in the same words.
 
 `process` keeps them on this machine as child processes; `ray` spreads them over a Ray cluster. An
-executor only carries messages (see `gn0.bench.messages`): what a worker does, and so every byte of
-a result, is the same on each of them.
+executor only carries messages (see `gn0.bench.worker_messages`): what a worker does, and so every
+byte of a result, is the same on each of them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, Protocol, Self
 
-from gn0.bench.messages import FromWorker
+from gn0.bench.worker_messages import FromWorker
 from gn0.errors import BenchError
 from gn0.jobs.process import Ended
 

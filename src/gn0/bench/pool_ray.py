@@ -1,12 +1,12 @@
 """Workers on a Ray cluster: one actor a worker, on this machine or on many.
 
-An actor is a thin host: it starts the very `gn0.bench.worker` process that the executor `process`
-starts, passes its lines on, and kills it when it hangs. So the bytes of a result cannot depend on
-the executor, and a policy that never lets go of the interpreter cannot deafen its actor.
+An actor is a thin host: it starts the very `gn0.bench.episode_worker` process that the executor
+`process` starts, passes its lines on, and kills it when it hangs. So the bytes of a result cannot
+depend on the executor, and a policy that never lets go of the interpreter cannot deafen its actor.
 
-What crosses the network is bytes: our JSON messages, and scenes as `gn0.bench.parcel` packs them.
-Ray moves bytes as they are; it does serialise its own calls, and every machine of a Ray cluster
-can run code on every other. A cluster is one trusted house: never expose its ports.
+What crosses the network is bytes: our JSON messages, and scenes as `gn0.bench.scene_archive` packs
+them. Ray moves bytes as they are; it does serialise its own calls, and every machine of a Ray
+cluster can run code on every other. A cluster is one trusted house: never expose its ports.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from typing import Any, Self
 import msgspec
 
 from gn0.bench.executors import Heard, Worker, next_worker
-from gn0.bench.messages import FromWorker, Lease, Open
-from gn0.bench.parcel import pack_folder, unpack_scene
-from gn0.bench.pool import decode_line
+from gn0.bench.pool_process import decode_line
 from gn0.bench.protocol import code_version
+from gn0.bench.scene_archive import pack_folder, unpack_scene
+from gn0.bench.worker_messages import FromWorker, Lease, Open
 from gn0.errors import BenchError
 from gn0.jobs.cluster import import_ray, join_cluster
 from gn0.jobs.process import Ended, WorkerProcess, count_cores
@@ -44,7 +44,7 @@ class WorkerHost:
         self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         given = [path for path in msgspec.json.decode(paths, type=list[str]) if Path(path).exists()]
         self._process = WorkerProcess(
-            "gn0.bench.worker",
+            "gn0.bench.episode_worker",
             lambda line: self._lines.put(GONE if line is None else line.rstrip(b"\n")),
             threads,
             list(dict.fromkeys([*given, *sys.path])),

@@ -24,7 +24,8 @@ from gn0.version import source_version
 # what decides a result; the rest of the package may change between two sessions of one run
 _DECIDING = (
     "geometry.py", "paper.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim",
-    "policies", "bench/metrics.py", "bench/release.py", "bench/worker.py", "device/kernels",
+    "policies", "bench/metrics.py", "bench/release_score.py", "bench/episode_worker.py",
+    "device/kernels",
 )  # fmt: skip
 
 

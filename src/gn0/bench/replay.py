@@ -19,12 +19,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from gn0.bench.messages import Open
+from gn0.bench.episode_worker import EpisodeWorker
 from gn0.bench.protocol import code_version
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import EpisodeResult, EpisodeTrace, aggregate, encode_line
 from gn0.bench.runner import HIDDEN, build_settings, run_suite
-from gn0.bench.worker import EpisodeWorker
+from gn0.bench.worker_messages import Open
 from gn0.errors import BenchError, Gn0Error, brief
 from gn0.plugins import SECRETS, describe_error
 from gn0.progress import Progress, no_progress

@@ -24,7 +24,10 @@ import numpy as np
 from markupsafe import Markup
 
 from gn0.bench.breakdown import Bar, split_categories, split_lengths
-from gn0.bench.drawing import (
+from gn0.bench.intervals import Interval
+from gn0.bench.metrics import METRICS
+from gn0.bench.release_score import SIDE_BY_SIDE
+from gn0.bench.report_maps import (
     MapWindow,
     bev_symbol,
     data_uri,
@@ -34,9 +37,6 @@ from gn0.bench.drawing import (
     path_marks,
     plan_symbol,
 )
-from gn0.bench.intervals import Interval
-from gn0.bench.metrics import METRICS
-from gn0.bench.release import SIDE_BY_SIDE
 from gn0.bench.results import (
     EpisodeResult,
     EpisodeTrace,
@@ -59,7 +59,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.open import look_hash
 from gn0.sim.presets import find_preset
 from gn0.storage import safe_join, write_text
-from gn0.suites.known import known_suites, remember_suite
+from gn0.suites.known_suites import known_suites, remember_suite
 from gn0.suites.profiles import DIFFERENCES
 from gn0.suites.run_files import RUN
 from gn0.suites.suite import SUITE_FILE, Suite, load_suite, load_suite_scene

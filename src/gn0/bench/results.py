@@ -18,7 +18,7 @@ import numpy as np
 
 from gn0.bench.intervals import Interval, bootstrap_interval
 from gn0.bench.metrics import METRICS, EpisodeMetrics
-from gn0.bench.release import ReleaseReport, ReleaseScore
+from gn0.bench.release_score import ReleaseReport, ReleaseScore
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D

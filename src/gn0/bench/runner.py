@@ -24,8 +24,7 @@ import msgspec
 from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers
 from gn0.bench.identity import digest_policy, tell_identity
 from gn0.bench.ledger import Ledger
-from gn0.bench.messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
-from gn0.bench.pools import open_pool
+from gn0.bench.pool_kinds import open_pool
 from gn0.bench.protocol import code_version, config_hash, protocol_card
 from gn0.bench.results import (
     EpisodeResult,
@@ -37,17 +36,18 @@ from gn0.bench.results import (
     iterate_results,
     report_release,
 )
+from gn0.bench.run_session import ask_card, check_name, stamp_now, tell_earlier
 from gn0.bench.schedule import Schedule
-from gn0.bench.session import ask_card, check_name, stamp_now, tell_earlier
+from gn0.bench.worker_messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
 from gn0.errors import BenchError, ConfigError, PolicyError
-from gn0.folder import check_room, lock_folder
+from gn0.locked_folder import check_room, lock_folder
 from gn0.missions.episode import Episode
 from gn0.plugins import SECRETS, import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.storage import TEMPORARY_PREFIX, Journal, write_json
-from gn0.suites.known import remember_suite
-from gn0.suites.looks import choose_run_backend, open_run_drawing
+from gn0.suites.known_suites import remember_suite
 from gn0.suites.run_files import BYTES_PER_EPISODE, RESULTS, RUN, SUMMARY, TRAJECTORIES
+from gn0.suites.scene_drawing import choose_run_backend, open_run_drawing
 from gn0.suites.suite import Suite, load_suite_scene
 from gn0.suites.track import judge_policy
 

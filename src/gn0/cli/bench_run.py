@@ -93,7 +93,7 @@ def run(args: Args) -> int:
     from gn0.bench.report import write_report
     from gn0.bench.runner import run_suite
     from gn0.cli.console import draw_progress, plain_text, say_backend
-    from gn0.cli.tables import print_summaries
+    from gn0.cli.result_tables import print_summaries
     from gn0.render.open import visible_backend
     from gn0.suites.suite import open_suite
     from gn0.suites.track import read_track

@@ -81,10 +81,10 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress, say_aside, say_backend
     from gn0.data.build import build_dataset
     from gn0.data.dataset import DATASET_FILE
-    from gn0.data.drawing import choose_drawing, count_workers, with_backend
-    from gn0.data.labels import LabelSettings
+    from gn0.data.drawing_process import choose_drawing, count_workers, with_backend
+    from gn0.data.expert_labels import LabelSettings
     from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
-    from gn0.folder import forget_folder
+    from gn0.locked_folder import forget_folder
     from gn0.suites.suite import open_suite
 
     pictures = PictureSettings(

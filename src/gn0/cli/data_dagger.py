@@ -84,9 +84,9 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.data.collect import build_dagger, describe_summary, sum_up
     from gn0.data.dataset import DATASET_FILE
-    from gn0.data.labels import LabelSettings
+    from gn0.data.expert_labels import LabelSettings
     from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
-    from gn0.folder import forget_folder
+    from gn0.locked_folder import forget_folder
     from gn0.plugins import import_plugins
     from gn0.suites.suite import open_suite
 

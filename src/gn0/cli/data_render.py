@@ -58,8 +58,8 @@ def run(args: Args) -> int:
     """Draw, and say what came out."""
     from gn0.cli.console import draw_progress, say_aside
     from gn0.data.dataset import open_dataset
-    from gn0.data.drawing import choose_drawing, count_workers, with_backend
-    from gn0.data.render import choose_cache, render_dataset
+    from gn0.data.drawing_process import choose_drawing, count_workers, with_backend
+    from gn0.data.picture_build import choose_cache, render_dataset
 
     dataset = open_dataset(args.dataset)
     wanted = choose_cache(dataset, None)

@@ -36,7 +36,7 @@ def run(args: Args) -> int:
 
     from gn0.cli.console import draw_progress
     from gn0.data.dataset import open_dataset
-    from gn0.data.sheet import draw_sheet
+    from gn0.data.sample_sheet import draw_sheet
     from gn0.errors import ConfigError
     from gn0.storage import write_bytes
 

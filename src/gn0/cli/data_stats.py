@@ -39,11 +39,11 @@ def run(args: Args) -> int:
 
     from gn0.cli.console import draw_progress
     from gn0.data.dataset import open_dataset
-    from gn0.data.sheet import draw_sheet
-    from gn0.data.stats import measure_dataset
+    from gn0.data.dataset_stats import measure_dataset
+    from gn0.data.sample_sheet import draw_sheet
     from gn0.seeds import random_stream
     from gn0.storage import write_json, write_text
-    from gn0.viewer.stats import render_stats
+    from gn0.viewer.stats_page import render_stats
 
     dataset = open_dataset(args.folder)
     out = Path(args.out or args.folder)

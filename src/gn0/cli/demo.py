@@ -49,7 +49,7 @@ def run(args: Args) -> int:
     from gn0.bench.runner import run_suite
     from gn0.cli.compile_ahead import compile_ahead
     from gn0.cli.console import draw_progress
-    from gn0.cli.tables import print_summaries
+    from gn0.cli.result_tables import print_summaries
     from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
     from gn0.suites.suite import build_suite
 
@@ -102,7 +102,7 @@ def _draw_pictures(scene_folder: Path, pictures: Path, progress: Progress) -> No
     """The sheet, and its four views as files of their own."""
     from gn0.render.open import build_renderer
     from gn0.scenes.folder import load_scene
-    from gn0.viewer.sheet import render_sheet, render_views
+    from gn0.viewer.scene_sheet import render_sheet, render_views
     from gn0.viewer.viewpoints import choose_viewpoints
 
     progress("drawing the apartment", 0, 1)

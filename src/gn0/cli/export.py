@@ -69,11 +69,11 @@ def run(args: Args) -> int:
     """Export, and say what was written and what was not."""
     from gn0.cli.console import draw_progress
     from gn0.config import check_config
+    from gn0.export.dataset_source import open_source
     from gn0.export.export_file import EXPORT_FILE
+    from gn0.export.export_run import remark_export, run_export
     from gn0.export.exporter import ExportSettings, get_dataset_exporter
-    from gn0.export.session import remark_export, run_export
-    from gn0.export.source import open_source
-    from gn0.folder import forget_folder
+    from gn0.locked_folder import forget_folder
 
     exporter = get_dataset_exporter(args.format)
     fields = {name: getattr(args, name) for name in ExportSettings.__struct_fields__}

@@ -31,7 +31,7 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Say what is wrong; 1 when something is."""
     from gn0.cli.console import draw_progress
-    from gn0.export.session import check_export, remark_export
+    from gn0.export.export_run import check_export, remark_export
 
     with draw_progress("checking the export"):
         faults = check_export(args.folder, args.format)

@@ -112,7 +112,7 @@ def _exports() -> Iterator[tuple[str, str]]:
 
 
 def _formats() -> Iterator[tuple[str, str]]:
-    from gn0.gaussians.files import READABLE
+    from gn0.gaussians.splat_files import READABLE
     from gn0.plugins import get_plugin, plugin_names
 
     yield "splats", READABLE

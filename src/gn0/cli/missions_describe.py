@@ -128,9 +128,9 @@ def _choose(episodes, args: Args):  # type: ignore[no-untyped-def]
 
 def _print_route(route: RouteDescription, provider: TextProvider, args: Args) -> int:
     """Print steps and texts; how many texts fell back to the grammar."""
-    from gn0.missions.language.check import check_text
+    from gn0.missions.language.text_check import check_text
     from gn0.missions.language.write import write_texts
-    from gn0.viewer.route import landmark_words, segment_words
+    from gn0.viewer.route_picture import landmark_words, segment_words
 
     for number, segment in enumerate(route.segments, 1):
         more = ", ".join(landmark_words(m) for m in segment.landmarks[1:])
@@ -155,7 +155,7 @@ def _draw(scene, route, path, yaw: float, out: Path) -> None:  # type: ignore[no
     from gn0.cli.console import draw_progress
     from gn0.render.open import build_renderer
     from gn0.storage import write_atomic
-    from gn0.viewer.route import render_route
+    from gn0.viewer.route_picture import render_route
 
     with draw_progress("drawing the route"):
         picture = render_route(scene, build_renderer(scene.gaussians), route, path, yaw)

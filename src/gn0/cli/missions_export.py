@@ -45,7 +45,7 @@ def run(args: Args) -> int:
     from gn0.missions.sets.lost_goals import find_lost
     from gn0.missions.sets.vlnce import VlnceFile
     from gn0.missions.sets.vocabulary import are_r2r_words, count_unknown, tell_unknown
-    from gn0.suites.imports import export_set
+    from gn0.suites.foreign_sets import export_set
     from gn0.suites.suite import open_suite
 
     suite = open_suite(args.suite)

@@ -55,7 +55,7 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Import, and say what became of it; 1 when nothing could be kept."""
     from gn0.cli.console import draw_progress
-    from gn0.suites.imports import import_set
+    from gn0.suites.foreign_sets import import_set
 
     with draw_progress() as progress:
         report = import_set(

@@ -163,8 +163,8 @@ def _show_suite(args: Args) -> int:
 
 
 def _show_set(args: Args) -> int:
-    from gn0.missions.sets.check import summarise
     from gn0.missions.sets.episode_set import load_set
+    from gn0.missions.sets.frame_check import summarise
     from gn0.storage import write_atomic
     from gn0.viewer.overlay import render_paths
 

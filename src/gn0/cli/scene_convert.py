@@ -35,9 +35,9 @@ def run(args: Args) -> int:
     """Convert, and say what came of it."""
     from gn0.cli.console import draw_progress, plain_text
     from gn0.errors import ConfigError, StorageError
-    from gn0.gaussians.files import load_cloud
     from gn0.gaussians.ply import save_ply
     from gn0.gaussians.ply_packed import save_ply_packed
+    from gn0.gaussians.splat_files import load_cloud
 
     out = Path(args.out)
     if not out.name.lower().endswith(".ply"):

@@ -54,11 +54,11 @@ def run(args: Args) -> int:
     from pathlib import Path
 
     from gn0.cli.console import draw_progress
-    from gn0.folder import forget_folder
+    from gn0.locked_folder import forget_folder
     from gn0.scenes.corpus import load_spec
     from gn0.scenes.corpus_build import JOURNAL_FILE, generate_corpus
     from gn0.storage import write_atomic
-    from gn0.viewer.corpus import render_corpus
+    from gn0.viewer.corpus_sheet import render_corpus
 
     if args.fresh:
         forget_folder(args.out, JOURNAL_FILE)

@@ -76,7 +76,7 @@ def run(args: Args) -> int:
     """Import and say what came out."""
     from gn0.cli.console import draw_progress, say_aside
     from gn0.scenes.capture.settings import CaptureSettings
-    from gn0.scenes.sources import import_scene
+    from gn0.scenes.scene_sources import import_scene
 
     capture = CaptureSettings(
         up=args.up,
@@ -114,10 +114,10 @@ def print_capture(scene: object, out: str) -> None:
     """The evidence behind a capture's frame, in words, and as capture.png in its folder."""
     from pathlib import Path
 
-    from gn0.scenes.capture.source import evidence_lines
+    from gn0.scenes.capture.capture_source import evidence_lines
     from gn0.scenes.scene import Scene
     from gn0.storage import write_atomic
-    from gn0.viewer.capture import render_capture
+    from gn0.viewer.capture_sheet import render_capture
 
     assert isinstance(scene, Scene)
     picture = render_capture(scene)

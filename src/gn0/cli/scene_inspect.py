@@ -33,7 +33,7 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Print what the file holds."""
     from gn0.cli.console import draw_progress, plain_text
-    from gn0.gaussians.files import describe_cloud_file
+    from gn0.gaussians.splat_files import describe_cloud_file
 
     with draw_progress("reading the file"):
         facts = describe_cloud_file(args.file, level=args.level)

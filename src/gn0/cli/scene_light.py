@@ -62,7 +62,7 @@ def run(args: Args) -> int:
     from gn0.render.light import LightCondition, condition_names, draw_condition, relight_cloud
     from gn0.scenes.folder import load_scene, save_scene
     from gn0.storage import write_atomic
-    from gn0.viewer.light import render_light
+    from gn0.viewer.light_sheet import render_light
 
     folder = Path(args.folder)
     scene = load_scene(folder)

@@ -31,7 +31,7 @@ def run(args: Args) -> int:
     from gn0.render.open import build_renderer
     from gn0.scenes.folder import load_scene
     from gn0.storage import check_writable, write_atomic
-    from gn0.viewer.sheet import render_sheet
+    from gn0.viewer.scene_sheet import render_sheet
 
     folder = Path(args.folder)
     scene = load_scene(folder)

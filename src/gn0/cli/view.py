@@ -97,8 +97,8 @@ def _record(args: Args) -> int:
     """Let a person walk the episodes of a suite, and say how they went."""
     from functools import partial
 
-    from gn0.bench.recording import open_recorder
-    from gn0.cli.tables import print_summaries
+    from gn0.bench.walk_recording import open_recorder
+    from gn0.cli.result_tables import print_summaries
     from gn0.errors import ConfigError
     from gn0.suites.suite import open_suite
     from gn0.viewer.live_record import RecordView
@@ -172,7 +172,7 @@ def find_view(args: Args) -> Any:
             raise StorageError("there is nothing of that name", where=path, remedy="check the path")
     first = paths[0]
     if args.results or (first / "summary.json").is_file():
-        from gn0.viewer.replay import load_replay
+        from gn0.viewer.recorded_runs import load_replay
         from gn0.viewer.replay_live import ReplayView
 
         runs = [Path(r) for r in args.results] if args.results else paths
@@ -202,7 +202,7 @@ def find_view(args: Args) -> Any:
             remedy="gn0 view one of its scenes/ folders or a run of the suite, or walk its "
             "episodes yourself with --record OUT",
         )
-    from gn0.gaussians.files import load_cloud
+    from gn0.gaussians.splat_files import load_cloud
     from gn0.viewer.live_file import FileView
 
     file = load_cloud(first, level=args.level)

@@ -32,7 +32,7 @@ from gn0.config import Config, load_json
 from gn0.data.dataset import Dataset, open_dataset
 from gn0.errors import DataError, FormatError
 from gn0.geometry import F32, F64
-from gn0.missions.files import read_table
+from gn0.missions.episode_files import read_table
 from gn0.paper import ACTIONS_AHEAD
 from gn0.progress import Progress, no_progress
 from gn0.seeds import random_stream

@@ -13,7 +13,12 @@ from typing import Any
 
 import msgspec
 
-from gn0.data.cache import check_cache_free
+from gn0.data.build_folder import (
+    parts_journal,
+    read_done,
+    run_parts,
+    write_journal,
+)
 from gn0.data.dataset import (
     DATASET_FILE,
     DATASET_LAYOUT,
@@ -29,20 +34,15 @@ from gn0.data.dataset import (
     open_dataset,
     save_dataset_file,
 )
-from gn0.data.drawing import open_drawing
-from gn0.data.folder import (
-    parts_journal,
-    read_done,
-    run_parts,
-    write_journal,
-)
+from gn0.data.drawing_process import open_drawing
 from gn0.data.part import PartDone, PartPlan, check_plan, drawn_at
-from gn0.data.render import finish_cache
-from gn0.data.samples import SAMPLE_LAYOUT
+from gn0.data.picture_build import finish_cache
+from gn0.data.picture_cache import check_cache_free
+from gn0.data.sample_table import SAMPLE_LAYOUT
 from gn0.data.settings import BuildSettings
 from gn0.errors import DataError
-from gn0.folder import LOCK, PROBE, check_room, lock_folder, sweep_folder
 from gn0.jobs import ExecutorName
+from gn0.locked_folder import LOCK, PROBE, check_room, lock_folder, sweep_folder
 from gn0.progress import Progress, no_progress
 from gn0.render.share.client import DrawServer
 from gn0.storage import (

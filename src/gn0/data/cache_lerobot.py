@@ -20,15 +20,6 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from gn0.data.cache import (
-    DrawnStep,
-    cache_folder,
-    decode_depth,
-    encode_depth,
-    write_goal,
-    write_maps,
-    write_recorded,
-)
 from gn0.data.dataset import Dataset, DatasetPart, FileRecord
 from gn0.data.lerobot_schema import (
     DEPTH_KEY,
@@ -56,12 +47,21 @@ from gn0.data.lerobot_tables import (
     number_tasks,
 )
 from gn0.data.lerobot_video import WalkWriter, encode_still, join_clips
-from gn0.data.samples import DEPTH, EpisodeRows
+from gn0.data.picture_cache import (
+    DrawnStep,
+    cache_folder,
+    decode_depth,
+    encode_depth,
+    write_goal,
+    write_maps,
+    write_recorded,
+)
+from gn0.data.sample_table import DEPTH, EpisodeRows
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError, FormatError, Gn0Error
 from gn0.geometry import U8
 from gn0.missions.episode import Episode, MissionGoal
-from gn0.missions.files import read_table
+from gn0.missions.episode_files import read_table
 from gn0.render.depth import to_metres
 from gn0.sim.presets import find_preset
 from gn0.storage import content_hash, safe_join, write_bytes
@@ -305,7 +305,7 @@ def _part_depth(
 
 
 def _draw_depth(dataset: Dataset, part: DatasetPart, settings: PictureSettings) -> Iterator[bytes]:
-    from gn0.data.draw import PartDrawer
+    from gn0.data.part_pictures import PartDrawer
 
     reach = find_preset(dataset.about.camera).depth_range
     for step in PartDrawer(dataset, dataset.part_rows(part), settings).steps():

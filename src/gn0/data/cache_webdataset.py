@@ -27,7 +27,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from gn0.data.cache import (
+from gn0.data.dataset import FileRecord, file_digest
+from gn0.data.picture_cache import (
     DrawnStep,
     cache_folder,
     decode_depth,
@@ -37,12 +38,11 @@ from gn0.data.cache import (
     write_maps,
     write_recorded,
 )
-from gn0.data.dataset import FileRecord, file_digest
-from gn0.data.samples import DEPTH
+from gn0.data.sample_table import DEPTH
 from gn0.data.settings import PictureSettings
 from gn0.errors import FormatError
 from gn0.geometry import U8
-from gn0.missions.files import read_table
+from gn0.missions.episode_files import read_table
 from gn0.sim.sensors import GREEN, RED, draw_disc
 from gn0.storage import safe_join
 

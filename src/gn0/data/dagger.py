@@ -28,10 +28,10 @@ from typing import Any
 
 import numpy as np
 
-from gn0.data.labels import I8, LabelSettings, cut_at, label_states, plan_from
-from gn0.data.samples import NO_TOKEN, EpisodeRows
+from gn0.data.expert_labels import I8, LabelSettings, cut_at, label_states, plan_from
+from gn0.data.sample_table import NO_TOKEN, EpisodeRows
 from gn0.data.settings import DaggerSettings, Halting
-from gn0.data.ways import sample_way_points
+from gn0.data.waypoints import sample_way_points
 from gn0.errors import ConfigError, EpisodeError, Gn0Error, PolicyError, SimError
 from gn0.geometry import F32, F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField

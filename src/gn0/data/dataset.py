@@ -3,7 +3,7 @@
 dataset.json            layout, camera, agent, suite, settings, scenes and their hashes, parts
 episodes.parquet        the episodes, as they were given
 scenes/<id>/            the scene folders (hard links where the file system allows)
-samples/<part>.parquet  a row a step, see `gn0.data.samples`; a part is a chunk of one scene
+samples/<part>.parquet  a row a step, see `gn0.data.sample_table`; a part is a chunk of one scene
 pictures/<layout>/      the cache of pictures, which can be made again bit for bit
 journal.jsonl           what is done, while a build goes on and after it
 """
@@ -22,13 +22,13 @@ import numpy as np
 import pyarrow as pa
 
 from gn0.config import Config, decode_json
-from gn0.data.samples import SAMPLE_LAYOUT, EpisodeRows, decode_rows, load_sample_table
+from gn0.data.sample_table import SAMPLE_LAYOUT, EpisodeRows, decode_rows, load_sample_table
 from gn0.data.settings import BuildSettings
 from gn0.errors import DataError, FormatError, StorageError
 from gn0.geometry import F64
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.missions.files import load_episodes
+from gn0.missions.episode_files import load_episodes
 from gn0.sim.collision import move_agent
 from gn0.sim.kinematics import heading_yaw, step_forward
 from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_json

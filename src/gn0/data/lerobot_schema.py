@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.data.samples import EpisodeRows
+from gn0.data.sample_table import EpisodeRows
 from gn0.geometry import F64, U8, wrap_angle
 from gn0.paper import ACTIONS_AHEAD, POINTS
 from gn0.render.depth import to_metres

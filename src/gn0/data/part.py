@@ -24,8 +24,8 @@ from gn0.data.dataset import (
     file_digest,
     load_dataset_file,
 )
-from gn0.data.labels import label_along, plan_expert
-from gn0.data.samples import EpisodeRows, digest_labels, encode_rows, encode_table
+from gn0.data.expert_labels import label_along, plan_expert
+from gn0.data.sample_table import EpisodeRows, digest_labels, encode_rows, encode_table
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError, EpisodeError, PlanError
 from gn0.maps.navigation import NavigationMap
@@ -35,7 +35,7 @@ from gn0.sim.collision import check_places
 from gn0.storage import safe_join, write_bytes
 
 if TYPE_CHECKING:
-    from gn0.data.cache import DrawnStep
+    from gn0.data.picture_cache import DrawnStep
     from gn0.render.share.client import DrawServer
 
 
@@ -145,7 +145,7 @@ def draw_part(
         return list(blocks), [], {}
     from gn0.data.cache_lerobot import write_videos  # labels alone need neither
     from gn0.data.cache_webdataset import write_shard
-    from gn0.data.draw import PartDrawer
+    from gn0.data.part_pictures import PartDrawer
 
     drawer = PartDrawer(dataset, blocks, settings, drawing=plan.drawing)
     notes: dict[str, Any] = {}
@@ -172,8 +172,8 @@ def collect_part(
     navigation = dataset.navigation(plan.scene)
     driver = None
     if dataset.about.settings.dagger is not None:
-        from gn0.data.draw import eyes_of
-        from gn0.data.driver import Driver  # the expert needs no simulator
+        from gn0.data.part_pictures import eyes_of
+        from gn0.data.policy_driver import Driver  # the expert needs no simulator
 
         settings = plan.pictures or dataset.about.settings.pictures
         if plan.drawing:

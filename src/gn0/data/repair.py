@@ -13,19 +13,19 @@ from pathlib import Path
 
 import msgspec
 
-from gn0.data.cache import MANIFEST, CacheManifest, cache_folder, load_manifest
+from gn0.data.build_folder import parts_journal, read_done, write_journal
 from gn0.data.dataset import JOURNAL, Dataset, file_digest, open_dataset
-from gn0.data.draw import PartDrawer
-from gn0.data.drawing import open_drawing
-from gn0.data.folder import parts_journal, read_done, write_journal
+from gn0.data.drawing_process import open_drawing
 from gn0.data.part import PartDone, PartPlan, collect_part, drawn_at
-from gn0.data.render import check_rendered, finish_cache, plan_rendering, render_dataset
-from gn0.data.samples import encode_rows, encode_table
+from gn0.data.part_pictures import PartDrawer
+from gn0.data.picture_build import check_rendered, finish_cache, plan_rendering, render_dataset
+from gn0.data.picture_cache import MANIFEST, CacheManifest, cache_folder, load_manifest
+from gn0.data.sample_table import encode_rows, encode_table
 from gn0.data.settings import PictureSettings
 from gn0.data.verify import Damage, verify_dataset
 from gn0.errors import DataError, Gn0Error, brief
-from gn0.folder import lock_folder, sweep_folder
 from gn0.jobs import run_jobs
+from gn0.locked_folder import lock_folder, sweep_folder
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, read_bytes, safe_join, write_bytes
 from gn0.suites.suite import load_suite

@@ -8,7 +8,7 @@ import msgspec
 
 from gn0.config import Config
 from gn0.data.codec import AnyFrame, EgoFrame
-from gn0.data.labels import LabelSettings
+from gn0.data.expert_labels import LabelSettings
 from gn0.errors import ConfigError
 from gn0.maps.grid import OccupancyGrid
 from gn0.sim.sensors import MapFrame

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from gn0.data.cache import MANIFEST, cache_folder, load_manifest
+from gn0.data.build_folder import parts_journal
 from gn0.data.cache_webdataset import load_index, sample_key
 from gn0.data.dataset import (
     JOURNAL,
@@ -27,10 +27,10 @@ from gn0.data.dataset import (
     file_digest,
     open_dataset,
 )
-from gn0.data.drawing import count_workers, open_drawing
-from gn0.data.folder import parts_journal
+from gn0.data.drawing_process import count_workers, open_drawing
 from gn0.data.part import PartPlan, collect_part, open_building, told_steps
-from gn0.data.samples import EpisodeRows, decode_rows, digest_labels, load_sample_table
+from gn0.data.picture_cache import MANIFEST, cache_folder, load_manifest
+from gn0.data.sample_table import EpisodeRows, decode_rows, digest_labels, load_sample_table
 from gn0.errors import Gn0Error, StorageError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.jobs.process import count_cores
@@ -373,7 +373,7 @@ def _compare_pixels(
 
 def compare_part(payload: dict[str, str], progress: Progress = no_progress) -> dict[str, list[str]]:
     """Samples of a part whose pictures have other hashes when drawn again; runs in a worker."""
-    from gn0.data.draw import PartDrawer
+    from gn0.data.part_pictures import PartDrawer
 
     dataset = open_building(payload["folder"])
     part = next(own for own in dataset.about.parts if own.name == payload["part"])

@@ -1,6 +1,6 @@
 """The protocol of a dataset exporter, its settings, and the registry's door.
 
-An exporter writes one trip at a time and then what belongs to the whole; `gn0.export.session`
+An exporter writes one trip at a time and then what belongs to the whole; `gn0.export.export_run`
 drives it, keeps the journal, and can go on after a crash.
 """
 
@@ -16,7 +16,7 @@ import msgspec
 
 from gn0.config import Config
 from gn0.errors import ConfigError
-from gn0.export.shelf import Shelf
+from gn0.export.staged_files import Shelf
 from gn0.export.trips import ExportSource, Recovered, Trip
 from gn0.geometry import F64
 from gn0.plugins import get_plugin, plugin_names

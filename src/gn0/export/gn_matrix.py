@@ -19,8 +19,8 @@ from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import load_names, name_of, save_names
 from gn0.export.trips import Recovered, Trip
+from gn0.missions.coordinate_frames import NavFrame, Placement
 from gn0.missions.episode import Episode
-from gn0.missions.frames import NavFrame, Placement
 from gn0.missions.sets.episode_set import EpisodeSet, Exporter, get_exporter
 from gn0.missions.sets.lost_goals import find_lost
 from gn0.storage import safe_join, write_bytes

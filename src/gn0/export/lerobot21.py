@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import FormatError
 from gn0.export.faults import Faults, encode_lines, load_lines, load_typed
-from gn0.missions.files import read_table
+from gn0.missions.episode_files import read_table
 from gn0.storage import write_bytes, write_json
 
 VERSION = "v2.1"

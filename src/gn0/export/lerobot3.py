@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from gn0.data.cache import encode_depth, encode_map
 from gn0.data.cache_webdataset import DISC_RADIUS, draw_dots
 from gn0.data.lerobot_schema import (
     DATA_MB,
@@ -48,13 +47,14 @@ from gn0.data.lerobot_tables import (
     number_tasks,
 )
 from gn0.data.lerobot_video import WalkWriter, encode_still, join_clips
+from gn0.data.picture_cache import encode_depth, encode_map
 from gn0.errors import Gn0Error
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.lerobot3_reader import check_folder, load_folder
-from gn0.export.pictures import encode_jpeg, load_picture
+from gn0.export.picture_files import encode_jpeg, load_picture
 from gn0.export.trips import RGB, RGBD, Recovered, Trip
 from gn0.geometry import U8
-from gn0.missions.files import read_table
+from gn0.missions.episode_files import read_table
 from gn0.render.depth import to_millimetres
 from gn0.sim.history import History
 from gn0.storage import content_hash, read_bytes, write_bytes

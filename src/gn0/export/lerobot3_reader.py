@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from gn0.data.cache import decode_depth
 from gn0.data.lerobot_schema import (
     DATA_PATH,
     DEPTH_KEY,
@@ -28,12 +27,13 @@ from gn0.data.lerobot_schema import (
     VIDEOS,
 )
 from gn0.data.lerobot_tables import frame_columns
+from gn0.data.picture_cache import decode_depth
 from gn0.errors import FormatError
 from gn0.export.clips import inspect_clip, read_clip
 from gn0.export.faults import Faults, load_typed
-from gn0.export.pictures import picture_size
+from gn0.export.picture_files import picture_size
 from gn0.export.trips import Frame, Recovered
-from gn0.missions.files import read_table
+from gn0.missions.episode_files import read_table
 from gn0.storage import safe_join
 
 OLD_CAMERA = "observation.images.front"  # of exports before there was one schema

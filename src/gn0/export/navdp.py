@@ -38,7 +38,13 @@ from gn0.export.lerobot21 import (
     write_meta,
 )
 from gn0.export.names import load_names, name_of, save_names
-from gn0.export.pictures import encode_depth, encode_jpeg, load_depth, load_picture, picture_size
+from gn0.export.picture_files import (
+    encode_depth,
+    encode_jpeg,
+    load_depth,
+    load_picture,
+    picture_size,
+)
 from gn0.export.trips import RGBD, Frame, Recovered, Trip
 from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid

@@ -22,9 +22,9 @@ from gn0.errors import DataError, FormatError
 from gn0.export.clips import cut_clip, encode_frames, inspect_clip, read_clip
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
+from gn0.export.move_words import WORD, CoarseMove, coarsen_turns, fits_turns, merge_amounts
 from gn0.export.names import load_names, name_of, save_names
 from gn0.export.trips import RGB, Frame, Recovered, Trip
-from gn0.export.words import WORD, CoarseMove, coarsen_turns, fits_turns, merge_amounts
 from gn0.geometry import F64
 from gn0.paper import FORWARD, LEFT, RIGHT, STOP
 from gn0.storage import safe_join, write_bytes

@@ -16,10 +16,10 @@ import msgspec
 from gn0.errors import FormatError
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
+from gn0.export.move_words import merge_amounts
 from gn0.export.names import Name, load_names, name_of, save_names
-from gn0.export.pictures import encode_jpeg, load_picture, picture_size
+from gn0.export.picture_files import encode_jpeg, load_picture, picture_size
 from gn0.export.trips import RGB, Frame, Recovered, Trip
-from gn0.export.words import merge_amounts
 from gn0.paper import FORWARD, LEFT, RIGHT
 from gn0.storage import safe_join, write_bytes
 

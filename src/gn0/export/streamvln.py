@@ -16,7 +16,7 @@ from gn0.errors import FormatError
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
 from gn0.export.faults import Faults, load_typed
 from gn0.export.names import Name, load_names, name_of, save_names
-from gn0.export.pictures import encode_jpeg, load_picture, picture_size
+from gn0.export.picture_files import encode_jpeg, load_picture, picture_size
 from gn0.export.trips import RGB, Frame, Recovered, Trip
 from gn0.storage import safe_join, write_bytes
 

@@ -1,7 +1,7 @@
 """What an exporter is given: episodes that were walked, with poses, moves, labels and pictures.
 
-A trip is plain values. Where it comes from is `gn0.export.source`'s business; tests and plug-ins
-make their own.
+A trip is plain values. Where it comes from is `gn0.export.dataset_source`'s business; tests and
+plug-ins make their own.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.data.samples import EpisodeRows
+from gn0.data.sample_table import EpisodeRows
 from gn0.errors import EpisodeError
 from gn0.geometry import F32, F64, U8
 from gn0.maps.grid import OccupancyGrid

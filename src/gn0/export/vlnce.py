@@ -26,8 +26,8 @@ from gn0.export.nodes import thin_path
 from gn0.export.schema import Shape, describe_shape, shape_differences
 from gn0.export.trips import Recovered, Trip
 from gn0.geometry import F64
+from gn0.missions.coordinate_frames import habitat_rotation, habitat_to_world, world_to_habitat
 from gn0.missions.episode import Episode
-from gn0.missions.frames import habitat_rotation, habitat_to_world, world_to_habitat
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.json_file import load_exact, save_exact
 from gn0.missions.sets.lost_goals import find_lost

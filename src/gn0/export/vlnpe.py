@@ -38,7 +38,7 @@ from gn0.export.lerobot21 import (
     write_meta,
 )
 from gn0.export.names import Name, load_names, save_names
-from gn0.export.pictures import load_stack, save_stack
+from gn0.export.picture_files import load_stack, save_stack
 from gn0.export.trips import RGBD, ExportSource, Frame, Recovered, Trip
 from gn0.export.vlnce import (
     TOKENS,

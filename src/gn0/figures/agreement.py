@@ -12,7 +12,7 @@ import numpy as np
 from gn0.figures.device_scenes import FigureScene
 from gn0.figures.flat import flat_camera
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.gaussians.files import load_cloud
+from gn0.gaussians.splat_files import load_cloud
 from gn0.geometry import F64, quaternion_from_rotation, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.renderer import RenderOptions, RenderResult, SceneRenderer

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gn0.bench.episode_worker import score
 from gn0.bench.results import EpisodeResult, aggregate, load_results
 from gn0.bench.runner import JOURNAL, run_suite
-from gn0.bench.worker import score
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.navigation import NavigationMap
@@ -24,7 +24,7 @@ from gn0.scenes.folder import save_scene
 from gn0.scenes.occupancy import build_occupancy
 from gn0.scenes.procedural.apartment import draft_apartment
 from gn0.scenes.scene import Scene, SceneSourceInfo
-from gn0.scenes.sources import import_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode

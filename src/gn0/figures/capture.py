@@ -28,7 +28,7 @@ from gn0.scenes.capture.pose import propose_pose
 from gn0.scenes.capture.settings import CaptureSettings
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.scene import Scene
-from gn0.scenes.sources import import_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.seeds import random_stream
 from gn0.testing.bare_capture import bare
 

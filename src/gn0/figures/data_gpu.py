@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image
 
 from gn0.data.build import build_dataset
-from gn0.data.cache import encode_depth, encode_picture
-from gn0.data.drawing import count_workers, with_backend
+from gn0.data.drawing_process import count_workers, with_backend
+from gn0.data.picture_cache import encode_depth, encode_picture
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.device.device import DeviceArray
 from gn0.figures.board import Figure, FigureContext, FigureRow, FigureSkipped, row_at_least
@@ -34,7 +34,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.history import build_mosaic, reduce_picture
 from gn0.sim.presets import find_preset
 from gn0.storage import content_hash
-from gn0.suites.looks import LOADER
+from gn0.suites.scene_drawing import LOADER
 from gn0.suites.suite import Suite, build_suite, load_suite
 
 SAMPLES = 47_000_000  # of the paper

@@ -135,7 +135,7 @@ def house_scene(ctx: FigureContext, *, tiny: bool = False) -> FigureScene:
         FigureSkipped: neither the scene nor the world is here.
     """
     from gn0.scenes.folder import load_scene
-    from gn0.scenes.sources import import_scene
+    from gn0.scenes.scene_sources import import_scene
 
     if ctx.scenes is not None and (ctx.scenes / "small_house").is_dir():
         return scene_of(load_scene(ctx.scenes / "small_house"), "small_house")

@@ -11,10 +11,10 @@ import msgspec
 from gn0.config import load_json
 from gn0.data.build import build_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
+from gn0.export.dataset_source import open_source
+from gn0.export.export_run import check_export, run_export
 from gn0.export.exporter import ExportSettings, dataset_exporter_names, get_dataset_exporter
 from gn0.export.schema import describe_shape, shape_differences
-from gn0.export.session import check_export, run_export
-from gn0.export.source import open_source
 from gn0.export.trips import ExportSource, Trip, differing_fields
 from gn0.export.vlnce import MAPS, R2R_SHAPE, TRUTH_SHAPE
 from gn0.figures.board import (

@@ -16,12 +16,12 @@ import numpy as np
 from gn0.errors import FormatError
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0.figures.flat import build_flat
-from gn0.gaussians.files import load_cloud
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
+from gn0.gaussians.splat_files import load_cloud
 from gn0.seeds import random_stream
 from gn0.testing.fuzz import TARGETS, FuzzReport, find_target, fuzz_reader
-from gn0.testing.memory import peak_memory_bytes
+from gn0.testing.peak_memory import peak_memory_bytes
 from gn0.testing.splat_corpus import (
     DIALECTS,
     build_ply,

@@ -16,14 +16,14 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.filters import discrete_frechet
 from gn0.missions.generate.candidates import CandidatePlanner
 from gn0.missions.generate.judge import PathJudge
-from gn0.missions.generate.scene import generate_paths
+from gn0.missions.generate.scene_paths import generate_paths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.paths import resample_path
 from gn0.missions.similarity import is_closer
 from gn0.missions.targets import GoalTarget
 from gn0.scenes.corpus import CorpusPart, CorpusSpec, SplitName, plan_corpus
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject
-from gn0.scenes.sources import import_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.seeds import random_stream
 from gn0.suites.generation import generate_missions
 from gn0.testing.crash_generation import build_trial_scenes, crash_generations, folder_digest

@@ -27,7 +27,7 @@ from gn0.data.balance import (
 from gn0.data.build import build_dataset
 from gn0.data.collect import build_dagger, sum_up
 from gn0.data.dataset import Dataset, open_dataset
-from gn0.data.labels import (
+from gn0.data.expert_labels import (
     LabelSettings,
     label_along,
     label_states,

@@ -15,13 +15,13 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import view_from_pose
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
-from gn0.missions.language.check import check_text
 from gn0.missions.language.describe import describe_route
 from gn0.missions.language.grammar import count_phrases, held_out_phrases
 from gn0.missions.language.providers import open_provider
 from gn0.missions.language.route import STYLES, Landmark, RouteDescription
 from gn0.missions.language.sight import EYE, HALF_WIDTH, sight_of
 from gn0.missions.language.template import ProviderTemplate
+from gn0.missions.language.text_check import check_text
 from gn0.missions.language.write import write_texts
 from gn0.render.camera import Camera
 from gn0.render.open import build_renderer
@@ -31,8 +31,8 @@ from gn0.scenes.procedural.generate import floor_area
 from gn0.scenes.procedural.kinds import KINDS, KindName
 from gn0.scenes.rays import RayCaster
 from gn0.scenes.scene import Scene, SceneSourceInfo
+from gn0.scenes.scene_sources import import_scene
 from gn0.scenes.shading import SurfaceSample
-from gn0.scenes.sources import import_scene
 from gn0.scenes.surfels import build_surfels
 from gn0.testing.rogue_language import PASSING, ROGUES, serve_language
 from gn0.testing.routes import build_simple_route

@@ -19,7 +19,7 @@ from gn0.paper import BEV_CUT
 from gn0.plugins import get_plugin
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.scene import Scene
-from gn0.scenes.sources import import_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.sim.mapping import Mapper
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode

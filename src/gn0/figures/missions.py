@@ -10,29 +10,29 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gn0.bench.release import SIDE_BY_SIDE
+from gn0.bench.release_score import SIDE_BY_SIDE
 from gn0.bench.runner import run_suite
 from gn0.figures.bench import _apartment
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0.maps.navigation import NavigationMap
-from gn0.maps.release import ReleaseMap
-from gn0.missions.episode import Episode
-from gn0.missions.frames import (
+from gn0.maps.release_map import ReleaseMap
+from gn0.missions.coordinate_frames import (
     NavFrame,
     habitat_rotation,
     habitat_to_world,
     world_to_habitat,
     yaw_from_habitat,
 )
+from gn0.missions.episode import Episode
 from gn0.missions.goal import sample_goal_episodes
-from gn0.missions.sets.check import check_frame
 from gn0.missions.sets.episode_set import EpisodeSet, Task, get_exporter, load_set
+from gn0.missions.sets.frame_check import check_frame
 from gn0.missions.sets.json_file import load_exact
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
-from gn0.suites.imports import import_set
+from gn0.suites.foreign_sets import import_set
 from gn0.suites.suite import build_suite
 from gn0.testing.judge_release import JudgeRelease
 
@@ -271,7 +271,7 @@ def measure_release(ctx: FigureContext) -> list[FigureRow]:
 
 def import_and_compare(ctx: FigureContext, suite: Path, scene: Path) -> FigureRow:
     """A suite exported as GN-Matrix and imported again: the largest shift of a start or goal."""
-    from gn0.suites.imports import export_set
+    from gn0.suites.foreign_sets import export_set
     from gn0.suites.suite import load_suite
 
     mine = load_suite(suite)

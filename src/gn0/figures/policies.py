@@ -18,7 +18,7 @@ import numpy as np
 from gn0.bench.runner import JOURNAL, run_suite
 from gn0.errors import PolicyError
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_most
-from gn0.policies.remote.policy import PolicyRemote
+from gn0.policies.remote.policy_remote import PolicyRemote
 from gn0.policies.remote.wire import decode_message, encode_message
 from gn0.progress import Progress
 from gn0.scenes.example import build_example_scene

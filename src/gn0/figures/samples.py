@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from gn0.data.build import build_dataset
-from gn0.data.cache import load_manifest
 from gn0.data.dataset import Dataset, FileRecord, open_dataset
-from gn0.data.render import render_dataset
+from gn0.data.picture_build import render_dataset
+from gn0.data.picture_cache import load_manifest
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most

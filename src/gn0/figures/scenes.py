@@ -18,7 +18,7 @@ from gn0.render.open import build_renderer
 from gn0.render.renderer import RenderOptions
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.scene import Scene
-from gn0.scenes.sources import import_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.viewer.viewpoints import choose_viewpoints
 
 NEAR = 0.15  # m

@@ -16,7 +16,7 @@ from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, ro
 from gn0.figures.flat import build_flat
 from gn0.figures.gaussians import ALLOWANCE, COUNT, FIELDS, median_seconds, peak_of_reading
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.gaussians.files import load_cloud
+from gn0.gaussians.splat_files import load_cloud
 from gn0.testing.splat_corpus import small_cloud
 from gn0.testing.splat_transform import find_splat_transform, run_splat_transform
 from gn0.testing.splat_writers import (

@@ -16,7 +16,7 @@ from gn0.scenes.procedural.apartment import draft_apartment
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.finish import cover_outlined, light_draft
 from gn0.scenes.procedural.generate import floor_area
-from gn0.scenes.procedural.refine import refine_draft
+from gn0.scenes.procedural.refine_views import refine_draft
 from gn0.scenes.rays import RayCaster
 from gn0.scenes.truth import render_truth
 from gn0.seeds import random_stream

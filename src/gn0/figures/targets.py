@@ -11,9 +11,9 @@ from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, ro
 from gn0.figures.spread import spread
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
-from gn0.missions.generate.missions import build_missions
-from gn0.missions.generate.pool import PathText
-from gn0.missions.generate.scene import generate_paths
+from gn0.missions.generate.path_missions import build_missions
+from gn0.missions.generate.path_pool import PathText
+from gn0.missions.generate.scene_paths import generate_paths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.generate.texts import named
 from gn0.missions.language.describe import describe_goal

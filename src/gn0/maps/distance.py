@@ -17,9 +17,9 @@ from gn0.errors import PlanError
 from gn0.geometry import F64
 from gn0.jit import njit
 from gn0.maps.astar import COL_STEP, MOVE_COST, ROW_STEP, build_moves
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import FREE, OccupancyGrid
-from gn0.maps.smooth import follow_corners
+from gn0.maps.path_smoothing import follow_corners
 from gn0.maps.visibility import build_corners, build_runs, spread_distances
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gn0.errors import PlanError
 from gn0.geometry import F64
 from gn0.maps.distance import GeodesicField, GeodesicMap, find_area
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.maps.inflate import build_clearance, inflate
 from gn0.maps.ray import trace_points

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.footprints import Footprints, build_footprints
 from gn0.missions.language.surroundings import Surroundings, surroundings_of
-from gn0.missions.language.words import definite, indefinite, is_plural, is_stuff, spoken_name
+from gn0.missions.language.word_forms import definite, indefinite, is_plural, is_stuff, spoken_name
 from gn0.missions.targets import (
     NEIGHBOUR_REACH,
     REACH,

@@ -9,7 +9,7 @@ import msgspec
 
 from gn0.errors import EpisodeError
 from gn0.geometry import Pose2D
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.paper import FORWARD_STEP, TURN_DEGREES
 from gn0.render.light import LightCondition
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import PlanError
 from gn0.geometry import F64
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.paper import SPACING
 

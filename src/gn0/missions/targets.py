@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
-from gn0.maps.goals import GoalSet, points_in_polygon
+from gn0.maps.goal_places import GoalSet, points_in_polygon
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneRoom
 

@@ -16,7 +16,7 @@ from gn0.geometry import F64, U8, Pose2D, agent_to_world
 from gn0.maps.grid import FREE, GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.lattice import ActionPlanner
 from gn0.maps.navigation import NavigationMap
-from gn0.maps.smooth import densify_path
+from gn0.maps.path_smoothing import densify_path
 from gn0.paper import FORWARD_STEP, TURN_DEGREES
 from gn0.sim.sensors import RED
 from gn0.sim.state import Action, Observation, Sensor

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gn0.data.labels import ROUNDING, LabelSettings, plan_from
+from gn0.data.expert_labels import ROUNDING, LabelSettings, plan_from
 from gn0.errors import PlanError, PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.pose_astar import plan_actions

@@ -22,7 +22,7 @@ from gn0.config import Config, load_json
 from gn0.errors import ConfigError, FormatError
 from gn0.scenes.folder import check_scene_id
 from gn0.scenes.procedural.kinds import KINDS, SizeName, StyleName
-from gn0.scenes.sources import scene_id_from
+from gn0.scenes.scene_sources import scene_id_from
 from gn0.seeds import random_stream
 from gn0.storage import safe_join
 from gn0.yaml_file import load_yaml

@@ -13,8 +13,8 @@ import msgspec
 from gn0 import __version__
 from gn0.config import check_config
 from gn0.errors import ConfigError, SceneError, StorageError
-from gn0.folder import LOCK, lock_folder, sweep_folder
 from gn0.jobs import ExecutorName, run_jobs
+from gn0.locked_folder import LOCK, lock_folder, sweep_folder
 from gn0.progress import Progress, no_progress
 from gn0.scenes.corpus import (
     CORPUS_FILE,
@@ -28,7 +28,7 @@ from gn0.scenes.corpus import (
 )
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
-from gn0.scenes.sources import import_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
 
 JOURNAL_FILE = "corpus.journal"

@@ -31,13 +31,13 @@ from numpy.typing import NDArray
 from gn0.config import Config, load_json
 from gn0.errors import FormatError, SceneError, StorageError, brief
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.gaussians.files import load_cloud
 from gn0.gaussians.morton import morton_order
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
-from gn0.maps.interiorgs import load_occupancy, save_occupancy
+from gn0.gaussians.splat_files import load_cloud
+from gn0.maps.interiorgs_map import load_occupancy, save_occupancy
 from gn0.progress import Progress, no_progress
-from gn0.scenes.labels import REACH, encode_labels, load_labels
+from gn0.scenes.label_file import REACH, encode_labels, load_labels
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom, SceneSourceInfo
 from gn0.scenes.structure import encode_structure, load_structure
 from gn0.storage import (

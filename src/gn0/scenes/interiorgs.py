@@ -13,14 +13,14 @@ import numpy as np
 
 from gn0.errors import SceneError, StorageError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.gaussians.files import load_cloud
+from gn0.gaussians.splat_files import load_cloud
 from gn0.geometry import F64
-from gn0.maps.interiorgs import load_occupancy
+from gn0.maps.interiorgs_map import load_occupancy
 from gn0.progress import Progress, no_progress
-from gn0.scenes.labels import load_labels_foreign
+from gn0.scenes.label_file import load_labels_foreign
 from gn0.scenes.rooms import room_at
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom, SceneSourceInfo
-from gn0.scenes.sources import ImportSettings, scene_id_from
+from gn0.scenes.scene_sources import ImportSettings, scene_id_from
 from gn0.scenes.structure import Structure, load_structure
 
 CLOUDS = ("3dgs_compressed.ply", "point_cloud.ply")

@@ -21,7 +21,7 @@ from gn0.progress import Progress, no_progress
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.rooms import build_rooms
 from gn0.scenes.scene import Scene, SceneSourceInfo
-from gn0.scenes.sources import ImportSettings
+from gn0.scenes.scene_sources import ImportSettings
 from gn0.scenes.surfels import build_surfels
 from gn0.scenes.textures import Paint, TextureAlbedo
 from gn0.scenes.world_light import level_plate, light_world

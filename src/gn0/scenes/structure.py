@@ -14,7 +14,7 @@ import numpy as np
 
 from gn0.config import load_json
 from gn0.errors import FormatError
-from gn0.scenes.labels import REACH, check_unique
+from gn0.scenes.label_file import REACH, check_unique
 from gn0.scenes.scene import SceneObject, SceneOpening, SceneRoom, SceneWall
 
 Point2 = tuple[float, float]

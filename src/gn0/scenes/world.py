@@ -17,8 +17,8 @@ from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.occupancy import build_occupancy, find_floor
 from gn0.scenes.rooms import RoomMap, assign_rooms, build_rooms
 from gn0.scenes.scene import Scene, SceneObject, SceneOpening, SceneSourceInfo
+from gn0.scenes.scene_sources import ImportSettings
 from gn0.scenes.sdf import SdfWorld, find_world_file, load_sdf
-from gn0.scenes.sources import ImportSettings
 from gn0.scenes.surfels import build_surfels
 from gn0.scenes.textures import TextureAlbedo
 from gn0.scenes.world_defects import Tell, WorldDefect, defect_lines, no_tell

@@ -17,7 +17,7 @@ from gn0.geometry import F32, F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.procedural.draft import Material
-from gn0.scenes.procedural.pictures import PICTURES
+from gn0.scenes.procedural.panel_patterns import PICTURES
 from gn0.scenes.rays import RayCaster
 from gn0.scenes.rooms import RoomMap
 from gn0.scenes.textures import Paint

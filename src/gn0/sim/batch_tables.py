@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gn0.errors import EpisodeError, SceneError, SimError
 from gn0.geometry import F64, wrap_angle
 from gn0.maps.distance import GeodesicMap
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
 from gn0.maps.navigation import NavigationMap

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gn0.device.device import Device, DeviceArray, Kernel
 from gn0.errors import DeviceMemoryError
 from gn0.geometry import F64, U8, wrap_angle
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, check_episode
 from gn0.scenes.scene import Scene

@@ -13,7 +13,7 @@ from gn0.config import decode_json
 from gn0.errors import ConfigError, EpisodeError, FormatError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.missions.files import load_episodes
+from gn0.missions.episode_files import load_episodes
 from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene

@@ -27,11 +27,11 @@ from gn0.errors import EpisodeError
 from gn0.jobs import ExecutorName, run_jobs
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
-from gn0.missions.files import fill_rare_columns, read_table, save_episodes
+from gn0.missions.episode_files import fill_rare_columns, read_table, save_episodes
 from gn0.missions.generate.judge import REASONS
-from gn0.missions.generate.missions import build_missions, count_missions
-from gn0.missions.generate.pool import load_paths, paths_table, save_table, texts_table
-from gn0.missions.generate.scene import SceneReport, generate_paths
+from gn0.missions.generate.path_missions import build_missions, count_missions
+from gn0.missions.generate.path_pool import load_paths, paths_table, save_table, texts_table
+from gn0.missions.generate.scene_paths import SceneReport, generate_paths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.generate.texts import count_texts, write_path_texts
 from gn0.missions.language.providers import open_provider
@@ -46,7 +46,7 @@ from gn0.storage import (
     write_atomic,
     write_json,
 )
-from gn0.suites.earlier import EarlierPaths, load_earlier, save_earlier
+from gn0.suites.earlier_paths import EarlierPaths, load_earlier, save_earlier
 from gn0.suites.generation_folder import (
     LAYOUT,
     MANIFEST,

@@ -17,9 +17,9 @@ import msgspec
 
 from gn0.config import Config, load_json
 from gn0.errors import BenchError, StorageError
-from gn0.folder import lock_folder, sweep_folder
+from gn0.locked_folder import lock_folder, sweep_folder
 from gn0.missions.episode import AgentSpec
-from gn0.missions.generate.scene import SceneReport
+from gn0.missions.generate.scene_paths import SceneReport
 from gn0.missions.generate.settings import MissionSettings
 from gn0.storage import check_contained, storage_error, write_json
 from gn0.suites.suite import EPISODE_FILE

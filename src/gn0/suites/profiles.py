@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 
 from gn0.errors import ConfigError
-from gn0.maps.release import MARGINS
+from gn0.maps.release_map import MARGINS
 from gn0.missions.episode import AgentSpec
 from gn0.sim.presets import find_preset
 

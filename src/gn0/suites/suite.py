@@ -23,7 +23,12 @@ from gn0.config import Config, load_json
 from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, mission_kind
-from gn0.missions.files import check_unique, episodes_digest_bytes, load_episodes, save_episodes
+from gn0.missions.episode_files import (
+    check_unique,
+    episodes_digest_bytes,
+    load_episodes,
+    save_episodes,
+)
 from gn0.missions.goal import MINIMUM_LENGTH, check_episode_fits, sample_goal_episodes
 from gn0.paper import SUCCESS_RADIUS
 from gn0.progress import Progress, no_progress

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from gn0.errors import Gn0Error, StorageError
-from gn0.export.card import CARD
+from gn0.export.export_card import CARD
 from gn0.export.export_file import EXPORT_FILE
+from gn0.export.export_run import JOURNAL, run_export
 from gn0.export.exporter import DatasetExporter, ExportSettings
-from gn0.export.session import JOURNAL, run_export
 from gn0.export.trips import RGBD, ExportSource, Recovered, Trip, differing_fields
 from gn0.testing.toy_trips import toy_source
 

@@ -14,7 +14,7 @@ from gn0.errors import Gn0Error
 from gn0.progress import no_progress
 from gn0.scenes.check import check_scene
 from gn0.scenes.folder import load_scene, save_scene
-from gn0.scenes.sources import ImportSettings, SceneSource
+from gn0.scenes.scene_sources import ImportSettings, SceneSource
 
 
 def check_source(

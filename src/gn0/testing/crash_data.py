@@ -15,12 +15,12 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from gn0.data.build_folder import read_done
 from gn0.data.dataset import JOURNAL, open_dataset
-from gn0.data.folder import read_done
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import Gn0Error, JobError
-from gn0.folder import LOCK
+from gn0.locked_folder import LOCK
 from gn0.progress import Progress, no_progress
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
@@ -35,7 +35,7 @@ PATIENCE = 600.0  # s for the last, undisturbed process
 _CODE = """
 import sys
 from gn0.data.build import build_dataset
-from gn0.data.render import render_dataset
+from gn0.data.picture_build import render_dataset
 from gn0.testing.crash_data import crash_settings
 suite, out, kind, workers = sys.argv[1:]
 build_dataset(suite, out, crash_settings(kind), workers=int(workers))

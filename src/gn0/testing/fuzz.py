@@ -24,7 +24,7 @@ import numpy as np
 from gn0.errors import FormatError, Gn0Error
 from gn0.progress import Progress, no_progress
 from gn0.seeds import random_stream
-from gn0.testing.memory import peak_memory_bytes, reset_peak_memory
+from gn0.testing.peak_memory import peak_memory_bytes, reset_peak_memory
 
 HANG_SECONDS = 1.0  # processor time a megabyte of input, at least for one megabyte
 _KEPT_FAULTS = 20

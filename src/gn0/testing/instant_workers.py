@@ -13,12 +13,12 @@ import msgspec
 
 from gn0.bench import runner
 from gn0.bench.executors import Heard, Worker, next_worker
-from gn0.bench.messages import Begun, Done, FromWorker, Lease, Open, Ready
 from gn0.bench.metrics import EpisodeMetrics
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummary
+from gn0.bench.worker_messages import Begun, Done, FromWorker, Lease, Open, Ready
 from gn0.jobs.process import Ended
 from gn0.suites.suite import Suite, load_suite
-from gn0.testing.memory import memory_bytes, peak_memory_bytes, reset_peak_memory
+from gn0.testing.peak_memory import memory_bytes, peak_memory_bytes, reset_peak_memory
 
 STEPS = 60  # of each episode
 

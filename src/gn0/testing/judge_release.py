@@ -1,4 +1,4 @@
-"""The official harness's distances by a literal search: the judge of `gn0.maps.release`.
+"""The official harness's distances by a literal search: the judge of `gn0.maps.release_map`.
 
 It shares no code with what it judges: sets of pixels, tuples on a heap, a search a question.
 """

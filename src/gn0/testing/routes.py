@@ -12,7 +12,7 @@ from gn0.missions.language.route import (
     RouteSegment,
     RouteTarget,
 )
-from gn0.missions.language.words import is_plural
+from gn0.missions.language.word_forms import is_plural
 from gn0.seeds import random_stream
 
 THINGS = (

@@ -11,7 +11,7 @@ import numpy as np
 
 from gn0.errors import EpisodeError
 from gn0.gaussians.cloud import GaussianCloud
-from gn0.maps.goals import GoalSet
+from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionInstruction

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.cloud_file import CloudFile, logit
-from gn0.gaussians.files import load_cloud
 from gn0.gaussians.ply import log_scales
 from gn0.gaussians.ply_packed import save_ply_packed
+from gn0.gaussians.splat_files import load_cloud
 from gn0.seeds import random_stream
 from gn0.testing.fuzz import FuzzTarget
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from gn0.errors import FormatError
 from gn0.gaussians.cloud_source import CloudSource
-from gn0.gaussians.files import load_cloud
 from gn0.gaussians.sog_zip import load_zip_directory
+from gn0.gaussians.splat_files import load_cloud
 from gn0.testing.fuzz import FuzzTarget
 from gn0.testing.splat_corpus import check_cloud_file, small_cloud
 from gn0.testing.splat_writers import (

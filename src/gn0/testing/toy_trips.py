@@ -10,9 +10,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from gn0.data.codec import encode_waypoints
-from gn0.data.labels import label_along, plan_expert
-from gn0.data.samples import EpisodeRows
-from gn0.export.source import build_trip
+from gn0.data.expert_labels import label_along, plan_expert
+from gn0.data.sample_table import EpisodeRows
+from gn0.export.dataset_source import build_trip
 from gn0.export.trips import ExportSource, Frame, MapView, SceneCard, Sensors, Trip
 from gn0.geometry import F32, F64, U8, view_from_pose
 from gn0.maps.grid import OccupancyGrid

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 
 from gn0.geometry import F64, U8, Pose2D
 from gn0.scenes.scene import Scene
-from gn0.viewer.plan import plan_bounds, render_plan
+from gn0.viewer.floor_plan import plan_bounds, render_plan
 
 if TYPE_CHECKING:
     from gn0.render.bev import BevPicture

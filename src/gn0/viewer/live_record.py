@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gn0.bench.recording import WalkRecorder
 from gn0.bench.results import EpisodeResult
+from gn0.bench.walk_recording import WalkRecorder
 from gn0.errors import EpisodeError
 from gn0.geometry import U8
 from gn0.missions.episode import Episode

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from gn0.geometry import F64, U8, Pose2D
 from gn0.missions.episode import AgentSpec
 from gn0.scenes.scene import Scene
+from gn0.viewer.floor_plan import plan_bounds
 from gn0.viewer.live_map import GOAL, REFERENCE
 from gn0.viewer.live_splats import LiveSplats
 from gn0.viewer.live_text import name_line
-from gn0.viewer.plan import plan_bounds
 
 if TYPE_CHECKING:
     import viser

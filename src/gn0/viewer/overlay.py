@@ -18,7 +18,7 @@ from gn0.render.bev import render_bev
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.viewer.coverage import count_paths, covered_share, tint_coverage
-from gn0.viewer.plan import INK, MUTED, PAPER, font, plan_bounds
+from gn0.viewer.floor_plan import INK, MUTED, PAPER, font, plan_bounds
 
 PATH = (18, 92, 214)
 BLOCKED_PATH = (214, 40, 40)

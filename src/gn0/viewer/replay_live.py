@@ -19,6 +19,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
 from gn0.sim.simulator import STEP_SECONDS
 from gn0.suites.suite import load_suite_scene
+from gn0.viewer.floor_plan import font
 from gn0.viewer.live import PANEL, ceiling_cut, hear
 from gn0.viewer.live_eyes import LiveEyes
 from gn0.viewer.live_loop import LiveLoop
@@ -27,8 +28,7 @@ from gn0.viewer.live_server import LiveServer
 from gn0.viewer.live_splats import build_live_splats
 from gn0.viewer.live_stage import OVERVIEW_FOV, LiveBody, LiveStage, overview
 from gn0.viewer.live_text import name_line, plain
-from gn0.viewer.plan import font
-from gn0.viewer.replay import Replay
+from gn0.viewer.recorded_runs import Replay
 
 SPEEDS = ("1x", "2x", "4x", "8x", "16x")
 EYES_PANEL = 330  # width of the panel with the agents' pictures [px]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gn0.missions.generate.scene import ScenePaths, generate_paths
+from gn0.missions.generate.scene_paths import ScenePaths, generate_paths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.scenes.scene import Scene
 from gn0.testing.scenes import build_room_scene

@@ -20,13 +20,13 @@ from gn0.missions.episode import (
     MissionInstruction,
     mission_name,
 )
-from gn0.missions.files import load_episodes, save_episodes
+from gn0.missions.episode_files import load_episodes, save_episodes
 from gn0.missions.generate import texts as texts_module
-from gn0.missions.generate.goals import PLACE_TEXT
-from gn0.missions.generate.missions import build_missions, count_missions
-from gn0.missions.generate.pictures import STEP, GoalPhotographer, face_on
-from gn0.missions.generate.pool import PathText, load_texts, save_table, texts_table
-from gn0.missions.generate.scene import ScenePaths, generate_paths
+from gn0.missions.generate.goal_pictures import STEP, GoalPhotographer, face_on
+from gn0.missions.generate.path_missions import build_missions, count_missions
+from gn0.missions.generate.path_pool import PathText, load_texts, save_table, texts_table
+from gn0.missions.generate.reachable_goals import PLACE_TEXT
+from gn0.missions.generate.scene_paths import ScenePaths, generate_paths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.generate.texts import count_texts, write_path_texts
 from gn0.missions.language.providers import open_provider

@@ -17,8 +17,8 @@ from gn0.geometry import polyline_length
 from gn0.maps.inflate import inflate
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.generate.judge import REASONS, PathJudge
-from gn0.missions.generate.pool import load_paths, name_path, paths_table, save_table
-from gn0.missions.generate.scene import TOO_NEAR, ScenePaths, generate_paths
+from gn0.missions.generate.path_pool import load_paths, name_path, paths_table, save_table
+from gn0.missions.generate.scene_paths import TOO_NEAR, ScenePaths, generate_paths
 from gn0.missions.generate.settings import MissionSettings, load_settings
 from gn0.missions.similarity import SimilaritySettings
 from gn0.scenes.scene import Scene

@@ -12,7 +12,7 @@ import pytest
 from gn0.errors import ConfigError
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
-from gn0.missions.generate.goals import (
+from gn0.missions.generate.reachable_goals import (
     NO_CELL,
     PLACE_TEXT,
     SMALL_COMPONENT,

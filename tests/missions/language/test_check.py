@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gn0.missions.language.check import check_text, find_turns
+from gn0.missions.language.text_check import check_text, find_turns
 from gn0.testing.routes import build_simple_route
 
 ROUTE = build_simple_route("left", "right")

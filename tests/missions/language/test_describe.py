@@ -17,12 +17,12 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
-from gn0.missions.language.check import check_text
 from gn0.missions.language.describe import describe_route
 from gn0.missions.language.providers import open_provider
 from gn0.missions.language.route import RouteDescription
 from gn0.missions.language.segments import split_path
 from gn0.missions.language.sight import build_sight, look, sight_of
+from gn0.missions.language.text_check import check_text
 from gn0.missions.language.write import write_texts
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject, SceneOpening, SceneRoom, SceneSourceInfo
 from gn0.testing.scenes import build_room_scene

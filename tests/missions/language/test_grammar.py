@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gn0.missions.language.check import check_text, find_turns
 from gn0.missions.language.grammar import PHRASES, count_phrases, held_out_phrases, phrases
 from gn0.missions.language.route import STYLES, RouteTarget, Style
 from gn0.missions.language.template import (
@@ -18,6 +17,7 @@ from gn0.missions.language.template import (
     distance_phrase,
     target_phrase,
 )
+from gn0.missions.language.text_check import check_text, find_turns
 from gn0.testing.routes import build_random_route, build_simple_route
 
 WRITER = ProviderTemplate()

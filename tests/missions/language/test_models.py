@@ -14,10 +14,10 @@ import pytest
 from gn0.errors import ConfigError, FormatError, LanguageError, StorageError
 from gn0.missions.language import prompts
 from gn0.missions.language.chat import ChatClient, ChatSettings
-from gn0.missions.language.check import check_text
 from gn0.missions.language.exchanges import load_exchanges, pack_exchanges
 from gn0.missions.language.providers import TextProvider, open_provider
 from gn0.missions.language.route import STYLES
+from gn0.missions.language.text_check import check_text
 from gn0.missions.language.write import fallback_kind, write_texts, write_texts_many
 from gn0.testing.rogue_language import (
     PASSING,

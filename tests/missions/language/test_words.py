@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gn0.missions.language.words import (
+from gn0.missions.language.word_forms import (
     definite,
     indefinite,
     kin_of,

@@ -9,7 +9,7 @@ from gn0.errors import SceneError
 from gn0.gaussians.cloud import join_clouds
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
-from gn0.scenes.capture.occupancy import build_capture_occupancy, drop_small, flood
+from gn0.scenes.capture.splat_occupancy import build_capture_occupancy, drop_small, flood
 
 BAND = (0.10, 1.50)
 

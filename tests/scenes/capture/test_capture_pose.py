@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gn0.errors import ConfigError, SceneError
 from gn0.gaussians.cloud import join_clouds
-from gn0.gaussians.files import load_cloud
+from gn0.gaussians.splat_files import load_cloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.scenes.capture.gravity import name_direction, propose_up, sample_surface
 from gn0.scenes.capture.pose import propose_pose

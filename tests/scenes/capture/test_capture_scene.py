@@ -16,8 +16,8 @@ from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.capture.settings import CaptureSettings
 from gn0.scenes.check import check_scene
 from gn0.scenes.folder import load_scene
-from gn0.scenes.sources import find_source, import_scene
-from gn0.viewer.capture import render_capture
+from gn0.scenes.scene_sources import find_source, import_scene
+from gn0.viewer.capture_sheet import render_capture
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

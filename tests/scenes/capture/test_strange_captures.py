@@ -14,6 +14,7 @@ from gn0.gaussians.cloud import join_clouds
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.transform import transform_cloud
 from gn0.maps.navigation import NavigationMap
+from gn0.scenes.capture.capture_source import evidence_lines
 from gn0.scenes.capture.closed_doors import find_closed_doors
 from gn0.scenes.capture.doorways import Doorway
 from gn0.scenes.capture.enclosure import enclosed_share
@@ -22,11 +23,10 @@ from gn0.scenes.capture.patches import Patch
 from gn0.scenes.capture.pose import propose_pose
 from gn0.scenes.capture.scale import find_scale
 from gn0.scenes.capture.settings import CaptureSettings
-from gn0.scenes.capture.source import evidence_lines
 from gn0.scenes.capture.votes import count_votes
 from gn0.scenes.folder import load_scene
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated
-from gn0.scenes.sources import import_scene
+from gn0.scenes.scene_sources import import_scene
 from gn0.testing.bare_capture import BareSettings, draw_frame, save_bare_capture
 
 WITHIN = 0.05  # of the scale: what docs/capture.md promises where doors or tables vote

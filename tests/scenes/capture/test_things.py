@@ -7,7 +7,7 @@ import numpy as np
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.scenes.capture.extinction import VoxelFrame
 from gn0.scenes.capture.objects import find_things
-from gn0.scenes.capture.occupancy import CaptureOccupancy
+from gn0.scenes.capture.splat_occupancy import CaptureOccupancy
 
 CELL, LAYERS = 0.05, 50  # m; voxels of a hall 2.5 m high
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import gn0.scenes.procedural as package
+from gn0.scenes.procedural.assembly import Item
 from gn0.scenes.procedural.building import choose_palette
-from gn0.scenes.procedural.parts import Item
 
 MODULES = (
     "gn0.scenes.procedural.furniture_bath",

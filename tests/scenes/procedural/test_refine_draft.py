@@ -8,10 +8,10 @@ import pytest
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
-from gn0.scenes.procedural import refine
+from gn0.scenes.procedural import refine_views
 from gn0.scenes.procedural.apartment import draft_apartment
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated
-from gn0.scenes.procedural.refine import LENSES, place_views
+from gn0.scenes.procedural.refine_views import LENSES, place_views
 from gn0.scenes.rays import RayCaster
 
 
@@ -27,22 +27,22 @@ def test_views_stand_free_and_are_repeatable() -> None:
         _, far, _ = caster.cast(
             np.repeat(eye[None], 4, 0), np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0.0]])
         )
-        assert far.min() >= refine.CLEARANCE
+        assert far.min() >= refine_views.CLEARANCE
 
 
 @pytest.mark.slow
 def test_a_refined_apartment_is_nearer_to_its_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer photographs and steps than `--refine` takes: enough to see it go the right way."""
-    monkeypatch.setattr(refine, "VIEWS_PER_M2", 0.3)
-    monkeypatch.setattr(refine, "STEPS_PER_M2", 2.0)
+    monkeypatch.setattr(refine_views, "VIEWS_PER_M2", 0.3)
+    monkeypatch.setattr(refine_views, "STEPS_PER_M2", 2.0)
     taken = []
-    trace = refine.trace_picture
+    trace = refine_views.trace_picture
 
     def watch(mesh, shader, intrinsics, size, view, rng, *, caster):  # type: ignore[no-untyped-def]
         taken.append((size, view, trace(mesh, shader, intrinsics, size, view, rng, caster=caster)))
         return taken[-1][2]
 
-    monkeypatch.setattr(refine, "trace_picture", watch)
+    monkeypatch.setattr(refine_views, "trace_picture", watch)
     settings = GenerateSettings(seed=3, size="small", density=5000, light="draft")
     plain = build_generated(settings, "plain").gaussians
     fitted_scene = build_generated(

@@ -21,8 +21,8 @@ from gn0.scenes.procedural import (
     furniture_storage,
     furniture_tables,
 )
+from gn0.scenes.procedural.assembly import Assembly, Item, Placed
 from gn0.scenes.procedural.palette import STEEL, STYLES, WHITE, Palette, linear_colour
-from gn0.scenes.procedural.parts import Assembly, Item, Placed
 from gn0.scenes.procedural.shapes import (
     LEAST_AREA,
     Shape,

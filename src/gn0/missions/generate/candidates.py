@@ -11,7 +11,7 @@ import numpy as np
 from gn0.errors import PlanError
 from gn0.geometry import F64, polyline_length, wrap_angle
 from gn0.maps.astar import PlannerAstar
-from gn0.maps.smooth import resample_adaptive
+from gn0.maps.path_smoothing import resample_adaptive
 from gn0.maps.sweep import clear_path
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.paths import densify_path

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from gn0.errors import EpisodeError, LanguageError
 from gn0.missions.alike import describe_target
-from gn0.missions.generate.missions import UNSEEN, place_text
-from gn0.missions.generate.pool import PathRecord, PathText
-from gn0.missions.generate.scene import ScenePaths
+from gn0.missions.generate.path_missions import UNSEEN, place_text
+from gn0.missions.generate.path_pool import PathRecord, PathText
+from gn0.missions.generate.scene_paths import ScenePaths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.language.describe import describe_route
 from gn0.missions.language.providers import TextProvider

@@ -16,7 +16,7 @@ from gn0.missions.language.route import NOWHERE, RouteDescription, RouteSegment,
 from gn0.missions.language.segments import Stretch, arc_lengths, point_at, split_path
 from gn0.missions.language.sight import EYE, look, sight_of
 from gn0.missions.language.surroundings import NO_ROOM_NAMES, Surroundings, surroundings_of
-from gn0.missions.language.words import NO_LANDMARK, is_plural, spoken_name
+from gn0.missions.language.word_forms import NO_LANDMARK, is_plural, spoken_name
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom
 from gn0.storage import content_hash
 

@@ -12,7 +12,7 @@ from gn0.geometry import F64
 from gn0.missions.language.route import Landmark, Relation
 from gn0.missions.language.sight import Views
 from gn0.missions.language.surroundings import Surroundings
-from gn0.missions.language.words import plural_of
+from gn0.missions.language.word_forms import plural_of
 
 SEEN = 0.0067  # of the view: eight rays, a chair at four metres
 BESIDE = 2.2  # m from the path: one goes past it

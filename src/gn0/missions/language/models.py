@@ -12,10 +12,10 @@ from gn0.config import check_config
 from gn0.errors import ConfigError, FormatError, LanguageError
 from gn0.missions.language import prompts
 from gn0.missions.language.chat import ChatClient, ChatSettings
-from gn0.missions.language.check import check_text
 from gn0.missions.language.exchanges import ChatRequest, load_exchanges
 from gn0.missions.language.route import RouteDescription, Style
 from gn0.missions.language.template import ProviderTemplate
+from gn0.missions.language.text_check import check_text
 
 
 class Model(Protocol):

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from gn0.missions.language.check import LANDMARKS_MOST
 from gn0.missions.language.route import Landmark, RouteDescription, RouteSegment, Style
 from gn0.missions.language.template import distance_phrase, landmark_phrase, target_phrase
-from gn0.missions.language.words import plain_name
+from gn0.missions.language.text_check import LANDMARKS_MOST
+from gn0.missions.language.word_forms import plain_name
 
 VERSION = "1"  # of the wording; change it with any word below
 Role = Literal["moving", "grammar", "detailed", "review"]

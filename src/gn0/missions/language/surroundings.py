@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
-from gn0.missions.language.words import NO_LANDMARK, distinctness, kin_of, spoken_name
+from gn0.missions.language.word_forms import NO_LANDMARK, distinctness, kin_of, spoken_name
 from gn0.missions.targets import points_in_polygon, room_of_object
 from gn0.scenes.scene import Scene, SceneObject
 

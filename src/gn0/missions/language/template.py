@@ -26,7 +26,7 @@ from gn0.missions.language.route import (
     RouteTarget,
     Style,
 )
-from gn0.missions.language.words import definite, indefinite, is_plural, is_stuff
+from gn0.missions.language.word_forms import definite, indefinite, is_plural, is_stuff
 from gn0.seeds import random_stream
 
 SOFT, SHARP = 55.0, 115.0  # degrees

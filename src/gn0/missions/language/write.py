@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from gn0.errors import LanguageError
-from gn0.missions.language.check import check_text
 from gn0.missions.language.providers import TextProvider
 from gn0.missions.language.route import STYLES, InstructionText, RouteDescription, Style
 from gn0.missions.language.template import ProviderTemplate
+from gn0.missions.language.text_check import check_text
 from gn0.progress import Progress, no_progress
 
 _KINDS = (

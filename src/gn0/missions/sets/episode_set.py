@@ -19,6 +19,7 @@ import numpy as np
 from gn0.errors import ConfigError, EpisodeError, FormatError
 from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
+from gn0.missions.coordinate_frames import Placement
 from gn0.missions.episode import (
     AgentSpec,
     Episode,
@@ -27,7 +28,6 @@ from gn0.missions.episode import (
     PathSource,
     check_episode,
 )
-from gn0.missions.frames import Placement
 from gn0.missions.paths import densify_path
 from gn0.paper import SPACING
 from gn0.plugins import get_plugin, plugin_names

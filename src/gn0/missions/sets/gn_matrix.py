@@ -17,8 +17,9 @@ import pyarrow.parquet as pq
 
 from gn0.errors import EpisodeError, FormatError
 from gn0.maps.grid import OccupancyGrid
+from gn0.missions.coordinate_frames import Placement
 from gn0.missions.episode import Episode, check_episode
-from gn0.missions.files import (
+from gn0.missions.episode_files import (
     GN_MATRIX_COLUMNS,
     PATH_COLUMNS,
     check_path_lists,
@@ -27,7 +28,6 @@ from gn0.missions.files import (
     read_column,
     read_table,
 )
-from gn0.missions.frames import Placement
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.storage import write_bytes
 

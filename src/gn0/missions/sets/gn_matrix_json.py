@@ -15,9 +15,9 @@ import msgspec
 
 from gn0.errors import FormatError
 from gn0.maps.grid import OccupancyGrid
+from gn0.missions.coordinate_frames import Placement
 from gn0.missions.episode import Episode
-from gn0.missions.files import check_unique
-from gn0.missions.frames import Placement
+from gn0.missions.episode_files import check_unique
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.gn_matrix import build_row, nav_placements, nav_task
 from gn0.missions.sets.json_file import load_exact, save_exact

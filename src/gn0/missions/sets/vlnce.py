@@ -19,15 +19,15 @@ import numpy as np
 from gn0.errors import EpisodeError, FormatError
 from gn0.geometry import polyline_length
 from gn0.maps.grid import OccupancyGrid
-from gn0.missions.episode import Episode, check_episode
-from gn0.missions.files import check_unique
-from gn0.missions.frames import (
+from gn0.missions.coordinate_frames import (
     Placement,
     habitat_rotation,
     habitat_to_world,
     world_to_habitat,
     yaw_from_habitat,
 )
+from gn0.missions.episode import Episode, check_episode
+from gn0.missions.episode_files import check_unique
 from gn0.missions.sets.episode_set import EpisodeSet, Task
 from gn0.missions.sets.json_file import GZIP_MAGIC, load_exact, save_exact
 from gn0.missions.sets.vocabulary import PAD_INDEX, UNKNOWN_INDEX, cut_words, own_words

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gn0.errors import SceneError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
-from gn0.scenes.capture.discs import disc_normals
+from gn0.scenes.capture.disc_facing import disc_normals
 from gn0.seeds import random_stream
 
 SAMPLE = 200_000  # Gaussians looked at

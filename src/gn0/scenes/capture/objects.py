@@ -15,7 +15,7 @@ from scipy import ndimage
 from gn0.maps.grid import FREE, OCCUPIED, OccupancyGrid
 from gn0.scenes.boxes import upright_box
 from gn0.scenes.capture.extinction import VoxelFrame
-from gn0.scenes.capture.occupancy import WALL_TOP, CaptureOccupancy
+from gn0.scenes.capture.splat_occupancy import WALL_TOP, CaptureOccupancy
 from gn0.scenes.rooms import RoomMap, assign_rooms, build_rooms
 from gn0.scenes.scene import SceneObject
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gn0.scenes.procedural.building import Building, choose_palette
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.plan import plan_apartment
-from gn0.scenes.procedural.rooms import furnish_room
+from gn0.scenes.procedural.room_contents import furnish_room
 
 NEEDED = {
     "bedroom": {"bed"},

@@ -12,10 +12,10 @@ from gn0.errors import SceneError
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.scenes.occupancy import build_occupancy
+from gn0.scenes.procedural.assembly import Assembly, Placed
 from gn0.scenes.procedural.draft import SceneDraft, Sun
 from gn0.scenes.procedural.layout import RoomLayout
 from gn0.scenes.procedural.palette import STYLES, Palette
-from gn0.scenes.procedural.parts import Assembly, Placed
 from gn0.scenes.procedural.plan import FloorPlan, Room
 from gn0.scenes.procedural.shell import Finisher, add_shell, choose_finish
 from gn0.scenes.scene import SceneOpening, SceneRoom, SceneWall

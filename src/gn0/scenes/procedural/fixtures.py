@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from gn0.scenes.procedural import furniture_fixtures as fix
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.layout import RoomLayout
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.shell import SIDES
 
 

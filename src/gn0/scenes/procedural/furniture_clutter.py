@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.furniture_decor import build_photo, build_plant, build_vase
 from gn0.scenes.procedural.furniture_light import build_candle
@@ -27,7 +28,6 @@ from gn0.scenes.procedural.palette import (
     Palette,
     plain,
 )
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.shapes import (
     Shape,
     arc_path,

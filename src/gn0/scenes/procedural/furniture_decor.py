@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import (
     BARK,
@@ -19,7 +20,6 @@ from gn0.scenes.procedural.palette import (
     linear_colour,
     plain,
 )
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.shapes import (
     Shape,
     build_ball,

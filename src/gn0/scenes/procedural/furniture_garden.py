@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.palette import BLACK, SOIL, STEEL, WHITE, plain
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.planting import IRON, STONE, TEAK, build_sprigs, foliage
 from gn0.scenes.procedural.shapes import (
     Shape,

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from gn0.scenes.procedural.assembly import Item
 from gn0.scenes.procedural.draft import Colour, Lamp, Material
 from gn0.scenes.procedural.palette import BRASS, CERAMIC, Palette, lamp_colour, plain
-from gn0.scenes.procedural.parts import Item
 from gn0.scenes.procedural.shapes import (
     Shape,
     arc_path,

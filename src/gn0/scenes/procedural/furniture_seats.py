@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from gn0.scenes.procedural.assembly import Item, Placed, Support
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import BLACK, CHROME, Palette, plain
-from gn0.scenes.procedural.parts import Item, Placed, Support
 from gn0.scenes.procedural.shapes import (
     Shape,
     arc_path,

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.draft import Lamp, Material
 from gn0.scenes.procedural.furniture_light import glow, lamp_light
 from gn0.scenes.procedural.goods import (
@@ -19,7 +20,6 @@ from gn0.scenes.procedural.goods import (
     tile_shape,
 )
 from gn0.scenes.procedural.palette import BLACK, CHROME, GREY, STEEL, WHITE, linear_colour, plain
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.shapes import (
     Shape,
     build_ball,

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from gn0.scenes.procedural.assembly import Item, Placed, Support
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.furniture_seats import build_folded, build_legs, leaning
 from gn0.scenes.procedural.furniture_tables import build_carcass, build_fronts
@@ -20,7 +21,6 @@ from gn0.scenes.procedural.palette import (
     plain,
     shade,
 )
-from gn0.scenes.procedural.parts import Item, Placed, Support
 from gn0.scenes.procedural.shapes import (
     Shape,
     build_ball,

@@ -14,7 +14,7 @@ from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
 from gn0.scenes.procedural.finish import cover_outlined, floor_area, light_draft
 from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
-from gn0.scenes.procedural.refine import refine_draft
+from gn0.scenes.procedural.refine_views import refine_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.storage import check_replaceable
 

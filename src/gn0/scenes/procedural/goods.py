@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F64
+from gn0.scenes.procedural.assembly import Item
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import linear_colour, plain, shade
-from gn0.scenes.procedural.parts import Item
 from gn0.scenes.procedural.shapes import Shape, build_ball, build_panel, make_shape
 
 BRANDS = (

@@ -14,8 +14,8 @@ from gn0.scenes.procedural import furniture_light as light
 from gn0.scenes.procedural import furniture_seats as seats
 from gn0.scenes.procedural import furniture_storage as storage
 from gn0.scenes.procedural import furniture_tables as tables
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.layout import Block, RoomLayout, dress, footprint
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.shell import SIDES, Side
 
 

@@ -16,11 +16,11 @@ from gn0.scenes.procedural import furniture_seats as seats
 from gn0.scenes.procedural import furniture_storage as storage
 from gn0.scenes.procedural import furniture_tables as tables
 from gn0.scenes.procedural import furniture_tools as tools
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.groups import stand_at
 from gn0.scenes.procedural.layout import RoomLayout, dress, footprint, overlaps
 from gn0.scenes.procedural.palette import Palette, plain
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.shapes import build_box, build_panel
 from gn0.scenes.procedural.shell import SIDES
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import SceneError
 from gn0.geometry import F64
-from gn0.scenes.procedural import pictures
+from gn0.scenes.procedural import panel_patterns
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.noise import cells, fade, fractal, random_cells, step, stripes
 from gn0.scenes.procedural.patterns_outdoor import OUTDOOR
@@ -385,4 +385,4 @@ PATTERNS: dict[str, Pattern] = {
     "lampshade": _lampshade,
     **OUTDOOR,
 }
-PANELS: dict[str, Pattern] = {**pictures.PICTURES, **PRINTS}  # fill one panel, uv 0..1
+PANELS: dict[str, Pattern] = {**panel_patterns.PICTURES, **PRINTS}  # fill one panel, uv 0..1

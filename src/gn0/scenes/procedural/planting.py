@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from gn0.geometry import F64
+from gn0.scenes.procedural.assembly import Item
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import BARK, SOIL, plain
-from gn0.scenes.procedural.parts import Item
 from gn0.scenes.procedural.shapes import (
     Shape,
     build_ball,

@@ -1,8 +1,8 @@
 """What is printed on things: lettering, packages, labels, cartons, price rails.
 
-Like the patterns of `pictures.py` these fill one panel: u and v run 0..1 across it, u to the right
-and v up, and `Material.scale` is width / height. Splats of shops are one to two centimetres wide,
-so nothing is drawn that would be finer than that on a shelf.
+Like the patterns of `panel_patterns.py` these fill one panel: u and v run 0..1 across it, u to the
+right and v up, and `Material.scale` is width / height. Splats of shops are one to two centimetres
+wide, so nothing is drawn that would be finer than that on a shelf.
 """
 
 from __future__ import annotations

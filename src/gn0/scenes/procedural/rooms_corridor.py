@@ -18,6 +18,7 @@ from gn0.scenes.procedural import furniture_seats as seats
 from gn0.scenes.procedural import furniture_storage as storage
 from gn0.scenes.procedural import furniture_tables as tables
 from gn0.scenes.procedural import furniture_tools as tools
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.groups import (
     dress_windows,
     hang_pictures,
@@ -29,7 +30,6 @@ from gn0.scenes.procedural.groups import (
 from gn0.scenes.procedural.groups_office import build_wall_screen, draw_taste
 from gn0.scenes.procedural.layout import RoomLayout, dress, footprint
 from gn0.scenes.procedural.palette import Palette, plain
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.rooms_office import OfficeRooms, dress_office_windows, furnish_washroom
 
 POSTERS = {

@@ -11,6 +11,7 @@ from gn0.scenes.procedural import furniture_decor as decor
 from gn0.scenes.procedural import furniture_home as home
 from gn0.scenes.procedural import furniture_storage as storage
 from gn0.scenes.procedural import furniture_tables as tables
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.fixtures import fit_fixtures
 from gn0.scenes.procedural.groups import (
     dress_windows,
@@ -20,8 +21,7 @@ from gn0.scenes.procedural.groups import (
     place_dining,
 )
 from gn0.scenes.procedural.layout import RoomLayout, dress
-from gn0.scenes.procedural.parts import Item, Placed
-from gn0.scenes.procedural.rooms import furnish_room
+from gn0.scenes.procedural.room_contents import furnish_room
 
 
 def furnish_home(layout: RoomLayout) -> None:

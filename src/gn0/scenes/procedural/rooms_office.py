@@ -18,6 +18,7 @@ from gn0.scenes.procedural import furniture_seats as seats
 from gn0.scenes.procedural import furniture_storage as storage
 from gn0.scenes.procedural import furniture_tools as tools
 from gn0.scenes.procedural import groups_office as groups
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.groups import (
     hang_over,
     hang_pictures,
@@ -26,8 +27,7 @@ from gn0.scenes.procedural.groups import (
     stand_at,
 )
 from gn0.scenes.procedural.layout import Block, RoomLayout, dress, footprint
-from gn0.scenes.procedural.parts import Item, Placed
-from gn0.scenes.procedural.rooms import furnish_kitchen
+from gn0.scenes.procedural.room_contents import furnish_kitchen
 
 COMPANIES = ("NORDLICHT", "AXIOM", "VELA LABS", "MERIDIAN", "HALDEN+CO", "OCTAVE", "KESTREL")
 

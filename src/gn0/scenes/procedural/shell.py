@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from gn0.scenes.procedural.assembly import Assembly, Item, Placed
 from gn0.scenes.procedural.draft import Lamp, Material
 from gn0.scenes.procedural.palette import CEILING, TRIM, Palette, plain
-from gn0.scenes.procedural.parts import Assembly, Item, Placed
 from gn0.scenes.procedural.plan import FloorPlan, Opening, Room
 from gn0.scenes.procedural.shapes import (
     Shape,

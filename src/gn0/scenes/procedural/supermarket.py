@@ -10,6 +10,7 @@ import numpy as np
 
 from gn0.scenes.procedural import furniture_depot as depot
 from gn0.scenes.procedural import furniture_shop as shop
+from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.building import choose_palette
 from gn0.scenes.procedural.draft import Material, SceneDraft, Sun
 from gn0.scenes.procedural.furniture_clutter import build_bin
@@ -25,7 +26,6 @@ from gn0.scenes.procedural.goods import SHELF_GOODS
 from gn0.scenes.procedural.groups import light_ceiling, place_corner_things, place_desk
 from gn0.scenes.procedural.layout import RoomLayout
 from gn0.scenes.procedural.palette import Palette, plain
-from gn0.scenes.procedural.parts import Item, Placed
 from gn0.scenes.procedural.plan import FloorPlan, Opening, Room
 from gn0.scenes.procedural.plots import Plot, draw_walkable, plan_hall
 from gn0.scenes.procedural.shell import (

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from gn0.scenes.procedural import furniture_depot as depot
+from gn0.scenes.procedural.assembly import Item
 from gn0.scenes.procedural.building import choose_palette
 from gn0.scenes.procedural.draft import Lamp, Material, SceneDraft, Sun
 from gn0.scenes.procedural.furniture_clutter import build_bin
@@ -24,7 +25,6 @@ from gn0.scenes.procedural.furniture_shop import build_sign
 from gn0.scenes.procedural.groups import light_ceiling, place_corner_things, place_desk
 from gn0.scenes.procedural.layout import RoomLayout
 from gn0.scenes.procedural.palette import STEEL, Palette, plain
-from gn0.scenes.procedural.parts import Item
 from gn0.scenes.procedural.plan import FloorPlan, Opening, Room, Wall
 from gn0.scenes.procedural.plots import Plot, draw_walkable, plan_hall
 from gn0.scenes.procedural.shapes import Shape, build_box, build_panel, build_rod

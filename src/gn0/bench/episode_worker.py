@@ -1,0 +1,321 @@
+"""A worker process: builds one policy, loads one scene at a time, runs the episodes it is leased.
+
+Started by the runner as `python -m gn0.bench.episode_worker`. Messages come on stdin and leave on
+the original stdout; whatever a policy prints goes to stderr. When stdin ends the parent is gone and
+the worker ends too, in the middle of an episode if need be.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from gn0.bench.identity import digest_policy, read_identity
+from gn0.bench.metrics import compute_metrics
+from gn0.bench.release_score import PolicyUnderRelease, score_release
+from gn0.bench.results import EpisodeResult, EpisodeTrace, Isolation, Moves, PolicyCard
+from gn0.bench.worker_messages import (
+    Begun,
+    Broke,
+    Done,
+    FromWorker,
+    Lease,
+    Open,
+    Ready,
+    Refused,
+    ToWorker,
+)
+from gn0.errors import DeviceError, EpisodeError, Gn0Error, PlanError
+from gn0.jobs.child import open_channel
+from gn0.maps.navigation import NavigationMap
+from gn0.maps.release_map import ReleaseNavigation
+from gn0.missions.episode import mission_name
+from gn0.plugins import build_plugin, describe_error, get_plugin
+from gn0.render.open import name_drawing
+from gn0.render.share.client import DrawConnection, RendererShared
+from gn0.sim.open import open_simulator
+from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged
+from gn0.sim.rollout import run_episode
+from gn0.sim.sensors import check_map_mode
+from gn0.sim.simulator import Simulator
+from gn0.suites.profiles import ONE_STEP_PROFILES, RELEASE
+from gn0.suites.scene_drawing import Look, needs_renderer
+from gn0.suites.suite import load_suite_scene
+
+if TYPE_CHECKING:
+    from gn0.missions.episode import Episode
+    from gn0.render.light import LightCondition
+    from gn0.render.renderer import DrawnScene
+    from gn0.scenes.scene import Scene
+    from gn0.sim.state import Trajectory
+
+
+class EpisodeWorker:
+    """Runs episodes of one policy; a scene is loaded once and kept until another is needed."""
+
+    def __init__(self, settings: Open, policy: Policy | None = None) -> None:
+        self.settings = settings
+        self._source = ""
+        if policy is None:
+            os.environ[SLOT_VARIABLE] = str(settings.slot)
+            if not settings.isolated:
+                for module in settings.plugin_modules:
+                    import_module(module)
+            self._source = digest_policy(
+                settings.policy, settings.plugin_modules, isolated=bool(settings.isolated)
+            )
+            policy = (
+                open_isolated(settings)
+                if settings.isolated
+                else build_plugin("policy", settings.policy, settings.options)
+            )
+        self.policy: Policy = policy
+        check_map_mode(settings.map_mode, policy.sensors)
+        self._simulator: Simulator | None = None
+        self._release: ReleaseNavigation | None = None
+        self._honest: NavigationMap | None = None
+        self._hash = ""
+        self._light: LightCondition | None = None
+        self._scene: Scene | None = None
+        self._connection: DrawConnection | None = None
+
+    @property
+    def card(self) -> PolicyCard:
+        """What the policy says about itself."""
+        return PolicyCard(
+            name=str(self.policy.name),
+            sensors=tuple(sorted(self.policy.sensors)),
+            privileged=isinstance(self.policy, PolicyPrivileged),
+            rows=self.policy.card_rows if isinstance(self.policy, PolicyNotes) else (),
+            identity=read_identity(self.policy),
+            source=self._source,
+            isolation=name_isolation(self.settings),
+        )
+
+    def open_scene(
+        self,
+        folder: Path,
+        scene_id: str,
+        expected_hash: str,
+        light: LightCondition | None = None,
+    ) -> Simulator:
+        """The simulator of a scene under a light, loaded on the first call for it.
+
+        Raises:
+            BenchError: it is not the scene of that hash.
+            Gn0Error: it cannot be read or rendered.
+        """
+        # the id as well: two scenes of different names may have the same content
+        same = self._scene is not None and self._scene.id == scene_id
+        same = same and self._hash == expected_hash
+        if self._simulator is None or self._scene is None or not same or self._light != light:
+            if self._scene is None or not same:
+                self._simulator = self._scene = None  # let go before loading the next
+                self._scene = load_suite_scene(folder, scene_id, expected_hash)
+            scene = self._scene
+            s = self.settings
+            released = s.profile == RELEASE
+            self._release = ReleaseNavigation(scene.grid, s.agent.radius) if released else None
+            self._simulator = open_simulator(
+                scene,
+                s.camera,
+                backend=s.backend,
+                sensors=frozenset(self.policy.sensors),
+                agent=s.agent,
+                max_steps=s.max_steps,
+                map_mode=s.map_mode,
+                navigation=self._release,
+                light=light,
+                renderer=self._ask_for(Look(str(folder), scene_id, expected_hash, light)),
+                one_step_moves=s.profile in ONE_STEP_PROFILES,
+            )
+            self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
+            self._hash, self._light = expected_hash, light
+        return self._simulator
+
+    def _ask_for(self, look: Look) -> DrawnScene | None:
+        """A renderer that asks the process that draws, where there is one and it is needed."""
+        if not self.settings.drawing or not needs_renderer(
+            self.policy.sensors, self.settings.map_mode
+        ):
+            return None
+        if self._connection is None:
+            self._connection = DrawConnection(self.settings.drawing)
+        drawn_by = name_drawing(self.settings.backend)
+        return RendererShared(self._connection, drawn_by).add_source(look.key, look.source)
+
+    def run(self, simulator: Simulator, episode: Episode) -> tuple[EpisodeResult, EpisodeTrace]:
+        """Run and score one episode.
+
+        An episode that has no finite score is invalid and says why; other errors go up.
+        """
+        if self._release is not None and self._honest is not None:
+            result, trace = self._run_release(simulator, episode, self._release, self._honest)
+        else:
+            try:
+                trajectory = run_episode(simulator, self.policy, episode)
+            except EpisodeError as error:
+                return _invalid(episode, error), EpisodeTrace(episode=episode.id)
+            result, trace = score(
+                trajectory, episode, simulator.navigation, self.settings.success_radius
+            )
+        if isinstance(self.policy, PolicyNotes) and (notes := self.policy.notes()):
+            result = msgspec.structs.replace(result, notes=dict(sorted(notes.items())))
+        return result, trace
+
+    def _run_release(
+        self,
+        simulator: Simulator,
+        episode: Episode,
+        release: ReleaseNavigation,
+        honest: NavigationMap,
+    ) -> tuple[EpisodeResult, EpisodeTrace]:
+        """Run under the official harness; score its way, and ours on the same trajectory."""
+        driver = PolicyUnderRelease(self.policy, release.release)
+        try:
+            trajectory = run_episode(simulator, driver, episode)
+        except EpisodeError as error:
+            return _invalid(episode, error), EpisodeTrace(episode=episode.id)
+        theirs = score_release(
+            trajectory,
+            episode,
+            release.release,
+            forced_at=driver.forced_at,
+            invalid=driver.invalid,
+        )
+        said = trajectory.stopped and driver.forced_at is None
+        ours, trace = score(
+            dataclasses.replace(trajectory, stopped=said),
+            episode,
+            honest,
+            self.settings.success_radius,
+        )
+        return msgspec.structs.replace(ours, release=theirs), trace
+
+
+def name_isolation(settings: Open) -> Isolation:
+    """Where a policy runs."""
+    if settings.isolated:
+        return "own process"
+    return "server" if settings.policy == "remote" else "in-process"
+
+
+def open_isolated(settings: Open) -> Policy:
+    """The policy in a process of its own; nothing of it is imported here.
+
+    Raises:
+        PolicyError: it cannot be built, or cannot be isolated.
+    """
+    policy: Policy = get_plugin("policy_host", "own-process")(
+        settings.policy,
+        settings.options,
+        settings.plugin_modules,
+        folder=Path(settings.isolated) / f"{settings.slot}-{os.getpid()}",
+        paths=sys.path,
+    )
+    return policy
+
+
+def score(
+    trajectory: Trajectory, episode: Episode, navigation: NavigationMap, success_radius: float
+) -> tuple[EpisodeResult, EpisodeTrace]:
+    """Result and trace of a finished trajectory."""
+    try:
+        field = navigation.geodesic(episode.destination)
+        metrics = compute_metrics(
+            trajectory, episode, field.distance, success_radius=success_radius
+        )
+    except (EpisodeError, PlanError) as error:
+        return _invalid(episode, error), EpisodeTrace.of(episode.id, trajectory)
+    result = EpisodeResult(
+        episode=episode.id,
+        scene=episode.scene_id,
+        status="valid",
+        stopped=trajectory.stopped,
+        metrics=metrics,
+        moves=Moves.of(trajectory) or msgspec.UNSET,
+        path=episode.path_id or msgspec.UNSET,
+        mission=mission_name(episode.mission) if episode.path_id else msgspec.UNSET,
+    )
+    return result, EpisodeTrace.of(episode.id, trajectory)
+
+
+def _invalid(episode: Episode, error: EpisodeError | PlanError) -> EpisodeResult:
+    return EpisodeResult(
+        episode=episode.id, scene=episode.scene_id, status="invalid", reason=error.what
+    )
+
+
+def main() -> int:
+    """Serve leases until the parent closes stdin."""
+    inbox, say = open_channel()
+
+    def send(message: FromWorker) -> None:
+        say(msgspec.json.encode(message))
+
+    decoder = msgspec.json.Decoder(ToWorker)
+    worker: EpisodeWorker | None = None
+    while True:
+        worker = obey(worker, decoder.decode(inbox.get()), send)
+        if worker is None:
+            return 1
+
+
+def obey(
+    worker: EpisodeWorker | None, message: ToWorker, send: Callable[[FromWorker], None]
+) -> EpisodeWorker | None:
+    """Do what one message says and send what came of it; None where no policy can be built."""
+    if isinstance(message, Lease):
+        assert worker is not None
+        _serve(worker, message, send)
+        return worker
+    try:
+        worker = EpisodeWorker(message)
+        send(Ready(card=worker.card))
+    except Gn0Error as error:  # says itself what is wrong, and what to do
+        what = f"{error.where}: {error.what}" if error.where else error.what
+        send(Refused(what=what, traceback="", remedy=error.remedy))
+        return None
+    except Exception as error:
+        send(Refused(what=describe_error(error), traceback=traceback.format_exc()))
+        return None
+    return worker
+
+
+def _serve(worker: EpisodeWorker, lease: Lease, send: Callable[[FromWorker], None]) -> None:
+    episode = lease.episode
+    try:
+        simulator = worker.open_scene(
+            Path(lease.folder), episode.scene_id, lease.hash, episode.light
+        )
+    except Exception as error:
+        fatal = isinstance(error, Gn0Error)
+        text = str(error) if fatal else describe_error(error)
+        trace = traceback.format_exc()
+        send(Broke(episode=episode.id, what=text, traceback=trace, fatal=fatal))
+        return
+    send(Begun(episode=episode.id))
+    begin = time.perf_counter()
+    try:
+        result, trace_ = worker.run(simulator, episode)
+    except Exception as error:
+        trace = traceback.format_exc()
+        lost = isinstance(error, DeviceError)  # every other episode would meet it too
+        text = str(error) if lost else describe_error(error)
+        send(Broke(episode=episode.id, what=text, traceback=trace, fatal=lost))
+        return
+    steps = result.metrics.steps if result.metrics else 0
+    send(Done(result=result, trace=trace_, seconds=time.perf_counter() - begin, steps=steps))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,131 @@
+"""Pictures of a dataset's episodes: from the cache where there is one, else drawn again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.data.cache_lerobot import read_depth, read_video
+from gn0.data.cache_webdataset import ShardReader
+from gn0.data.dataset import Dataset
+from gn0.data.lerobot_schema import FPS
+from gn0.data.part_pictures import eyes_of
+from gn0.data.picture_cache import load_manifest
+from gn0.data.sample_pictures import BATCH, draw_episode, goal_picture, map_picture
+from gn0.data.sample_table import DEPTH, EpisodeRows
+from gn0.errors import DataError
+from gn0.geometry import Pose2D
+from gn0.missions.episode import Episode, MissionGoal
+from gn0.render.depth import to_metres
+from gn0.sim.presets import find_preset
+
+FRAMES = ("rgb", "depth", "history", "bev", "occupancy", "goal_picture")
+Frame = dict[str, NDArray[Any]]
+_FILMED = {"rgb", "history"}  # the other videos are maps on a canvas, and stills
+
+
+def read_frames(
+    dataset: Dataset, episode_id: str, sensors: Iterable[str] = ("rgb",), *, exact: bool = False
+) -> Iterator[Frame]:
+    """What the agent saw at each step of an episode: a dict of pictures by sensor name.
+
+    Args:
+        dataset: the dataset.
+        episode_id: the episode.
+        sensors: any of rgb, history, bev, occupancy, goal_picture (uint8 [H, W, 3]) and depth
+            (float32 [H, W] m in the sensor's range).
+        exact: render, also where the cache has the picture (which may be compressed, or
+            rounded: stored depth is within 0.5 mm).
+
+    Raises:
+        DataError: the episode has no samples, or a sensor is none of these.
+    """
+    sensors = frozenset(sensors)
+    unknown = sorted(sensors - set(FRAMES))
+    if unknown:
+        raise DataError(
+            f"no picture {unknown[0]!r} in a dataset", remedy="known: " + ", ".join(FRAMES)
+        )
+    rows, episode = dataset.rows(episode_id), dataset.episode(episode_id)
+    drawn: set[str] = set()
+    if not isinstance(episode.mission, MissionGoal):
+        drawn.add("goal_picture")
+    cached = {} if exact else _find_cached(dataset, rows, sensors - drawn)
+    return _join(dataset, episode, rows, sensors, cached)
+
+
+def _find_cached(
+    dataset: Dataset, rows: EpisodeRows, sensors: frozenset[str]
+) -> dict[str, Iterator[NDArray[Any]]]:
+    """Pictures by sensor, of those that a cache has."""
+    part = dataset.part_of(rows.episode_id)
+    first = 0
+    for block in dataset.part_rows(part):
+        if block.episode_id == rows.episode_id:
+            break
+        first += len(block)
+    span = (first, first + len(rows))
+    manifest = load_manifest(dataset.folder, "webdataset")
+    if manifest is not None:
+        reader = ShardReader(dataset.folder, part.name, manifest.settings)
+
+        def read(name: str) -> Iterator[NDArray[Any]]:
+            if name == DEPTH:
+                reach = find_preset(dataset.about.camera).depth_range
+                return (to_metres(reader.depth(row), reach) for row in range(*span))
+            return (reader.picture(row, name) for row in range(*span))
+
+        kept = sensors if manifest.settings.depth else sensors - {DEPTH}
+        return {name: read(name) for name in kept}
+    manifest = load_manifest(dataset.folder, "lerobot")
+    if manifest is not None:
+        name = rows.episode_id
+        cached: dict[str, Iterator[NDArray[Any]]] = {
+            key: iter(read_video(dataset, name, key, FPS)) for key in sensors & _FILMED
+        }
+        if DEPTH in sensors and manifest.settings.depth:
+            cached[DEPTH] = read_depth(dataset, name)
+        return cached
+    return {}
+
+
+def _join(
+    dataset: Dataset,
+    episode: Episode,
+    rows: EpisodeRows,
+    sensors: frozenset[str],
+    cached: dict[str, Iterator[NDArray[Any]]],
+) -> Iterator[Frame]:
+    drawn = sensors - cached.keys()
+    sources = dict(cached)
+    if drawn:
+        eyes = eyes_of(dataset, dataset.about.settings.pictures).of(episode)
+        if drawn & {"rgb", "history"}:
+            pictures = draw_episode(eyes, episode, rows.poses)
+        else:
+            pictures = iter(())
+        start = Pose2D(*episode.start)
+        goal = goal_picture(eyes, episode) if "goal_picture" in drawn else None
+        for begin in range(0, len(rows), BATCH):
+            poses = [Pose2D(*map(float, row)) for row in rows.poses[begin : begin + BATCH]]
+            depth = eyes.look_many(poses, frozenset({"depth"}))[1] if "depth" in drawn else None
+            for index, pose in enumerate(poses):
+                frame: Frame = {name: next(source) for name, source in sources.items()}
+                seen = next(pictures, None)
+                for name in drawn & {"rgb", "history"}:
+                    frame[name] = getattr(seen, name)
+                if depth is not None:
+                    frame["depth"] = np.asarray(depth[index])
+                if goal is not None:
+                    frame["goal_picture"] = goal
+                if "bev" in drawn:
+                    frame["bev"] = map_picture(eyes)
+                if "occupancy" in drawn:
+                    frame["occupancy"] = eyes.occupancy_picture(start, pose)
+                yield frame
+        return
+    for _ in range(len(rows)):
+        yield {name: next(source) for name, source in sources.items()}

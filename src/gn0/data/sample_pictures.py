@@ -1,0 +1,360 @@
+"""The pictures of a sample, drawn from a pose: the very ones that the simulator shows.
+
+A step has one new rendering, the view. The history mosaic is made of earlier views, the BEV is
+rendered once a scene and light, and the occupancy picture is the map with two dots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.data.sample_table import DEPTH, PICTURES
+from gn0.data.settings import PictureSettings
+from gn0.geometry import F64, U8, Pose2D
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec, Episode
+from gn0.render.camera import Camera
+from gn0.render.light import LightCondition
+from gn0.render.open import visible_backend
+from gn0.render.renderer import DrawnScene, Encoder, Output
+from gn0.render.share.messages import Dots, Encode, MapPicture
+from gn0.scenes.scene import Scene
+from gn0.sim.history import (
+    COLUMNS,
+    LENGTH,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    History,
+    build_mosaic,
+    reduce_pictures,
+)
+from gn0.sim.motion import STILL, Moment
+from gn0.sim.open import open_simulator
+from gn0.sim.presets import CameraPreset
+from gn0.sim.sensors import SensorSuite
+from gn0.sim.simulator import goal_record, goal_view
+from gn0.storage import content_hash
+
+U16 = NDArray[np.uint16]
+BATCH = 32  # views a call of the renderer
+FAR = 2**24  # px: dots are kept that near, which is outside of any map that is sent
+SENSORS = frozenset({"rgb", "depth", "history", "bev", "occupancy"})
+
+
+def build_eyes(
+    scene: Scene,
+    navigation: NavigationMap,
+    preset: CameraPreset,
+    agent: AgentSpec,
+    light: LightCondition | None = None,
+    *,
+    visible_sets: bool = False,
+    backend: str = "cpu",
+    renderer: DrawnScene | None = None,
+) -> SensorSuite:
+    """The sensors of an agent in a scene, under a light that the views and the BEV share.
+
+    Args:
+        scene: where.
+        navigation: its map, inflated for the agent.
+        preset: the cameras.
+        agent: the body.
+        light: None as the scene was made.
+        visible_sets: draw views from the splats that show near each place, see
+            `gn0.render.visible`.
+        backend: name of the renderer.
+        renderer: draws instead; it must hold this scene in this light.
+    """
+    return open_simulator(
+        scene,
+        preset,
+        visible_backend(backend) if visible_sets else backend,
+        SENSORS,
+        agent,
+        navigation=navigation,
+        light=light,
+        renderer=renderer,
+    ).suite
+
+
+@dataclass(frozen=True, eq=False)
+class StepPictures:
+    """What the agent sees at a step.
+
+    Attributes:
+        rgb: uint8 [H, W, 3], the view; None where its file and its digest are made already.
+        bev: uint8 [Hb, Wb, 3], the scene from above.
+        lay, paint: make `history` and `occupancy`, where somebody looks at them.
+        files: encoded pictures by name, where they are made already.
+        depth: uint16 [Hd, Wd] mm, see `gn0.render.depth`; None where it is not stored.
+        digests: of raw pixels by name, where they are made already.
+    """
+
+    rgb: U8 | None
+    bev: U8
+    lay: Callable[[], U8]
+    paint: Callable[[], U8]
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    depth: U16 | None = None
+    digests: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def history(self) -> U8:
+        """The mosaic of earlier views uint8 [480, 640, 3]."""
+        return self.lay()
+
+    @cached_property
+    def occupancy(self) -> U8:
+        """The map with start and agent uint8 [Hb, Wb, 3]."""
+        return self.paint()
+
+    def hashes(self, known: Mapping[str, str] | None = None) -> dict[str, str]:
+        """Digest of each picture's raw pixels; `known` spares those that are known already."""
+        known = {**self.digests, **(known or {})}
+        names = PICTURES if self.depth is None else (*PICTURES, DEPTH)
+        return {
+            name: known.get(name) or content_hash(np.asarray(getattr(self, name))) for name in names
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A view, and what another process made of it.
+
+    Attributes:
+        pose: where the agent stands.
+        rgb: uint8 [H, W, 3]; None where its file and its digest are made already.
+        tile: the view as it is in later mosaics uint8 [120, 160, 3]; None where it is to be made.
+        files: encoded pictures by name, the bytes that `encode_picture` gives.
+        depth: uint16 [Hd, Wd] mm; None where it is not stored.
+        digests: of raw pixels by name, those that `content_hash` gives.
+    """
+
+    pose: Pose2D
+    rgb: U8 | None
+    tile: U8 | None = None
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    depth: U16 | None = None
+    digests: Mapping[str, str] = field(default_factory=dict)
+
+
+def draw_episode(
+    eyes: SensorSuite, episode: Episode, poses: F64, views: Iterator[Seen] | None = None
+) -> Iterator[StepPictures]:
+    """The pictures at each of the poses [T, 3] of an episode, from its first step on.
+
+    `views` are its views where they are drawn already.
+    """
+    history = History()
+    start = Pose2D(*episode.start)
+    bev = map_picture(eyes)
+    for seen in draw_views(eyes, poses) if views is None else views:
+        lay = partial(build_mosaic, history.tiles)
+        paint = partial(eyes.occupancy_picture, start, seen.pose)
+        yield StepPictures(seen.rgb, bev, lay, paint, seen.files, seen.depth, seen.digests)
+        if seen.tile is not None:
+            history.add_tile(seen.tile)
+        else:
+            assert seen.rgb is not None
+            history.add(seen.rgb)
+
+
+def draw_views(
+    eyes: SensorSuite, poses: F64, *, depth: bool = False, moments: Sequence[Moment] = ()
+) -> Iterator[Seen]:
+    """The view at each of some poses [T, 3], with its depth; one rendering for equal neighbours.
+
+    `moments` are those of the poses, where something moves.
+    """
+    then = moments or [STILL] * len(poses)
+    for begin in range(0, len(poses), BATCH):
+        batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
+        keys = [
+            (pose, moment.key)
+            for pose, moment in zip(batch, then[begin : begin + BATCH], strict=True)
+        ]
+        places = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+        first = [keys.index(key) for key in places]
+        distinct, now = [batch[k] for k in first], [then[begin + k] for k in first]
+        rgb, far = _look_deep(eyes, distinct, now) if depth else _look(eyes, distinct, now)
+        for key in keys:
+            pose, number = key[0], places[key]
+            yield Seen(pose, rgb[number], depth=None if far is None else far[number])
+
+
+def _look(
+    eyes: SensorSuite, poses: Sequence[Pose2D], moments: Sequence[Moment] = ()
+) -> tuple[U8, None]:
+    rgb, _ = eyes.look_many(poses, frozenset({"rgb"}), moments)
+    assert rgb is not None
+    return rgb, None
+
+
+def _look_deep(
+    eyes: SensorSuite, poses: Sequence[Pose2D], moments: Sequence[Moment] = ()
+) -> tuple[U8, U16]:
+    """Views [V, H, W, 3] and their depth [V, Hd, Wd] mm, in one call where one camera sees both."""
+    preset, views = eyes.config.preset, eyes.views_of(poses)
+    if preset.depth != preset.rgb:
+        return _look(eyes, poses, moments)[0], draw_millimetres(eyes, views, moments)
+    found = _render(eyes, preset.rgb, views, ("rgb", "depth"), moments)
+    rgb = reduce_pictures(found["rgb"], *preset.picture_size)
+    for array in (rgb, found["depth"]):
+        array.setflags(write=False)
+    return rgb, found["depth"]
+
+
+def draw_millimetres(eyes: SensorSuite, views: F64, moments: Sequence[Moment] = ()) -> U16:
+    """Depth [V, Hd, Wd] mm of views [V, 4, 4]: not cut to the sensor's range, 0 for nothing."""
+    depth: U16 = _render(eyes, eyes.config.preset.depth, views, ("depth",), moments)["depth"]
+    depth.setflags(write=False)
+    return depth
+
+
+def _render(
+    eyes: SensorSuite,
+    camera: Camera,
+    views: F64,
+    outputs: tuple[Output, ...],
+    moments: Sequence[Moment] = (),
+) -> dict[str, NDArray[Any]]:
+    """Pictures by output, with depth in millimetres."""
+    assert eyes.renderer is not None
+    found = eyes.renderer.render(
+        camera,
+        views,
+        outputs=outputs,
+        background=eyes.config.preset.background,
+        millimetres=True,
+        parts=[moment.parts for moment in moments] if any(m.parts for m in moments) else (),
+    )
+    assert found.depth is not None
+    pictures: dict[str, NDArray[Any]] = {"depth": found.depth}
+    return pictures if found.rgb is None else {"rgb": found.rgb, **pictures}
+
+
+@dataclass(frozen=True, eq=False)
+class Painting:
+    """Occupancy pictures that the process that draws is to paint.
+
+    Attributes:
+        bare: the map before dots are drawn.
+        start: of the walk.
+        encode: whether files are wanted, too; else digests alone.
+    """
+
+    bare: MapPicture
+    start: Pose2D
+    encode: bool
+
+    def place(self, eyes: SensorSuite, poses: Sequence[Pose2D]) -> tuple[Dots, list[int]]:
+        """The pictures of some steps, equal ones once, and the number of each step's."""
+        frame, start = eyes.map_frame, self.start
+        first = frame.pixel_of(start.x, start.y)
+        rows = [(*first, *frame.pixel_of(pose.x, pose.y)) for pose in poses]
+        distinct = {row: number for number, row in enumerate(dict.fromkeys(rows))}
+        places = np.clip(np.array(list(distinct)), -FAR, FAR).astype(np.int32)
+        dots = Dots(places.tobytes(), eyes.config.disc_radius, self.encode)
+        return dots, [distinct[row] for row in rows]
+
+
+def draw_files(
+    eyes: SensorSuite,
+    poses: F64,
+    quality: int,
+    *,
+    depth: bool = False,
+    painting: Painting | None = None,
+) -> Iterator[Seen]:
+    """As `draw_views`, but jpg files and digests that the process that draws makes, not pixels.
+
+    The poses are those of one walk, from its first step on. What that process has not made is left
+    to who needs it. `painting`: let it make the occupancy pictures, too.
+    """
+    encoder, preset = _encoder_of(eyes), eyes.config.preset
+    assert encoder is not None
+    pixels = preset.rgb.width * preset.rgb.height + TILE_WIDTH * TILE_HEIGHT * LENGTH
+    for begin in range(0, len(poses), BATCH):
+        batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
+        distinct = list(dict.fromkeys(batch))
+        places = {pose: index for index, pose in enumerate(distinct)}
+        numbers = [places[pose] for pose in batch]
+        dots, shown, spots = None, None, [0] * len(batch)
+        room = len(batch) * pixels * 3 // 2
+        if painting is not None:
+            shown = painting.bare
+            dots, spots = painting.place(eyes, batch)
+            room += dots.count * len(shown.grey) * 3 // 2 if dots.encode else 0
+        wish = Encode(
+            quality=quality,
+            room=room,
+            tile=(TILE_WIDTH, TILE_HEIGHT),
+            cells=LENGTH,
+            columns=COLUMNS,
+            steps=np.array(numbers, np.int32).tobytes(),
+            begin=begin == 0,
+            dots=dots,
+            pixels=False,
+        )
+        views, both = eyes.views_of(distinct), depth and preset.depth == preset.rgb
+        outputs: tuple[Output, ...] = ("rgb", "depth") if both else ("rgb",)
+        found = encoder.render_files(preset.rgb, views, wish, preset.background, outputs, shown)
+        far = found.pictures.get("depth")
+        if depth and far is None:
+            far = draw_millimetres(eyes, views)
+        rgb, made = found.pictures.get("rgb"), bool(found.mosaics)
+        assert made or rgb is not None
+        hashes = found.hashes
+        for step, (pose, number) in enumerate(zip(batch, numbers, strict=True)):
+            files, digests = {}, {}
+            if made:
+                files = {"rgb": found.files[number], "history": found.mosaics[step]}
+                digests = {"rgb": hashes["rgb"][number], "history": hashes["mosaics"][step]}
+                if both and hashes["depth"]:
+                    digests[DEPTH] = hashes["depth"][number]
+                if found.maps:
+                    files["occupancy"] = found.maps[spots[step]]
+                if hashes["maps"]:
+                    digests["occupancy"] = hashes["maps"][spots[step]]
+            tile = found.pictures["tiles"][number] if made else None
+            deep = None if far is None else far[number]
+            yield Seen(pose, None if rgb is None else rgb[number], tile, files, deep, digests)
+
+
+def files_wanted(eyes: SensorSuite, settings: PictureSettings) -> bool:
+    """Whether the process that draws should make the jpg files, too: it must know their pixels."""
+    preset = eyes.config.preset
+    return (
+        _encoder_of(eyes) is not None
+        and (settings.layout, settings.format) == ("webdataset", "jpg")
+        and preset.picture_size == (preset.rgb.width, preset.rgb.height)
+        and preset.rgb.width % TILE_WIDTH == 0
+        and preset.rgb.height % TILE_HEIGHT == 0
+    )
+
+
+def _encoder_of(eyes: SensorSuite) -> Encoder | None:
+    return None if eyes.renderer is None else eyes.renderer.encoder
+
+
+def goal_picture(eyes: SensorSuite, episode: Episode) -> U8:
+    """What an episode's goal looks like [H, W, 3]: the simulator's sensor of that name."""
+    record = goal_record(episode)
+    if record is not None:
+        return eyes.look_at_goal(record)
+    rgb, _ = eyes.look(goal_view(episode), frozenset({"rgb"}))
+    assert rgb is not None
+    return rgb
+
+
+def map_picture(eyes: SensorSuite) -> U8:
+    """The BEV picture [H, W, 3] of a scene and light."""
+    nowhere = Pose2D(0.0, 0.0, 0.0)
+    picture: U8 = eyes.read_static(nowhere, nowhere, (0.0, 0.0), frozenset({"bev"}))["bev"]
+    return picture

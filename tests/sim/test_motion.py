@@ -19,6 +19,7 @@ from gn0.geometry import Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
 from gn0.render.camera import Camera
+from gn0.render.cuda.batch import RendererBatch
 from gn0.render.host import RendererHost
 from gn0.render.instance import Instance, move_instance
 from gn0.render.open import open_renderer
@@ -161,20 +162,39 @@ def test_many_agents_see_what_one_sees(
     many.close()
 
 
-@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
-def test_agents_on_a_device_see_the_same(flat, episodes, tiny) -> None:
-    """Autoresets included: an episode that begins anew begins at time 0."""
-    from gn0.render.cuda.batch import RendererBatch
+class RendererByHost(RendererBatch):
+    """Is told by the host where eyes and parts are."""
 
-    motions = {flat.id: roll(0.0, 1.0)}
-    settings = {"episodes": episodes, "sensors": ("rgb", "depth"), "preset": tiny, "max_steps": 2}
+    def __init__(self, device) -> None:
+        super().__init__(device)
+        self.traits = replace(self.traits, device_views=False)
+
+
+@pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
+@pytest.mark.parametrize("kind", [RendererBatch, RendererByHost])
+def test_agents_on_a_device_see_the_same(flat, tiny, kind) -> None:
+    """Autoresets included: an episode that begins anew begins at time 0; three scenes, two move."""
+    shade = np.float32([[0.6] * 3, [0] * 3, [0] * 3, [0.4] * 3])
+    box = np.stack([place(2.0, 2.5, 0.0, yaw) for yaw in (0.0, 1.0)])
+    two = PathMotion(
+        {"ball": build_box((0.3, 0.5, 0.8), spacing=SPACING)},  # of the same name as the ball
+        [PartPath("ball", np.array([0.0, 1.0]), box, shade)] * 2,
+    )
+    scenes = [replace(flat, id=name) for name in ("left", "plain", "right")]
+    motions = {"left": roll(0.0, 1.0), "right": two}
+    mine = [
+        episode
+        for scene in scenes
+        for episode in build_point_episodes(scene, NavigationMap(scene.grid, 0.2), 2)
+    ]
+    settings = {"episodes": mine, "sensors": ("rgb", "depth"), "preset": tiny, "max_steps": 2}
     device = DeviceHost(1)
     env = VectorEnvDevice(
-        3, flat, device=device, renderer=RendererBatch(device), motions=motions,
+        3, scenes, device=device, renderer=kind(device), motions=motions,
         final_pictures=True, **settings,
     )  # fmt: skip
-    twin = VectorEnv(3, flat, backend="cpu", motions=motions, **settings)
-    still = VectorEnv(3, flat, backend="cpu", **settings)
+    twin = VectorEnv(3, scenes, backend="cpu", motions=motions, **settings)
+    still = VectorEnv(3, scenes, backend="cpu", **settings)
     mine, theirs = env.reset(seed=3)[0], twin.reset(seed=3)[0]
     plain = still.reset(seed=3)[0]
     differs = False

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.geometry import F32, F64, rotation_from_quaternion
 from gn0.storage import content_hash
+
+if TYPE_CHECKING:
+    from gn0.device.device import DeviceArray
 
 PARTS_MAX = 32  # instances a view: 5 bits of a key
 PART_SPLATS_MAX = 2**22  # splats of an instance's cloud: 22 bits
@@ -84,6 +88,26 @@ class Instance:
             turned[1:] = self.pose[:3, :3].T @ self.gain[1:].astype(np.float64)
         turned.setflags(write=False)
         return turned
+
+
+@dataclass(frozen=True, eq=False)
+class PartsDevice:
+    """Instances of a call whose poses lie on the device, beside its views.
+
+    Attributes:
+        names: of their clouds.
+        poses: part-to-world, float64 [I, 4, 4].
+        chosen: int32 [I], numbers into `names`; -1 stands nowhere.
+        firsts: int32 [V + 1], where the instances of each view begin, and the end of all; or how
+            many each view has, those of one view after those of another.
+        gains: float32 [I, 4, 3] as in `Instance`, or None.
+    """
+
+    names: Sequence[str]
+    poses: DeviceArray
+    chosen: DeviceArray
+    firsts: DeviceArray | int
+    gains: DeviceArray | None = None
 
 
 Parts = Sequence[Instance] | Sequence[Sequence[Instance]]

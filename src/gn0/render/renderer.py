@@ -281,7 +281,7 @@ class Renderer(Protocol):
         background: Colour | None = None,
         visible: bool = False,
         millimetres: bool = False,
-        parts: Parts = (),
+        parts: Any = (),
     ) -> Pictures:
         """Draw views; the pictures stay where they are made, see `Traits.device`.
 
@@ -294,8 +294,9 @@ class Renderer(Protocol):
             background: colour behind everything, 0..1; the option when None.
             visible: from visible sets, for scenes that have them, where they apply.
             millimetres: depth as uint16, see `gn0.render.depth`.
-            parts: instances of named clouds, one sequence for all views or one a view; drawn after
-                all else at equal depth. See `gn0.render.instance`.
+            parts: instances of named clouds (`gn0.render.instance.Parts`), one sequence for all
+                views or one a view, drawn after all else at equal depth; `PartsDevice` where
+                `traits.device_views` says that views may lie on the device.
 
         Raises:
             RenderError: a view is not finite or not rigid, an output or a scene is unknown, a

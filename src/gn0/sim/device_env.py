@@ -32,6 +32,7 @@ from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
 from gn0.sim.device_eyes import EyesDevice
+from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.env import build_spaces, largest_map
 from gn0.sim.motion import Motion
@@ -43,6 +44,7 @@ from gn0.sim.sensors import (
     SensorConfig,
     check_map_mode,
 )
+from gn0.sim.simulator import STEP_SECONDS
 from gn0.sim.tasks import load_tasks
 from gn0.sim.words import split_sensors
 
@@ -157,6 +159,12 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                 chosen = open_renderer(renderer, device=self.device) if needed else None
             else:
                 chosen = renderer
+            motion = None
+            if motions:
+                motion = MotionDevice(
+                    self.device, motions, sorted(self.tasks.scenes), num_envs,
+                    STEP_SECONDS, self.tasks.max_steps,
+                )  # fmt: skip
             self._eyes = EyesDevice(
                 config,
                 self.tasks.scenes,
@@ -164,7 +172,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                 chosen,
                 map_shape,
                 visible_sets,
-                motions,
+                motion,
             )
         self.simulator = SimulatorDevice(
             num_envs,

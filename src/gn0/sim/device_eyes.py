@@ -21,17 +21,17 @@ from gn0.maps.inflate import inflate
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.bev import render_bev
 from gn0.render.camera import Camera
-from gn0.render.instance import Instance, Parts
+from gn0.render.instance import Parts, PartsDevice
 from gn0.render.light import relight_cloud
 from gn0.render.renderer import DrawnScene, Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.device_layout import blocks_of
+from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_store import MapPictures
 from gn0.sim.history import COLUMNS, LENGTH, ROWS, TILE_HEIGHT, TILE_WIDTH
-from gn0.sim.motion import Motion, take_moment
 from gn0.sim.open import look_hash, name_look, split_look
 from gn0.sim.sensors import EYES, MAPS, MapFrame, SensorConfig, paint_grid
-from gn0.sim.simulator import STEP_SECONDS, goal_record, goal_view
+from gn0.sim.simulator import goal_record, goal_view
 
 if TYPE_CHECKING:
     from gn0.sim.device_state import SimulatorDevice
@@ -50,8 +50,7 @@ class EyesDevice:
         renderer: draws; None if no sensor needs it.
         map_shape: (H, W) [px] that holds every map picture.
         visible_sets: draw colour and depth from the splats visible near each place.
-        motions: what moves in each scene, by its id. Where something does, the host reads the
-            steps and the episodes of all agents before it draws.
+        motion: what moves in the scenes.
 
     Raises:
         SimError: no renderer for a sensor that needs one.
@@ -66,7 +65,7 @@ class EyesDevice:
         renderer: Renderer | None,
         map_shape: tuple[int, int] | None,
         visible_sets: bool = False,
-        motions: Mapping[str, Motion] | None = None,
+        motion: MotionDevice | None = None,
     ) -> None:
         drawn = config.active & (EYES | {"bev"})
         if drawn and renderer is None:
@@ -93,12 +92,10 @@ class EyesDevice:
         self._visible = visible_sets
         self._kept: dict[str, DeviceArray] = {}
         self._goal_numbers: NDArray[np.int32] | None = None  # whose goal pictures are kept
-        self._motions = dict(motions or {})
-        self._steps = np.zeros(0, np.int32)  # that agents had taken when they last looked
-        if renderer is not None:
-            for motion in self._motions.values():
-                for name, cloud in motion.clouds.items():
-                    renderer.name_cloud(name, cloud)
+        self._motion = motion
+        if motion is not None and renderer is not None:
+            for name, cloud in motion.clouds.items():
+                renderer.name_cloud(name, cloud)
         preset = config.preset
         self._pitch = float(np.radians(preset.pitch_degrees))
         self._rgb: DeviceArray | None = None  # what agents see now
@@ -157,10 +154,8 @@ class EyesDevice:
         count = simulator.count
         if self._wanted & {"rgb", "depth", "history"}:
             views, looks, chosen = self._ask(simulator)
-            parts: Parts = ()
-            if self._motions:
-                self._steps = simulator.state["steps"].numpy()
-                parts = self._moving(simulator.outputs["episode"].numpy(), self._steps, simulator)
+            there = isinstance(views, DeviceArray)
+            parts = self._place_parts(simulator, there=there)
             rgb, depth = self._look(simulator, views, looks, chosen, parts)
             self._rgb = rgb
             out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
@@ -192,8 +187,10 @@ class EyesDevice:
             )
             keys = self._keys(simulator, ended[agents])
             parts: Parts = ()
-            if self._motions:
-                parts = self._moving(ended[agents], self._steps[agents] + 1, simulator)
+            if self._motion is not None:  # they ended a step after they last looked
+                episodes = simulator.store.episodes
+                scenes = [episodes[number].scene_id for number in ended[agents].tolist()]
+                parts = self._motion.parts_of(scenes, self._motion.steps.numpy()[agents] + 1)
             rgb, depth = self._look(simulator, views, keys, parts=parts)
             out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
             out |= {"depth": depth} if depth is not None else {}
@@ -264,19 +261,19 @@ class EyesDevice:
         episodes = simulator.store.episodes
         return [name_look(episodes[number]) for number in numbers.tolist()]
 
-    def _moving(
-        self, numbers: NDArray[np.int32], steps: NDArray[np.int32], simulator: SimulatorDevice
-    ) -> list[tuple[Instance, ...]]:
-        """What moves before each agent, by its episode and the steps it has taken."""
-        episodes = simulator.store.episodes
-        known: dict[tuple[str, int], tuple[Instance, ...]] = {}
-        found = []
-        for number, step in zip(numbers.tolist(), steps.tolist(), strict=True):
-            key = (episodes[number].scene_id, step)
-            if key not in known:
-                known[key] = take_moment(self._motions.get(key[0]), step * STEP_SECONDS).parts
-            found.append(known[key])
-        return found
+    def _place_parts(self, simulator: SimulatorDevice, *, there: bool) -> Parts | PartsDevice:
+        """What stands before each agent now, on the device if the views are `there`."""
+        motion = self._motion
+        if motion is None or motion.now is None:
+            return ()
+        simulator.launch(
+            "place_parts", simulator.count * int(motion.table[-1]), *motion.table, *motion.targets
+        )
+        if there:
+            return motion.now
+        episodes, numbers = simulator.store.episodes, simulator.outputs["episode"].numpy()
+        scenes = [episodes[number].scene_id for number in numbers.tolist()]
+        return motion.parts_of(scenes, motion.steps.numpy())
 
     def _look(
         self,
@@ -284,7 +281,7 @@ class EyesDevice:
         views: Any,
         keys: Sequence[str | None] | str,
         chosen: DeviceArray | None = None,
-        parts: Parts = (),
+        parts: Parts | PartsDevice = (),
     ) -> tuple[DeviceArray | None, DeviceArray | None]:
         """Colour and depth of views; one call of the renderer, two with cameras of their own."""
         preset, renderer = self.config.preset, self._renderer
@@ -294,7 +291,8 @@ class EyesDevice:
         both = want_rgb and want_depth and preset.rgb == preset.depth
         more: dict[str, Any] = {"visible": True} if self._visible else {}
         more |= {"chosen": chosen} if chosen is not None else {}
-        more |= {"parts": parts} if any(parts) else {}
+        if isinstance(parts, PartsDevice) or any(parts):
+            more["parts"] = parts
         rgb: DeviceArray | None = None
         depth: DeviceArray | None = None
         if want_rgb:

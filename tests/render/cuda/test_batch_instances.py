@@ -15,9 +15,8 @@ from gn0.figures.moving import GAIN, build_ball, pose_ahead
 from gn0.gaussians.cloud import join_clouds
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
-from gn0.render.cuda.named import PartsDevice
 from gn0.render.cuda.replay import Replay
-from gn0.render.instance import PARTS_MAX, Instance, move_instance
+from gn0.render.instance import PARTS_MAX, Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions
 from gn0.render.visible_places import VisibleOptions
 from gn0.testing.check_renderer import psnr, random_cloud

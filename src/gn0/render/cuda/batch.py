@@ -24,7 +24,7 @@ from gn0.render.cuda.depth import scale_on_device
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.floors import Arranged, arrange_floors
 from gn0.render.cuda.instances import Instances
-from gn0.render.cuda.named import NamedClouds, PartsDevice
+from gn0.render.cuda.named import NamedClouds
 from gn0.render.cuda.pack import CloudReady, prepare_cloud
 from gn0.render.cuda.parts import (
     Part,
@@ -46,7 +46,7 @@ from gn0.render.cuda.request import (
 )
 from gn0.render.cuda.store import CloudStore, Load
 from gn0.render.cuda.visible import Cell, SceneSets, VisibleSets, lock_of
-from gn0.render.instance import Parts
+from gn0.render.instance import Parts, PartsDevice
 from gn0.render.renderer import (
     ALONE,
     Colour,

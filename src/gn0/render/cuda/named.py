@@ -3,44 +3,24 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device, DeviceArray
+from gn0.device.device import Device
 from gn0.errors import RenderError, brief
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.instances import Instances
 from gn0.render.cuda.pack import prepare_cloud, upload_cloud
-from gn0.render.instance import Instance, Parts, check_named, check_parts, digest_part
+from gn0.render.instance import Instance, Parts, PartsDevice, check_named, check_parts, digest_part
 
 _PLAIN = np.concatenate(
     [np.ones((1, 3), np.float32), np.zeros((3, 3), np.float32)]
 )  # changes nothing
-
-
-@dataclass(frozen=True, eq=False)
-class PartsDevice:
-    """Instances of a call whose poses lie on the device, beside its views.
-
-    Attributes:
-        names: of their clouds.
-        poses: part-to-world, float64 [I, 4, 4].
-        chosen: int32 [I], numbers into `names`; -1 stands nowhere.
-        firsts: int32 [V + 1], where the instances of each view begin, and the end of all; or how
-            many each view has, those of one view after those of another.
-        gains: float32 [I, 4, 3] as in `Instance`, or None.
-    """
-
-    names: Sequence[str]
-    poses: DeviceArray
-    chosen: DeviceArray
-    firsts: DeviceArray | int
-    gains: DeviceArray | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,27 @@ KERNEL(build_views)(World w, double height, double cos_pitch, double sin_pitch, 
   for (int k = 0; k < 4; k++) view[12 + k] = k == 3;
 }
 
+// Where the parts of each agent's scene stand at its step: rows [N, parts] of the tables [motions,
+// times, parts], which `motion_of` numbers by scene; and the steps themselves.
+KERNEL(place_parts)(World w, const int *motion_of, const double *poses, const int *chosen,
+                    const float *gains, int times, int parts, double *out_poses, int *out_chosen,
+                    float *out_gains, int *steps) {
+  u64 k = (u64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= (u64)w.count * parts) return;
+  int i = (int)(k / parts), p = (int)(k % parts), slot = w.slot[i];
+  int motion = slot < 0 ? -1 : motion_of[w.episodes[slot].scene];
+  if (!p) steps[i] = w.steps[i];
+  if (motion < 0) {
+    out_chosen[k] = -1;
+    return;
+  }
+  u64 row = ((u64)motion * times + min(w.steps[i], times - 1)) * parts + p;
+  out_chosen[k] = chosen[row];
+  for (int j = 0; j < 16; j++) out_poses[16 * k + j] = poses[16 * row + j];
+  if (gains)
+    for (int j = 0; j < 12; j++) out_gains[12 * k + j] = gains[12 * row + j];
+}
+
 KERNEL(clip_depth)(const float *depth, float low, float high, u64 size, float *out) {
   u64 k = (u64)blockIdx.x * blockDim.x + threadIdx.x;
   if (k < size) out[k] = fminf(fmaxf(depth[k], low), high);

@@ -17,6 +17,7 @@ from gn0.device.host import DeviceHost
 from gn0.errors import DeviceError, DeviceMemoryError
 from gn0.figures import (
     device_checks,
+    device_parts,
     device_rates,
     device_sanitizers,
     device_suite,
@@ -37,7 +38,7 @@ from gn0.storage import cache_dir
 from gn0.testing.scenes import build_room_scene
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the emulation needs g++")
-MODULES = (device_checks, device_table, device_rates, device_suite, device_sanitizers)
+MODULES = (device_checks, device_table, device_parts, device_rates, device_suite, device_sanitizers)
 FIGURES = [figure for module in MODULES for figure in module.FIGURES]
 
 

@@ -219,8 +219,11 @@ __device__ __forceinline__ void list_chunks(const View *__restrict__ views,
   if (!count) return;
   for (u32 k = threadIdx.x; k < count * 8; k += blockDim.x) {
     u32 view = members[g.first_member + first + k / 8];
-    ((float4 *)&held[k / 8])[k % 8] = ((const float4 *)(views + view))[k % 8];
-    if (k % 8 == 0) held[k / 8].who = INSTANCES && views[view].spare[IS_PART] ? views[view].spare[WHOSE] : view;
+    float4 words = ((const float4 *)(views + view))[k % 8];
+    ((float4 *)&held[k / 8])[k % 8] = words;
+    if (INSTANCES && k % 8 == 7)  // these are `spare`
+      held[k / 8].who = __float_as_uint(words.z) ? __float_as_uint(words.w) : view;
+    if (!INSTANCES && k % 8 == 0) held[k / 8].who = view;
   }
   __syncthreads();
   u32 mask = 0;

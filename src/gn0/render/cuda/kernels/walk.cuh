@@ -6,80 +6,72 @@
 // The same value, from where the compiler cannot find it anew each turn of a loop.
 __device__ __forceinline__ float hold(float value) { return __shfl_sync(FULL, value, lane_id()); }
 
-#if INSTANCES
 // The instance that a key's low word, or a slot with TAIL, tells of.
 __device__ __forceinline__ u32 find_part(const TileRoom &t, u32 word) {
   return t.view.spare[WHOSE] + (word >> PART_SHIFT & 31u);
 }
 
-// The cloud of a slot, by what tells whose it is.
+// The cloud of a slot of a group in which something moves.
 __device__ __forceinline__ const Cloud &find_cloud(const TileRoom &t, u32 slot, const Moving &moving) {
   return slot & TAIL ? moving.parts[find_part(t, slot)].cloud : t.cloud[slot & TAIL_SLOT ? 1 : 0];
 }
 
-// Where the splat that is number `at` of a group of `size` lies in its cloud, with what tells whose it
-// is: TAIL and the number of an instance, or TAIL_SLOT. NOWHERE if there is none.
+// Where the splat that is number `at` of a group of `size` lies in its cloud, with TAIL for one of a
+// tail; NOWHERE if there is none. Where there are instances and something MOVES in the group, with what
+// tells whose it is: TAIL and the number of an instance, or TAIL_SLOT.
+template <bool MOVES>
 __device__ __forceinline__ u32 find_slot(const TileRoom &t, u32 at, u32 size, const Moving &moving) {
   if (at >= size) return NOWHERE;
-  u32 word = t.indices[at], index = word >> QUARTER_BITS, whose = 0;
-  const Cloud *cloud = t.cloud;
-  if (word & TAIL) {
-    whose = word & ~((1u << PART_SHIFT) - 1), index &= PART_INDEX;
-    cloud = &moving.parts[find_part(t, word)].cloud;
-  } else if (index >= TAIL_INDEX && t.view.tail != NOWHERE) {
-    whose = TAIL_SLOT, index -= TAIL_INDEX, cloud = t.cloud + 1;
+  if (MOVES) {
+    u32 word = t.indices[at], index = word >> QUARTER_BITS, whose = 0;
+    const Cloud *cloud = t.cloud;
+    if (word & TAIL) {
+      whose = word & ~((1u << PART_SHIFT) - 1), index &= PART_INDEX;
+      cloud = &moving.parts[find_part(t, word)].cloud;
+    } else if (index >= TAIL_INDEX && t.view.tail != NOWHERE) {
+      whose = TAIL_SLOT, index -= TAIL_INDEX, cloud = t.cloud + 1;
+    }
+    u32 slot = cloud->places ? __ldg(cloud->places + index) : index;
+    return slot < cloud->rows ? slot | whose : NOWHERE;
   }
-  u32 slot = cloud->places ? __ldg(cloud->places + index) : index;
-  return slot < cloud->rows ? slot | whose : NOWHERE;
-}
-#else
-// Where the splat that is number `at` of a group of `size` lies in its cloud, with TAIL for one of a
-// tail; NOWHERE if there is none.
-__device__ __forceinline__ u32 find_slot(const TileRoom &t, u32 at, u32 size, const Moving &) {
-  if (at >= size) return NOWHERE;
   u32 word = t.indices[at], tail = word & TAIL, index = (word & ~TAIL) >> QUARTER_BITS;
   const Cloud &cloud = t.cloud[word >> 31];
   u32 slot = cloud.places ? __ldg(cloud.places + index) : index;
   return slot < cloud.rows ? slot | tail : NOWHERE;
 }
-#endif
+
+// Whether the group may hold what moves. Most do not, and are staged as if none could.
+__device__ __forceinline__ bool may_move(const TileRoom &t) {
+  return INSTANCES && (t.highest[1] & TAIL || t.view.tail != NOWHERE);
+}
+
+__device__ __forceinline__ u32 find_slot(const TileRoom &t, u32 at, u32 size, const Moving &moving) {
+  return may_move(t) ? find_slot<true>(t, at, size, moving) : find_slot<false>(t, at, size, moving);
+}
 
 // Stages what lies in `slot` as number `k`, and marks its reach.
-template <bool COLOUR>
+template <bool COLOUR, bool MOVES>
 __device__ __forceinline__ void stage_splat(TileRoom &t, u32 k, u32 slot, u32 flags,
                                             const Moving &moving) {
-#if INSTANCES
-  u32 whose = slot;
-  const View &from = whose & TAIL ? moving.views[find_part(t, whose)] : t.view;
-  const Cloud &cloud = find_cloud(t, whose, moving);
-  slot &= whose & TAIL ? PART_INDEX : TAIL_SLOT - 1;
-#else
-  const Cloud &cloud = t.cloud[slot >> 31];
-  const View &from = t.view;
-  slot &= ~TAIL;
-#endif
+  const u32 whose = slot;
+  const Cloud &cloud = MOVES ? find_cloud(t, whose, moving) : t.cloud[slot >> 31];
+  slot &= !MOVES ? ~TAIL : whose & TAIL ? PART_INDEX : TAIL_SLOT - 1;
   const Splat s = load_splat(cloud.splats + (u64)slot * 4);
   Footprint f;
-  const View w = load_view(from);
+  const View w = load_view(MOVES && whose & TAIL ? moving.views[find_part(t, whose)] : t.view);
   if (!project(s, w, flags, f)) return;
   float x = f.u - ((float)t.corner.x + 0.5f), y = f.v - ((float)t.corner.y + 0.5f);
   float qx = f.qx * SQRT_LOG2_E, qy = f.qy * SQRT_LOG2_E, down = root(f.qk * LOG2_E);
   Staged one;
   one.a = make_float4(qx, qy, -fmaf(qx, x, qy * y), down);
   float3 colour = make_float3(0.f, 0.f, 0.f);
-#if INSTANCES  // found again: kept since above, it would be spilled
-  if (COLOUR) colour = find_colour(find_cloud(t, whose, moving), s, slot, w);
-#else
-  if (COLOUR) colour = find_colour(cloud, s, slot, w);
-#endif
+  // the cloud is found again: kept since above, it would be spilled
+  if (COLOUR) colour = find_colour(MOVES ? find_cloud(t, whose, moving) : cloud, s, slot, w);
   one.b = make_float4(-down * y, f.log_o * LOG2_E, colour.x, colour.y);
   one.c = make_float2(colour.z, f.z);
   Staged &to = t.staged[k / WARP * SPAN + k % WARP];
   to.a = one.a, to.b = one.b, to.c = one.c;
   find_reach(t, one, y);
-#if INSTANCES  // last, when few registers are in use
-  if (COLOUR && whose & TAIL) light_splat(to, moving.parts[find_part(t, whose)], whose & PART_INDEX);
-#endif
 }
 
 // Blends the `count` splats of a stage; the first is number `first` of its group.
@@ -183,7 +175,10 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
         if (k >= THREADS) slot = find_slot(t, first + k, size, moving);
 #pragma unroll
         for (int w = 0; w < WARPS; w++) ((u32 *)t.rows[threadIdx.x])[w] = 0;
-        if (slot != NOWHERE) stage_splat<Painter::COLOUR>(t, k, slot, flags, moving);
+        if (slot != NOWHERE) {
+          if (may_move(t)) stage_splat<Painter::COLOUR, true>(t, k, slot, flags, moving);
+          else stage_splat<Painter::COLOUR, false>(t, k, slot, flags, moving);
+        }
         if (lane_id() == WARP - 1) {
           Staged &none = t.staged[k / WARP * SPAN + WARP];
           none.a = make_float4(0.f, 0.f, 0.f, 0.f), none.b = make_float4(0.f, -1e30f, 0.f, 0.f);
@@ -191,6 +186,9 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
         }
         __syncwarp();
         tell_reach(t, k);
+        if (Painter::COLOUR && may_move(t) && slot != NOWHERE && slot & TAIL)
+          light_splat(t.staged[k / WARP * SPAN + k % WARP], moving.parts[find_part(t, slot)],
+                      slot & PART_INDEX);
       }
       __syncthreads();
       if (__any_sync(FULL, painter.open()))

@@ -11,19 +11,23 @@ from gn0.figures.board import (
     FigureContext,
     FigureRow,
     row_at_least,
+    row_at_most,
 )
 from gn0.figures.device import interleave, is_emulation, median
 from gn0.figures.flat import build_flat, flat_floor
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
+from gn0.scenes.parts import build_ball
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.motion import PartPath, PathMotion
 from gn0.sim.presets import find_preset
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
 
 WALK = [0.01, 0.59, 0.2, 0.2]  # STOP, FORWARD, LEFT, RIGHT: an episode of about 100 steps
 STEPS = 2e6  # agent-steps a second, at least, of 4096 agents without pictures
+MOVING = {1: 0.90, 4: 0.75, 8: 0.60}  # parts, and the share of env-steps that is left, at least
 PICTURES = 15e3  # env-steps a second, at least, with 224x224 RGB-D over a million splats
 
 
@@ -101,8 +105,101 @@ def measure_sim(ctx: FigureContext) -> list[FigureRow]:
     return rows
 
 
+def _roam(count: int, splats: int, below: float = 0.0) -> PathMotion:
+    """So many balls of so many splats that cross the standard flat to and fro for ever."""
+    radius = 0.25
+    ball = build_ball(radius, spacing=float(np.sqrt(4 * np.pi * radius**2 / splats)))
+    stream, paths = random_stream(count, "figure roam"), []
+    for _ in range(count):
+        ends = np.tile(np.eye(4), (3, 1, 1))
+        ends[:, 0, 3], ends[:, 1, 3] = stream.uniform(1.0, 9.0, 3), stream.uniform(1.0, 7.0, 3)
+        ends[:, 2, 3] = 1.0 - below
+        ends[2] = ends[0]
+        paths.append(PartPath("ball", np.array([0.0, 20.0, 40.0]), ends, repeats=True))
+    return PathMotion({"ball": ball}, paths)
+
+
+def measure_moving(ctx: FigureContext) -> list[FigureRow]:
+    """Agent-steps a second with things that move over those without, in turns."""
+    tiny = is_emulation(ctx.device)
+    cloud = build_flat(1500 if tiny else 1_000_000)
+    flat = replace(
+        build_map_scene(flat_floor(0.0), "flat"),
+        load_cloud=lambda: cloud,
+        cloud_hash=cloud.content_hash,
+    )
+    episodes = build_point_episodes(flat, NavigationMap(flat.grid, 0.2), 4 if tiny else 200)
+    count, steps, splats = (2, 2, 100) if tiny else (1024, 24, 10_000)
+    motions = {"none": None, "unseen": _roam(1, splats, below=500.0)}
+    motions |= {str(parts): _roam(parts, splats) for parts in MOVING}
+    drawn = random_stream(0, "figure actions").choice(4, (steps, count), p=WALK)
+    actions = ctx.device.upload(drawn.astype(np.int64))
+    contenders, envs = {}, []
+    for name, motion in motions.items():
+        env = VectorEnvDevice(
+            *(count, flat),
+            episodes=episodes,
+            device=ctx.device,
+            sensors=("rgb", "depth", "goal_vector"),
+            preset="rgbd_224",
+            visible_sets=not tiny,
+            max_steps=100,
+            motions={} if motion is None else {"flat": motion},
+        )
+        env.reset(seed=0)
+        envs.append(env)
+
+        def walk(turn: int, env: VectorEnvDevice = env) -> None:
+            for t in range(steps):
+                env.step(actions[t])
+
+        contenders[name] = walk
+    times = interleave(ctx.device, contenders, 1 if tiny else 12, warm=1 if tiny else 4)
+    for env in envs:
+        env.synchronize()
+    none = np.array(times["none"])
+    detail = (
+        f"standard flat of {len(cloud) / 1e6:g} M splats, {count} agents, RGB-D of 224x224, "
+        f"visible sets; balls of {splats:,} splats that roam the flat; medians of the ratios of "
+        f"{len(none)} rounds by turns"
+    )
+    rows = [
+        FigureRow(
+            name="env-steps a second with nothing that moves",
+            value=steps * count / median(times["none"]) * 1e3,
+            unit="1/s",
+            detail=detail,
+        )
+    ]
+    for parts, least in MOVING.items():
+        share = float(np.median(none / np.array(times[str(parts)])))
+        name = f"env-steps with {parts} that move{'s' * (parts == 1)} over those with none"
+        rows.append(
+            FigureRow(name=name, value=share, unit="times", detail=detail)
+            if tiny
+            else row_at_least(name, share, least, "times", detail)
+        )
+    cost = 100 * (float(np.median(np.array(times["unseen"]) / none)) - 1.0)
+    name = "time that a moving part takes which no agent sees"
+    rows.append(
+        FigureRow(name=name, value=cost, unit="%", detail=detail)
+        if tiny
+        else row_at_most(name, cost, 1.0, "%", detail)
+    )
+    for row in rows:
+        ctx.report(row)
+    return rows
+
+
 FIGURES = [
     Figure(
         "render.cuda.sim", "CUDA: steps a second on the device", measure_sim, 1.5, backend="cuda"
-    )
+    ),
+    Figure(
+        "render.cuda.moving",
+        "CUDA: steps a second while things move",
+        measure_moving,
+        1.5,
+        backend="cuda",
+    ),
 ]

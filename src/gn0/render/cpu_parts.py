@@ -11,11 +11,11 @@ import numpy as np
 
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
-from gn0.render.cpu_pack import PackedCloud, pack_cloud, read_only
+from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud, read_only
 from gn0.render.instance import Instance, check_named, digest_part, find_normals
 
 NO_GAIN = read_only(np.empty((0, 3), np.float32))  # colours stay as they are
-NO_NORMALS = read_only(np.empty((0, 3), np.float32))
+NO_NORMALS = read_only(np.empty((0, 3 * CHUNK), np.float32))
 
 
 class PlacedPart(NamedTuple):
@@ -26,7 +26,8 @@ class PlacedPart(NamedTuple):
         first: added to a splat's index in its cloud, for ties in depth.
         pose: part-to-world [4, 4] m.
         gain: [0, 3] none, [1, 3] constant, or [4, 3] with the linear terms in the part's frame.
-        normals: [N, 3] by cloud index, in the part's frame; read for a gain of [4, 3] alone.
+        normals: [C, 3 * CHUNK] packed as the cloud is, in the part's frame; read for a gain of
+            [4, 3] alone.
     """
 
     cloud: PackedCloud
@@ -68,8 +69,11 @@ class NamedClouds:
         if held is not None and held.digest == digest:
             return
         packed = pack_cloud(cloud)
-        normals = read_only(find_normals(cloud))
-        self._held[name] = _NamedCloud(packed, normals, len(cloud), digest, weakref.ref(cloud))
+        normals = find_normals(cloud)[packed.order].reshape(-1, CHUNK, 3)
+        normals = np.ascontiguousarray(normals.transpose(0, 2, 1)).reshape(-1, 3 * CHUNK)
+        self._held[name] = _NamedCloud(
+            packed, read_only(normals), len(cloud), digest, weakref.ref(cloud)
+        )
 
     def place(self, instances: Sequence[Instance], first: int) -> list[PlacedPart]:
         """What to draw for checked instances; indices run on from `first`, in their order."""

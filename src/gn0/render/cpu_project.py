@@ -108,6 +108,11 @@ def _project_block(  # type: ignore[no-untyped-def]
     near, far, width, height = view[NEAR], view[FAR], view[WIDTH], view[HEIGHT]
     lxp, lxn, lyp, lyn = view[LIM_XP], view[LIM_XN], view[LIM_YP], view[LIM_YN]
     pinhole = _ZERO if ortho else _ONE
+    lit, turned = gain.shape[0] > 0, gain.shape[0] > 1
+    gr, gg, gb = (gain[0, 0], gain[0, 1], gain[0, 2]) if lit else (_ONE, _ONE, _ONE)
+    grx, ggx, gbx = (gain[1, 0], gain[1, 1], gain[1, 2]) if turned else (_ZERO, _ZERO, _ZERO)
+    gry, ggy, gby = (gain[2, 0], gain[2, 1], gain[2, 2]) if turned else (_ZERO, _ZERO, _ZERO)
+    grz, ggz, gbz = (gain[3, 0], gain[3, 1], gain[3, 2]) if turned else (_ZERO, _ZERO, _ZERO)
     tiles[:] = 0
     lanes = np.empty(_LANES * CHUNK, np.float32)
     ok = np.empty(CHUNK, np.int32)
@@ -204,16 +209,14 @@ def _project_block(  # type: ignore[no-untyped-def]
                 o[CR], o[CG], o[CB] = sh_colour(
                     sh[index], degree, p[k] - ex, p[CHUNK + k] - ey, p[2 * CHUNK + k] - ez
                 )
-            if gain.shape[0] > 0:
-                for c in range(3):
-                    factor = gain[0, c]
-                    if gain.shape[0] > 1:
-                        factor += (
-                            gain[1, c] * normals[index, 0]
-                            + gain[2, c] * normals[index, 1]
-                            + gain[3, c] * normals[index, 2]
-                        )
-                    o[CR + c] *= max(factor, _ZERO)
+            if lit:
+                n0, n1, n2 = _ZERO, _ZERO, _ZERO
+                if turned:
+                    at = normals[chunks[v]]
+                    n0, n1, n2 = at[k], at[CHUNK + k], at[2 * CHUNK + k]
+                o[CR] *= max(gr + grx * n0 + gry * n1 + grz * n2, _ZERO)
+                o[CG] *= max(gg + ggx * n0 + ggy * n1 + ggz * n2, _ZERO)
+                o[CB] *= max(gb + gbx * n0 + gby * n1 + gbz * n2, _ZERO)
             t = rects[row + n]
             t[0], t[1] = np.int16(np.int32(x0) >> 4), np.int16((np.int32(x1) + 15) >> 4)
             t[2], t[3] = np.int16(np.int32(y0) >> 4), np.int16((np.int32(y1) + 15) >> 4)

@@ -81,6 +81,8 @@ def sort_tile(keys, rows, spare_keys, spare_rows, indices, records, ordered):  #
     tied = False
     for i in range(1, n):
         tied |= keys[i] == keys[i - 1]
+    if tied and _sort_runs(keys, rows, indices):
+        return
     if tied:  # order all by index, then again, stably, by depth
         for i in range(n):
             keys[i] = indices[rows[i]]
@@ -88,6 +90,30 @@ def sort_tile(keys, rows, spare_keys, spare_rows, indices, records, ordered):  #
         for i in range(n):
             keys[i] = np.float32(records[rows[i], DEPTH]).view(np.uint32)
         _sort_radix(keys, rows, spare_keys, spare_rows, bins)
+
+
+@njit
+def _sort_runs(keys, rows, indices):  # type: ignore[no-untyped-def]
+    """Put rows of equal keys in the order of their indices; False if a run was too long for that.
+
+    In a list that is sorted by depth, runs of one depth are nearly always of two or three.
+    """
+    n = keys.shape[0]
+    start = 0
+    for end in range(1, n + 1):
+        if end < n and keys[end] == keys[start]:
+            continue
+        if end - start > _SMALL:
+            return False
+        for i in range(start + 1, end):
+            row = rows[i]
+            j = i - 1
+            while j >= start and indices[rows[j]] > indices[row]:
+                rows[j + 1] = rows[j]
+                j -= 1
+            rows[j + 1] = row
+        start = end
+    return True
 
 
 @njit

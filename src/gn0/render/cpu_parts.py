@@ -69,8 +69,8 @@ class NamedClouds:
         if held is not None and held.digest == digest:
             return
         packed = pack_cloud(cloud)
-        normals = find_normals(cloud)[packed.order].reshape(-1, CHUNK, 3)
-        normals = np.ascontiguousarray(normals.transpose(0, 2, 1)).reshape(-1, 3 * CHUNK)
+        lanes = find_normals(cloud)[packed.order].reshape(-1, CHUNK, 3).transpose(0, 2, 1)
+        normals = np.ascontiguousarray(lanes).reshape(-1, 3 * CHUNK)
         self._held[name] = _NamedCloud(
             packed, read_only(normals), len(cloud), digest, weakref.ref(cloud)
         )

@@ -46,6 +46,7 @@ _FAR_AWAY = F(np.inf)
 _LAST = F(TILE - 1)
 _EDGE = F(0.02)  # px: rounding of the row range
 BATCH = 64
+GATHERED = 12 * BATCH + 1  # floats of a batch: twelve fields, and one that nobody reads
 _CHECK = 16  # splats between looks for finished rows
 _ENDED = np.int64(-0x7FFFFFFF80000000)  # sign bits of two float32
 
@@ -96,6 +97,10 @@ def gather_batch(records, rows, x_px, y_px, gathered, reach):  # type: ignore[no
     (qx dx + qy dy)² + qk dy² <= tau, beyond which opacity is under 1/255, meets the tile.
     """
     left, top = F(x_px) + _HALF, F(y_px) + _HALF
+    warm = _ZERO  # records lie far apart: a loop as short as this waits for many of them at once
+    for b in range(rows.shape[0]):
+        warm += records[rows[b], U]
+    gathered[12 * BATCH] = warm
     for b in range(rows.shape[0]):
         o = records[rows[b]]
         gathered[b] = left - o[U]
@@ -142,34 +147,41 @@ def _blend_tile(records, rows, x_px, y_px, columns, lines, acc):  # type: ignore
     for r in range(TILE):
         for j in range(TILE):
             acc[r * _ROW + j] = _ONE if r < lines and j < columns else -_ONE
-    live = (1 << lines) - 1
-    gathered = np.empty(12 * BATCH, np.float32)
+    live = left = right = (1 << lines) - 1  # rows that are not finished, and their halves
+    gathered = np.empty(GATHERED, np.float32)
     reach = np.empty(2 * BATCH, np.int32)
     for start in range(0, rows.shape[0], BATCH):
         size = min(BATCH, rows.shape[0] - start)
         gather_batch(records, rows[start : start + size], x_px, y_px, gathered, reach)
         for b in range(size):
             y0, y1 = reach[b], reach[BATCH + b]
-            dx0, dy0 = gathered[b], gathered[BATCH + b]
-            qx, qy = gathered[2 * BATCH + b], gathered[3 * BATCH + b]
-            qk, log_o = gathered[4 * BATCH + b], gathered[5 * BATCH + b]
-            red, green = gathered[6 * BATCH + b], gathered[7 * BATCH + b]
-            blue, z = gathered[8 * BATCH + b], gathered[9 * BATCH + b]
-            q0 = qx * dx0
-            if gathered[11 * BATCH + b] <= F(8.0):
-                blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
-            elif gathered[10 * BATCH + b] >= F(8.0):
-                blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
-            else:
-                blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16)
+            in_left, in_right = gathered[10 * BATCH + b] < F(8.0), gathered[11 * BATCH + b] > F(8.0)
+            open_rows = live if in_left and in_right else (left if in_left else right)
+            if (open_rows >> y0) & ((1 << max(y1 - y0, 0)) - 1):
+                dx0, dy0 = gathered[b], gathered[BATCH + b]
+                qx, qy = gathered[2 * BATCH + b], gathered[3 * BATCH + b]
+                qk, log_o = gathered[4 * BATCH + b], gathered[5 * BATCH + b]
+                red, green = gathered[6 * BATCH + b], gathered[7 * BATCH + b]
+                blue, z = gathered[8 * BATCH + b], gathered[9 * BATCH + b]
+                q0 = qx * dx0
+                if not in_right:
+                    blend(acc, y0, y1, left, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 8)
+                elif not in_left:
+                    blend(acc, y0, y1, right, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 8, 8)
+                else:
+                    blend(acc, y0, y1, live, q0, qx, qy, dy0, qk, log_o, red, green, blue, z, 0, 16)
             if (b & (_CHECK - 1)) == _CHECK - 1:
                 for r in range(lines):
                     if (live >> r) & 1:
-                        ended = _ENDED
-                        for j in range(TILE // 2):
-                            ended &= signs[r * (_ROW // 2) + j]
-                        if ended == _ENDED:
-                            live &= ~(1 << r)
+                        ended_left, ended_right = _ENDED, _ENDED
+                        for j in range(TILE // 4):
+                            ended_left &= signs[r * (_ROW // 2) + j]
+                            ended_right &= signs[r * (_ROW // 2) + TILE // 4 + j]
+                        if ended_left == _ENDED:
+                            left &= ~(1 << r)
+                        if ended_right == _ENDED:
+                            right &= ~(1 << r)
+                live = left | right
                 if live == 0:
                     return
 

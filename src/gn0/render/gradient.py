@@ -15,7 +15,7 @@ import numpy as np
 
 from gn0.jit import njit, prange
 from gn0.render.cpu_bin import sort_tile
-from gn0.render.cpu_raster import BATCH, LOG_MIN, TILE, blend, exponential, gather_batch
+from gn0.render.cpu_raster import BATCH, GATHERED, LOG_MIN, TILE, blend, exponential, gather_batch
 from gn0.render.renderer import ALPHA_CAP, TRANSMITTANCE_STOP
 
 F = np.float32
@@ -156,7 +156,7 @@ def sum_entries(  # type: ignore[no-untyped-def]
         for r in range(TILE):
             for j in range(TILE):
                 acc[r * _ROW + j] = _ONE if r < lines and j < columns else -_ONE
-        o = np.empty(12 * BATCH, np.float32)
+        o = np.empty(GATHERED, np.float32)
         reach = np.empty(2 * BATCH, np.int32)
         lanes = np.zeros(SUMS * TILE, np.float32)
         for second in range(2):

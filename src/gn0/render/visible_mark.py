@@ -11,7 +11,7 @@ import numpy as np
 from gn0.jit import njit, prange
 from gn0.render.cpu_bin import sort_tile
 from gn0.render.cpu_pack import CHUNK, FIELDS
-from gn0.render.cpu_raster import BATCH, LOG_MIN, TILE, exponential, gather_batch
+from gn0.render.cpu_raster import BATCH, GATHERED, LOG_MIN, TILE, exponential, gather_batch
 from gn0.render.renderer import ALPHA_CAP, TRANSMITTANCE_STOP
 
 F = np.float32
@@ -25,7 +25,7 @@ def _mark_tile(records, indices, rows, x_px, y_px, columns, lines, threshold, ma
     for r in range(TILE):
         for j in range(TILE):
             through[r * TILE + j] = _ONE if r < lines and j < columns else _ZERO
-    gathered = np.empty(12 * BATCH, np.float32)
+    gathered = np.empty(GATHERED, np.float32)
     reach = np.empty(2 * BATCH, np.int32)
     peaks = np.empty(TILE, np.float32)
     for start in range(0, rows.shape[0], BATCH):

@@ -4,6 +4,7 @@
   runs/pair.py ../before .                        the rows named in runs/pair_rows.txt
   runs/pair.py ../before . sim.speed render.speed --rounds 20
   runs/pair.py ../before . --cores 0-1,2-3,4-5    three figures at a time, two cores each
+  runs/pair.py ../before . /tmp/probe.py          a script that writes such a figures.json
   runs/pair.py ../before . --show                 what was measured so far
 
 Each round runs a figure once in each checkout, in a process of its own, the first one changing from
@@ -39,7 +40,8 @@ def read_rows(path: Path) -> list[tuple[str, str]]:
 def run_figure(checkout: Path, figure: str, cores: str, seconds: float) -> dict[str, list[float]]:
     """Values of a figure's rows by name, with 1 or -1 for whether more is better."""
     with tempfile.TemporaryDirectory() as out:
-        command = [sys.executable, "-m", "gn0", "figures", figure, "--out", out]
+        what = [figure] if figure.endswith(".py") else ["-m", "gn0", "figures", figure]
+        command = [sys.executable, *what, "--out", out]
         if cores:
             command = ["taskset", "-c", cores, *command]
         env = os.environ | {"PYTHONPATH": str(checkout / "src")}

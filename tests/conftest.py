@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import compileall
 import contextlib
 import importlib.util
 import os
 import shutil
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +19,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
+import gn0
 from gn0.device.open import find_device
 
 if TYPE_CHECKING:
@@ -28,6 +31,12 @@ ROOT = Path(__file__).resolve().parent.parent
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile("steady")
+
+# where Python is told to write no bytecode, as in many containers, each process that a test starts
+# would compile the package anew and each test worker all tests; only fault trials mean it
+KEEPS_BYTECODE = sys.dont_write_bytecode and "GN0_FAULT_NOTES" not in os.environ
+if KEEPS_BYTECODE:
+    sys.dont_write_bytecode = False
 
 # a shell starts background jobs deaf to Ctrl-C, and their children inherit it: tests that send it
 # to a process of theirs mean it
@@ -213,6 +222,13 @@ class Clock:
         )
 
 
+def pytest_collection_finish() -> None:
+    if KEEPS_BYTECODE:  # what tests write themselves is edited faster than bytecode can tell
+        sys.dont_write_bytecode = True
+
+
 def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
+        if KEEPS_BYTECODE:
+            compileall.compile_dir(Path(gn0.__file__).parent, quiet=2)
         config.pluginmanager.register(Clock(config), "clock")

@@ -14,19 +14,8 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from gn0.storage import cache_dir
-
 _TOLD = "GN0_CACHE_REFUSED"  # in the environment: what this process or its parent has said already
 _log = logging.getLogger(__name__)
-
-
-def code_cache(part: str) -> Path | None:
-    """The folder of cached code of one kind, made if need be; None where it cannot be trusted.
-
-    The reason is said once, whatever the number of processes.
-    """
-    folder = cache_dir() / part
-    return folder if trust_folder(folder) else None
 
 
 def trust_folder(folder: Path) -> bool:

@@ -1,4 +1,4 @@
-"""One registry for every plug point: scene source, renderer, mission, policy, metric, exporter.
+"""One registry for every plug point: scene source, renderer, policy, exporter.
 
 Built-ins are named here as "module:attribute" and imported on first use. Third-party packages
 register through the entry-point group `gn0.plugins` (a module whose import calls `register`).
@@ -23,9 +23,7 @@ Kind = Literal[
     "scene_source",
     "renderer",
     "refiner",
-    "mission",
     "policy",
-    "metric",
     "exporter",
     "dataset_exporter",
     "policy_host",
@@ -44,7 +42,6 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "gsplat": "gn0.render.gsplat:RendererGsplat",
     },
     "refiner": {"cpu": "gn0.render.refine:refine_cloud"},
-    "mission": {"goal": "gn0.missions.episode:MissionGoal"},
     "policy": {
         "oracle": "gn0.policies.oracle:PolicyOracle",
         "straight": "gn0.policies.simple:PolicyStraight",
@@ -55,7 +52,6 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "remote": "gn0.policies.remote.policy_remote:PolicyRemote",
     },
     "policy_host": {"own-process": "gn0.policies.remote.isolated:PolicyIsolated"},
-    "metric": {},
     "exporter": {
         "gn-matrix": "gn0.missions.sets.gn_matrix:ExporterGnMatrix",
         "gn-matrix-json": "gn0.missions.sets.gn_matrix_json:ExporterGnMatrixJson",
@@ -84,8 +80,10 @@ def register(kind: Kind, name: str, plugin: Any) -> None:
     """Register a plug-in object or class under a name.
 
     Raises:
-        ConfigError: the name is taken by something else.
+        ConfigError: there is no such kind, or the name is taken by something else.
     """
+    if kind not in _BUILTIN:
+        raise ConfigError(f"no kind of plug-in {kind!r}", remedy=f"known: {', '.join(_BUILTIN)}")
     if name in _BUILTIN[kind] or _registered.get((kind, name), plugin) is not plugin:
         raise ConfigError(f"{kind} {name!r} is already registered", remedy="choose another name")
     _registered[kind, name] = plugin

@@ -78,13 +78,15 @@ def test_plugins_are_found_by_name_and_never_replaced() -> None:
     with pytest.raises(ConfigError, match=r"known: .*oracle"):
         get_plugin("policy", "orcale")
     thing = object()
-    register("metric", "mine", thing)
-    register("metric", "mine", thing)
-    assert get_plugin("metric", "mine") is thing
+    register("policy_host", "mine", thing)
+    register("policy_host", "mine", thing)
+    assert get_plugin("policy_host", "mine") is thing
     with pytest.raises(ConfigError, match="already"):
-        register("metric", "mine", object())
+        register("policy_host", "mine", object())
     with pytest.raises(ConfigError, match="already"):
         register("policy", "oracle", thing)
+    with pytest.raises(ConfigError, match="no kind of plug-in 'metric'"):
+        register("metric", "mine", thing)  # type: ignore[arg-type]
 
 
 def test_clouds_check_their_shapes() -> None:

@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from gn0.errors import PlanError
-from gn0.maps.astar import PlannerAstar, plan_astar
+from gn0.maps.astar import PlannerAstar
 from gn0.maps.distance import build_octile_field
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.movingai import load_movingai_map, load_movingai_scenario
@@ -101,14 +101,14 @@ def test_regions_are_what_the_planner_can_reach(blocked):
 def test_start_and_goal_must_be_free_and_inside():
     grid = OccupancyGrid(np.array([[0, 1, 0]], np.uint8), 1.0, (0.0, 0.0))
     with pytest.raises(PlanError, match=r"start cell \(0, 1\) is blocked"):
-        plan_astar(grid, (0, 1), (0, 0))
+        PlannerAstar(grid).plan((0, 1), (0, 0))
     with pytest.raises(PlanError, match="outside"):
-        plan_astar(grid, (0, 0), (0, 3))
+        PlannerAstar(grid).plan((0, 0), (0, 3))
     with pytest.raises(PlanError, match="no path"):
-        plan_astar(grid, (0, 0), (0, 2))
+        PlannerAstar(grid).plan((0, 0), (0, 2))
     with pytest.raises(PlanError, match="goal cell"):
         build_octile_field(grid, (0, 1))
-    path = plan_astar(grid, (0, 0), (0, 0))
+    path = PlannerAstar(grid).plan((0, 0), (0, 0))
     assert path.cost == 0 and path.cells.tolist() == [[0, 0]]
 
 

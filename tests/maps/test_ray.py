@@ -15,7 +15,7 @@ from gn0.errors import PlanError
 from gn0.maps.grid import FREE, OccupancyGrid
 from gn0.maps.inflate import inflate
 from gn0.maps.navigation import NavigationMap
-from gn0.maps.ray import cast_ray, cast_rays, is_line_free, line_cells, trace_move
+from gn0.maps.ray import cast_rays, is_line_free, line_cells, trace_move
 from gn0.maps.regions import label_regions
 from gn0.maps.ros import load_ros_map
 from gn0.seeds import random_stream
@@ -160,7 +160,7 @@ def test_rays_measure_to_the_edge_of_the_first_blocked_cell(blocked, du, dv, pic
     grid = OccupancyGrid(blocked.astype(np.uint8), 0.5, (1.0, -2.0))
     x, y = 1.0 + 0.5 * (col + du), -2.0 + 0.5 * (row + dv)
     truth = 0.5 * reference_ray(blocked, col + du, row + dv, angle, 8.0)
-    assert cast_ray(grid, x, y, angle, 4.0) == pytest.approx(truth, abs=2e-5)
+    assert cast_rays(grid, x, y, np.array([angle]), 4.0)[0] == pytest.approx(truth, abs=2e-5)
 
 
 def test_rays_in_a_ring():

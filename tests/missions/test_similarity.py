@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gn0.geometry import F64
 from gn0.missions.filters import discrete_frechet
-from gn0.missions.similarity import KnownPaths, SimilaritySettings, is_closer, known_paths
+from gn0.missions.similarity import KnownPaths, SimilaritySettings, is_closer
 from gn0.testing.plain_paths import plain_frechet, plain_resample
 
 lattice = st.lists(st.tuples(st.integers(-4, 4), st.integers(-4, 4)), min_size=1, max_size=12)
@@ -39,6 +40,13 @@ def test_the_decision_holds_for_paths_like_those_of_scenes(seed, noise, limit) -
     p = np.cumsum(rng.normal(0.1, 0.2, (48, 2)), axis=0)
     q = p + np.cumsum(rng.normal(0, noise / 5, (48, 2)), axis=0)
     assert is_closer(p, q, limit) == (plain_frechet(p.tolist(), q.tolist()) < limit)
+
+
+def known_paths(paths: list[F64], samples: int) -> KnownPaths:
+    known = KnownPaths(samples)
+    for path in paths:
+        known.add(path)
+    return known
 
 
 def test_known_paths_find_what_is_the_same_and_what_is_nearly_so() -> None:

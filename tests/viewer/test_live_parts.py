@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from gn0.errors import ConfigError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.geometry import Pose2D, quaternion_from_rotation
+from gn0.loopback import is_loopback
 from gn0.maps.navigation import NavigationMap
 from gn0.render.open import build_renderer
 from gn0.scenes.example import build_example_scene
@@ -24,7 +25,7 @@ from gn0.sim.state import Action
 from gn0.viewer.live_eyes import canvas_camera, draw_canvas
 from gn0.viewer.live_loop import LiveLoop
 from gn0.viewer.live_map import MapAgent, plan_map
-from gn0.viewer.live_server import Gate, fetch_page, find_port, is_loopback, open_server
+from gn0.viewer.live_server import Gate, fetch_page, find_port, open_server
 from gn0.viewer.live_splats import build_live_splats
 from gn0.viewer.live_stage import OVERVIEW_FOV, overview
 from gn0.viewer.live_text import name_line, plain

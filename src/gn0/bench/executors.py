@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Protocol, Self
 
 from gn0.bench.worker_messages import FromWorker
 from gn0.errors import BenchError
 from gn0.jobs.process import Ended
-
-ExecutorName = Literal["process", "ray"]
 
 
 @dataclass(eq=False)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import numpy as np
@@ -18,7 +17,6 @@ from gn0.bench.metrics import EpisodeMetrics
 from gn0.bench.results import EpisodeResult, RunSummary, load_results, load_summary
 from gn0.errors import BenchError
 
-PairedBy = Literal["episode", "path"]
 # rows of the protocol card that say what is measured: equal, or the numbers are not comparable
 _MEASURE = ("profile", "agent", "actions", "collision", "success", "oracle success", "distances",
             "navigation error", "step limit")  # fmt: skip

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from gn0.bench.executors import ExecutorName, Pool
+from gn0.bench.executors import Pool
 from gn0.bench.pool_process import PoolProcess
 from gn0.bench.worker_messages import Open
 from gn0.errors import BenchError
+from gn0.jobs import ExecutorName
 
 
 def open_pool(

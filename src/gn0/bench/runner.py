@@ -21,7 +21,7 @@ from typing import Any
 
 import msgspec
 
-from gn0.bench.executors import ExecutorName, Pool, Worker, check_workers
+from gn0.bench.executors import Pool, Worker, check_workers
 from gn0.bench.identity import digest_policy, tell_identity
 from gn0.bench.ledger import Ledger
 from gn0.bench.pool_kinds import open_pool
@@ -40,6 +40,7 @@ from gn0.bench.run_session import ask_card, check_name, stamp_now, tell_earlier
 from gn0.bench.schedule import Schedule
 from gn0.bench.worker_messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
 from gn0.errors import BenchError, ConfigError, PolicyError
+from gn0.jobs import ExecutorName
 from gn0.locked_folder import check_room, lock_folder
 from gn0.missions.episode import Episode
 from gn0.plugins import SECRETS, import_plugins

@@ -35,7 +35,7 @@ BATCH = 8  # views rendered in one call
 
 INK, PAPER, MUTED = (238, 240, 243), (18, 21, 26), (150, 158, 170)
 GOOD, BAD, TRAIL, PLAN = (80, 200, 130), (240, 110, 90), (255, 176, 59), (140, 190, 255)
-_WORDS = {-1: "teleport", 0: "stop", 1: "forward", 2: "turn left", 3: "turn right"}
+ACTION_WORDS = {-1: "teleport", 0: "stop", 1: "forward", 2: "turn left", 3: "turn right"}
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _render_views(scene: ClipScene, poses: Sequence[tuple[float, float, float]])
 def _caption(index: int, trace: EpisodeTrace, hits: set[int], result: EpisodeResult | None) -> str:
     text = f"step {index} of {len(trace.actions)}"
     if index > 0:
-        text += f" · {_WORDS.get(trace.actions[index - 1], '?')}"
+        text += f" · {ACTION_WORDS.get(trace.actions[index - 1], '?')}"
         if index - 1 in hits:
             text += " (cut short by an obstacle)"
     if result is not None and result.metrics is not None:

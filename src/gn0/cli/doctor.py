@@ -41,6 +41,7 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
     """(name, finding, mark) lines, and whether everything needed is here."""
     from gn0 import __version__
     from gn0.cli.doctor_gpu import examine_gpu
+    from gn0.jobs.process import count_cores
     from gn0.render.open import choose_backend
 
     rows: list[tuple[str, str, str]] = [
@@ -48,7 +49,7 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
         ("python", f"{platform.python_version()} at {sys.executable}", "✓"),
         (
             "machine",
-            f"{platform.system()} {platform.machine()}, {_cores()} cores, {_memory()}",
+            f"{platform.system()} {platform.machine()}, {count_cores()} cores, {_memory()}",
             "✓",
         ),
     ]
@@ -119,12 +120,6 @@ def _required() -> list[str]:
     extras = [line for line in lines if "extra ==" in line]
     optional = {re.split(r"[\s;<>=!~\[]", line)[0] for line in extras}
     return [name for name in names if name not in optional]
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _memory() -> str:

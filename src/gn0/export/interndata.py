@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.data.lerobot_schema import count_columns
 from gn0.errors import ConfigError, FormatError
 from gn0.export.cameras import (
     camera_height,
@@ -36,7 +37,6 @@ from gn0.export.lerobot21 import (
     describe_features,
     encode_columns,
     episode_path,
-    index_columns,
     load_columns,
     load_episode_lines,
     write_meta,
@@ -131,7 +131,7 @@ class ExporterInternData(OwnPoses):
             columns[f"goal.{name}"] = goals
             columns[f"relative_goal_frame_id.{name}"] = ahead
             seen += int((ahead >= 0).sum())
-        columns |= index_columns(
+        columns |= count_columns(
             length, job.settings.fps or FPS, index, place.scene_first_frame, index
         )
         job.shelf.put(episode_path(folder, index), encode_columns(columns))

@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from gn0.data.lerobot_schema import count_columns
 from gn0.errors import FormatError
 from gn0.export.faults import Faults, encode_lines, load_lines, load_typed
 from gn0.missions.episode_files import read_table
@@ -85,20 +86,6 @@ class MetaEpisode:
 def episode_path(folder: Path, index: int, chunk: int = CHUNK) -> Path:
     """The table of an episode."""
     return folder / DATA_PATH.format(episode_chunk=index // chunk, episode_index=index)
-
-
-def index_columns(
-    length: int, fps: float, episode: int, first: int, task: int
-) -> dict[str, NDArray[Any]]:
-    """The five columns that every table has."""
-    frames = np.arange(length, dtype=np.int64)
-    return {
-        "timestamp": (frames / fps).astype(np.float32),
-        "frame_index": frames,
-        "episode_index": np.full(length, episode, np.int64),
-        "index": frames + first,
-        "task_index": np.full(length, task, np.int64),
-    }
 
 
 def describe_features(columns: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, Any]]:
@@ -283,7 +270,7 @@ def _check_table(folder: Path, line: EpisodeLine, info: Info, first: int, faults
         faults.expect(
             count == line.length, f"{path}: {count} frames, episodes.jsonl says {line.length}"
         )
-        wanted = index_columns(count, info.fps, line.episode_index, first, 0)
+        wanted = count_columns(count, info.fps, line.episode_index, first, 0)
         for name in ("timestamp", "frame_index", "episode_index", "index"):
             same = np.allclose(columns[name], wanted[name], rtol=0, atol=1e-4)
             faults.expect(bool(same), f"{path}: column {name!r} does not count on")

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from gn0.data.lerobot_schema import count_columns
 from gn0.errors import FormatError, Gn0Error
 from gn0.export.cameras import camera_height, from_mounted, intrinsics, mount, mounted_poses
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
@@ -32,7 +33,6 @@ from gn0.export.lerobot21 import (
     describe_features,
     encode_columns,
     episode_path,
-    index_columns,
     load_columns,
     load_episode_lines,
     write_meta,
@@ -132,7 +132,7 @@ class ExporterNavDp(OwnPoses):
             "observation.camera_extrinsic": np.tile(mount(height, pitch), (count, 1, 1)),
             "action": mounted_poses(poses, height, pitch),
         }
-        columns |= index_columns(count, settings.fps or FPS, index, place.scene_first_frame, index)
+        columns |= count_columns(count, settings.fps or FPS, index, place.scene_first_frame, index)
         job.shelf.put(episode_path(folder, index, CHUNK), encode_columns(columns))
         return {
             "gn0": name_of(trip),

@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.data.lerobot_schema import count_columns
 from gn0.errors import ConfigError, FormatError
 from gn0.export.cameras import camera_height, cos_sin
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
@@ -33,7 +34,6 @@ from gn0.export.lerobot21 import (
     describe_features,
     encode_columns,
     episode_path,
-    index_columns,
     load_columns,
     write_meta,
 )
@@ -164,7 +164,7 @@ class ExporterVlnPe(OwnPoses):
             job.shelf.adopt(_stack_path(folder, name, index))
         height = camera_height(preset, source.preset, trip.episode.agent)
         columns = _columns(trip, height, math.radians(preset.pitch_degrees))
-        columns |= index_columns(
+        columns |= count_columns(
             trip.frames, settings.fps or FPS, index, place.scene_first_frame, index
         )
         job.shelf.put(episode_path(folder, index), encode_columns(columns))

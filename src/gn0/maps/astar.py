@@ -232,12 +232,3 @@ class PlannerAstar:
                 remedy="choose both in the same connected region",
             )
         return GridPath(_walk_back(self._came, width, a, b), float(cost), int(expanded))
-
-
-def plan_astar(grid: OccupancyGrid, start: tuple[int, int], goal: tuple[int, int]) -> GridPath:
-    """The cheapest path between two cells of a grid; for many queries keep a `PlannerAstar`.
-
-    Raises:
-        PlanError: start or goal is blocked or outside, or no path joins them.
-    """
-    return PlannerAstar(grid).plan(start, goal)

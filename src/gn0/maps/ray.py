@@ -204,10 +204,3 @@ def cast_rays(
     v = min(max((y - blocked.origin[1]) / s, -_FAR), _FAR)
     cast_rays_cells(blocked.blocked, u, v, directions, float(max_range) / s, out)
     return (out * s).astype(np.float32)
-
-
-def cast_ray(
-    blocked: OccupancyGrid, x: float, y: float, angle: float, max_range: float = 10.0
-) -> float:
-    """Distance [m] along one ray to the first blocked cell; see `cast_rays`."""
-    return float(cast_rays(blocked, x, y, np.array([angle]), max_range)[0])

@@ -120,7 +120,7 @@ class Likeness:
             beside = s.names[i]
             if not s.usable[i] or s.in_room[int(s.room_of[i]), beside] > 1:
                 continue
-            if _clash(beside, name) or beside in taken:
+            if names_clash(beside, name) or beside in taken:
                 continue
             gap = float(self.footprints.gaps(index, [i])[0])
             near.append((round(gap, 6), beside))
@@ -129,7 +129,7 @@ class Likeness:
         return words, alike
 
 
-def _clash(a: str, b: str) -> bool:
+def names_clash(a: str, b: str) -> bool:
     """Whether one name would be taken for the other: equal, or one within the other."""
     x, y = f" {a} ", f" {b} "
     return x in y or y in x

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.config import Config
-from gn0.geometry import F64
 from gn0.jit import njit
 from gn0.missions.paths import resample_path
 from gn0.paper import FRECHET, GOAL_RADIUS, START_RADIUS
@@ -151,11 +150,3 @@ class KnownPaths:
         self._ends[self._count] = (*sampled[0], *sampled[-1])
         self._signatures.setdefault(path_signature(points), self._count)
         self._count += 1
-
-
-def known_paths(paths: list[F64], samples: int) -> KnownPaths:
-    """Known paths, filled with these [N, 2] m."""
-    known = KnownPaths(samples)
-    for path in paths:
-        known.add(path)
-    return known

@@ -49,12 +49,6 @@ class Charts:
     def __len__(self) -> int:
         return len(self.origin)
 
-    def chart_of_face(self, count: int) -> NDArray[np.int32]:
-        """Chart index of each of the mesh's `count` faces; −1 for degenerate ones."""
-        chart = np.full(count, -1, np.int32)
-        chart[self.faces] = np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.start))
-        return chart
-
 
 def build_charts(mesh: SceneMesh, max_angle: float = 25.0) -> Charts:
     """Cut a mesh into charts.

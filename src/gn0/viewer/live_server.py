@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import gzip
 import io
-import ipaddress
 import logging
 import secrets
 import socket
@@ -24,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
 from gn0.errors import ConfigError, StorageError
+from gn0.loopback import is_loopback
 
 if TYPE_CHECKING:
     import viser
@@ -142,16 +142,6 @@ def need_viser() -> Any:
             remedy="pip install -e '.[view]'",
         ) from None
     return viser
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach that address."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def find_port(host: str, port: int) -> int:

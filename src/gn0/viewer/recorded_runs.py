@@ -13,6 +13,7 @@ from pathlib import Path
 from gn0.bench.metrics import METRICS
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import EpisodeResult, EpisodeTrace
+from gn0.bench.video import ACTION_WORDS
 from gn0.errors import BenchError, brief
 from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode
@@ -25,7 +26,6 @@ COLOURS = (
     (214, 64, 40), (40, 110, 220), (240, 170, 30), (130, 60, 160), (20, 150, 140), (120, 120, 130),
     (230, 110, 160), (110, 80, 50),
 )  # fmt: skip
-WORDS = {-1: "teleport", 0: "stop", 1: "forward", 2: "turn left", 3: "turn right"}
 _SHOWN = ("SPL", "NE_geo", "OS", "TL", "steps", "collision_rate")
 
 
@@ -105,7 +105,7 @@ class Replay:
             return "start"
         if step > len(trace.actions):
             return "ended"
-        return WORDS.get(trace.actions[step - 1], "moves") + (
+        return ACTION_WORDS.get(trace.actions[step - 1], "moves") + (
             ", bump" if self.bumped(run, episode, step) else ""
         )
 

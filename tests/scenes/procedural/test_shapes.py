@@ -60,7 +60,6 @@ ARGUMENTS: dict[str, dict[str, object]] = {
     "build_radiator": {"width": 1.0},
     "build_counter": {"width": 2.4, "front": WHITE, "top": STEEL},
     "build_wall_units": {"width": 1.2, "front": WHITE},
-    "build_kitchen_island": {"width": 1.4, "front": WHITE, "top": STEEL},
     "build_bathtub": {"length": 1.7},
     "build_pendant": {"drop": 0.9},
     "build_dishwasher": {"front": WHITE, "metal": STEEL},

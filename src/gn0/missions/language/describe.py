@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError
 from gn0.geometry import F64, wrap_angle
-from gn0.missions.alike import GoalWords, fits_name, likeness_of, rooms_like
+from gn0.missions.alike import GoalWords, fits_name, likeness_of, names_clash, rooms_like
 from gn0.missions.language.landmarks import Candidate, LandmarkFinder, choose
 from gn0.missions.language.route import NOWHERE, RouteDescription, RouteSegment, RouteTarget
 from gn0.missions.language.segments import Stretch, arc_lengths, point_at, split_path
@@ -284,14 +284,8 @@ def _describe_target(
     )
 
 
-def _clash(a: str, b: str) -> bool:
-    """Whether one name would be taken for the other: equal, or one within the other."""
-    x, y = f" {a} ", f" {b} "
-    return x in y or y in x
-
-
 def _refused(surroundings: Surroundings, goal: RouteTarget) -> frozenset[str]:
-    return frozenset(n for n in surroundings.by_name if _clash(n, goal.name) or n == goal.near)
+    return frozenset(n for n in surroundings.by_name if names_clash(n, goal.name) or n == goal.near)
 
 
 def _pair(point: F64) -> tuple[float, float]:

@@ -7,7 +7,6 @@ whatever goes wrong is a `PolicyError` that says which server did what.
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import os
 import socket
 import struct
@@ -17,6 +16,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from gn0.errors import ConfigError, FormatError, PolicyError
+from gn0.loopback import is_loopback
 from gn0.policies.remote.answers import show
 from gn0.policies.remote.extension import wants_text_keys
 from gn0.policies.remote.wire import REPLY_LIMITS, WireLimits, decode_message, encode_message
@@ -343,16 +343,6 @@ def check_token(token: str) -> str:
             "print(secrets.token_urlsafe())'`",
         )
     return token
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a host name or address is this machine, by name."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def check_url(url: str, token: str) -> tuple[str, int]:

@@ -28,7 +28,8 @@ import numpy as np
 
 from gn0.errors import ConfigError, FormatError, Gn0Error, PolicyError
 from gn0.geometry import U8, world_to_agent, wrap_angle
-from gn0.policies.remote.client import check_token, find_token, is_loopback
+from gn0.loopback import is_loopback
+from gn0.policies.remote.client import check_token, find_token
 from gn0.policies.remote.extension import KEY, build_greeting, read_observation
 from gn0.policies.remote.gate import BYTES_LIMIT, QUEUE_LIMIT, BusyError, Gate
 from gn0.policies.remote.wire import REQUEST_LIMITS, WireLimits, decode_message, encode_message

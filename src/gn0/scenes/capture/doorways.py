@@ -10,7 +10,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.scenes.capture.patches import LevelSample, Patch, find_patches
@@ -125,8 +124,3 @@ def _leaf(
         if float(weight[part].sum()) < _CLOSED * face / 4:
             return None
     return low, high
-
-
-def doorway_centres(doors: tuple[Doorway, ...]) -> NDArray[np.float64]:
-    """Middles (x, y) [N, 2] of doorways."""
-    return np.array([np.add(d.low, d.high) / 2 for d in doors]).reshape(-1, 2)

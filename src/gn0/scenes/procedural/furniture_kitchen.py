@@ -21,7 +21,6 @@ from gn0.scenes.procedural.shapes import (
     build_rod,
     build_tube,
 )
-from gn0.scenes.procedural.shapes_soft import build_drape
 
 COUNTER_HEIGHT, COUNTER_DEPTH = 0.91, 0.62
 DARK_GLASS = plain("dark glass", "glass", "#16181b", contrast=0.3)
@@ -381,37 +380,3 @@ def build_wall_units(
     shapes = [build_box((width, 0.32, height), front, bevel=0.003, at=(0, 0.01, 0))]
     shapes += build_fronts(width, height, 1, n, -0.15, 0.0, front, palette.metal(), vertical=True)
     return Item("cabinet", tuple(shapes))
-
-
-def build_kitchen_island(
-    rng: np.random.Generator, palette: Palette, width: float, front: Material, top: Material
-) -> Item:
-    """A free-standing block with a worktop."""
-    d = 0.75
-    shapes = [
-        build_box((width - 0.06, d - 0.2, 0.86), front, bevel=0.004, at=(0, 0.06, 0.04)),
-        build_box((width, d, 0.04), top, bevel=0.005, at=(0, 0, 0.9)),
-    ]
-    shapes += build_fronts(
-        width - 0.08, 0.8, 1, 3, -d / 2 + 0.16, 0.06, front, palette.metal(), vertical=True
-    )
-    return Item(
-        "kitchen island",
-        tuple(shapes),
-        (Support(-width / 2 + 0.12, width / 2 - 0.12, -d / 2 + 0.12, d / 2 - 0.12, 0.94),),
-    )
-
-
-def build_dish_towel(rng: np.random.Generator, palette: Palette) -> Item:
-    """A towel folded over a bar; the bar is at z = 0, y = 0."""
-    cloth = build_drape(
-        0.03,
-        0.32,
-        (0.34, 0.3, 0, 0),
-        palette.bright(rng, "rug_stripes" if rng.random() < 0.4 else "knit"),
-        rng,
-        ripple=0.006,
-        lift=0.0,
-    )
-    rail = build_rod((-0.22, 0, -0.012), (0.22, 0, -0.012), 0.008, CHROME)
-    return Item("towel", (cloth.moved(yaw=math.pi / 2), rail))

@@ -17,7 +17,6 @@ from gn0.scenes.procedural.shapes import (
     build_cylinder,
     build_lathe,
     build_rod,
-    build_surface,
     build_tube,
 )
 from gn0.scenes.procedural.shapes_soft import build_cushion, build_drape, thicken
@@ -424,9 +423,3 @@ def build_folded(width: float, depth: float, layers: int, material: Material) ->
         build_box((width, depth, 0.035), material, bevel=0.016, round_steps=2, at=(0, 0, k * 0.034))
         for k in range(layers)
     ]
-
-
-def flat_sheet(width: float, depth: float, material: Material) -> Shape:
-    """A thin sheet on z = 0 with uv in metres."""
-    x, y = np.meshgrid([-width / 2, width / 2], [-depth / 2, depth / 2], indexing="ij")
-    return build_surface(np.stack([x, y, np.full_like(x, 0.002)], -1), material)

@@ -8,8 +8,6 @@ import numpy as np
 
 from gn0.scenes.procedural.draft import Colour, Material
 
-WHITE_PAINT = "#f1efea"
-
 
 def linear_colour(code: str) -> Colour:
     """Linear RGB 0..1 of an sRGB colour written "#rrggbb" (IEC 61966-2-1)."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from gn0.geometry import F64
 from gn0.scenes.procedural.draft import Material
-from gn0.scenes.procedural.shapes import Shape, build_surface, make_shape
+from gn0.scenes.procedural.shapes import Shape, build_surface
 
 
 def build_cushion(
@@ -177,11 +177,6 @@ def build_leaf(
     return build_surface(rows, material)
 
 
-def build_leaves(leaves: Sequence[Shape]) -> Shape:
-    """All leaves of a plant as one shape."""
-    return join_shapes(list(leaves))
-
-
 def build_canopy(
     radius: float,
     height: float,
@@ -216,8 +211,3 @@ def build_canopy(
             )
         )
     return join_shapes(leaves)
-
-
-def drop_faces(shape: Shape, keep: np.ndarray) -> Shape:
-    """The faces selected by `keep` [F] only."""
-    return make_shape(shape.vertices, shape.faces[keep], shape.uv[keep], shape.material)

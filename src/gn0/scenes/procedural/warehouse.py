@@ -43,7 +43,6 @@ YARD = 6.4  # depth of the strip before the docks [m]
 CROSS = 1.7  # depth of the cross aisle at the back [m]
 BAY = 2.72  # of a rack [m]
 OFFICE = (4.4, 3.7)  # of the glazed office in the corner [m]
-BREAK = 2.7  # depth of the break area behind it [m]
 PARTITION = 2.5  # height of the office's walls [m]
 
 

@@ -11,13 +11,14 @@ from gn0.seeds import random_stream
 from gn0.testing.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
 
 
+@pytest.mark.parametrize("count", [3_000, pytest.param(10_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", sorted(TARGETS))
-def test_ten_thousand_mutants(name, tmp_path):
-    report = fuzz_reader(find_target(name), count=10_000, seed=2026)
+def test_thousands_of_mutants(name, count):
+    report = fuzz_reader(find_target(name), count=count, seed=2026)
     assert [f"{f.index}: {f.what}" for f in report.faults] == []
     assert report.foreign == 0 and report.hangs == 0
-    assert report.accepted + report.refused == 10_000
-    assert report.accepted > 300, "mutants too wild to reach the decoders"
+    assert report.accepted + report.refused == count
+    assert report.accepted > 0.03 * count, "mutants too wild to reach the decoders"
     assert report.peak_growth_bytes < 64e6
 
 

@@ -21,7 +21,10 @@ from gn0.scenes.procedural.plan import SIZES, FloorPlan, plan_apartment
 from gn0.scenes.scene import SceneObject
 from gn0.storage import content_hash
 
-SEEDS = range(20)
+QUICK = 8  # flats: each takes a second to plan and furnish; the long tests look at the others
+SEEDS = [
+    pytest.param(seed, marks=[pytest.mark.slow] if seed >= QUICK else []) for seed in range(20)
+]
 LARGE = {
     *("sofa", "armchair", "bed", "wardrobe", "dresser", "bookshelf", "cabinet", "tv stand", "desk"),
     *("kitchen counter", "fridge", "toilet", "bathtub", "shower", "washbasin", "washing machine"),
@@ -181,7 +184,7 @@ def test_shell_faces_look_into_the_rooms() -> None:
 def test_flats_are_full_of_things() -> None:
     """At least thirty categories over all flats, twenty-five in each; several lamps in each."""
     every: Counter[str] = Counter()
-    for seed in SEEDS:
+    for seed in range(QUICK):
         draft, plan = flat(seed)
         here = {o.category for o in draft.objects}
         every.update(here)
@@ -192,4 +195,4 @@ def test_flats_are_full_of_things() -> None:
         assert draft.sun is not None and draft.sun.direction[2] < -0.3
     assert len(every) >= 60
     wanted = {"sofa", "bed", "toilet", "fridge", "kitchen counter", "door", "window", "picture"}
-    assert all(every[name] == len(SEEDS) for name in wanted), every
+    assert all(every[name] == QUICK for name in wanted), every

@@ -361,7 +361,8 @@ class RendererBatch:
         """Instances of views, whose poses are on the device only if those of the views are."""
         if isinstance(parts, Sequence) and not parts:
             return None
-        count = 1 if len(np.shape(views)) == 2 else len(views)
+        shape = np.shape(views)
+        count = shape[0] if len(shape) == 3 else 1  # what is no view is told of further on
         if isinstance(parts, PartsDevice) and not isinstance(views, DeviceArray):
             raise RenderError("`parts` on the device need views there", where="parts")
         return self._named.place(parts, count)

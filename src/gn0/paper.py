@@ -2,6 +2,8 @@
 
 What the paper leaves open and we chose is marked "ours". Defaults of settings are taken from here;
 a number that another format demands (`gn0.export`) stands with that format.
+
+What is a rule and no number stands where it is done: docs/architecture.md names the files.
 """
 
 from __future__ import annotations
@@ -27,12 +29,21 @@ POINTS = 13
 SPACING = 0.25
 """m of arc length between points: of a label (l. 1795), and of a reference path (ours)."""
 
+MAP_BINS = 1000
+"""Bins of a map's width and height, a token each: `<0>` to `<999>` (l. 726)."""
+
 HISTORY = 16
 """Earlier views that an agent remembers (l. 706)."""
 
 START_RADIUS, GOAL_RADIUS, FRECHET = 1.0, 1.0, 0.75
 """m: paths whose starts and goals are nearer are compared, and one below that discrete Fréchet
 distance is a duplicate; the rule is the paper's (l. 1481, 1499), the metres are ours."""
+
+HALT_STEPS = 10
+"""Steps near the goal after which a walk without STOP is ended (l. 596)."""
+
+ACTION_SHARES = {STOP: 3.0, FORWARD: 67.0, LEFT: 15.0, RIGHT: 15.0}
+"""Percent of each action in balanced samples (l. 1737)."""
 
 BEV_CUT = 2.3
 """m above the floor from which the bird's-eye view leaves out what is higher (ours)."""

@@ -17,7 +17,7 @@ import pytest
 
 from gn0.cli.main import main
 from gn0.data.collect import build_dagger, describe_summary, sum_up
-from gn0.data.dagger import HALT_STEPS, collect_visited
+from gn0.data.dagger import collect_visited
 from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.expert_labels import LabelSettings, label_states, walk_actions
 from gn0.data.sample_table import EpisodeRows
@@ -25,6 +25,7 @@ from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
 from gn0.errors import ConfigError, DataError, EpisodeError, PolicyError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode, MissionFollow
+from gn0.paper import HALT_STEPS
 from gn0.policies.oracle import PolicyOracle
 from gn0.policies.simple import PolicyRandom, PolicyStraight
 from gn0.scenes.example import build_example_scene

@@ -33,7 +33,7 @@ from gn0.data.dataset import Dataset, open_dataset
 from gn0.errors import DataError, FormatError
 from gn0.geometry import F32, F64
 from gn0.missions.episode_files import read_table
-from gn0.paper import ACTIONS_AHEAD
+from gn0.paper import ACTION_SHARES, ACTIONS_AHEAD
 from gn0.progress import Progress, no_progress
 from gn0.seeds import random_stream
 from gn0.sim.state import Action
@@ -43,7 +43,7 @@ Method = Literal["weights", "selection"]
 BALANCE_FILE, SELECTION_FILE = "balance.json", "selection.parquet"
 BALANCE_LAYOUT = 1
 NAMES = tuple(action.name for action in Action)  # STOP, FORWARD, LEFT, RIGHT: by code
-PAPER = {"STOP": 3.0, "FORWARD": 67.0, "LEFT": 15.0, "RIGHT": 15.0}  # percent
+PAPER = {NAMES[action]: share for action, share in ACTION_SHARES.items()}  # percent
 REPEATS = 10.0  # a weight above this repeats its samples so often that it is said
 _SCHEMA = pa.schema(
     [

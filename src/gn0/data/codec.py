@@ -28,15 +28,14 @@ from numpy.typing import NDArray
 
 from gn0.errors import ConfigError, FormatError
 from gn0.geometry import F32, F64
-from gn0.paper import ACTIONS_AHEAD
+from gn0.paper import ACTIONS_AHEAD, MAP_BINS
 from gn0.sim.sensors import MapFrame
 
-TOKENS = 1000
 ACTION_TOKENS = ("<STOP>", "<FWD>", "<LEFT>", "<RIGHT>")  # in the order of their codes
 ACTION_BEGIN, ACTION_END = "<action>", "</action>"
 ANSWER_LENGTH = 16_384  # characters that are looked at; a whole answer has about 400
 NAVIGATION_TOKENS = (
-    *(f"<{n}>" for n in range(TOKENS)),
+    *(f"<{n}>" for n in range(MAP_BINS)),
     *(ACTION_BEGIN, ACTION_END, "<FWD>", "<LEFT>", "<RIGHT>", "<STOP>"),
 )
 """The 1006 tokens a model learns, the numbers first and without gaps."""
@@ -137,13 +136,13 @@ def encode_pixels(pixels: NDArray[np.floating], size: tuple[int, int]) -> I16:
         pixels: (x, y).
         size: (width, height) [px].
     """
-    scaled = np.asarray(pixels, np.float64) / np.array(size, np.float64) * TOKENS
-    return np.clip(np.floor(scaled + 0.5), 0, TOKENS - 1).astype(np.int16)
+    scaled = np.asarray(pixels, np.float64) / np.array(size, np.float64) * MAP_BINS
+    return np.clip(np.floor(scaled + 0.5), 0, MAP_BINS - 1).astype(np.int16)
 
 
 def decode_pixels(tokens: NDArray[np.integer], size: tuple[int, int]) -> F64:
     """Picture coordinates [..., 2] px of map tokens, not rounded to pixels."""
-    return np.asarray(tokens, np.float64) / TOKENS * np.array(size, np.float64)
+    return np.asarray(tokens, np.float64) / MAP_BINS * np.array(size, np.float64)
 
 
 def encode_waypoints(
@@ -179,7 +178,7 @@ def token_error(frame: AnyFrame) -> float:
     Half a token in x and in y; at the picture's edge, where tokens are clipped, a whole token or
     half a pixel.
     """
-    worst = [max(size / TOKENS, 0.5) for size in (frame.width, frame.height)]
+    worst = [max(size / MAP_BINS, 0.5) for size in (frame.width, frame.height)]
     return frame.metres_per_pixel * math.hypot(*worst)
 
 
@@ -215,7 +214,7 @@ def write_answer(
     text = f'{{"vlnce":"{ACTION_BEGIN}{spoken}{ACTION_END}"'
     if tokens is not None:
         pairs = [(int(x), int(y)) for x, y in tokens]
-        if not pairs or not all(0 <= v < TOKENS for pair in pairs for v in pair):
+        if not pairs or not all(0 <= v < MAP_BINS for pair in pairs for v in pair):
             raise ConfigError(f"map tokens {pairs} are none", remedy="give pairs of 0 to 999")
         text += ',"pixel":"[' + ",".join(f"[<{x}>,<{y}>]" for x, y in pairs) + ']"'
     return text + "}"
@@ -301,7 +300,11 @@ def _read_pairs(pixel: Any) -> tuple[tuple[int, int], ...] | None:
         if not (isinstance(pair, list) and len(pair) == 2):
             return None
         x, y = pair
-        if type(x) is not int or type(y) is not int or not (0 <= x < TOKENS and 0 <= y < TOKENS):
+        if (
+            type(x) is not int
+            or type(y) is not int
+            or not (0 <= x < MAP_BINS and 0 <= y < MAP_BINS)
+        ):
             return None
         pairs.append((x, y))
     return tuple(pairs)

@@ -13,7 +13,7 @@ from gn0.data.dagger import check_options
 from gn0.data.dataset import Dataset
 from gn0.data.settings import BuildSettings, DaggerSettings
 from gn0.errors import ConfigError
-from gn0.paper import ACTIONS_AHEAD
+from gn0.paper import ACTIONS_AHEAD, SUCCESS_RADIUS
 from gn0.plugins import SECRETS, get_plugin, import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.sim.state import Action
@@ -94,7 +94,7 @@ def _pin_run(dagger: DaggerSettings) -> DaggerSettings:
 def sum_up(dataset: Dataset) -> DaggerSummary:
     """What a collection holds, counted."""
     dagger = dataset.about.settings.dagger
-    radius = dagger.success_radius if dagger is not None else 3.0
+    radius = dagger.success_radius if dagger is not None else SUCCESS_RADIUS
     counts = dict.fromkeys(("states", "agreed", "collided", "wrong", "missed", "arrived"), 0)
     episodes = 0
     for part in dataset.about.parts:

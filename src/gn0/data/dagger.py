@@ -36,7 +36,7 @@ from gn0.errors import ConfigError, EpisodeError, Gn0Error, PolicyError, SimErro
 from gn0.geometry import F32, F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.missions.episode import Episode, MissionFollow
-from gn0.paper import ACTIONS_AHEAD, POINTS, SPACING
+from gn0.paper import ACTIONS_AHEAD, HALT_STEPS, POINTS, SPACING
 from gn0.seeds import random_stream
 from gn0.sim.kinematics import Heading
 from gn0.sim.policy import Policy
@@ -44,7 +44,6 @@ from gn0.sim.rollout import begin_episode
 from gn0.sim.simulator import Simulator, action_code
 from gn0.sim.state import Action, Displacement, Observation, Teleport
 
-HALT_STEPS = 10
 ZONE_SHARE, ZONE_LEAST, ZONE_MOST = 0.2, 1.0, 3.0  # of the path's length; m
 _SAME = 1e-6  # m or rad between where a plan expects the agent and where it is
 

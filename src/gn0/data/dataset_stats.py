@@ -22,11 +22,17 @@ from gn0.data.dataset import Dataset
 from gn0.geometry import F64
 from gn0.maps.grid import FREE
 from gn0.missions.episode import Episode, MissionFollow, MissionGoal, MissionInstruction
+from gn0.paper import ACTION_SHARES, FORWARD, LEFT, RIGHT, STOP
 from gn0.progress import Progress, no_progress
 from gn0.suites.generation_folder import MANIFEST, Manifest
 
 ACTION_NAMES = ("stop", "forward", "left", "right")
-PAPER_SHARES = {"forward": 67.0, "left": 15.0, "right": 15.0, "stop": 3.0}  # %, after balancing
+_PAPER_SHARES = {  # %, after balancing
+    "forward": ACTION_SHARES[FORWARD],
+    "left": ACTION_SHARES[LEFT],
+    "right": ACTION_SHARES[RIGHT],
+    "stop": ACTION_SHARES[STOP],
+}
 TURN = math.radians(30)  # least change of heading, summed over a turn on the spot, that counts
 BALANCE_FILE = "balance.json"
 _WORD = re.compile(r"[a-z]+(?:'[a-z]+)?")
@@ -327,7 +333,7 @@ def _collect(dataset: Dataset, tally: _Tally, scenes: Sequence[SceneStats]) -> D
         categories=_ordered(Counter(goals)),
         actions=shares,
         balanced=_read_balance(dataset.folder),
-        paper=PAPER_SHARES,
+        paper=_PAPER_SHARES,
         words=spread_of([len(text) for text in words], whole=True),
         vocabulary=len(seen),
         texts=len(set(texts)),

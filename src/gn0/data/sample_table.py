@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from gn0.errors import FormatError
 from gn0.geometry import F32, F64
 from gn0.missions.episode_files import read_table
-from gn0.paper import ACTIONS_AHEAD, POINTS
+from gn0.paper import ACTIONS_AHEAD, MAP_BINS, POINTS
 from gn0.storage import content_hash
 
 SAMPLE_LAYOUT = 1  # of the table below; raise it when a column changes its name or meaning
-TOKENS = 1000  # map tokens run from 0 to 999
 PICTURES = ("rgb", "history", "bev", "occupancy")  # hashed, in the order of their columns
 DEPTH = "depth"  # hashed as well where a dataset stores it, in a column behind all others
 NO_TOKEN = -1  # of a table without map tokens
@@ -285,7 +284,7 @@ def _check_values(table: pa.Table, path: Path | str) -> None:
         bad = (codes < 0) | (codes > 3)
         refuse("policy_actions", np.array([bad.any()]), "or a later one holds no action: 0 to 3")
     pixels = _column(table, "pixels")
-    refuse("pixels", (pixels < NO_TOKEN) | (pixels >= TOKENS), f"is outside 0 to {TOKENS - 1}")
+    refuse("pixels", (pixels < NO_TOKEN) | (pixels >= MAP_BINS), f"is outside 0 to {MAP_BINS - 1}")
     valid = _column(table, "valid")
     refuse("valid", (valid < 1) | (valid > POINTS), f"is outside 1 to {POINTS}")
     source = _column(table, "source")

@@ -11,6 +11,7 @@ from gn0.data.codec import AnyFrame, EgoFrame
 from gn0.data.expert_labels import LabelSettings
 from gn0.errors import ConfigError
 from gn0.maps.grid import OccupancyGrid
+from gn0.paper import SUCCESS_RADIUS
 from gn0.sim.sensors import MapFrame
 
 CacheLayout = Literal["webdataset", "lerobot", "none"]
@@ -119,7 +120,7 @@ class DaggerSettings(Config, frozen=True):
     schedule: Schedule = "constant"
     iteration: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
     halting: Halting = "paper"
-    success_radius: Annotated[float, msgspec.Meta(gt=0, le=100)] = 3.0
+    success_radius: Annotated[float, msgspec.Meta(gt=0, le=100)] = SUCCESS_RADIUS
     map_mode: Literal["prior", "explored", "none"] = "prior"
     max_steps: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 500
     seed: int = 0

@@ -135,7 +135,7 @@ def test_the_systems_library_is_found_by_name(fake_path: Path) -> None:
 def test_looking_imports_little() -> None:
     """Nothing but the protocol is imported before a driver is seen."""
     code = (
-        "import sys; from gn0.render.renderer import choose_backend; choose_backend();"
+        "import sys; from gn0.render.open import choose_backend; choose_backend();"
         "print([m for m in ('numba', 'torch', 'gn0.device.nvrtc') if m in sys.modules])"
     )
     env = {**os.environ, "GN0_DEVICE": "none"}

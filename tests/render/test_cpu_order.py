@@ -113,3 +113,20 @@ def test_one_tie_anywhere_in_a_long_list_is_in_index_order(at: int) -> None:
         want = mine[np.lexsort((indices[mine], records[mine, DEPTH]))]
         sort_tile(keys, mine, np.empty_like(keys), np.empty_like(mine), indices, records, False)
         assert (mine == want).all()
+
+
+@pytest.mark.parametrize("n", [1023, 1024, 2399, 2400, 9000])
+@pytest.mark.parametrize("depths", [1, 7, 300, 10**7])
+def test_long_lists_are_sorted_by_depth_then_index(n: int, depths: int) -> None:
+    """Their digits are wider; ties are few, in runs of hundreds, or all there is."""
+    stream = np.random.default_rng(n)
+    records = np.zeros((n, RECORD), np.float32)
+    records[:, DEPTH] = 0.05 + stream.integers(0, depths, n) * np.float32(0.013)
+    indices = stream.permutation(n).astype(np.uint32)
+    for rows in (stream.permutation(n).astype(np.int32), np.argsort(-indices.astype(np.int64))):
+        mine = rows.astype(np.int32)
+        keys = np.ascontiguousarray(records[mine, DEPTH]).view(np.uint32)
+        want = mine[np.lexsort((indices[mine], records[mine, DEPTH]))]
+        sort_tile(keys, mine, np.empty_like(keys), np.empty_like(mine), indices, records, False)
+        assert (mine == want).all()
+        assert (keys == records[mine, DEPTH].view(np.uint32)).all()

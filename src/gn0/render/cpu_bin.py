@@ -14,8 +14,9 @@ from gn0.render.cpu_pack import CHUNK
 from gn0.render.cpu_project import DEPTH
 
 BLOCKS = 16  # blocks a cloud: enough for any core count in use, few enough to scan
-_DIGIT = 9  # bits a radix pass
-_BINS = 1 << _DIGIT
+_DIGIT, _DIGIT_LONG, _DIGIT_LONGEST = 9, 12, 13  # most bits a radix pass, by the list's length
+_LONG, _LONGEST = 1024, 2400
+_BLOCK = 64  # entries looked at for ties at once
 _SMALL = 24  # lists this short are sorted by insertion
 
 
@@ -74,7 +75,7 @@ def sort_tile(keys, rows, spare_keys, spare_rows, indices, records, ordered):  #
                 j -= 1
             keys[j + 1], rows[j + 1] = key, row
         return
-    bins = np.empty(_BINS, np.int32)
+    bins = np.empty(1 << _DIGIT_LONGEST, np.int32)
     _sort_radix(keys, rows, spare_keys, spare_rows, bins)
     if ordered:
         return
@@ -94,25 +95,29 @@ def sort_tile(keys, rows, spare_keys, spare_rows, indices, records, ordered):  #
 
 @njit
 def _sort_runs(keys, rows, indices):  # type: ignore[no-untyped-def]
-    """Put rows of equal keys in the order of their indices; False if a run was too long for that.
+    """Put rows of equal keys in the order of their indices; False if that would take too long.
 
     In a list that is sorted by depth, runs of one depth are nearly always of two or three.
     """
     n = keys.shape[0]
-    start = 0
-    for end in range(1, n + 1):
-        if end < n and keys[end] == keys[start]:
+    patience = 8 * n
+    for block in range(1, n, _BLOCK):
+        end = min(block + _BLOCK, n)
+        tied = False
+        for i in range(block, end):
+            tied |= keys[i] == keys[i - 1]
+        if not tied:
             continue
-        if end - start > _SMALL:
-            return False
-        for i in range(start + 1, end):
-            row = rows[i]
+        for i in range(block, end):
+            key, row = keys[i], rows[i]
             j = i - 1
-            while j >= start and indices[rows[j]] > indices[row]:
+            while j >= 0 and keys[j] == key and indices[rows[j]] > indices[row]:
                 rows[j + 1] = rows[j]
                 j -= 1
             rows[j + 1] = row
-        start = end
+            patience -= i - 1 - j
+        if patience < 0:
+            return False
     return True
 
 
@@ -124,28 +129,34 @@ def _sort_radix(keys, rows, spare_keys, spare_rows, bins):  # type: ignore[no-un
         low, high = min(low, keys[i]), max(high, keys[i])
     span = np.uint32(high - low)
     from_keys, from_rows, to_keys, to_rows = keys, rows, spare_keys, spare_rows
-    shift = np.uint32(0)
-    passes = 0
-    while shift < 32 and (span >> shift) > 0:
-        bins[:] = 0
+    bits = 0
+    while bits < 32 and (span >> np.uint32(bits)) > 0:
+        bits += 1
+    # a pass costs its entries and its bins: long lists take few passes, and two need no copy back
+    widest = _DIGIT if n < _LONG else _DIGIT_LONG if n < _LONGEST else _DIGIT_LONGEST
+    passes = (bits + widest - 1) // widest
+    digit = (bits + passes - 1) // max(passes, 1)
+    size = 1 << digit
+    mask = np.uint32(size - 1)
+    for turn in range(passes):
+        shift = np.uint32(turn * digit)
+        bins[:size] = 0
         for i in range(n):
-            bins[((from_keys[i] - low) >> shift) & np.uint32(_BINS - 1)] += 1
+            bins[((from_keys[i] - low) >> shift) & mask] += 1
         total = 0
-        for d in range(_BINS):
+        for d in range(size):
             count = bins[d]
             bins[d] = total
             total += count
         for i in range(n):
             key = from_keys[i]
-            d = ((key - low) >> shift) & np.uint32(_BINS - 1)
+            d = ((key - low) >> shift) & mask
             place = bins[d]
             bins[d] = place + 1
             to_keys[place] = key
             to_rows[place] = from_rows[i]
         from_keys, to_keys = to_keys, from_keys
         from_rows, to_rows = to_rows, from_rows
-        shift = np.uint32(shift + _DIGIT)
-        passes += 1
     if passes % 2 == 1:
         keys[:] = spare_keys
         rows[:] = spare_rows

@@ -6,28 +6,21 @@ the call before has not drawn. Ratios are medians over rounds in which all took 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from gn0.figures.agreement import OPTIONS, compare_pictures
 from gn0.figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0.figures.device import Contender, interleave, median
-from gn0.figures.device_rates import WALK
 from gn0.figures.device_table import BATCHES, OUTPUTS, Bench
-from gn0.figures.flat import flat_camera, flat_floor
+from gn0.figures.flat import flat_camera
 from gn0.figures.moving import GAIN, build_ball, pose_ahead
 from gn0.gaussians.cloud import join_clouds
 from gn0.geometry import F64
-from gn0.maps.navigation import NavigationMap
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.instance import Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderResult
 from gn0.seeds import random_stream
-from gn0.sim.device_env import VectorEnvDevice
-from gn0.sim.motion import PartPath, PathMotion
-from gn0.testing.scenes import build_map_scene, build_point_episodes
 
 SHARES = {1: 0.90, 4: 0.75, 8: 0.60}  # of the rate without instances, at least
 UNSEEN = 0.01  # of the time without, at most, for an instance that no view sees
@@ -100,88 +93,24 @@ def measure_parts(ctx: FigureContext) -> list[FigureRow]:
     detail = f"{scene.name}, visible sets, {views} views of {pixels}x{pixels} RGB-D and instances"
     detail += f" of {size:,} splats with gains, poses on the device; medians: {spent}"
     detail += f"; {len(times['none'])} rounds by turns, medians of their ratios"
-    _report(bench, "views", "frames/s", views, times, detail)
-    for degree in (0, 3):
-        _measure_agreement(bench, degree)
-    return bench.rows
-
-
-def _report(
-    bench: Bench, what: str, unit: str, many: int, times: dict[str, list[float]], detail: str
-) -> None:
-    """How often `many` views or steps are done a second, and what is left of it with instances."""
     none = np.array(times["none"])
-    rate = many / median(times["none"]) * 1e3
-    name = f"{what} a second, no instances"
-    bench.add(FigureRow(name=name, value=rate, unit=unit, detail=detail))
+    rate = views / median(times["none"]) * 1e3
+    bench.add(FigureRow(name="no instances", value=rate, unit="frames/s", detail=detail))
     for count, least in SHARES.items():
-        if str(count) not in times:
-            continue
         share = float(np.median(none / np.array(times[str(count)])))
-        name = f"{what} a second with {count} instance{'s' * (count > 1)} a scene over that without"
+        name = f"rate with {count} instance{'s' * (count > 1)} a scene over that without"
         if bench.tiny:
             bench.add(FigureRow(name=name, value=share, unit="times", detail=detail))
         else:
             bench.add(row_at_least(name, share, least, "times", detail))
     cost = float(np.median(np.array(times["unseen"]) / none)) - 1.0
-    name = f"time of {what} that an instance takes which none sees"
+    name = "time that an instance takes which no view sees"
     if bench.tiny:
         bench.add(FigureRow(name=name, value=100 * cost, unit="%", detail=detail))
     else:
         bench.add(row_at_most(name, 100 * cost, 100 * UNSEEN, "%", detail))
-
-
-def measure_steps(ctx: FigureContext) -> list[FigureRow]:
-    """Agent-steps a second of a simulation on the device in which something moves."""
-    bench = Bench(ctx)
-    agents, steps, size = (1, 1, 200) if bench.tiny else (1024, 24, 10_000)
-    found, device = bench.flat(1_000_000, 0), bench.device
-    scene = replace(
-        build_map_scene(flat_floor(0.0), "flat"),
-        load_cloud=lambda: found.cloud,
-        cloud_hash=found.cloud.content_hash,
-    )
-    plan = NavigationMap(scene.grid, 0.2)
-    episodes = build_point_episodes(scene, plan, 4 if bench.tiny else 200)
-    ball = {_NAME: build_ball(size, 1, size=0.012)}
-
-    def walk(count: int, away: float) -> PathMotion:
-        """Balls that go from place to place, back and forth."""
-        poses = np.stack([_walk(bench, count, turn) for turn in (0, 1, 0)], axis=1)
-        poses[:, :, 2, 3] += away
-        times = np.array([0.0, 8.0, 16.0])
-        return PathMotion(ball, [PartPath(_NAME, times, one, GAIN, repeats=True) for one in poses])
-
-    asked = {"none": (0, 0.0), "unseen": (1, 500.0)} | {str(n): (n, 0.0) for n in SHARES}
-    drawn = random_stream(0, "figure actions").choice(4, (steps, agents), p=WALK)
-    actions = device.upload(drawn.astype(np.int64))
-    contenders: dict[str, Contender] = {}
-    for name, (count, away) in asked.items():
-        if bench.tiny and count > 1:
-            continue  # pictures of 224x224: too much for an emulation
-        env = VectorEnvDevice(
-            *(agents, scene),
-            episodes=episodes,
-            device=device,
-            sensors=("rgb", "depth", "goal_vector"),
-            preset="rgbd_224",
-            visible_sets=not bench.tiny,
-            motions={"flat": walk(count, away)} if count else None,
-        )
-        env.reset(seed=0)
-
-        def step(turn: int, env: VectorEnvDevice = env) -> None:
-            for t in range(steps):
-                env.step(actions[t])
-
-        contenders[name] = step
-    rounds = 1 if bench.tiny else 8
-    times = interleave(device, contenders, rounds, warm=bench.warm)
-    spent = ", ".join(f"{name} {median(taken):.4g} ms" for name, taken in times.items())
-    detail = f"{found.name}, {'full set' if bench.tiny else 'visible sets'}, {agents} agents, RGB-D"
-    detail += f" of 224x224, balls of {size:,} splats with gains that go about; random walk, "
-    detail += f"autoresets included; medians of {rounds} rounds of {steps} steps by turns: {spent}"
-    _report(bench, "agent-steps", "1/s", steps * agents, times, detail)
+    for degree in (0, 3):
+        _measure_agreement(bench, degree)
     return bench.rows
 
 
@@ -239,9 +168,5 @@ def _bytes_of(result: RenderResult) -> list[bytes]:
 
 
 FIGURES = [
-    Figure("render.cuda.parts", "CUDA renderer: moving parts", measure_parts, 1.5, backend="cuda"),
-    Figure(
-        *("render.cuda.steps", "CUDA: steps a second where something moves", measure_steps, 1.5),
-        backend="cuda",
-    ),
+    Figure("render.cuda.parts", "CUDA renderer: moving parts", measure_parts, 1.5, backend="cuda")
 ]

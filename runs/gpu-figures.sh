@@ -105,7 +105,7 @@ print("Python", sys.version.split()[0], *(f"{m.__name__} {m.__version__}" for m 
 print("missing, and not needed:", [n for n in good.split() if not util.find_spec(n)] or "nothing")
 from gn0.figures.catalogue import all_figures, left_out
 print(len(all_figures()), "figures; left out:", left_out() or "none")
-from gn0.render.renderer import choose_backend
+from gn0.render.open import choose_backend
 print("renderer:", *choose_backend("auto"))
 END
       ;;

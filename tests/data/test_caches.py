@@ -62,9 +62,9 @@ def test_missions_of_one_path_are_drawn_once(webdataset, monkeypatch) -> None:
     counted = []
     look_many = SensorSuite.look_many
 
-    def count(self, poses, wanted):
+    def count(self, poses, *more):
         counted.append(len(poses))
-        return look_many(self, poses, wanted)
+        return look_many(self, poses, *more)
 
     monkeypatch.setattr(SensorSuite, "look_many", count)
     steps = list(PartDrawer(webdataset, blocks, PictureSettings()).steps())

@@ -152,6 +152,7 @@ def measure_parts(ctx: FigureContext) -> list[FigureRow]:
         ctx.progress("render.parts", turn, _ROUNDS + 1)
         for v in range(_VIEWS):
             for name, draw in contenders.items():
+                draw(v)  # caches as the contender before leaves them would be another's
                 start = time.perf_counter()
                 draw(v)
                 spent[name][turn, v] = time.perf_counter() - start

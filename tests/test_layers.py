@@ -93,12 +93,11 @@ def circles() -> list[set[str]]:
 
 
 def test_files_in_a_circle_are_one_idea() -> None:
-    """At most three circles, each of one room."""
+    """At most two circles, both of the device and its driver."""
     found = circles()
-    assert len(found) <= 3, found
+    assert len(found) <= 2, found
     for circle in found:
-        assert {name.split(".")[0] for name in circle} <= {"device", "render"}, circle
-        assert len({name.split(".")[0] for name in circle}) == 1, circle
+        assert {name.split(".")[0] for name in circle} == {"device"}, circle
 
 
 def torch_stays_in_its_rooms(path: Path) -> None:

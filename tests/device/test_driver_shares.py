@@ -17,9 +17,9 @@ from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.depth import to_millimetres
+from gn0.render.encoding import Encode
 from gn0.render.renderer import DrawnScene
 from gn0.render.share.client import DrawConnection, RendererShared
-from gn0.render.share.messages import Encode
 from gn0.render.share.server import Server, open_listener
 from gn0.testing.check_renderer import random_cloud
 

@@ -13,8 +13,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, EXTENT, FIELDS, LOG_OPACITY, REACH, pack_cloud
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.pack import cloud_bytes, upload_cloud
-from gn0.render.cuda.renderer import RendererCuda
-from gn0.render.cuda.visible import RendererVisibleCuda
+from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.visible import RendererVisible
 from gn0.render.visible_places import VisibleOptions
 from gn0.testing.check_renderer import random_cloud

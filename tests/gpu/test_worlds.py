@@ -8,8 +8,7 @@ import pytest
 from gn0.figures.device_scenes import flat_scene
 from gn0.figures.flat import flat_camera
 from gn0.maps.navigation import NavigationMap
-from gn0.render.cuda.renderer import RendererCuda
-from gn0.render.cuda.visible import RendererVisibleCuda
+from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.visible_places import VisibleOptions
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.vector import VectorEnv

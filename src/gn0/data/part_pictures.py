@@ -30,10 +30,10 @@ from gn0.data.settings import PictureSettings
 from gn0.errors import DataError
 from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import Episode, MissionGoal
+from gn0.render.encoding import MapPicture
 from gn0.render.light import LightCondition
 from gn0.render.renderer import DrawnScene
 from gn0.render.share.client import DrawConnection, RendererShared
-from gn0.render.share.messages import MapPicture
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import SensorSuite, paint_grid
 from gn0.storage import RowDigest, content_hash, safe_join

@@ -20,10 +20,10 @@ from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.camera import Camera
+from gn0.render.encoding import Dots, Encode, MapPicture
 from gn0.render.light import LightCondition
 from gn0.render.open import visible_backend
 from gn0.render.renderer import DrawnScene, Encoder, Output
-from gn0.render.share.messages import Dots, Encode, MapPicture
 from gn0.scenes.scene import Scene
 from gn0.sim.history import (
     COLUMNS,

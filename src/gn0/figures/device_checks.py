@@ -34,8 +34,7 @@ from gn0.figures.device_table import OUTPUTS, Bench
 from gn0.figures.flat import flat_camera
 from gn0.figures.rival import rival_version
 from gn0.render.cpu import RendererCpu
-from gn0.render.cuda.renderer import RendererCuda
-from gn0.render.cuda.visible import RendererVisibleCuda
+from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.gsplat import memory_peak, release_memory
 from gn0.render.renderer import RenderOptions
 from gn0.testing.check_renderer import psnr

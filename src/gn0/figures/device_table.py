@@ -28,8 +28,7 @@ from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
-from gn0.render.cuda.renderer import RendererCuda
-from gn0.render.cuda.visible import RendererVisibleCuda
+from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.gsplat import RendererGsplat, release_memory
 from gn0.render.renderer import Output, RenderOptions
 from gn0.render.visible_places import VisibleOptions

@@ -29,11 +29,10 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.draw import STAGES, Drawer
 from gn0.render.cuda.pack import upload_cloud
-from gn0.render.cuda.renderer import RendererCuda
+from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.cuda.replay import PicturesDevice
 from gn0.render.cuda.stages import time_stages
 from gn0.render.cuda.tune import FEW, MANY, Tuning, choose_tuning
-from gn0.render.cuda.visible import RendererVisibleCuda
 
 _POSES = 4  # different sets of poses, taken in turn
 _BLACK = np.zeros(3, np.float32)

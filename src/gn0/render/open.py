@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
@@ -87,9 +89,11 @@ def open_renderer(
 
     if name == "cpu":
         from gn0.render.cpu import RendererCpu
+        from gn0.render.cpu_parts import NamedClouds
         from gn0.render.visible import RendererVisible
 
-        return RendererHost(name, RendererCpu, options, RendererVisible, takes_parts=True)
+        build = partial(RendererCpu, named=NamedClouds())  # packed once for all scenes
+        return RendererHost(name, build, options, RendererVisible, takes_parts=True)
     return RendererHost(name, get_plugin("renderer", name), options)
 
 

@@ -25,8 +25,7 @@ from gn0.render.instance import Parts
 
 if TYPE_CHECKING:
     from gn0.device.device import Device
-    from gn0.render.share.client import DrawnViews
-    from gn0.render.share.messages import Encode, MapPicture
+    from gn0.render.encoding import DrawnViews, Encode, MapPicture
     from gn0.render.visible_files import VisibleFiles
 
 ALPHA_CAP = 0.99  # gsplat main and the original 3DGS; gsplat 1.5.3 caps at 0.999

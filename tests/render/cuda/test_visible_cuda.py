@@ -17,8 +17,7 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK
 from gn0.render.cuda.batch import RendererBatch
-from gn0.render.cuda.renderer import RendererCuda
-from gn0.render.cuda.visible import RendererVisibleCuda
+from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.open import choose_backend, visible_backend
 from gn0.render.renderer import VISIBLE_CUDA, RenderOptions
 from gn0.render.visible import RendererVisible, VisibleOptions

@@ -9,9 +9,9 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.errors import FormatError
+from gn0.render.encoding import Dots, MapPicture
 from gn0.render.share import maps
 from gn0.render.share.maps import MapPainter, Painted
-from gn0.render.share.messages import Dots, MapPicture
 from gn0.sim.sensors import GREEN, RED, draw_disc
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")

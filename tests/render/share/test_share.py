@@ -23,15 +23,15 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
-from gn0.render.cuda.renderer import RendererCuda
-from gn0.render.cuda.visible import RendererVisibleCuda
+from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.depth import to_millimetres
+from gn0.render.encoding import Dots, DrawnViews, Encode, MapPicture
 from gn0.render.host import RendererHost
 from gn0.render.instance import Instance
 from gn0.render.open import open_renderer
 from gn0.render.renderer import DrawnScene
-from gn0.render.share.client import DrawConnection, DrawnViews, RendererShared, SceneEncoder
-from gn0.render.share.messages import Dots, Draw, Encode, Floor, MapPicture, lay_out
+from gn0.render.share.client import DrawConnection, RendererShared, SceneEncoder
+from gn0.render.share.messages import Draw, Floor, lay_out
 from gn0.render.share.parts import Cloud, PartRows
 from gn0.render.share.server import Server, open_listener
 from gn0.render.visible import RendererVisible

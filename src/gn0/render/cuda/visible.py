@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from threading import RLock
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import RenderError
-from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
 from gn0.progress import Progress, no_progress
@@ -28,14 +26,9 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import cloud_kernels
-from gn0.render.cuda.replay import PicturesDevice
 from gn0.render.cuda.tables import CHUNK, NO_PLACE, NO_SET, find_eyes
-from gn0.render.renderer import VISIBLE_CUDA, Output, RenderResult
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_places import MEMORY, VisibleOptions, key_of_sets
-
-if TYPE_CHECKING:
-    from gn0.render.cuda.renderer import RendererCuda
 
 Cell = tuple[int, int]
 CELLS = 8  # found at once: 240 pictures a call keep a card busy, and their lists are small
@@ -432,85 +425,3 @@ class SceneSets:
             StorageError: the cache cannot be written.
         """
         return self.sets.build(self._open_cloud(), progress, most=most)
-
-
-class RendererVisibleCuda(SceneSets):
-    """A `RendererCuda` that draws from visible sets where it can.
-
-    Views of a pinhole camera whose eye is at `eye_height` over a cell of `floor` use that cell's
-    set; it is read from the cache or found the first time. All other views, and orthographic
-    ones, use the full set. `extra` splats are always drawn.
-
-    Args:
-        renderer: draws; holds all splats.
-        cloud_hash: content hash of its cloud.
-        floor: where eyes can be: free cells, inflated for the agent.
-        eye_height: of the cameras [m].
-        options: how sets are found.
-        cache: read and write the cache folder.
-    """
-
-    name = VISIBLE_CUDA
-
-    def __init__(
-        self,
-        renderer: RendererCuda,
-        cloud_hash: str,
-        floor: OccupancyGrid,
-        eye_height: float,
-        options: VisibleOptions | None = None,
-        *,
-        cache: bool = True,
-    ) -> None:
-        sets = VisibleSets(
-            renderer.batch.drawer,
-            cloud_hash,
-            floor,
-            eye_height,
-            options or VisibleOptions(),
-            antialiased=renderer.options.antialiased,
-            cache=cache,
-        )
-        super().__init__(sets, lambda: renderer.cloud)
-        self.full = renderer
-
-    def render(
-        self,
-        camera: Camera,
-        views: NDArray[np.floating],
-        *,
-        extra: GaussianCloud | None = None,
-        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
-        background: tuple[float, float, float] | None = None,
-    ) -> RenderResult:
-        """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.render`.
-
-        Raises:
-            RenderError, DeviceError: see `RendererCuda.render`.
-        """
-        return self.render_device(
-            camera, views, extra=extra, outputs=outputs, background=background
-        ).numpy()
-
-    def render_device(
-        self,
-        camera: Camera,
-        views: NDArray[np.floating],
-        *,
-        extra: GaussianCloud | None = None,
-        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
-        background: tuple[float, float, float] | None = None,
-    ) -> PicturesDevice:
-        """The same, with pictures that stay on the device.
-
-        Raises:
-            RenderError, DeviceError: see `RendererCuda.render`.
-        """
-        return self.full.render_device(
-            camera,
-            views,
-            extra=extra,
-            outputs=outputs,
-            background=background,
-            visible=self.sets,
-        )

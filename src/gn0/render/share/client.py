@@ -10,7 +10,7 @@ import sys
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
@@ -24,6 +24,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.process import Ended, WorkerProcess
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
+from gn0.render.encoding import DrawnViews, Encode, MapPicture
 from gn0.render.instance import Parts, check_named, check_parts, digest_part
 from gn0.render.open import name_drawing, visible_backend
 from gn0.render.renderer import (
@@ -45,11 +46,9 @@ from gn0.render.share.messages import (
     Draw,
     Drawn,
     DrawnBy,
-    Encode,
     Failed,
     Floor,
     Inbox,
-    MapPicture,
     Note,
     Ready,
     Refused,
@@ -65,28 +64,6 @@ from gn0.render.share.parts import Cloud, PartRows
 VIEWS = 32  # of a request at most: one area holds their pictures
 START_LIMIT = 120.0  # s: the first start compiles kernels
 GOES_ON = "give the same command again: it goes on where it stopped"
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnViews:
-    """What came of a request.
-
-    Attributes:
-        pictures: by output, and "tiles" uint8 [V, h, w, 3] where mosaics were wanted; without
-            "rgb" where files stand for it.
-        files: JPEG file of each view; empty where the server made none.
-        mosaics: JPEG file of each step's mosaic; empty where the server made none.
-        maps: JPEG file of each occupancy picture; empty where the server made none.
-        hashes: `content_hash` of each view ("rgb"), mosaic ("mosaics"), depth in millimetres
-            ("depth") and occupancy picture ("maps"); without a name, or empty, where the server
-            made none.
-    """
-
-    pictures: dict[str, NDArray[Any]]
-    files: list[bytes] = field(default_factory=list)
-    mosaics: list[bytes] = field(default_factory=list)
-    maps: list[bytes] = field(default_factory=list)
-    hashes: dict[str, list[str]] = field(default_factory=dict)
 
 
 class DrawConnection:

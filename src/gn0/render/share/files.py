@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import RenderError
+from gn0.render.encoding import Dots, Encode, MapPicture
 from gn0.render.share.digest import Mosaics, digest_on_device
 from gn0.render.share.jpeg import JpegDevice, JpegEncoder
 from gn0.render.share.maps import MapPainter
-from gn0.render.share.messages import Dots, Encode, MapPicture
 from gn0.render.share.request import Connection, Request
 
 Tile = tuple[DeviceArray, int]  # tiles of a batch, and which of them

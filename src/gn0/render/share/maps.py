@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gn0.device.device import Device, DeviceArray, KernelSource
-from gn0.render.share.messages import Dots, MapPicture
+from gn0.render.encoding import Dots, MapPicture
 
 SOURCE = KernelSource("maps", (Path(__file__).parent / "kernels" / "maps.cu",))
 KEPT = 2**28  # bytes of maps on the device, beyond those that are being painted

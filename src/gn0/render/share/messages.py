@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gn0.errors import DeviceError, FormatError
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
+from gn0.render.encoding import Encode
 from gn0.render.renderer import Output
 from gn0.render.share.parts import PartRows
 from gn0.storage import content_hash
@@ -96,84 +97,6 @@ class Floor(msgspec.Struct, frozen=True, tag="floor"):
             raise FormatError("a map of another size than said", field="cells")
         cells = np.frombuffer(self.cells, np.uint8).reshape(self.shape)
         return OccupancyGrid(cells, self.resolution, self.origin)
-
-
-class MapPicture(msgspec.Struct, frozen=True, tag="map"):
-    """The bare occupancy picture of a scene: of the draws that follow and want dots on it.
-
-    Attributes:
-        name: equal names mean equal pixels.
-        grey: of its pixels, uint8 [H, W] as bytes.
-        shape: H, W.
-    """
-
-    name: str
-    grey: bytes
-    shape: tuple[int, int]
-
-    @classmethod
-    def of_pixels(cls, grey: NDArray[np.uint8]) -> MapPicture:
-        """The map with these pixels [H, W]."""
-        height, width = grey.shape
-        return cls(content_hash(grey), grey.tobytes(), (height, width))
-
-    @property
-    def pixels(self) -> NDArray[np.uint8]:
-        """Its pixels [H, W].
-
-        Raises:
-            FormatError: they are of another size than said.
-        """
-        if min(self.shape) < 1 or len(self.grey) != self.shape[0] * self.shape[1]:
-            raise FormatError("a map picture of another size than said", field="grey")
-        return np.frombuffer(self.grey, np.uint8).reshape(self.shape)
-
-
-class Dots(msgspec.Struct, frozen=True):
-    """Occupancy pictures that are wanted: the last `MapPicture` with start and agent.
-
-    Attributes:
-        places: row and column of the start, then of the agent, of each picture
-            int32 [P, 2, 2] as bytes.
-        radius: of both discs [px].
-        encode: make files of them; else their digests alone.
-    """
-
-    places: bytes
-    radius: int
-    encode: bool
-
-    @property
-    def count(self) -> int:
-        """How many pictures."""
-        return len(self.places) // 16
-
-
-class Encode(msgspec.Struct, frozen=True):
-    """Make JPEG files of the views of a request too, and of the history at each step.
-
-    Attributes:
-        quality: 1 to 100.
-        room: bytes of the area, behind the pictures, that files may take.
-        tile: width and height [px] that a view has in the history mosaic; None makes no mosaics.
-        cells: tiles of a mosaic, in rows of `columns`: the views before a step, newest first.
-        columns: of a mosaic.
-        steps: number of each step's view int32 [T] as bytes; a mosaic a step.
-        begin: forget the views of earlier requests: a new walk begins.
-        dots: occupancy pictures that are wanted, too.
-        pixels: whether views are wanted as they are, too; else files and digests stand for them,
-            and their place in the area is left alone. Without files it is as well.
-    """
-
-    quality: int
-    room: int
-    tile: tuple[int, int] | None = None
-    cells: int = 16
-    columns: int = 4
-    steps: bytes = b""
-    begin: bool = True
-    dots: Dots | None = None
-    pixels: bool = True
 
 
 class Draw(msgspec.Struct, frozen=True, tag="draw"):

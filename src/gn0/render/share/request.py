@@ -15,15 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import DeviceError, Gn0Error
-from gn0.render.share.messages import (
-    Area,
-    Draw,
-    Failed,
-    Floor,
-    MapPicture,
-    find_places,
-    send_message,
-)
+from gn0.render.encoding import MapPicture
+from gn0.render.share.messages import Area, Draw, Failed, Floor, find_places, send_message
 
 
 @dataclass(eq=False)

@@ -34,6 +34,7 @@ from gn0.errors import DeviceError, DeviceMemoryError, Gn0Error, RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.jobs.child import open_channel
 from gn0.jobs.worker import find_function
+from gn0.render.encoding import MapPicture
 from gn0.render.instance import Instance, check_parts
 from gn0.render.open import open_renderer
 from gn0.render.renderer import Pictures, Renderer
@@ -45,7 +46,6 @@ from gn0.render.share.messages import (
     DrawnBy,
     Floor,
     Inbox,
-    MapPicture,
     Note,
     Ready,
     Refused,

@@ -29,6 +29,9 @@ from gn0.data.picture_build import choose_cache, render_dataset
 from gn0.data.settings import BuildSettings, PictureSettings
 from gn0.data.verify import verify_dataset
 from gn0.errors import ConfigError, DataError, DeviceError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import Episode
+from gn0.missions.goal import sample_goal_episodes
 from gn0.render.share.client import DrawConnection, DrawServer
 from gn0.scenes.folder import load_scene
 from gn0.suites import scene_drawing
@@ -42,7 +45,7 @@ import sys
 from gn0.suites import scene_drawing
 from gn0.data import build
 from gn0.data.settings import BuildSettings
-looks.SHARED = frozenset({"cpu"})
+scene_drawing.SHARED = frozenset({"cpu"})
 build.build_dataset(sys.argv[1], sys.argv[2], BuildSettings(chunk=1), workers=2)
 """
 
@@ -112,12 +115,12 @@ def test_pixels_are_compared_by_the_process_that_draws(alone, monkeypatch) -> No
 @pytest.mark.slow
 @pytest.mark.usefixtures("served")
 def test_visible_sets_give_the_same_bytes_whoever_draws(
-    walks, tmp_path, files_of, monkeypatch
+    walks, long_walk, tmp_path, files_of, monkeypatch
 ) -> None:
     """The sets are found by the process that draws; the dataset says that they were used."""
     monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
-                     walks.episodes[1:2], name="few")  # fmt: skip
+                     [long_walk], name="few")  # fmt: skip
     settings = BuildSettings(pictures=PictureSettings(visible_sets=True))
     build_dataset(few, tmp_path / "shared", settings)
     assert list((tmp_path / "cache" / "visible").rglob("*.set"))
@@ -271,6 +274,18 @@ def test_a_server_that_is_gone_cannot_be_reached() -> None:
         DrawConnection(address)
 
 
+@pytest.fixture(scope="module")
+def long_walk(walks) -> Episode:
+    """An episode of more views than a mosaic holds, in evening light."""
+    scene = load_scene(walks.scene_folder("example-flat"))
+    navigation = NavigationMap(scene.grid, 0.2)
+    (episode,) = sample_goal_episodes(
+        scene, navigation, 1, 3, minimum_length=4.0, maximum_length=6.0
+    )
+    light = walks.episodes[1].light
+    return msgspec.structs.replace(episode, path_id="long", split="train", light=light)
+
+
 class BatchOnHost:
     """The CPU's pictures on an emulated device, so that files are made there as on a GPU."""
 
@@ -378,7 +393,7 @@ def test_a_dataset_of_visible_sets_found_on_a_device_is_drawn_again_from_them(
     ("maps", "depth"), [("once", True), ("once", False), ("every", True), ("every", False)]
 )
 def test_files_made_on_a_device_are_the_bytes_of_before(
-    walks, alone, tmp_path, files_of, monkeypatch, maps, depth
+    walks, long_walk, alone, tmp_path, files_of, monkeypatch, maps, depth
 ) -> None:
     """A whole dataset with its pictures encoded and hashed by kernels: no byte of a shard differs.
 
@@ -406,7 +421,7 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
     monkeypatch.setattr(SceneEncoder, "render_files", counted)
     start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
-                     walks.episodes[1:2], name="few")  # fmt: skip
+                     [long_walk], name="few")  # fmt: skip
     settings = BuildSettings(pictures=PictureSettings(quality=85, depth=depth, maps=maps))
     build_dataset(few, tmp_path / "cpu", settings)
     drawn = msgspec.structs.replace(settings, pictures=with_backend(settings.pictures, "cuda"))
@@ -432,7 +447,7 @@ def test_files_made_on_a_device_are_the_bytes_of_before(
 @pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 @pytest.mark.parametrize("maps", ["once", "every"])
 def test_what_had_no_room_is_made_by_the_worker(
-    walks, tmp_path, files_of, monkeypatch, maps
+    walks, long_walk, tmp_path, files_of, monkeypatch, maps
 ) -> None:
     """In the midst of a walk: its mosaics go on."""
     from gn0.data import sample_pictures
@@ -441,7 +456,7 @@ def test_what_had_no_room_is_made_by_the_worker(
     listener, address = serve_here(BatchOnHost())
     start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
-                     walks.episodes[1:2], name="few")  # fmt: skip
+                     [long_walk], name="few")  # fmt: skip
     render_files = SceneEncoder.render_files
     made: list[bool] = []
 
@@ -465,14 +480,14 @@ def test_what_had_no_room_is_made_by_the_worker(
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 def test_maps_too_large_for_a_device_are_painted_by_the_worker(
-    walks, tmp_path, files_of, monkeypatch
+    walks, long_walk, tmp_path, files_of, monkeypatch
 ) -> None:
     from gn0.data import part_pictures
 
     listener, address = serve_here(BatchOnHost())
     start_at(address, monkeypatch)
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
-                     walks.episodes[1:2], name="few")  # fmt: skip
+                     [long_walk], name="few")  # fmt: skip
     pictures = with_backend(PictureSettings(maps="every"), "cuda")
     for name, most in (("painted", part_pictures.PAINTED), ("left", 10)):
         monkeypatch.setattr(part_pictures, "PAINTED", most)

@@ -129,9 +129,10 @@ def measure_moving(ctx: FigureContext) -> list[FigureRow]:
         cloud_hash=cloud.content_hash,
     )
     episodes = build_point_episodes(flat, NavigationMap(flat.grid, 0.2), 4 if tiny else 200)
-    count, steps, splats = (2, 2, 100) if tiny else (1024, 24, 10_000)
+    count, steps, splats = (1, 1, 100) if tiny else (1024, 24, 10_000)
+    asked = dict(list(MOVING.items())[:1]) if tiny else MOVING
     motions = {"none": None, "unseen": _roam(1, splats, below=500.0)}
-    motions |= {str(parts): _roam(parts, splats) for parts in MOVING}
+    motions |= {str(parts): _roam(parts, splats) for parts in asked}
     drawn = random_stream(0, "figure actions").choice(4, (steps, count), p=WALK)
     actions = ctx.device.upload(drawn.astype(np.int64))
     contenders, envs = {}, []
@@ -171,7 +172,7 @@ def measure_moving(ctx: FigureContext) -> list[FigureRow]:
             detail=detail,
         )
     ]
-    for parts, least in MOVING.items():
+    for parts, least in asked.items():
         share = float(np.median(none / np.array(times[str(parts)])))
         name = f"env-steps with {parts} that move{'s' * (parts == 1)} over those with none"
         rows.append(

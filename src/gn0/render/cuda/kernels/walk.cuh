@@ -136,6 +136,12 @@ __device__ __forceinline__ void tell_open(TileRoom &t, bool open) {
   if (threadIdx.x < BLENDERS && lane_id() == 0) t.open[threadIdx.x / WARP] = any;
 }
 
+// The same of a group in which something moves: called, so that what it needs costs the others nothing.
+template <bool COLOUR>
+__device__ __noinline__ void stage_moving(TileRoom &t, u32 k, u32 slot, u32 flags, const Moving &moving) {
+  stage_splat<COLOUR, true>(t, k, slot, flags, moving);
+}
+
 // Walks the list of this block's tile, or of a quarter of it. A Painter has
 //   static const bool COLOUR         whether colours are wanted
 //   void pixel(int i, float alpha, float red, float green, float blue, float depth)
@@ -176,7 +182,7 @@ __device__ __forceinline__ void walk_tile(TileRoom &t, Painter &painter, const V
 #pragma unroll
         for (int w = 0; w < WARPS; w++) ((u32 *)t.rows[threadIdx.x])[w] = 0;
         if (slot != NOWHERE) {
-          if (may_move(t)) stage_splat<Painter::COLOUR, true>(t, k, slot, flags, moving);
+          if (may_move(t)) stage_moving<Painter::COLOUR>(t, k, slot, flags, moving);
           else stage_splat<Painter::COLOUR, false>(t, k, slot, flags, moving);
         }
         if (lane_id() == WARP - 1) {

@@ -679,6 +679,8 @@ def test_parts_that_nobody_sent_are_refused(serve) -> None:
         ("ends", np.int32([2]).tobytes(), "another shape"),
         ("ends", np.int32([1, 1]).tobytes(), "another shape"),
         ("cloud_of", np.int32([1]).tobytes(), "another shape"),
+        ("cloud_of", b"\0\0\0", "another shape"),
+        ("ends", good.ends + b"\0", "another shape"),
         ("poses", np.full(16, np.inf).tobytes(), "not finite"),
     ):
         with pytest.raises((FormatError, RenderError), match=match):

@@ -104,6 +104,8 @@ class PartRows(msgspec.Struct, frozen=True):
         Raises:
             FormatError: they are none.
         """
+        if len(self.cloud_of) % 4 or len(self.ends) % 4:
+            raise FormatError("instances of another shape than said", field="parts")
         cloud_of = np.frombuffer(self.cloud_of, np.int32)
         ends = np.frombuffer(self.ends, np.int32)
         total = len(cloud_of)

@@ -293,6 +293,8 @@ def test_pictures_need_what_they_are_made_of(rooms) -> None:
     settings = {"episodes": episodes, "device": device}
     with pytest.raises(SimError, match=r"\['rgb'\] need a renderer"):
         VectorEnvDevice(1, scenes, sensors=("rgb",), renderer=None, **settings)
+    with pytest.raises(ConfigError, match="'cpu' draws in host memory"):
+        VectorEnvDevice(1, scenes, sensors=("rgb",), renderer="cpu", **settings)
     with pytest.raises(ConfigError, match="no renderer named 'pencil'"):
         VectorEnvDevice(1, scenes, sensors=("rgb",), renderer="pencil", **settings)
     with pytest.raises(ConfigError, match="prior"):

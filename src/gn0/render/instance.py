@@ -72,6 +72,16 @@ class Instance:
                 return "gain is not finite", "1, 1, 1 changes nothing"
         return None
 
+    @property
+    def whole_gain(self) -> F32:
+        """The gain [4, 3] in the world; that of plain colours where there is none."""
+        whole = np.zeros((4, 3), np.float32)
+        if self.gain is None:
+            whole[0] = 1.0
+        else:
+            whole[: 1 if self.gain.ndim == 1 else 4] = self.gain
+        return whole
+
     @cached_property
     def part_gain(self) -> F32 | None:
         """The gain [4, 3] for normals in the part's frame; None if there is no gain.
@@ -80,11 +90,8 @@ class Instance:
         """
         if self.gain is None:
             return None
-        turned = np.zeros((4, 3), np.float32)
-        if self.gain.ndim == 1:
-            turned[0] = self.gain
-        else:
-            turned[0] = self.gain[0]
+        turned = self.whole_gain
+        if self.gain.ndim == 2:
             turned[1:] = self.pose[:3, :3].T @ self.gain[1:].astype(np.float64)
         turned.setflags(write=False)
         return turned

@@ -84,10 +84,8 @@ class MotionDevice:
                 for p, part in enumerate(moment.parts):
                     poses[m, t, p] = part.pose
                     chosen[m, t, p] = numbers[self._names[id(motion), part.cloud]]
-                    if part.gain is not None:
-                        lit = True
-                        gains[m, t, p] = 0.0
-                        gains[m, t, p, : 1 if part.gain.ndim == 1 else 4] = part.gain
+                    gains[m, t, p] = part.whole_gain
+                    lit = lit or part.gain is not None
         number = {id(motion): m for m, motion in enumerate(different)}
         found = [self._motions.get(scene_id) for scene_id in scene_ids]
         of_scene = [NO_MOTION if one is None else number[id(one)] for one in found]

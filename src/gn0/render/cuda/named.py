@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gn0.device.device import Device
 from gn0.errors import RenderError, brief
@@ -17,10 +16,6 @@ from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.instances import Instances
 from gn0.render.cuda.pack import prepare_cloud, upload_cloud
 from gn0.render.instance import Instance, Parts, PartsDevice, check_named, check_parts, digest_part
-
-_PLAIN = np.concatenate(
-    [np.ones((1, 3), np.float32), np.zeros((3, 3), np.float32)]
-)  # changes nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,14 +121,5 @@ def _join_rows(
     at = np.arange(firsts[-1]) + np.repeat(begin - firsts[:-1], counts)
     gains: F32 | None = None
     if any(instance.gain is not None for instance in different):
-        gains = np.stack([_whole_gain(instance) for instance in different])[at]
+        gains = np.stack([instance.whole_gain for instance in different])[at]
     return Instances(clouds, poses[at], chosen[at], firsts.astype(np.int32), gains)
-
-
-def _whole_gain(instance: Instance) -> NDArray[np.float32]:
-    """A gain as float32 [4, 3]; one where an instance has none."""
-    if instance.gain is None:
-        return _PLAIN
-    if instance.gain.ndim == 2:
-        return instance.gain
-    return np.concatenate([instance.gain[None], _PLAIN[1:]])

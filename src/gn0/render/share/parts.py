@@ -88,8 +88,7 @@ class PartRows(msgspec.Struct, frozen=True):
         gains = np.full((len(rows), 4, 3), np.nan, np.float32)
         for gain, row in zip(gains, rows, strict=True):
             if row.gain is not None:
-                gain[:] = 0.0
-                gain[: 1 if row.gain.ndim == 1 else 4] = row.gain
+                gain[:] = row.whole_gain
         return cls(
             tuple(clouds),
             np.array([clouds[names[row.cloud]] for row in rows], np.int32).tobytes(),

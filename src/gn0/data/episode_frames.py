@@ -111,14 +111,14 @@ def _join(
         goal = goal_picture(eyes, episode) if "goal_picture" in drawn else None
         for begin in range(0, len(rows), BATCH):
             poses = [Pose2D(*map(float, row)) for row in rows.poses[begin : begin + BATCH]]
-            depth = eyes.look_many(poses, frozenset({"depth"}))[1] if "depth" in drawn else None
+            depth = eyes.look_many(poses, frozenset({"depth"})) if "depth" in drawn else None
             for index, pose in enumerate(poses):
                 frame: Frame = {name: next(source) for name, source in sources.items()}
                 seen = next(pictures, None)
                 for name in drawn & {"rgb", "history"}:
                     frame[name] = getattr(seen, name)
                 if depth is not None:
-                    frame["depth"] = np.asarray(depth[index])
+                    frame["depth"] = np.asarray(depth["depth"][index])
                 if goal is not None:
                     frame["goal_picture"] = goal
                 if "bev" in drawn:

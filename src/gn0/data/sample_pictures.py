@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,10 @@ from gn0.data.settings import PictureSettings
 from gn0.geometry import F64, U8, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
-from gn0.render.camera import Camera
 from gn0.render.encoding import Dots, Encode, MapPicture
 from gn0.render.light import LightCondition
 from gn0.render.open import visible_backend
-from gn0.render.renderer import DrawnScene, Encoder, Output
+from gn0.render.renderer import DrawnScene, Encoder
 from gn0.scenes.scene import Scene
 from gn0.sim.history import (
     COLUMNS,
@@ -32,8 +30,8 @@ from gn0.sim.history import (
     TILE_WIDTH,
     History,
     build_mosaic,
-    reduce_pictures,
 )
+from gn0.sim.look_plan import plan_look
 from gn0.sim.motion import STILL, Moment
 from gn0.sim.open import open_simulator
 from gn0.sim.presets import CameraPreset
@@ -173,6 +171,7 @@ def draw_views(
     `moments` are those of the poses, where something moves.
     """
     then = moments or [STILL] * len(poses)
+    outputs = frozenset({"rgb", "depth"} if depth else {"rgb"})
     for begin in range(0, len(poses), BATCH):
         batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
         keys = [
@@ -182,61 +181,11 @@ def draw_views(
         places = {key: index for index, key in enumerate(dict.fromkeys(keys))}
         first = [keys.index(key) for key in places]
         distinct, now = [batch[k] for k in first], [then[begin + k] for k in first]
-        rgb, far = _look_deep(eyes, distinct, now) if depth else _look(eyes, distinct, now)
+        seen = eyes.look_many(distinct, outputs, now, True)
+        rgb, far = seen["rgb"], seen.get("depth")
         for key in keys:
             pose, number = key[0], places[key]
             yield Seen(pose, rgb[number], depth=None if far is None else far[number])
-
-
-def _look(
-    eyes: SensorSuite, poses: Sequence[Pose2D], moments: Sequence[Moment] = ()
-) -> tuple[U8, None]:
-    rgb, _ = eyes.look_many(poses, frozenset({"rgb"}), moments)
-    assert rgb is not None
-    return rgb, None
-
-
-def _look_deep(
-    eyes: SensorSuite, poses: Sequence[Pose2D], moments: Sequence[Moment] = ()
-) -> tuple[U8, U16]:
-    """Views [V, H, W, 3] and their depth [V, Hd, Wd] mm, in one call where one camera sees both."""
-    preset, views = eyes.config.preset, eyes.views_of(poses)
-    if preset.depth != preset.rgb:
-        return _look(eyes, poses, moments)[0], draw_millimetres(eyes, views, moments)
-    found = _render(eyes, preset.rgb, views, ("rgb", "depth"), moments)
-    rgb = reduce_pictures(found["rgb"], *preset.picture_size)
-    for array in (rgb, found["depth"]):
-        array.setflags(write=False)
-    return rgb, found["depth"]
-
-
-def draw_millimetres(eyes: SensorSuite, views: F64, moments: Sequence[Moment] = ()) -> U16:
-    """Depth [V, Hd, Wd] mm of views [V, 4, 4]: not cut to the sensor's range, 0 for nothing."""
-    depth: U16 = _render(eyes, eyes.config.preset.depth, views, ("depth",), moments)["depth"]
-    depth.setflags(write=False)
-    return depth
-
-
-def _render(
-    eyes: SensorSuite,
-    camera: Camera,
-    views: F64,
-    outputs: tuple[Output, ...],
-    moments: Sequence[Moment] = (),
-) -> dict[str, NDArray[Any]]:
-    """Pictures by output, with depth in millimetres."""
-    assert eyes.renderer is not None
-    found = eyes.renderer.render(
-        camera,
-        views,
-        outputs=outputs,
-        background=eyes.config.preset.background,
-        millimetres=True,
-        parts=[moment.parts for moment in moments] if any(m.parts for m in moments) else (),
-    )
-    assert found.depth is not None
-    pictures: dict[str, NDArray[Any]] = {"depth": found.depth}
-    return pictures if found.rgb is None else {"rgb": found.rgb, **pictures}
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,6 +228,8 @@ def draw_files(
     """
     encoder, preset = _encoder_of(eyes), eyes.config.preset
     assert encoder is not None
+    plan = plan_look(preset, frozenset({"rgb", "depth"} if depth else {"rgb"}), True)
+    first, both = plan.shots[0], "depth" in plan.shots[0].outputs
     pixels = preset.rgb.width * preset.rgb.height + TILE_WIDTH * TILE_HEIGHT * LENGTH
     for begin in range(0, len(poses), BATCH):
         batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
@@ -302,12 +253,12 @@ def draw_files(
             dots=dots,
             pixels=False,
         )
-        views, both = eyes.views_of(distinct), depth and preset.depth == preset.rgb
-        outputs: tuple[Output, ...] = ("rgb", "depth") if both else ("rgb",)
-        found = encoder.render_files(preset.rgb, views, wish, preset.background, outputs, shown)
+        found = encoder.render_files(
+            first.camera, eyes.views_of(distinct), wish, plan.background, first.outputs, shown
+        )
         far = found.pictures.get("depth")
         if depth and far is None:
-            far = draw_millimetres(eyes, views)
+            far = eyes.look_many(distinct, frozenset({"depth"}), (), True)["depth"]
         rgb, made = found.pictures.get("rgb"), bool(found.mosaics)
         assert made or rgb is not None
         hashes = found.hashes
@@ -345,12 +296,7 @@ def _encoder_of(eyes: SensorSuite) -> Encoder | None:
 
 def goal_picture(eyes: SensorSuite, episode: Episode) -> U8:
     """What an episode's goal looks like [H, W, 3]: the simulator's sensor of that name."""
-    record = goal_record(episode)
-    if record is not None:
-        return eyes.look_at_goal(record)
-    rgb, _ = eyes.look(goal_view(episode), frozenset({"rgb"}))
-    assert rgb is not None
-    return rgb
+    return eyes.look_at_goal(goal_record(episode), goal_view(episode))
 
 
 def map_picture(eyes: SensorSuite) -> U8:

@@ -117,11 +117,9 @@ class DatasetEyes:
         wanted = frozenset(sensors)
         for begin in range(0, len(poses), BATCH):
             batch = [Pose2D(*map(float, pose)) for pose in poses[begin : begin + BATCH]]
-            rgb, depth = eyes.look_many(batch, wanted)
+            seen = eyes.look_many(batch, wanted)
             for number in range(len(batch)):
-                yield Frame(
-                    None if rgb is None else rgb[number], None if depth is None else depth[number]
-                )
+                yield Frame(**{name: drawn[number] for name, drawn in seen.items()})
 
     def maps(self, trip: Trip) -> MapView:
         """See `Eyes.maps`."""

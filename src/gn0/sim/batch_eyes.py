@@ -15,7 +15,7 @@ from gn0.missions.episode import AgentSpec, GoalPicture
 from gn0.sim.history import History
 from gn0.sim.mapping import Mapper
 from gn0.sim.motion import STILL, Moment
-from gn0.sim.sensors import EYES, MAPS, SensorConfig
+from gn0.sim.sensors import EYES, MAPS, SensorConfig, outputs_of
 
 if TYPE_CHECKING:
     from gn0.sim.sensors import SensorSuite
@@ -95,8 +95,8 @@ class BatchEyes:
         self._suites: OrderedDict[str, SensorSuite] = OrderedDict()
         self._histories = [History() for _ in range(count)] if "history" in self._wanted else []
         self._place: list[Place | None] = [None] * count  # of the pictures below
-        self._rgb: NDArray[np.uint8] | None = None
-        self._depth: NDArray[np.float32] | None = None
+        self._outputs = outputs_of(self._drawn)
+        self._seen: dict[str, NDArray[Any]] = {}  # by output, of all agents
         self._count = count
 
     def begin(self, which: NDArray[np.int64]) -> None:
@@ -112,8 +112,7 @@ class BatchEyes:
         """All agents are about to act: what each sees goes into its history."""
         self._due[:] = True
         if self._histories:
-            assert self._rgb is not None
-            for history, rgb in zip(self._histories, self._rgb, strict=True):
+            for history, rgb in zip(self._histories, self._seen["rgb"], strict=True):
                 history.add(rgb)
 
     def snapshot(
@@ -190,54 +189,46 @@ class BatchEyes:
                     snapshot.kept, snapshot.scenes, snapshot.goals, snapshot.records, strict=True
                 ):
                     if kept.goal_picture is None and record is not None:
-                        kept.goal_picture = np.array(self._suites[scene].look_at_goal(record))
+                        where = Pose2D(*goal.tolist())
+                        kept.goal_picture = self._suites[scene].look_at_goal(record, where)
                     elif kept.goal_picture is None:
                         goals.append((kept, (scene, goal.tobytes())))
             missing |= dict.fromkeys(place for _, place in goals)
-        drawn: dict[Place, tuple[Any, Any]] = {}
+        drawn: dict[Place, dict[str, NDArray[Any]]] = {}
         for scene in sorted({scene for scene, _ in missing}):
             places = [place for place in missing if place[0] == scene]
             poses = [Pose2D(*np.frombuffer(raw[:24], np.float64).tolist()) for _, raw in places]
-            wanted = self._drawn | {"rgb"} if goals else self._drawn
+            outputs = self._outputs | {"rgb"} if goals else self._outputs
             then = [moments.get(place, STILL) for place in places]
-            rgb, depth = self._suites[scene].look_many(poses, wanted, then)
+            seen = self._suites[scene].look_many(poses, outputs, then)
             for k, place in enumerate(places):
-                drawn[place] = (
-                    None if rgb is None else rgb[k],
-                    None if depth is None else depth[k],
-                )
+                drawn[place] = {name: pixels[k] for name, pixels in seen.items()}
         for kept, place in goals:
-            kept.goal_picture = np.array(drawn[place][0])
-        self._allocate()
+            kept.goal_picture = np.array(drawn[place]["rgb"])
+        self._allocate(next(iter(drawn.values()), {}))
         for snapshot, pictures in zip(snapshots, found, strict=True):
-            for name, now in (("rgb", self._rgb), ("depth", self._depth)):
-                if now is not None:
-                    pictures[name] = np.empty((len(snapshot.agents), *now.shape[1:]), now.dtype)
+            for name, now in self._seen.items():
+                pictures[name] = np.empty((len(snapshot.agents), *now.shape[1:]), now.dtype)
             if "goal_picture" in self._wanted:
                 pictures["goal_picture"] = np.array([k.goal_picture for k in snapshot.kept])
         for s, k, agent, place in requests:
             known = self._place[agent] == place
-            for column, (name, now) in enumerate((("rgb", self._rgb), ("depth", self._depth))):
-                if now is not None:
-                    found[s][name][k] = now[agent] if known else drawn[place][column]
+            for name, now in self._seen.items():
+                found[s][name][k] = now[agent] if known else drawn[place][name]
         latest = {agent: place for _, _, agent, place in requests}
         for agent, place in latest.items():  # only now: snapshots used what was kept
             if self._place[agent] != place:
-                rgb, depth = drawn[place]
-                if self._rgb is not None:
-                    self._rgb[agent] = rgb
-                if self._depth is not None:
-                    self._depth[agent] = depth
+                for name, now in self._seen.items():
+                    now[agent] = drawn[place][name]
                 self._place[agent] = place
 
-    def _allocate(self) -> None:
-        preset = self.config.preset
-        if self._rgb is None and self._drawn & {"rgb", "history"}:
-            width, height = preset.picture_size
-            self._rgb = np.empty((self._count, height, width, 3), np.uint8)
-        if self._depth is None and "depth" in self._drawn:
-            shape = (self._count, preset.depth.height, preset.depth.width)
-            self._depth = np.empty(shape, np.float32)
+    def _allocate(self, sample: dict[str, NDArray[Any]]) -> None:
+        """Keep a picture an agent, of the size and kind of those that were drawn."""
+        if not self._seen and sample:
+            self._seen = {
+                name: np.empty((self._count, *sample[name].shape), sample[name].dtype)
+                for name in sorted(self._outputs, reverse=True)
+            }
 
     def _draw_maps(self, snapshot: Snapshot, pictures: dict[str, Any]) -> None:
         """Map pictures, each of its scene's own size."""

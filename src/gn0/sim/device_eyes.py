@@ -18,7 +18,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64, U8, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
-from gn0.missions.episode import AgentSpec, Episode
+from gn0.missions.episode import AgentSpec
 from gn0.render.bev import render_bev
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts, PartsDevice
@@ -29,8 +29,9 @@ from gn0.sim.device_layout import blocks_of
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_store import MapPictures
 from gn0.sim.history import COLUMNS, LENGTH, ROWS, TILE_HEIGHT, TILE_WIDTH
+from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
 from gn0.sim.open import look_hash, name_look, split_look
-from gn0.sim.sensors import EYES, MAPS, MapFrame, SensorConfig, paint_grid
+from gn0.sim.sensors import EYES, MAPS, MapFrame, SensorConfig, outputs_of, paint_grid
 from gn0.sim.simulator import goal_record, goal_view
 
 if TYPE_CHECKING:
@@ -156,10 +157,9 @@ class EyesDevice:
             views, looks, chosen = self._ask(simulator)
             there = isinstance(views, DeviceArray)
             parts = self._place_parts(simulator, there=there)
-            rgb, depth = self._look(simulator, views, looks, chosen, parts)
-            self._rgb = rgb
-            out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
-            out |= {"depth": depth} if depth is not None else {}
+            seen = self._look(simulator, views, looks, chosen, parts)
+            self._rgb = seen.get("rgb")
+            out |= {name: pixels for name, pixels in seen.items() if name in self._wanted}
         if "goal_picture" in self._wanted:
             numbers = simulator.outputs["episode"].numpy()
             out["goal_picture"] = self._goal_pictures(simulator, numbers)
@@ -191,12 +191,11 @@ class EyesDevice:
                 episodes = simulator.store.episodes
                 scenes = [episodes[number].scene_id for number in ended[agents].tolist()]
                 parts = self._motion.parts_of(scenes, self._motion.steps.numpy()[agents] + 1)
-            rgb, depth = self._look(simulator, views, keys, parts=parts)
-            out |= {"rgb": rgb} if rgb is not None and "rgb" in self._wanted else {}
-            out |= {"depth": depth} if depth is not None else {}
+            seen = self._look(simulator, views, keys, parts=parts)
+            out |= {name: pixels for name, pixels in seen.items() if name in self._wanted}
         if "history" in self._wanted:
-            seen = simulator.outputs["final_views"]
-            out["history"] = self._mosaics(simulator, "final_", seen)
+            counts = simulator.outputs["final_views"]
+            out["history"] = self._mosaics(simulator, "final_", counts)
         if "goal_picture" in self._wanted:
             width, height = self.config.preset.picture_size
             shape = (height, width, 3)
@@ -282,46 +281,44 @@ class EyesDevice:
         keys: Sequence[str | None] | str,
         chosen: DeviceArray | None = None,
         parts: Parts | PartsDevice = (),
-    ) -> tuple[DeviceArray | None, DeviceArray | None]:
-        """Colour and depth of views; one call of the renderer, two with cameras of their own."""
-        preset, renderer = self.config.preset, self._renderer
+    ) -> dict[str, DeviceArray]:
+        """What is drawn of views, by output; see `plan_look`."""
+        renderer = self._renderer
         assert renderer is not None
-        want_rgb = bool(self._wanted & {"rgb", "history"})
-        want_depth = "depth" in self._wanted
-        both = want_rgb and want_depth and preset.rgb == preset.depth
+        plan = plan_look(self.config.preset, outputs_of(self._wanted))
         more: dict[str, Any] = {"visible": True} if self._visible else {}
         more |= {"chosen": chosen} if chosen is not None else {}
         if isinstance(parts, PartsDevice) or any(parts):
             more["parts"] = parts
-        rgb: DeviceArray | None = None
-        depth: DeviceArray | None = None
-        if want_rgb:
+        found: dict[str, DeviceArray] = {}
+        for shot in plan.shots:
             drawn = renderer.draw(
-                preset.rgb,
-                views,
-                keys,
-                outputs=("rgb", "depth") if both else ("rgb",),
-                background=preset.background,
+                *(shot.camera, views, keys),
+                outputs=shot.outputs,
+                background=plan.background,
                 **more,
             )
-            rgb, depth = drawn.rgb, drawn.depth
-            assert rgb is not None
-            if rgb.dtype != np.uint8:
-                raise SimError(f"renderer gives {rgb.dtype} pictures", remedy="build it for uint8")
-            width, height = preset.picture_size
-            if rgb.shape[1:3] != (height, width):
-                small = simulator.device.empty((len(rgb), height, width, 3), np.uint8)
-                self._reduce(simulator, rgb, width, height, small, None)
-                rgb = small
-        if want_depth and depth is None:
-            depth = renderer.draw(preset.depth, views, keys, outputs=("depth",), **more).depth
-        if depth is not None and want_depth:
-            low, high = preset.depth_range
+            for output in shot.outputs:
+                found[output] = self._finish(simulator, plan, output, getattr(drawn, output))
+        return found
+
+    def _finish(
+        self, simulator: SimulatorDevice, plan: LookPlan, output: str, drawn: DeviceArray
+    ) -> DeviceArray:
+        """What `LookPlan.finish` makes of an output in host memory."""
+        if output == "rgb":
+            check_colour(drawn)
+            width, height = plan.size
+            if drawn.shape[1:3] != (height, width):
+                small = simulator.device.empty((len(drawn), height, width, 3), np.uint8)
+                self._reduce(simulator, drawn, width, height, small, None)
+                return small
+        elif output == "depth" and plan.reach is not None:
             simulator.kernels["clip_depth"].launch(
-                *(blocks_of(depth.size, _PIXELS), _PIXELS, depth),
-                *(np.float32(low), np.float32(high), np.uint64(depth.size), depth),
+                *(blocks_of(drawn.size, _PIXELS), _PIXELS, drawn),
+                *(*plan.reach, np.uint64(drawn.size), drawn),
             )
-        return rgb, depth if want_depth else None
+        return drawn
 
     def _reduce(
         self, simulator: SimulatorDevice, rgb: DeviceArray, width: int, height: int,
@@ -383,24 +380,24 @@ class EyesDevice:
             if self._goal_numbers is None
             else np.flatnonzero(numbers != self._goal_numbers)
         )
+        plan = plan_look(self.config.preset, frozenset({"rgb"}))
         groups: dict[Camera, list[tuple[int, str, F64]]] = {}
         for i in fresh.tolist():
             episode = simulator.store.episodes[numbers[i]]
-            camera, view = self._goal_eye(episode)
+            camera, view = aim_at_goal(
+                self.config.preset, self._agent.camera_height, goal_record(episode),
+                goal_view(episode),
+            )  # fmt: skip
             groups.setdefault(camera, []).append((i, name_look(episode), view))
         for camera, group in groups.items():
-            rgb = self._renderer.draw(
+            drawn = self._renderer.draw(
                 camera,
                 np.stack([view for _, _, view in group]),
                 [look for _, look, _ in group],
                 outputs=("rgb",),
-                background=self.config.preset.background,
+                background=plan.background,
             ).rgb
-            assert rgb is not None
-            if rgb.shape[1:3] != (height, width):
-                small = simulator.device.empty((len(rgb), height, width, 3), np.uint8)
-                self._reduce(simulator, rgb, width, height, small, None)
-                rgb = small
+            rgb = self._finish(simulator, plan, "rgb", drawn)
             agents = simulator.device.upload(np.array([i for i, _, _ in group], np.int32))
             simulator.kernels["place_rows"].launch(
                 *(blocks_of(rgb.size, _PIXELS), _PIXELS, rgb, agents),
@@ -408,17 +405,6 @@ class EyesDevice:
             )
         self._goal_numbers = numbers
         return out
-
-    def _goal_eye(self, episode: Episode) -> tuple[Camera, F64]:
-        camera, record = self.config.preset.rgb, goal_record(episode)
-        if record is None:
-            x, y, yaw = goal_view(episode)
-            return camera, view_from_pose(x, y, self._agent.camera_height, yaw, self._pitch)
-        if record.hfov:
-            camera = Camera.from_hfov(
-                camera.width, camera.height, record.hfov, near=camera.near, far=camera.far
-            )
-        return camera, view_from_pose(*record.eye, record.yaw, record.pitch)
 
 
 def box_weights(size: int, out: int) -> NDArray[np.int32]:

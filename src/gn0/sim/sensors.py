@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.config import Config
 from gn0.errors import ConfigError, SimError
@@ -16,8 +17,7 @@ from gn0.maps.grid import GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.missions.episode import GoalPicture
 from gn0.paper import BEV_CUT
-from gn0.render.camera import Camera
-from gn0.sim.history import reduce_pictures
+from gn0.sim.look_plan import Shot, aim_at_goal, plan_look, render_plan
 from gn0.sim.motion import STILL, Moment, Motion, take_moment
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.state import MapMode, Sensor
@@ -34,6 +34,11 @@ MAPS = frozenset({"bev", "occupancy"})
 PICTURES = EYES | MAPS
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
 GREEN, RED = (0, 255, 0), (255, 0, 0)
+
+
+def outputs_of(sensors: frozenset[str]) -> frozenset[str]:
+    """What a renderer is asked for, for some sensors where an agent stands."""
+    return frozenset(({"rgb"} if sensors & {"rgb", "history"} else set()) | (sensors & {"depth"}))
 
 
 class SensorConfig(Config, frozen=True):
@@ -250,55 +255,30 @@ class SensorSuite:
         return take_moment(self.motion, time)
 
     def look(
-        self, pose: Pose2D, wanted: frozenset[str], moment: Moment = STILL
-    ) -> tuple[U8 | None, F32 | None]:
-        """Render the eyes at a pose: (rgb [H, W, 3], depth [Hd, Wd] m), None where not wanted."""
-        rgb, depth = self.look_many([pose], wanted, [moment])
-        return None if rgb is None else rgb[0], None if depth is None else depth[0]
+        self, pose: Pose2D, outputs: frozenset[str], moment: Moment = STILL
+    ) -> dict[str, NDArray[Any]]:
+        """Draw at a pose: rgb [H, W, 3], depth [Hd, Wd] m, and so on, by output."""
+        return {name: drawn[0] for name, drawn in self.look_many([pose], outputs, [moment]).items()}
 
     def look_many(
-        self, poses: Sequence[Pose2D], wanted: frozenset[str], moments: Sequence[Moment] = ()
-    ) -> tuple[U8 | None, F32 | None]:
-        """Render the eyes at many poses: (rgb [V, H, W, 3], depth [V, Hd, Wd] m).
+        self,
+        poses: Sequence[Pose2D],
+        outputs: frozenset[str],
+        moments: Sequence[Moment] = (),
+        millimetres: bool = False,
+    ) -> dict[str, NDArray[Any]]:
+        """Draw at many poses: rgb [V, H, W, 3], depth [V, Hd, Wd] m, and so on, by output.
 
-        `moments` are those of the poses; without them nothing moves. One call of the renderer;
-        two where colour and depth have cameras of their own.
+        `moments` are those of the poses; without them nothing moves. With `millimetres` depth is
+        uint16 and not clipped. One call of the renderer; two where colour and depth have cameras
+        of their own.
         """
-        want_rgb = bool(wanted & {"rgb", "history"})
-        want_depth = "depth" in wanted
-        preset = self.config.preset
-        views = self.views_of(poses)
-        rgb: U8 | None = None
-        depth: F32 | None = None
         assert self.renderer is not None
         moving: dict[str, Any] = {}  # the same call as ever where nothing does
         if any(moment.parts for moment in moments):
             moving = {"parts": [moment.parts for moment in moments]}
-        if want_rgb:
-            both = want_depth and preset.depth == preset.rgb
-            result = self.renderer.render(
-                preset.rgb,
-                views,
-                outputs=("rgb", "depth") if both else ("rgb",),
-                background=preset.background,
-                **moving,
-            )
-            assert result.rgb is not None
-            if result.rgb.dtype != np.uint8:
-                raise SimError(
-                    f"renderer gives {result.rgb.dtype} pictures", remedy="build it for uint8"
-                )
-            rgb = reduce_pictures(cast(U8, result.rgb), *preset.picture_size)
-            depth = result.depth if both else None
-        if want_depth and depth is None:
-            depth = self.renderer.render(preset.depth, views, outputs=("depth",), **moving).depth
-        if depth is not None:
-            low, high = preset.depth_range
-            depth = np.clip(depth, np.float32(low), np.float32(high))
-            depth.setflags(write=False)
-        if rgb is not None:
-            rgb.setflags(write=False)
-        return rgb, depth
+        plan = plan_look(self.config.preset, outputs, millimetres)
+        return render_plan(plan, self.renderer.render, self.views_of(poses), moving)
 
     def views_of(self, poses: Sequence[Pose2D]) -> F64:
         """Where the eyes are at some poses: world to camera [V, 4, 4]."""
@@ -306,22 +286,15 @@ class SensorSuite:
             [view_from_pose(p.x, p.y, self._camera_height, p.yaw, self._pitch) for p in poses]
         )
 
-    def look_at_goal(self, picture: GoalPicture) -> U8:
-        """The goal picture [H, W, 3] of an episode, as its record says."""
+    def look_at_goal(self, picture: GoalPicture | None, goal: Pose2D) -> U8:
+        """The goal picture [H, W, 3] of an episode: as its record says, else from the goal."""
         preset = self.config.preset
-        camera = preset.rgb
-        if picture.hfov:
-            camera = Camera.from_hfov(
-                camera.width, camera.height, picture.hfov, near=camera.near, far=camera.far
-            )
-        view = view_from_pose(*picture.eye, picture.yaw, picture.pitch)
+        camera, view = aim_at_goal(preset, self._camera_height, picture, goal)
+        plan = plan_look(preset, frozenset({"rgb"}))
+        plan = replace(plan, shots=(Shot(camera, plan.shots[0].outputs),))
         assert self.renderer is not None
-        result = self.renderer.render(
-            camera, view[None], outputs=("rgb",), background=preset.background
-        )
-        rgb = reduce_pictures(cast(U8, result.rgb), *preset.picture_size)[0]
-        rgb.setflags(write=False)
-        return rgb
+        drawn: U8 = render_plan(plan, self.renderer.render, view[None], {})["rgb"][0]
+        return drawn
 
     def occupancy_picture(self, start: Pose2D, pose: Pose2D, own: U8 | None = None) -> U8:
         """The occupancy picture [H, W, 3] with the start in green, then the agent in red.

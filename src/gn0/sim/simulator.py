@@ -13,8 +13,10 @@ import operator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
+from numpy.typing import NDArray
+
 from gn0.errors import EpisodeError, SimError
-from gn0.geometry import F32, U8, Pose2D, wrap_angle
+from gn0.geometry import U8, Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec, Episode, GoalPicture, MissionGoal, check_episode
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
@@ -22,7 +24,7 @@ from gn0.sim.collision import check_finite, check_places, move_agent
 from gn0.sim.history import History, build_mosaic
 from gn0.sim.kinematics import Heading, heading_yaw, plan_journey, step_forward
 from gn0.sim.mapping import Mapper
-from gn0.sim.sensors import EYES, MAPS, SensorConfig, SensorSuite
+from gn0.sim.sensors import EYES, MAPS, SensorConfig, SensorSuite, outputs_of
 from gn0.sim.state import Action, AnyAction, Displacement, Observation, Sensor, StepResult, Teleport
 
 if TYPE_CHECKING:
@@ -213,7 +215,7 @@ class Simulator:
         self._collided = False
         self._over = False
         self._history.clear()
-        self._last_look: tuple[Pose2D, bytes, tuple[U8 | None, F32 | None]] | None = None
+        self._last_look: tuple[Pose2D, bytes, dict[str, NDArray[Any]]] | None = None
         self._goal_picture: U8 | None = None
         self._place(episode.start[0], episode.start[1], wrap_angle(episode.start[2]), 0)
         return self._observe()
@@ -343,6 +345,7 @@ class Simulator:
         self._drawn: frozenset[str] = wanted
         if self._maps:  # the agent's own map is made from depth, its colours from rgb
             self._drawn = wanted | ({"depth", "rgb"} if "bev" in wanted else {"depth"})
+        self._outputs = outputs_of(self._drawn)
 
     def _place(self, x: float, y: float, base: float, turns: int) -> None:
         self._x, self._y, self._base, self._turns = x, y, base, turns
@@ -352,32 +355,25 @@ class Simulator:
         self._turns += turns
         self._yaw = heading_yaw(self._base, self._turns, self.agent.turn_degrees)
 
-    def _look(self) -> tuple[U8 | None, F32 | None]:
+    def _look(self) -> dict[str, NDArray[Any]]:
         """Pictures here and now; not drawn again while nothing moves, the agent included."""
         pose, last = Pose2D(self._x, self._y, self._yaw), self._last_look
         moment = self._suite.moment_at(self._steps * STEP_SECONDS)
         if last is None or last[0] != pose or last[1] != moment.key:
-            last = (pose, moment.key, self._suite.look(pose, self._drawn, moment))
+            last = (pose, moment.key, self._suite.look(pose, self._outputs, moment))
             self._last_look = last
         return last[2]
 
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""
         if self._goal_picture is None:
-            record = goal_record(self.episode)
-            if record is not None:
-                self._goal_picture = self._suite.look_at_goal(record)
-            else:
-                rgb, _ = self._suite.look(goal_view(self.episode), frozenset({"rgb"}))
-                assert rgb is not None
-                self._goal_picture = rgb
+            record, goal = goal_record(self.episode), goal_view(self.episode)
+            self._goal_picture = self._suite.look_at_goal(record, goal)
         return self._goal_picture
 
     def _keep_view(self) -> None:
         if "history" in self._wanted:
-            rgb, _ = self._look()
-            assert rgb is not None
-            self._history.add(rgb)
+            self._history.add(self._look()["rgb"])
 
     def _observe(self) -> Observation:
         assert self._episode is not None
@@ -389,18 +385,17 @@ class Simulator:
         episode = self._episode
         pose = Pose2D(self._x, self._y, self._yaw)
         if self._maps and self._mapper is not None:
-            rgb, depth = self._look()
-            assert depth is not None
-            self._mapper.update(pose, depth, rgb)
+            seen = self._look()
+            self._mapper.update(pose, seen["depth"], seen.get("rgb"))
         fields: dict[str, Any] = self._suite.read_static(
             pose, episode.start_pose, episode.goal, self._wanted, self._mapper
         )
         if self._eyes:
-            rgb, depth = self._look()
+            seen = self._look()
             if "rgb" in self._wanted:
-                fields["rgb"] = rgb
+                fields["rgb"] = seen["rgb"]
             if "depth" in self._wanted:
-                fields["depth"] = depth
+                fields["depth"] = seen["depth"]
             if "history" in self._wanted:
                 fields["history"] = build_mosaic(self._history.tiles)
             if "goal_picture" in self._wanted:

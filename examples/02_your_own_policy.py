@@ -7,7 +7,7 @@ from gn0 import open_simulator, run_episode
 from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.example import build_example_scene
 from gn0.sim.state import Action
-from gn0.testing.check_policy import check_policy
+from gn0.testing.policy_check import check_policy
 
 
 class PolicyBumper:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gn0.policies.remote.policy_remote import PolicyRemote
 from gn0.policies.remote.server import PolicyServer, serve
-from gn0.testing.check_policy import check_policy
+from gn0.testing.policy_check import check_policy
 
 
 class DepthWalker:

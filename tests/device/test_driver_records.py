@@ -16,7 +16,7 @@ from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.visible import lock_of
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 CAMERA = Camera.from_hfov(24, 18, 90)
 

@@ -13,7 +13,7 @@ from gn0.errors import DeviceError
 from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cuda.renderer import RendererCuda
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 
 def test_pictures_are_those_of_the_emulation(device: DeviceCuda) -> None:

@@ -21,7 +21,7 @@ from gn0.render.encoding import Encode
 from gn0.render.renderer import DrawnScene
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.render.share.server import Server, open_listener
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 CAMERA = Camera.from_hfov(48, 36, 90)
 

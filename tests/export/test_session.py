@@ -31,7 +31,7 @@ from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.presets import find_preset
 from gn0.storage import Journal
 from gn0.suites.suite import save_suite
-from gn0.testing.check_dataset_exporter import read_tree
+from gn0.testing.dataset_exporter_check import read_tree
 from gn0.testing.toy_trips import build_toy_source, build_toy_trips, toy_source
 
 

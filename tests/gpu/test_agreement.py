@@ -18,7 +18,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.renderer import RenderOptions
 from gn0.scenes.folder import load_scene
-from gn0.testing.check_renderer import check_renderer, random_cloud
+from gn0.testing.renderer_check import check_renderer, random_cloud
 from gn0.testing.scenes import build_room_scene
 
 

@@ -16,7 +16,7 @@ from gn0.render.cuda.pack import cloud_bytes, upload_cloud
 from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.visible import RendererVisible
 from gn0.render.visible_places import VisibleOptions
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 CAMERA = Camera.from_hfov(40, 30, 90)
 

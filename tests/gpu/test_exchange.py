@@ -8,7 +8,7 @@ import pytest
 from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cuda.renderer import RendererCuda
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 
 @pytest.fixture(scope="module")

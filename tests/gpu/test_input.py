@@ -11,7 +11,7 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.renderer import RenderOptions
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 CAMERA = Camera.from_hfov(20, 14, 90)
 VIEW = view_from_pose(-3, 0, 0, 0)

@@ -14,7 +14,7 @@ from gn0.figures.flat import flat_camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.renderer import RenderResult
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 
 def _bytes(result: RenderResult) -> list[bytes]:

@@ -12,7 +12,7 @@ from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.visible_places import VisibleOptions
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.vector import VectorEnv
-from gn0.testing.check_renderer import psnr
+from gn0.testing.renderer_check import psnr
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
 
 

@@ -33,7 +33,7 @@ from gn0.missions.sets.gn_matrix import ExporterGnMatrix
 from gn0.missions.sets.gn_matrix_json import ExporterGnMatrixJson
 from gn0.missions.sets.json_file import load_exact, same_values, save_exact
 from gn0.missions.sets.vlnce import ExporterVlnce
-from gn0.testing.check_exporter import check_exporter
+from gn0.testing.exporter_check import check_exporter
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
 
 GRID = build_floor_plan(4, width=8.0, depth=6.0, clutter=4)

@@ -21,7 +21,7 @@ from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action, Observation, Teleport, Trajectory
-from gn0.testing.check_policy import check_policy
+from gn0.testing.policy_check import check_policy
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
 
 

@@ -29,7 +29,7 @@ from gn0.policies.simple import PolicyRandom, PolicyStraight, PolicyWallFollower
 from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode
 from gn0.sim.state import Action, Displacement, Observation, Teleport
-from gn0.testing.check_policy import check_policy
+from gn0.testing.policy_check import check_policy
 from gn0.testing.scenes import build_room_scene
 
 S, F, L, R = Action

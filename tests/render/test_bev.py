@@ -14,7 +14,7 @@ from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.render.bev import BEV_LIMIT, BevPicture, bev_camera, render_bev
 from gn0.render.open import build_renderer
 from gn0.render.renderer import RenderOptions
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 BOUNDS = np.array([[-2.0, -1.5, 0.0], [2.0, 1.5, 3.0]])
 

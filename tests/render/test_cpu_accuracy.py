@@ -14,8 +14,8 @@ from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
-from gn0.testing.check_renderer import psnr, random_cloud
 from gn0.testing.reference import RendererReference, sh_colours
+from gn0.testing.renderer_check import psnr, random_cloud
 
 FLOAT = RenderOptions(rgb_float=True)
 VIEWS = np.stack([view_from_pose(*p) for p in [(-4, 0, 0.2, 0.1), (3, 3, 0.5, -2.3), (0, 0, 0, 1)]])

@@ -17,8 +17,8 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_project import project_chunks
 from gn0.render.open import build_renderer
 from gn0.render.renderer import RenderOptions, check_views
-from gn0.testing.check_renderer import check_renderer, random_cloud
 from gn0.testing.reference import RendererReference
+from gn0.testing.renderer_check import check_renderer, random_cloud
 
 THREADS = [1, 2, 3] if numba.config.NUMBA_NUM_THREADS >= 3 else [1, 2]
 CAMERA = Camera.from_hfov(48, 40, 90)

@@ -18,8 +18,8 @@ from gn0.render.cpu_pack import pack_cloud
 from gn0.render.cpu_project import project_chunks
 from gn0.render.instance import Instance, find_normals, move_instance
 from gn0.render.renderer import RenderOptions
-from gn0.testing.check_renderer import psnr, random_cloud
-from gn0.testing.check_renderer_parts import ball_cloud, check_renderer_parts, pose_at
+from gn0.testing.renderer_check import psnr, random_cloud
+from gn0.testing.renderer_parts_check import ball_cloud, check_renderer_parts, pose_at
 
 CAMERA = Camera.from_hfov(90, 70, 90)
 VIEW = view_from_pose(-2, 0, 0.2, 0.1)

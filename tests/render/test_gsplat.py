@@ -24,7 +24,7 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.open import build_renderer
 from gn0.render.renderer import ALONE, RenderOptions
-from gn0.testing.check_renderer import check_renderer, random_cloud
+from gn0.testing.renderer_check import check_renderer, random_cloud
 
 
 class Tensor(np.ndarray):

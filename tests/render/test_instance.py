@@ -23,7 +23,7 @@ from gn0.render.instance import (
     find_normals,
     move_instance,
 )
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 seeds = st.integers(0, 2**32 - 1)
 

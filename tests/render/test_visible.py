@@ -19,8 +19,8 @@ from gn0.render.open import build_renderer, choose_backend
 from gn0.render.renderer import ALONE, VISIBLE, DrawnScene, RenderOptions
 from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
-from gn0.testing.check_renderer import check_renderer, psnr
-from gn0.testing.check_renderer_parts import ball_cloud, check_renderer_parts, pose_at
+from gn0.testing.renderer_check import check_renderer, psnr
+from gn0.testing.renderer_parts_check import ball_cloud, check_renderer_parts, pose_at
 
 EYE = 1.3
 QUICK = VisibleOptions(places=3, pixels=96)

@@ -181,6 +181,6 @@ def test_our_own_folder_is_not_imported_again(tmp_path):
 
 def test_source_keeps_the_public_contract(source):
     from gn0.scenes.interiorgs import SceneSourceInteriorGS
-    from gn0.testing.check_source import check_source
+    from gn0.testing.source_check import check_source
 
     check_source(SceneSourceInteriorGS, source)

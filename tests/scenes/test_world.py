@@ -416,7 +416,7 @@ def test_unreadable_textures_are_no_error(tmp_path):
 
 def test_source_keeps_the_public_contract(cabin):
     from gn0.scenes.world import SceneSourceWorld
-    from gn0.testing.check_source import check_source
+    from gn0.testing.source_check import check_source
 
     check_source(SceneSourceWorld, cabin)
 

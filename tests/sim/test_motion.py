@@ -215,7 +215,7 @@ def test_agents_on_a_device_see_the_same(flat, tiny, kind) -> None:
 def test_renderers_that_know_no_parts_are_shown_moved_splats(flat) -> None:
     """A plug-in sees the same ball, by another way: 75 dB and a tenth of a millimetre."""
     from gn0.render.cpu import RendererCpu
-    from gn0.testing.check_renderer import psnr
+    from gn0.testing.renderer_check import psnr
 
     motion = roll(0.0, 4.0)
     camera = Camera.from_hfov(80, 60, 90)

@@ -17,7 +17,7 @@ from gn0.sim.policy import Policy, PolicyBatch, PolicyBatchEach, PolicyOfBatch
 from gn0.sim.rollout import run_episode
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action, Displacement, Observation, Teleport
-from gn0.testing.check_policy import check_policy
+from gn0.testing.policy_check import check_policy
 from gn0.testing.scenes import build_room_scene
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from gn0.errors import PolicyError
 from gn0.sim.state import Action
-from gn0.testing.check_policy import check_policy
+from gn0.testing.policy_check import check_policy
 
 
 class PolicyGood:

@@ -17,7 +17,7 @@ from gn0.geometry import F64, quaternion_from_rotation, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.renderer import RenderOptions, RenderResult, SceneRenderer
 from gn0.seeds import random_stream
-from gn0.testing.check_renderer import psnr
+from gn0.testing.renderer_check import psnr
 
 PERSPECTIVE, BEV = 55.0, 60.0  # dB, at least
 DEPTH = 1.0  # mm, p99 at most, where alpha > 0.5

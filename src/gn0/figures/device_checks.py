@@ -37,7 +37,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.gsplat import memory_peak, release_memory
 from gn0.render.renderer import RenderOptions
-from gn0.testing.check_renderer import psnr
+from gn0.testing.renderer_check import psnr
 
 MEMORY = 6.0  # GB, at most, for 256 views of 224x224 over a million splats of SH 3
 COMPILE = 20.0  # s, at most

@@ -31,7 +31,7 @@ from gn0.missions.sets.json_file import load_exact
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.suites.suite import save_suite
-from gn0.testing.check_dataset_exporter import PICTURE_TOLERANCE, picture_difference
+from gn0.testing.dataset_exporter_check import PICTURE_TOLERANCE, picture_difference
 from gn0.testing.toy_trips import toy_source, toy_source_for
 
 REAL = "vln/R2R_VLNCE_v1-2_preprocessed"

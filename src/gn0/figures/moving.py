@@ -10,8 +10,8 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.scenes.discs import OPACITY, SIGMA
 from gn0.seeds import random_stream
-from gn0.testing.check_renderer import random_cloud
-from gn0.testing.check_renderer_parts import ball_cloud
+from gn0.testing.renderer_check import random_cloud
+from gn0.testing.renderer_parts_check import ball_cloud
 
 # a colour gain: constant, then along x, y and z of the world
 GAIN = np.array(

@@ -22,8 +22,8 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import STAGES, RendererCpu
 from gn0.render.instance import Instance, move_instance
 from gn0.render.renderer import RenderOptions, RenderResult
-from gn0.testing.check_renderer import psnr
 from gn0.testing.reference import RendererReference
+from gn0.testing.renderer_check import psnr
 
 _VIEWS = 32
 _ROUNDS = 5

@@ -26,7 +26,7 @@ from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
 from gn0.sim.sensors import SensorSuite
 from gn0.sim.vector import VectorEnv
-from gn0.testing.check_renderer import psnr
+from gn0.testing.renderer_check import psnr
 from gn0.testing.scenes import (
     build_floor_plan,
     build_map_scene,

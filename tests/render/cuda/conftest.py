@@ -21,7 +21,7 @@ from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.replay import Replay, SetMissingError
 from gn0.render.renderer import RenderOptions, check_views
 from gn0.render.visible_mark import mark_tiles
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 
 def unpack_cloud(cloud: CloudDevice) -> PackedCloud:

@@ -22,7 +22,7 @@ from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.replay import PicturesDevice, Replay
 from gn0.render.renderer import RenderOptions
 from gn0.render.visible_places import VisibleOptions
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -24,7 +24,7 @@ from gn0.render.cuda.pack import cloud_bytes
 from gn0.render.cuda.replay import Heard, PicturesDevice, Replay
 from gn0.render.cuda.visible import VisibleSets, lock_of
 from gn0.render.visible_places import VisibleOptions
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

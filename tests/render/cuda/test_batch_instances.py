@@ -19,7 +19,7 @@ from gn0.render.cuda.replay import Replay
 from gn0.render.instance import PARTS_MAX, Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions
 from gn0.render.visible_places import VisibleOptions
-from gn0.testing.check_renderer import psnr, random_cloud
+from gn0.testing.renderer_check import psnr, random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

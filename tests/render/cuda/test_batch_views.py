@@ -14,7 +14,7 @@ from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.pack import cloud_bytes
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -16,7 +16,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import choose_splats, upload_cloud
 from gn0.render.renderer import RenderOptions, RenderResult
-from gn0.testing.check_renderer import psnr, random_cloud
+from gn0.testing.renderer_check import psnr, random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -18,7 +18,7 @@ from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.replay import NO_ROOM, Heard
 from gn0.render.cuda.tables import NOWHERE
 from gn0.render.cuda.tune import FEW, Tuning
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

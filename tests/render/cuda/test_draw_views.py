@@ -15,7 +15,7 @@ from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.replay import Heard
 from gn0.render.cuda.tables import CLOUD, most_blocks, share_work
 from gn0.render.cuda.tune import Tuning
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -23,7 +23,7 @@ from gn0.render.cuda.pack import prepare_cloud, upload_cloud
 from gn0.render.cuda.tune import Tuning
 from gn0.render.instance import PARTS_MAX, Instance, find_normals, move_instance
 from gn0.render.renderer import RenderOptions
-from gn0.testing.check_renderer import psnr, random_cloud
+from gn0.testing.renderer_check import psnr, random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -18,7 +18,7 @@ from gn0.render.cuda import pack
 from gn0.render.cuda.draw import CHUNK as CHUNK_DEVICE
 from gn0.render.cuda.pack import SH_ROW, cloud_bytes, upload_cloud, upload_clouds
 from gn0.render.cuda.tables import SPLATS_MAX
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

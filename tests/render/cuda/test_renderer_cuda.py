@@ -19,7 +19,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.open import build_renderer
 from gn0.render.renderer import RenderOptions, RenderResult
-from gn0.testing.check_renderer import check_renderer, psnr, random_cloud
+from gn0.testing.renderer_check import check_renderer, psnr, random_cloud
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -19,7 +19,7 @@ from gn0.render.cuda.store import CloudStore
 from gn0.render.light import LightCondition
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.open import look_hash
-from gn0.testing.check_renderer import random_cloud
+from gn0.testing.renderer_check import random_cloud
 from gn0.testing.scenes import build_room_scene
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")

@@ -24,7 +24,7 @@ from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.seeds import random_stream
 from gn0.sim.open import open_simulator
 from gn0.sim.vector import VectorEnv
-from gn0.testing.check_renderer import check_renderer, psnr, random_cloud
+from gn0.testing.renderer_check import check_renderer, psnr, random_cloud
 from gn0.testing.scenes import build_room_scene
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")

@@ -39,7 +39,7 @@ from gn0.render.visible_places import VisibleOptions
 from gn0.scenes.parts import build_ball
 from gn0.sim.sensors import GREEN, RED, draw_disc
 from gn0.storage import content_hash
-from gn0.testing.check_renderer import random_cloud as many_shapes
+from gn0.testing.renderer_check import random_cloud as many_shapes
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets"),

@@ -1,6 +1,6 @@
 """Whether a dataset exporter keeps the protocol: run a plug-in's class against it.
 
-from gn0.testing.check_dataset_exporter import check_dataset_exporter
+from gn0.testing.dataset_exporter_check import check_dataset_exporter
 check_dataset_exporter(MyExporter)
 """
 

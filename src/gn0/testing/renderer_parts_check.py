@@ -1,6 +1,6 @@
 """Whether a renderer draws moving parts as it would draw the parts' splats, moved.
 
-from gn0.testing.check_renderer_parts import check_renderer_parts
+from gn0.testing.renderer_parts_check import check_renderer_parts
 check_renderer_parts(RendererCpu)
 """
 
@@ -20,7 +20,7 @@ from gn0.render.camera import Camera
 from gn0.render.instance import PARTS_MAX, Instance, Parts, find_normals, move_instance
 from gn0.render.renderer import RenderOptions, RenderResult
 from gn0.seeds import random_stream
-from gn0.testing.check_renderer import RendererFactory, psnr, random_cloud
+from gn0.testing.renderer_check import RendererFactory, psnr, random_cloud
 
 
 class RendererOfParts(Protocol):

@@ -1,6 +1,6 @@
 """Whether an exporter keeps the protocol: run a plug-in's class against it.
 
-from gn0.testing.check_exporter import check_exporter
+from gn0.testing.exporter_check import check_exporter
 check_exporter(MyExporter, "path/to/an/example")
 """
 

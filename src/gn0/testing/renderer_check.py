@@ -1,6 +1,6 @@
 """Whether a renderer keeps the protocol: run a plug-in's factory against it.
 
-from gn0.testing.check_renderer import check_renderer
+from gn0.testing.renderer_check import check_renderer
 check_renderer(MyRenderer)
 """
 

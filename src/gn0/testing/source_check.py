@@ -1,6 +1,6 @@
 """Whether a scene source keeps the protocol: run a plug-in's class against it.
 
-from gn0.testing.check_source import check_source
+from gn0.testing.source_check import check_source
 check_source(MySource, "path/to/an/example")
 """
 

@@ -1,6 +1,6 @@
 """Whether a policy keeps the protocol: run a plug-in's factory against it.
 
-from gn0.testing.check_policy import check_policy
+from gn0.testing.policy_check import check_policy
 check_policy(MyPolicy)        # a Policy
 check_policy(MyPolicyBatch)   # a PolicyBatch: checked as a batch of one, then in other batches
 """

@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from gn0.data.dagger import collect_visited
-from gn0.data.expert_labels import EXACT, label_states, walk_actions
-from gn0.data.settings import DaggerSettings
-from gn0.maps.navigation import NavigationMap
-from gn0.missions.goal import sample_goal_episodes
-from gn0.policies.simple import PolicyStraight
-from gn0.scenes.example import build_example_scene
-from gn0.sim.sensors import SensorConfig
-from gn0.sim.simulator import Simulator
+from gn0 import Simulator
+from gn0.data import EXACT, DaggerSettings, collect_visited, label_states, walk_actions
+from gn0.maps import NavigationMap
+from gn0.missions import sample_goal_episodes
+from gn0.policies import PolicyStraight
+from gn0.scenes import build_example_scene
+from gn0.sim import SensorConfig
 
 OUT = Path(__file__).resolve().parent / "pictures" / "labels.png"
 SCALE = 7  # pixels of the picture a cell

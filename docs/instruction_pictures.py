@@ -11,15 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gn0.maps.navigation import NavigationMap
-from gn0.missions.goal import sample_goal_episodes
-from gn0.missions.language.describe import describe_route
-from gn0.missions.language.providers import open_provider
-from gn0.missions.language.write import write_texts
-from gn0.render.open import build_renderer
-from gn0.scenes.folder import load_scene
-from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
-from gn0.viewer.route_picture import render_route, segment_words
+from gn0 import build_renderer, load_scene
+from gn0.maps import NavigationMap
+from gn0.missions import describe_route, open_provider, sample_goal_episodes, write_texts
+from gn0.scenes import GenerateSettings, generate_scene
+from gn0.viewer import render_route, segment_words
 
 PICTURES = Path(__file__).resolve().parent / "pictures"
 QUICK = {"size": "small", "light": "draft", "density": 5000.0}

@@ -9,9 +9,9 @@ from pathlib import Path
 from PIL import Image
 
 from gn0 import open_simulator, run_episode
-from gn0.missions.goal import sample_goal_episodes
-from gn0.policies.oracle import PolicyOracle
-from gn0.scenes.example import build_example_scene
+from gn0.missions import sample_goal_episodes
+from gn0.policies import PolicyOracle
+from gn0.scenes import build_example_scene
 
 
 def main(out: Path) -> None:

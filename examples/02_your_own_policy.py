@@ -3,11 +3,10 @@
 Run: python examples/02_your_own_policy.py
 """
 
-from gn0 import open_simulator, run_episode
-from gn0.missions.goal import sample_goal_episodes
-from gn0.scenes.example import build_example_scene
-from gn0.sim.state import Action
-from gn0.testing.policy_check import check_policy
+from gn0 import Action, open_simulator, run_episode
+from gn0.missions import sample_goal_episodes
+from gn0.scenes import build_example_scene
+from gn0.testing import check_policy
 
 
 class PolicyBumper:

@@ -7,9 +7,8 @@ import sys
 
 import numpy as np
 
-from gn0.policies.remote.policy_remote import PolicyRemote
-from gn0.policies.remote.server import PolicyServer, serve
-from gn0.testing.policy_check import check_policy
+from gn0.policies import PolicyRemote, PolicyServer, serve
+from gn0.testing import check_policy
 
 
 class DepthWalker:

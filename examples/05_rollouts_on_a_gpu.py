@@ -8,10 +8,9 @@ import time
 
 import numpy as np
 
-from gn0.device.open import find_device, open_device
-from gn0.errors import DeviceError
-from gn0.sim.device_env import VectorEnvDevice
-from gn0.sim.device_rollout import RolloutCollector
+from gn0 import DeviceError
+from gn0.device import find_device, open_device
+from gn0.sim import RolloutCollector, VectorEnvDevice
 
 STEPS = 64
 

@@ -9,7 +9,7 @@ import sys
 import gymnasium
 import numpy as np
 
-from gn0.sim.adapters import FlatVectorEnv, build_vec_env
+from gn0.sim import FlatVectorEnv, build_vec_env
 
 
 def main() -> None:

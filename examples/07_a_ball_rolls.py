@@ -14,15 +14,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from gn0.device.open import find_device
-from gn0.geometry import view_from_pose
-from gn0.maps.navigation import NavigationMap
-from gn0.render.camera import Camera
-from gn0.render.open import open_renderer
-from gn0.render.renderer import DrawnScene
-from gn0.scenes.example import build_example_scene
-from gn0.scenes.parts import build_ball, build_box, build_leaf
-from gn0.sim.motion import PartPath, PathMotion
+from gn0 import Camera, view_from_pose
+from gn0.device import find_device
+from gn0.maps import NavigationMap
+from gn0.render import DrawnScene, open_renderer
+from gn0.scenes import build_ball, build_box, build_example_scene, build_leaf
+from gn0.sim import PartPath, PathMotion
 
 RADIUS, EYE = 0.15, 1.2  # m
 

@@ -1,1 +1,5 @@
-"""Metrics, runner, results and the report."""
+"""The benchmark: suites, runs, metrics, comparisons and the report."""
+
+from gn0.namespace import open_namespace
+
+__getattr__, __dir__, __all__ = open_namespace(__name__, __file__)

@@ -1,1 +1,5 @@
-"""GN-Matrix samples: poses, labels and hashes; pictures are a cache of them."""
+"""Samples to train on: poses, labels and hashes; pictures are a cache of them."""
+
+from gn0.namespace import open_namespace
+
+__getattr__, __dir__, __all__ = open_namespace(__name__, __file__)

@@ -1,1 +1,5 @@
-"""Datasets in the formats that others train and measure with: one module a format."""
+"""Datasets in the formats that others train and measure with."""
+
+from gn0.namespace import open_namespace
+
+__getattr__, __dir__, __all__ = open_namespace(__name__, __file__)

@@ -1,1 +1,5 @@
-"""One renderer protocol and its backends."""
+"""One renderer protocol, its backends, and what is drawn through them."""
+
+from gn0.namespace import open_namespace
+
+__getattr__, __dir__, __all__ = open_namespace(__name__, __file__)

@@ -1,1 +1,5 @@
-"""State, kinematics, collision, sensors, simulator, environments and the policy protocol."""
+"""The simulator: state, moves, sensors, environments for one agent and for thousands."""
+
+from gn0.namespace import open_namespace
+
+__getattr__, __dir__, __all__ = open_namespace(__name__, __file__)

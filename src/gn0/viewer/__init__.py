@@ -1,1 +1,5 @@
 """Pictures and live views of scenes and runs."""
+
+from gn0.namespace import open_namespace
+
+__getattr__, __dir__, __all__ = open_namespace(__name__, __file__)

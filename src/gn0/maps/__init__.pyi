@@ -1,0 +1,9 @@
+from gn0.maps.astar import GridPath as GridPath
+from gn0.maps.astar import PlannerAstar as PlannerAstar
+from gn0.maps.distance import GeodesicField as GeodesicField
+from gn0.maps.distance import GeodesicMap as GeodesicMap
+from gn0.maps.grid import OccupancyGrid as OccupancyGrid
+from gn0.maps.lattice import ActionPlanner as ActionPlanner
+from gn0.maps.lattice import DiscretePath as DiscretePath
+from gn0.maps.lattice import LatticeCosts as LatticeCosts
+from gn0.maps.navigation import NavigationMap as NavigationMap

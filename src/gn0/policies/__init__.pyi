@@ -1,0 +1,9 @@
+from gn0.policies.explorer import PolicyExplorer as PolicyExplorer
+from gn0.policies.oracle import PolicyOracle as PolicyOracle
+from gn0.policies.recorded import PolicyRecorded as PolicyRecorded
+from gn0.policies.remote.policy_remote import PolicyRemote as PolicyRemote
+from gn0.policies.remote.server import PolicyServer as PolicyServer
+from gn0.policies.remote.server import serve as serve
+from gn0.policies.simple import PolicyRandom as PolicyRandom
+from gn0.policies.simple import PolicyStraight as PolicyStraight
+from gn0.policies.simple import PolicyWallFollower as PolicyWallFollower

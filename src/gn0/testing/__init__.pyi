@@ -1,0 +1,11 @@
+from gn0.testing.dataset_exporter_check import check_dataset_exporter as check_dataset_exporter
+from gn0.testing.exporter_check import check_exporter as check_exporter
+from gn0.testing.policy_check import check_policy as check_policy
+from gn0.testing.reference import RendererReference as RendererReference
+from gn0.testing.renderer_check import check_renderer as check_renderer
+from gn0.testing.renderer_parts_check import check_renderer_parts as check_renderer_parts
+from gn0.testing.scenes import build_map_scene as build_map_scene
+from gn0.testing.scenes import build_point_episodes as build_point_episodes
+from gn0.testing.scenes import build_room_scene as build_room_scene
+from gn0.testing.source_check import check_source as check_source
+from gn0.testing.toy_trips import toy_source as toy_source

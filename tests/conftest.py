@@ -19,6 +19,11 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
+# before NumPy is loaded: workers side by side, each of whose linear algebra waits on every core by
+# spinning, wait for each other; a third of all time went there
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import gn0
 from gn0.device.open import find_device
 

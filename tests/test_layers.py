@@ -140,7 +140,7 @@ def core_asks_for_nothing_that_it_does_not_install(path: Path) -> None:
 
 def test_simulator_never_imports_a_renderer() -> None:
     """The simulator is handed its renderer: only the protocol and the camera are known to it."""
-    for path in (SRC / "sim").glob("*.py"):
+    for path in (SRC / "sim").rglob("*.py"):
         used = {n for n in imports_of(path) if n.startswith("gn0.render.")}
         known = tuple(
             f"gn0.render.{m}" for m in ("renderer", "open", "instance", "camera", "bev", "light")

@@ -1,4 +1,4 @@
-"""One registry for every plug point: scene source, renderer, policy, exporter.
+"""One registry for every plug point: scene source, renderer, sensor, policy, exporter.
 
 Built-ins are named here as "module:attribute" and imported on first use. Third-party packages
 register through the entry-point group `gn0.plugins` (a module whose import calls `register`).
@@ -23,6 +23,7 @@ Kind = Literal[
     "scene_source",
     "renderer",
     "refiner",
+    "sensor",
     "policy",
     "exporter",
     "dataset_exporter",
@@ -42,6 +43,17 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "gsplat": "gn0.render.gsplat:RendererGsplat",
     },
     "refiner": {"cpu": "gn0.render.refine:refine_cloud"},
+    "sensor": {  # in the order of the docs, and of the wire
+        "rgb": "gn0.sim.sensor.rgb:SENSOR",
+        "depth": "gn0.sim.sensor.depth:SENSOR",
+        "bev": "gn0.sim.sensor.bev:SENSOR",
+        "occupancy": "gn0.sim.sensor.occupancy:SENSOR",
+        "history": "gn0.sim.sensor.history:SENSOR",
+        "ranges": "gn0.sim.sensor.ranges:SENSOR",
+        "goal_vector": "gn0.sim.sensor.goal_vector:SENSOR",
+        "goal_picture": "gn0.sim.sensor.goal_picture:SENSOR",
+        "pose": "gn0.sim.sensor.pose:SENSOR",
+    },
     "policy": {
         "oracle": "gn0.policies.oracle:PolicyOracle",
         "straight": "gn0.policies.simple:PolicyStraight",
@@ -109,6 +121,11 @@ def _discover() -> None:
 def is_builtin(kind: Kind, name: str) -> bool:
     """Whether a plug-in is one of GN0's own."""
     return name in _BUILTIN[kind]
+
+
+def builtin_names(kind: Kind) -> tuple[str, ...]:
+    """Names of GN0's own, in the order of their table."""
+    return tuple(_BUILTIN[kind])
 
 
 def installed_modules() -> list[str]:

@@ -281,7 +281,7 @@ def test_the_observation_has_no_privileged_field() -> None:
     assert {f.name for f in dataclasses.fields(Observation)} == {
         *("step", "time", "instruction", "collided", "rgb", "depth", "bev"),
         *("bev_metres_per_pixel", "occupancy", "history", "ranges", "goal_vector"),
-        *("goal_picture", "pose"),
+        *("goal_picture", "pose", "more"),
     }
 
 

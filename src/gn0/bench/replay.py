@@ -30,7 +30,7 @@ from gn0.plugins import SECRETS, describe_error
 from gn0.progress import Progress, no_progress
 from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.sim.rollout import TELEPORT_CODE
-from gn0.sim.state import Action, Observation, Sensor, Teleport
+from gn0.sim.state import Action, Observation, Teleport
 from gn0.storage import read_bytes, safe_join
 from gn0.suites.run_files import RESULTS, TRAJECTORIES
 from gn0.suites.suite import Suite
@@ -128,7 +128,7 @@ class PolicyReplay:
 
     name: str
     trace: EpisodeTrace = field(default_factory=lambda: EpisodeTrace(episode=""))
-    sensors: frozenset[Sensor] = frozenset()
+    sensors: frozenset[str] = frozenset()
     _said: Iterator[Action | Teleport] = field(default_factory=lambda: iter(()))
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:

@@ -30,7 +30,7 @@ from gn0.locked_folder import check_room, lock_folder
 from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.sim.simulator import Simulator
-from gn0.sim.state import Action, Sensor
+from gn0.sim.state import Action
 from gn0.suites.known_suites import remember_suite
 from gn0.suites.run_files import BYTES_PER_EPISODE, RESULTS
 from gn0.suites.suite import Suite
@@ -46,10 +46,10 @@ _ROWS = (
 )
 
 
-def shown_sensors(suite: Suite) -> frozenset[Sensor]:
+def shown_sensors(suite: Suite) -> frozenset[str]:
     """What the page may show a person: what the suite's track allows any policy."""
     track = suite.track
-    seen: set[Sensor] = {"rgb"}
+    seen: set[str] = {"rgb"}
     if suite.map_mode != "none":
         seen |= {"bev", "occupancy"}
     if track is not None and track.pose:

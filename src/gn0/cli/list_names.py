@@ -83,18 +83,20 @@ def _presets() -> Iterator[tuple[str, str]]:
 
 
 def _sensors() -> Iterator[tuple[str, str]]:
-    from gn0.sim.env import build_spaces
-    from gn0.sim.presets import find_preset
-    from gn0.sim.state import Sensor
+    import numpy as np
+
+    from gn0.sim.sensor.sensor import MAP_SIDE
+    from gn0.sim.sensor.table import carry_sensors, sensor_names
+    from gn0.sim.sensors import SensorConfig
     from gn0.sim.words import TOKEN_LIMIT
 
-    spaces = build_spaces(get_args(Sensor), find_preset("gn_bench"), None)
-    for name in get_args(Sensor):
-        if name in ("bev", "occupancy"):
-            yield name, "uint8 [H, W, 3], H and W of the scene's map"
-            continue
-        space = spaces[name]
-        yield name, f"{space.dtype} {list(space.shape or ())} with preset gn_bench"
+    for sensor in carry_sensors(sensor_names()).sensors:
+        space = sensor.space(SensorConfig())
+        kind = np.dtype(space.dtype).name
+        if MAP_SIDE in space.shape:
+            yield sensor.name, f"{kind} [H, W, 3], H and W of the scene's map"
+        else:
+            yield sensor.name, f"{kind} {list(space.shape)} with preset gn_bench"
     yield "instruction", "text; in Gymnasium environments, policies always have it"
     yield (
         "instruction_tokens",

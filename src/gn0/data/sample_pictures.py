@@ -301,6 +301,4 @@ def goal_picture(eyes: SensorSuite, episode: Episode) -> U8:
 
 def map_picture(eyes: SensorSuite) -> U8:
     """The BEV picture [H, W, 3] of a scene and light."""
-    nowhere = Pose2D(0.0, 0.0, 0.0)
-    picture: U8 = eyes.read_static(nowhere, nowhere, (0.0, 0.0), frozenset({"bev"}))["bev"]
-    return picture
+    return eyes.bev_picture

@@ -19,7 +19,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.maps.path_smoothing import densify_path
 from gn0.paper import FORWARD_STEP, TURN_DEGREES
 from gn0.sim.sensors import RED
-from gn0.sim.state import Action, Observation, Sensor
+from gn0.sim.state import Action, Observation
 
 LOOK_ROUND = 24  # turns in a circle
 REACHES = (0.3, 1.0)  # m: how far from the goal a way may end; the slim body is tried before that
@@ -38,7 +38,7 @@ class PolicyExplorer:
     """
 
     name = "explorer"
-    sensors: frozenset[Sensor] = frozenset({"occupancy", "goal_vector", "pose"})
+    sensors: frozenset[str] = frozenset({"occupancy", "goal_vector", "pose"})
 
     def __init__(
         self,

@@ -17,7 +17,7 @@ from gn0.errors import PlanError, PolicyError
 from gn0.geometry import Pose2D
 from gn0.maps.pose_astar import plan_actions
 from gn0.sim.kinematics import heading_cycle, step_forward
-from gn0.sim.state import Action, Observation, Sensor
+from gn0.sim.state import Action, Observation
 
 if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator
@@ -34,7 +34,7 @@ class PolicyOracle:
     """
 
     name = "oracle"
-    sensors: frozenset[Sensor] = frozenset()
+    sensors: frozenset[str] = frozenset()
 
     def __init__(self, stop_distance: float = 0.25, turn_cost: float = 0.02) -> None:
         # a hair within the limit, so that no rounding in a metric can put it outside

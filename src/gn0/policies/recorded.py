@@ -10,7 +10,7 @@ import numpy as np
 from gn0.bench.replay import recorded_actions
 from gn0.bench.results import load_traces
 from gn0.errors import EpisodeError, PolicyError
-from gn0.sim.state import Action, Observation, Sensor, Teleport
+from gn0.sim.state import Action, Observation, Teleport
 from gn0.suites.run_files import digest_run
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class PolicyRecorded:
     """
 
     name = "recorded"
-    sensors: frozenset[Sensor] = frozenset()
+    sensors: frozenset[str] = frozenset()
 
     def __init__(self, run: str, digest: str = "") -> None:
         self._run = run

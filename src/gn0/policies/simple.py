@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from gn0.geometry import F32
-from gn0.sim.state import Action, Observation, Sensor
+from gn0.sim.state import Action, Observation
 
 TURNS = (Action.LEFT, Action.RIGHT)
 
@@ -33,7 +33,7 @@ class PolicyStraight:
     """
 
     name = "straight"
-    sensors: frozenset[Sensor] = frozenset({"goal_vector"})
+    sensors: frozenset[str] = frozenset({"goal_vector"})
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class PolicyWallFollower:
     """
 
     name = "wall_follower"
-    sensors: frozenset[Sensor] = frozenset({"ranges"})
+    sensors: frozenset[str] = frozenset({"ranges"})
 
     def __init__(
         self,
@@ -186,7 +186,7 @@ class PolicyRandom:
     """Draws STOP, FORWARD, LEFT, RIGHT with VLN-CE's probabilities .02, .68, .15, .15."""
 
     name = "random"
-    sensors: frozenset[Sensor] = frozenset()
+    sensors: frozenset[str] = frozenset()
     probabilities = (0.02, 0.68, 0.15, 0.15)
 
     def __init__(self) -> None:

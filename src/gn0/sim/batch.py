@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import SimError
-from gn0.geometry import F64, Pose2D, world_to_agent
-from gn0.missions.episode import AgentSpec, GoalPicture
+from gn0.geometry import F32, F64, Pose2D
+from gn0.missions.episode import AgentSpec
 from gn0.scenes.scene import Scene
 from gn0.sim.batch_eyes import BatchEyes, Snapshot
 from gn0.sim.batch_kernels import (
@@ -28,9 +28,8 @@ from gn0.sim.batch_kernels import (
 )
 from gn0.sim.batch_tables import EpisodeTable, MapTable
 from gn0.sim.open import name_look
-from gn0.sim.sensors import PICTURES, SensorConfig
-from gn0.sim.simulator import STEP_SECONDS, goal_record, goal_view
-from gn0.sim.state import Sensor
+from gn0.sim.sensors import SensorConfig
+from gn0.sim.state import OBSERVED
 
 if TYPE_CHECKING:
     from gn0.sim.sensors import SensorSuite
@@ -50,6 +49,41 @@ class BatchStep(NamedTuple):
     progress: F64
     stopped: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
+
+
+class AgentsHere:
+    """Agents where they stand now; see `gn0.sim.sensor.sensor.Agents`.
+
+    Args:
+        batch: in which they are.
+        which: [K] their numbers.
+        limit: goal vectors are clipped to ±limit [m].
+    """
+
+    def __init__(self, batch: SimulatorBatch, which: NDArray[np.int64], limit: float) -> None:
+        self._batch, self._which, self._limit = batch, which, limit
+
+    def poses(self) -> F64:
+        """[K, 3] x, y [m], yaw [rad]."""
+        return self._batch.poses(self._which)
+
+    def goal_vectors(self) -> F32:
+        """[K, 2] forward, left [m]."""
+        out = np.empty((len(self._which), 2), np.float32)
+        read_goal_vectors(self._which, *self._batch.known(), np.float32(self._limit), out)
+        return out
+
+    def ranges(self) -> F32:
+        """[K, R] m."""
+        config = self._batch.config
+        rays = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
+        agents, episodes = self._batch.known()
+        out = np.empty((len(self._which), len(rays)), np.float32)
+        read_ranges(
+            *(self._which, agents, self._batch.table.maps.arrays, episodes),
+            *(rays, float(config.range_limit), out),
+        )
+        return out
 
 
 class SimulatorBatch:
@@ -100,20 +134,22 @@ class SimulatorBatch:
             np.zeros(count),
         )
         self._everyone = np.arange(count)
-        self._rays = 2 * np.pi * np.arange(config.range_rays) / config.range_rays
         self.eyes: BatchEyes | None = None
-        if config.active & PICTURES:
+        self._at_once = tuple(s for s in config.carried.sensors if s.many is not None)
+        self._strange = tuple(s for s in self._at_once if s.name not in OBSERVED)
+        later = sorted(s.name for s in config.carried.sensors if s.many is None)
+        if later:
             if open_suite is None:
                 raise SimError(
-                    f"sensors {sorted(config.active & PICTURES)} need pictures",
+                    f"sensors {later} need pictures",
                     remedy="use VectorEnv, or hand open_suite to SimulatorBatch",
                 )
             self.eyes = BatchEyes(count, config, open_suite, scenes_kept, self.agent)
 
     @property
-    def sensors(self) -> frozenset[Sensor]:
+    def sensors(self) -> frozenset[str]:
         """What each agent carries."""
-        return self.config.active  # type: ignore[return-value]
+        return self.config.active
 
     def place(self, which: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
         """Begin episodes `chosen` [K] (numbers of `table`) with agents `which` [K].
@@ -154,7 +190,7 @@ class SimulatorBatch:
         """Poses [K, 3] (x, y [m], yaw [rad]) of agents `which`, or of all."""
         chosen = self._everyone if which is None else which
         out = np.empty((len(chosen), 3))
-        read_poses(chosen, *self._known(), out)
+        read_poses(chosen, *self.known(), out)
         return out
 
     def observe(
@@ -165,25 +201,13 @@ class SimulatorBatch:
         Goal vectors are clipped to ±limit [m]. Pictures come from `look`.
         """
         chosen = self._everyone if which is None else which
-        table = self.table
-        found: dict[str, Any] = {}
-        if "goal_vector" in self.sensors:
-            out = np.empty((len(chosen), 2), np.float32)
-            read_goal_vectors(chosen, *self._known(), np.float32(limit), out)
-            found["goal_vector"] = out
-        if "ranges" in self.sensors:
-            agents, episodes = self._known()
-            out = np.empty((len(chosen), len(self._rays)), np.float32)
-            read_ranges(
-                *(chosen, agents, table.maps.arrays, episodes),
-                *(self._rays, float(self.config.range_limit), out),
-            )
-            found["ranges"] = out
-        if "pose" in self.sensors:
-            found["pose"] = self.poses(chosen)
+        agents = AgentsHere(self, chosen, limit)
+        found = {s.name: s.many(agents) for s in self._at_once if s.many is not None}
+        for sensor in self._strange:
+            found[sensor.name] = sensor.check(found[sensor.name], self.config, len(chosen))
         return found
 
-    def _known(self) -> tuple[AgentArrays, EpisodeArrays]:
+    def known(self) -> tuple[AgentArrays, EpisodeArrays]:
         """Agents and their episodes, as the kernels read them."""
         return self.state, self.table.arrays
 
@@ -191,27 +215,15 @@ class SimulatorBatch:
         """The pose of one agent."""
         return Pose2D(*self.poses(np.array([agent]))[0].tolist())
 
-    def goal_vector(self, agent: int) -> tuple[float, float]:
-        """The goal (forward, left) [m] of one agent, in full precision."""
-        return world_to_agent(
-            self.pose(agent), *self.table.episodes[int(self.state.episode[agent])].goal
-        )
-
     def snapshot(self, which: NDArray[np.int64] | None = None) -> Snapshot | None:
         """What `draw` needs to know of agents `which` as they stand now; None without pictures."""
         if self.eyes is None:
             return None
         chosen = self._everyone if which is None else which
         episodes = [self.table.episodes[n] for n in self.state.episode[chosen].tolist()]
-        starts = np.array([episode.start for episode in episodes])
-        goals = starts  # not looked at
-        records: list[GoalPicture | None] = [None] * len(episodes)
-        if "goal_picture" in self.sensors:
-            goals = np.array([goal_view(episode) for episode in episodes])
-            records = [goal_record(episode) for episode in episodes]
         scenes = [name_look(episode) for episode in episodes]
-        times = self.state.steps[chosen].astype(np.float64) * STEP_SECONDS
-        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), starts, goals, records, times)
+        steps = self.state.steps[chosen].tolist()
+        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), episodes, steps)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of snapshots, arrays or lists [K, …] a sensor; see `BatchEyes.draw`.

@@ -44,7 +44,7 @@ class SimulatorBatchContinuous(SimulatorBatch):
         step = BatchStep(
             np.empty(self.count), np.empty(self.count, np.bool_), np.empty(self.count, np.bool_)
         )
-        agents, episodes = self._known()
+        agents, episodes = self.known()
         strides = self._headings * np.where(codes == STRIDE, amounts, 0.0)[:, None, None]
         steps = np.where(codes == STRIDE, 1, np.where(codes == STOP, 0, 2))  # 2: no move, no STOP
         step_agents(
@@ -60,7 +60,7 @@ class SimulatorBatchContinuous(SimulatorBatch):
             self._headings[i, 0] = yaw, math.cos(yaw), math.sin(yaw)
         return step
 
-    def _known(self) -> tuple[AgentArrays, EpisodeArrays]:
+    def known(self) -> tuple[AgentArrays, EpisodeArrays]:
         """Agents and episodes as the kernels read them: agent i plays row i, unturned."""
         number, table = self.state.episode, self.table.arrays
         self._unturned[:] = 0

@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.geometry import F64, Pose2D
-from gn0.missions.episode import AgentSpec, GoalPicture
+from gn0.geometry import F64, U8, Pose2D
+from gn0.missions.episode import AgentSpec, Episode
 from gn0.sim.history import History
 from gn0.sim.mapping import Mapper
 from gn0.sim.motion import STILL, Moment
-from gn0.sim.sensors import EYES, MAPS, SensorConfig, outputs_of
+from gn0.sim.sensor.sensor import MAP_SIDE
+from gn0.sim.sensors import SensorConfig
+from gn0.sim.simulator import goal_record, goal_view
+from gn0.sim.standpoint import Standpoint
+from gn0.sim.state import OBSERVED, STEP_SECONDS
 
 if TYPE_CHECKING:
     from gn0.sim.sensors import SensorSuite
@@ -37,28 +41,25 @@ class Snapshot:
         agents: int64 [K] their numbers.
         scenes: [K] ids of their scenes.
         poses: [K, 3] x, y [m], yaw [rad].
-        starts: [K, 3] the same at their episodes' start.
-        goals: [K, 3] the same where their goal pictures are taken, if no record says otherwise.
-        records: [K] how they are taken, where the episode says.
+        episodes: [K] that they play.
+        steps: [K] that they have taken.
         kept: [K] what an agent has kept of its episode.
         due: [K] whether the agent's own map lacks what it sees now.
-        mosaics: [K] history mosaics, when they carry that sensor.
-        times: [K] since their episodes began [s].
+        views: [K] tiles of earlier views, where a sensor looks at them.
     """
 
     agents: NDArray[np.int64]
     scenes: list[str]
     poses: F64
-    starts: F64
-    goals: F64
-    records: list[GoalPicture | None]
+    episodes: list[Episode]
+    steps: list[int]
     kept: list[Kept]
     due: NDArray[np.bool_]
-    mosaics: list[NDArray[np.uint8]]
-    times: F64
+    views: list[tuple[U8, ...]]
 
 
 Place = tuple[str, bytes]  # a scene, and a pose with the key of the moment there
+Seen = dict[str, NDArray[Any]]  # a picture by output
 
 
 class BatchEyes:
@@ -82,21 +83,22 @@ class BatchEyes:
     ) -> None:
         self.config = config
         self._agent = agent
-        self._wanted = frozenset(config.active)
-        self._explores = config.explores and bool(self._wanted & MAPS)
-        self._drawn: frozenset[str] = self._wanted
-        if self._explores:  # an agent's own map is made from depth, its colours from rgb
-            self._drawn |= {"depth", "rgb"} if "bev" in self._wanted else {"depth"}
+        carried = config.carried
+        self._sensors = tuple(sensor for sensor in carried.sensors if sensor.many is None)
+        self._explores = config.explores
+        self._coloured = "rgb" in carried.explored
+        self._outputs = carried.drawn(self._explores)
+        self._goals = carried.goal_view
+        self._scaled = bool(carried.maps)
         self._kept = [Kept() for _ in range(count)]
         self._due = np.ones(count, np.bool_)
-        self._spared = {"rgb", "depth"} - self._wanted  # drawn for others' sake
         self.open_suite = open_suite
         self._scenes_kept = scenes_kept
         self._suites: OrderedDict[str, SensorSuite] = OrderedDict()
-        self._histories = [History() for _ in range(count)] if "history" in self._wanted else []
+        self._histories = [History() for _ in range(count)] if carried.views else []
         self._place: list[Place | None] = [None] * count  # of the pictures below
-        self._outputs = outputs_of(self._drawn)
-        self._seen: dict[str, NDArray[Any]] = {}  # by output, of all agents
+        self._seen: Seen = {}  # of all agents
+        self._lists = frozenset(s.name for s in self._sensors if MAP_SIDE in s.space(config).shape)
         self._count = count
 
     def begin(self, which: NDArray[np.int64]) -> None:
@@ -120,36 +122,32 @@ class BatchEyes:
         which: NDArray[np.int64],
         scenes: list[str],
         poses: F64,
-        starts: F64,
-        goals: F64,
-        records: list[GoalPicture | None],
-        times: F64,
+        episodes: list[Episode],
+        steps: list[int],
     ) -> Snapshot:
         """Where agents `which` stand now, with what they have kept of their episodes."""
         due = self._due[which]
         self._due[which] = False
         agents = which.tolist()
-        mosaics = [self._histories[i].mosaic() for i in agents] if self._histories else []
+        views = [self._histories[i].tiles for i in agents] if self._histories else []
         kept = [self._kept[i] for i in agents]
-        return Snapshot(which, scenes, poses, starts, goals, records, kept, due, mosaics, times)
+        return Snapshot(which, scenes, poses, episodes, steps, kept, due, views)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
-        """The pictures of each snapshot, an array [K, …] a sensor.
+        """What sensors read at each snapshot, an array [K, …] each; of maps a list of pictures.
 
         A scene's renderer is called once for all of them (twice where colour and depth have
         cameras of their own). Who has not moved is not drawn again. The last snapshot that names
         an agent is where it stands now.
         """
         self._load({name for snapshot in snapshots for name in snapshot.scenes})
-        found: list[dict[str, Any]] = [{} for _ in snapshots]
-        if self._drawn & EYES:
-            self._draw_eyes(snapshots, found)
-        for snapshot, pictures in zip(snapshots, found, strict=True):
-            if self._histories:
-                pictures["history"] = np.array(snapshot.mosaics, np.uint8)
-            if self._wanted & MAPS:
-                self._draw_maps(snapshot, pictures)
-        return [{name: p[name] for name in p if name not in self._spared} for p in found]
+        seen, latest = self._draw_eyes(snapshots)
+        found = [self._read(*both) for both in zip(snapshots, seen, strict=True)]
+        for agent, (place, drawn) in latest.items():  # only now: snapshots used what was kept
+            for name, now in self._seen.items():
+                now[agent] = drawn[name]
+            self._place[agent] = place
+        return found
 
     def _load(self, names: set[str]) -> None:
         for name in sorted(names):
@@ -160,93 +158,118 @@ class BatchEyes:
                 self._suites[name] = self.open_suite(name)
             self._suites.move_to_end(name)
 
-    def _draw_eyes(self, snapshots: Sequence[Snapshot], found: list[dict[str, Any]]) -> None:
-        """Colour and depth."""
-        requests: list[tuple[int, int, int, Place]] = []
+    def _draw_eyes(
+        self, snapshots: Sequence[Snapshot]
+    ) -> tuple[list[list[Seen]], dict[int, tuple[Place, Seen]]]:
+        """What lies before the eyes of each snapshot's agents, and what is new of it by agent."""
+        if not self._outputs and not self._goals:
+            return [[{}] * len(snapshot.agents) for snapshot in snapshots], {}
+        requests: list[list[tuple[int, Place]]] = []
         moments: dict[Place, Moment] = {}
-        for s, snapshot in enumerate(snapshots):
-            rows = zip(
-                snapshot.agents.tolist(),
-                snapshot.scenes,
-                snapshot.poses,
-                snapshot.times.tolist(),
+        for snapshot in snapshots:
+            rows: list[tuple[int, Place]] = []
+            for agent, scene, pose, steps in zip(
+                snapshot.agents.tolist(), snapshot.scenes, snapshot.poses, snapshot.steps,
                 strict=True,
-            )
-            for k, (agent, scene, pose, time) in enumerate(rows):
+            ):  # fmt: skip
                 suite, place = self._suites[scene], (scene, pose.tobytes())
                 if suite.motion is not None:
-                    moment = suite.moment_at(time)
+                    moment = suite.moment_at(steps * STEP_SECONDS)
                     place = (scene, pose.tobytes() + moment.key)
                     moments[place] = moment
-                requests.append((s, k, agent, place))
+                rows.append((agent, place))
+            requests.append(rows)
         missing = dict.fromkeys(
-            place for _, _, agent, place in requests if self._place[agent] != place
+            place for rows in requests for agent, place in rows if self._place[agent] != place
         )
-        goals: list[tuple[Kept, Place]] = []
-        if "goal_picture" in self._wanted:
-            for snapshot in snapshots:
-                for kept, scene, goal, record in zip(
-                    snapshot.kept, snapshot.scenes, snapshot.goals, snapshot.records, strict=True
-                ):
-                    if kept.goal_picture is None and record is not None:
-                        where = Pose2D(*goal.tolist())
-                        kept.goal_picture = self._suites[scene].look_at_goal(record, where)
-                    elif kept.goal_picture is None:
-                        goals.append((kept, (scene, goal.tobytes())))
-            missing |= dict.fromkeys(place for _, place in goals)
-        drawn: dict[Place, dict[str, NDArray[Any]]] = {}
+        goals = self._find_goals(snapshots) if self._goals else []
+        missing |= dict.fromkeys(place for _, place in goals)
+        drawn: dict[Place, Seen] = {}
         for scene in sorted({scene for scene, _ in missing}):
             places = [place for place in missing if place[0] == scene]
             poses = [Pose2D(*np.frombuffer(raw[:24], np.float64).tolist()) for _, raw in places]
             outputs = self._outputs | {"rgb"} if goals else self._outputs
             then = [moments.get(place, STILL) for place in places]
-            seen = self._suites[scene].look_many(poses, outputs, then)
+            pictures = self._suites[scene].look_many(poses, outputs, then)
             for k, place in enumerate(places):
-                drawn[place] = {name: pixels[k] for name, pixels in seen.items()}
+                drawn[place] = {name: pixels[k] for name, pixels in pictures.items()}
         for kept, place in goals:
             kept.goal_picture = np.array(drawn[place]["rgb"])
         self._allocate(next(iter(drawn.values()), {}))
-        for snapshot, pictures in zip(snapshots, found, strict=True):
-            for name, now in self._seen.items():
-                pictures[name] = np.empty((len(snapshot.agents), *now.shape[1:]), now.dtype)
-            if "goal_picture" in self._wanted:
-                pictures["goal_picture"] = np.array([k.goal_picture for k in snapshot.kept])
-        for s, k, agent, place in requests:
-            known = self._place[agent] == place
-            for name, now in self._seen.items():
-                found[s][name][k] = now[agent] if known else drawn[place][name]
-        latest = {agent: place for _, _, agent, place in requests}
-        for agent, place in latest.items():  # only now: snapshots used what was kept
-            if self._place[agent] != place:
-                for name, now in self._seen.items():
-                    now[agent] = drawn[place][name]
-                self._place[agent] = place
+        latest: dict[int, tuple[Place, Seen]] = {}
+        seen: list[list[Seen]] = []
+        for rows in requests:
+            seen.append([])
+            for agent, place in rows:
+                fresh = self._place[agent] != place
+                if fresh:
+                    latest[agent] = place, drawn[place]
+                else:
+                    latest.pop(agent, None)
+                now = {name: pixels[agent] for name, pixels in self._seen.items()}
+                seen[-1].append(drawn[place] if fresh else now)
+        return seen, latest
 
-    def _allocate(self, sample: dict[str, NDArray[Any]]) -> None:
+    def _find_goals(self, snapshots: Sequence[Snapshot]) -> list[tuple[Kept, Place]]:
+        """Goal pictures that are still to be drawn, with the agents' other pictures."""
+        goals = []
+        for snapshot in snapshots:
+            for kept, scene, episode in zip(
+                snapshot.kept, snapshot.scenes, snapshot.episodes, strict=True
+            ):
+                if kept.goal_picture is not None:
+                    continue
+                record, goal = goal_record(episode), goal_view(episode)
+                if record is not None:
+                    kept.goal_picture = self._suites[scene].look_at_goal(record, goal)
+                else:
+                    goals.append((kept, (scene, np.array(goal).tobytes())))
+        return goals
+
+    def _allocate(self, sample: Seen) -> None:
         """Keep a picture an agent, of the size and kind of those that were drawn."""
         if not self._seen and sample:
             self._seen = {
                 name: np.empty((self._count, *sample[name].shape), sample[name].dtype)
-                for name in sorted(self._outputs, reverse=True)
+                for name in sorted(self._outputs)
             }
 
-    def _draw_maps(self, snapshot: Snapshot, pictures: dict[str, Any]) -> None:
-        """Map pictures, each of its scene's own size."""
-        found = []
-        for k, scene in enumerate(snapshot.scenes):
-            suite, kept = self._suites[scene], snapshot.kept[k]
-            pose = Pose2D(*snapshot.poses[k].tolist())
-            if self._explores:
-                if kept.mapper is None:
-                    kept.mapper = Mapper(
-                        *(suite.grid, self.config.preset, self._agent, self.config.cut_height),
-                        coloured="bev" in self._wanted,
-                    )
-                if snapshot.due[k]:
-                    rgb = pictures["rgb"][k] if "rgb" in pictures else None
-                    kept.mapper.update(pose, pictures["depth"][k], rgb)
-            start = Pose2D(*snapshot.starts[k].tolist())
-            maps = self._wanted & MAPS
-            found.append(suite.read_static(pose, start, (0.0, 0.0), maps, kept.mapper))
-        for name in (*(self._wanted & MAPS), "bev_metres_per_pixel"):
-            pictures[name] = [fields[name] for fields in found]
+    def _read(self, snapshot: Snapshot, seen: list[Seen]) -> dict[str, Any]:
+        """What each sensor reads at a snapshot."""
+        places = [self._stand(snapshot, k, pictures) for k, pictures in enumerate(seen)]
+        found: dict[str, Any] = {}
+        for sensor in self._sensors:
+            values = [sensor.read(place) for place in places]
+            if sensor.name not in OBSERVED:
+                values = [sensor.check(value, self.config) for value in values]
+            if sensor.array is None and sensor.name not in self._lists:
+                found[sensor.name] = np.stack(values)
+            else:
+                found[sensor.name] = values
+        if self._scaled:
+            found["bev_metres_per_pixel"] = [
+                self._suites[scene].map_frame.metres_per_pixel for scene in snapshot.scenes
+            ]
+        return found
+
+    def _stand(self, snapshot: Snapshot, k: int, seen: Seen) -> Standpoint:
+        """Where agent k of a snapshot stands; its own map is brought up to date."""
+        suite, kept = self._suites[snapshot.scenes[k]], snapshot.kept[k]
+        place = Standpoint(
+            suite,
+            seen.__getitem__,
+            lambda: snapshot.views[k],
+            lambda: kept.goal_picture,  # type: ignore[arg-type, return-value]
+        )
+        place.pose = pose = Pose2D(*snapshot.poses[k].tolist())
+        place.episode, place.steps = snapshot.episodes[k], snapshot.steps[k]
+        if self._explores:
+            if kept.mapper is None:
+                kept.mapper = Mapper(
+                    *(suite.grid, self.config.preset, self._agent, self.config.cut_height),
+                    coloured=self._coloured,
+                )
+            if snapshot.due[k]:
+                kept.mapper.update(pose, seen["depth"], seen.get("rgb"))
+            place.mapper = kept.mapper
+        return place

@@ -31,16 +31,13 @@ from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
-from gn0.sim.device_eyes import EyesDevice
+from gn0.sim.device_eyes import AgentsThere, EyesDevice, refuse_host_sensors
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_state import SimulatorDevice
-from gn0.sim.env import build_spaces, largest_map
+from gn0.sim.env import build_spaces, shape_of_maps
 from gn0.sim.motion import Motion
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import (
-    EYES,
-    MAPS,
-    PICTURES,
     SensorConfig,
     check_map_mode,
 )
@@ -67,8 +64,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         suite: a suite folder, instead of scenes.
         episodes: episodes or a Parquet file of them; sampled when absent.
         device: where they are; a Device, or a name that `open_device` knows.
-        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
-            pose, instruction; what is not named is absent.
+        sensors: any of `gn0 list sensors` that a device reads, and instruction; what is not named
+            is absent.
         preset: camera preset by name.
         renderer: draws colour, depth and BEV: a `Renderer` on the same device, or the name
             of one.
@@ -150,12 +147,17 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset)
         config = SensorConfig(active=frozenset(self.sensors), preset=camera, map_mode=self.map_mode)
-        map_shape = largest_map(self.tasks) if self.sensors & MAPS else None
+        carried = config.carried
+        refuse_host_sensors(carried.sensors)
+        self._at_once = tuple(
+            (s.name, s.device) for s in carried.sensors if s.many is not None and s.device
+        )
+        map_shape = shape_of_maps(self.tasks, self.sensors, camera)
         self.device = _open(device) if isinstance(device, str) else device
         self._eyes: EyesDevice | None = None
-        if self.sensors & PICTURES:
+        if any(s.many is None for s in carried.sensors):
             if isinstance(renderer, str):
-                needed = self.sensors & (EYES | {"bev"})
+                needed = carried.needs_renderer(False)
                 chosen = open_renderer(renderer, device=self.device) if needed else None
             else:
                 chosen = renderer
@@ -188,6 +190,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             ahead=ahead,
             pictures=None if self._eyes is None else self._eyes.open_look,
         )
+        self._now = AgentsThere(self.simulator, self._eyes)
+        self._last = AgentsThere(self.simulator, self._eyes, final=True)
         self.action_space = batch_space(self.single_action_space, num_envs)
         told: dict[str, spaces.Space[Any]] = {}
         if self.words:
@@ -330,7 +334,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of scenes, renderer and device memory."""
         self._seen, self._eyes, self._begun = {}, None, False
-        del self.simulator
+        del self.simulator, self._now, self._last
 
     def _masked(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:
@@ -371,15 +375,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
 
     def _observe(self) -> Observations:
         simulator, outputs = self.simulator, self.simulator.outputs
-        found = {
-            "instruction": outputs["episode"],
-            "collided": outputs["collided"],
-            "pose": outputs["pose"],
-        }
-        if "goal_vector" in self.sensors:
-            found["goal_vector"] = outputs["goal_vector"]
-        if simulator.ranges is not None:
-            found["ranges"] = simulator.ranges
+        found = {"instruction": outputs["episode"], "collided": outputs["collided"]}
+        found |= {name: read(self._now) for name, read in self._at_once}
         if self._eyes is not None:
             found |= self._eyes.draw(simulator)
         self._seen = {name: found[name] for name in self.single_observation_space}  # type: ignore[attr-defined]
@@ -402,12 +399,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         seen: dict[str, Any] = {"collided": outputs["final_collided"]}
         if self.words:
             seen["instruction"] = outputs["final_episode"]
-        if "goal_vector" in self.sensors:
-            seen["goal_vector"] = outputs["final_goal_vector"]
-        if "pose" in self.sensors:
-            seen["pose"] = outputs["final_pose"]
-        if simulator.final_ranges is not None:
-            seen["ranges"] = simulator.final_ranges
+        seen |= {name: read(self._last) for name, read in self._at_once}
         if self.final_pictures and self._eyes is not None:
             seen |= self._eyes.draw_final(simulator)
         return {

@@ -6,7 +6,7 @@ kernels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,7 +31,8 @@ from gn0.sim.device_store import MapPictures
 from gn0.sim.history import COLUMNS, LENGTH, ROWS, TILE_HEIGHT, TILE_WIDTH
 from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
 from gn0.sim.open import look_hash, name_look, split_look
-from gn0.sim.sensors import EYES, MAPS, MapFrame, SensorConfig, outputs_of, paint_grid
+from gn0.sim.sensor.sensor import Sensor
+from gn0.sim.sensors import MapFrame, SensorConfig, paint_grid
 from gn0.sim.simulator import goal_record, goal_view
 
 if TYPE_CHECKING:
@@ -39,6 +40,64 @@ if TYPE_CHECKING:
 
 _PIXELS = 256  # threads a block of kernels that have one a pixel
 _WEIGHT = 22  # bits of the weights of Pillow's box filter
+
+
+class AgentsThere:
+    """Agents on a device; see `gn0.sim.sensor.sensor.AgentsDevice`.
+
+    Args:
+        simulator: in which they are.
+        eyes: theirs; None without pictures.
+        final: where they stood last whose episodes ended with the last step.
+
+    Attributes:
+        pictures: what lies before their eyes, by output.
+    """
+
+    def __init__(
+        self, simulator: SimulatorDevice, eyes: EyesDevice | None, *, final: bool = False
+    ) -> None:
+        self._simulator, self._eyes = simulator, eyes
+        self._final, self._prefix = final, "final_" if final else ""
+        self.pictures: dict[str, DeviceArray] = {}
+        self._maps: dict[str, DeviceArray] = {}
+
+    def output(self, name: str) -> DeviceArray:
+        """What the last step wrote [N, …]."""
+        return self._simulator.outputs[self._prefix + name]
+
+    def ranges(self) -> DeviceArray:
+        """[N, R] m."""
+        simulator = self._simulator
+        found = simulator.final_ranges if self._final else simulator.ranges
+        assert found is not None
+        return found
+
+    def seen(self, output: str) -> DeviceArray:
+        """Pictures of what lies before the eyes [N, H, W, …]."""
+        return self.pictures[output]
+
+    def mosaics(self) -> DeviceArray:
+        """Mosaics of earlier views [N, 480, 640, 3]."""
+        assert self._eyes is not None
+        views = self.output("views") if self._final else self._simulator.views
+        return self._eyes.mosaics(self._simulator, self._prefix, views)
+
+    def goal_pictures(self) -> DeviceArray:
+        """What goals look like [N, H, W, 3]."""
+        assert self._eyes is not None
+        if self._final:
+            return self._eyes.last_goal_pictures(self._simulator)
+        return self._eyes.goal_pictures(self._simulator, self.output("episode").numpy())
+
+    def map_pictures(self, name: str) -> DeviceArray:
+        """Pictures bev or occupancy [N, Hb, Wb, 3]."""
+        assert self._eyes is not None
+        if not self._maps:
+            slots = self.output("slot") if self._final else self._simulator.state["slot"]
+            poses = self.output("pose")
+            self._maps = self._eyes.map_pictures(self._simulator, self._prefix, slots, poses)
+        return self._maps[name]
 
 
 class EyesDevice:
@@ -68,7 +127,8 @@ class EyesDevice:
         visible_sets: bool = False,
         motion: MotionDevice | None = None,
     ) -> None:
-        drawn = config.active & (EYES | {"bev"})
+        carried = config.carried
+        drawn = carried.eyes.union(s.name for s in carried.sensors if s.bev)
         if drawn and renderer is None:
             raise SimError(
                 f"sensors {sorted(drawn)} need a renderer",
@@ -87,7 +147,13 @@ class EyesDevice:
         if visible_sets and renderer is not None and not renderer.traits.visible_sets:
             raise ConfigError("this renderer has no visible sets", remedy="leave visible_sets off")
         self.config = config
-        self._wanted: frozenset[str] = frozenset(config.active)
+        self._outputs = carried.outputs
+        self._carried = carried
+        self._sensors = tuple(
+            (s.name, bool(s.draws), s.device)
+            for s in carried.sensors
+            if s.many is None and s.device is not None
+        )
         self._scenes, self._agent, self._renderer = scenes, agent, renderer
         self._map_shape = map_shape
         self._visible = visible_sets
@@ -113,7 +179,7 @@ class EyesDevice:
                 return cloud if light is None else relight_cloud(cloud, light)
 
             renderer.add(look, load, look_hash(scene, light))
-            if self._visible and self._wanted & EYES:
+            if self._visible and self._carried.eyes:
                 renderer.limit_to_visible(
                     look,
                     scene.cloud_hash or scene.gaussians.content_hash,
@@ -121,7 +187,7 @@ class EyesDevice:
                     self._agent.camera_height,
                 )
         frame, bev = MapFrame.of_grid(scene.grid), None
-        if "bev" in self._wanted and renderer is not None:
+        if self._carried.bev and renderer is not None:
             picture = render_bev(
                 look_hash(scene, light),
                 DrawnScene(renderer, look),
@@ -134,13 +200,13 @@ class EyesDevice:
         return MapPictures(frame, self._paint(scene.grid, frame), bev)
 
     def _paint(self, grid: OccupancyGrid, frame: MapFrame) -> U8 | None:
-        if "occupancy" not in self._wanted:
+        if not self._carried.maps:
             return None
         return np.ascontiguousarray(paint_grid(grid, frame)[:, :, 0])
 
     def keep_views(self, simulator: SimulatorDevice) -> None:
         """All agents are about to act: what each sees goes into its history."""
-        if "history" not in self._wanted:
+        if not self._carried.views:
             return
         assert self._rgb is not None
         tiles = self._array(simulator, "tiles", (LENGTH, TILE_HEIGHT, TILE_WIDTH, 3), np.uint8)
@@ -151,23 +217,15 @@ class EyesDevice:
 
         Colour and depth are other memory with each call, the rest is the same.
         """
-        out: dict[str, DeviceArray] = {}
-        count = simulator.count
-        if self._wanted & {"rgb", "depth", "history"}:
+        agents = AgentsThere(simulator, self)
+        if self._outputs:
             views, looks, chosen = self._ask(simulator)
             there = isinstance(views, DeviceArray)
             parts = self._place_parts(simulator, there=there)
-            seen = self._look(simulator, views, looks, chosen, parts)
-            self._rgb = seen.get("rgb")
-            out |= {name: pixels for name, pixels in seen.items() if name in self._wanted}
-        if "goal_picture" in self._wanted:
-            numbers = simulator.outputs["episode"].numpy()
-            out["goal_picture"] = self._goal_pictures(simulator, numbers)
-        if "history" in self._wanted:
-            out["history"] = self._mosaics(simulator, "", simulator.views)
-        if self._wanted & MAPS:
-            out |= self._maps(simulator, "", simulator.state["slot"], simulator.outputs["pose"])
-        assert all(len(value) == count for value in out.values())
+            agents.pictures = self._look(simulator, views, looks, chosen, parts)
+            self._rgb = agents.pictures.get("rgb")
+        out = {name: read(agents) for name, _, read in self._sensors}
+        assert all(len(value) == simulator.count for value in out.values())
         return out
 
     def draw_final(self, simulator: SimulatorDevice) -> dict[str, Any]:
@@ -179,7 +237,8 @@ class EyesDevice:
         ended = simulator.outputs["final_episode"].numpy()
         agents = np.flatnonzero(ended >= 0)
         out: dict[str, Any] = {"agents": agents}
-        if self._wanted & {"rgb", "depth"} and len(agents):
+        last = AgentsThere(simulator, self, final=True)
+        if self._outputs and len(agents):
             poses = simulator.outputs["final_pose"].numpy()[agents]
             eye = self._agent.camera_height
             views = np.stack(
@@ -191,20 +250,10 @@ class EyesDevice:
                 episodes = simulator.store.episodes
                 scenes = [episodes[number].scene_id for number in ended[agents].tolist()]
                 parts = self._motion.parts_of(scenes, self._motion.steps.numpy()[agents] + 1)
-            seen = self._look(simulator, views, keys, parts=parts)
-            out |= {name: pixels for name, pixels in seen.items() if name in self._wanted}
-        if "history" in self._wanted:
-            counts = simulator.outputs["final_views"]
-            out["history"] = self._mosaics(simulator, "final_", counts)
-        if "goal_picture" in self._wanted:
-            width, height = self.config.preset.picture_size
-            shape = (height, width, 3)
-            kept = self._array(simulator, "final_goal_picture", shape, np.uint8)
-            simulator.copy(self._array(simulator, "goal_picture", shape, np.uint8), kept)
-            out["goal_picture"] = kept
-        if self._wanted & MAPS:
-            outputs = simulator.outputs
-            out |= self._maps(simulator, "final_", outputs["final_slot"], outputs["final_pose"])
+            last.pictures = self._look(simulator, views, keys, parts=parts)
+        for name, draws, read in self._sensors:
+            if len(agents) or not draws:
+                out[name] = read(last)
         return out
 
     def bytes_of(self, count: int, final: bool = False) -> int:
@@ -213,14 +262,14 @@ class EyesDevice:
         With `final`, those of `draw_final` included.
         """
         each = 0
-        if "history" in self._wanted:
+        if self._carried.views:
             each += ROWS * COLUMNS * TILE_HEIGHT * TILE_WIDTH * 3
         if self._map_shape is not None:
-            each += len(self._wanted & MAPS) * self._map_shape[0] * self._map_shape[1] * 3
-        if "goal_picture" in self._wanted:
+            each += len(self._carried.maps) * self._map_shape[0] * self._map_shape[1] * 3
+        if self._carried.goal_view:
             width, height = self.config.preset.picture_size
             each += width * height * 3
-        tiles = LENGTH * TILE_HEIGHT * TILE_WIDTH * 3 if "history" in self._wanted else 0
+        tiles = LENGTH * TILE_HEIGHT * TILE_WIDTH * 3 if self._carried.views else 0
         return (each * (1 + final) + tiles) * count
 
     def _array(
@@ -285,7 +334,7 @@ class EyesDevice:
         """What is drawn of views, by output; see `plan_look`."""
         renderer = self._renderer
         assert renderer is not None
-        plan = plan_look(self.config.preset, outputs_of(self._wanted))
+        plan = plan_look(self.config.preset, self._outputs)
         more: dict[str, Any] = {"visible": True} if self._visible else {}
         more |= {"chosen": chosen} if chosen is not None else {}
         if isinstance(parts, PartsDevice) or any(parts):
@@ -340,9 +389,10 @@ class EyesDevice:
             self._kept[name] = simulator.device.upload(box_weights(size, out))
         return self._kept[name], self._kept[name].shape[1] - 2
 
-    def _mosaics(
+    def mosaics(
         self, simulator: SimulatorDevice, prefix: str, views: DeviceArray | None
     ) -> DeviceArray:
+        """Mosaics of the last sixteen of so many `views` [N]."""
         tiles = self._array(simulator, "tiles", (LENGTH, TILE_HEIGHT, TILE_WIDTH, 3), np.uint8)
         shape = (ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3)
         out = self._array(simulator, prefix + "history", shape, np.uint8)
@@ -354,14 +404,15 @@ class EyesDevice:
         )
         return out
 
-    def _maps(
+    def map_pictures(
         self, simulator: SimulatorDevice, prefix: str, slots: DeviceArray, poses: DeviceArray
     ) -> dict[str, DeviceArray]:
+        """Map pictures by sensor, of maps in these slots, with agents at these poses."""
         assert self._map_shape is not None
         rows, cols = self._map_shape
         found = {
             name: self._array(simulator, prefix + name, (rows, cols, 3), np.uint8)
-            for name in sorted(self._wanted & MAPS)
+            for name in sorted(self._carried.maps)
         }
         simulator.kernels["paint_maps"].launch(
             *((simulator.count, blocks_of(rows * cols, _PIXELS)), _PIXELS),
@@ -370,7 +421,15 @@ class EyesDevice:
         )
         return found
 
-    def _goal_pictures(self, simulator: SimulatorDevice, numbers: NDArray[np.int32]) -> DeviceArray:
+    def last_goal_pictures(self, simulator: SimulatorDevice) -> DeviceArray:
+        """A copy of the goal pictures as they were before the next `draw`."""
+        width, height = self.config.preset.picture_size
+        shape = (height, width, 3)
+        kept = self._array(simulator, "final_goal_picture", shape, np.uint8)
+        simulator.copy(self._array(simulator, "goal_picture", shape, np.uint8), kept)
+        return kept
+
+    def goal_pictures(self, simulator: SimulatorDevice, numbers: NDArray[np.int32]) -> DeviceArray:
         """Each agent's goal picture; drawn anew for those whose episode is another."""
         assert self._renderer is not None
         width, height = self.config.preset.picture_size
@@ -405,6 +464,20 @@ class EyesDevice:
             )
         self._goal_numbers = numbers
         return out
+
+
+def refuse_host_sensors(sensors: Iterable[Sensor]) -> None:
+    """Refuse sensors that no device reads.
+
+    Raises:
+        ConfigError: one is among them.
+    """
+    for sensor in sensors:
+        if sensor.device is None:
+            raise ConfigError(
+                f"sensor {sensor.name!r} does not say how a device reads it",
+                remedy="use VectorEnv, or give the sensor a device=",
+            )
 
 
 def box_weights(size: int, out: int) -> NDArray[np.int32]:

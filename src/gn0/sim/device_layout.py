@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from gn0.device.device import DeviceArray, KernelSource
-from gn0.sim.env import VECTOR_LIMIT
 from gn0.sim.history import COLUMNS, LENGTH
+from gn0.sim.sensor.goal_vector import VECTOR_LIMIT
 
 KERNELS = Path(__file__).parent / "kernels"
 THREADS = 128  # a block of the kernels that have a thread an agent: many small blocks, all at once

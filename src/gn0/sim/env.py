@@ -40,10 +40,11 @@ from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space, read_action
-from gn0.sim.history import COLUMNS, ROWS, TILE_HEIGHT, TILE_WIDTH
 from gn0.sim.motion import Motion
 from gn0.sim.open import name_look, open_simulator, split_look
 from gn0.sim.presets import CameraPreset, find_preset
+from gn0.sim.sensor.sensor import MAP_SIDE
+from gn0.sim.sensor.table import carry_sensors
 from gn0.sim.sensors import SensorConfig, check_map_mode
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Observation
@@ -52,7 +53,6 @@ from gn0.sim.words import encode_text, split_sensors, word_spaces
 
 STEP_COST = 0.01
 SUCCESS_REWARD = 2.5
-VECTOR_LIMIT = 1000.0  # m, bound of the goal vector
 SIMULATORS_KEPT = 4  # scenes held ready at a time
 
 
@@ -66,8 +66,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         scene: a Scene or a scene folder; the built-in two-room flat when absent.
         suite: a suite folder, instead of a scene.
         episodes: episodes or a Parquet file of them; sampled when absent.
-        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
-            pose, instruction (text), instruction_tokens; what is not named is absent.
+        sensors: any of `gn0 list sensors`, instruction (text) and instruction_tokens among them;
+            what is not named is absent.
         preset: camera preset by name.
         backend: renderer backend.
         agent: the body, instead of the preset's.
@@ -121,9 +121,10 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self._distance = 0.0
         self.continuous = action_space == "continuous"
         self.action_space = build_action_space(action_space)
-        self._map_shape = largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
+        camera = find_preset(self.tasks.preset)
+        self._carried = carry_sensors(self.sensors).sensors
         self.observation_space = spaces.Dict(
-            build_spaces(self.sensors, find_preset(self.tasks.preset), self._map_shape)
+            build_spaces(self.sensors, camera, shape_of_maps(self.tasks, self.sensors, camera))
             | word_spaces(self.words, self.tasks.episodes)
             | {"collided": spaces.Discrete(2)}
         )
@@ -256,18 +257,15 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         if "instruction_tokens" in self.words:
             space = self.observation_space["instruction_tokens"]  # type: ignore[index]
             packed["instruction_tokens"] = encode_text(observation.instruction, space.shape[0])
-        for name in self.sensors:
-            value = getattr(observation, name)
-            if name == "goal_vector":
-                value = np.clip(np.array(value, np.float32), -VECTOR_LIMIT, VECTOR_LIMIT)
-            elif name in ("bev", "occupancy") and self._map_shape is not None:
-                height, width = self._map_shape
+        for sensor in self._carried:
+            value = sensor.as_array(observation.read(sensor.name))
+            space = self.observation_space[sensor.name]  # type: ignore[index]
+            if value.shape != space.shape:  # a map smaller than the largest
+                rows, cols, _ = space.shape
                 value = np.pad(
-                    value, ((0, height - value.shape[0]), (0, width - value.shape[1]), (0, 0))
+                    value, ((0, rows - value.shape[0]), (0, cols - value.shape[1]), (0, 0))
                 )
-            else:
-                value = np.array(value)
-            packed[name] = value
+            packed[sensor.name] = value
         return {key: packed[key] for key in self.observation_space}  # type: ignore[attr-defined]
 
 
@@ -276,27 +274,20 @@ def build_spaces(
 ) -> dict[str, spaces.Space[Any]]:
     """The observation space of each sensor; maps of several scenes share the largest size."""
     config = SensorConfig(active=frozenset(sensors), preset=preset)
-    width, height = preset.picture_size
-    low, high = preset.depth_range
-    rows, cols = map_shape or (1, 1)
-    known: dict[str, spaces.Space[Any]] = {
-        "rgb": spaces.Box(0, 255, (height, width, 3), np.uint8),
-        "depth": spaces.Box(low, high, (preset.depth.height, preset.depth.width), np.float32),
-        "history": spaces.Box(0, 255, (ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3), np.uint8),
-        "bev": spaces.Box(0, 255, (rows, cols, 3), np.uint8),
-        "occupancy": spaces.Box(0, 255, (rows, cols, 3), np.uint8),
-        "goal_picture": spaces.Box(0, 255, (height, width, 3), np.uint8),
-        "pose": spaces.Box(-np.inf, np.inf, (3,), np.float64),
-        "ranges": spaces.Box(0.0, config.range_limit, (config.range_rays,), np.float32),
-        "goal_vector": spaces.Box(-VECTOR_LIMIT, VECTOR_LIMIT, (2,), np.float32),
-    }
-    missing = sorted(set(sensors) - set(known))
-    if missing:
-        raise ConfigError(
-            f"sensor {missing[0]!r} has no Gymnasium space",
-            remedy="take the pose from info['pose'], or drive a Simulator yourself",
-        )
-    return {name: known[name] for name in sorted(sensors)}
+    found: dict[str, spaces.Space[Any]] = {}
+    for sensor in sorted(config.carried.sensors, key=lambda sensor: sensor.name):
+        space = sensor.space(config).sized(map_shape)
+        found[sensor.name] = spaces.Box(space.low, space.high, space.shape, space.dtype)
+    return found
+
+
+def shape_of_maps(
+    tasks: TaskSet, sensors: Iterable[str], preset: CameraPreset
+) -> tuple[int, int] | None:
+    """(H, W) [px] that holds every map picture; None where no sensor gives one."""
+    config = SensorConfig(active=frozenset(sensors), preset=preset)
+    sized = [s for s in config.carried.sensors if MAP_SIDE in s.space(config).shape]
+    return largest_map(tasks) if sized else None
 
 
 def largest_map(tasks: TaskSet) -> tuple[int, int]:

@@ -20,7 +20,8 @@ from gn0.render.renderer import VISIBLE_BACKENDS, DrawnScene
 from gn0.scenes.scene import Scene
 from gn0.sim.motion import Motion
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.sensors import EYES, MAPS, SensorConfig, check_map_mode, check_sensors
+from gn0.sim.sensor.table import carry_sensors
+from gn0.sim.sensors import SensorConfig, check_map_mode
 from gn0.sim.simulator import Simulator
 from gn0.storage import content_hash
 
@@ -70,8 +71,7 @@ def open_simulator(
         backend: renderer backend; "auto" takes the best that is here, "cpu-visible" and
             "cuda-visible" draw views from the splats that can be seen near each place (see
             `gn0.render.visible`).
-        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
-            pose.
+        sensors: any of `gn0 list sensors`.
         agent: the body, instead of the preset's.
         max_steps: steps until an episode is truncated.
         cut_height: what lies higher [m] is left out of the BEV.
@@ -88,9 +88,10 @@ def open_simulator(
         SceneError: nothing is walkable for this agent.
         StorageError, FormatError: the scene folder is missing or broken.
     """
-    active = check_sensors(sensors)
+    carried = carry_sensors(sensors)
+    active = frozenset(sensor.name for sensor in carried.sensors)
     mode = check_map_mode(map_mode, active)
-    explores = mode == "explored" and bool(active & MAPS)
+    explores = mode == "explored" and bool(carried.maps)
     if not isinstance(scene, Scene):
         from gn0.scenes.folder import load_scene  # readers are not needed for a Scene in memory
 
@@ -106,10 +107,10 @@ def open_simulator(
             remedy="run `gn0 scene check`, or use a slimmer agent",
         )
     bev: BevPicture | None = None
-    if renderer is None and (active & EYES or "bev" in active or explores):
+    if renderer is None and carried.needs_renderer(explores):
         cloud = scene.gaussians if light is None else relight_cloud(scene.gaussians, light)
         renderer = DrawnScene(build_renderer(cloud, name_drawing(backend)))
-    if "bev" in active and renderer is not None and not explores:
+    if carried.bev and renderer is not None and not explores:
         bev = render_bev(
             look_hash(scene, light),
             renderer,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from gn0.errors import PolicyError
-from gn0.sim.state import AnyAction, Observation, Sensor
+from gn0.sim.state import AnyAction, Observation
 
 if TYPE_CHECKING:
     from gn0.sim.simulator import Simulator
@@ -26,7 +26,7 @@ class Policy(Protocol):
     """
 
     name: str
-    sensors: frozenset[Sensor]
+    sensors: frozenset[str]
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:
         """Begin an episode; `rng` is the only randomness allowed."""
@@ -94,7 +94,7 @@ class PolicyBatch(Protocol):
     """
 
     name: str
-    sensors: frozenset[Sensor]
+    sensors: frozenset[str]
 
     def reset_batch(
         self,
@@ -130,7 +130,7 @@ class PolicyBatchEach:
         self._spare: list[Policy] = [factory()]
         self._policies: dict[int, Policy] = {}
         self.name = self._spare[0].name
-        self.sensors: frozenset[Sensor] = frozenset(self._spare[0].sensors)
+        self.sensors: frozenset[str] = frozenset(self._spare[0].sensors)
 
     def reset_batch(
         self,
@@ -180,7 +180,7 @@ class PolicyOfBatch:
         self.batch = batch
         self.slot = slot
         self.name = batch.name
-        self.sensors: frozenset[Sensor] = frozenset(batch.sensors)
+        self.sensors: frozenset[str] = frozenset(batch.sensors)
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:
         """Begin an episode."""

@@ -14,8 +14,17 @@ from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.seeds import random_stream
 from gn0.sim.policy import PolicyBatch, check_answers
-from gn0.sim.simulator import STEP_SECONDS, action_code
-from gn0.sim.state import Displacement, Observation, Teleport, Trajectory
+from gn0.sim.sensor.table import carry_sensors
+from gn0.sim.simulator import action_code
+from gn0.sim.standpoint import Standpoint
+from gn0.sim.state import (
+    OBSERVED,
+    STEP_SECONDS,
+    Displacement,
+    Observation,
+    Teleport,
+    Trajectory,
+)
 from gn0.sim.vector import VectorEnv
 
 _WAIT = 2  # LEFT: what agents without an episode do, unseen
@@ -137,31 +146,33 @@ def _observe(
 ) -> list[Observation]:
     """What agents `which` see, each as a `Simulator` of its own would say it."""
     batch = vector.batch
+    spelt = [s for s in carry_sensors(wanted).sensors if s.array is not None]
     found = batch.observe(which)
     snapshot = batch.snapshot(which)
     if snapshot is not None:
         found |= batch.draw([snapshot])[0]
-    scale = found.pop("bev_metres_per_pixel", None)
+    scale, maps = found.pop("bev_metres_per_pixel", None), carry_sensors(wanted).maps
     observations = []
     for k, agent in enumerate(which.tolist()):
         fields = {name: values[k] for name, values in found.items() if name in wanted}
         for value in fields.values():
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
-        if "goal_vector" in fields:
-            fields["goal_vector"] = batch.goal_vector(agent)
-        if "pose" in fields:
-            fields["pose"] = Pose2D(*fields["pose"].tolist())
-        if scale is not None and wanted & {"bev", "occupancy"}:
-            fields["bev_metres_per_pixel"] = scale[k]
         steps = int(batch.state.steps[agent])
         episode = batch.table.episodes[int(batch.state.episode[agent])]
+        here = Standpoint(None)
+        here.pose, here.episode, here.steps = batch.pose(agent), episode, steps
+        fields |= {sensor.name: sensor.read(here) for sensor in spelt if sensor.many is not None}
+        more = {name: fields.pop(name) for name in [*fields] if name not in OBSERVED}
+        if scale is not None and maps:
+            fields["bev_metres_per_pixel"] = scale[k]
         observations.append(
             Observation(
                 step=steps,
                 time=steps * STEP_SECONDS,
                 instruction=episode.instruction,
                 collided=bool(batch.state.collided[agent]),
+                more=more,
                 **fields,
             )
         )

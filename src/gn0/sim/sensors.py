@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gn0.config import Config
 from gn0.errors import ConfigError, SimError
-from gn0.geometry import F32, F64, U8, Pose2D, view_from_pose, world_to_agent
+from gn0.geometry import F32, F64, U8, Pose2D, view_from_pose
 from gn0.maps.grid import GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.missions.episode import GoalPicture
@@ -20,33 +20,23 @@ from gn0.paper import BEV_CUT
 from gn0.sim.look_plan import Shot, aim_at_goal, plan_look, render_plan
 from gn0.sim.motion import STILL, Moment, Motion, take_moment
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.state import MapMode, Sensor
+from gn0.sim.sensor.table import Carried, carry_sensors, check_sensors
+from gn0.sim.state import MapMode
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.render.bev import BevPicture
     from gn0.render.renderer import DrawnScene
-    from gn0.sim.mapping import Mapper
 
-SENSOR_NAMES: frozenset[str] = frozenset(get_args(Sensor))
-EYES = frozenset({"rgb", "depth", "history", "goal_picture"})  # these need a renderer
-MAPS = frozenset({"bev", "occupancy"})
-PICTURES = EYES | MAPS
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
 GREEN, RED = (0, 255, 0), (255, 0, 0)
-
-
-def outputs_of(sensors: frozenset[str]) -> frozenset[str]:
-    """What a renderer is asked for, for some sensors where an agent stands."""
-    return frozenset(({"rgb"} if sensors & {"rgb", "history"} else set()) | (sensors & {"depth"}))
 
 
 class SensorConfig(Config, frozen=True):
     """Which sensors an agent carries, and how they are set.
 
     Attributes:
-        active: names out of rgb, depth, bev, occupancy, history, ranges, goal_vector,
-            goal_picture, pose.
+        active: names out of `gn0 list sensors`.
         preset: cameras and body.
         range_rays: rays of the range ring.
         range_limit: reach of the range ring [m].
@@ -81,22 +71,12 @@ class SensorConfig(Config, frozen=True):
     @property
     def explores(self) -> bool:
         """Whether the agent draws its own map."""
-        return self.map_mode == "explored" and bool(self.active & MAPS)
+        return self.map_mode == "explored" and bool(self.carried.maps)
 
-
-def check_sensors(names: Iterable[str]) -> frozenset[Sensor]:
-    """The names as a set of sensors.
-
-    Raises:
-        ConfigError: a name is unknown; lists those that exist.
-    """
-    found = frozenset(names)
-    unknown = sorted(str(name) for name in found - SENSOR_NAMES)
-    if unknown:
-        raise ConfigError(
-            f"no sensor named {unknown[0]!r}", remedy="known: " + ", ".join(sorted(SENSOR_NAMES))
-        )
-    return cast(frozenset[Sensor], found)
+    @property
+    def carried(self) -> Carried:
+        """The sensors themselves, and what they need together."""
+        return carry_sensors(self.active)
 
 
 def check_map_mode(mode: str, sensors: Iterable[str]) -> MapMode:
@@ -107,7 +87,7 @@ def check_map_mode(mode: str, sensors: Iterable[str]) -> MapMode:
     """
     if mode not in MAP_MODES:
         raise ConfigError(f"no map mode {mode!r}", remedy="known: " + ", ".join(MAP_MODES))
-    maps = sorted(frozenset(sensors) & MAPS)
+    maps = sorted(carry_sensors(sensors).maps)
     if mode == "none" and maps:
         raise ConfigError(
             f"map mode 'none' has no {' and no '.join(maps)}: the agent carries no map",
@@ -203,20 +183,21 @@ class SensorSuite:
         bev: BevPicture | None = None,
         motion: Motion | None = None,
     ) -> None:
-        drawn = config.active & (PICTURES if config.explores else EYES)
+        carried = config.carried
+        drawn = carried.eyes | (carried.maps if config.explores else frozenset())
         if drawn and renderer is None:
             raise SimError(
                 f"sensors {sorted(drawn)} need a renderer",
                 remedy="use open_simulator, or hand a renderer to Simulator",
             )
-        if "bev" in config.active and bev is None and not config.explores:
+        if carried.bev and bev is None and not config.explores:
             raise SimError(
                 "sensor 'bev' needs a BEV picture",
                 remedy="use open_simulator, or hand render_bev(...) to Simulator",
             )
         self.config = config
-        self.active = check_sensors(config.active)
-        self._navigation = navigation
+        self.active = config.active
+        self.navigation = navigation
         self._camera_height = camera_height
         self.renderer = renderer
         self._bev = bev
@@ -230,22 +211,28 @@ class SensorSuite:
     @property
     def grid(self) -> OccupancyGrid:
         """The scene's map, as it was before it was inflated."""
-        return self._navigation.grid
+        return self.navigation.grid
 
     @cached_property
     def map_frame(self) -> MapFrame:
         """The frame shared by BEV and occupancy picture."""
         if self._bev is not None:
             return MapFrame.of_bev(self._bev)
-        return MapFrame.of_grid(self._navigation.grid)
+        return MapFrame.of_grid(self.navigation.grid)
 
     @cached_property
     def _occupancy(self) -> U8:
-        return paint_grid(self._navigation.grid, self.map_frame)
+        return paint_grid(self.navigation.grid, self.map_frame)
 
     @cached_property
-    def _bev_rgb(self) -> U8:
-        assert self._bev is not None
+    def bev_picture(self) -> U8:
+        """The scene from above [Hb, Wb, 3].
+
+        Raises:
+            SimError: it was not handed in.
+        """
+        if self._bev is None:
+            raise SimError("there is no BEV picture here", remedy="ask for sensor 'bev'")
         rgb = np.array(self._bev.rgb, np.uint8)
         rgb.setflags(write=False)
         return rgb
@@ -310,32 +297,4 @@ class SensorSuite:
     def ranges(self, pose: Pose2D) -> F32:
         """The range ring [R] m at a pose, on the inflated map."""
         angles = pose.yaw + self._ring
-        return cast_rays(self._navigation.inflated, pose.x, pose.y, angles, self.config.range_limit)
-
-    def read_static(
-        self,
-        pose: Pose2D,
-        start: Pose2D,
-        goal: tuple[float, float],
-        wanted: frozenset[str],
-        mapper: Mapper | None = None,
-    ) -> dict[str, Any]:
-        """Observation fields of the wanted sensors that need no rendering.
-
-        `mapper` holds the agent's own map in map mode `explored`.
-        """
-        fields: dict[str, Any] = {}
-        if "bev" in wanted:
-            fields["bev"] = self._bev_rgb if mapper is None else mapper.bev
-        if "occupancy" in wanted:
-            own = None if mapper is None else mapper.occupancy
-            fields["occupancy"] = self.occupancy_picture(start, pose, own)
-        if "bev" in wanted or "occupancy" in wanted:
-            fields["bev_metres_per_pixel"] = self.map_frame.metres_per_pixel
-        if "ranges" in wanted:
-            fields["ranges"] = self.ranges(pose)
-        if "goal_vector" in wanted:
-            fields["goal_vector"] = world_to_agent(pose, *goal)
-        if "pose" in wanted:
-            fields["pose"] = pose
-        return fields
+        return cast_rays(self.navigation.inflated, pose.x, pose.y, angles, self.config.range_limit)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 import operator
+import weakref
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -21,11 +22,22 @@ from gn0.missions.episode import AgentSpec, Episode, GoalPicture, MissionGoal, c
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.collision import check_finite, check_places, move_agent
-from gn0.sim.history import History, build_mosaic
+from gn0.sim.history import History
 from gn0.sim.kinematics import Heading, heading_yaw, plan_journey, step_forward
 from gn0.sim.mapping import Mapper
-from gn0.sim.sensors import EYES, MAPS, SensorConfig, SensorSuite, outputs_of
-from gn0.sim.state import Action, AnyAction, Displacement, Observation, Sensor, StepResult, Teleport
+from gn0.sim.sensor.table import carry_sensors
+from gn0.sim.sensors import SensorConfig, SensorSuite
+from gn0.sim.standpoint import Standpoint
+from gn0.sim.state import (
+    OBSERVED,
+    STEP_SECONDS,
+    Action,
+    AnyAction,
+    Displacement,
+    Observation,
+    StepResult,
+    Teleport,
+)
 
 if TYPE_CHECKING:
     from gn0.maps.explored import ExploredState
@@ -33,8 +45,6 @@ if TYPE_CHECKING:
     from gn0.render.bev import BevPicture
     from gn0.render.renderer import DrawnScene
     from gn0.sim.motion import Motion
-
-STEP_SECONDS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +64,7 @@ class SimState:
     """
 
     episode: Episode
-    wanted: frozenset[Sensor]
+    wanted: frozenset[str]
     x: float
     y: float
     base: float
@@ -116,19 +126,27 @@ class Simulator:
         self._suite = SensorSuite(
             config, navigation, self.agent.camera_height, renderer, bev, motion
         )
+        own = weakref.proxy(self)  # no circle: renderers go when simulators do
+        self._here = Standpoint(
+            self._suite,
+            lambda output: own._look()[output],
+            lambda: own._history.tiles,
+            lambda: own._look_from_goal(),
+        )
         self._mapper: Mapper | None = None
         if config.explores:
             self._mapper = Mapper(
                 navigation.grid, config.preset, self.agent, config.cut_height,
-                coloured="bev" in config.active,
+                coloured="rgb" in config.carried.explored,
             )  # fmt: skip
+        self._here.mapper = self._mapper
         self._episode: Episode | None = None
         self._history = History()
         self._over = True
         self._x = self._y = self._yaw = math.nan  # nowhere yet
 
     @property
-    def sensors(self) -> frozenset[Sensor]:
+    def sensors(self) -> frozenset[str]:
         """Sensors that can be asked for."""
         return self._suite.active
 
@@ -208,7 +226,7 @@ class Simulator:
                 remedy="open the simulator with them",
             )
         self._episode = episode
-        self._want(cast("frozenset[Sensor]", wanted))
+        self._want(wanted)
         if self._mapper is not None:
             self._mapper.reset()
         self._steps = 0
@@ -248,7 +266,7 @@ class Simulator:
             moved, collided, steps = self._go(*map(float, action))
         else:
             code = action_code(action)
-            if self._eyes:
+            if self._keeps_views:
                 self._keep_view()
             if code == 1:
                 target = step_forward(x, y, self._yaw, self.agent.forward_step)
@@ -263,13 +281,14 @@ class Simulator:
         self._collided = collided
         truncated = not stop and self._steps >= self.max_steps
         self._over = stop or truncated
+        observation = self._observe()
         return StepResult(
-            self._observe(),
+            observation,
             moved,
             collided,
             stop,
             truncated,
-            {"pose": Pose2D(self._x, self._y, self._yaw)},
+            {"pose": self._here.pose},
             steps,
         )
 
@@ -337,15 +356,16 @@ class Simulator:
         self._goal_picture = None
         self._place(state.x, state.y, state.base, state.turns)
 
-    def _want(self, wanted: frozenset[Sensor]) -> None:
+    def _want(self, wanted: frozenset[str]) -> None:
         """Choose what is observed, and what must be drawn for it."""
         self._wanted = wanted
-        self._eyes = bool(wanted & EYES)
-        self._maps = self._mapper is not None and bool(wanted & MAPS)
-        self._drawn: frozenset[str] = wanted
-        if self._maps:  # the agent's own map is made from depth, its colours from rgb
-            self._drawn = wanted | ({"depth", "rgb"} if "bev" in wanted else {"depth"})
-        self._outputs = outputs_of(self._drawn)
+        carried = carry_sensors(wanted)
+        self._keeps_views = carried.views
+        self._scaled = bool(carried.maps)
+        self._maps = self._mapper is not None and self._scaled
+        self._outputs = carried.drawn(self._maps)
+        self._fields = tuple((s.name, s.read) for s in carried.sensors if s.name in OBSERVED)
+        self._others = tuple(s for s in carried.sensors if s.name not in OBSERVED)
 
     def _place(self, x: float, y: float, base: float, turns: int) -> None:
         self._x, self._y, self._base, self._turns = x, y, base, turns
@@ -372,34 +392,29 @@ class Simulator:
         return self._goal_picture
 
     def _keep_view(self) -> None:
-        if "history" in self._wanted:
+        if self._keeps_views:
             self._history.add(self._look()["rgb"])
 
     def _observe(self) -> Observation:
         assert self._episode is not None
         step = self._steps
+        here = self._here
+        here.pose = pose = Pose2D(self._x, self._y, self._yaw)
         if not self._wanted:
             return Observation(
                 step, step * STEP_SECONDS, self._episode.instruction, collided=self._collided
             )
         episode = self._episode
-        pose = Pose2D(self._x, self._y, self._yaw)
         if self._maps and self._mapper is not None:
             seen = self._look()
             self._mapper.update(pose, seen["depth"], seen.get("rgb"))
-        fields: dict[str, Any] = self._suite.read_static(
-            pose, episode.start_pose, episode.goal, self._wanted, self._mapper
-        )
-        if self._eyes:
-            seen = self._look()
-            if "rgb" in self._wanted:
-                fields["rgb"] = seen["rgb"]
-            if "depth" in self._wanted:
-                fields["depth"] = seen["depth"]
-            if "history" in self._wanted:
-                fields["history"] = build_mosaic(self._history.tiles)
-            if "goal_picture" in self._wanted:
-                fields["goal_picture"] = self._look_from_goal()
+        here.episode, here.steps = episode, step
+        fields: dict[str, Any] = {name: read(here) for name, read in self._fields}
+        if self._scaled:
+            fields["bev_metres_per_pixel"] = self._suite.map_frame.metres_per_pixel
+        if self._others:
+            config = self._suite.config
+            fields["more"] = {s.name: s.check(s.read(here), config) for s in self._others}
         return Observation(
             step=step,
             time=step * STEP_SECONDS,
@@ -426,6 +441,8 @@ def action_code(action: Action | int) -> int:
     Raises:
         SimError: it is none.
     """
+    if type(action) is int and 0 <= action <= 3:  # what most callers give
+        return action
     try:
         code = operator.index(action)
     except TypeError:

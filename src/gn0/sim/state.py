@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
@@ -10,9 +11,7 @@ from typing import Any, Literal, NamedTuple
 from gn0 import paper
 from gn0.geometry import F32, U8, Pose2D
 
-Sensor = Literal[
-    "rgb", "depth", "bev", "occupancy", "history", "ranges", "goal_vector", "goal_picture", "pose"
-]
+STEP_SECONDS = 0.5  # of simulated time
 
 MapMode = Literal["prior", "explored", "none"]
 """What the sensors bev and occupancy show: `prior`, the whole scene, as a robot that was here
@@ -64,6 +63,18 @@ class Displacement(NamedTuple):
 AnyAction = Action | Teleport | Displacement
 
 
+class _Nothing(dict[str, Any]):
+    """What nobody else's sensors give: one for all observations, as it takes no entries."""
+
+    __hash__ = object.__hash__  # type: ignore[assignment]
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        raise TypeError("an observation is not written to")
+
+
+_NOTHING = _Nothing()
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """What a robot could know, and nothing else. Fields not asked for are None.
@@ -89,6 +100,7 @@ class Observation:
             the goal, looking in a direction drawn by the episode's seed.
         pose: (x, y) [m] and yaw [rad] in the scene's frame: perfect odometry from a known start.
         collided: whether the previous action was truncated (a bumper knows).
+        more: what sensors gave that have no field of their own, by name.
     """
 
     step: int
@@ -105,6 +117,17 @@ class Observation:
     goal_picture: U8 | None = None
     pose: Pose2D | None = None
     collided: bool = False
+    more: Mapping[str, Any] = _NOTHING
+
+    def read(self, sensor: str) -> Any:
+        """What a sensor gave, by its name; None if it is not carried."""
+        return self.more[sensor] if sensor in self.more else self.__dict__.get(sensor)
+
+
+# sensors that have a field of their own
+OBSERVED = frozenset(Observation.__dataclass_fields__) - {
+    "step", "time", "instruction", "bev_metres_per_pixel", "collided", "more",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

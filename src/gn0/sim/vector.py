@@ -34,13 +34,14 @@ from gn0.sim.continuous import build_action_space
 from gn0.sim.env import (
     STEP_COST,
     SUCCESS_REWARD,
-    VECTOR_LIMIT,
     build_spaces,
-    largest_map,
+    shape_of_maps,
 )
 from gn0.sim.motion import Motion
 from gn0.sim.open import open_simulator, split_look
 from gn0.sim.presets import find_preset
+from gn0.sim.sensor.goal_vector import VECTOR_LIMIT
+from gn0.sim.sensor.sensor import MAP_SIDE
 from gn0.sim.sensors import (
     SensorConfig,
     SensorSuite,
@@ -60,8 +61,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         scene: a Scene, a scene folder, or several; the built-in two-room flat when absent.
         suite: a suite folder, instead of scenes.
         episodes: episodes or a Parquet file of them; sampled when absent.
-        sensors: any of rgb, depth, bev, occupancy, history, ranges, goal_vector, goal_picture,
-            pose, instruction (text), instruction_tokens; what is not named is absent.
+        sensors: any of `gn0 list sensors`, instruction (text) and instruction_tokens among them;
+            what is not named is absent.
         preset: camera preset by name.
         backend: renderer backend.
         agent: the body, instead of the preset's.
@@ -137,7 +138,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             field_memory=field_memory,
         )
         self._numbers = self.batch.table.add(self.tasks.episodes)
-        self._map_shape = largest_map(self.tasks) if self.sensors & {"bev", "occupancy"} else None
+        self._map_shape = shape_of_maps(self.tasks, self.sensors, camera)
+        carried = self.batch.config.carried.sensors
+        self._padded = [s.name for s in carried if MAP_SIDE in s.space(self.batch.config).shape]
+        self._spelt = {s.name: s.as_array for s in carried if s.array is not None and not s.many}
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
             build_spaces(self.sensors, camera, self._map_shape)
@@ -350,7 +354,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             if self.render_mode is not None:
                 self._pictures = found[-1]["rgb"]
         for values in found:
-            for name in self.sensors & {"bev", "occupancy"}:
+            for name in self._spelt:
+                values[name] = np.stack([self._spelt[name](value) for value in values[name]])
+            for name in self._padded:
                 values[name] = _pad(values[name], self._map_shape)
         names = list(self.single_observation_space)  # type: ignore[call-overload]
         return [{name: values[name] for name in names} for values in found]

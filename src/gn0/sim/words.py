@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import ConfigError
 from gn0.missions.episode import Episode
-from gn0.sim.sensors import SENSOR_NAMES, check_sensors
-from gn0.sim.state import Sensor
+from gn0.sim.sensor.table import check_sensors, sensor_names
 
 WORDS: frozenset[str] = frozenset({"instruction", "instruction_tokens"})
 PAD, END, FIRST_BYTE = 0, 1, 3
@@ -29,18 +28,19 @@ TEXT_LIMIT = 1024  # characters, unless an instruction is longer
 _PRINTABLE = frozenset(chr(c) for c in range(32, 127))
 
 
-def split_sensors(names: Iterable[str]) -> tuple[frozenset[Sensor], frozenset[str]]:
+def split_sensors(names: Iterable[str]) -> tuple[frozenset[str], frozenset[str]]:
     """Sensor names of an environment: what is measured, and how the agent is told.
 
     Raises:
         ConfigError: a name is unknown; lists those that exist.
     """
     found = frozenset(names)
-    unknown = sorted(map(str, found - SENSOR_NAMES - WORDS))
+    known = WORDS.union(sensor_names())
+    unknown = sorted(map(str, found - known))
     if unknown:
         raise ConfigError(
             f"no sensor named {unknown[0]!r}",
-            remedy="known: " + ", ".join(sorted(SENSOR_NAMES | WORDS)),
+            remedy="known: " + ", ".join(sorted(known)),
         )
     return check_sensors(found - WORDS), found & WORDS
 

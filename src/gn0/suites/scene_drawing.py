@@ -14,7 +14,7 @@ from gn0.plugins import get_plugin, is_builtin
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import choose_backend, name_drawing
 from gn0.render.share.client import DrawServer
-from gn0.sim.sensors import EYES, MAPS
+from gn0.sim.sensor.table import carry_sensors
 from gn0.suites.suite import load_suite_scene
 
 LOADER = f"{__name__}:load_look"  # for `gn0.render.share.client.DrawServer`
@@ -63,8 +63,8 @@ def load_look(source: dict[str, Any]) -> GaussianCloud:
 
 def needs_renderer(sensors: Iterable[str], map_mode: str) -> bool:
     """Whether anything must be drawn for these sensors."""
-    names = frozenset(sensors)
-    return bool(names & (EYES | {"bev"}) or (map_mode == "explored" and names & MAPS))
+    carried = carry_sensors(sensors)
+    return carried.needs_renderer(map_mode == "explored" and bool(carried.maps))
 
 
 def choose_run_backend(backend: str, policy: str, map_mode: str, *, isolated: bool = False) -> str:

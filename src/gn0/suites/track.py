@@ -14,13 +14,12 @@ import msgspec
 
 from gn0.config import Config
 from gn0.errors import ConfigError
+from gn0.sim.sensor.table import find_sensor, sensor_names
 from gn0.sim.state import MapMode
 
 GoalGiven = Literal["instruction", "image", "point", "object"]
 Standing = Literal["on the track", "off the track", "oracle", "no track"]
 POSE = "+pose"
-# sensors that say more than some tracks allow, and the goal that allows them
-_TELLS_GOAL: dict[str, GoalGiven] = {"goal_vector": "point", "goal_picture": "image"}
 
 
 class Track(Config, frozen=True):
@@ -82,6 +81,11 @@ def judge_policy(
         return "oracle", ()
     if track is None:
         return "no track", ()
-    beyond = [s for s in sensors if _TELLS_GOAL.get(s, track.goal) != track.goal]
-    beyond += [s for s in sensors if s == "pose" and not track.pose]
+    allowed = {"", track.goal, "pose" if track.pose else ""}
+    beyond = [name for name in sensors if _tells(name) not in allowed]
     return ("off the track" if beyond else "on the track"), tuple(sorted(beyond))
+
+
+def _tells(name: str) -> str:
+    """What a sensor says that not every track allows; one that is not here may say anything."""
+    return find_sensor(name).tells if name in sensor_names() else "unknown"

@@ -17,7 +17,7 @@ from gn0.policies.remote.extension import read_greeting
 from gn0.policies.remote.server import PolicySession
 from gn0.policies.remote.wire import REPLY_LIMITS, decode_message, encode_message
 from gn0.policies.text import parse_navid, parse_navila, parse_uninavid
-from gn0.sim.state import Action, Observation, Sensor
+from gn0.sim.state import Action, Observation
 from gn0.testing.fuzz import FuzzTarget
 
 _TOKENS = (
@@ -32,7 +32,7 @@ class _PolicyLooks:
     """Touches all that it is given."""
 
     name = "looks"
-    sensors: frozenset[Sensor] = frozenset()
+    sensors: frozenset[str] = frozenset()
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:
         """Begin an episode."""

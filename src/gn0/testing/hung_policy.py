@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from gn0.plugins import register
-from gn0.sim.state import Action, Observation, Sensor
+from gn0.sim.state import Action, Observation
 
 
 class PolicyHung:
@@ -18,7 +18,7 @@ class PolicyHung:
     """
 
     name = "hung"
-    sensors: frozenset[Sensor] = frozenset()
+    sensors: frozenset[str] = frozenset()
 
     def __init__(self, word: str = "sofa") -> None:
         self.word = word

@@ -26,7 +26,7 @@ from gn0.sim.policy import (
     check_answers,
 )
 from gn0.sim.rollout import TELEPORT_CODE, run_episode
-from gn0.sim.sensors import SENSOR_NAMES
+from gn0.sim.sensor.table import sensor_names
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Displacement, Observation, StepResult, Teleport, Trajectory
 from gn0.testing.scenes import build_room_scene
@@ -134,8 +134,9 @@ def _check_declaration(policy: Policy) -> None:
     name = policy.name
     assert isinstance(name, str) and name.strip(), f"name is {name!r}: give it a text"
     assert isinstance(policy.sensors, frozenset), "sensors must be a frozenset of names"
-    unknown = sorted(map(str, policy.sensors - SENSOR_NAMES))
-    assert not unknown, f"sensors {unknown} do not exist; known: {sorted(SENSOR_NAMES)}"
+    known = frozenset(sensor_names())
+    unknown = sorted(map(str, policy.sensors - known))
+    assert not unknown, f"sensors {unknown} do not exist; known: {sorted(known)}"
     if isinstance(policy, PolicyPrivileged):
         assert callable(policy.reset_privileged), "reset_privileged must take the simulator"
 
@@ -162,7 +163,8 @@ def _play(simulator: Simulator, policy: Policy, episode: Episode) -> Trajectory:
 
 
 def _digest(observation: Observation) -> bytes:
-    arrays = [value for value in vars(observation).values() if isinstance(value, np.ndarray)]
+    values = [*vars(observation).values(), *observation.more.values()]
+    arrays = [value for value in values if isinstance(value, np.ndarray)]
     return b"".join(array.tobytes() for array in arrays)
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from gn0.plugins import register
-from gn0.sim.state import Action, Displacement, Observation, Sensor
+from gn0.sim.state import Action, Displacement, Observation
 
 
 class PolicyScript:
     """Says what it is told to, then FORWARD for ever."""
 
     name = "script"
-    sensors: frozenset[Sensor] = frozenset()
+    sensors: frozenset[str] = frozenset()
 
     def __init__(self, actions: str = "") -> None:
         self.actions = [int(code) for code in actions]

@@ -15,24 +15,24 @@ whatever map it greets with.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, cast, get_args
+from typing import Any
 
 import numpy as np
 
 from gn0.errors import FormatError
-from gn0.geometry import Pose2D
 from gn0.policies.remote.answers import show
-from gn0.sim.state import Observation, Sensor
+from gn0.sim.sensor.sensor import Wire
+from gn0.sim.sensor.table import carry_sensors, find_sensor, sensor_names
+from gn0.sim.sensors import SensorConfig
+from gn0.sim.state import Observation
 
 KEY = "gn0"
 VERSION = 1
-OFFICIAL_SENSORS: frozenset[Sensor] = frozenset({"rgb"})
-_SENSORS = frozenset(get_args(Sensor))
+OFFICIAL_SENSORS: frozenset[str] = frozenset({"rgb"})
+_ANY = SensorConfig()  # sizes are the client's business, kinds are not
 IDENTITY_LIMIT = 24  # entries of a server's own identity that are kept
-_STATIC = ("bev", "goal_picture")  # sent when they change, not with every query
-_ARRAYS = ("depth", "bev", "occupancy", "history", "ranges", "goal_picture")
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Greeting:
 
     extended: bool = False
     name: str = ""
-    wants: frozenset[Sensor] = OFFICIAL_SENSORS
+    wants: frozenset[str] = OFFICIAL_SENSORS
     identity: tuple[tuple[str, str], ...] = ()
 
 
@@ -61,7 +61,7 @@ def read_greeting(metadata: dict[str, Any]) -> Greeting:
     assert isinstance(about, dict)
     wants = about.get("wants")
     asked = (
-        frozenset(w for w in wants if isinstance(w, str)) & _SENSORS
+        frozenset(w for w in wants if isinstance(w, str)).intersection(sensor_names())
         if isinstance(wants, list)
         else OFFICIAL_SENSORS
     )
@@ -69,7 +69,7 @@ def read_greeting(metadata: dict[str, Any]) -> Greeting:
     return Greeting(
         extended=True,
         name=show(name)[:80] if isinstance(name, str) else "",
-        wants=cast("frozenset[Sensor]", asked),
+        wants=asked,
         identity=_read_identity(about, "model_version"),
     )
 
@@ -100,7 +100,7 @@ def _read_identity(about: dict[Any, Any], version: str) -> tuple[tuple[str, str]
 
 def build_greeting(
     name: str,
-    wants: frozenset[Sensor],
+    wants: frozenset[str],
     model: str = "",
     version: str = "",
     identity: Mapping[str, str | int | float] | None = None,
@@ -131,24 +131,20 @@ class ObservationSender:
             "time": observation.time,
             "collided": observation.collided,
         }
-        for name in _ARRAYS:
-            value = getattr(observation, name)
-            if value is None or (name in _STATIC and self._sent.get(name) is value):
+        spelt: dict[str, Any] = {}  # after all arrays
+        for name, wire in _wires():
+            value = observation.read(name)
+            if value is None or (wire.once and self._sent.get(name) is value):
+                continue
+            if wire.pack is not None:
+                spelt[name] = wire.pack(value)
                 continue
             found[name] = value
-            self._sent[name] = value
+            if wire.once:
+                self._sent[name] = value
         if observation.bev_metres_per_pixel is not None:
             found["bev_metres_per_pixel"] = float(observation.bev_metres_per_pixel)
-        if observation.goal_vector is not None:
-            found["goal_vector"] = [float(v) for v in observation.goal_vector]
-        if observation.pose is not None:
-            found["pose"] = [float(v) for v in observation.pose]
-        return found
-
-
-_SHAPES = {"depth": (np.float32, 2, 0), "bev": (np.uint8, 3, 3), "occupancy": (np.uint8, 3, 3),
-           "history": (np.uint8, 3, 3), "ranges": (np.float32, 1, 0),
-           "goal_picture": (np.uint8, 3, 3)}  # fmt: skip
+        return found | spelt
 
 
 def read_observation(
@@ -181,16 +177,11 @@ def read_observation(
         raise _refusal(KEY, "a map")
     fields: dict[str, Any] = {}
     if before is not None:
-        fields |= {name: getattr(before, name) for name in _STATIC}
-    for name, (dtype, ndim, last) in _SHAPES.items():
+        fields |= {name: before.read(name) for name, wire in _wires() if wire.once}
+    for name, wire in _wires():
         value = more.get(name)
-        if value is None:
-            continue
-        if not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != ndim:
-            raise _refusal(name, f"{np.dtype(dtype).name} of {ndim} dimensions")
-        if last and value.shape[-1] != last:
-            raise _refusal(name, "a picture [H, W, 3]")
-        fields[name] = value
+        if value is not None:
+            fields[name] = _read_value(name, wire, value)
     for name, kind, holds in (("step", int, "an int"), ("time", float, "seconds"),
                               ("bev_metres_per_pixel", float, "metres"),
                               ("collided", bool, "true or false")):  # fmt: skip
@@ -199,18 +190,39 @@ def read_observation(
             if not isinstance(value, kind):
                 raise _refusal(name, holds)
             fields[name] = value
-    for name, count in (("goal_vector", 2), ("pose", 3)):
-        value = more.get(name)
-        if value is None:
-            continue
-        if (
-            not isinstance(value, list)
-            or len(value) != count
-            or not all(isinstance(v, float) for v in value)
-        ):
-            raise _refusal(name, f"{count} numbers")
-        fields[name] = tuple(value) if name == "goal_vector" else Pose2D(*value)
-    return replace(seen, **fields)
+    others = {name: fields.pop(name) for name in [*fields] if name in _strange(fields)}
+    return replace(seen, **fields, more={k: v for k, v in others.items() if v is not None})
+
+
+def _wires() -> list[tuple[str, Wire]]:
+    """How each sensor goes over the wire that goes in the extension's map, in their order."""
+    carried = carry_sensors(sensor_names())
+    return [(s.name, s.wire) for s in carried.sensors if s.wire is not None]
+
+
+def _strange(names: Iterable[str]) -> frozenset[str]:
+    """Names of sensors without a field of their own in observations."""
+    return frozenset(names).difference(Observation.__dataclass_fields__)
+
+
+def _read_value(name: str, wire: Wire, value: Any) -> Any:
+    """What was sent of a sensor.
+
+    Raises:
+        FormatError: it is not what this sensor gives.
+    """
+    if wire.unpack is not None:
+        try:
+            return wire.unpack(value)
+        except ValueError:
+            raise _refusal(name, wire.holds) from None
+    space = find_sensor(name).space(_ANY)
+    dtype, ndim = np.dtype(space.dtype), len(space.shape)
+    if not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != ndim:
+        raise _refusal(name, f"{dtype.name} of {ndim} dimensions")
+    if ndim == 3 and space.shape[-1] == 3 != value.shape[-1]:
+        raise _refusal(name, "a picture [H, W, 3]")
+    return value
 
 
 def _refusal(field: str, holds: str) -> FormatError:

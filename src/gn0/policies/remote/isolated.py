@@ -23,7 +23,7 @@ from gn0.policies.remote.client import RemoteClient
 from gn0.policies.remote.extension import KEY, ObservationSender
 from gn0.policies.remote.own_process import BUILD_LIMIT, Introduction, Told
 from gn0.seeds import save_stream
-from gn0.sim.state import AnyAction, Displacement, Observation, Sensor, Teleport
+from gn0.sim.state import AnyAction, Displacement, Observation, Teleport
 
 # says where the scenes are, where we stand, or opens other doors
 _KEPT_BACK = ("GN0_DATA", "GN0_TOKEN", "PWD", "OLDPWD", "_")
@@ -76,7 +76,7 @@ class PolicyIsolated:
         self._process.send(msgspec.json.encode(told))
         about = self._read(lines)
         self.name = about.name
-        self.sensors = cast("frozenset[Sensor]", frozenset(about.sensors))
+        self.sensors = cast("frozenset[str]", frozenset(about.sensors))
         self._about = about
         self._client = RemoteClient(
             about.url, connect_timeout=5.0, request_timeout=request_timeout, token=token

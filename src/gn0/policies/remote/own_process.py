@@ -21,7 +21,7 @@ from gn0.jobs.child import open_channel
 from gn0.plugins import build_plugin, describe_error
 from gn0.policies.remote.server import PolicyServer
 from gn0.sim.policy import Policy, PolicyNotes, PolicyPrivileged
-from gn0.sim.state import Displacement, Observation, Sensor, Teleport
+from gn0.sim.state import Displacement, Observation, Teleport
 
 BUILD_LIMIT = 900.0  # s
 
@@ -60,7 +60,7 @@ class AnswererExact:
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
         self.name = str(policy.name)
-        self.sensors: frozenset[Sensor] = frozenset(policy.sensors)
+        self.sensors: frozenset[str] = frozenset(policy.sensors)
         self._fault: dict[str, str] | None = None
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:

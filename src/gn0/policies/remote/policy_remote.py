@@ -33,7 +33,7 @@ from gn0.policies.remote.extension import (
 )
 from gn0.policies.text import find_parser
 from gn0.sim.policy import SLOT_VARIABLE
-from gn0.sim.state import Action, AnyAction, Observation, Sensor
+from gn0.sim.state import Action, AnyAction, Observation
 
 UNIDENTIFIED = "unidentified"  # of a server that does not say who it is
 FRAMES_KEPT = 64  # pictures since the last question, at least
@@ -112,7 +112,7 @@ class PolicyRemote:
         self.client.connect()
         self.greeting: Greeting = read_greeting(self.client.metadata)
         wants = set(self.greeting.wants) - {"pose"}
-        self.sensors: frozenset[Sensor] = frozenset(wants | ({"pose"} if self.send_pose else set()))
+        self.sensors: frozenset[str] = frozenset(wants | ({"pose"} if self.send_pose else set()))
         self._sender = ObservationSender()
         self._seed = 0
         self._forget("", "")

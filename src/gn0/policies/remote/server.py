@@ -35,7 +35,7 @@ from gn0.policies.remote.gate import BYTES_LIMIT, QUEUE_LIMIT, BusyError, Gate
 from gn0.policies.remote.wire import REQUEST_LIMITS, WireLimits, decode_message, encode_message
 from gn0.seeds import load_stream, random_stream
 from gn0.sim.policy import Policy, PolicyIdentified
-from gn0.sim.state import Action, Displacement, Observation, Sensor, Teleport
+from gn0.sim.state import Action, Displacement, Observation, Teleport
 
 CONNECTIONS_LIMIT = 64
 IDLE_TIMEOUT = 600.0  # s without a request until a connection is closed
@@ -54,7 +54,7 @@ class Answerer(Protocol):
     """
 
     name: str
-    sensors: frozenset[Sensor]
+    sensors: frozenset[str]
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:
         """Begin an episode."""

@@ -1,0 +1,16 @@
+"""`bev`: the scene from above."""
+
+from __future__ import annotations
+
+from gn0.sim.sensor.sensor import MAP_SIDE, Sensor, Wire, picture_space
+
+SENSOR = Sensor(
+    name="bev",
+    doc="uint8 map picture, north up, a pixel a map cell; what it holds is the [map mode](maps.md)",
+    space=lambda _: picture_space(MAP_SIDE, MAP_SIDE),
+    bev=True,
+    explores=frozenset({"depth", "rgb"}),
+    read=lambda here: here.bev(),
+    device=lambda agents: agents.map_pictures("bev"),
+    wire=Wire(once=True),
+)

@@ -1,0 +1,22 @@
+"""`depth`: how far away is what is seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gn0.sim.sensor.sensor import Sensor, SensorSettings, Space
+
+
+def _space(settings: SensorSettings) -> Space:
+    camera = settings.preset.depth
+    return Space((camera.height, camera.width), np.float32, *settings.preset.depth_range)
+
+
+SENSOR = Sensor(
+    name="depth",
+    doc="float32 [Hd, Wd] m, camera z, clipped to the sensor's range; its own size",
+    space=_space,
+    draws=frozenset({"depth"}),
+    read=lambda here: here.seen("depth"),
+    device=lambda agents: agents.seen("depth"),
+)

@@ -1,0 +1,291 @@
+"""What a sensor is: one value that says all that any engine needs to know of it.
+
+    SENSOR = Sensor(
+        name="nearest",
+        doc="float32 [1] m: the nearest thing before the eyes",
+        space=lambda settings: Space((1,), np.float32, 0.0, settings.preset.depth_range[1]),
+        draws=frozenset({"depth"}),
+        read=lambda here: here.seen("depth").min(keepdims=True)[0],
+    )
+    register("sensor", SENSOR.name, SENSOR)
+
+That is enough for `open_simulator`, the environments, policies that name it, and the wire. A sensor
+that says how a device reads it is carried there, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import SimError
+from gn0.geometry import F32, F64, U8, Pose2D
+
+if TYPE_CHECKING:
+    from gn0.device.device import DeviceArray
+    from gn0.maps.navigation import NavigationMap
+    from gn0.sim.presets import CameraPreset
+
+MAP_SIDE = -1  # a side of a space that is as long as the scene's map picture
+Tells = Literal["", "point", "image", "pose", "labels"]
+
+
+class SensorSettings(Protocol):
+    """What a space may depend on; see `gn0.sim.sensors.SensorConfig`."""
+
+    @property
+    def preset(self) -> CameraPreset:
+        """Cameras and body."""
+        ...
+
+    @property
+    def range_rays(self) -> int:
+        """Rays of the range ring."""
+        ...
+
+    @property
+    def range_limit(self) -> float:
+        """Reach of the range ring [m]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Space:
+    """What values a sensor gives, as an array.
+
+    Attributes:
+        shape: sides; `MAP_SIDE` where the scene's map decides.
+        dtype: of NumPy.
+        low, high: bounds of every value, both included.
+    """
+
+    shape: tuple[int, ...]
+    dtype: Any
+    low: float
+    high: float
+
+    def sized(self, map_shape: tuple[int, int] | None) -> Space:
+        """The same with the sides of a map picture [px] where the map decides."""
+        if MAP_SIDE not in self.shape:
+            return self
+        sides = iter(map_shape or (1, 1))
+        return replace(self, shape=tuple(next(sides) if n == MAP_SIDE else n for n in self.shape))
+
+    def refusal(self, value: NDArray[Any]) -> str:
+        """What is wrong with a value, in words; empty where nothing is."""
+        shape = value.shape
+        if len(shape) != len(self.shape) or any(
+            want not in (MAP_SIDE, n) for want, n in zip(self.shape, shape, strict=True)
+        ):
+            return f"gives shape {list(shape)}, not {list(self.shape)}"
+        if value.dtype != np.dtype(self.dtype):
+            return f"gives {value.dtype}, not {np.dtype(self.dtype)}"
+        if value.size and not (value.min() >= self.low and value.max() <= self.high):
+            return (
+                f"gives values from {value.min():g} to {value.max():g}, beyond {self.low:g} to "
+                f"{self.high:g}"
+            )
+        return ""
+
+
+def picture_space(width: int, height: int) -> Space:
+    """A colour picture [H, W, 3]."""
+    return Space((height, width, 3), np.uint8, 0, 255)
+
+
+class Here(Protocol):
+    """One agent where it stands now: what a sensor may look at."""
+
+    @property
+    def pose(self) -> Pose2D:
+        """Where it stands."""
+        ...
+
+    @property
+    def start(self) -> Pose2D:
+        """Where its episode began."""
+        ...
+
+    @property
+    def goal(self) -> tuple[float, float]:
+        """The place it is sent to [m]; a sensor that looks at it says so in `Sensor.tells`."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """Steps taken so far."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Seconds since its episode began."""
+        ...
+
+    @property
+    def navigation(self) -> NavigationMap:
+        """The scene's map, plain and inflated by the body."""
+        ...
+
+    def seen(self, output: str) -> NDArray[Any]:
+        """A picture of what lies before the eyes [H, W, …], of those that `Sensor.draws` names."""
+        ...
+
+    def views(self) -> tuple[U8, ...]:
+        """Earlier views as tiles, newest first; for sensors with `Sensor.views`."""
+        ...
+
+    def goal_picture(self) -> U8:
+        """What the goal looks like [H, W, 3]; for sensors with `Sensor.goal_view`."""
+        ...
+
+    def bev(self) -> U8:
+        """The scene from above [Hb, Wb, 3], or what the agent has seen of it."""
+        ...
+
+    def occupancy(self) -> U8:
+        """The map as a picture [Hb, Wb, 3] with start and agent, or what the agent knows of it."""
+        ...
+
+    def ranges(self) -> F32:
+        """The range ring [R] m."""
+        ...
+
+    def random(self, name: str) -> np.random.Generator:
+        """Chance that belongs to episode, step and name alone: the only one that may be used."""
+        ...
+
+
+class Agents(Protocol):
+    """Many agents where they stand now: what is read of all at once."""
+
+    def poses(self) -> F64:
+        """[K, 3] x, y [m], yaw [rad]."""
+        ...
+
+    def goal_vectors(self) -> F32:
+        """[K, 2] forward, left [m]."""
+        ...
+
+    def ranges(self) -> F32:
+        """[K, R] m."""
+        ...
+
+
+class AgentsDevice(Protocol):
+    """Agents on a device, where they stand now or where they stood last; all arrays lie there."""
+
+    def output(self, name: str) -> DeviceArray:
+        """What the last step wrote [N, …]: pose, goal_vector, collided; see `device_layout`."""
+        ...
+
+    def ranges(self) -> DeviceArray:
+        """[N, R] m."""
+        ...
+
+    def seen(self, output: str) -> DeviceArray:
+        """Pictures of what lies before the eyes [N, H, W, …]."""
+        ...
+
+    def mosaics(self) -> DeviceArray:
+        """Mosaics of earlier views [N, 480, 640, 3]."""
+        ...
+
+    def goal_pictures(self) -> DeviceArray:
+        """What goals look like [N, H, W, 3]."""
+        ...
+
+    def map_pictures(self, name: str) -> DeviceArray:
+        """Pictures bev or occupancy [N, Hb, Wb, 3]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Wire:
+    """How a sensor goes over the wire; an array as it is, unless said otherwise.
+
+    Attributes:
+        once: sent when it is another object, not with every question.
+        pack: what is sent of a value, when not the array itself.
+        unpack: the value of what was sent; ValueError where it is none.
+        holds: what `unpack` takes, in words.
+    """
+
+    once: bool = False
+    pack: Callable[[Any], Any] | None = None
+    unpack: Callable[[Any], Any] | None = None
+    holds: str = ""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sensor:
+    """A sensor, by all that the engines need to know.
+
+    Attributes:
+        name: in `sensors=`, in observations, spaces and on the wire.
+        doc: what it gives, in a line: its row in the docs and in `gn0 list sensors`.
+        space: what values it gives, as an array.
+        read: what one agent reads, never written to afterwards; equal places and moments, equal
+            values. Enough for one agent and for many.
+        draws: outputs of a renderer that it looks at; see `gn0.sim.look_plan`.
+        views: whether it looks at earlier views.
+        goal_view: whether it looks at the goal's picture.
+        bev: whether it looks at the scene from above.
+        explores: what an agent's own map is made of, for those that look at a map; else empty.
+        tells: what it says that not every track allows, or that no robot could know (labels).
+        many: reads of all agents at once what needs no picture; one by one when None.
+        device: reads of all agents on a device; it is not carried there when None.
+        array: the array of a value that is none.
+        wire: how it is sent; None where the released protocol has a place of its own for it.
+    """
+
+    name: str
+    doc: str
+    space: Callable[[SensorSettings], Space]
+    read: Callable[[Here], Any]
+    draws: frozenset[str] = frozenset()
+    views: bool = False
+    goal_view: bool = False
+    bev: bool = False
+    explores: frozenset[str] = frozenset()
+    tells: Tells = ""
+    many: Callable[[Agents], NDArray[Any]] | None = None
+    device: Callable[[AgentsDevice], DeviceArray] | None = None
+    array: Callable[[Any], NDArray[Any]] | None = None
+    wire: Wire | None = Wire()
+
+    @property
+    def looks(self) -> bool:
+        """Whether it looks through the agent's eyes, so that a renderer is needed."""
+        return bool(self.draws) or self.views or self.goal_view
+
+    def as_array(self, value: Any) -> NDArray[Any]:
+        """A value as a new array."""
+        return np.array(value) if self.array is None else self.array(value)
+
+    def check(
+        self, value: Any, settings: SensorSettings, agents: int | None = None
+    ) -> NDArray[Any]:
+        """A stranger's value, or those of so many agents, if they are what its space says.
+
+        It cannot be written to.
+
+        Raises:
+            SimError: it is not.
+        """
+        array = np.asarray(value)
+        space = self.space(settings)
+        if agents is not None:
+            space = replace(space, shape=(agents, *space.shape))
+        wrong = space.refusal(array)
+        if wrong:
+            raise SimError(
+                f"sensor {self.name!r} {wrong}",
+                remedy="mend its read() or its space(); gn0.testing.check_sensor tells more",
+            )
+        array = array.view()
+        array.setflags(write=False)
+        return array

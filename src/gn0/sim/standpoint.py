@@ -1,0 +1,95 @@
+"""Where an agent stands, as its sensors see it: the same for one agent and for each of many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.errors import SimError
+from gn0.geometry import F32, U8, Pose2D
+from gn0.missions.episode import Episode
+from gn0.seeds import random_stream
+from gn0.sim.state import STEP_SECONDS
+
+if TYPE_CHECKING:
+    from gn0.maps.navigation import NavigationMap
+    from gn0.sim.mapping import Mapper
+    from gn0.sim.sensors import SensorSuite
+
+
+def _nothing(*_: Any) -> Any:
+    raise SimError("this sensor may not look at that", remedy="say so in its draws, views, …")
+
+
+class Standpoint:
+    """An agent where it stands, as sensors see it; see `gn0.sim.sensor.sensor.Here`.
+
+    Args:
+        suite: its sensors; None for those that look at nothing but where it is.
+        seen, views, goal_picture: what lies before its eyes by output, its earlier views, and the
+            picture of its goal, when they are asked for.
+
+    Attributes:
+        pose: where it stands.
+        episode: that it plays.
+        steps: that it has taken.
+        mapper: its own map, in map mode `explored`.
+    """
+
+    def __init__(
+        self,
+        suite: SensorSuite | None,
+        seen: Callable[[str], NDArray[Any]] = _nothing,
+        views: Callable[[], tuple[U8, ...]] = _nothing,
+        goal_picture: Callable[[], U8] = _nothing,
+    ) -> None:
+        self._measure = suite
+        self.seen, self.views, self.goal_picture = seen, views, goal_picture
+        self.pose = Pose2D(0.0, 0.0, 0.0)
+        self.episode: Episode
+        self.steps = 0
+        self.mapper: Mapper | None = None
+
+    @property
+    def _suite(self) -> SensorSuite:
+        return _nothing() if self._measure is None else self._measure
+
+    @property
+    def start(self) -> Pose2D:
+        """Where its episode began."""
+        return self.episode.start_pose
+
+    @property
+    def goal(self) -> tuple[float, float]:
+        """The place it is sent to [m]."""
+        return self.episode.goal
+
+    @property
+    def time(self) -> float:
+        """Seconds since its episode began."""
+        return self.steps * STEP_SECONDS
+
+    @property
+    def navigation(self) -> NavigationMap:
+        """The scene's map."""
+        return self._suite.navigation
+
+    def bev(self) -> U8:
+        """The scene from above, or what the agent has seen of it."""
+        return self._suite.bev_picture if self.mapper is None else self.mapper.bev
+
+    def occupancy(self) -> U8:
+        """The map with start and agent, or what the agent knows of it."""
+        own = None if self.mapper is None else self.mapper.occupancy
+        return self._suite.occupancy_picture(self.start, self.pose, own)
+
+    def ranges(self) -> F32:
+        """The range ring [R] m."""
+        return self._suite.ranges(self.pose)
+
+    def random(self, name: str) -> np.random.Generator:
+        """Chance that belongs to episode, step and name alone."""
+        return random_stream(self.episode.seed, "sensor", name, self.episode.id, self.steps)

@@ -41,6 +41,12 @@ def test_each_stands_in_one_file() -> None:
 def test_they_are_the_papers() -> None:
     """Lines 723 (step, turn), 750 and 1795 (labels), 931 (success), VLN-CE's order of actions."""
     assert (paper.FORWARD_STEP, paper.TURN_DEGREES, paper.SUCCESS_RADIUS) == (0.25, 15.0, 3.0)
+    assert (paper.BODY_RADIUS, paper.EYE_HEIGHT, paper.MAX_STEPS) == (0.20, 1.30, 500)
+    assert (paper.CAMERA_SIZE, paper.CAMERA_VFOV, paper.DEPTH_RANGE) == (
+        (480, 360),
+        70.0,
+        (0.0, 10.0),
+    )
     assert (paper.ACTIONS_AHEAD, paper.POINTS, paper.SPACING) == (6, 13, 0.25)
     assert (paper.MAP_BINS, paper.HALT_STEPS) == (1000, 10)  # lines 726 and 596
     assert sum(paper.ACTION_SHARES.values()) == 100  # table of line 1737

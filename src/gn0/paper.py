@@ -17,17 +17,30 @@ FORWARD_STEP = 0.25
 TURN_DEGREES = 15.0
 """Degrees that LEFT and RIGHT turn (l. 723)."""
 
+BODY_RADIUS, EYE_HEIGHT = 0.20, 1.30
+"""m: the agent's footprint, and its eye above the floor; open in the paper, as in its release."""
+
+CAMERA_SIZE, CAMERA_VFOV = (480, 360), 70.0
+"""Width and height [px] and vertical field of view [degrees] of preset `gn_bench`; "configurable"
+in the paper (l. 657), as in its release."""
+
+DEPTH_RANGE = (0.0, 10.0)
+"""m: what a depth sensor tells apart; open in the paper, as in its release."""
+
+MAX_STEPS = 500
+"""Steps after which an episode ends; open in the paper, as its release and VLN-CE."""
+
 SUCCESS_RADIUS = 3.0
 """m: who stops nearer than this to the goal has succeeded; strictly nearer is ours (l. 931)."""
 
 ACTIONS_AHEAD = 6
-"""Next actions in a label (l. 750)."""
+"""Next actions that a policy predicts, and a label tells (l. 750)."""
 
 POINTS = 13
 """Waypoints of a label: where the agent is, and twelve more (l. 1795)."""
 
 SPACING = 0.25
-"""m of arc length between points: of a label (l. 1795), and of a reference path (ours)."""
+"""m of arc length between waypoints: of a label (l. 1795), and of a reference path (ours)."""
 
 MAP_BINS = 1000
 """Bins of a map's width and height, a token each: `<0>` to `<999>` (l. 726)."""
@@ -37,7 +50,7 @@ HISTORY = 16
 
 START_RADIUS, GOAL_RADIUS, FRECHET = 1.0, 1.0, 0.75
 """m: paths whose starts and goals are nearer are compared, and one below that discrete Fréchet
-distance is a duplicate; the rule is the paper's (l. 1481, 1499), the metres are ours."""
+distance [m] is a duplicate; the rule is the paper's (l. 1481, 1499), the metres are ours."""
 
 HALT_STEPS = 10
 """Steps near the goal after which a walk without STOP is ended (l. 596)."""

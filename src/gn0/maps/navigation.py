@@ -19,6 +19,7 @@ from gn0.maps.inflate import build_clearance, inflate
 from gn0.maps.ray import trace_points
 from gn0.maps.regions import find_nearest_cell, label_regions
 from gn0.maps.slide import slide_points
+from gn0.paper import BODY_RADIUS
 
 FIELDS_KEPT = 64  # geodesic fields in the cache; about 0.7 MB each on a 400 × 400 grid
 
@@ -33,7 +34,7 @@ class NavigationMap:
         radius: the agent's radius [m].
     """
 
-    def __init__(self, grid: OccupancyGrid, radius: float = 0.20) -> None:
+    def __init__(self, grid: OccupancyGrid, radius: float = BODY_RADIUS) -> None:
         self.grid = grid
         self.radius = float(radius)
         self.inflated = inflate(grid, radius)

@@ -10,7 +10,7 @@ import msgspec
 from gn0.errors import EpisodeError
 from gn0.geometry import Pose2D
 from gn0.maps.goal_places import GoalSet
-from gn0.paper import FORWARD_STEP, TURN_DEGREES
+from gn0.paper import BODY_RADIUS, EYE_HEIGHT, FORWARD_STEP, TURN_DEGREES
 from gn0.render.light import LightCondition
 
 
@@ -116,8 +116,8 @@ class AgentSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             for bodies that stop at it, which is the paper's Eq. collision.
     """
 
-    radius: float = 0.20
-    camera_height: float = 1.30
+    radius: float = BODY_RADIUS
+    camera_height: float = EYE_HEIGHT
     forward_step: float = FORWARD_STEP
     turn_degrees: float = TURN_DEGREES
     sliding: bool | msgspec.UnsetType = msgspec.UNSET

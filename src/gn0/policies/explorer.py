@@ -17,7 +17,7 @@ from gn0.maps.grid import FREE, GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.lattice import ActionPlanner
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.path_smoothing import densify_path
-from gn0.paper import FORWARD_STEP, TURN_DEGREES
+from gn0.paper import BODY_RADIUS, FORWARD_STEP, TURN_DEGREES
 from gn0.sim.sensors import RED
 from gn0.sim.state import Action, Observation
 
@@ -43,7 +43,7 @@ class PolicyExplorer:
     def __init__(
         self,
         stop_distance: float = 0.25,
-        radius: float = 0.20,
+        radius: float = BODY_RADIUS,
         margins: tuple[float, ...] = (0.05, 0.0, -0.05, -0.10, -0.20),
         step: float = FORWARD_STEP,
         turn_degrees: float = TURN_DEGREES,

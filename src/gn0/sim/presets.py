@@ -14,6 +14,7 @@ import math
 from gn0.config import Config
 from gn0.errors import ConfigError
 from gn0.missions.episode import AgentSpec
+from gn0.paper import CAMERA_SIZE, CAMERA_VFOV, DEPTH_RANGE
 from gn0.render.camera import Camera
 
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
@@ -41,7 +42,7 @@ class CameraPreset(Config, frozen=True):
     agent: AgentSpec = AgentSpec()
     rgb_size: tuple[int, int] | None = None
     pitch_degrees: float = 0.0
-    depth_range: tuple[float, float] = (0.0, 10.0)
+    depth_range: tuple[float, float] = DEPTH_RANGE
     background: tuple[float, float, float] = WHITE
     note: str = ""
 
@@ -81,7 +82,7 @@ def _with_vfov(name: str, size: tuple[int, int], vfov: float, **more: object) ->
     return CameraPreset(name=name, rgb=camera, depth=camera, **more)  # type: ignore[arg-type]
 
 
-_BODY_15 = AgentSpec()  # 0.25 m, 15 degrees, radius 0.20 m, eye at 1.30 m
+_BODY_15 = AgentSpec()  # the body of gn0.paper
 _VLNCE_EYE = AgentSpec(camera_height=1.25)
 _RXR = AgentSpec(radius=0.18, camera_height=0.88, turn_degrees=30.0)
 _N1_NOTE = "picture size and field of view as streamvln; the source names height and pitch only"
@@ -99,7 +100,7 @@ def _n1(centimetres: int, degrees: int) -> CameraPreset:
 
 
 _PRESETS = (
-    _with_vfov("gn_bench", (480, 360), 70.0, agent=_BODY_15),
+    _with_vfov("gn_bench", CAMERA_SIZE, CAMERA_VFOV, agent=_BODY_15),
     _with_vfov(
         "gn_bench_tools", (960, 720), 70.0, agent=AgentSpec(turn_degrees=10.0),
         note="default class of the GN-Bench tools: larger pictures, turns of 10 degrees",

@@ -35,6 +35,7 @@ from gn0.missions.generate.scene_paths import SceneReport, generate_paths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.generate.texts import count_texts, write_path_texts
 from gn0.missions.language.providers import open_provider
+from gn0.paper import MAX_STEPS
 from gn0.progress import Progress, no_progress
 from gn0.sim.presets import find_preset
 from gn0.storage import (
@@ -66,7 +67,6 @@ from gn0.suites.generation_folder import (
 from gn0.suites.scene_list import SceneEntry, list_scenes
 from gn0.suites.suite import (
     EPISODE_FILE,
-    MAX_STEPS,
     SCENE_FOLDER,
     SUITE_FILE,
     SUITE_VERSION,

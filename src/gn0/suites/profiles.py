@@ -21,7 +21,6 @@ Profile = Literal["default", "paper", "gn0-release", "vlnce"]
 PROFILES: tuple[str, ...] = ("default", "paper", "gn0-release", "vlnce")
 RELEASE: Profile = "gn0-release"
 VLNCE: Profile = "vlnce"
-RELEASE_STEPS = 500
 ONE_STEP_PROFILES = ("paper", RELEASE)  # where a Teleport or Displacement takes one step
 _DISCS = ", ".join(map(str, MARGINS))
 
@@ -195,7 +194,7 @@ def profile_settings(profile: str, own: str = "", camera: str = "") -> dict[str,
         "profile": profile,
         "camera": "gn_bench",
         "agent": AgentSpec(),
-        "max_steps": RELEASE_STEPS,
+        "max_steps": 500,
         "success_radius": 3.0,
     }
 

@@ -30,7 +30,7 @@ from gn0.missions.episode_files import (
     save_episodes,
 )
 from gn0.missions.goal import MINIMUM_LENGTH, check_episode_fits, sample_goal_episodes
-from gn0.paper import SUCCESS_RADIUS
+from gn0.paper import MAX_STEPS, SUCCESS_RADIUS
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
@@ -58,7 +58,6 @@ from gn0.suites.track import Track, choose_track
 
 SUITE_FILE, EPISODE_FILE, SCENE_FOLDER = "suite.json", "episodes.parquet", "scenes"
 SUITE_VERSION = 1  # layout of suite.json
-MAX_STEPS = 500
 
 _OLDER_PRIOR = "unknown_is_occupied"  # how suites called map mode prior before there were others
 

@@ -22,7 +22,7 @@ from gn0.suites.run_files import RESULTS, SUMMARY, TRAJECTORIES
 from gn0.suites.suite import Suite, build_suite
 
 SAME = (RESULTS, TRAJECTORIES, SUMMARY)
-EPISODES, MAX_STEPS = 60, 120
+EPISODES, STEPS = 60, 120
 PATIENCE = 60.0  # s until a run that says nothing is given up on
 
 # the code version is pinned: an edit of the package during the trial must not look like a crash
@@ -81,7 +81,7 @@ def build_crash_suite(folder: Path) -> Suite:
     """Sixty short episodes in two small rooms."""
     scene = save_scene(build_example_scene(), folder / "flat")
     assert scene.path is not None
-    return build_suite([scene.path], folder / "suite", EPISODES, 0, max_steps=MAX_STEPS)
+    return build_suite([scene.path], folder / "suite", EPISODES, 0, max_steps=STEPS)
 
 
 def crash_runs(

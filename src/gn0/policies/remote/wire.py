@@ -1,9 +1,10 @@
 """The wire format: msgpack with arrays, read as if by an enemy.
 
-A message is msgpack. An array is a map with the byte-string keys `__ndarray__`, `data`, `dtype`
-(NumPy's type string) and `shape`; a NumPy scalar has `__npgeneric__`, `data` and `dtype`. Writing
-gives the same bytes as the `msgpack` package. Reading checks each count against the bytes that are
-left before anything is made of it, knows the types by an allow-list, and takes no extension types.
+A message is msgpack and nothing else: no magic and no length come before the map's type byte. An
+array is a map with the byte-string keys `__ndarray__`, `data`, `dtype` (NumPy's type string) and
+`shape`; a NumPy scalar has `__npgeneric__`, `data` and `dtype`. Writing gives the same bytes as the
+`msgpack` package. Reading checks each count against the bytes that are left before anything is made
+of it, knows the types by an allow-list, and takes no extension types.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""`depth`: how far away is what is seen."""
+"""`depth`: how far away is what is seen, in metres along the camera's axis.
+
+It is clipped to the preset's `depth_range` where pictures are finished (`LookPlan.finish`).
+"""
 
 from __future__ import annotations
 

@@ -83,6 +83,19 @@ def test_the_nearest_of_several_goals_counts() -> None:
     assert found.shortest_length == 8.0 and found.spl == 1.0
 
 
+def test_a_goal_set_may_have_a_radius_of_its_own() -> None:
+    near = msgspec.structs.replace(GOAL, goal_set=GoalSet(points=((10.0, 0.0),), radius=0.5))
+    before = compute_metrics(walk((0, 0), (9.5, 0)), near, straight_line)
+    assert not before.success and not before.success_euclid and not before.oracle_success
+    there = compute_metrics(walk((0, 0), (9.6, 0)), near, straight_line, success_radius=0.1)
+    assert there.success and there.success_euclid and there.oracle_success
+    for wrong in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(EpisodeError, match="success radius"):
+            GoalSet(points=((10.0, 0.0),), radius=wrong)
+    with pytest.raises(EpisodeError, match="success radius"):
+        GoalSet(areas=(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),), radius=1.0)
+
+
 def test_a_region_is_reached_inside_it_and_not_three_metres_before() -> None:
     room = ((9.0, -2.0), (15.0, -2.0), (15.0, 2.0), (9.0, 2.0))
     inside = msgspec.structs.replace(GOAL, goal_set=GoalSet(areas=(room,)))

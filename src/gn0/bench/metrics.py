@@ -144,7 +144,7 @@ def compute_metrics(
         trajectory: poses after reset and after each action.
         episode: goal and reference path, world frame [m].
         distance_to_goal: geodesic distance [m] of points [N, 2].
-        success_radius: [m], strictly less counts as success.
+        success_radius: [m], strictly less counts as success; a goal set may have its own.
 
     Raises:
         EpisodeError: a pose or a metric is not finite; the episode counts as invalid.
@@ -173,7 +173,8 @@ def compute_metrics(
     error_euclid = straight_to_goal(episode, *positions[-1].tolist())
     length = polyline_length(positions)
     shortest = float(geodesic[0])
-    there = (geodesic == 0.0) if episode.in_area else (geodesic < success_radius)
+    within = episode.success_within(success_radius)
+    there = geodesic < within
     success = trajectory.stopped and bool(there[-1])
     longer = max(shortest, length)
     reference = np.array(episode.path, np.float64).reshape(-1, 2)
@@ -190,9 +191,7 @@ def compute_metrics(
         navigation_error_euclid=error_euclid,
         navigation_error_geodesic=float(geodesic[-1]),
         success=success,
-        success_euclid=success
-        if episode.in_area
-        else trajectory.stopped and error_euclid < success_radius,
+        success_euclid=success if episode.in_area else trajectory.stopped and error_euclid < within,
         oracle_success=bool(there.any()),
         spl=(shortest / longer if longer > 0 else 1.0) if success else 0.0,
         ndtw=ndtw,

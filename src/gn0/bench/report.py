@@ -414,7 +414,7 @@ def _row(
             goal=episode.goal,
             goal_set=episode.goal_set,
             collided=trace.collided,
-            success_radius=suite.about.success_radius,
+            success_radius=episode.success_within(suite.about.success_radius),
         ),
         "video": "",
         "poster": "",

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 EXAMPLES = """  gn0 missions generate out/flat out/house --per-scene 100 --out out/missions
   gn0 missions generate out/corpus --workers 2 --lights 4 --out out/missions
   gn0 missions generate out/flat --missions goal --against out/missions --seed 1 --out out/more
+  gn0 missions generate out/flat --goals categories --categories chair,bed --out out/search
   gn0 missions generate out/flat --agent navid --out out/turns-of-30
   gn0 missions generate out/flat --spec measures.yaml --out out/strict"""
 
@@ -48,7 +49,9 @@ class Args(Config, frozen=True):
         per_scene: paths a scene (50).
         missions: goal, instruction, or both with a comma between (both).
         styles: of instructions: detailed, benchmark, or both (both).
-        goals: objects, rooms, or both (both).
+        goals: objects, rooms, or both (both); or categories, of which any object will do: "Find a
+            chair."
+        categories: those to search for, with a comma between (all of each scene).
         starts: how starts are drawn (zones): against the density of paths over zones, far from
             earlier starts, evenly (uniform), or auto.
         planner: any-angle, or astar with lines of sight (any-angle).
@@ -89,8 +92,10 @@ class Args(Config, frozen=True):
     missions: Annotated[str, _optional("KINDS")] = ""
     styles: Annotated[str, _optional("STYLES")] = ""
     goals: Annotated[
-        Literal["objects", "rooms", "both"] | None, _optional("{objects,rooms,both}")
+        Literal["objects", "rooms", "both", "categories"] | None,
+        _optional("{objects,rooms,both,categories}"),
     ] = None
+    categories: Annotated[str, _optional("NAMES")] = ""
     starts: Annotated[
         Literal["auto", "zones", "far", "uniform"] | None, _optional("{auto,zones,far,uniform}")
     ] = None
@@ -141,9 +146,11 @@ def read_settings(args: Args) -> MissionSettings:
     for name in ("start_radius", "goal_radius", "frechet"):
         if getattr(args, name) is not None:
             plain["similarity"][name] = getattr(args, name)
-    for name in ("missions", "styles"):
+    for name in ("missions", "styles", "categories"):
         if getattr(args, name):
             plain[name] = [word.strip() for word in getattr(args, name).split(",")]
+    if args.goals == "categories" and not args.missions and not args.spec:
+        plain["missions"] = ["goal"]  # a search has no route to tell
     try:
         return msgspec.convert(plain, MissionSettings)
     except msgspec.ValidationError as error:

@@ -108,7 +108,8 @@ def sum_up(dataset: Dataset) -> DaggerSummary:
             counts["wrong"] += int(((said == Action.STOP) & (label != Action.STOP)).sum())
             counts["missed"] += int(((said != Action.STOP) & (label == Action.STOP)).sum())
             ended = rows.executed[-1] == Action.STOP
-            counts["arrived"] += bool(ended and rows.distance[-1] < radius)
+            within = dataset.episode(rows.episode_id).success_within(radius)
+            counts["arrived"] += bool(ended and rows.distance[-1] < within)
     return DaggerSummary(
         episodes=episodes,
         skipped=sum(len(part.skipped) for part in dataset.about.parts),

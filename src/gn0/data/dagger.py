@@ -121,7 +121,7 @@ class _Halt:
 
     def __init__(self, rule: Halting, radius: float, field: GeodesicField, length: float) -> None:
         self.rule = rule
-        self._radius = radius if field.inside is None else 0.0
+        self._radius = radius
         self._field = field
         self.zone = min(max(ZONE_SHARE * length, ZONE_LEAST), ZONE_MOST)
         self._count: int | None = None  # steps since the counter began
@@ -180,7 +180,8 @@ def collect_visited(
     draws = random_stream(settings.seed, "dagger", settings.iteration, episode.id)
     field = simulator.navigation.geodesic(episode.destination)
     length = field.distance_at(episode.start[0], episode.start[1])
-    halt = _Halt(settings.halting, settings.success_radius, field, length)
+    within = episode.success_within(settings.success_radius)
+    halt = _Halt(settings.halting, within, field, length)
     expert = _Expert(simulator, field, labels)
     visits: list[_Visit] = []
     while True:

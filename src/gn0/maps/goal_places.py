@@ -22,10 +22,12 @@ class GoalSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     Attributes:
         points: where one stands to be there (x, y) [m]; within the success radius of one is there.
         areas: polygons (x, y) [m], open at the end; only who stands inside one is there.
+        radius: success radius [m] of the points, instead of the benchmark's own; unset for that.
     """
 
     points: tuple[Point, ...] = ()
     areas: tuple[Polygon, ...] = ()
+    radius: float | msgspec.UnsetType = msgspec.UNSET
 
     def __post_init__(self) -> None:
         if bool(self.points) == bool(self.areas):
@@ -37,6 +39,11 @@ class GoalSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             raise EpisodeError(
                 f"a goal set of {len(self.points)} points and {sum(map(len, self.areas))} corners",
                 remedy=f"name {PLACES_MOST} at most",
+            )
+        if self.radius is not msgspec.UNSET and not (self.points and 0 < self.radius <= 100):
+            raise EpisodeError(
+                f"a goal set has a success radius of {self.radius} m",
+                remedy="give points one of 100 m at most, and areas none",
             )
         if any(len(area) < 3 for area in self.areas):
             raise EpisodeError("an area of a goal set has fewer than 3 corners")

@@ -301,7 +301,7 @@ def build_targets(
 
 def category_of(target: GoalTarget) -> str:
     """The kind under which a target takes its turn."""
-    return f"{target.kind}: {spoken_name(target.object.category)}"
+    return f"{target.kind}: {target.searched or spoken_name(target.object.category)}"
 
 
 def order_targets(targets: list[GoalTarget], rng: np.random.Generator) -> list[list[GoalTarget]]:

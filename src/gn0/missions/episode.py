@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Literal
 
 import msgspec
@@ -87,6 +88,7 @@ class MissionFollow(msgspec.Struct, frozen=True, kw_only=True, tag="follow"):
     human: str
 
 
+INSIDE = sys.float_info.min  # m: less than this is 0
 VISIBLE_FROM_ABOVE = "visible from above"
 PathSource = Literal["", "truth", "file", "resampled"]
 Mission = MissionGoal | MissionInstruction | MissionFollow
@@ -183,6 +185,20 @@ class Episode(msgspec.Struct, frozen=True, kw_only=True):
     def in_area(self) -> bool:
         """Whether the goal is an area: only who stands inside it is there, at no distance."""
         return self.goal_set is not None and bool(self.goal_set.areas)
+
+    def success_within(self, radius: float) -> float:
+        """Distance to the goal [m] below which, strictly, STOP is a success.
+
+        Args:
+            radius: the benchmark's own [m]; the goal set's takes its place, and of an area nothing
+                counts but distance 0.
+        """
+        if self.goal_set is None:
+            return radius
+        if self.goal_set.areas:
+            return INSIDE
+        own = self.goal_set.radius
+        return radius if own is msgspec.UNSET else own
 
     @property
     def start_pose(self) -> Pose2D:

@@ -45,23 +45,26 @@ class GoalTarget:
         goal: centre (x, y) [m] of the nearest safe cell on the object's own side of the walls.
         region: connected region of that cell.
         instruction: what to tell the agent; never empty.
-        kind: an object, a room, or an unnamed place of a scene without labels.
+        kind: an object, a room, any object of a category, or an unnamed place of a scene without
+            labels.
         goals: all places that its words fit, where there are several, or the areas of rooms.
         places: the instances behind them, rooms in the order of the areas, and where one stands to
             be at each.
         middle: of a room, where there is most room; its picture is taken there.
         from_above: whether the bird's-eye view shows it.
+        searched: the category, of which any object will do.
     """
 
     object: SceneObject
     goal: tuple[float, float]
     region: int
     instruction: str
-    kind: Literal["object", "room", "place"] = "object"
+    kind: Literal["object", "room", "category", "place"] = "object"
     goals: GoalSet | None = None
     places: tuple[tuple[SceneObject, tuple[float, float]], ...] = ()
     middle: tuple[float, float] | None = None
     from_above: bool = False
+    searched: str = ""
 
     @property
     def destination(self) -> tuple[float, float] | GoalSet:
@@ -70,7 +73,7 @@ class GoalTarget:
 
     def reached_at(self, x: float, y: float) -> GoalTarget:
         """The same target as a way that ends at (x, y) m comes to it: the instance there."""
-        if self.kind == "object":
+        if self.kind in ("object", "category"):
             item = next((o for o, place in self.places if place == (x, y)), self.object)
             return replace(self, object=item, goal=(x, y))
         areas = self.goals.areas if self.goals is not None else ()
@@ -165,6 +168,47 @@ def why_no_goal(item: SceneObject) -> str:
     return ""
 
 
+def _cells_beside(
+    scene: Scene,
+    navigation: NavigationMap,
+    item: SceneObject,
+    reach: float,
+    walls: NDArray[np.bool_] | None,
+    allowed: NDArray[np.bool_] | None,
+) -> tuple[NDArray[np.int64], F64, F64, NDArray[np.bool_] | None]:
+    """Safe cells near an object on its own side of the walls.
+
+    Cells [N, 2], their centres [N, 2] m, distances [N] m to its footprint, and the walls [H, W]
+    that it must be seen past besides; None where rooms or wall segments have told.
+    """
+    grid = navigation.inflated
+    corners = item.box.corners()[:, :2]
+    rows_cols = grid.cells_of(np.array([corners.min(axis=0) - reach, corners.max(axis=0) + reach]))
+    (r0, c0), (r1, c1) = np.clip(rows_cols, 0, (grid.shape[0] - 1, grid.shape[1] - 1))
+    window = slice(r0, r1 + 1), slice(c0, c1 + 1)
+    block = grid.cells[window] == FREE if allowed is None else allowed[window]
+    cells = np.argwhere(block) + np.array([r0, c0])
+    if not len(cells):
+        return cells, np.zeros((0, 2)), np.zeros(0), None
+    points = grid.centres_of(cells)
+    centre = np.array(item.box.centre[:2])
+    away = distance_to_footprint(points, item)
+    keep = away <= reach
+    room = room_of_object(item, scene.rooms)
+    if room is not None:
+        keep &= points_in_polygon(points, np.array(room.polygon))
+    low = np.minimum(points.min(axis=0), centre)
+    high = np.maximum(points.max(axis=0), centre)
+    for wall in scene.walls:
+        a, b = np.array(wall.a), np.array(wall.b)
+        if (np.maximum(a, b) >= low).all() and (np.minimum(a, b) <= high).all():
+            keep &= ~_crosses(points, centre[None], a, b)
+    solid = None
+    if room is None and not scene.walls:
+        solid = walls if walls is not None else wall_cells(navigation.grid, scene.objects)
+    return cells[keep], points[keep], away[keep], solid
+
+
 def find_standing_cell(
     scene: Scene,
     navigation: NavigationMap,
@@ -200,36 +244,10 @@ def find_standing_cells(
 
     Those after the first are hardly farther from it (0.5 m) and lie 1.5 m apart: its other sides.
     """
-    grid = navigation.inflated
-    corners = item.box.corners()[:, :2]
-    rows_cols = grid.cells_of(np.array([corners.min(axis=0) - reach, corners.max(axis=0) + reach]))
-    (r0, c0), (r1, c1) = np.clip(rows_cols, 0, (grid.shape[0] - 1, grid.shape[1] - 1))
-    window = slice(r0, r1 + 1), slice(c0, c1 + 1)
-    block = grid.cells[window] == FREE if allowed is None else allowed[window]
-    cells = np.argwhere(block) + np.array([r0, c0])
-    if not len(cells):
-        return []
-    points = grid.centres_of(cells)
+    cells, points, away, solid = _cells_beside(scene, navigation, item, reach, walls, allowed)
     centre = np.array(item.box.centre[:2])
-    away = distance_to_footprint(points, item)
     from_centre = np.hypot(*(points - centre).T)
-    keep = away <= reach
-    room = room_of_object(item, scene.rooms)
-    if room is not None:
-        keep &= points_in_polygon(points, np.array(room.polygon))
-    low = np.minimum(points.min(axis=0), centre)
-    high = np.maximum(points.max(axis=0), centre)
-    for wall in scene.walls:
-        a, b = np.array(wall.a), np.array(wall.b)
-        if (np.maximum(a, b) >= low).all() and (np.minimum(a, b) <= high).all():
-            keep &= ~_crosses(points, centre[None], a, b)
-    if not keep.any():
-        return []
-    index = np.flatnonzero(keep)
-    order = index[np.lexsort((cells[index, 1], cells[index, 0], from_centre[index], away[index]))]
-    solid = None
-    if room is None and not scene.walls:
-        solid = walls if walls is not None else wall_cells(navigation.grid, scene.objects)
+    order = np.lexsort((cells[:, 1], cells[:, 0], from_centre, away))
     found: list[tuple[float, float]] = []
     nearest = 0.0
     for i in order:
@@ -245,3 +263,49 @@ def find_standing_cells(
         if len(found) == most:
             break
     return found
+
+
+def find_view_points(
+    scene: Scene,
+    navigation: NavigationMap,
+    item: SceneObject,
+    *,
+    reach: float,
+    farthest: float,
+    spacing: float,
+    walls: NDArray[np.bool_] | None = None,
+    allowed: NDArray[np.bool_] | None = None,
+) -> list[tuple[float, float]]:
+    """Safe cells (x, y) [m] all round an object, on its own side of the walls.
+
+    Every cell is within `spacing` / √2 of one of them, but for slivers: they lie on a lattice that
+    all objects of a scene share. Where no cell of the lattice is safe in reach, the nearest safe
+    cell of all, if it is near enough.
+
+    Args:
+        scene: rooms, walls and objects.
+        navigation: where one may stand.
+        item: the object.
+        reach: their largest distance from its footprint [m].
+        farthest: that of the one cell that is taken where there is none in reach [m].
+        spacing: of the lattice [m].
+        walls: see `find_standing_cell`.
+        allowed: [H, W] cells to choose from instead of all safe ones.
+    """
+    cells, points, away, solid = _cells_beside(scene, navigation, item, farthest, walls, allowed)
+    step = max(round(spacing / navigation.inflated.resolution), 1)
+    centre = np.array(item.box.centre[:2])
+    nearest = np.lexsort((cells[:, 1], cells[:, 0], away))
+    found = [
+        (float(points[i, 0]), float(points[i, 1]))
+        for i in nearest
+        if away[i] <= reach
+        and (cells[i] % step == 0).all()
+        and (solid is None or sees(navigation.grid, solid, points[i], centre))
+    ]
+    if found:
+        return found
+    for i in nearest:
+        if solid is None or sees(navigation.grid, solid, points[i], centre):
+            return [(float(points[i, 0]), float(points[i, 1]))]
+    return []

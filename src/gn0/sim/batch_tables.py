@@ -173,7 +173,7 @@ class EpisodeTable:
         self._label_end = self._root_end = 0
         self.arrays = self._allocate(0)
         self._checked = np.zeros(0, np.bool_)
-        self.in_area = np.zeros(0, np.bool_)  # of each episode, whether its goal is an area
+        self.reach = np.zeros(0)  # m, of each episode: its own success radius, else 0
 
     def _allocate(self, size: int) -> EpisodeArrays:
         return EpisodeArrays(
@@ -194,8 +194,8 @@ class EpisodeTable:
                 number = self._number[episode] = len(self.episodes)
                 self.episodes.append(episode)
             numbers.append(number)
-        fresh = self.episodes[len(self.in_area) :]
-        self.in_area = np.append(self.in_area, np.array([e.in_area for e in fresh], np.bool_))
+        fresh = self.episodes[len(self.reach) :]
+        self.reach = np.append(self.reach, [e.success_within(0.0) for e in fresh])
         missing = len(self.episodes) - len(self._checked)
         if missing > 0:
             grown = self._allocate(len(self.episodes) + (missing if len(self._checked) else 0))

@@ -22,12 +22,11 @@ EPISODE = np.dtype(
         )),
         *((name, np.float64) for name in (
             "x", "y", "resolution", "start_x", "start_y", "goal_x", "goal_y",
-            "map_x", "map_y", "map_scale",
+            "map_x", "map_y", "map_scale", "reach",
         )),
         *((name, np.int32) for name in (
             "rows", "cols", "map_rows", "map_cols", "wide", "number", "scene", "look",
-            "area", "spare",  # whole words of 16 bytes
-        )),
+        )),  # whole words of 16 bytes
     ],
     align=True,
 )  # fmt: skip

@@ -245,7 +245,7 @@ class EpisodeStore:
         row["rows"], row["cols"] = scene.shape
         row["start_x"], row["start_y"] = episode.start[:2]
         row["goal_x"], row["goal_y"] = episode.goal
-        row["area"] = episode.in_area
+        row["reach"] = episode.success_within(0.0)
         row["number"], row["scene"] = number, self._scene_number[episode.scene_id]
         if look is not None:
             row["grey"], row["bev"] = look.pointers

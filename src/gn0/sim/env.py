@@ -160,10 +160,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
             read_action(action, simulator.agent) if self.continuous else int(action)
         )
         self._distance = self._measure(simulator.pose)
-        there = self._distance < self.success_distance
-        if simulator.episode.in_area:
-            there = self._distance == 0.0
-        success = result.terminated and there
+        within = simulator.episode.success_within(self.success_distance)
+        success = result.terminated and self._distance < within
         reward = before - self._distance - STEP_COST + (SUCCESS_REWARD if success else 0.0)
         return (
             self._pack(result.observation),

@@ -228,8 +228,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         progress, terminated, truncated = self.batch.step(actions)
         distance, episode = self.batch.state.distance, self.batch.state.episode
-        in_area = self.batch.table.in_area[episode]
-        success = terminated & np.where(in_area, distance == 0.0, distance < self.success_distance)
+        own = self.batch.table.reach[episode]
+        success = terminated & (distance < np.where(own > 0, own, self.success_distance))
         rewards = progress - STEP_COST
         rewards[success] += SUCCESS_REWARD
         ended = np.flatnonzero(terminated | truncated)

@@ -310,7 +310,8 @@ def _put_together(
         raise EpisodeError(
             f"not a single path was accepted in {len(entries)} scenes: {_why_none(reports)}",
             where=out,
-            remedy="lower --minimum-length, raise --attempts, or see `gn0 scene check`",
+            remedy="lower --minimum-length, raise --attempts, name other --categories, or see "
+            "`gn0 scene check`",
         )
     used = [(e, p) for e, p, r in zip(entries, parts, reports, strict=True) if r.paths]
     for number, (entry, _) in enumerate(used):
@@ -415,4 +416,6 @@ def _why_none(reports: Sequence[SceneReport]) -> str:
     for report in reports:
         fell.update({f"candidates {name}": n for name, n in report.fell.items()})
         fell.update({f"targets: {name}": n for name, n in report.targets_fell.items()})
-    return ", ".join(f"{n} {name}" for name, n in fell.most_common(4)) or "there are no targets"
+    told = ", ".join(f"{n} {name}" for name, n in fell.most_common(4))
+    notes = "; ".join(sorted({report.note for report in reports if report.note})[:2])
+    return told or notes or "there are no targets"

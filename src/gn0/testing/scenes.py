@@ -153,14 +153,18 @@ def build_point_episodes(
 
 
 def with_goal_sets(episodes: list[Episode]) -> list[Episode]:
-    """Episodes of which some accept the start of the next as well, and some a square of ground."""
+    """Episodes of which some accept the start of the next as well, and some a square of ground.
+
+    Of those that accept two places, every other one does within 0.3 m only.
+    """
     changed = []
     for number, episode in enumerate(episodes):
         x, y = episode.goal
         goals: GoalSet | None = None
         if number % 3 == 1:
             others = [e.start[:2] for e in episodes if e.scene_id == episode.scene_id]
-            goals = GoalSet(points=(episode.goal, others[(number + 1) % len(others)]))
+            both = (episode.goal, others[(number + 1) % len(others)])
+            goals = GoalSet(points=both, radius=0.3) if number % 2 else GoalSet(points=both)
         elif number % 3 == 2:
             square = (
                 (x - 0.7, y - 0.7),

@@ -186,6 +186,8 @@ class ReplayView:
         self._task.content = f"“{plain(episode.instruction, 300)}”"
         self._scores.content = self.replay.metrics_table(episode)
         radius = self.replay.suite.about.success_radius
+        if not episode.in_area:
+            radius = episode.success_within(radius)
         self.stage.show_task(episode.path, episode.goal, radius)
         self._pause()
         self._show(0)

@@ -18,7 +18,6 @@ from gn0.missions.episode import (
 )
 from gn0.missions.generate.goal_pictures import GoalPhotographer
 from gn0.missions.generate.path_pool import PathRecord, PathText
-from gn0.missions.generate.reachable_goals import PLACE_TEXT
 from gn0.missions.generate.scene_paths import ScenePaths
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.targets import GoalTarget
@@ -108,7 +107,9 @@ def _missions(
             object_id=record.target_id,
             category=record.category,
             instruction=told["base"].text,
-            picture=photographer.choose(target, settings.goal_picture, rng),
+            picture=None
+            if target.kind == "category"
+            else photographer.choose(target, settings.goal_picture, rng),
         )
         made.append(("goal", goal))
     if "instruction" in settings.missions:
@@ -151,8 +152,8 @@ def count_missions(episodes: Sequence[Episode]) -> dict[str, int]:
     return dict(sorted(counts.items()))
 
 
-def place_text(record: PathRecord) -> PathText:
-    """What is said of a goal that has no name."""
+def fixed_text(record: PathRecord, target: GoalTarget) -> PathText:
+    """What is said of a goal that has no name, or of a search: always the same."""
     return PathText(
-        path_id=record.path_id, style="base", text=PLACE_TEXT, provider="fixed", version="1"
+        path_id=record.path_id, style="base", text=target.instruction, provider="fixed", version="1"
     )

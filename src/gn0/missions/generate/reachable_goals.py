@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.missions.alike import GoalGatherer
+from gn0.missions.generate.object_search import build_searches
 from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.targets import (
     PLACE_HEIGHT,
@@ -89,7 +90,13 @@ def build_pool(
     walls = wall_cells(safe.grid, scene.objects)
     gatherer = GoalGatherer(scene, safe, settings.reach, walls, ground)
     considered = 0
-    if settings.goals != "rooms":
+    if settings.goals == "categories":
+        searches, refused = build_searches(scene, safe, allowed, settings.categories or ())
+        found += searches
+        considered += len(searches) + len(refused)
+        fell.update(refused.values())
+        lost += sorted(refused)
+    if settings.goals in ("objects", "both"):
         for item in scene.objects:
             considered += 1
             why = why_no_goal(item)
@@ -105,7 +112,7 @@ def build_pool(
                 lose(item, SMALL_COMPONENT)
             else:
                 lose(item, NO_CELL)
-    if settings.goals != "objects":
+    if settings.goals in ("rooms", "both"):
         for room in scene.rooms:
             considered += 1
             kind = room.type.strip().lower()
@@ -118,7 +125,14 @@ def build_pool(
                 else:
                     lose(room_box(room), NO_CELL)
     note = ""
-    if not found:
+    if settings.goals == "categories":
+        if not found:
+            note = "nothing to search for: " + (
+                "no object is of a category that is searched for"
+                if scene.objects
+                else "no labelled objects"
+            )
+    elif not found:
         why = "no labels and no rooms"
         if considered:
             why = f"none of {considered} labelled objects and rooms can be a goal"

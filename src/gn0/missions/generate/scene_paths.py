@@ -250,7 +250,7 @@ def _records(
                 split="val_seen" if held_out[number] < share else split,
                 target_id=target.object.id,
                 target_kind=target.kind,
-                category=target.object.category,
+                category=target.searched or target.object.category,
                 room=room.type if room is not None else "",
                 component=target.region,
                 start=(*_pair(candidate.points[0]), candidate.yaw),

@@ -17,7 +17,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 
-GoalKinds = Literal["objects", "rooms", "both"]
+GoalKinds = Literal["objects", "rooms", "both", "categories"]
 StartMode = Literal["auto", "zones", "far", "uniform"]
 Planner = Literal["any-angle", "astar"]
 PictureKind = Literal["mixed", "view", "crop"]
@@ -32,7 +32,9 @@ class MissionSettings(Config, frozen=True):
         per_scene: paths to accept in a scene.
         missions: what is made of each path.
         styles: in which styles a path is told as a route instruction, an episode each.
-        goals: what one is sent to. In a scene with neither, unnamed places.
+        goals: what one is sent to: objects, rooms, both; or categories, of which any object will do
+            (object search). In a scene with none of these, unnamed places.
+        categories: those that are searched for; all of each scene when empty.
         reach: an object's standing cell lies this near its footprint [m].
         safety_margin: obstacles grow by this beyond the agent's radius [m].
         smallest_component: connected regions of less safe ground hold no goal [m²].
@@ -60,6 +62,7 @@ class MissionSettings(Config, frozen=True):
     missions: tuple[MissionKind, ...] = ("goal", "instruction")
     styles: tuple[RouteStyle, ...] = ("detailed", "benchmark")
     goals: GoalKinds = "both"
+    categories: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
     reach: Positive = 1.5
     safety_margin: NotNegative = 0.05
     smallest_component: NotNegative = 1.0
@@ -83,6 +86,18 @@ class MissionSettings(Config, frozen=True):
             raise ConfigError("no missions, or one named twice", remedy="goal, instruction or both")
         if "instruction" in self.missions and not self.styles:
             raise ConfigError("instruction missions in no style", remedy="detailed, benchmark")
+        if self.goals == "categories" and "instruction" in self.missions:
+            raise ConfigError(
+                "a route leads to one object, and a search to any of a category",
+                where="--goals categories",
+                remedy="--missions goal",
+            )
+        if self.categories and self.goals != "categories":
+            raise ConfigError(
+                "categories are named, but not searched for",
+                where="--categories",
+                remedy="--goals categories",
+            )
         if len(set(self.styles)) != len(self.styles):
             raise ConfigError("a style is named twice", remedy="name each once")
         if self.minimum_length > self.maximum_length:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from gn0.errors import EpisodeError, LanguageError
 from gn0.missions.alike import describe_target
-from gn0.missions.generate.path_missions import UNSEEN, place_text
+from gn0.missions.generate.path_missions import UNSEEN, fixed_text
 from gn0.missions.generate.path_pool import PathRecord, PathText
 from gn0.missions.generate.scene_paths import ScenePaths
 from gn0.missions.generate.settings import MissionSettings
@@ -53,6 +53,8 @@ def write_path_texts(
     fallbacks: Counter[str] = Counter()
     routes: dict[str, RouteDescription] = {}
     for record, target in zip(paths.records, paths.targets, strict=True):
+        if target.kind == "category":
+            continue  # there is no route to tell
         try:
             routes[record.path_id] = describe_route(
                 scene, navigation, record.array, record.start[2], named(scene, target), eye=eye
@@ -72,8 +74,8 @@ def write_path_texts(
     texts: list[PathText] = []
     for record, target in zip(paths.records, paths.targets, strict=True):
         mine = written.get(record.path_id, {})
-        if target.kind == "place":
-            mine["base"] = place_text(record)
+        if target.kind in ("place", "category"):
+            mine["base"] = fixed_text(record, target)
         elif "base" not in mine:
             mine["base"] = _plain_text(scene, record, target)
         texts += [mine[style] for style in ("base", *settings.styles) if style in mine]

@@ -294,6 +294,7 @@ def _record(episode: Episode, number: int, tokens: list[int]) -> dict[str, Any]:
     path = np.array(episode.path or (episode.start[:2], episode.goal), np.float64)
     if not math.isfinite(polyline_length(path)):
         raise EpisodeError("its path has no length", where=f"episode {episode.id!r}")
+    radius = GOAL_RADIUS if episode.in_area else episode.success_within(GOAL_RADIUS)
     return {
         "episode_id": number,
         "trajectory_id": number,
@@ -301,7 +302,7 @@ def _record(episode: Episode, number: int, tokens: list[int]) -> dict[str, Any]:
         "start_position": lift(*episode.start[:2]),
         "start_rotation": list(habitat_rotation(episode.start[2])),
         "info": {"geodesic_distance": float(polyline_length(path))},
-        "goals": [{"position": lift(*place), "radius": GOAL_RADIUS} for place in episode.goals],
+        "goals": [{"position": lift(*place), "radius": radius} for place in episode.goals],
         "instruction": {
             "instruction_text": episode.instruction,
             "instruction_tokens": tokens + [0] * (TOKENS - len(tokens)),

@@ -11,9 +11,9 @@ __device__ __forceinline__ double measure(const Episode &e, double x, double y) 
   return fmax(root[2] + sqrt(dx * dx + dy * dy), 0.0) * e.resolution;  // -inf in an area
 }
 
-// Whether an agent so far from the goal [m] is there: near it, or inside it where it is an area.
+// Whether an agent so far from the goal [m] is there.
 __device__ __forceinline__ bool is_there(const Episode &e, const World &w, double distance) {
-  return e.area ? distance == 0.0 : distance < w.success_distance;
+  return distance < (e.reach > 0.0 ? e.reach : w.success_distance);
 }
 
 __device__ __forceinline__ i64 cell_index(double at, double origin, double resolution) {

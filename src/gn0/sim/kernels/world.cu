@@ -18,9 +18,9 @@ struct Episode {
   double x, y, resolution;   // of the map: its origin [m], and of a cell [m]
   double start_x, start_y, goal_x, goal_y;
   double map_x, map_y, map_scale;  // of the map pictures: lower left corner [m], m a pixel
+  double reach;              // m, its own success radius; 0: the world's
   int rows, cols, map_rows, map_cols;
   int wide, number, scene, look;
-  int area, spare;           // area: only who is inside the goal is there
 };
 static_assert(sizeof(Episode) == EPISODE_BYTES, "device_layout.EPISODE differs from Episode");
 

@@ -85,18 +85,22 @@ def _presets() -> Iterator[tuple[str, str]]:
 def _sensors() -> Iterator[tuple[str, str]]:
     import numpy as np
 
+    from gn0.plugins import is_builtin
     from gn0.sim.sensor.sensor import MAP_SIDE
     from gn0.sim.sensor.table import carry_sensors, sensor_names
     from gn0.sim.sensors import SensorConfig
     from gn0.sim.words import TOKEN_LIMIT
 
     for sensor in carry_sensors(sensor_names()).sensors:
-        space = sensor.space(SensorConfig())
+        space = sensor.find_space(SensorConfig())
         kind = np.dtype(space.dtype).name
         if MAP_SIDE in space.shape:
-            yield sensor.name, f"{kind} [H, W, 3], H and W of the scene's map"
+            sides = iter("HW")
+            shape = [next(sides) if side == MAP_SIDE else str(side) for side in space.shape]
+            what = f"{kind} [{', '.join(shape)}], H and W of the scene's map"
         else:
-            yield sensor.name, f"{kind} {list(space.shape)} with preset gn_bench"
+            what = f"{kind} {list(space.shape)} with preset gn_bench"
+        yield sensor.name, what if is_builtin("sensor", sensor.name) else f"{what}: {sensor.doc}"
     yield "instruction", "text; in Gymnasium environments, policies always have it"
     yield (
         "instruction_tokens",

@@ -19,6 +19,13 @@ from gn0.sim.presets import find_preset as find_preset
 from gn0.sim.presets import preset_names as preset_names
 from gn0.sim.rollout import run_episode as run_episode
 from gn0.sim.rollout_batch import run_episodes as run_episodes
+from gn0.sim.sensor.sensor import MAP_SIDE as MAP_SIDE
+from gn0.sim.sensor.sensor import Agents as Agents
+from gn0.sim.sensor.sensor import AgentsDevice as AgentsDevice
+from gn0.sim.sensor.sensor import Here as Here
+from gn0.sim.sensor.sensor import Sensor as Sensor
+from gn0.sim.sensor.sensor import Space as Space
+from gn0.sim.sensor.sensor import Wire as Wire
 from gn0.sim.sensors import SensorConfig as SensorConfig
 from gn0.sim.sensors import SensorSuite as SensorSuite
 from gn0.sim.simulator import SimState as SimState

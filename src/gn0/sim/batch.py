@@ -136,7 +136,9 @@ class SimulatorBatch:
         self._everyone = np.arange(count)
         self.eyes: BatchEyes | None = None
         self._at_once = tuple(s for s in config.carried.sensors if s.many is not None)
-        self._strange = tuple(s for s in self._at_once if s.name not in OBSERVED)
+        self._strange = {
+            s.name: s.find_space(config) for s in self._at_once if s.name not in OBSERVED
+        }
         later = sorted(s.name for s in config.carried.sensors if s.many is None)
         if later:
             if open_suite is None:
@@ -202,9 +204,13 @@ class SimulatorBatch:
         """
         chosen = self._everyone if which is None else which
         agents = AgentsHere(self, chosen, limit)
-        found = {s.name: s.many(agents) for s in self._at_once if s.many is not None}
-        for sensor in self._strange:
-            found[sensor.name] = sensor.check(found[sensor.name], self.config, len(chosen))
+        found: dict[str, Any] = {}
+        for sensor in self._at_once:
+            space = self._strange.get(sensor.name)
+            if space is not None:
+                found[sensor.name] = sensor.measure_many(agents, space, len(chosen))
+            elif sensor.many is not None:
+                found[sensor.name] = sensor.many(agents)
         return found
 
     def known(self) -> tuple[AgentArrays, EpisodeArrays]:

@@ -98,7 +98,8 @@ class BatchEyes:
         self._histories = [History() for _ in range(count)] if carried.views else []
         self._place: list[Place | None] = [None] * count  # of the pictures below
         self._seen: Seen = {}  # of all agents
-        self._lists = frozenset(s.name for s in self._sensors if MAP_SIDE in s.space(config).shape)
+        self._spaces = {s.name: s.find_space(config) for s in self._sensors}
+        self._lists = frozenset(n for n, s in self._spaces.items() if MAP_SIDE in s.shape)
         self._count = count
 
     def begin(self, which: NDArray[np.int64]) -> None:
@@ -239,9 +240,11 @@ class BatchEyes:
         places = [self._stand(snapshot, k, pictures) for k, pictures in enumerate(seen)]
         found: dict[str, Any] = {}
         for sensor in self._sensors:
-            values = [sensor.read(place) for place in places]
-            if sensor.name not in OBSERVED:
-                values = [sensor.check(value, self.config) for value in values]
+            if sensor.name in OBSERVED:
+                values = [sensor.read(place) for place in places]
+            else:
+                space = self._spaces[sensor.name]
+                values = [sensor.measure(place, space) for place in places]
             if sensor.array is None and sensor.name not in self._lists:
                 found[sensor.name] = np.stack(values)
             else:

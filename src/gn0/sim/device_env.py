@@ -31,7 +31,7 @@ from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
-from gn0.sim.device_eyes import AgentsThere, EyesDevice, refuse_host_sensors
+from gn0.sim.device_eyes import AgentsThere, EyesDevice, device_reader, refuse_host_sensors
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.env import build_spaces, shape_of_maps
@@ -150,7 +150,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         carried = config.carried
         refuse_host_sensors(carried.sensors)
         self._at_once = tuple(
-            (s.name, s.device) for s in carried.sensors if s.many is not None and s.device
+            (s.name, device_reader(s, config)) for s in carried.sensors if s.many is not None
         )
         map_shape = shape_of_maps(self.tasks, self.sensors, camera)
         self.device = _open(device) if isinstance(device, str) else device

@@ -31,9 +31,10 @@ from gn0.sim.device_store import MapPictures
 from gn0.sim.history import COLUMNS, LENGTH, ROWS, TILE_HEIGHT, TILE_WIDTH
 from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
 from gn0.sim.open import look_hash, name_look, split_look
-from gn0.sim.sensor.sensor import Sensor
+from gn0.sim.sensor.sensor import AgentsDevice, Sensor
 from gn0.sim.sensors import MapFrame, SensorConfig, paint_grid
 from gn0.sim.simulator import goal_record, goal_view
+from gn0.sim.state import OBSERVED
 
 if TYPE_CHECKING:
     from gn0.sim.device_state import SimulatorDevice
@@ -150,9 +151,9 @@ class EyesDevice:
         self._outputs = carried.outputs
         self._carried = carried
         self._sensors = tuple(
-            (s.name, bool(s.draws), s.device)
+            (s.name, bool(s.draws), device_reader(s, config))
             for s in carried.sensors
-            if s.many is None and s.device is not None
+            if s.many is None
         )
         self._scenes, self._agent, self._renderer = scenes, agent, renderer
         self._map_shape = map_shape
@@ -478,6 +479,15 @@ def refuse_host_sensors(sensors: Iterable[Sensor]) -> None:
                 f"sensor {sensor.name!r} does not say how a device reads it",
                 remedy="use VectorEnv, or give the sensor a device=",
             )
+
+
+def device_reader(sensor: Sensor, settings: SensorConfig) -> Callable[[AgentsDevice], DeviceArray]:
+    """How agents on a device read a sensor; a stranger's is held to its space."""
+    assert sensor.device is not None
+    if sensor.name in OBSERVED:
+        return sensor.device
+    space = sensor.find_space(settings)
+    return lambda agents: sensor.measure_device(agents, space)
 
 
 def box_weights(size: int, out: int) -> NDArray[np.int32]:

@@ -259,10 +259,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
             value = sensor.as_array(observation.read(sensor.name))
             space = self.observation_space[sensor.name]  # type: ignore[index]
             if value.shape != space.shape:  # a map smaller than the largest
-                rows, cols, _ = space.shape
-                value = np.pad(
-                    value, ((0, rows - value.shape[0]), (0, cols - value.shape[1]), (0, 0))
-                )
+                sides = zip(value.shape, space.shape, strict=True)
+                value = np.pad(value, [(0, room - side) for side, room in sides])
             packed[sensor.name] = value
         return {key: packed[key] for key in self.observation_space}  # type: ignore[attr-defined]
 
@@ -274,7 +272,7 @@ def build_spaces(
     config = SensorConfig(active=frozenset(sensors), preset=preset)
     found: dict[str, spaces.Space[Any]] = {}
     for sensor in sorted(config.carried.sensors, key=lambda sensor: sensor.name):
-        space = sensor.space(config).sized(map_shape)
+        space = sensor.find_space(config).sized(map_shape)
         found[sensor.name] = spaces.Box(space.low, space.high, space.shape, space.dtype)
     return found
 
@@ -284,7 +282,7 @@ def shape_of_maps(
 ) -> tuple[int, int] | None:
     """(H, W) [px] that holds every map picture; None where no sensor gives one."""
     config = SensorConfig(active=frozenset(sensors), preset=preset)
-    sized = [s for s in config.carried.sensors if MAP_SIDE in s.space(config).shape]
+    sized = [s for s in config.carried.sensors if MAP_SIDE in s.find_space(config).shape]
     return largest_map(tasks) if sized else None
 
 

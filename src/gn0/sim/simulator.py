@@ -365,7 +365,9 @@ class Simulator:
         self._maps = self._mapper is not None and self._scaled
         self._outputs = carried.drawn(self._maps)
         self._fields = tuple((s.name, s.read) for s in carried.sensors if s.name in OBSERVED)
-        self._others = tuple(s for s in carried.sensors if s.name not in OBSERVED)
+        self._others = tuple(
+            (s, s.find_space(self._suite.config)) for s in carried.sensors if s.name not in OBSERVED
+        )
 
     def _place(self, x: float, y: float, base: float, turns: int) -> None:
         self._x, self._y, self._base, self._turns = x, y, base, turns
@@ -413,8 +415,7 @@ class Simulator:
         if self._scaled:
             fields["bev_metres_per_pixel"] = self._suite.map_frame.metres_per_pixel
         if self._others:
-            config = self._suite.config
-            fields["more"] = {s.name: s.check(s.read(here), config) for s in self._others}
+            fields["more"] = {s.name: s.measure(here, space) for s, space in self._others}
         return Observation(
             step=step,
             time=step * STEP_SECONDS,

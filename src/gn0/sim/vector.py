@@ -138,13 +138,15 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             field_memory=field_memory,
         )
         self._numbers = self.batch.table.add(self.tasks.episodes)
-        self._map_shape = shape_of_maps(self.tasks, self.sensors, camera)
+        map_shape = shape_of_maps(self.tasks, self.sensors, camera)
         carried = self.batch.config.carried.sensors
-        self._padded = [s.name for s in carried if MAP_SIDE in s.space(self.batch.config).shape]
+        self._padded = [
+            s.name for s in carried if MAP_SIDE in s.find_space(self.batch.config).shape
+        ]
         self._spelt = {s.name: s.as_array for s in carried if s.array is not None and not s.many}
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
-            build_spaces(self.sensors, camera, self._map_shape)
+            build_spaces(self.sensors, camera, map_shape)
             | word_spaces(self.words, self.tasks.episodes)
             | {"collided": spaces.Discrete(2)}
         )
@@ -357,7 +359,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             for name in self._spelt:
                 values[name] = np.stack([self._spelt[name](value) for value in values[name]])
             for name in self._padded:
-                values[name] = _pad(values[name], self._map_shape)
+                values[name] = _pad(values[name], self.single_observation_space[name])  # type: ignore[index]
         names = list(self.single_observation_space)  # type: ignore[call-overload]
         return [{name: values[name] for name in names} for values in found]
 
@@ -401,12 +403,12 @@ def _mask(which: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
     return mask
 
 
-def _pad(pictures: list[U8], shape: tuple[int, int] | None) -> U8:
-    """Map pictures of several scenes in one array [K, H, W, 3], black to the right and below."""
-    assert shape is not None
-    out = np.zeros((len(pictures), *shape, 3), np.uint8)
+def _pad(pictures: list[NDArray[Any]], space: spaces.Space[Any]) -> NDArray[Any]:
+    """Map pictures of several scenes in one array [K, H, W, …], black to the right and below."""
+    assert space.shape is not None
+    out = np.zeros((len(pictures), *space.shape), space.dtype)
     for row, picture in zip(out, pictures, strict=True):
-        row[: picture.shape[0], : picture.shape[1]] = picture
+        row[tuple(slice(side) for side in picture.shape)] = picture
     return out
 
 

@@ -7,5 +7,6 @@ from gn0.testing.renderer_parts_check import check_renderer_parts as check_rende
 from gn0.testing.scenes import build_map_scene as build_map_scene
 from gn0.testing.scenes import build_point_episodes as build_point_episodes
 from gn0.testing.scenes import build_room_scene as build_room_scene
+from gn0.testing.sensor_check import check_sensor as check_sensor
 from gn0.testing.source_check import check_source as check_source
 from gn0.testing.toy_trips import toy_source as toy_source

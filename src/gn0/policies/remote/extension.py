@@ -216,7 +216,7 @@ def _read_value(name: str, wire: Wire, value: Any) -> Any:
             return wire.unpack(value)
         except ValueError:
             raise _refusal(name, wire.holds) from None
-    space = find_sensor(name).space(_ANY)
+    space = find_sensor(name).find_space(_ANY)
     dtype, ndim = np.dtype(space.dtype), len(space.shape)
     if not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != ndim:
         raise _refusal(name, f"{dtype.name} of {ndim} dimensions")

@@ -35,6 +35,7 @@ from gn0.policies.remote.gate import BYTES_LIMIT, QUEUE_LIMIT, BusyError, Gate
 from gn0.policies.remote.wire import REQUEST_LIMITS, WireLimits, decode_message, encode_message
 from gn0.seeds import load_stream, random_stream
 from gn0.sim.policy import Policy, PolicyIdentified
+from gn0.sim.sensor.table import check_sensors
 from gn0.sim.state import Action, Displacement, Observation, Teleport
 
 CONNECTIONS_LIMIT = 64
@@ -131,7 +132,7 @@ class PolicyServer:
         self.name = str(first.name)
         declared = first.identity() if isinstance(first, PolicyIdentified) else None
         self._greeting = encode_message(
-            build_greeting(self.name, frozenset(first.sensors), model, version, declared)
+            build_greeting(self.name, check_sensors(first.sensors), model, version, declared)
         )
         self._gate = Gate(queue, held_bytes)
         self._idle_timeout = idle_timeout

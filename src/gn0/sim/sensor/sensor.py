@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.errors import SimError
+from gn0.errors import ConfigError, Gn0Error, SimError
 from gn0.geometry import F32, F64, U8, Pose2D
+from gn0.plugins import describe_error
 
 if TYPE_CHECKING:
     from gn0.device.device import DeviceArray
@@ -75,20 +76,37 @@ class Space:
         sides = iter(map_shape or (1, 1))
         return replace(self, shape=tuple(next(sides) if n == MAP_SIDE else n for n in self.shape))
 
+    def fault(self) -> str:
+        """What is wrong with the space itself, in words; empty where nothing is."""
+        kind = np.dtype(self.dtype)
+        if kind.kind not in "uif":
+            return f"has values of type {kind}: whole or floating numbers are meant"
+        if not all(isinstance(n, int) and (n > 0 or n == MAP_SIDE) for n in self.shape):
+            return f"has the shape {self.shape}: sides are whole numbers above 0"
+        if not self.low <= self.high:
+            return f"has no values between {self.low} and {self.high}"
+        return ""
+
     def refusal(self, value: NDArray[Any]) -> str:
         """What is wrong with a value, in words; empty where nothing is."""
-        shape = value.shape
+        wrong = self.misfit(value.shape, value.dtype)
+        if wrong:
+            return wrong
+        if value.size and not (value.min() >= self.low and value.max() <= self.high):
+            return (
+                f"gives values from {float(value.min()):g} to {float(value.max()):g}, beyond "
+                f"{self.low:g} to {self.high:g}"
+            )
+        return ""
+
+    def misfit(self, shape: tuple[int, ...], dtype: Any) -> str:
+        """What is wrong with a value's shape or type, in words; empty where nothing is."""
         if len(shape) != len(self.shape) or any(
             want not in (MAP_SIDE, n) for want, n in zip(self.shape, shape, strict=True)
         ):
             return f"gives shape {list(shape)}, not {list(self.shape)}"
-        if value.dtype != np.dtype(self.dtype):
-            return f"gives {value.dtype}, not {np.dtype(self.dtype)}"
-        if value.size and not (value.min() >= self.low and value.max() <= self.high):
-            return (
-                f"gives values from {value.min():g} to {value.max():g}, beyond {self.low:g} to "
-                f"{self.high:g}"
-            )
+        if dtype != np.dtype(self.dtype):
+            return f"gives {np.dtype(dtype)}, not {np.dtype(self.dtype)}"
         return ""
 
 
@@ -266,26 +284,84 @@ class Sensor:
         """A value as a new array."""
         return np.array(value) if self.array is None else self.array(value)
 
-    def check(
-        self, value: Any, settings: SensorSettings, agents: int | None = None
-    ) -> NDArray[Any]:
-        """A stranger's value, or those of so many agents, if they are what its space says.
-
-        It cannot be written to.
+    def find_space(self, settings: SensorSettings) -> Space:
+        """What values it gives with these settings.
 
         Raises:
-            SimError: it is not.
+            ConfigError: that is no space.
         """
+        try:
+            space = self.space(settings)
+            wrong = space.fault()
+        except Exception as error:  # whatever a stranger's code raises
+            wrong = f"cannot be had: {describe_error(error)}"
+        if wrong:
+            raise ConfigError(
+                f"the space of sensor {self.name!r} {wrong}",
+                remedy="give Space(shape, dtype, low, high)",
+            )
+        return space
+
+    def measure(self, here: Here, space: Space) -> NDArray[Any]:
+        """What a stranger's sensor reads, if it is what its space says; read-only.
+
+        Raises:
+            SimError: it is not, or it cannot be read.
+        """
+        return self._check(self._try(self.read, here), space)
+
+    def measure_many(self, agents: Agents, space: Space, count: int) -> NDArray[Any]:
+        """The same of so many agents at once [count, …]; `many` must be there.
+
+        Raises:
+            SimError: it is not what its space says, or it cannot be read.
+        """
+        assert self.many is not None
+        return self._check(
+            self._try(self.many, agents), replace(space, shape=(count, *space.shape))
+        )
+
+    def measure_device(self, agents: AgentsDevice, space: Space) -> DeviceArray:
+        """The same of agents on a device, by shape and type alone; `device` must be there.
+
+        Raises:
+            SimError: it is not what its space says, or it cannot be read.
+        """
+        assert self.device is not None
+        found = self._try(self.device, agents)
+        shape, dtype = getattr(found, "shape", None), getattr(found, "dtype", None)
+        if shape is None or dtype is None:
+            raise self._refusal(f"gives a {type(found).__name__}, not an array of the device")
+        wrong = space.misfit(shape[1:], dtype)
+        if wrong:
+            raise self._refusal(wrong)
+        return found
+
+    def _try(self, read: Callable[[Any], Any], of: Any) -> Any:
+        try:
+            return read(of)
+        except Gn0Error:
+            raise
+        except Exception as error:  # whatever a stranger's code raises
+            raise SimError(
+                f"sensor {self.name!r} cannot be read: {describe_error(error)}",
+                remedy="mend it; what it looks at must stand in its draws, views, goal_view or bev",
+            ) from error
+
+    def _check(self, value: Any, space: Space) -> NDArray[Any]:
+        """A stranger's value, if it is what the space says; it cannot be written to."""
+        if not isinstance(value, np.ndarray | np.generic):
+            raise self._refusal(f"gives a {type(value).__name__}, not an array")
         array = np.asarray(value)
-        space = self.space(settings)
-        if agents is not None:
-            space = replace(space, shape=(agents, *space.shape))
         wrong = space.refusal(array)
         if wrong:
-            raise SimError(
-                f"sensor {self.name!r} {wrong}",
-                remedy="mend its read() or its space(); gn0.testing.check_sensor tells more",
-            )
+            raise self._refusal(wrong)
         array = array.view()
         array.setflags(write=False)
         return array
+
+    def _refusal(self, wrong: str) -> SimError:
+        return SimError(
+            f"sensor {self.name!r} {wrong}",
+            remedy="mend what reads it, or its space(); gn0.testing.check_sensor tells more",
+        )

@@ -11,6 +11,9 @@ from gn0.plugins import builtin_names, get_plugin, plugin_names
 from gn0.sim.sensor.sensor import Sensor
 from gn0.sim.state import OBSERVED, Observation
 
+RESERVED: frozenset[str] = frozenset({"instruction_tokens", "version", "seed"})
+"""Names that environments and the wire use themselves."""
+
 
 def sensor_names() -> tuple[str, ...]:
     """Names of all sensors: GN0's own in the order of the docs, then others, sorted."""
@@ -28,14 +31,14 @@ def find_sensor(name: str) -> Sensor:
     if not isinstance(sensor, Sensor):
         raise ConfigError(
             f"what is registered as sensor {name!r} is a {type(sensor).__name__}",
-            remedy="register a gn0.sim.sensor.sensor.Sensor",
+            remedy="register a gn0.sim.Sensor",
         )
-    taken = name in Observation.__dataclass_fields__ and name not in OBSERVED
-    if sensor.name != name or taken or not name.isidentifier():
+    taken = name in RESERVED or (name in Observation.__dataclass_fields__ and name not in OBSERVED)
+    if sensor.name != name or taken or not name.isidentifier() or name.startswith("_"):
         raise ConfigError(
             f"sensor {sensor.name!r} cannot go by the name {name!r}",
-            remedy="register it under its own name, an identifier that no other field of an "
-            "observation has",
+            remedy="register it under its own name, an identifier that no field of an observation "
+            "and no key of the wire has",
         )
     return sensor
 

@@ -29,7 +29,7 @@ ALL=(check start rival small large scenes accuracy suite visible memory sim movi
 LIBRARY=$OUT/gsplat_cuda.so
 export GN0_CACHE=${GN0_CACHE:-$OUT/cache}
 export TORCH_EXTENSIONS_DIR=${TORCH_EXTENSIONS_DIR:-$OUT/torch_extensions}
-export PYTHONPATH=$PWD/src:$OUT/site${PYTHONPATH:+:$PYTHONPATH}
+export PYTHONPATH=$PWD/src:$PWD/benchmarks:$OUT/site${PYTHONPATH:+:$PYTHONPATH}
 export PYTHONUNBUFFERED=1 MAX_JOBS=${MAX_JOBS:-$(nproc)}
 if [ -n "${SCENES:-}" ]; then SCENES=$(cd "$SCENES" && pwd); export GN0_FIGURE_SCENES=$SCENES; fi
 
@@ -77,10 +77,10 @@ draw_rival() {  # a picture by gsplat; what it says when it cannot
   "$PYTHON" - <<'END'
 import sys, time
 from gn0.errors import Gn0Error
-from gn0.figures.flat import build_flat, flat_camera, flat_views
+from gn0_figures.flat import build_flat, flat_camera, flat_views
 start = time.perf_counter()
 try:
-    from gn0.figures.rival import open_rival, rival_version
+    from gn0_figures.rival import open_rival, rival_version
     for degree in (0, 3):
         open_rival(build_flat(1000, sh_degree=degree)).render(flat_camera(32, 32), flat_views(1))
     print(rival_version(), f"is ready after {time.perf_counter() - start:.1f} s")
@@ -103,7 +103,7 @@ print("missing:", [n for n in need.split() if not util.find_spec(n)] or "nothing
 import numba, numpy, pyarrow, scipy  # one that does not fit the others fails here
 print("Python", sys.version.split()[0], *(f"{m.__name__} {m.__version__}" for m in (numpy, numba, scipy, pyarrow)))
 print("missing, and not needed:", [n for n in good.split() if not util.find_spec(n)] or "nothing")
-from gn0.figures.catalogue import all_figures, left_out
+from gn0_figures.catalogue import all_figures, left_out
 print(len(all_figures()), "figures; left out:", left_out() or "none")
 from gn0.render.open import choose_backend
 print("renderer:", *choose_backend("auto"))
@@ -120,8 +120,8 @@ END
       find "$TORCH_EXTENSIONS_DIR" -name gsplat_cuda.so -exec cp {} "$LIBRARY" \; -exec touch "$OUT/compiled" \; 2>/dev/null
       true
       ;;
-    stages) "$PYTHON" -m gn0.figures.tune ;;         # milliseconds of each kernel
-    sweep) "$PYTHON" -m gn0.figures.tune --sweep "224x224 x" ;;  # other kernel sizes
+    stages) "$PYTHON" -m gn0_figures.tune ;;         # milliseconds of each kernel
+    sweep) "$PYTHON" -m gn0_figures.tune --sweep "224x224 x" ;;  # other kernel sizes
     data) figures data.gpu --backend cuda ;;
     others) figures data.gpu_others --backend cuda ;;
     sanitizers) GN0_FIGURE_SECONDS=$((LIMIT_NOW - 30)) figures render.cuda.sanitizers ;;  # rows of what was reached by then

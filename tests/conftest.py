@@ -32,6 +32,11 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 
+# code of this checkout that is no part of the package: pytest finds it by `pythonpath`, the
+# processes that tests start find it here
+BESIDE = [str(ROOT / "benchmarks")]
+os.environ["PYTHONPATH"] = os.pathsep.join([*BESIDE, *filter(None, [os.environ.get("PYTHONPATH")])])
+
 # the same examples on every run, so that a change is judged by itself; `make search` draws new ones
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.register_profile("search", deadline=None, print_blob=True)

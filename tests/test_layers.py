@@ -29,13 +29,15 @@ FLOORS = {
     "bench": 5, "data": 5,  # neither knows the other
     "policies": 6,
     "training": 7, "serving": 7, "export": 7,
-    "viewer": 8, "testing": 8, "figures": 8, "cli": 8,
+    "viewer": 8, "testing": 8, "cli": 8,
 }  # fmt: skip
 TORCH_ROOMS = (
     "render/gsplat", "scenes/grow", "scenes/capture", "policies/bae", "policies/expert",
     "policies/cma", "training",
 )  # fmt: skip
 FILES = sorted(SRC.rglob("*.py"))
+# of this checkout, and no part of the package
+BESIDE = sorted(SRC.parents[1].glob("benchmarks/gn0_*/*.py"))
 
 
 @cache
@@ -173,6 +175,20 @@ def nothing_unsafe_is_called(path: Path) -> None:
                 k.arg == "allow_pickle" and ast.unparse(k.value) == "False" for k in node.keywords
             )
         ), f"{path}:{node.lineno}: {text}"
+
+
+@pytest.mark.parametrize("path", BESIDE, ids=lambda p: p.stem)
+def test_what_lies_beside_the_package_keeps_them_too(path: Path) -> None:
+    """Benchmarks may import whatever they like, but are of a size and safe."""
+    modules_stay_small_and_named(path)
+    nothing_unsafe_is_called(path)
+
+
+def test_the_package_asks_for_nothing_that_it_does_not_hold() -> None:
+    beside = {path.parent.name for path in BESIDE}
+    assert beside
+    for path in FILES:
+        assert not beside & {name.split(".")[0] for name in imports_of(path)}, path
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SRC)))

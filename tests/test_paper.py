@@ -34,7 +34,7 @@ def test_each_stands_in_one_file() -> None:
     assert len(own) >= 17
     for path in SRC.rglob("*.py"):
         name = path.relative_to(SRC).as_posix()
-        if name not in OTHERS and not name.startswith("figures/"):
+        if name not in OTHERS:
             assert not assigned(path) & own, f"{name} has a number of the paper's of its own"
 
 

@@ -44,7 +44,7 @@ root = pathlib.Path(gn0.__file__).parent
 for path in sorted(root.rglob("*.py")):
     parts = ("gn0", *path.relative_to(root).with_suffix("").parts)
     name = ".".join(parts).removesuffix(".__init__")
-    optional = name.startswith(("gn0.figures", "gn0.testing", "gn0.viewer.live"))
+    optional = name.startswith(("gn0.testing", "gn0.viewer.live"))
     if name != "gn0.__main__" and not optional:
         importlib.import_module(name)
 """,

@@ -17,12 +17,12 @@ import gn0
 ROOT = Path(__file__).resolve().parents[2]
 SRC = ROOT / "src" / "gn0"
 NAMESPACES = ["gn0", *sorted(f"gn0.{stub.parent.name}" for stub in SRC.glob("*/__init__.pyi"))]
-IMPORT = re.compile(r"^\s*(?:from (gn0[\w.]*) import|import (gn0[\w.]*))", re.M)
+IMPORT = re.compile(r"^\s*(?:from (gn0(?:\.\w+)*) import|import (gn0(?:\.\w+)*)\b(?!\w))", re.M)
 FENCE = re.compile(r"^```python[^\n]*\n(.*?)^```", re.M | re.S)
 # the tools of this checkout, not a user's code
 OURS = {"docs/draw_api.py", "docs/refresh_pictures.py"}
-# how the board's machine makes its scenes, and how our own pages are driven
-EXEMPT = {("docs/gpu_figures.md", "gn0.figures"), ("docs/view.md", "gn0.testing.browser")}
+# how our own pages are driven
+EXEMPT = {("docs/view.md", "gn0.testing.browser")}
 
 USERS_FILE = """
 from pathlib import Path

@@ -29,10 +29,9 @@ class TestMap:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.modules = {
-            ".".join(path.relative_to(root / "src").with_suffix("").parts).removesuffix(
-                ".__init__"
-            ): path
-            for path in sorted((root / "src/gn0").rglob("*.py"))
+            ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__init__"): path
+            for folder in (root / "src", root / "benchmarks")
+            for path in sorted(folder.glob("gn0*/**/*.py"))
         }
 
     @cached_property
@@ -73,7 +72,7 @@ class TestMap:
         names: set[str] = set()
         texts: set[str] = set()
         parts = path.parent.relative_to(self.root).parts
-        package = ".".join(parts[1:])  # below src or tests
+        package = ".".join(parts[1:])  # below src, benchmarks or tests
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 names |= {alias.name for alias in node.names}

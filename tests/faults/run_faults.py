@@ -333,7 +333,7 @@ def report(faults: list[Fault], journal: Journal, stale: list[str], out: Path) -
 def write_figures(out: Path, name: str, title: str, rows: list[dict[str, Any]]) -> None:
     """Rows as `gn0 figures --merge` takes them."""
     from gn0 import __version__
-    from gn0.figures.board import hardware_name
+    from gn0_figures.board import hardware_name
 
     entry = {"id": name, "title": title, "rows": rows, "hardware": hardware_name(),
              "date": datetime.date.today().isoformat(), "version": __version__}  # fmt: skip

@@ -10,8 +10,8 @@ from types import ModuleType
 
 import pytest
 
-from gn0.figures.board import FigureContext, FigureSkipped
-from gn0.figures.proof import FIGURES
+from gn0_figures.board import FigureContext, FigureSkipped
+from gn0_figures.proof import FIGURES
 
 HERE = Path(__file__).resolve().parent
 

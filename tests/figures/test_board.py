@@ -10,8 +10,8 @@ import pytest
 
 from gn0.cli import figures as verb
 from gn0.errors import ConfigError
-from gn0.figures import catalogue
-from gn0.figures.board import (
+from gn0_figures import catalogue
+from gn0_figures.board import (
     Figure,
     FigureContext,
     FigureRow,
@@ -147,3 +147,13 @@ def _import_without(name: str) -> object:
     if name.endswith("board_absent_room"):
         raise ModuleNotFoundError("No module named 'av'", name="av")
     return importlib.import_module(name)
+
+
+def test_an_installed_package_says_where_the_board_s_code_lies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verb, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError) as caught:
+        verb._find_board(tmp_path)
+    assert "benchmarks/gn0_figures" in str(caught.value.remedy)
+    assert "pip install -e '.[dev]'" in str(caught.value.remedy)

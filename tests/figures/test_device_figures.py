@@ -15,7 +15,12 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.errors import DeviceError, DeviceMemoryError
-from gn0.figures import (
+from gn0.render.camera import Camera
+from gn0.render.cpu import RendererCpu
+from gn0.scenes.folder import save_scene
+from gn0.storage import cache_dir
+from gn0.testing.scenes import build_room_scene
+from gn0_figures import (
     device_checks,
     device_parts,
     device_rates,
@@ -24,18 +29,13 @@ from gn0.figures import (
     device_table,
     rival,
 )
-from gn0.figures.agreement import tail_before
-from gn0.figures.board import Figure, FigureContext, FigureSkipped
-from gn0.figures.catalogue import all_figures
-from gn0.figures.device import interleave, measure_ceilings
-from gn0.figures.device_scenes import flat_scene
-from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
-from gn0.figures.floor import count_work
-from gn0.render.camera import Camera
-from gn0.render.cpu import RendererCpu
-from gn0.scenes.folder import save_scene
-from gn0.storage import cache_dir
-from gn0.testing.scenes import build_room_scene
+from gn0_figures.agreement import tail_before
+from gn0_figures.board import Figure, FigureContext, FigureSkipped
+from gn0_figures.catalogue import all_figures
+from gn0_figures.device import interleave, measure_ceilings
+from gn0_figures.device_scenes import flat_scene
+from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
+from gn0_figures.floor import count_work
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the emulation needs g++")
 MODULES = (device_checks, device_table, device_parts, device_rates, device_suite, device_sanitizers)

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from gn0.figures import device_sanitizers, device_suite
-from gn0.figures.board import FigureContext, FigureRow
-from gn0.figures.device_sanitizers import Job, count_workers, deal_tests, read_job, sum_up
-from gn0.figures.device_suite import Run
+from gn0_figures import device_sanitizers, device_suite
+from gn0_figures.board import FigureContext, FigureRow
+from gn0_figures.device_sanitizers import Job, count_workers, deal_tests, read_job, sum_up
+from gn0_figures.device_suite import Run
 
 TESTS = {
     "test_a.py": "def test_one(): pass\n"

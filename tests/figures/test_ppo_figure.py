@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gn0.figures import ppo
-from gn0.figures.board import FigureSkipped
-from gn0.figures.ppo import Look
 from gn0.scenes.example import build_example_scene
 from gn0.sim.tasks import load_tasks
+from gn0_figures import ppo
+from gn0_figures.board import FigureSkipped
+from gn0_figures.ppo import Look
 
 
 @pytest.fixture(autouse=True)

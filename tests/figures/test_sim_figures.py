@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gn0.figures import sim as figures
-from gn0.figures.board import FigureContext
 from gn0.maps.navigation import NavigationMap
 from gn0.testing.scenes import build_floor_plan, build_map_scene
+from gn0_figures import sim as figures
+from gn0_figures.board import FigureContext
 
 
 def test_a_walk_through_walls_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:

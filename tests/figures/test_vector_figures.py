@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gn0.figures import vector as figures
-from gn0.figures.flat import EYE, build_flat, flat_camera, flat_floor
 from gn0.render.cpu import RendererCpu
 from gn0.render.visible import RendererVisible, VisibleOptions
 from gn0.sim import simulator
+from gn0_figures import vector as figures
+from gn0_figures.flat import EYE, build_flat, flat_camera, flat_floor
 
 
 def test_a_step_that_differs_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gn0.figures.device_scenes import flat_scene
-from gn0.figures.flat import flat_bev, flat_camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.replay import PicturesDevice, Replay
 from gn0.render.visible_places import VisibleOptions
+from gn0_figures.device_scenes import flat_scene
+from gn0_figures.flat import flat_bev, flat_camera
 
 TURNS = 5
 

@@ -8,10 +8,6 @@ import numpy as np
 import pytest
 
 from gn0.errors import ConfigError, DeviceError
-from gn0.figures.agreement import DEPTH, OPTIONS, Setting, capture_settings, compare_pictures
-from gn0.figures.agreement import scene_settings as settings_of
-from gn0.figures.device_scenes import FigureScene, flat_scene, scene_of
-from gn0.figures.flat import flat_camera
 from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
@@ -20,6 +16,10 @@ from gn0.render.renderer import RenderOptions
 from gn0.scenes.folder import load_scene
 from gn0.testing.renderer_check import check_renderer, random_cloud
 from gn0.testing.scenes import build_room_scene
+from gn0_figures.agreement import DEPTH, OPTIONS, Setting, capture_settings, compare_pictures
+from gn0_figures.agreement import scene_settings as settings_of
+from gn0_figures.device_scenes import FigureScene, flat_scene, scene_of
+from gn0_figures.flat import flat_camera
 
 
 def _judge(device, setting: Setting, options: RenderOptions = OPTIONS) -> None:
@@ -95,7 +95,7 @@ def test_many_equal_depths_from_above(device) -> None:
 
 @pytest.mark.filterwarnings("ignore")  # torch and gsplat bring their own
 def test_gsplat_agrees(card, scale) -> None:
-    from gn0.figures.rival import open_rival
+    from gn0_figures.rival import open_rival
 
     scene = flat_scene(scale.splats, 3)
     try:

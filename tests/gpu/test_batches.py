@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gn0.figures.device_scenes import flat_scene
-from gn0.figures.flat import flat_camera
 from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
@@ -17,6 +15,8 @@ from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.visible import RendererVisible
 from gn0.render.visible_places import VisibleOptions
 from gn0.testing.renderer_check import random_cloud
+from gn0_figures.device_scenes import flat_scene
+from gn0_figures.flat import flat_camera
 
 CAMERA = Camera.from_hfov(40, 30, 90)
 

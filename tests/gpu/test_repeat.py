@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from gn0.errors import DeviceMemoryError
-from gn0.figures.agreement import tail_before
-from gn0.figures.device_scenes import flat_scene
-from gn0.figures.flat import flat_camera
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.renderer import RendererCuda
 from gn0.render.renderer import RenderResult
 from gn0.testing.renderer_check import random_cloud
+from gn0_figures.agreement import tail_before
+from gn0_figures.device_scenes import flat_scene
+from gn0_figures.flat import flat_camera
 
 
 def _bytes(result: RenderResult) -> list[bytes]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gn0.figures.device_scenes import flat_scene
-from gn0.figures.flat import flat_camera
 from gn0.maps.navigation import NavigationMap
 from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.visible_places import VisibleOptions
@@ -14,6 +12,8 @@ from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.vector import VectorEnv
 from gn0.testing.renderer_check import psnr
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
+from gn0_figures.device_scenes import flat_scene
+from gn0_figures.flat import flat_camera
 
 
 def test_visible_sets(device, scale, tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gn0.errors import PlanError
-from gn0.figures.visibility_graph import visibility_distances
 from gn0.geometry import polyline_length
 from gn0.maps.distance import GeodesicMap, build_octile_field
 from gn0.maps.grid import OccupancyGrid
@@ -21,6 +20,7 @@ from gn0.maps.ray import is_line_free
 from gn0.maps.regions import label_regions
 from gn0.maps.ros import load_ros_map
 from gn0.seeds import random_stream
+from gn0_figures.visibility_graph import visibility_distances
 
 DIAGONAL = math.sqrt(2.0)
 

@@ -11,7 +11,6 @@ import pytest
 import shapely
 
 from gn0.bench.metrics import compute_metrics
-from gn0.figures.targets import goal_episodes
 from gn0.geometry import Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.alike import GoalGatherer, build_targets, likeness_of
@@ -22,6 +21,7 @@ from gn0.scenes.scene import ObjectBox, Scene, SceneObject
 from gn0.sim.state import Trajectory
 from gn0.testing.judge_twins import JudgeTwins
 from gn0.testing.scenes import build_room_scene
+from gn0_figures.targets import goal_episodes
 
 
 def more_of(scene: Scene, count: int) -> Scene:

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import sph_harm_y
 
-from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
@@ -16,6 +15,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
 from gn0.testing.reference import RendererReference, sh_colours
 from gn0.testing.renderer_check import psnr, random_cloud
+from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
 
 FLOAT = RenderOptions(rgb_float=True)
 VIEWS = np.stack([view_from_pose(*p) for p in [(-4, 0, 0.2, 0.1), (3, 3, 0.5, -2.3), (0, 0, 0, 1)]])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from gn0.errors import RenderError
-from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
@@ -19,6 +18,7 @@ from gn0.render.open import build_renderer
 from gn0.render.renderer import RenderOptions, check_views
 from gn0.testing.reference import RendererReference
 from gn0.testing.renderer_check import check_renderer, random_cloud
+from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
 
 THREADS = [1, 2, 3] if numba.config.NUMBA_NUM_THREADS >= 3 else [1, 2]
 CAMERA = Camera.from_hfov(48, 40, 90)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gn0.figures.scenes import compare_maps
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ros import load_ros_map
 from gn0.scenes.check import check_scene
@@ -18,6 +17,7 @@ from gn0.scenes.world import (
     world_occupancy,
     world_rooms,
 )
+from gn0_figures.scenes import compare_maps
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gn0.figures.scenes import compare_maps
 from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.occupancy import build_occupancy
@@ -20,6 +19,7 @@ from gn0.scenes.sdf import SdfLight
 from gn0.scenes.textures import Paint, TextureAlbedo
 from gn0.scenes.world_light import _daylight, close_ceiling, drop_outside, light_world
 from gn0.scenes.world_mesh import WorldMeshes
+from gn0_figures.scenes import compare_maps
 
 _spec = importlib.util.spec_from_file_location("boxes", Path(__file__).parent / "boxes.py")
 assert _spec is not None

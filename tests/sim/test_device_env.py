@@ -55,7 +55,7 @@ def same(mine, theirs, what="") -> None:
 def assert_same_reset(env, mine, theirs) -> None:
     for name in theirs[0]:
         if name == "instruction":
-            texts = [env.episodes[n].instruction for n in mine[0][name].numpy()]
+            texts = [env.episodes[n].instruction for n in mine[0]["instruction_index"].numpy()]
             assert tuple(texts) == theirs[0][name]
         else:
             same(mine[0][name], theirs[0][name], name)

@@ -17,7 +17,6 @@ from gn0.bench.replay import replay_run
 from gn0.bench.report import load_run
 from gn0.bench.runner import run_suite
 from gn0.cli.main import main
-from gn0.figures.view import running_view
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.suites.suite import build_suite
@@ -25,6 +24,7 @@ from gn0.testing.browser import BrowserPage, find_browser, open_browser
 from gn0.viewer.live_server import open_server
 from gn0.viewer.live_text import name_line, plain
 from gn0.viewer.recorded_runs import load_replay
+from gn0_figures.view import running_view
 
 pytest.importorskip("viser")
 pytestmark = [

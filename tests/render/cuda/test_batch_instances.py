@@ -10,8 +10,6 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.errors import RenderError
-from gn0.figures.flat import EYE, build_flat, flat_camera, flat_floor, flat_views
-from gn0.figures.moving import GAIN, build_ball, pose_ahead
 from gn0.gaussians.cloud import join_clouds
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
@@ -20,6 +18,8 @@ from gn0.render.instance import PARTS_MAX, Instance, PartsDevice, move_instance
 from gn0.render.renderer import RenderOptions
 from gn0.render.visible_places import VisibleOptions
 from gn0.testing.renderer_check import psnr, random_cloud
+from gn0_figures.flat import EYE, build_flat, flat_camera, flat_floor, flat_views
+from gn0_figures.moving import GAIN, build_ball, pose_ahead
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gn0.device.host import DeviceHost
-from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.geometry import view_from_above, view_from_pose
 from gn0.render.camera import Camera
@@ -17,6 +16,7 @@ from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import choose_splats, upload_cloud
 from gn0.render.renderer import RenderOptions, RenderResult
 from gn0.testing.renderer_check import psnr, random_cloud
+from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

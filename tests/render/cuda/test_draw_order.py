@@ -11,7 +11,6 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, DeviceError, DeviceMemoryError
-from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.render.cuda import draw
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import upload_cloud
@@ -19,6 +18,7 @@ from gn0.render.cuda.replay import NO_ROOM, Heard
 from gn0.render.cuda.tables import NOWHERE
 from gn0.render.cuda.tune import FEW, Tuning
 from gn0.testing.renderer_check import random_cloud
+from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

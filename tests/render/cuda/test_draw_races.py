@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from gn0.device.host import DeviceHost
-from gn0.figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import upload_cloud
@@ -20,6 +19,7 @@ from gn0.render.cuda.tune import Tuning
 from gn0.render.cuda.visible import VisibleSets
 from gn0.render.visible_places import VisibleOptions
 from gn0.testing.renderer_check import random_cloud
+from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -9,13 +9,13 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.errors import RenderError
-from gn0.figures.flat import build_flat, flat_camera, flat_views
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.replay import Heard
 from gn0.render.cuda.tables import CLOUD, most_blocks, share_work
 from gn0.render.cuda.tune import Tuning
 from gn0.testing.renderer_check import random_cloud
+from gn0_figures.flat import build_flat, flat_camera, flat_views
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

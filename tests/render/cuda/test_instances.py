@@ -10,8 +10,6 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.errors import RenderError
-from gn0.figures.flat import build_flat, flat_camera, flat_views
-from gn0.figures.moving import GAIN, build_ball, pose_ahead
 from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.geometry import F32, F64, view_from_above
 from gn0.render.camera import Camera
@@ -24,6 +22,8 @@ from gn0.render.cuda.tune import Tuning
 from gn0.render.instance import PARTS_MAX, Instance, find_normals, move_instance
 from gn0.render.renderer import RenderOptions
 from gn0.testing.renderer_check import psnr, random_cloud
+from gn0_figures.flat import build_flat, flat_camera, flat_views
+from gn0_figures.moving import GAIN, build_ball, pose_ahead
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 

@@ -15,7 +15,7 @@ import msgspec
 import pytest
 
 from gn0.bench import runner
-from gn0.bench.episode_worker import EpisodeWorker, obey
+from gn0.bench.episode_worker import WorkerObedient
 from gn0.bench.executors import Heard, Pool, Worker, next_worker
 from gn0.bench.pool_kinds import open_pool
 from gn0.bench.worker_messages import FromWorker, Open, ToWorker
@@ -30,7 +30,7 @@ class PoolHere:
         self.size = workers
         self.workers: dict[int, Worker] = {}
         self._settings = settings
-        self._obeying: dict[int, EpisodeWorker | None] = {}
+        self._obeying: dict[int, WorkerObedient] = {}
         self._said: deque[tuple[int, bytes]] = deque()
         self._next = 0
 
@@ -44,15 +44,19 @@ class PoolHere:
     def send(self, worker: Worker, message: Any) -> None:
         number = worker.number
         heard: ToWorker = msgspec.json.decode(msgspec.json.encode(message), type=ToWorker)
-        self._obeying[number] = obey(
-            self._obeying.get(number),
-            heard,
-            lambda said: self._said.append((number, msgspec.json.encode(said))),
-        )
+        if number not in self._obeying:
+            self._obeying[number] = WorkerObedient(
+                lambda said: self._said.append((number, msgspec.json.encode(said)))
+            )
+        self._obeying[number].obey(heard)
 
     def hear(self, timeout: float) -> Heard | None:
-        if not self._said:
-            return None
+        while not self._said:
+            busy = [worker for worker in self._obeying.values() if worker.is_busy]
+            if not busy:
+                return None
+            for worker in busy:
+                worker.step()
         number, line = self._said.popleft()
         return Heard(number, msgspec.json.decode(line, type=FromWorker))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import queue
 import sys
 import time
 import traceback
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from gn0.bench.episode_group import EpisodeGroup, why_alone
 from gn0.bench.identity import digest_policy, read_identity
 from gn0.bench.metrics import compute_metrics
 from gn0.bench.release_score import PolicyUnderRelease, score_release
@@ -43,7 +45,15 @@ from gn0.plugins import build_plugin, describe_error, get_plugin
 from gn0.render.open import name_drawing
 from gn0.render.share.client import DrawConnection, RendererShared
 from gn0.sim.open import open_simulator
-from gn0.sim.policy import SLOT_VARIABLE, Policy, PolicyNotes, PolicyPrivileged
+from gn0.sim.policy import (
+    SLOT_VARIABLE,
+    Policy,
+    PolicyBatch,
+    PolicyBatchEach,
+    PolicyNotes,
+    PolicyOfBatch,
+    PolicyPrivileged,
+)
 from gn0.sim.rollout import run_episode
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
@@ -65,6 +75,8 @@ class EpisodeWorker:
     def __init__(self, settings: Open, policy: Policy | None = None) -> None:
         self.settings = settings
         self._source = ""
+        self._isolated = 0  # processes of policies so far
+        self._batch: PolicyBatch | None = None
         if policy is None:
             os.environ[SLOT_VARIABLE] = str(settings.slot)
             if not settings.isolated:
@@ -73,11 +85,7 @@ class EpisodeWorker:
             self._source = digest_policy(
                 settings.policy, settings.plugin_modules, isolated=bool(settings.isolated)
             )
-            policy = (
-                open_isolated(settings)
-                if settings.isolated
-                else build_plugin("policy", settings.policy, settings.options)
-            )
+            policy = self._build()
         self.policy: Policy = policy
         check_map_mode(settings.map_mode, policy.sensors)
         self._simulator: Simulator | None = None
@@ -87,6 +95,26 @@ class EpisodeWorker:
         self._light: LightCondition | None = None
         self._scene: Scene | None = None
         self._connection: DrawConnection | None = None
+
+    def _build(self) -> Policy:
+        """A policy; one that takes many agents at once is asked for one."""
+        settings = self.settings
+        if settings.isolated:
+            self._isolated += 1
+            return open_isolated(settings, self._isolated)
+        built = build_plugin("policy", settings.policy, settings.options)
+        if isinstance(built, PolicyBatch) and not isinstance(built, Policy):
+            self._batch = built
+            return PolicyOfBatch(built)
+        policy: Policy = built
+        return policy
+
+    def open_group(self, send: Callable[[FromWorker], None]) -> EpisodeGroup | None:
+        """Who runs episodes side by side; None where they run one at a time."""
+        if self.settings.agents == 1 or why_alone(self.policy, self.settings):
+            return None
+        policy = self._batch or PolicyBatchEach(self._build)
+        return EpisodeGroup(self, policy, send)
 
     @property
     def card(self) -> PolicyCard:
@@ -165,12 +193,18 @@ class EpisodeWorker:
                 trajectory = run_episode(simulator, self.policy, episode)
             except EpisodeError as error:
                 return _invalid(episode, error), EpisodeTrace(episode=episode.id)
-            result, trace = score(
-                trajectory, episode, simulator.navigation, self.settings.success_radius
-            )
+            result, trace = self.score_walk(trajectory, episode)
         if isinstance(self.policy, PolicyNotes) and (notes := self.policy.notes()):
             result = msgspec.structs.replace(result, notes=dict(sorted(notes.items())))
         return result, trace
+
+    def score_walk(
+        self, trajectory: Trajectory, episode: Episode
+    ) -> tuple[EpisodeResult, EpisodeTrace]:
+        """Result and trace of a walk in the scene that was opened last."""
+        assert self._simulator is not None
+        navigation = self._simulator.navigation
+        return score(trajectory, episode, navigation, self.settings.success_radius)
 
     def _run_release(
         self,
@@ -209,8 +243,8 @@ def name_isolation(settings: Open) -> Isolation:
     return "server" if settings.policy == "remote" else "in-process"
 
 
-def open_isolated(settings: Open) -> Policy:
-    """The policy in a process of its own; nothing of it is imported here.
+def open_isolated(settings: Open, number: int = 1) -> Policy:
+    """The policy in a process of its own, the worker's so many-th; nothing of it is imported here.
 
     Raises:
         PolicyError: it cannot be built, or cannot be isolated.
@@ -219,7 +253,7 @@ def open_isolated(settings: Open) -> Policy:
         settings.policy,
         settings.options,
         settings.plugin_modules,
-        folder=Path(settings.isolated) / f"{settings.slot}-{os.getpid()}",
+        folder=Path(settings.isolated) / f"{settings.slot}-{os.getpid()}-{number}",
         paths=sys.path,
     )
     return policy
@@ -263,32 +297,70 @@ def main() -> int:
         say(msgspec.json.encode(message))
 
     decoder = msgspec.json.Decoder(ToWorker)
-    worker: EpisodeWorker | None = None
-    while True:
-        worker = obey(worker, decoder.decode(inbox.get()), send)
-        if worker is None:
-            return 1
+    obedient = WorkerObedient(send)
+    going = True
+    while going:
+        try:
+            line = inbox.get_nowait() if obedient.is_busy else inbox.get()
+        except queue.Empty:
+            going = obedient.step()
+        else:
+            going = obedient.obey(decoder.decode(line))
+    return 1
 
 
-def obey(
-    worker: EpisodeWorker | None, message: ToWorker, send: Callable[[FromWorker], None]
-) -> EpisodeWorker | None:
-    """Do what one message says and send what came of it; None where no policy can be built."""
-    if isinstance(message, Lease):
-        assert worker is not None
-        _serve(worker, message, send)
-        return worker
-    try:
-        worker = EpisodeWorker(message)
-        send(Ready(card=worker.card))
-    except Gn0Error as error:  # says itself what is wrong, and what to do
-        what = f"{error.where}: {error.what}" if error.where else error.what
-        send(Refused(what=what, traceback="", remedy=error.remedy))
-        return None
-    except Exception as error:
-        send(Refused(what=describe_error(error), traceback=traceback.format_exc()))
-        return None
-    return worker
+class WorkerObedient:
+    """A worker that does what messages say; episodes side by side go on between them.
+
+    Args:
+        send: tells the run what comes of it.
+    """
+
+    def __init__(self, send: Callable[[FromWorker], None]) -> None:
+        self._send = send
+        self._worker: EpisodeWorker | None = None
+        self._group: EpisodeGroup | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether there is a step to take before the next message comes."""
+        return self._group is not None and self._group.is_busy
+
+    def obey(self, message: ToWorker) -> bool:
+        """Do what one message says; False where no policy can be built: this worker is no use."""
+        if isinstance(message, Lease):
+            assert self._worker is not None
+            if self._group is not None and not message.alone:
+                self._group.take(message)
+            else:
+                _serve(self._worker, message, self._send)
+            return True
+        try:
+            self._worker = worker = EpisodeWorker(message)
+            alone = why_alone(worker.policy, message) if message.agents > 1 else ""
+            self._group = worker.open_group(self._send)
+            self._send(Ready(card=worker.card, alone=alone))
+        except Gn0Error as error:  # says itself what is wrong, and what to do
+            what = f"{error.where}: {error.what}" if error.where else error.what
+            self._send(Refused(what=what, traceback="", remedy=error.remedy))
+            return False
+        except Exception as error:
+            self._send(Refused(what=describe_error(error), traceback=traceback.format_exc()))
+            return False
+        return True
+
+    def step(self) -> bool:
+        """Take a step with everybody; False where something broke: this worker is not trusted."""
+        assert self._group is not None
+        try:
+            self._group.step()
+        except Exception as error:
+            lost = isinstance(error, DeviceError)  # every other episode would meet it too
+            text = str(error) if lost else describe_error(error)
+            trace = traceback.format_exc()
+            self._send(Broke(episode="", what=text, traceback=trace, fatal=lost, beside=True))
+            return False
+        return True
 
 
 def _serve(worker: EpisodeWorker, lease: Lease, send: Callable[[FromWorker], None]) -> None:

@@ -8,7 +8,7 @@ byte of a result, is the same on each of them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -24,18 +24,28 @@ class Worker:
     Attributes:
         number: its id in this run.
         scene: the scene it has loaded, or is loading.
-        episode: the episode it holds a lease of, "" when idle.
-        deadline: monotonic time [s] after which it counts as hung.
+        leased: the episodes it holds a lease of, and by when each that has begun must have ended
+            (monotonic time [s]); infinity for one that has not.
+        alone: its one episode is not to run beside others.
+        loading: by when it must have built its policy, or begun an episode.
         ready: its policy is built.
         slot: its place among its fellows.
     """
 
     number: int
     scene: str = ""
-    episode: str = ""
-    deadline: float = float("inf")
+    leased: dict[str, float] = field(default_factory=dict)
+    alone: bool = False
+    loading: float = float("inf")
     ready: bool = False
     slot: int = 0
+
+    @property
+    def deadline(self) -> float:
+        """Monotonic time [s] after which it counts as hung."""
+        begun = min(self.leased.values(), default=float("inf"))
+        waits = not self.ready or (bool(self.leased) and begun == float("inf"))
+        return self.loading if waits else begun
 
 
 def next_worker(number: int, workers: Mapping[int, Worker]) -> Worker:
@@ -102,3 +112,14 @@ def check_workers(workers: int) -> int:
     if not 1 <= workers <= 1024:
         raise BenchError(f"{workers} workers", where="--workers", remedy="give 1 to 1024")
     return workers
+
+
+def check_agents(agents: int) -> int:
+    """The number of agents a worker, if it makes sense.
+
+    Raises:
+        BenchError: less than one, or beyond reason.
+    """
+    if not 1 <= agents <= 4096:
+        raise BenchError(f"{agents} agents", where="--agents", remedy="give 1 to 4096")
+    return agents

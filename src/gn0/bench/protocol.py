@@ -25,7 +25,7 @@ from gn0.version import source_version
 _DECIDING = (
     "geometry.py", "paper.py", "seeds.py", "gaussians", "maps", "render", "missions", "sim",
     "policies", "bench/metrics.py", "bench/release_score.py", "bench/episode_worker.py",
-    "device/kernels",
+    "bench/episode_group.py", "device/kernels",
 )  # fmt: skip
 
 

@@ -15,13 +15,14 @@ import shutil
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from gn0.bench.executors import Pool, Worker, check_workers
+from gn0.bench.executors import Pool, Worker, check_agents, check_workers
 from gn0.bench.identity import digest_policy, tell_identity
 from gn0.bench.ledger import Ledger
 from gn0.bench.pool_kinds import open_pool
@@ -38,7 +39,17 @@ from gn0.bench.results import (
 )
 from gn0.bench.run_session import ask_card, check_name, stamp_now, tell_earlier
 from gn0.bench.schedule import Schedule
-from gn0.bench.worker_messages import Begun, Broke, Done, FromWorker, Lease, Open, Ready, Refused
+from gn0.bench.worker_messages import (
+    Begun,
+    Broke,
+    Done,
+    FromWorker,
+    Lease,
+    Open,
+    Parted,
+    Ready,
+    Refused,
+)
 from gn0.errors import BenchError, ConfigError, PolicyError
 from gn0.jobs import ExecutorName
 from gn0.locked_folder import check_room, lock_folder
@@ -87,6 +98,7 @@ def run_suite(
     keep_failed: bool = False,
     name: str = "",
     isolate: bool = False,
+    agents: int = 1,
     tell: Callable[[str], None] = _no_words,
 ) -> RunSummary:
     """Run a policy over a suite and write results, trajectories, summary and times to `out`.
@@ -113,6 +125,9 @@ def run_suite(
             itself. Changes no result, and may be changed later.
         isolate: run the policy in a process of its own, behind the socket protocol: it shares no
             memory with the harness and gets no path of suite or scene. Changes no result.
+        agents: episodes that each worker runs side by side, all in one scene: their pictures are
+            drawn in one call, and a policy that takes many agents is asked once a step. Changes no
+            result. A policy that looks at the simulator itself runs one at a time all the same.
         tell: told in a sentence what was there already, and what is done about it.
 
     Returns:
@@ -126,6 +141,7 @@ def run_suite(
         KeyboardInterrupt: after all workers have ended; the same command resumes.
     """
     check_workers(workers)
+    check_agents(agents)
     check_name(name)
     if not episode_time_limit > 0:
         raise BenchError(f"time limit is {episode_time_limit} s", remedy="give a positive number")
@@ -141,6 +157,7 @@ def run_suite(
     options = dict(policy_options or {})
     backend = choose_run_backend(backend, policy_name, suite.map_mode, isolated=isolate)
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
+    settings = msgspec.structs.replace(settings, agents=agents)
     with lock_folder(out, refuse=BenchError), contextlib.ExitStack() as stack:
         if isolate:
             empty = stack.enter_context(
@@ -164,6 +181,7 @@ def run_suite(
             time_limit=episode_time_limit,
             progress=progress,
             keep_failed=keep_failed,
+            agents=agents,
             tell=tell,
         )
         remember_suite(suite.hash, suite.folder)
@@ -177,7 +195,7 @@ def run_suite(
                     address, card = ("", "") if server is None else (server.address, server.card)
                     told = msgspec.structs.replace(settings, drawing=address)
                     with open_pool(executor, told, workers, ray_address=ray_address) as pool:
-                        run.begin_session(workers, executor, card)
+                        run.begin_session(workers, executor, card, agents)
                         run.drive(pool, Schedule(run.left, shuffle_seed))
             return run.finish(settings, name)
         finally:
@@ -256,6 +274,7 @@ class RunState:
         time_limit: float,
         progress: Progress,
         keep_failed: bool = False,
+        agents: int = 1,
         tell: Callable[[str], None] = _no_words,
     ) -> None:
         self.out = out
@@ -275,6 +294,8 @@ class RunState:
         self.confirmed = False  # whether the card was seen in this session
         self.attempts: dict[str, int] = {}  # of episodes without a result
         self.built = False  # whether the policy was ever built in this session
+        self.agents = agents
+        self.apart: deque[Episode] = deque()  # to be run with nobody beside them
         self.stillborn = 0  # workers in a row that died before their policy was built
         self._read_journal()
 
@@ -406,7 +427,7 @@ class RunState:
             self.journal.append({"type": "policy", "card": msgspec.to_builtins(card)})
         self.confirmed = True
 
-    def begin_session(self, workers: int, executor: str, card: str = "") -> None:
+    def begin_session(self, workers: int, executor: str, card: str = "", agents: int = 1) -> None:
         """Note who runs this, when and where, and on which card pictures are drawn."""
         about: dict[str, Any] = {
             "begun": stamp_now(),
@@ -418,6 +439,8 @@ class RunState:
         }
         if card:
             about["card"] = card
+        if agents > 1:
+            about["agents"] = agents
         self.ended = ""
         self.sessions.append(about)
         self.journal.append({"type": "session", "about": about})
@@ -441,8 +464,8 @@ class RunState:
     def drive(self, pool: Pool, schedule: Schedule) -> None:
         """Lease episodes to workers until each has a result."""
         self.progress("episodes", self.ledger.done, len(self.episodes))
-        for _ in range(min(pool.size, len(schedule))):
-            pool.start().deadline = time.monotonic() + LOAD_TIME_LIMIT
+        for _ in range(min(pool.size, -(-len(schedule) // self.agents))):
+            pool.start().loading = time.monotonic() + LOAD_TIME_LIMIT
         while self.ledger.done < len(self.episodes):
             now = time.monotonic()
             nearest = min((w.deadline for w in pool.workers.values()), default=now)
@@ -459,26 +482,36 @@ class RunState:
     def _staff(self, pool: Pool, schedule: Schedule) -> None:
         """Give idle workers an episode; replace workers that are gone while there is work."""
         for worker in list(pool.workers.values()):
-            if worker.ready and not worker.episode:
-                busy = [w.scene for w in pool.workers.values() if w is not worker]
-                episode = schedule.next(worker.scene, busy)
-                if episode is not None:
-                    self._lease(pool, worker, episode)
-        waiting = sum(not w.ready for w in pool.workers.values())
-        if len(schedule) > waiting and len(pool.workers) < pool.size:
-            pool.start().deadline = time.monotonic() + LOAD_TIME_LIMIT
+            busy = [w.scene for w in pool.workers.values() if w is not worker]
+            while worker.ready and len(worker.leased) < self.agents and not worker.alone:
+                if self.apart:
+                    if worker.leased:
+                        break  # the first to have ended all takes one of those
+                    self._lease(pool, worker, self.apart.popleft(), alone=True)
+                    continue
+                episode = schedule.next(worker.scene, busy, stay=bool(worker.leased))
+                if episode is None:
+                    break
+                self._lease(pool, worker, episode)
+        waiting = sum(self.agents for w in pool.workers.values() if not w.ready)
+        if len(schedule) + len(self.apart) > waiting and len(pool.workers) < pool.size:
+            pool.start().loading = time.monotonic() + LOAD_TIME_LIMIT
 
-    def _lease(self, pool: Pool, worker: Worker, episode: Episode) -> None:
+    def _lease(self, pool: Pool, worker: Worker, episode: Episode, alone: bool = False) -> None:
         attempt = self.attempts[episode.id] = self.attempts.get(episode.id, 0) + 1
         lease = {"episode": episode.id, "worker": worker.number, "attempt": attempt}
         self.journal.append({"type": "lease", **lease})
-        worker.scene, worker.episode = episode.scene_id, episode.id
-        worker.deadline = time.monotonic() + LOAD_TIME_LIMIT
+        worker.scene, worker.alone = episode.scene_id, alone
+        worker.leased[episode.id] = float("inf")
+        worker.loading = time.monotonic() + LOAD_TIME_LIMIT
         folder = self.suite.scene_folder(episode.scene_id).resolve()
         pool.send(
             worker,
             Lease(
-                episode=episode, folder=str(folder), hash=self.suite.scene_hash(episode.scene_id)
+                episode=episode,
+                folder=str(folder),
+                hash=self.suite.scene_hash(episode.scene_id),
+                alone=alone,
             ),
         )
 
@@ -489,7 +522,12 @@ class RunState:
             ended = pool.end(worker)
             self._lost(schedule, worker, ended.how, ended.last_words)
         elif isinstance(message, Ready):
-            worker.ready, worker.deadline = True, float("inf")
+            worker.ready = True
+            if message.alone and not self.built:
+                self.tell(
+                    f"policy {self.identity['policy']!r} {message.alone}: "
+                    "its episodes run one at a time"
+                )
             self.stillborn, self.built = 0, True
             self.check_card(message.card)
         elif isinstance(message, Refused):
@@ -502,25 +540,34 @@ class RunState:
             if message.traceback:
                 what += f"\n{message.traceback}"
             raise PolicyError(what, remedy=message.remedy or "see the traceback above")
-        elif isinstance(message, Begun):
-            worker.deadline = time.monotonic() + self.time_limit
-        elif isinstance(message, Done) and message.result.episode == worker.episode:
+        elif isinstance(message, Begun) and message.episode in worker.leased:
+            beside = 1 if worker.alone else self.agents  # a step takes as long as all of theirs
+            worker.leased[message.episode] = time.monotonic() + self.time_limit * beside
+        elif isinstance(message, Parted) and message.episode in worker.leased:
+            self._part(worker, message.episode)
+        elif isinstance(message, Done) and message.result.episode in worker.leased:
+            name = message.result.episode
             about = {
                 "seconds": round(message.seconds, 6),
-                "attempts": self.attempts[worker.episode],
+                "attempts": self.attempts[name],
                 "worker": worker.number,
             }
             self.record(message.result, message.trace, about)
-            worker.episode, worker.deadline = "", float("inf")
+            self._release(worker, name)
         elif isinstance(message, Broke):
+            name = message.episode or next(iter(worker.leased), "")
             if message.fatal:
                 raise BenchError(
-                    f"episode {message.episode!r} cannot be run: {message.what}",
+                    f"episode {name!r} cannot be run: {message.what}",
                     where=self.out,
                     remedy="mend what is named; the same command then goes on",
                 )
             pool.end(worker)  # a policy that broke is not trusted with another episode
-            self.journal.append({"type": "broke", "episode": message.episode, "why": message.what})
+            if message.beside:
+                named = {"episodes": list(worker.leased), "why": message.what}
+                self.journal.append({"type": "parted", **named})
+            else:
+                self.journal.append({"type": "broke", "episode": name, "why": message.what})
             self._lost(schedule, worker, message.what, message.traceback)
 
     def _find_hung(self, pool: Pool, schedule: Schedule) -> None:
@@ -528,7 +575,7 @@ class RunState:
         for worker in [w for w in pool.workers.values() if w.deadline <= now]:
             where = pool.ask_where(worker)
             pool.end(worker)
-            if not worker.episode and not worker.ready:
+            if not worker.leased and not worker.ready:
                 raise PolicyError(
                     f"policy {self.identity['policy']!r} was not built within "
                     f"{LOAD_TIME_LIMIT:g} s\n{where}",
@@ -537,8 +584,11 @@ class RunState:
             self._lost(schedule, worker, f"took longer than {self.time_limit:g} s", where)
 
     def _lost(self, schedule: Schedule, worker: Worker, why: str, words: str) -> None:
-        """A worker is gone: its episode is tried once more, then failed by name."""
-        if not worker.episode:
+        """A worker is gone: its episode is tried once more, then failed by name.
+
+        Of several nobody knows which it died of: each is run with nobody beside it.
+        """
+        if not worker.leased:
             self.stillborn += not worker.ready
             if self.stillborn >= BUILD_ATTEMPTS:
                 raise PolicyError(
@@ -546,11 +596,19 @@ class RunState:
                     remedy="see its last words above",
                 )
             return
-        episode = self.ledger.find(worker.episode)
-        worker.episode = ""
+        if self.agents > 1 and not worker.alone:
+            for name in list(worker.leased):
+                self._part(worker, name)
+            return
+        (name,) = worker.leased
+        self._release(worker, name)
+        episode = self.ledger.find(name)
         assert episode is not None, "leased by us"
         if self.attempts[episode.id] < ATTEMPTS:
-            schedule.put_back(episode)
+            if self.agents > 1:
+                self.apart.append(episode)
+            else:
+                schedule.put_back(episode)
             return
         _log.error("episode %s failed twice: %s\n%s", episode.id, why, words[-4000:])
         result = EpisodeResult(
@@ -562,6 +620,20 @@ class RunState:
             "traceback": words[-20_000:],
         }
         self.record(result, EpisodeTrace(episode=episode.id), about)
+
+    def _part(self, worker: Worker, name: str) -> None:
+        """Run an episode again with nobody beside it; what happened was no attempt of its own."""
+        self._release(worker, name)
+        self.attempts[name] -= 1
+        episode = self.ledger.find(name)
+        assert episode is not None, "leased by us"
+        self.apart.append(episode)
+
+    def _release(self, worker: Worker, name: str) -> None:
+        """A worker holds an episode no longer."""
+        del worker.leased[name]
+        worker.alone = False
+        worker.loading = time.monotonic() + LOAD_TIME_LIMIT  # of those that have not begun
 
     def finish(self, settings: Open, name: str) -> RunSummary:
         """Write the files of the finished run."""
@@ -627,6 +699,8 @@ def describe_settings(settings: Open) -> dict[str, Any]:
     known: dict[str, Any] = msgspec.to_builtins(settings)
     known.pop("drawing")
     known["isolated"] = bool(known["isolated"])
+    if known["agents"] == 1:
+        del known["agents"]
     known["options"] = {
         name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
         for name, value in known["options"].items()

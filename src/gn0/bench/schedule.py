@@ -31,15 +31,18 @@ class Schedule:
     def __len__(self) -> int:
         return sum(map(len, self._scenes.values()))
 
-    def next(self, current: str, busy: Iterable[str]) -> Episode | None:
+    def next(self, current: str, busy: Iterable[str], *, stay: bool = False) -> Episode | None:
         """The next episode for a worker that has scene `current` loaded; None when none is left.
 
         Args:
             current: scene id loaded by the worker, "" for none.
             busy: scene ids of the other workers.
+            stay: no other scene will do.
         """
         if self._scenes.get(current):
             return self._scenes[current].popleft()
+        if stay:
+            return None
         others = list(busy)
         left = [scene for scene, queue in self._scenes.items() if queue]
         if not left:

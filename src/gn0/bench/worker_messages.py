@@ -18,6 +18,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         options: keyword arguments of the policy.
         plugin_modules: modules to import first, so that they can register plug-ins.
         slot: the worker's place among its fellows, 0 for the first; a successor takes it over.
+        agents: how many episodes it runs side by side, where the policy can.
         isolated: folder below which the policy's own process runs; "" where it runs in the worker.
         drawing: address of the process that draws for all workers; "" where each does itself.
         camera, backend, agent, map_mode, max_steps, success_radius, profile: see `SuiteFile`.
@@ -36,20 +37,32 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
     slot: int = 0
     drawing: str = ""
     isolated: str = ""
+    agents: int = 1
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, tag="lease"):
-    """Run this episode in the scene of that folder and hash."""
+    """Run this episode in the scene of that folder and hash.
+
+    Attributes:
+        alone: not beside others; the worker has no other lease then.
+    """
 
     episode: Episode
     folder: str
     hash: str
+    alone: bool = False
 
 
 class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
-    """The policy is built."""
+    """The policy is built.
+
+    Attributes:
+        card: who it is.
+        alone: why its episodes run one at a time although several were asked for; "" otherwise.
+    """
 
     card: PolicyCard
+    alone: str = ""
 
 
 class Refused(msgspec.Struct, frozen=True, kw_only=True, tag="refused"):
@@ -72,6 +85,12 @@ class Begun(msgspec.Struct, frozen=True, kw_only=True, tag="begun"):
     episode: str
 
 
+class Parted(msgspec.Struct, frozen=True, kw_only=True, tag="parted"):
+    """The episode cannot begin beside others: it wants to be leased alone."""
+
+    episode: str
+
+
 class Done(msgspec.Struct, frozen=True, kw_only=True, tag="done"):
     """The episode is over."""
 
@@ -88,6 +107,7 @@ class Broke(msgspec.Struct, frozen=True, kw_only=True, tag="broke"):
         episode: its id.
         what: type and text of the exception.
         traceback: for people.
+        beside: others were in progress, and any of them may have raised it.
         fatal: it is not the episode's fault, and every other one would meet it too.
     """
 
@@ -95,7 +115,8 @@ class Broke(msgspec.Struct, frozen=True, kw_only=True, tag="broke"):
     what: str
     traceback: str
     fatal: bool = False
+    beside: bool = False
 
 
 ToWorker = Open | Lease
-FromWorker = Ready | Refused | Begun | Done | Broke
+FromWorker = Ready | Refused | Begun | Parted | Done | Broke

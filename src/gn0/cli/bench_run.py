@@ -21,6 +21,7 @@ from gn0.errors import ConfigError
 EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy wall_follower --workers 2 --out out/walls
   gn0 bench run out/suite --policy explorer --map-mode explored --out out/explored
+  gn0 bench run out/suite --policy explorer --agents 32 --out out/together
   gn0 bench run out/suite --policy random --limit 5 --no-report --out out/try
   gn0 bench run out/suite --executor ray --ray-address auto --workers 16 --out out/many
   gn0 bench run out/suite --policy straight --profile gn0-release --out out/official
@@ -39,6 +40,8 @@ class Args(Config, frozen=True):
             calls itself. No part of the run's identity: give another one later, and nothing is run.
         policy_option: an option of the policy as NAME=VALUE; may be given several times.
         workers: processes; never changes a result.
+        agents: episodes that each worker runs side by side: a policy that takes many agents is
+            asked once a step, pictures are drawn in one call; never changes a result.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
         map_mode: what the maps shown to the policy hold: the whole scene (prior), what the agent
@@ -71,6 +74,7 @@ class Args(Config, frozen=True):
     name: str = ""
     policy_option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
+    agents: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
     map_mode: Literal["prior", "explored", "none"] | None = None
@@ -122,6 +126,7 @@ def run(args: Args) -> int:
             keep_failed=args.keep_failed,
             name=args.name,
             isolate=args.isolate,
+            agents=args.agents,
             tell=lambda text: print(plain_text(text)),
         )
         report = None

@@ -167,6 +167,17 @@ class PolicyBatchEach:
             ) from None
         return [policy.act(seen) for policy, seen in zip(policies, observations, strict=True)]
 
+    def name_sessions(self, slots: Sequence[int], names: Sequence[str]) -> None:
+        """Tell slots that were just reset what their episodes are called, see `PolicySession`."""
+        for slot, name in zip(slots, names, strict=True):
+            policy = self._policies[slot]
+            if isinstance(policy, PolicySession):
+                policy.reset_session(name)
+
+    def find_policy(self, slot: int) -> Policy:
+        """The policy of a slot that has been reset."""
+        return self._policies[slot]
+
 
 class PolicyOfBatch:
     """A `PolicyBatch` used as a `Policy`: a batch of one.

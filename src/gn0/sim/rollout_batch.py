@@ -1,8 +1,8 @@
-"""Many episodes at once: a batch policy and a `VectorEnv`, the trajectories of one at a time."""
+"""Many episodes at once: a batch policy and many agents, the trajectories of one at a time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,8 @@ from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode
 from gn0.progress import Progress, no_progress
 from gn0.seeds import random_stream
-from gn0.sim.policy import PolicyBatch, check_answers
+from gn0.sim.batch import SimulatorBatch
+from gn0.sim.policy import PolicyBatch, PolicyBatchEach, check_answers
 from gn0.sim.sensor.table import carry_sensors
 from gn0.sim.simulator import action_code
 from gn0.sim.standpoint import Standpoint
@@ -31,14 +32,121 @@ _WAIT = 2  # LEFT: what agents without an episode do, unseen
 
 
 @dataclass
-class _Record:
-    """An episode in progress: its place in the list, and what has happened in it."""
+class Walk:
+    """An episode in progress.
 
-    index: int
+    Attributes:
+        episode: what is played.
+        poses: the start, then after each action.
+        actions: taken so far.
+        collided: whether each was cut short.
+        stopped: whether it ended with STOP; False while it goes on.
+    """
+
     episode: Episode
     poses: list[Pose2D]
     actions: list[int] = field(default_factory=list)
     collided: list[bool] = field(default_factory=list)
+    stopped: bool = False
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """What `run_episode` makes of this episode alone."""
+        return Trajectory(
+            tuple(self.poses), tuple(self.actions), tuple(self.collided), self.stopped
+        )
+
+
+class RolloutBatch:
+    """Episodes side by side: whoever is free begins one, and each goes the way it goes alone.
+
+    Args:
+        batch: the agents; nobody else moves them.
+        policy: agent i is its slot i.
+
+    Raises:
+        PolicyError: the policy wants a sensor that is not carried.
+    """
+
+    def __init__(self, batch: SimulatorBatch, policy: PolicyBatch) -> None:
+        self._wanted = frozenset(policy.sensors)
+        if self._wanted - batch.sensors:
+            raise PolicyError(
+                f"policy {policy.name!r} reads {sorted(self._wanted - batch.sensors)}, which the "
+                "agents do not carry",
+                remedy="open the VectorEnv with sensors=policy.sensors",
+            )
+        self.batch, self.policy = batch, policy
+        self.walks: dict[int, Walk] = {}
+        self._placed = False
+
+    @property
+    def free(self) -> list[int]:
+        """Agents without an episode."""
+        return [slot for slot in range(self.batch.count) if slot not in self.walks]
+
+    def begin(self, episodes: Sequence[Episode]) -> list[int]:
+        """Give free agents these episodes, in this order; which agents they are.
+
+        Raises:
+            EpisodeError: one does not fit its scene, see `Simulator.reset`; then none has begun.
+            PolicyError: the policy refuses.
+        """
+        slots = self.free[: len(episodes)]
+        assert len(slots) == len(episodes), "no more episodes than free agents"
+        if not slots:
+            return []
+        numbers = self.batch.table.add(episodes)
+        if not self._placed:  # agents without an episode stand somewhere, too
+            everyone = np.arange(self.batch.count)
+            self.batch.place(everyone, numbers[everyone % len(numbers)])
+            self._placed = True
+        self.batch.place(np.array(slots), numbers)
+        poses = self.batch.poses(np.array(slots)).tolist()
+        for slot, episode, pose in zip(slots, episodes, poses, strict=True):
+            self.walks[slot] = Walk(episode, [Pose2D(*pose)])
+        self.policy.reset_batch(
+            slots,
+            [episode.instruction for episode in episodes],
+            [random_stream(e.seed, "policy", self.policy.name, e.id) for e in episodes],
+        )
+        if isinstance(self.policy, PolicyBatchEach):
+            self.policy.name_sessions(slots, [episode.id for episode in episodes])
+        return slots
+
+    def ask(self) -> dict[int, int]:
+        """What the policy says, by agent: 0 STOP, 1 FORWARD, 2 LEFT, 3 RIGHT.
+
+        Raises:
+            PolicyError: it returns no local action.
+        """
+        slots = sorted(self.walks)
+        seen = _observe(self.batch, np.array(slots), self._wanted)
+        name = self.policy.name
+        answers = check_answers(name, self.policy.act_batch(slots, seen), len(slots))
+        return {
+            slot: _code(name, answer, self.walks[slot])
+            for slot, answer in zip(slots, answers, strict=True)
+        }
+
+    def advance(self, codes: Mapping[int, int]) -> dict[int, Walk]:
+        """Take an action with every agent that has an episode; who has come to an end, by agent."""
+        slots = sorted(self.walks)
+        actions = np.full(self.batch.count, _WAIT)
+        for slot in slots:
+            actions[slot] = codes[slot]
+        _, stopped, truncated = self.batch.step(actions)
+        poses = self.batch.poses(np.array(slots)).tolist()
+        ended = {}
+        for slot, pose in zip(slots, poses, strict=True):
+            walk = self.walks[slot]
+            walk.poses.append(Pose2D(*pose))
+            walk.actions.append(int(actions[slot]))
+            walk.collided.append(bool(self.batch.state.collided[slot]))
+            if stopped[slot] or truncated[slot]:
+                walk.stopped = bool(stopped[slot])
+                ended[slot] = self.walks.pop(slot)
+        return ended
 
 
 def run_episodes(
@@ -58,74 +166,25 @@ def run_episodes(
         PolicyError: the policy wants a sensor that is not carried, or returns no local action.
         EpisodeError: see `Simulator.reset`.
     """
-    wanted = frozenset(policy.sensors)
-    if wanted - vector.sensors:
-        raise PolicyError(
-            f"policy {policy.name!r} reads {sorted(wanted - vector.sensors)}, which the agents do "
-            "not carry",
-            remedy="open the VectorEnv with sensors=policy.sensors",
-        )
-    if not episodes:
-        return []
-    batch = vector.claim()
-    numbers = batch.table.add(episodes)
-    everyone = np.arange(batch.count)
-    batch.place(everyone, numbers[everyone % len(episodes)])
+    rollout = RolloutBatch(vector.claim(), policy)
     done: list[Trajectory | None] = [None] * len(episodes)
-    waiting = iter(range(len(episodes)))
-    records: dict[int, _Record] = {}
-    finished = 0
+    waiting = list(range(len(episodes)))[::-1]
+    holds: dict[int, int] = {}
 
-    def begin(slots: Sequence[int]) -> None:
-        """Give these agents the next episodes."""
-        fresh = []
-        for slot, index in zip(slots, waiting, strict=False):
-            records[slot] = _Record(index, episodes[index], [])
-            fresh.append(slot)
-        if not fresh:
-            return
-        batch.place(np.array(fresh), numbers[[records[slot].index for slot in fresh]])
-        for slot, pose in zip(fresh, batch.poses(np.array(fresh)).tolist(), strict=True):
-            records[slot].poses.append(Pose2D(*pose))
-        begun = [records[slot].episode for slot in fresh]
-        policy.reset_batch(
-            fresh,
-            [episode.instruction for episode in begun],
-            [random_stream(e.seed, "policy", policy.name, e.id) for e in begun],
-        )
+    def begin() -> None:
+        fresh = [waiting.pop() for _ in rollout.free if waiting]
+        holds.update(zip(rollout.begin([episodes[i] for i in fresh]), fresh, strict=True))
 
-    begin(range(batch.count))
-    while records:
-        slots = sorted(records)
-        seen = _observe(vector, np.array(slots), wanted)
-        answers = check_answers(policy.name, policy.act_batch(slots, seen), len(slots))
-        actions = np.full(batch.count, _WAIT)
-        for slot, answer in zip(slots, answers, strict=True):
-            actions[slot] = _code(policy.name, answer, records[slot])
-        _, stopped, truncated = batch.step(actions)
-        poses = batch.poses(np.array(slots)).tolist()
-        free = []
-        for slot, pose in zip(slots, poses, strict=True):
-            record = records[slot]
-            record.poses.append(Pose2D(*pose))
-            record.actions.append(int(actions[slot]))
-            record.collided.append(bool(batch.state.collided[slot]))
-            if stopped[slot] or truncated[slot]:
-                done[record.index] = Trajectory(
-                    tuple(record.poses),
-                    tuple(record.actions),
-                    tuple(record.collided),
-                    bool(stopped[slot]),
-                )
-                del records[slot]
-                free.append(slot)
-                finished += 1
-                progress("episodes", finished, len(episodes))
-        begin(free)
+    begin()
+    while rollout.walks:
+        for slot, walk in rollout.advance(rollout.ask()).items():
+            done[holds[slot]] = walk.trajectory
+            progress("episodes", sum(t is not None for t in done), len(episodes))
+        begin()
     return [trajectory for trajectory in done if trajectory is not None]
 
 
-def _code(name: str, action: Any, record: _Record) -> int:
+def _code(name: str, action: Any, walk: Walk) -> int:
     try:
         if isinstance(action, Teleport | Displacement):
             raise SimError(
@@ -136,16 +195,15 @@ def _code(name: str, action: Any, record: _Record) -> int:
     except SimError as error:
         raise PolicyError(
             f"policy {name!r} returned no valid action: {error.what}",
-            where=f"episode {record.episode.id!r}, step {len(record.actions)}",
+            where=f"episode {walk.episode.id!r}, step {len(walk.actions)}",
             remedy=error.remedy,
         ) from error
 
 
 def _observe(
-    vector: VectorEnv, which: np.ndarray[Any, np.dtype[np.int64]], wanted: frozenset[str]
+    batch: SimulatorBatch, which: np.ndarray[Any, np.dtype[np.int64]], wanted: frozenset[str]
 ) -> list[Observation]:
     """What agents `which` see, each as a `Simulator` of its own would say it."""
-    batch = vector.batch
     spelt = [s for s in carry_sensors(wanted).sensors if s.array is not None]
     found = batch.observe(which)
     snapshot = batch.snapshot(which)

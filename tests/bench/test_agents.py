@@ -1,0 +1,137 @@
+"""Episodes side by side in a worker: the bytes of one at a time, whatever goes wrong in company."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from gn0.bench import runner
+from gn0.bench.results import iterate_results
+from gn0.bench.runner import run_suite
+from gn0.errors import BenchError
+from gn0.suites.suite import Suite
+
+SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
+PLUGIN = Path(__file__).parent / "plugin"
+
+
+def outputs(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in SAME}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def still_code() -> Iterator[None]:
+    """Pretend that nobody edits the package while these tests stop and resume runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "code_version", lambda: "1.0+still")
+        yield
+
+
+@pytest.fixture(autouse=True)
+def own_policies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(PLUGIN))
+
+
+def run(suite: Suite, out: Path, policy: str, agents: int, **more: object) -> Path:
+    modules = {"odd": ("odd_policies",), "crowd": ("crowd_policies",)}.get(policy, ())
+    options = {k: more.pop(k) for k in ("odd", "when", "counts") if k in more}
+    run_suite(
+        suite, policy, out, agents=agents, plugin_modules=modules, policy_options=options, **more,  # type: ignore[arg-type]
+    )  # fmt: skip
+    return out
+
+
+@pytest.mark.parametrize("policy", ["odd", "wall_follower", "explorer", "crowd"])
+def test_any_number_of_agents_gives_the_bytes_of_one(
+    flats_suite: Suite, tmp_path: Path, policy: str, worker_here: None
+) -> None:
+    few = {"max_episodes": 5 if policy == "explorer" else 9}
+    alone = outputs(run(flats_suite, tmp_path / "1", policy, 1, **few))
+    for agents in (3,) if policy == "explorer" else (3, 8):
+        assert outputs(run(flats_suite, tmp_path / str(agents), policy, agents, **few)) == alone
+    about = json.loads((tmp_path / "3" / "run.json").read_text())
+    assert about["sessions"][0]["agents"] == 3 and about["settings"]["agents"] == 3
+    assert all(e["seconds"] > 0 for e in about["episodes"].values())
+
+
+def test_a_policy_of_many_agents_is_asked_once_a_step(
+    flats_suite: Suite, tmp_path: Path, worker_here: None
+) -> None:
+    run(flats_suite, tmp_path / "run", "crowd", 4, counts=str(tmp_path), max_episodes=8)
+    asked = [int(n) for path in tmp_path.glob("asked-*") for n in path.read_text().split()]
+    assert max(asked) == 4
+    steps = sum(r.metrics.steps for r in iterate_results(tmp_path / "run") if r.metrics)
+    assert sum(asked) == steps and len(asked) < steps / 2
+
+
+@pytest.mark.parametrize(
+    ("odd", "when", "workers"), [("raise", "sofa", 1), ("exit", "wardrobe", 2), ("nan", "sofa", 1)]
+)
+def test_who_fails_in_company_fails_alone_and_takes_nobody_along(
+    flats_suite: Suite,
+    tmp_path: Path,
+    odd: str,
+    when: str,
+    workers: int,
+    request: pytest.FixtureRequest,
+) -> None:
+    """A teleport is nothing for many agents at once: alone it is a move like any other."""
+    if workers == 1:
+        request.getfixturevalue("worker_here")
+    alone = run(flats_suite, tmp_path / "1", "odd", 1, odd=odd, when=when, workers=workers)
+    beside = run(flats_suite, tmp_path / "5", "odd", 5, odd=odd, when=when, workers=workers)
+    assert outputs(beside) == outputs(alone)
+    assert ('"type": "parted"' in (beside / "journal.jsonl").read_text()) == (odd != "exit")
+
+
+def test_a_run_of_one_number_of_agents_is_gone_on_with_by_another(
+    flats_suite: Suite, tmp_path: Path, worker_here: None
+) -> None:
+    whole = outputs(run(flats_suite, tmp_path / "whole", "odd", 1))
+    cut = tmp_path / "cut"
+
+    class CutError(Exception):
+        pass
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "episodes" and done == 4:
+            raise CutError
+
+    with pytest.raises(CutError):
+        run(flats_suite, cut, "odd", 5, progress=stop)
+    assert not (cut / "summary.json").exists()
+    assert outputs(run(flats_suite, cut, "odd", 3)) == whole
+
+
+def test_an_episode_that_cannot_begin_is_invalid_as_ever(
+    flats_suite: Suite, tmp_path: Path, worker_here: None
+) -> None:
+    lost = msgspec.structs.replace(flats_suite.episodes[2], start=(-90.0, 0.0, 0.0))
+    episodes = (*flats_suite.episodes[:2], lost, *flats_suite.episodes[3:6])
+    suite = replace(flats_suite, episodes=episodes)
+    alone = outputs(run(suite, tmp_path / "1", "odd", 1))
+    assert outputs(run(suite, tmp_path / "4", "odd", 4)) == alone
+    assert b'"status":"invalid"' in alone["results.jsonl"]
+
+
+def test_an_oracle_runs_one_at_a_time_and_it_is_said(
+    flats_suite: Suite, tmp_path: Path, worker_here: None
+) -> None:
+    told: list[str] = []
+    few = {"max_episodes": 3}
+    alone = outputs(run(flats_suite, tmp_path / "1", "oracle", 1, **few))
+    beside = outputs(run(flats_suite, tmp_path / "4", "oracle", 4, tell=told.append, **few))
+    assert alone == beside
+    assert any("run one at a time" in line for line in told)
+
+
+def test_no_agents_are_refused(flats_suite: Suite, tmp_path: Path) -> None:
+    for agents in (0, -1, 5000):
+        with pytest.raises(BenchError, match="agents"):
+            run(flats_suite, tmp_path / "run", "odd", agents)
+    assert not (tmp_path / "run").exists()

@@ -251,8 +251,8 @@ def test_the_policy_itself_can_be_asked_again(
 
 
 def test_secrets_are_not_kept_with_results(flats_suite: Suite, tmp_path: Path) -> None:
-    settings = runner.build_settings(flats_suite, "odd", {"token": "hush", "pause": 0.5})
-    kept = runner.describe_settings(settings)
+    settings = run_settings.build_settings(flats_suite, "odd", {"token": "hush", "pause": 0.5})
+    kept = run_settings.describe_settings(settings)
     assert kept["options"] == {"token": "(not kept)", "pause": 0.5}
     assert settings.options["token"] == "hush"
     out = tmp_path / "run"

@@ -23,7 +23,8 @@ from gn0.bench.episode_worker import EpisodeWorker
 from gn0.bench.protocol import code_version
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import EpisodeResult, EpisodeTrace, aggregate, encode_line
-from gn0.bench.runner import HIDDEN, build_settings, run_suite
+from gn0.bench.run_settings import HIDDEN, build_settings
+from gn0.bench.runner import run_suite
 from gn0.bench.worker_messages import Open
 from gn0.errors import BenchError, Gn0Error, brief
 from gn0.plugins import SECRETS, describe_error

@@ -38,6 +38,7 @@ from gn0.bench.results import (
     report_release,
 )
 from gn0.bench.run_session import ask_card, check_name, stamp_now, tell_earlier
+from gn0.bench.run_settings import build_settings, describe_settings, list_versions
 from gn0.bench.schedule import Schedule
 from gn0.bench.worker_messages import (
     Begun,
@@ -54,7 +55,7 @@ from gn0.errors import BenchError, ConfigError, PolicyError
 from gn0.jobs import ExecutorName
 from gn0.locked_folder import check_room, lock_folder
 from gn0.missions.episode import Episode
-from gn0.plugins import SECRETS, import_plugins
+from gn0.plugins import import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.storage import TEMPORARY_PREFIX, Journal, write_json
 from gn0.suites.known_suites import remember_suite
@@ -68,7 +69,6 @@ EPISODE_TIME_LIMIT = 300.0  # s
 LOAD_TIME_LIMIT = 900.0  # s to load a scene and to build the policy
 ATTEMPTS = 2  # one retry
 BUILD_ATTEMPTS = 3  # workers in a row that may die while they build the policy
-HIDDEN = "(not kept)"
 HEED = 1.0  # s at most that messages are read before somebody looks for hung workers
 ASK_TIMEOUT = 2.0  # s to reach a server that is asked nothing but who it is
 _RESUME = "choose another --out, or give --fresh to forget the earlier run"
@@ -201,28 +201,6 @@ def run_suite(
         finally:
             with contextlib.suppress(OSError):
                 run.journal.close()
-
-
-def build_settings(
-    suite: Suite,
-    policy_name: str,
-    options: Mapping[str, Any],
-    plugin_modules: Sequence[str] = (),
-    backend: str = "auto",
-) -> Open:
-    """What every worker of a run must know: the policy, and the suite's own rules."""
-    return Open(
-        policy=policy_name,
-        options=dict(options),
-        plugin_modules=tuple(plugin_modules),
-        camera=suite.about.camera,
-        backend=backend,
-        agent=suite.about.agent,
-        max_steps=suite.about.max_steps,
-        success_radius=suite.about.success_radius,
-        map_mode=suite.map_mode,
-        profile=suite.about.profile,
-    )
 
 
 def choose_episodes(suite: Suite, max_episodes: int | None) -> tuple[Episode, ...]:
@@ -674,7 +652,7 @@ class RunState:
             "suite_folder": str(self.suite.folder.resolve()),
             "suite_relative": os.path.relpath(self.suite.folder.resolve(), self.out.resolve()),
             "settings": describe_settings(settings),
-            "versions": _versions(),
+            "versions": list_versions(),
             "command": sys.argv,
         }
         self.ledger.save_run(self.journal, self.out, run)
@@ -692,24 +670,3 @@ def _is_finished(record: Any) -> bool:
         and isinstance(record.get("result"), dict)
         and record["result"].get("status") != "failed"
     )
-
-
-def describe_settings(settings: Open) -> dict[str, Any]:
-    """Settings as they are kept beside results; what looks like a secret is not."""
-    known: dict[str, Any] = msgspec.to_builtins(settings)
-    known.pop("drawing")
-    known["isolated"] = bool(known["isolated"])
-    if known["agents"] == 1:
-        del known["agents"]
-    known["options"] = {
-        name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
-        for name, value in known["options"].items()
-    }
-    return known
-
-
-def _versions() -> dict[str, str]:
-    from importlib import metadata
-
-    names = ("gn0", "numpy", "scipy", "numba", "pyarrow", "msgspec")
-    return {name: metadata.version(name) for name in names}

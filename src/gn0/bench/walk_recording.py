@@ -17,9 +17,9 @@ from gn0.bench.protocol import code_version, config_hash
 from gn0.bench.replay import PolicyReplay
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummary, load_results
 from gn0.bench.run_session import check_name
+from gn0.bench.run_settings import build_settings
 from gn0.bench.runner import (
     RunState,
-    build_settings,
     choose_episodes,
     forget_run,
     sweep_run,

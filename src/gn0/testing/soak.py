@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gn0.bench.episode_worker import EpisodeWorker
-from gn0.bench.runner import build_settings
+from gn0.bench.run_settings import build_settings
 from gn0.progress import Progress, no_progress
 from gn0.sim.open import open_simulator
 from gn0.sim.state import Action

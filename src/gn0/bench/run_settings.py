@@ -1,0 +1,57 @@
+"""What every worker of a run is told, and what of it is kept beside results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from typing import Any
+
+import msgspec
+
+from gn0.bench.worker_messages import Open
+from gn0.plugins import SECRETS
+from gn0.suites.suite import Suite
+
+HIDDEN = "(not kept)"
+
+
+def build_settings(
+    suite: Suite,
+    policy_name: str,
+    options: Mapping[str, Any],
+    plugin_modules: Sequence[str] = (),
+    backend: str = "auto",
+) -> Open:
+    """What every worker of a run must know: the policy, and the suite's own rules."""
+    return Open(
+        policy=policy_name,
+        options=dict(options),
+        plugin_modules=tuple(plugin_modules),
+        camera=suite.about.camera,
+        backend=backend,
+        agent=suite.about.agent,
+        max_steps=suite.about.max_steps,
+        success_radius=suite.about.success_radius,
+        map_mode=suite.map_mode,
+        profile=suite.about.profile,
+    )
+
+
+def describe_settings(settings: Open) -> dict[str, Any]:
+    """Settings as they are kept beside results; what looks like a secret is not."""
+    known: dict[str, Any] = msgspec.to_builtins(settings)
+    known.pop("drawing")
+    known["isolated"] = bool(known["isolated"])
+    if known["agents"] == 1:
+        del known["agents"]
+    known["options"] = {
+        name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
+        for name, value in known["options"].items()
+    }
+    return known
+
+
+def list_versions() -> dict[str, str]:
+    """Versions of what a run is made with, by package."""
+    names = ("gn0", "numpy", "scipy", "numba", "pyarrow", "msgspec")
+    return {name: metadata.version(name) for name in names}

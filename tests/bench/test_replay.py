@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from gn0.bench import replay, runner
+from gn0.bench import replay, run_settings, runner
 from gn0.bench.replay import differences, replay_run, rerun_policy
 from gn0.bench.runner import run_suite
 from gn0.cli.main import main

@@ -164,5 +164,3 @@ def test_a_device_says_that_it_takes_no_continuous_actions(plan) -> None:
     settings = {"episodes": episodes, "device": DeviceHost()}
     with pytest.raises(ConfigError, match="continuous"):
         VectorEnvDevice(2, scene, action_space="continuous", **settings)
-    with pytest.raises(ConfigError, match="instruction_tokens"):
-        VectorEnvDevice(2, scene, sensors=("instruction_tokens",), **settings)

@@ -37,7 +37,7 @@ def test_absent_means_absent_everywhere() -> None:
         final = infos["final_obs"]
         assert set(final if env is device else final[0]) == {"goal_vector", "collided"}
     told = VectorEnvDevice(2, device=DeviceHost())
-    assert "instruction" in told.reset(seed=0)[0]
+    assert "instruction_index" in told.reset(seed=0)[0]
 
 
 def test_tokens_are_byt5_s_numbers() -> None:

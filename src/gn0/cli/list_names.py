@@ -106,6 +106,7 @@ def _sensors() -> Iterator[tuple[str, str]]:
         "instruction_tokens",
         f"int32 [{TOKEN_LIMIT}], its bytes; in Gymnasium environments only",
     )
+    yield "instruction_index", "int32, a number in their `episodes`; in Gymnasium environments only"
 
 
 def _exports() -> Iterator[tuple[str, str]]:

@@ -71,6 +71,9 @@ class BatchEyes:
         open_suite: scene id → the sensors of an agent in that scene, renderer included.
         scenes_kept: scenes held while nobody is in them.
         agent: the body they have.
+
+    Attributes:
+        reuses: what all agents see now is given in the same arrays each time.
     """
 
     def __init__(
@@ -101,6 +104,8 @@ class BatchEyes:
         self._spaces = {s.name: s.find_space(config) for s in self._sensors}
         self._lists = frozenset(n for n, s in self._spaces.items() if MAP_SIDE in s.shape)
         self._count = count
+        self.reuses = False
+        self._arrays: dict[str, NDArray[Any]] = {}
 
     def begin(self, which: NDArray[np.int64]) -> None:
         """Agents `which` begin an episode: nothing has been seen."""
@@ -143,7 +148,10 @@ class BatchEyes:
         """
         self._load({name for snapshot in snapshots for name in snapshot.scenes})
         seen, latest = self._draw_eyes(snapshots)
-        found = [self._read(*both) for both in zip(snapshots, seen, strict=True)]
+        found = [
+            self._read(snapshot, pictures, self.reuses and snapshot is snapshots[-1])
+            for snapshot, pictures in zip(snapshots, seen, strict=True)
+        ]
         for agent, (place, drawn) in latest.items():  # only now: snapshots used what was kept
             for name, now in self._seen.items():
                 now[agent] = drawn[name]
@@ -235,8 +243,8 @@ class BatchEyes:
                 for name in sorted(self._outputs)
             }
 
-    def _read(self, snapshot: Snapshot, seen: list[Seen]) -> dict[str, Any]:
-        """What each sensor reads at a snapshot."""
+    def _read(self, snapshot: Snapshot, seen: list[Seen], reuse: bool) -> dict[str, Any]:
+        """What each sensor reads at a snapshot; into the arrays of the last time with `reuse`."""
         places = [self._stand(snapshot, k, pictures) for k, pictures in enumerate(seen)]
         found: dict[str, Any] = {}
         for sensor in self._sensors:
@@ -246,7 +254,10 @@ class BatchEyes:
                 space = self._spaces[sensor.name]
                 values = [sensor.measure(place, space) for place in places]
             if sensor.array is None and sensor.name not in self._lists:
-                found[sensor.name] = np.stack(values)
+                kept = self._arrays.get(sensor.name) if reuse else None
+                found[sensor.name] = np.stack(values, out=kept)
+                if reuse:
+                    self._arrays[sensor.name] = found[sensor.name]
             else:
                 found[sensor.name] = values
         if self._scaled:

@@ -34,7 +34,8 @@ from gn0.sim.continuous import build_action_space
 from gn0.sim.device_eyes import AgentsThere, EyesDevice, device_reader, refuse_host_sensors
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_state import SimulatorDevice
-from gn0.sim.env import build_spaces, shape_of_maps
+from gn0.sim.device_words import LayoutDevice, ObservationsDevice, WordsDevice, rename_words
+from gn0.sim.env import build_spaces, picture_names, shape_of_maps
 from gn0.sim.motion import Motion
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import (
@@ -43,7 +44,7 @@ from gn0.sim.sensors import (
 )
 from gn0.sim.simulator import STEP_SECONDS
 from gn0.sim.tasks import load_tasks
-from gn0.sim.words import split_sensors
+from gn0.sim.words import split_sensors, token_length, word_spaces
 
 MEMORY = 2**32  # bytes of maps and distance fields
 HOST_MEMORY = 2**31  # bytes of distance fields beside them
@@ -55,8 +56,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     """Goal navigation in many scenes at once, on a device; see `VectorEnv` for the task.
 
     What `reset` and `step` give are DeviceArrays [N, …] (`torch.from_dlpack(x)`), the
-    environment's own memory: they hold until the next step or reset. Sensor `instruction` is the
-    number of the episode, an index into `episodes`.
+    environment's own memory: they hold until the next step or reset, see `copy`. A device has no
+    texts: `instruction_tokens` are theirs, `instruction_index` is a number in `episodes`.
 
     Args:
         num_envs: how many environments.
@@ -64,8 +65,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         suite: a suite folder, instead of scenes.
         episodes: episodes or a Parquet file of them; sampled when absent.
         device: where they are; a Device, or a name that `open_device` knows.
-        sensors: any of `gn0 list sensors` that a device reads, and instruction; what is not named
-            is absent.
+        sensors: any of `gn0 list sensors` that a device reads, instruction_tokens and
+            instruction_index among them; what is not named is absent.
         preset: camera preset by name.
         renderer: draws colour, depth and BEV: a `Renderer` on the same device, or the name
             of one.
@@ -86,6 +87,9 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         final_pictures: draw for `infos["final_obs"]` what was seen last in episodes that ended.
             This waits for the device.
         action_space: "discrete"; `VectorEnv` has continuous ones.
+        copy: what reset and step give are copies; without, it is the environment's memory and
+            holds until the next step or reset.
+        channels_first: pictures are [N, 3, H, W] rather than [N, H, W, 3].
 
     Raises:
         ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves, or
@@ -109,7 +113,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         episodes: Sequence[Episode] | Path | str | None = None,
         *,
         device: Device | str = "auto",
-        sensors: Iterable[str] = ("instruction", "goal_vector"),
+        sensors: Iterable[str] = ("instruction_index", "goal_vector"),
         preset: str | None = None,
         renderer: Renderer | str = "cuda",
         agent: AgentSpec | None = None,
@@ -124,15 +128,12 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         strict: bool = False,
         final_pictures: bool = False,
         action_space: str = "discrete",
+        copy: bool = False,
+        channels_first: bool = False,
     ) -> None:
         self.num_envs = num_envs
-        self.sensors, self.words = split_sensors(sensors)
-        if "instruction_tokens" in self.words:
-            raise ConfigError(
-                "a device has no sensor 'instruction_tokens'",
-                remedy="take 'instruction', the number of the episode, and index a table of "
-                "gn0.sim.words.encode_text of env.episodes with it",
-            )
+        self.sensors, words = split_sensors(sensors)
+        self.words = rename_words(words)
         self.single_action_space = build_action_space(action_space)
         if action_space != "discrete":
             raise ConfigError(
@@ -190,14 +191,18 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             ahead=ahead,
             pictures=None if self._eyes is None else self._eyes.open_look,
         )
+        self.copy, self.channels_first = copy, channels_first
+        moved = picture_names(self.sensors, camera) if channels_first else ()
+        self._layout = LayoutDevice(self.simulator, moved, copy)
+        length = token_length(self.tasks.episodes)
+        self._told = WordsDevice(self.simulator, self.words, length)
         self._now = AgentsThere(self.simulator, self._eyes)
         self._last = AgentsThere(self.simulator, self._eyes, final=True)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        told: dict[str, spaces.Space[Any]] = {}
-        if self.words:
-            told["instruction"] = spaces.Box(0, 2**31 - 1, (), np.int32)
         self.single_observation_space = spaces.Dict(
-            build_spaces(self.sensors, camera, map_shape) | told | {"collided": spaces.Discrete(2)}
+            build_spaces(self.sensors, camera, map_shape, channels_first)
+            | word_spaces(self.words, self.tasks.episodes)
+            | {"collided": spaces.Discrete(2)}
         )
         self._everyone = np.arange(num_envs)
         self._nobody = self.device.zeros(num_envs, np.bool_)
@@ -284,7 +289,9 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         rewards, terminated, truncated = (
             self.simulator.outputs[name] for name in ("rewards", "terminated", "truncated")
         )
-        return self._observe(), rewards, terminated, truncated, self._infos() | final
+        own = self._layout.own
+        infos = self._infos() | final
+        return self._observe(), own(rewards), own(terminated), own(truncated), infos
 
     def step_into(
         self, actions: Any, codes: DeviceArray, into: Mapping[str, DeviceArray]
@@ -307,7 +314,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         """
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        return dict(self._seen)
+        return ObservationsDevice(self._layout.hand_out(self._seen))
 
     def _advance(
         self, actions: Any, codes: DeviceArray | None, into: Mapping[str, DeviceArray] | None
@@ -334,7 +341,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of scenes, renderer and device memory."""
         self._seen, self._eyes, self._begun = {}, None, False
-        del self.simulator, self._now, self._last
+        del self.simulator, self._now, self._last, self._told, self._layout
 
     def _masked(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:
@@ -374,43 +381,45 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         return np.resize(np.array(numbers, np.int64), self.num_envs)
 
     def _observe(self) -> Observations:
-        simulator, outputs = self.simulator, self.simulator.outputs
-        found = {"instruction": outputs["episode"], "collided": outputs["collided"]}
+        simulator = self.simulator
+        found = self._told.tell() | {"collided": simulator.outputs["collided"]}
         found |= {name: read(self._now) for name, read in self._at_once}
         if self._eyes is not None:
-            found |= self._eyes.draw(simulator)
+            found |= self._layout.turn(self._eyes.draw(simulator))
         self._seen = {name: found[name] for name in self.single_observation_space}  # type: ignore[attr-defined]
-        return dict(self._seen)
+        return ObservationsDevice(self._layout.hand_out(self._seen))
 
     def _infos(self) -> dict[str, Any]:
         """What a robot cannot know."""
         outputs = self.simulator.outputs
-        return {
-            "episode": outputs["episode"],
-            "scene": outputs["scene"],
-            "pose": outputs["pose"],
-            "distance_to_goal": outputs["distance"],
-            "success": self._nobody,  # whoever succeeded is in the next episode already
-        }
+        return self._layout.hand_out(
+            {
+                "episode": outputs["episode"],
+                "scene": outputs["scene"],
+                "pose": outputs["pose"],
+                "distance_to_goal": outputs["distance"],
+                "success": self._nobody,  # whoever succeeded is in the next episode already
+            }
+        )
 
     def _final(self) -> dict[str, Any]:
         """The last of episodes that ended: arrays [N, …], zero elsewhere."""
         simulator, outputs = self.simulator, self.simulator.outputs
         seen: dict[str, Any] = {"collided": outputs["final_collided"]}
-        if self.words:
-            seen["instruction"] = outputs["final_episode"]
+        seen |= self._told.tell("final_")
         seen |= {name: read(self._last) for name, read in self._at_once}
         if self.final_pictures and self._eyes is not None:
-            seen |= self._eyes.draw_final(simulator)
+            seen |= self._layout.turn(self._eyes.draw_final(simulator))
+        last = {
+            "episode": outputs["final_episode"],
+            "pose": outputs["final_pose"],
+            "distance_to_goal": outputs["final_distance"],
+            "success": outputs["final_success"],
+        }
         return {
-            "final_obs": seen,
-            "final_info": {
-                "episode": outputs["final_episode"],
-                "pose": outputs["final_pose"],
-                "distance_to_goal": outputs["final_distance"],
-                "success": outputs["final_success"],
-            },
-            "_final_info": outputs["ended"],
+            "final_obs": ObservationsDevice(self._layout.hand_out(seen)),
+            "final_info": self._layout.hand_out(last),
+            "_final_info": self._layout.own(outputs["ended"]),
         }
 
 

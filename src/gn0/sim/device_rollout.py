@@ -128,6 +128,8 @@ def rollout_bytes(env: VectorEnvDevice, steps: int, observations: Iterable[str] 
 
 def _spaces(env: VectorEnvDevice, names: Iterable[str]) -> dict[str, Any]:
     known = dict(env.single_observation_space.items())  # type: ignore[attr-defined]
+    if "instruction_index" in known:  # as it was called
+        known["instruction"] = known["instruction_index"]
     wanted = list(names)
     unknown = sorted(set(wanted) - set(known))
     if unknown:

@@ -34,6 +34,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from gn0.errors import ConfigError, EpisodeError
 from gn0.geometry import U8, Pose2D
@@ -66,8 +67,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         scene: a Scene or a scene folder; the built-in two-room flat when absent.
         suite: a suite folder, instead of a scene.
         episodes: episodes or a Parquet file of them; sampled when absent.
-        sensors: any of `gn0 list sensors`, instruction (text) and instruction_tokens among them;
-            what is not named is absent.
+        sensors: any of `gn0 list sensors`, instruction (text), instruction_tokens and
+            instruction_index among them; what is not named is absent.
         preset: camera preset by name.
         backend: renderer backend.
         agent: the body, instead of the preset's.
@@ -79,6 +80,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         motions: what moves in each scene, by its id, see `gn0.sim.motion`.
         action_space: "discrete" (STOP 0, FORWARD 1, LEFT 2, RIGHT 3), or "continuous", see
             `gn0.sim.continuous`.
+        copy: arrays are the caller's own; without, they are not to be written to.
+        channels_first: pictures are [3, H, W] rather than [H, W, 3].
     """
 
     metadata = {  # noqa: RUF012 (Gymnasium's own declaration)
@@ -102,12 +105,15 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         map_mode: str | None = None,
         motions: Mapping[str, Motion] | None = None,
         action_space: str = "discrete",
+        copy: bool = True,
+        channels_first: bool = False,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
         self.render_mode = render_mode
         self.sensors, self.words = split_sensors(sensors)
         self.success_distance = success_distance
+        self.copy, self.channels_first = copy, channels_first
         self._backend = backend
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
@@ -123,8 +129,13 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self.action_space = build_action_space(action_space)
         camera = find_preset(self.tasks.preset)
         self._carried = carry_sensors(self.sensors).sensors
+        maps = shape_of_maps(self.tasks, self.sensors, camera)
+        own = build_spaces(self.sensors, camera, maps)
+        self._shapes = {name: space.shape for name, space in own.items()}
+        self._numbers = {episode: k for k, episode in enumerate(dict.fromkeys(self.tasks.episodes))}
+        self._pictures = picture_names(self.sensors, camera) if channels_first else frozenset()
         self.observation_space = spaces.Dict(
-            build_spaces(self.sensors, camera, shape_of_maps(self.tasks, self.sensors, camera))
+            build_spaces(self.sensors, camera, maps, channels_first)
             | word_spaces(self.words, self.tasks.episodes)
             | {"collided": spaces.Discrete(2)}
         )
@@ -194,6 +205,11 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
             raise EpisodeError("no episode yet", remedy="call reset() first")
         return self._simulator
 
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """Episodes by number, as `instruction_index` names them."""
+        return tuple(self._numbers)
+
     def _choose(self, wanted: Any) -> Episode:
         episodes = self.tasks.episodes
         if wanted is None:
@@ -246,35 +262,59 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         }
 
     def _pack(self, observation: Observation) -> dict[str, Any]:
-        """The observation as a dict of fresh, writable arrays."""
+        """The observation as a dict of arrays, fresh and writable with `copy`."""
         self._picture = observation.rgb
         packed: dict[str, Any] = {
             "instruction": observation.instruction,
-            "collided": int(observation.collided),
+            "collided": np.int64(observation.collided),
         }
+        if "instruction_index" in self.words:
+            number = self._numbers.setdefault(self.simulator.episode, len(self._numbers))
+            packed["instruction_index"] = np.array(number, np.int32)
         if "instruction_tokens" in self.words:
             space = self.observation_space["instruction_tokens"]  # type: ignore[index]
             packed["instruction_tokens"] = encode_text(observation.instruction, space.shape[0])
         for sensor in self._carried:
-            value = sensor.as_array(observation.read(sensor.name))
-            space = self.observation_space[sensor.name]  # type: ignore[index]
-            if value.shape != space.shape:  # a map smaller than the largest
-                sides = zip(value.shape, space.shape, strict=True)
+            value = observation.read(sensor.name)
+            if self.copy or sensor.array is not None:
+                value = sensor.as_array(value)
+            shape = self._shapes[sensor.name]
+            if value.shape != shape:  # a map smaller than the largest
+                sides = zip(value.shape, shape, strict=True)  # type: ignore[arg-type]
                 value = np.pad(value, [(0, room - side) for side, room in sides])
+            if sensor.name in self._pictures:
+                value = move_channels(value, self.copy)
             packed[sensor.name] = value
         return {key: packed[key] for key in self.observation_space}  # type: ignore[attr-defined]
 
 
 def build_spaces(
-    sensors: Iterable[str], preset: CameraPreset, map_shape: tuple[int, int] | None
+    sensors: Iterable[str],
+    preset: CameraPreset,
+    map_shape: tuple[int, int] | None,
+    channels_first: bool = False,
 ) -> dict[str, spaces.Space[Any]]:
     """The observation space of each sensor; maps of several scenes share the largest size."""
     config = SensorConfig(active=frozenset(sensors), preset=preset)
     found: dict[str, spaces.Space[Any]] = {}
     for sensor in sorted(config.carried.sensors, key=lambda sensor: sensor.name):
         space = sensor.find_space(config).sized(map_shape)
+        space = space.channels_first() if channels_first else space
         found[sensor.name] = spaces.Box(space.low, space.high, space.shape, space.dtype)
     return found
+
+
+def picture_names(sensors: Iterable[str], preset: CameraPreset) -> frozenset[str]:
+    """Those sensors that give pictures [H, W, 3]."""
+    config = SensorConfig(active=frozenset(sensors), preset=preset)
+    carried = config.carried.sensors
+    return frozenset(s.name for s in carried if s.find_space(config).is_picture)
+
+
+def move_channels(pictures: NDArray[Any], copy: bool) -> NDArray[Any]:
+    """Pictures […, H, W, 3] as […, 3, H, W]; in memory of their own with `copy`."""
+    moved = np.moveaxis(pictures, -1, -3)
+    return np.ascontiguousarray(moved) if copy else moved
 
 
 def shape_of_maps(
@@ -312,7 +352,7 @@ def register_envs() -> None:
             gymnasium.register(  # many at once on a GPU: tensors in, tensors out
                 id=name.replace("-v", "Device-v"),
                 vector_entry_point="gn0.sim.device_env:VectorEnvDevice",
-                kwargs=settings,
+                kwargs={"sensors": ("instruction_index", *settings["sensors"][1:])},
             )
 
 

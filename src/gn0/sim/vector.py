@@ -35,6 +35,8 @@ from gn0.sim.env import (
     STEP_COST,
     SUCCESS_REWARD,
     build_spaces,
+    move_channels,
+    picture_names,
     shape_of_maps,
 )
 from gn0.sim.motion import Motion
@@ -48,7 +50,7 @@ from gn0.sim.sensors import (
     check_map_mode,
 )
 from gn0.sim.tasks import load_tasks
-from gn0.sim.words import encode_text, split_sensors, word_spaces
+from gn0.sim.words import encode_texts, split_sensors, word_spaces
 
 _DRAWS = 64  # episodes that an environment draws ahead
 
@@ -61,8 +63,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         scene: a Scene, a scene folder, or several; the built-in two-room flat when absent.
         suite: a suite folder, instead of scenes.
         episodes: episodes or a Parquet file of them; sampled when absent.
-        sensors: any of `gn0 list sensors`, instruction (text) and instruction_tokens among them;
-            what is not named is absent.
+        sensors: any of `gn0 list sensors`, instruction (text), instruction_tokens and
+            instruction_index among them; what is not named is absent.
         preset: camera preset by name.
         backend: renderer backend.
         agent: the body, instead of the preset's.
@@ -76,6 +78,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         map_mode: what bev and occupancy show, see `GoalNavEnv`; the suite's, else prior.
         motions: what moves in each scene, by its id, see `gn0.sim.motion`.
         action_space: "discrete" or "continuous", see `gn0.sim.continuous`.
+        copy: observations are the caller's own; without, pictures are the environment's memory
+            and hold until the next step or reset.
+        channels_first: pictures are [N, 3, H, W] rather than [N, H, W, 3].
 
     Raises:
         ConfigError: an unknown sensor, preset, backend, action space or render mode.
@@ -110,6 +115,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         map_mode: str | None = None,
         motions: Mapping[str, Motion] | None = None,
         action_space: str = "discrete",
+        copy: bool = True,
+        channels_first: bool = False,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -118,6 +125,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         self.sensors, self.words = split_sensors(sensors)
         self.single_action_space = build_action_space(action_space)
         self.success_distance = success_distance
+        self.copy, self.channels_first = copy, channels_first
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
@@ -137,16 +145,21 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             scenes_kept=scenes_kept,
             field_memory=field_memory,
         )
+        if self.batch.eyes is not None:
+            self.batch.eyes.reuses = not copy
         self._numbers = self.batch.table.add(self.tasks.episodes)
         map_shape = shape_of_maps(self.tasks, self.sensors, camera)
         carried = self.batch.config.carried.sensors
         self._padded = [
             s.name for s in carried if MAP_SIDE in s.find_space(self.batch.config).shape
         ]
+        self._moved = picture_names(self.sensors, camera) if channels_first else frozenset()
+        own = build_spaces(self.sensors, camera, map_shape)
+        self._shapes = {name: own[name].shape for name in self._padded}
         self._spelt = {s.name: s.as_array for s in carried if s.array is not None and not s.many}
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
-            build_spaces(self.sensors, camera, map_shape)
+            build_spaces(self.sensors, camera, map_shape, channels_first)
             | word_spaces(self.words, self.tasks.episodes)
             | {"collided": spaces.Discrete(2)}
         )
@@ -173,7 +186,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         )
         if "instruction_tokens" in self.words:
             space = self.single_observation_space["instruction_tokens"]  # type: ignore[index]
-            self._tokens = np.array([encode_text(t, space.shape[0]) for t in self._texts])
+            self._tokens = encode_texts(listed, space.shape[0])
 
     def _open_suite(self, look: str) -> SensorSuite:
         scene_id, light = split_look(look)
@@ -252,6 +265,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
                 "_final_info": _mask(ended, self.num_envs),
             }
         return observation, rewards, terminated, truncated, infos
+
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """Episodes by number, as `instruction_index` names them."""
+        return self.batch.table.episodes
 
     def render(self) -> tuple[U8, ...] | None:
         """The latest colour pictures [H, W, 3] with render_mode "rgb_array"; else None."""
@@ -342,6 +360,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             found["instruction"] = tuple(self._texts[number].tolist())
         if "instruction_tokens" in self.words:
             found["instruction_tokens"] = self._tokens[number]
+        if "instruction_index" in self.words:
+            found["instruction_index"] = number.astype(np.int32)
         return found, self.batch.snapshot(which)
 
     def _finish(
@@ -359,7 +379,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             for name in self._spelt:
                 values[name] = np.stack([self._spelt[name](value) for value in values[name]])
             for name in self._padded:
-                values[name] = _pad(values[name], self.single_observation_space[name])  # type: ignore[index]
+                values[name] = _pad(values[name], self._shapes[name])
+            for name in self._moved:
+                values[name] = move_channels(values[name], self.copy)
         names = list(self.single_observation_space)  # type: ignore[call-overload]
         return [{name: values[name] for name in names} for values in found]
 
@@ -389,7 +411,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         """Observations of `which`, one dict each, in an array [N] of None otherwise."""
         out = np.full(self.num_envs, None, object)
         columns = {
-            name: value.tolist() if name == "collided" else value for name, value in values.items()
+            name: [np.array(v) for v in value] if name == "instruction_index" else value
+            for name, value in values.items()
         }
         rows = zip(*columns.values(), strict=True)
         for i, row in zip(which.tolist(), rows, strict=True):
@@ -403,10 +426,10 @@ def _mask(which: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
     return mask
 
 
-def _pad(pictures: list[NDArray[Any]], space: spaces.Space[Any]) -> NDArray[Any]:
+def _pad(pictures: list[NDArray[Any]], shape: tuple[int, ...] | None) -> NDArray[Any]:
     """Map pictures of several scenes in one array [K, H, W, …], black to the right and below."""
-    assert space.shape is not None
-    out = np.zeros((len(pictures), *space.shape), space.dtype)
+    assert shape is not None
+    out = np.zeros((len(pictures), *shape), pictures[0].dtype)
     for row, picture in zip(out, pictures, strict=True):
         row[tuple(slice(side) for side in picture.shape)] = picture
     return out

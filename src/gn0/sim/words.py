@@ -1,4 +1,7 @@
-"""What an agent is told, as sensors of the environments: a text, tokens of it, or nothing.
+"""What an agent is told, as sensors of the environments: a text, tokens, a number, or nothing.
+
+The number is an index into the environment's `episodes`, for tables that a learner makes of their
+texts; a device has no texts, but the same tokens and numbers.
 
 Tokens are the bytes of the text in UTF-8: any language, no vocabulary file, nothing lost, the same
 ids in every suite. They are numbered as the public byte-level tokeniser of ByT5 numbers them:
@@ -20,7 +23,7 @@ from gn0.errors import ConfigError
 from gn0.missions.episode import Episode
 from gn0.sim.sensor.table import check_sensors, sensor_names
 
-WORDS: frozenset[str] = frozenset({"instruction", "instruction_tokens"})
+WORDS: frozenset[str] = frozenset({"instruction", "instruction_tokens", "instruction_index"})
 PAD, END, FIRST_BYTE = 0, 1, 3
 TOKENS = FIRST_BYTE + 256  # size of the vocabulary
 TOKEN_LIMIT = 512  # tokens of an instruction; a multiple of it where one is longer
@@ -52,7 +55,14 @@ def word_spaces(words: Iterable[str], episodes: Sequence[Episode]) -> dict[str, 
         found["instruction"] = text_space(episodes)
     if "instruction_tokens" in words:
         found["instruction_tokens"] = spaces.Box(0, TOKENS - 1, (token_length(episodes),), np.int32)
+    if "instruction_index" in words:
+        found["instruction_index"] = spaces.Box(0, 2**31 - 1, (), np.int32)
     return found
+
+
+def encode_texts(episodes: Sequence[Episode], length: int) -> NDArray[np.int32]:
+    """The instructions of episodes as tokens [E, length]; see `encode_text`."""
+    return np.stack([encode_text(episode.instruction, length) for episode in episodes])
 
 
 def text_space(episodes: Sequence[Episode]) -> spaces.Text:

@@ -136,3 +136,19 @@ KERNEL(place_rows)(const u8 *in, const int *to, u64 size, int entries, u8 *out) 
   u64 k = (u64)blockIdx.x * blockDim.x + threadIdx.x;
   if (k < size * entries) out[(u64)to[k / size] * size + k % size] = in[k];
 }
+
+// Pictures [N, pixels, 3] as [N, 3, pixels], of elements of `width` bytes.
+KERNEL(move_channels)(const u8 *in, u64 pixels, u64 width, u64 size, u8 *out) {
+  u64 k = (u64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= size) return;
+  u64 byte = k % width, pixel = k / width % pixels, plane = k / (width * pixels);
+  out[k] = in[((plane / 3 * pixels + pixel) * 3 + plane % 3) * width + byte];
+}
+
+// Rows of a table [entries, width] by number; zeros where the number is negative.
+KERNEL(take_rows)(const int *table, const int *numbers, u64 width, u64 size, int *out) {
+  u64 k = (u64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= size) return;
+  int row = numbers[k / width];
+  out[k] = row < 0 ? 0 : table[(u64)row * width + k % width];
+}

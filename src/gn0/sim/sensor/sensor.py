@@ -76,6 +76,17 @@ class Space:
         sides = iter(map_shape or (1, 1))
         return replace(self, shape=tuple(next(sides) if n == MAP_SIDE else n for n in self.shape))
 
+    @property
+    def is_picture(self) -> bool:
+        """Whether it is a picture with colours, [H, W, 3]."""
+        return len(self.shape) == 3 and self.shape[-1] == 3
+
+    def channels_first(self) -> Space:
+        """The same of a picture [3, H, W]; what is none stays as it is."""
+        if not self.is_picture:
+            return self
+        return replace(self, shape=(self.shape[-1], *self.shape[:-1]))
+
     def fault(self) -> str:
         """What is wrong with the space itself, in words; empty where nothing is."""
         kind = np.dtype(self.dtype)

@@ -11,7 +11,7 @@ from gn0.plugins import builtin_names, get_plugin, plugin_names
 from gn0.sim.sensor.sensor import Sensor
 from gn0.sim.state import OBSERVED, Observation
 
-RESERVED: frozenset[str] = frozenset({"instruction_tokens", "version", "seed"})
+RESERVED: frozenset[str] = frozenset({"instruction_tokens", "instruction_index", "version", "seed"})
 """Names that environments and the wire use themselves."""
 
 

@@ -1,0 +1,129 @@
+"""What agents on a device are told, and observations as their caller wants them laid out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gn0.device.device import DeviceArray
+from gn0.sim.device_layout import blocks_of
+from gn0.sim.words import encode_texts
+
+if TYPE_CHECKING:
+    from gn0.sim.device_state import SimulatorDevice
+
+THREADS = 256
+OLD_NAME = (
+    "a device has no texts: 'instruction' gives the number of the episode there; "
+    "name 'instruction_index' (docs/learning.md)"
+)
+
+
+class ObservationsDevice(dict[str, DeviceArray]):
+    """Observations by name; `instruction` is still found as what `instruction_index` is now."""
+
+    def __missing__(self, name: str) -> DeviceArray:
+        if name != "instruction" or "instruction_index" not in self:
+            raise KeyError(name)
+        warnings.warn(OLD_NAME, DeprecationWarning, stacklevel=2)
+        return self["instruction_index"]
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """An observation, or something else where there is none."""
+        return self[name] if name in self or name == "instruction" else default
+
+
+def rename_words(words: frozenset[str]) -> frozenset[str]:
+    """Words that a device knows; `instruction` is there as `instruction_index`, with a warning."""
+    if "instruction" not in words:
+        return words
+    warnings.warn(OLD_NAME, DeprecationWarning, stacklevel=3)
+    return words - {"instruction"} | {"instruction_index"}
+
+
+class WordsDevice:
+    """Tokens and numbers of instructions, by what episodes agents are in.
+
+    Args:
+        simulator: in which they are.
+        words: names of what they are told.
+        length: tokens of an instruction.
+    """
+
+    def __init__(self, simulator: SimulatorDevice, words: frozenset[str], length: int) -> None:
+        self._simulator, self._words, self._length = simulator, words, length
+        self._table: DeviceArray | None = None
+        self._kept: dict[str, DeviceArray] = {}
+
+    def tell(self, prefix: str = "") -> dict[str, DeviceArray]:
+        """What agents are told now, or with prefix `final_` were told last, [N, …]."""
+        numbers = self._simulator.outputs[prefix + "episode"]
+        found: dict[str, DeviceArray] = {}
+        if "instruction_index" in self._words:
+            found["instruction_index"] = numbers
+        if "instruction_tokens" in self._words:
+            found["instruction_tokens"] = self._take(prefix, numbers)
+        return found
+
+    def _take(self, name: str, numbers: DeviceArray) -> DeviceArray:
+        simulator, episodes = self._simulator, self._simulator.store.episodes
+        if self._table is None or len(self._table) < len(episodes):
+            self._table = simulator.device.upload(encode_texts(episodes, self._length))
+        if name not in self._kept:
+            self._kept[name] = simulator.device.zeros((simulator.count, self._length), np.int32)
+        out = self._kept[name]
+        simulator.kernels["take_rows"].launch(
+            *(blocks_of(out.size, THREADS), THREADS),
+            *(self._table, numbers, np.uint64(self._length), np.uint64(out.size), out),
+        )
+        return out
+
+
+class LayoutDevice:
+    """How observations are handed out.
+
+    Args:
+        simulator: whose memory it is.
+        pictures: names of those that go channels first.
+        copy: in memory of their own.
+    """
+
+    def __init__(self, simulator: SimulatorDevice, pictures: Iterable[str], copy: bool) -> None:
+        self._simulator, self._pictures, self._copy = simulator, frozenset(pictures), copy
+
+    def turn(self, seen: Mapping[str, Any]) -> dict[str, Any]:
+        """Pictures [N, H, W, 3] as [N, 3, H, W], the rest as it is."""
+        if not self._pictures:
+            return dict(seen)
+        return {
+            name: self._move(value) if name in self._pictures else value
+            for name, value in seen.items()
+        }
+
+    def hand_out(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """The arrays themselves, or copies of them."""
+        return {name: self.own(value) for name, value in values.items()}
+
+    def own(self, value: Any) -> Any:
+        """An array itself, or a copy of it; anything else as it is."""
+        if not self._copy or not isinstance(value, DeviceArray):
+            return value
+        out = self._simulator.device.empty(value.shape, value.dtype)
+        if value.size:
+            self._simulator.copy(value, out)
+        return out
+
+    def _move(self, pictures: DeviceArray) -> DeviceArray:
+        count, height, width, channels = pictures.shape
+        simulator = self._simulator
+        out = simulator.device.empty((count, channels, height, width), pictures.dtype)
+        size = pictures.nbytes
+        if size:
+            simulator.kernels["move_channels"].launch(
+                *(blocks_of(size, THREADS), THREADS, pictures, np.uint64(height * width)),
+                *(np.uint64(pictures.dtype.itemsize), np.uint64(size), out),
+            )
+        return out

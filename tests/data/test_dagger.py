@@ -289,6 +289,37 @@ def test_two_workers_write_the_same_bytes_as_one(
     assert files_of(tmp_path / "two") == files_of(driven.folder)
 
 
+@pytest.mark.parametrize("variant", ["exact", "mpc", "gn0-release"])
+def test_any_number_of_agents_writes_the_same_bytes(
+    data_suite: Suite,
+    tmp_path: Path,
+    files_of: Callable[[Path], dict[str, bytes]],
+    variant: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What cannot be driven is skipped in both, in the same order."""
+    found = Dataset.episode
+    lost = data_suite.episodes[1]
+    follow = MissionFollow(goal=lost.goal, instruction="Follow me.", human="somebody")
+    lost = msgspec.structs.replace(lost, mission=follow)
+    monkeypatch.setattr(
+        Dataset, "episode", lambda self, name: lost if name == lost.id else found(self, name)
+    )
+    halting = "gn0-release" if variant == "gn0-release" else "paper"
+    settings = BuildSettings(
+        chunk=4,
+        labels=LabelSettings(variant=variant),  # type: ignore[arg-type]
+        pictures=PictureSettings(layout="none"),
+        dagger=DaggerSettings(**{**DRIVE, "halting": halting, "beta": 0.3}),
+    )
+    build_dagger(data_suite, tmp_path / "1", settings)
+    want = files_of(tmp_path / "1")
+    for agents in (2, 16):
+        build_dagger(data_suite, tmp_path / str(agents), settings, agents=agents)
+        assert files_of(tmp_path / str(agents)) == want
+    assert [s.id for p in open_dataset(tmp_path / "2").about.parts for s in p.skipped] == [lost.id]
+
+
 _CHILD = """
 import sys
 from gn0.suites.suite import load_suite

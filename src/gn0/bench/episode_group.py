@@ -16,18 +16,14 @@ import msgspec
 
 from gn0.bench.results import EpisodeResult, EpisodeTrace
 from gn0.bench.worker_messages import Begun, Done, FromWorker, Lease, Open, Parted
-from gn0.errors import EpisodeError, PlanError, SimError
-from gn0.sim.batch import SimulatorBatch
-from gn0.sim.batch_tables import turns_a_circle
-from gn0.sim.open import split_look
-from gn0.sim.policy import Policy, PolicyBatch, PolicyBatchEach, PolicyNotes, PolicyPrivileged
-from gn0.sim.rollout_batch import RolloutBatch
+from gn0.errors import EpisodeError, PlanError
+from gn0.sim.policy import Policy, PolicyBatch, PolicyBatchEach, PolicyNotes
+from gn0.sim.rollout_batch import RolloutBatch, open_agents, why_alone
 from gn0.suites.profiles import RELEASE
 
 if TYPE_CHECKING:
     from gn0.missions.episode import Episode
     from gn0.render.light import LightCondition
-    from gn0.sim.sensors import SensorSuite
     from gn0.sim.simulator import Simulator
     from gn0.sim.state import Trajectory
 
@@ -50,17 +46,11 @@ class SceneWorker(Protocol):
         ...
 
 
-def why_alone(policy: Policy, settings: Open) -> str:
+def why_one(policy: Policy, settings: Open) -> str:
     """Why a policy's episodes run one at a time; "" where they can go side by side."""
-    if isinstance(policy, PolicyPrivileged):
-        return "is handed the simulator itself"
     if settings.profile == RELEASE:
         return f"runs in profile {RELEASE}, whose harness knows one agent"
-    try:
-        turns_a_circle(settings.agent.turn_degrees)
-    except SimError as error:
-        return f"has a body whose {error.what}"
-    return ""
+    return why_alone(policy, settings.agent)
 
 
 class EpisodeGroup:
@@ -128,11 +118,7 @@ class EpisodeGroup:
             try:
                 self._rollout.begin([lease.episode])
             except (EpisodeError, PlanError):  # alone it says what is wrong, as ever
-                self._rollout.walks = {
-                    slot: walk
-                    for slot, walk in self._rollout.walks.items()
-                    if walk.episode.id != lease.episode.id
-                }
+                self._rollout.give_up(lease.episode)
                 self._send(Parted(episode=lease.episode.id))
                 continue
             self._spent[lease.episode.id] = 0.0
@@ -140,24 +126,15 @@ class EpisodeGroup:
 
     def _open(self, lease: Lease) -> RolloutBatch:
         """The agents in a scene; episodes of other lights are in the same one."""
-        worker, settings = self._worker, self._worker.settings
+        settings = self._worker.settings
         folder, scene_id = Path(lease.folder), lease.episode.scene_id
         self._rollout = None  # let go before loading the next
-        simulator = worker.open_scene(folder, scene_id, lease.hash, lease.episode.light)
-        scene = simulator.scene
 
-        def open_suite(look: str) -> SensorSuite:
-            _, light = split_look(look)
-            return worker.open_scene(folder, scene_id, lease.hash, light).suite
+        def open_scene(light: LightCondition | None) -> Simulator:
+            return self._worker.open_scene(folder, scene_id, lease.hash, light)
 
-        batch = SimulatorBatch(
-            settings.agents,
-            {scene_id: lambda: scene},
-            simulator.config,
-            agent=settings.agent,
-            max_steps=settings.max_steps,
-            open_suite=open_suite,
-        )
+        light = lease.episode.light
+        batch = open_agents(settings.agents, open_scene, light, settings.max_steps)
         return RolloutBatch(batch, self._policy)
 
     def _noted(self, slot: int, result: EpisodeResult) -> EpisodeResult:

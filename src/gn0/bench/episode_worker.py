@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from gn0.bench.episode_group import EpisodeGroup, why_alone
+from gn0.bench.episode_group import EpisodeGroup, why_one
 from gn0.bench.identity import digest_policy, read_identity
 from gn0.bench.metrics import compute_metrics
 from gn0.bench.release_score import PolicyUnderRelease, score_release
@@ -111,7 +111,7 @@ class EpisodeWorker:
 
     def open_group(self, send: Callable[[FromWorker], None]) -> EpisodeGroup | None:
         """Who runs episodes side by side; None where they run one at a time."""
-        if self.settings.agents == 1 or why_alone(self.policy, self.settings):
+        if self.settings.agents == 1 or why_one(self.policy, self.settings):
             return None
         policy = self._batch or PolicyBatchEach(self._build)
         return EpisodeGroup(self, policy, send)
@@ -337,7 +337,7 @@ class WorkerObedient:
             return True
         try:
             self._worker = worker = EpisodeWorker(message)
-            alone = why_alone(worker.policy, message) if message.agents > 1 else ""
+            alone = why_one(worker.policy, message) if message.agents > 1 else ""
             self._group = worker.open_group(self._send)
             self._send(Ready(card=worker.card, alone=alone))
         except Gn0Error as error:  # says itself what is wrong, and what to do

@@ -20,6 +20,7 @@ EXAMPLES = """  gn0 data dagger out/suite --policy wall_follower --beta 0.5 --ou
   gn0 data dagger out/suite --policy random --beta 0.8 --schedule power --iteration 3 --out out/d3
   gn0 data dagger out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --beta 0 \\
       --workers 2 --pictures webdataset --out out/mine
+  gn0 data dagger out/suite --policy mine --plugin mine.py --agents 32 --chunk 64 --out out/wide
   gn0 data dagger out/suite --policy straight --halting gn0-release --out out/official
   gn0 data dagger out/suite --policy recorded --policy-option run=out/by_hand --labels own \\
       --beta 0 --halting none --out out/demonstrations"""
@@ -49,6 +50,8 @@ class Args(Config, frozen=True):
         max_steps: actions until an episode is cut off; by default what the suite says.
         seed: of the draws of who acts.
         chunk: episodes that a worker does at a time.
+        agents: episodes that each worker drives side by side, of the --chunk that it does at a
+            time: a policy that takes many agents is asked once a step; never changes a byte.
         workers: processes; never changes a byte.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
@@ -71,6 +74,7 @@ class Args(Config, frozen=True):
     max_steps: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
     seed: int = 0
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
+    agents: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 1
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
@@ -122,6 +126,7 @@ def run(args: Args) -> int:
             workers=args.workers,
             executor=args.executor,
             ray_address=args.ray_address,
+            agents=args.agents,
             progress=progress,
         )
     print(describe_summary(sum_up(dataset)))

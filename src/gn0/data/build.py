@@ -66,6 +66,7 @@ def build_dataset(
     executor: ExecutorName = "process",
     ray_address: str = "",
     batch: int = 0,
+    agents: int = 1,
     server: DrawServer | None = None,
     progress: Progress = no_progress,
     note: Callable[[str], None] = lambda text: None,
@@ -80,6 +81,7 @@ def build_dataset(
         executor: where the workers live; never changes a byte.
         ray_address: of a running Ray cluster; "" starts one of this machine.
         batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
+        agents: episodes that a policy is driven through side by side; never changes a byte.
         server: a process that draws with that backend, when one is running already.
         progress: progress sink.
         note: told once what people should hear.
@@ -93,7 +95,10 @@ def build_dataset(
     suite = episodes if isinstance(episodes, Suite) else load_suite(episodes)
     out = Path(out)
     about = describe_dataset(suite, settings or BuildSettings())
-    plans = plan_parts(suite, out, about.settings.chunk)
+    plans = [
+        msgspec.structs.replace(plan, agents=agents)
+        for plan in plan_parts(suite, out, about.settings.chunk)
+    ]
     _check_target(out, about)
     check_room(out, len(suite.episodes) * BYTES_PER_EPISODE)
     with lock_folder(out, refuse=DataError):

@@ -55,6 +55,7 @@ def build_dagger(
     workers: int = 1,
     executor: Literal["process", "ray"] = "process",
     ray_address: str = "",
+    agents: int = 1,
     progress: Progress = no_progress,
 ) -> Dataset:
     """Collect a dataset with the policy of `settings.dagger`; see `build_dataset`.
@@ -78,6 +79,7 @@ def build_dagger(
         workers=workers,
         executor=executor,
         ray_address=ray_address,
+        agents=agents,
         progress=progress,
     )
 

@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -32,15 +32,18 @@ from gn0.data.expert_labels import I8, LabelSettings, cut_at, label_states, plan
 from gn0.data.sample_table import NO_TOKEN, EpisodeRows
 from gn0.data.settings import DaggerSettings, Halting
 from gn0.data.waypoints import sample_way_points
-from gn0.errors import ConfigError, EpisodeError, Gn0Error, PolicyError, SimError
+from gn0.errors import ConfigError, EpisodeError, Gn0Error, PlanError, PolicyError, SimError
 from gn0.geometry import F32, F64, Pose2D, wrap_angle
 from gn0.maps.distance import GeodesicField
-from gn0.missions.episode import Episode, MissionFollow
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.episode import AgentSpec, Episode, MissionFollow
 from gn0.paper import ACTIONS_AHEAD, HALT_STEPS, POINTS, SPACING
 from gn0.seeds import random_stream
+from gn0.sim.batch import SimulatorBatch
 from gn0.sim.kinematics import Heading
 from gn0.sim.policy import Policy
 from gn0.sim.rollout import begin_episode
+from gn0.sim.rollout_batch import RolloutBatch
 from gn0.sim.simulator import Simulator, action_code
 from gn0.sim.state import Action, Displacement, Observation, Teleport
 
@@ -62,7 +65,7 @@ class _Visit:
 class _Expert:
     """Labels one state after the other, and goes on with its plan while the agent follows it."""
 
-    def __init__(self, simulator: Simulator, field: GeodesicField, labels: LabelSettings) -> None:
+    def __init__(self, simulator: Standing, field: GeodesicField, labels: LabelSettings) -> None:
         self._simulator = simulator
         self._field = field
         self._labels = labels
@@ -151,6 +154,84 @@ class _Halt:
         return self.rule == "gn0-release" and self._count is not None
 
 
+class Visitor:
+    """One episode of DAgger: labels each state, decides who acts, and keeps what happened.
+
+    Args:
+        standing: where the agent is; read anew at every state.
+        episode: what is played; it has just begun.
+        settings: who acts, and what ends it.
+        labels: of the expert.
+
+    Raises:
+        PlanError: the goal cannot be reached.
+    """
+
+    def __init__(
+        self,
+        standing: Standing,
+        episode: Episode,
+        settings: DaggerSettings,
+        labels: LabelSettings,
+    ) -> None:
+        self.episode = episode
+        self._standing, self._settings, self._labels = standing, settings, labels
+        self._draws = random_stream(settings.seed, "dagger", settings.iteration, episode.id)
+        self._field = standing.navigation.geodesic(episode.destination)
+        length = self._field.distance_at(episode.start[0], episode.start[1])
+        within = episode.success_within(settings.success_radius)
+        self._halt = _Halt(settings.halting, within, self._field, length)
+        self._expert = _Expert(standing, self._field, labels)
+        self._visits: list[_Visit] = []
+        self._now: _Visit | None = None
+
+    def look(self) -> None:
+        """Label the state that the agent has come to."""
+        pose = self._standing.pose
+        self._halt.look(pose)
+        ahead = np.zeros(ACTIONS_AHEAD, np.int8)
+        plan = self._expert.actions()
+        ahead[: len(plan)] = plan
+        ahead = _apply_rules(ahead, pose, self._standing, self._field, self._labels, self._halt)
+        self._now = _Visit(pose, 0, tuple(ahead.tolist()), 0, False)
+
+    def decide(self, said: int) -> int:
+        """What is done in this state, where the policy says so."""
+        assert self._now is not None
+        expert_acts = self._draws.random() < self._settings.expert_share
+        action = self._expert.action if expert_acts else said
+        if self._halt.is_due or (expert_acts and self._now.actions[0] == Action.STOP):
+            action = int(Action.STOP)
+        self._expert.follow(action)
+        self._now = dataclasses.replace(self._now, executed=action, said=said)
+        return action
+
+    def note(self, collided: bool) -> None:
+        """Note what became of it."""
+        assert self._now is not None
+        self._visits.append(dataclasses.replace(self._now, collided=collided))
+
+    def rows(self, end: Pose2D) -> EpisodeRows:
+        """The rows of the episode, which has ended there."""
+        if self._settings.demonstrate:
+            return _demonstration(self.episode, self._field, self._visits, end)
+        return _rows(self.episode, self._field, self._visits)
+
+
+def check_drivable(episode: Episode) -> None:
+    """Refuse what a policy alone cannot be driven through.
+
+    Raises:
+        EpisodeError: the episode follows somebody who moves.
+    """
+    if isinstance(episode.mission, MissionFollow):
+        raise EpisodeError(
+            "a follow mission needs the track of the person",
+            where=f"episode {episode.id!r}",
+            remedy="label it with gn0.data.follow.label_follow",
+        )
+
+
 def collect_visited(
     simulator: Simulator,
     policy: Policy,
@@ -170,46 +251,99 @@ def collect_visited(
         EpisodeError: the episode does not fit the scene, or follows somebody who moves.
         PlanError: the goal cannot be reached.
     """
-    if isinstance(episode.mission, MissionFollow):
-        raise EpisodeError(
-            "a follow mission needs the track of the person",
-            where=f"episode {episode.id!r}",
-            remedy="label it with gn0.data.follow.label_follow",
-        )
+    check_drivable(episode)
     observation = begin_episode(simulator, policy, episode)
-    draws = random_stream(settings.seed, "dagger", settings.iteration, episode.id)
-    field = simulator.navigation.geodesic(episode.destination)
-    length = field.distance_at(episode.start[0], episode.start[1])
-    within = episode.success_within(settings.success_radius)
-    halt = _Halt(settings.halting, within, field, length)
-    expert = _Expert(simulator, field, labels)
-    visits: list[_Visit] = []
+    visitor = Visitor(simulator, episode, settings, labels)
     while True:
-        pose = simulator.pose
-        halt.look(pose)
-        ahead = np.zeros(ACTIONS_AHEAD, np.int8)
-        plan = expert.actions()
-        ahead[: len(plan)] = plan
-        ahead = _apply_rules(ahead, pose, simulator, field, labels, halt)
-        said = _ask(policy, observation, episode)
-        expert_acts = draws.random() < settings.expert_share
-        action = expert.action if expert_acts else said
-        if halt.is_due or (expert_acts and ahead[0] == Action.STOP):
-            action = int(Action.STOP)
-        expert.follow(action)
-        result = simulator.step(action)
-        visits.append(_Visit(pose, action, tuple(ahead.tolist()), said, result.collided))
+        visitor.look()
+        result = simulator.step(visitor.decide(_ask(policy, observation, episode)))
+        visitor.note(result.collided)
         observation = result.observation
         if result.terminated or result.truncated:
-            if settings.demonstrate:
-                return _demonstration(episode, field, visits, simulator.pose)
-            return _rows(episode, field, visits)
+            return visitor.rows(simulator.pose)
+
+
+def collect_together(
+    rollout: RolloutBatch,
+    navigation: NavigationMap,
+    episodes: Sequence[Episode],
+    settings: DaggerSettings,
+    labels: LabelSettings,
+) -> Iterator[tuple[Episode, EpisodeRows | None]]:
+    """The same for episodes of one scene side by side, as they end; None of one that cannot begin.
+
+    Args:
+        rollout: agents and policy.
+        navigation: the map of the scene.
+        episodes: begun in this order.
+        settings: who acts, and what ends an episode.
+        labels: of the expert.
+
+    Raises:
+        PolicyError: see `collect_visited`.
+    """
+    waiting = list(episodes)[::-1]
+    visitors: dict[int, Visitor] = {}
+    while waiting or visitors:
+        while waiting and rollout.free:
+            episode = waiting.pop()
+            try:
+                check_drivable(episode)
+                (slot,) = rollout.begin([episode])
+                standing = _AgentStanding(rollout.batch, slot, navigation, episode)
+                visitors[slot] = Visitor(standing, episode, settings, labels)
+            except (EpisodeError, PlanError):  # alone it says what is wrong
+                rollout.give_up(episode)
+                yield episode, None
+        if not visitors:
+            continue
+        for visitor in visitors.values():
+            visitor.look()
+        said = _ask_all(rollout)
+        codes = {slot: visitor.decide(said[slot]) for slot, visitor in visitors.items()}
+        ended = rollout.advance(codes)
+        for slot in sorted(visitors):
+            walk = ended.get(slot) or rollout.walks[slot]
+            visitors[slot].note(walk.collided[-1])
+            if slot in ended:
+                yield walk.episode, visitors.pop(slot).rows(walk.poses[-1])
+
+
+class Standing(Protocol):
+    """Where an agent is: a `Simulator`, or one agent of many."""
+
+    @property
+    def pose(self) -> Pose2D:
+        """x, y [m], yaw [rad]."""
+        ...
+
+    @property
+    def episode(self) -> Episode:
+        """What it plays."""
+        ...
+
+    navigation: NavigationMap
+    agent: AgentSpec
+
+
+class _AgentStanding:
+    """One agent of many."""
+
+    def __init__(
+        self, batch: SimulatorBatch, slot: int, navigation: NavigationMap, episode: Episode
+    ) -> None:
+        self._batch, self._slot = batch, slot
+        self.navigation, self.agent, self.episode = navigation, batch.agent, episode
+
+    @property
+    def pose(self) -> Pose2D:
+        return self._batch.pose(self._slot)
 
 
 def _apply_rules(
     ahead: I8,
     pose: Pose2D,
-    simulator: Simulator,
+    simulator: Standing,
     field: GeodesicField,
     labels: LabelSettings,
     halt: _Halt,
@@ -252,6 +386,21 @@ def _ask(policy: Policy, observation: Observation, episode: Episode) -> int:
             f"policy {policy.name!r} returned no valid action: {error.what}",
             where=where,
             remedy=error.remedy,
+        ) from error
+
+
+def _ask_all(rollout: RolloutBatch) -> dict[int, int]:
+    """The codes of what a policy answers to all agents."""
+    try:
+        return rollout.ask()
+    except Gn0Error:
+        raise
+    except Exception as error:  # whatever a policy of others does
+        lines = str(error).splitlines() or [""]
+        raise PolicyError(
+            f"policy {rollout.policy.name!r}: act failed: {type(error).__name__}: {lines[0]}",
+            where=f"{len(rollout.walks)} episodes side by side",
+            remedy="--agents 1 says in which episode; what is done is kept",
         ) from error
 
 

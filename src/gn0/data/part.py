@@ -50,6 +50,7 @@ class PartPlan(msgspec.Struct, frozen=True):
         episodes: its episodes.
         pictures: the cache to make; None takes what the build was asked for.
         drawing: address of the process that draws; "" lets the worker draw for itself.
+        agents: episodes that a policy is driven through side by side; decides no byte.
     """
 
     folder: str
@@ -59,6 +60,7 @@ class PartPlan(msgspec.Struct, frozen=True):
     episodes: tuple[str, ...]
     pictures: PictureSettings | None = None
     drawing: str = ""
+    agents: int = 1
 
 
 def drawn_at(plans: Sequence[PartPlan], server: DrawServer | None) -> list[PartPlan]:
@@ -177,25 +179,48 @@ def collect_part(
 
         settings = plan.pictures or dataset.about.settings.pictures
         if plan.drawing:
-            driver = Driver(dataset, eyes_of(dataset, settings, plan.drawing).ask_for)
+            ask = eyes_of(dataset, settings, plan.drawing).ask_for
+            driver = Driver(dataset, ask, agents=plan.agents)
         else:
-            driver = Driver(dataset)
-    blocks: list[EpisodeRows] = []
-    skipped: list[SkippedEpisode] = []
-    for done, name in enumerate(plan.episodes):
-        progress("walking episodes", done, len(plan.episodes))
-        episode = dataset.episode(name)
+            driver = Driver(dataset, agents=plan.agents)
+    found: dict[str, EpisodeRows | EpisodeError | PlanError] = {}
+    episodes = [dataset.episode(name) for name in plan.episodes]
+    fitting: list[Episode] = []
+    for episode in episodes:
         try:
             check_places(navigation, episode, dataset.about.agent.radius)
-            blocks.append(
-                collect_expert(navigation, episode, dataset)
-                if driver is None
-                else driver.collect(episode)
-            )
+            fitting.append(episode)
         except (EpisodeError, PlanError) as error:
-            skipped.append(SkippedEpisode(id=name, reason=error.what))
-    progress("walking episodes", len(plan.episodes), len(plan.episodes))
+            found[episode.id] = error
+    walked = (
+        walk_experts(navigation, fitting, dataset)
+        if driver is None
+        else driver.collect_all(fitting)
+    )
+    progress("walking episodes", len(found), len(episodes))
+    for episode, made in walked:
+        found[episode.id] = made
+        progress("walking episodes", len(found), len(episodes))
+    blocks: list[EpisodeRows] = []
+    skipped: list[SkippedEpisode] = []
+    for name in plan.episodes:  # in the order of the plan, whoever ended first
+        made = found[name]
+        if isinstance(made, EpisodeRows):
+            blocks.append(made)
+        else:
+            skipped.append(SkippedEpisode(id=name, reason=made.what))
     return blocks, skipped
+
+
+def walk_experts(
+    navigation: NavigationMap, episodes: Sequence[Episode], dataset: Dataset
+) -> Iterator[tuple[Episode, EpisodeRows | EpisodeError | PlanError]]:
+    """The expert's own rows of episodes of one scene, or why one cannot be walked."""
+    for episode in episodes:
+        try:
+            yield episode, collect_expert(navigation, episode, dataset)
+        except (EpisodeError, PlanError) as error:
+            yield episode, error
 
 
 def write_part(

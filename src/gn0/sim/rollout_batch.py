@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,13 +10,22 @@ import numpy as np
 
 from gn0.errors import PolicyError, SimError
 from gn0.geometry import Pose2D
-from gn0.missions.episode import Episode
+from gn0.missions.episode import AgentSpec, Episode
 from gn0.progress import Progress, no_progress
+from gn0.render.light import LightCondition
 from gn0.seeds import random_stream
 from gn0.sim.batch import SimulatorBatch
-from gn0.sim.policy import PolicyBatch, PolicyBatchEach, check_answers
+from gn0.sim.batch_tables import turns_a_circle
+from gn0.sim.open import split_look
+from gn0.sim.policy import (
+    Policy,
+    PolicyBatch,
+    PolicyBatchEach,
+    PolicyPrivileged,
+    check_answers,
+)
 from gn0.sim.sensor.table import carry_sensors
-from gn0.sim.simulator import action_code
+from gn0.sim.simulator import Simulator, action_code
 from gn0.sim.standpoint import Standpoint
 from gn0.sim.state import (
     OBSERVED,
@@ -114,6 +123,12 @@ class RolloutBatch:
             self.policy.name_sessions(slots, [episode.id for episode in episodes])
         return slots
 
+    def give_up(self, episode: Episode) -> None:
+        """Let go of an episode that goes no further, if it has begun; its agent is free."""
+        self.walks = {
+            slot: walk for slot, walk in self.walks.items() if walk.episode.id != episode.id
+        }
+
     def ask(self) -> dict[int, int]:
         """What the policy says, by agent: 0 STOP, 1 FORWARD, 2 LEFT, 3 RIGHT.
 
@@ -147,6 +162,43 @@ class RolloutBatch:
                 walk.stopped = bool(stopped[slot])
                 ended[slot] = self.walks.pop(slot)
         return ended
+
+
+def open_agents(
+    count: int,
+    open_simulator: Callable[[LightCondition | None], Simulator],
+    light: LightCondition | None,
+    max_steps: int,
+) -> SimulatorBatch:
+    """Agents of one body in one scene, with the sensors that a simulator of it carries.
+
+    Args:
+        count: how many.
+        open_simulator: the simulator of the scene in a light.
+        light: of the first episode.
+        max_steps: actions until an episode is cut off.
+    """
+    first = open_simulator(light)
+    scene = first.scene
+    return SimulatorBatch(
+        count,
+        {scene.id: lambda: scene},
+        first.config,
+        agent=first.agent,
+        max_steps=max_steps,
+        open_suite=lambda look: open_simulator(split_look(look)[1]).suite,
+    )
+
+
+def why_alone(policy: Policy, agent: AgentSpec) -> str:
+    """Why a policy's episodes cannot go side by side, whatever else; "" where they can."""
+    if isinstance(policy, PolicyPrivileged):
+        return "is handed the simulator itself"
+    try:
+        turns_a_circle(agent.turn_degrees)
+    except SimError as error:
+        return f"has a body whose {error.what}"
+    return ""
 
 
 def run_episodes(

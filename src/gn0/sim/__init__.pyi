@@ -36,4 +36,7 @@ from gn0.sim.state import Observation as Observation
 from gn0.sim.state import StepResult as StepResult
 from gn0.sim.state import Teleport as Teleport
 from gn0.sim.state import Trajectory as Trajectory
+from gn0.sim.top_down_map import TopDownMap as TopDownMap
+from gn0.sim.top_down_map import colorize_top_down_map as colorize_top_down_map
+from gn0.sim.top_down_map import draw_top_down_map as draw_top_down_map
 from gn0.sim.vector import VectorEnv as VectorEnv

@@ -50,6 +50,7 @@ from gn0.sim.sensors import SensorConfig, check_map_mode
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Observation
 from gn0.sim.tasks import TaskSet, load_tasks
+from gn0.sim.top_down_map import TopDownMap
 from gn0.sim.words import encode_text, split_sensors, word_spaces
 
 STEP_COST = 0.01
@@ -82,6 +83,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
             `gn0.sim.continuous`.
         copy: arrays are the caller's own; without, they are not to be written to.
         channels_first: pictures are [3, H, W] rather than [H, W, 3].
+        top_down_map: `info["top_down_map"]` follows the agent, see `gn0.sim.top_down_map`.
     """
 
     metadata = {  # noqa: RUF012 (Gymnasium's own declaration)
@@ -107,6 +109,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         action_space: str = "discrete",
         copy: bool = True,
         channels_first: bool = False,
+        top_down_map: bool = False,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -114,6 +117,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self.sensors, self.words = split_sensors(sensors)
         self.success_distance = success_distance
         self.copy, self.channels_first = copy, channels_first
+        self._shows_map = top_down_map
+        self._map: TopDownMap | None = None
         self._backend = backend
         self.tasks = load_tasks(
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
@@ -155,6 +160,9 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self._simulator = self._open(name_look(episode))
         observation = self._simulator.reset(episode)
         self._distance = self._measure(self._simulator.pose)
+        if self._shows_map:
+            self._map = TopDownMap(self._simulator.navigation, self._simulator.max_steps)
+            self._map.reset(episode)
         return self._pack(observation), self._info(False)
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
@@ -193,6 +201,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self._simulators.clear()
         self._simulator = None
         self._picture = None
+        self._map = None
 
     @property
     def simulator(self) -> Simulator:
@@ -253,12 +262,16 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
 
     def _info(self, success: bool) -> dict[str, Any]:
         simulator = self.simulator
+        shown: dict[str, Any] = {}
+        if self._map is not None:
+            shown["top_down_map"] = self._map.update(simulator.pose, simulator.steps)
         return {
             "episode_id": simulator.episode.id,
             "scene_id": simulator.scene.id,
             "pose": np.array(simulator.pose, np.float64),
             "distance_to_goal": self._distance,
             "success": success,
+            **shown,
         }
 
     def _pack(self, observation: Observation) -> dict[str, Any]:

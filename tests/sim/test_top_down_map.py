@@ -57,8 +57,8 @@ def test_it_shows_walls_start_goal_way_and_trail(walked, navigation) -> None:
         beside = first["map"][row + 2, int((x - origin[0]) / size)]  # the way leads to the middle
         assert beside == code
     trail = last["map"][last["map"] >= 10]
-    # the third step of fifty: 10 + 3 * 245 // 50
-    assert len(trail) and trail.max() == 10 + 3 * 245 // 50
+    # the fifth step of fifty, a turn on the spot
+    assert len(trail) and trail.max() == 10 + 5 * 245 // 50
     assert (first["map"] < 10).all(), "what was given before has changed"
 
 

@@ -44,8 +44,8 @@ def shoot(page: Path, out: Path, width: int, height: int) -> None:
 
 def shoot_view(arguments: list[str], out: Path, keys: str, done: str) -> None:
     """A picture of the live view after some keys, once the page says `done`."""
-    from gn0.testing.browser import find_browser, open_browser
     from gn0_figures.view import running_view
+    from gn0_trials.browser import find_browser, open_browser
 
     if find_browser() is None:
         sys.stderr.write(f"no Chromium here: {out} is kept as it was\n")

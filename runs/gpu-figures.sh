@@ -29,7 +29,7 @@ ALL=(check start rival small large scenes accuracy suite visible memory sim movi
 LIBRARY=$OUT/gsplat_cuda.so
 export GN0_CACHE=${GN0_CACHE:-$OUT/cache}
 export TORCH_EXTENSIONS_DIR=${TORCH_EXTENSIONS_DIR:-$OUT/torch_extensions}
-export PYTHONPATH=$PWD/src:$PWD/benchmarks:$OUT/site${PYTHONPATH:+:$PYTHONPATH}
+export PYTHONPATH=$PWD/src:$PWD/benchmarks:$PWD/tests/trials:$OUT/site${PYTHONPATH:+:$PYTHONPATH}
 export PYTHONUNBUFFERED=1 MAX_JOBS=${MAX_JOBS:-$(nproc)}
 if [ -n "${SCENES:-}" ]; then SCENES=$(cd "$SCENES" && pwd); export GN0_FIGURE_SCENES=$SCENES; fi
 

@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # code of this checkout that is no part of the package: pytest finds it by `pythonpath`, the
 # processes that tests start find it here
-BESIDE = [str(ROOT / "benchmarks")]
+BESIDE = [str(ROOT / "benchmarks"), str(ROOT / "tests" / "trials")]
 os.environ["PYTHONPATH"] = os.pathsep.join([*BESIDE, *filter(None, [os.environ.get("PYTHONPATH")])])
 
 # the same examples on every run, so that a change is judged by itself; `make search` draws new ones

@@ -37,7 +37,11 @@ TORCH_ROOMS = (
 )  # fmt: skip
 FILES = sorted(SRC.rglob("*.py"))
 # of this checkout, and no part of the package
-BESIDE = sorted(SRC.parents[1].glob("benchmarks/gn0_*/*.py"))
+BESIDE = [
+    path
+    for folder in ("benchmarks", "tests/trials")
+    for path in sorted(SRC.parents[1].glob(f"{folder}/gn0_*/*.py"))
+]
 
 
 @cache
@@ -177,9 +181,9 @@ def nothing_unsafe_is_called(path: Path) -> None:
         ), f"{path}:{node.lineno}: {text}"
 
 
-@pytest.mark.parametrize("path", BESIDE, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", BESIDE, ids=lambda p: f"{p.parent.name}/{p.name}")
 def test_what_lies_beside_the_package_keeps_them_too(path: Path) -> None:
-    """Benchmarks may import whatever they like, but are of a size and safe."""
+    """Benchmarks and trials may import whatever they like, but are of a size and safe."""
     modules_stay_small_and_named(path)
     nothing_unsafe_is_called(path)
 

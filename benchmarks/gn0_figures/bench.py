@@ -29,8 +29,8 @@ from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode
 from gn0.storage import Journal
 from gn0.suites.suite import build_suite
-from gn0.testing.judge_metrics import worst_disagreement
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0_trials.judge_metrics import worst_disagreement
 
 MINIMUM_LENGTH = 5.0  # m, geodesic
 STOP_WITHIN = 0.25  # m
@@ -134,7 +134,7 @@ def measure_apartments(ctx: FigureContext) -> list[FigureRow]:
 
 
 def measure_agreement(ctx: FigureContext) -> list[FigureRow]:
-    """All metrics against `gn0.testing.judge_metrics`, which shares nothing with them."""
+    """All metrics against `gn0_trials.judge_metrics`, which shares nothing with them."""
     return [
         row_at_most(
             "largest difference of any metric from the independent implementation",

@@ -18,9 +18,11 @@ from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
 from gn0.gaussians.splat_files import load_cloud
 from gn0.seeds import random_stream
-from gn0.testing.fuzz import TARGETS, FuzzReport, find_target, fuzz_reader
-from gn0.testing.peak_memory import peak_memory_bytes
-from gn0.testing.splat_corpus import (
+from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0_figures.flat import build_flat
+from gn0_trials.fuzz import TARGETS, FuzzReport, find_target, fuzz_reader
+from gn0_trials.peak_memory import peak_memory_bytes
+from gn0_trials.splat_corpus import (
     DIALECTS,
     build_ply,
     check_cloud_file,
@@ -28,13 +30,11 @@ from gn0.testing.splat_corpus import (
     ply_columns,
     small_cloud,
 )
-from gn0.testing.splat_transform import (
+from gn0_trials.splat_transform import (
     find_splat_transform,
     round_trip_errors,
     run_splat_transform,
 )
-from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
-from gn0_figures.flat import build_flat
 
 COUNT = 1_000_000
 MUTANTS = 1_000_000

@@ -24,11 +24,11 @@ from gn0.scenes.scene import ObjectBox, Scene, SceneObject
 from gn0.scenes.scene_sources import import_scene
 from gn0.seeds import random_stream
 from gn0.suites.generation import generate_missions
-from gn0.testing.crash_generation import build_trial_scenes, crash_generations, folder_digest
-from gn0.testing.plain_paths import count_blocked_points, plain_frechet, plain_verdict
 from gn0.testing.scenes import build_floor_plan
 from gn0_figures.bench import _apartment
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0_trials.crash_generation import build_trial_scenes, crash_generations, folder_digest
+from gn0_trials.plain_paths import count_blocked_points, plain_frechet, plain_verdict
 
 RADIUS = 0.20  # m
 KNOWN, CANDIDATES, REPEATS = 1_000, 2_000, 5

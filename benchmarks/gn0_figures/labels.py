@@ -47,9 +47,9 @@ from gn0.scenes.occupancy import build_occupancy
 from gn0.scenes.procedural.kinds import KINDS, KindName
 from gn0.seeds import random_stream
 from gn0.suites.suite import Suite, build_suite, load_suite
-from gn0.testing.crash_data import read_files
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0_figures.maps import HOUSE
+from gn0_trials.crash_data import read_files
 
 RADIUS = 0.20  # m
 WALKS, SHORTEST = 40, 5.0  # m

@@ -33,9 +33,9 @@ from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.scenes.scene_sources import import_scene
 from gn0.scenes.shading import SurfaceSample
 from gn0.scenes.surfels import build_surfels
-from gn0.testing.rogue_language import PASSING, ROGUES, serve_language
-from gn0.testing.routes import build_simple_route
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0_trials.rogue_language import PASSING, ROGUES, serve_language
+from gn0_trials.routes import build_simple_route
 
 GENERATED: tuple[tuple[KindName, int], ...] = (("apartment", 7), ("office", 3), ("supermarket", 1))
 ROUTES = 100  # a scene

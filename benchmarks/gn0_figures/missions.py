@@ -32,9 +32,9 @@ from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.suites.foreign_sets import import_set
 from gn0.suites.suite import build_suite
-from gn0.testing.judge_release import JudgeRelease
 from gn0_figures.bench import _apartment
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0_trials.judge_release import JudgeRelease
 
 VLNCE = "vln/R2R_VLNCE_v1-2_preprocessed"
 APARTMENTS, EPISODES = 6, 30  # generated apartments and goal episodes in each

@@ -24,9 +24,9 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.sim.state import Observation
 from gn0.suites.suite import build_suite
-from gn0.testing.fuzz import find_target, fuzz_reader
-from gn0.testing.rogue_servers import ROGUES, serve_bare
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_most
+from gn0_trials.fuzz import find_target, fuzz_reader
+from gn0_trials.rogue_servers import ROGUES, serve_bare
 
 QUESTIONS = 300
 WIDTH, HEIGHT = 480, 360

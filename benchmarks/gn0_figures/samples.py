@@ -21,8 +21,8 @@ from gn0.scenes.procedural.finish import floor_area
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.procedural.kinds import KINDS
 from gn0.suites.suite import Suite, build_suite, load_suite
-from gn0.testing.crash_data import read_files, run_data_crashes
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0_trials.crash_data import read_files, run_data_crashes
 
 GAUSSIANS = 300_000
 SAMPLES = 47_000_000  # of the paper

@@ -14,8 +14,6 @@ import numpy as np
 from gn0.errors import FormatError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.splat_corpus import small_cloud
-from gn0.testing.splat_transform import find_splat_transform, run_splat_transform
 from gn0.testing.splat_writers import (
     build_gltf,
     build_ksplat,
@@ -27,6 +25,8 @@ from gn0.testing.splat_writers import (
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0_figures.flat import build_flat
 from gn0_figures.gaussians import ALLOWANCE, COUNT, FIELDS, median_seconds, peak_of_reading
+from gn0_trials.splat_corpus import small_cloud
+from gn0_trials.splat_transform import find_splat_transform, run_splat_transform
 
 WRITERS: dict[str, tuple[str, Callable[[GaussianCloud], bytes]]] = {  # name -> (suffix, writer)
     ".splat": (".splat", build_splat),

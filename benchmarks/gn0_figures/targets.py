@@ -20,9 +20,9 @@ from gn0.scenes.occupancy import build_occupancy
 from gn0.scenes.procedural.kinds import KINDS, KindName
 from gn0.scenes.scene import Scene, SceneSourceInfo
 from gn0.sim.presets import find_preset
-from gn0.testing.judge_twins import JudgeTwins
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0_figures.spread import spread
+from gn0_trials.judge_twins import JudgeTwins
 
 SCENES, GOALS = 3, 100  # a kind, and goals in each
 RADIUS = 0.20  # m

@@ -24,13 +24,13 @@ from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
 from gn0.storage import Journal, safe_join
 from gn0.suites.run_files import SUMMARY
 from gn0.suites.suite import Suite, build_suite
-from gn0.testing.crash import SAME, crash_runs
-from gn0.testing.disk_trials import run_disk_trials, why_no_small_disk
-from gn0.testing.instant_workers import STEPS
-from gn0.testing.path_corpus import HARMLESS, climbing_paths
-from gn0.testing.simulated_suites import told_apart
-from gn0.testing.soak import soak_simulators, soak_worker
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0_trials.crash import SAME, crash_runs
+from gn0_trials.disk_trials import run_disk_trials, why_no_small_disk
+from gn0_trials.instant_workers import STEPS
+from gn0_trials.path_corpus import HARMLESS, climbing_paths
+from gn0_trials.simulated_suites import told_apart
+from gn0_trials.soak import soak_simulators, soak_worker
 
 KILLS = 200
 APPENDS = 500
@@ -150,7 +150,7 @@ def measure_growth(ctx: FigureContext) -> list[FigureRow]:
     for number, count in enumerate(CROWDS):
         ctx.progress("crowds", number, len(CROWDS))
         out = ctx.work / f"crowd{count}"
-        command = [sys.executable, "-m", "gn0.testing.instant_workers"]
+        command = [sys.executable, "-m", "gn0_trials.instant_workers"]
         done = subprocess.run(
             [*command, suite.folder, out, str(count)], capture_output=True, text=True, check=True
         )
@@ -242,7 +242,7 @@ def measure_hung(ctx: FigureContext) -> list[FigureRow]:
     begin = time.monotonic()
     summary = run_suite(
         suite, "hung", out, workers=2, episode_time_limit=LIMIT,
-        plugin_modules=("gn0.testing.hung_policy",),
+        plugin_modules=("gn0_trials.hung_policy",),
     )  # fmt: skip
     seconds = time.monotonic() - begin
     failed = sorted(r.episode for r in load_results(out) if r.status == "failed")

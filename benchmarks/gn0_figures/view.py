@@ -16,8 +16,8 @@ import numpy as np
 
 from gn0.errors import BenchError
 from gn0.geometry import U8
-from gn0.testing.browser import BrowserPage, find_browser, open_browser
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+from gn0_trials.browser import BrowserPage, find_browser, open_browser
 
 SPLATS = 30_000
 SIZE = (960, 640)  # px

@@ -15,7 +15,7 @@ from gn0.bench.runner import run_suite
 from gn0.cli.main import main
 from gn0.errors import BenchError, StorageError
 from gn0.suites.suite import Suite, build_suite
-from gn0.testing.simulated_suites import told_apart
+from gn0_trials.simulated_suites import told_apart
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

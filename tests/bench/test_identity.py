@@ -25,7 +25,7 @@ from gn0.policies.remote.server import PolicyServer
 from gn0.policies.remote.wire import decode_message, encode_message
 from gn0.policies.simple import PolicyRandom
 from gn0.suites.suite import Suite
-from gn0.testing.rogue_servers import serve_bare
+from gn0_trials.rogue_servers import serve_bare
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

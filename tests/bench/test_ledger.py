@@ -12,7 +12,7 @@ from gn0.bench.results import EpisodeResult, EpisodeTrace, load_results, load_tr
 from gn0.errors import StorageError
 from gn0.storage import Journal
 from gn0.suites.suite import Suite
-from gn0.testing.instant_workers import STEPS, crowd_suite, run_instantly
+from gn0_trials.instant_workers import STEPS, crowd_suite, run_instantly
 
 COUNT = 60
 

@@ -17,7 +17,7 @@ from gn0.geometry import Pose2D
 from gn0.maps.goal_places import GoalSet
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.sim.state import Trajectory
-from gn0.testing.judge_metrics import judge_distances, judge_dtw, worst_disagreement
+from gn0_trials.judge_metrics import judge_distances, judge_dtw, worst_disagreement
 
 
 def episode_of(goal: tuple[float, float], reference: list[tuple[float, float]]) -> Episode:

@@ -24,7 +24,7 @@ from gn0.cli import bench_run
 from gn0.errors import ConfigError, PolicyError
 from gn0.policies.remote.wire import decode_message, encode_message
 from gn0.suites.suite import Suite
-from gn0.testing.rogue_servers import ROGUES, serve_bare
+from gn0_trials.rogue_servers import ROGUES, serve_bare
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

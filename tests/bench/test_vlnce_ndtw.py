@@ -30,8 +30,8 @@ from gn0.missions.sets.json_file import save_exact
 from gn0.missions.sets.vlnce import ExporterVlnce
 from gn0.sim.state import Trajectory
 from gn0.suites.suite import Suite, SuiteFile
-from gn0.testing.judge_metrics import judge_dtw
 from gn0.testing.scenes import build_floor_plan
+from gn0_trials.judge_metrics import judge_dtw
 
 Point = tuple[float, float]
 Paths = dict[str, list[Point]]

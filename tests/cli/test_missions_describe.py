@@ -10,8 +10,8 @@ from PIL import Image
 from gn0.cli.main import main
 from gn0.scenes.folder import save_scene
 from gn0.suites.suite import build_suite
-from gn0.testing.rogue_language import ROGUES, serve_language
 from gn0.testing.scenes import build_room_scene
+from gn0_trials.rogue_language import ROGUES, serve_language
 
 
 @pytest.fixture(scope="module")

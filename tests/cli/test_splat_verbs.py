@@ -11,8 +11,8 @@ import pytest
 
 from gn0.cli.main import main
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.splat_corpus import small_cloud
 from gn0.testing.splat_writers import build_sog, build_sog_streamed, build_splat, build_spz
+from gn0_trials.splat_corpus import small_cloud
 
 
 def test_inspect_says_something_of_every_file(

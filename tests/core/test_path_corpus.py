@@ -21,7 +21,7 @@ from gn0.scenes.folder import check_scene_id, load_scene, save_scene
 from gn0.sim.tasks import load_tasks
 from gn0.storage import safe_join
 from gn0.suites.suite import build_suite, load_suite
-from gn0.testing.path_corpus import CLIMBING, HARMLESS, climbing_paths
+from gn0_trials.path_corpus import CLIMBING, HARMLESS, climbing_paths
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

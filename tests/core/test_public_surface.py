@@ -21,8 +21,6 @@ IMPORT = re.compile(r"^\s*(?:from (gn0(?:\.\w+)*) import|import (gn0(?:\.\w+)*)\
 FENCE = re.compile(r"^```python[^\n]*\n(.*?)^```", re.M | re.S)
 # the tools of this checkout, not a user's code
 OURS = {"docs/draw_api.py", "docs/refresh_pictures.py"}
-# how our own pages are driven
-EXEMPT = {("docs/view.md", "gn0.testing.browser")}
 
 USERS_FILE = """
 from pathlib import Path
@@ -115,7 +113,6 @@ def test_what_we_show_imports_only_what_is_public() -> None:
         if where not in OURS
         for match in IMPORT.finditer(code)
         if (module := match[1] or match[2]) not in NAMESPACES
-        and not any(where == page and module.startswith(room) for page, room in EXEMPT)
     ]
     assert not deep, deep
 

@@ -73,7 +73,7 @@ def test_ray_writes_the_same_bytes(data_suite, settings_of, webdataset, tmp_path
 
 @pytest.mark.slow
 def test_kills_lose_nothing(tmp_path) -> None:
-    from gn0.testing.crash_data import run_data_crashes
+    from gn0_trials.crash_data import run_data_crashes
 
     report = run_data_crashes(4, tmp_path)
     assert report.same == report.runs

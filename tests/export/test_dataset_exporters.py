@@ -23,8 +23,8 @@ from gn0.export.exporter import (
 from gn0.export.trips import ExportSource
 from gn0.seeds import random_stream
 from gn0.testing.dataset_exporter_check import check_dataset_exporter, check_round_trip
-from gn0.testing.json_mutants import mutate_json
 from gn0.testing.toy_trips import toy_source, toy_source_for
+from gn0_trials.json_mutants import mutate_json
 
 FORMATS = dataset_exporter_names()
 WITHOUT_PICTURES = ("gn-matrix", "gn-matrix-json", "vlnce-r2r", "vlnce-rxr")

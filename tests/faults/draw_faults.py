@@ -23,8 +23,8 @@ from fault_list import HERE, ROOT, Fault, StaleFaultError, functions_of
 SEED = 20261122  # written down, and committed, before any fault was run
 COUNT = 108
 
-# what this measures: code that runs without torch and without a GPU. Rooms that measure (figures),
-# that are tests themselves (testing) or drive a card are left out
+# what this measures: code that runs without torch and without a GPU. What tests itself (testing) or
+# drives a card is left out
 ROOMS: dict[str, tuple[str, ...]] = {
     "core": ("storage.py", "geometry.py", "config.py", "seeds.py", "locked_folder.py",
              "plugins.py"),

@@ -30,7 +30,7 @@ class TestMap:
         self.root = root
         self.modules = {
             ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__init__"): path
-            for folder in (root / "src", root / "benchmarks")
+            for folder in (root / "src", root / "benchmarks", root / "tests/trials")
             for path in sorted(folder.glob("gn0*/**/*.py"))
         }
 

@@ -12,7 +12,7 @@ from gn0.gaussians import cloud_file
 from gn0.gaussians.cloud import SH_C0, join_clouds
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.splat_corpus import small_cloud
+from gn0_trials.splat_corpus import small_cloud
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from gn0.errors import FormatError
 from gn0.seeds import random_stream
-from gn0.testing.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
+from gn0_trials.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
 
 
 @pytest.mark.parametrize("count", [3_000, pytest.param(10_000, marks=pytest.mark.slow)])

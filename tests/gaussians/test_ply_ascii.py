@@ -7,7 +7,7 @@ import pytest
 
 from gn0.errors import FormatError
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.splat_corpus import (
+from gn0_trials.splat_corpus import (
     DIALECTS,
     PlyDialect,
     build_ply,

@@ -17,7 +17,7 @@ from gn0.gaussians.ply_header import PlyElement, PlyProperty, load_ply_header
 from gn0.gaussians.ply_lists import end_of_list_rows
 from gn0.gaussians.ply_rows import PlySource
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.splat_corpus import DIALECTS, PlyDialect, build_ply, ply_columns, small_cloud
+from gn0_trials.splat_corpus import DIALECTS, PlyDialect, build_ply, ply_columns, small_cloud
 
 PLAIN = DIALECTS["inria-sh0"].order
 CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}

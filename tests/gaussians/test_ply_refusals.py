@@ -11,8 +11,8 @@ import pytest
 from gn0.errors import FormatError, StorageError
 from gn0.gaussians.ply_header import HEADER_LIMIT, parse_ply_header
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.peak_memory import peak_memory_bytes
-from gn0.testing.splat_corpus import (
+from gn0_trials.peak_memory import peak_memory_bytes
+from gn0_trials.splat_corpus import (
     DIALECTS,
     build_ply,
     packed_file,
@@ -207,7 +207,7 @@ import sys, warnings
 warnings.simplefilter("error")
 from gn0.errors import FormatError
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.peak_memory import peak_memory_bytes
+from gn0_trials.peak_memory import peak_memory_bytes
 before = peak_memory_bytes()
 try:
     cloud = load_cloud(sys.argv[1]).cloud

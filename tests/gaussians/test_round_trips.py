@@ -18,7 +18,7 @@ from gn0.gaussians.morton import morton_codes, morton_order
 from gn0.gaussians.ply import MIN_LOG_SCALE, save_ply
 from gn0.gaussians.ply_packed import CHUNK, save_ply_packed
 from gn0.gaussians.splat_files import describe_cloud_file, load_cloud
-from gn0.testing.splat_corpus import packed_file, small_cloud, without_colour_bounds
+from gn0_trials.splat_corpus import packed_file, small_cloud, without_colour_bounds
 
 FINITE = st.floats(-1e6, 1e6, width=32)
 UNIT = st.floats(0, 1, width=32)

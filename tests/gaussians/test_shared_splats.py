@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from gn0.errors import FormatError
 from gn0.gaussians.ply_packed import save_ply_packed
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.splat_corpus import check_cloud_file
+from gn0_trials.splat_corpus import check_cloud_file
 
 FIXTURES = "splats/fixtures/gaussian-ply/tests/fixtures"
 READ = {  # (Gaussians, SH degree in the file)

@@ -17,7 +17,6 @@ from gn0.gaussians.splat import looks_like_splat
 from gn0.gaussians.splat_files import describe_cloud_file, load_cloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.geometry import rotation_from_quaternion
-from gn0.testing.splat_corpus import check_cloud_file, small_cloud
 from gn0.testing.splat_writers import (
     build_gltf,
     build_ksplat,
@@ -27,6 +26,7 @@ from gn0.testing.splat_writers import (
     build_splat,
     build_spz,
 )
+from gn0_trials.splat_corpus import check_cloud_file, small_cloud
 
 # SPZ 1 and 2 hold x y z in steps of 1/127.5 and make w of them: where w is near 0, an error of
 # 2 √3 / 255 in its square is √0.0136 in w, 0.24 rad. The others are half a step of their format.

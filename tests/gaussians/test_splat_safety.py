@@ -18,8 +18,6 @@ from PIL import Image
 
 from gn0.errors import FormatError, Gn0Error
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.peak_memory import peak_memory_bytes
-from gn0.testing.splat_corpus import small_cloud
 from gn0.testing.splat_writers import (
     build_gltf,
     build_ksplat,
@@ -29,6 +27,8 @@ from gn0.testing.splat_writers import (
     build_splat,
     build_spz,
 )
+from gn0_trials.peak_memory import peak_memory_bytes
+from gn0_trials.splat_corpus import small_cloud
 
 TEN = small_cloud(10, 0)
 SPZ = build_spz(TEN, 2, packed=False)
@@ -341,7 +341,7 @@ import sys, warnings
 warnings.simplefilter("error")
 from gn0.errors import FormatError
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.peak_memory import peak_memory_bytes
+from gn0_trials.peak_memory import peak_memory_bytes
 import PIL.Image, PIL.WebPImagePlugin, pyarrow
 before = peak_memory_bytes()
 try:

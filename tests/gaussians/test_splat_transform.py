@@ -16,14 +16,14 @@ from gn0.gaussians.morton import morton_order
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.splat_corpus import small_cloud
-from gn0.testing.splat_transform import (
+from gn0.testing.splat_writers import build_ksplat, build_sog, build_splat, build_spz
+from gn0_trials.splat_corpus import small_cloud
+from gn0_trials.splat_transform import (
     PACKAGE,
     find_splat_transform,
     round_trip_errors,
     run_splat_transform,
 )
-from gn0.testing.splat_writers import build_ksplat, build_sog, build_splat, build_spz
 
 DATA = Path(__file__).resolve().parent / "data"
 

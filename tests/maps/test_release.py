@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.release_map import MARGINS, DistanceMeter, ReleaseMap, ReleaseNavigation
-from gn0.testing.judge_release import JudgeRelease
 from gn0.testing.scenes import build_floor_plan
+from gn0_trials.judge_release import JudgeRelease
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -12,8 +12,8 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.maps.sweep import clear_path, count_blocked_legs
-from gn0.testing.plain_paths import count_blocked_points
 from gn0.testing.scenes import build_floor_plan
+from gn0_trials.plain_paths import count_blocked_points
 
 
 def grid_of(*rows: str, resolution: float = 1.0) -> OccupancyGrid:

@@ -19,9 +19,9 @@ from gn0.missions.footprints import build_footprints
 from gn0.missions.goal import sample_goal_episodes
 from gn0.scenes.scene import ObjectBox, Scene, SceneObject
 from gn0.sim.state import Trajectory
-from gn0.testing.judge_twins import JudgeTwins
 from gn0.testing.scenes import build_room_scene
 from gn0_figures.targets import goal_episodes
+from gn0_trials.judge_twins import JudgeTwins
 
 
 def more_of(scene: Scene, count: int) -> Scene:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from gn0.geometry import F64
 from gn0.missions.filters import discrete_frechet
 from gn0.missions.similarity import KnownPaths, SimilaritySettings, is_closer
-from gn0.testing.plain_paths import plain_frechet, plain_resample
+from gn0_trials.plain_paths import plain_frechet, plain_resample
 
 lattice = st.lists(st.tuples(st.integers(-4, 4), st.integers(-4, 4)), min_size=1, max_size=12)
 

@@ -24,8 +24,8 @@ from gn0.sim.open import open_simulator
 from gn0.sim.rollout import run_episode
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Action, Displacement, Observation
-from gn0.testing.rogue_servers import ROGUES, answer_each, serve_bare
 from gn0.testing.scenes import build_room_scene
+from gn0_trials.rogue_servers import ROGUES, answer_each, serve_bare
 
 S, F, L, R = Action
 Ask = Callable[..., PolicyRemote]

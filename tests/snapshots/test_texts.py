@@ -36,7 +36,7 @@ from gn0.render import RendererCpu
 from gn0.scenes import build_example_scene, import_scene, load_cloud, load_scene, save_scene
 from gn0.sim import find_preset
 from gn0.storage import safe_join
-from gn0.testing.routes import build_simple_route
+from gn0_trials.routes import build_simple_route
 
 TEXTS = Path(__file__).parent / "texts"
 UPDATE = os.environ.get("GN0_SNAPSHOTS") == "update"

@@ -27,8 +27,8 @@ from gn0.suites.generation import generate_missions
 from gn0.suites.generation_folder import MANIFEST, PATHS, TEXTS, WORK
 from gn0.suites.scene_list import list_scenes
 from gn0.suites.suite import EPISODE_FILE, SUITE_FILE, Suite, load_suite
-from gn0.testing.crash_generation import crash_generations, folder_digest
-from gn0.testing.plain_paths import plain_verdict
+from gn0_trials.crash_generation import crash_generations, folder_digest
+from gn0_trials.plain_paths import plain_verdict
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gn0.errors import ConfigError, StorageError
-from gn0.testing.browser import find_browser, open_browser
+from gn0_trials.browser import find_browser, open_browser
 
 PAGE = """data:text/html,<title>t</title><button onclick="this.textContent='pressed'">b</button>
 <script>console.log('hello', 3); alert('stop'); setTimeout(() => { throw new Error('oops') });

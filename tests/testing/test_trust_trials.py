@@ -12,10 +12,10 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.storage import read_bytes
 from gn0.suites.suite import Suite, build_suite
-from gn0.testing.crash import crash_runs
-from gn0.testing.disk_trials import run_disk_trials, why_no_small_disk
-from gn0.testing.peak_memory import memory_bytes
-from gn0.testing.soak import open_files, soak_simulators, soak_worker
+from gn0_trials.crash import crash_runs
+from gn0_trials.disk_trials import run_disk_trials, why_no_small_disk
+from gn0_trials.peak_memory import memory_bytes
+from gn0_trials.soak import open_files, soak_simulators, soak_worker
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="needs /proc")
 

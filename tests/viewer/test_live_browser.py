@@ -20,11 +20,11 @@ from gn0.cli.main import main
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
 from gn0.suites.suite import build_suite
-from gn0.testing.browser import BrowserPage, find_browser, open_browser
 from gn0.viewer.live_server import open_server
 from gn0.viewer.live_text import name_line, plain
 from gn0.viewer.recorded_runs import load_replay
 from gn0_figures.view import running_view
+from gn0_trials.browser import BrowserPage, find_browser, open_browser
 
 pytest.importorskip("viser")
 pytestmark = [

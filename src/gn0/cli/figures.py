@@ -24,7 +24,7 @@ EXAMPLES = """  gn0 figures --list
   gn0 figures render --backend cuda
   gn0 figures --all --out docs"""
 
-BOARD = ("benchmarks",)  # folders of a checkout that the board's code is imported from
+BOARD = ("benchmarks", "tests/trials")  # of a checkout: its code, and the judges
 
 
 class Args(Config, frozen=True):

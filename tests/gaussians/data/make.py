@@ -16,7 +16,7 @@ from pathlib import Path
 
 from gn0.gaussians.ply import save_ply
 from gn0.gaussians.ply_packed import save_ply_packed
-from gn0.testing.splat_corpus import small_cloud
+from gn0_trials.splat_corpus import small_cloud
 
 HERE = Path(__file__).resolve().parent
 

@@ -22,13 +22,13 @@ from gn0.missions.generate.scene_paths import TOO_NEAR, ScenePaths, generate_pat
 from gn0.missions.generate.settings import MissionSettings, load_settings
 from gn0.missions.similarity import SimilaritySettings
 from gn0.scenes.scene import Scene
-from gn0.testing.plain_paths import (
+from gn0.testing.scenes import build_floor_plan, build_map_scene
+from gn0_trials.plain_paths import (
     count_blocked_points,
     plain_frechet,
     plain_resample,
     plain_verdict,
 )
-from gn0.testing.scenes import build_floor_plan, build_map_scene
 
 
 @pytest.mark.parametrize("planner", ["any-angle", "astar"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gn0.missions.language.text_check import check_text, find_turns
-from gn0.testing.routes import build_simple_route
+from gn0_trials.routes import build_simple_route
 
 ROUTE = build_simple_route("left", "right")
 

@@ -18,7 +18,7 @@ from gn0.missions.language.template import (
     target_phrase,
 )
 from gn0.missions.language.text_check import check_text, find_turns
-from gn0.testing.routes import build_random_route, build_simple_route
+from gn0_trials.routes import build_random_route, build_simple_route
 
 WRITER = ProviderTemplate()
 

@@ -19,14 +19,14 @@ from gn0.missions.language.providers import TextProvider, open_provider
 from gn0.missions.language.route import STYLES
 from gn0.missions.language.text_check import check_text
 from gn0.missions.language.write import fallback_kind, write_texts, write_texts_many
-from gn0.testing.rogue_language import (
+from gn0_trials.rogue_language import (
     PASSING,
     ROGUES,
     LanguageRequest,
     answer_well,
     serve_language,
 )
-from gn0.testing.routes import build_random_route, build_simple_route
+from gn0_trials.routes import build_random_route, build_simple_route
 
 ROUTE = build_simple_route("left", "right")
 QUICK: dict[str, Any] = {

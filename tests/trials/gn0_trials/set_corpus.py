@@ -13,8 +13,8 @@ from gn0.errors import Gn0Error
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.sets.episode_set import EpisodeSet, get_exporter, load_set, place_task
-from gn0.testing.fuzz import FuzzTarget
 from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
+from gn0_trials.fuzz import FuzzTarget
 
 GRID = build_floor_plan(1, width=6.0, depth=4.5, clutter=4)
 

@@ -36,7 +36,7 @@ _CODE = """
 import sys
 from gn0.data.build import build_dataset
 from gn0.data.picture_build import render_dataset
-from gn0.testing.crash_data import crash_settings
+from gn0_trials.crash_data import crash_settings
 suite, out, kind, workers = sys.argv[1:]
 build_dataset(suite, out, crash_settings(kind), workers=int(workers))
 if kind == "render":

@@ -17,7 +17,7 @@ from gn0.scenes.folder import save_scene
 from gn0.seeds import random_stream
 from gn0.storage import TEMPORARY_PREFIX
 from gn0.suites.generation_folder import MANIFEST, PARTS, REPORT, WORK
-from gn0.testing.crash import child_processes
+from gn0_trials.crash import child_processes
 
 SCENES, PATHS = 6, 12
 PATIENCE = 120.0  # s until a generation that does not end is given up on

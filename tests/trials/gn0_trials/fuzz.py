@@ -1,7 +1,7 @@
 """Mutation fuzzing for readers of untrusted files: seeded, repeatable, any number of inputs.
 
 A reader passes when every input is either read, and what was read is sound, or refused with one of
-GN0's own errors, in bounded time and memory. `python -m gn0.testing.fuzz ply --count 1000000` runs
+GN0's own errors, in bounded time and memory. `python -m gn0_trials.fuzz ply --count 1000000` runs
 a reader's campaign from the command line.
 """
 
@@ -24,7 +24,7 @@ import numpy as np
 from gn0.errors import FormatError, Gn0Error
 from gn0.progress import Progress, no_progress
 from gn0.seeds import random_stream
-from gn0.testing.peak_memory import peak_memory_bytes, reset_peak_memory
+from gn0_trials.peak_memory import peak_memory_bytes, reset_peak_memory
 
 HANG_SECONDS = 1.0  # processor time a megabyte of input, at least for one megabyte
 _KEPT_FAULTS = 20
@@ -135,7 +135,7 @@ def fuzz_reader(
     accepted = refused = foreign = hangs = 0
     slowest = 0.0
     faults: list[FuzzFault] = []
-    memory = Path("/dev/shm")  # noqa: S108 (a fuzz input is no secret)
+    memory = Path("/dev/shm")
     parent = work or (memory if os.access(memory, os.W_OK) else None)
     with tempfile.TemporaryDirectory(dir=parent) as folder, warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -279,20 +279,20 @@ _MUTATIONS: tuple[Callable[..., None], ...] = (
 )  # fmt: skip
 
 TARGETS = {
-    "gn-matrix": "gn0.testing.set_corpus:gn_matrix_target",
-    "gn-matrix-json": "gn0.testing.set_corpus:json_folder_target",
-    "vlnce": "gn0.testing.set_corpus:vlnce_target",
-    "ply": "gn0.testing.splat_corpus:ply_target",
-    "ply-packed": "gn0.testing.splat_corpus:ply_packed_target",
-    "splat": "gn0.testing.splat_targets:splat_target",
-    "ksplat": "gn0.testing.splat_targets:ksplat_target",
-    "spz": "gn0.testing.splat_targets:spz_target",
-    "sog": "gn0.testing.splat_targets:sog_target",
-    "sog-folder": "gn0.testing.splat_targets:sog_folder_target",
-    "gltf": "gn0.testing.splat_targets:gltf_target",
-    "yaml": "gn0.testing.fuzz_yaml:yaml_target",
-    "wire-reply": "gn0.testing.fuzz_wire:reply_target",
-    "wire-request": "gn0.testing.fuzz_wire:request_target",
+    "gn-matrix": "gn0_trials.set_corpus:gn_matrix_target",
+    "gn-matrix-json": "gn0_trials.set_corpus:json_folder_target",
+    "vlnce": "gn0_trials.set_corpus:vlnce_target",
+    "ply": "gn0_trials.splat_corpus:ply_target",
+    "ply-packed": "gn0_trials.splat_corpus:ply_packed_target",
+    "splat": "gn0_trials.splat_targets:splat_target",
+    "ksplat": "gn0_trials.splat_targets:ksplat_target",
+    "spz": "gn0_trials.splat_targets:spz_target",
+    "sog": "gn0_trials.splat_targets:sog_target",
+    "sog-folder": "gn0_trials.splat_targets:sog_folder_target",
+    "gltf": "gn0_trials.splat_targets:gltf_target",
+    "yaml": "gn0_trials.fuzz_yaml:yaml_target",
+    "wire-reply": "gn0_trials.fuzz_wire:reply_target",
+    "wire-request": "gn0_trials.fuzz_wire:request_target",
 }
 
 
@@ -309,7 +309,7 @@ def find_target(name: str) -> FuzzTarget:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line: fuzz one built-in reader; exit code 1 where anything foreign came out."""
-    parser = argparse.ArgumentParser(prog="python -m gn0.testing.fuzz", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m gn0_trials.fuzz", description=__doc__)
     parser.add_argument("reader", choices=sorted(TARGETS))
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)

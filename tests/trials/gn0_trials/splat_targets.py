@@ -17,8 +17,6 @@ from gn0.errors import FormatError
 from gn0.gaussians.cloud_source import CloudSource
 from gn0.gaussians.sog_zip import load_zip_directory
 from gn0.gaussians.splat_files import load_cloud
-from gn0.testing.fuzz import FuzzTarget
-from gn0.testing.splat_corpus import check_cloud_file, small_cloud
 from gn0.testing.splat_writers import (
     build_gltf,
     build_ksplat,
@@ -28,6 +26,8 @@ from gn0.testing.splat_writers import (
     build_splat,
     build_spz,
 )
+from gn0_trials.fuzz import FuzzTarget
+from gn0_trials.splat_corpus import check_cloud_file, small_cloud
 
 _META_TOKENS = (
     b'"count":', b'"version":', b'"files":', b'"codebook":', b'"mins":', b'"maxs":', b'"shN":',

@@ -21,7 +21,7 @@ from gn0.gaussians.ply import log_scales
 from gn0.gaussians.ply_packed import save_ply_packed
 from gn0.gaussians.splat_files import load_cloud
 from gn0.seeds import random_stream
-from gn0.testing.fuzz import FuzzTarget
+from gn0_trials.fuzz import FuzzTarget
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")

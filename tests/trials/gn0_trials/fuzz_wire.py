@@ -1,6 +1,6 @@
 """Fuzz targets of the remote policy protocol: replies as a client reads them, requests as a server.
 
-`python -m gn0.testing.fuzz wire-reply --count 1000000` and `wire-request` run them.
+`python -m gn0_trials.fuzz wire-reply --count 1000000` and `wire-request` run them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gn0.policies.remote.server import PolicySession
 from gn0.policies.remote.wire import REPLY_LIMITS, decode_message, encode_message
 from gn0.policies.text import parse_navid, parse_navila, parse_uninavid
 from gn0.sim.state import Action, Observation
-from gn0.testing.fuzz import FuzzTarget
+from gn0_trials.fuzz import FuzzTarget
 
 _TOKENS = (
     b"__ndarray__", b"__npgeneric__", b"\xc4\x05dtype\xa3|O8", b"\xa3<f4", b"\xa3|u1", b"\xa3<c8",

@@ -12,7 +12,7 @@ from gn0.progress import Progress, no_progress
 from gn0.sim.open import open_simulator
 from gn0.sim.state import Action
 from gn0.suites.suite import Suite
-from gn0.testing.peak_memory import memory_bytes
+from gn0_trials.peak_memory import memory_bytes
 
 WARM_UP = 0.1  # share of the resets before anything is counted: caches fill, kernels compile
 STEPS = 3  # actions after each reset

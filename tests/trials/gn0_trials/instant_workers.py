@@ -18,7 +18,7 @@ from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummar
 from gn0.bench.worker_messages import Begun, Done, FromWorker, Lease, Open, Ready
 from gn0.jobs.process import Ended
 from gn0.suites.suite import Suite, load_suite
-from gn0.testing.peak_memory import memory_bytes, peak_memory_bytes, reset_peak_memory
+from gn0_trials.peak_memory import memory_bytes, peak_memory_bytes, reset_peak_memory
 
 STEPS = 60  # of each episode
 

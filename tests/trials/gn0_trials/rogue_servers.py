@@ -21,7 +21,7 @@ import numpy as np
 from gn0.policies.remote.wire import decode_message, encode_message
 
 Handler = Callable[[Any], None]
-_SILENT = logging.getLogger("gn0.testing.rogue_servers")
+_SILENT = logging.getLogger("gn0_trials.rogue_servers")
 _SILENT.setLevel(logging.CRITICAL)
 
 

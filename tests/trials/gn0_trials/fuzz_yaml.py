@@ -1,6 +1,6 @@
 """Fuzz target of the readers of YAML: maps of ROS, specs of corpora, settings of missions.
 
-`python -m gn0.testing.fuzz yaml --count 1000000` runs it.
+`python -m gn0_trials.fuzz yaml --count 1000000` runs it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gn0.maps.grid import OccupancyGrid
 from gn0.maps.ros import load_ros_map
 from gn0.missions.generate.settings import MissionSettings, load_settings
 from gn0.scenes.corpus import CorpusSpec, load_spec
-from gn0.testing.fuzz import FuzzTarget
+from gn0_trials.fuzz import FuzzTarget
 
 _TOKENS = (
     b"&a", b"*a", b"<<: *a", b"[", b"]", b"{", b"}", b"- ", b"? ", b"|", b">", b"!!binary",

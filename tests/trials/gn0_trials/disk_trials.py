@@ -93,7 +93,7 @@ def run_disk_trials(folder: Path, *, caches: bool = True) -> list[DiskTrial]:
     mount = folder / MOUNT
     mount.mkdir(parents=True, exist_ok=True)
     script = (
-        f'mount -t tmpfs -o size={KILOBYTES}k tmpfs "$0" && exec "$1" -m gn0.testing.disk_trials '
+        f'mount -t tmpfs -o size={KILOBYTES}k tmpfs "$0" && exec "$1" -m gn0_trials.disk_trials '
         '"$0" "$2" "$3"'
     )
     done = subprocess.run(

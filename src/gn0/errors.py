@@ -192,6 +192,6 @@ class DeviceError(Gn0Error):
 
 
 class DeviceMemoryError(DeviceError):
-    """An accelerator has not so much free memory; callers make their batches smaller."""
+    """An accelerator does not have enough free memory; callers make their batches smaller."""
 
     code = "DEVICE_MEMORY"

@@ -37,7 +37,7 @@ def load_stream(text: str) -> np.random.Generator:
     """The stream of a text.
 
     Raises:
-        FormatError: it is none.
+        FormatError: it is not the state of a stream.
     """
     bits = np.random.Philox(0)
     try:
@@ -47,5 +47,5 @@ def load_stream(text: str) -> np.random.Generator:
         state["buffer"] = np.array(state["buffer"], np.uint64).reshape(4)
         bits.state = state
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        raise FormatError(f"is no stream: {type(error).__name__}", where="stream") from None
+        raise FormatError(f"not a stream: {type(error).__name__}", where="stream") from None
     return np.random.Generator(bits)

@@ -264,7 +264,7 @@ def safe_join(root: Path | str, relative: str) -> Path:
         inside = joined.resolve().is_relative_to(root.resolve())
         why = "" if inside else "leads out of its folder through a link"
         if inside and joined.exists() and not (joined.is_file() or joined.is_dir()):
-            why = "is no plain file"  # reading a pipe may never end
+            why = "is not a plain file"  # reading a pipe may never end
     except (OSError, RuntimeError) as error:
         why = f"cannot be resolved: {error}"
     if why:
@@ -299,7 +299,9 @@ def check_contained(folder: Path | str) -> None:
                     elif entry.is_dir():
                         waiting.append(Path(entry.path))
                     elif not entry.is_file():
-                        raise StorageError("is no plain file", where=entry.path, remedy="remove it")
+                        raise StorageError(
+                            "is not a plain file", where=entry.path, remedy="remove it"
+                        )
     except (FileNotFoundError, NotADirectoryError):
         return  # whoever reads it says so in better words, and names may come and go
     except (OSError, RuntimeError) as error:

@@ -57,7 +57,7 @@ class _PlainLoader(yaml.SafeLoader):
         for name, value in node.value:
             key = self.construct_object(name, deep=True)
             if isinstance(key, list | dict):
-                raise _Refused("a key is no plain value", name.start_mark)
+                raise _Refused("a key is not a plain value", name.start_mark)
             if key in found:
                 raise _Refused(f"key {brief(key)} is given twice", name.start_mark)
             found[key] = self.construct_object(value, deep=True)
@@ -77,7 +77,7 @@ def _construct_list(loader: _PlainLoader, node: Any) -> list[Any]:
 
 
 def _refuse_tag(loader: _PlainLoader, node: Any) -> Any:
-    raise _Refused(f"tag {brief(node.tag)} is none of plain values", node.start_mark)
+    raise _Refused(f"tag {brief(node.tag)} is not of a plain value", node.start_mark)
 
 
 _PlainLoader.yaml_constructors = {

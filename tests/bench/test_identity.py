@@ -200,7 +200,7 @@ def test_an_identity_that_is_none_is_refused(said: Any) -> None:
         def identity(self) -> Any:
             return said
 
-    with pytest.raises(PolicyError, match=r"identity\(\) of policy 'random' is no map"):
+    with pytest.raises(PolicyError, match=r"identity\(\) of policy 'random' is not a map"):
         read_identity(Odd())
 
 

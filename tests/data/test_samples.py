@@ -98,7 +98,7 @@ def _damage(table: pa.Table, name: str, values: list[object]) -> pa.Table:
         ("actions", [0, 0, 0, 0, 0, 9], "no action"),
         ("pixels", [1000] * 26, "outside 0 to 999"),
         ("valid", 0, "outside 1 to 13"),
-        ("source", "human", "none of expert, dagger, demonstration"),
+        ("source", "human", "not one of expert, dagger, demonstration"),
         ("step", 7, "out of order"),
         ("episode_id", "flat-1", "belongs to an episode that was over"),
         ("yaw", None, "null"),

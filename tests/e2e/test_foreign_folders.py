@@ -306,5 +306,5 @@ def test_links_that_stay_inside_are_harmless_and_pipes_are_not(tmp_path: Path) -
     check_contained(tmp_path)
     check_contained(tmp_path / "nothing")
     os.mkfifo(tmp_path / "a" / "pipe")
-    with pytest.raises(StorageError, match=r"pipe: is no plain file"):
+    with pytest.raises(StorageError, match=r"pipe: is not a plain file"):
         check_contained(tmp_path)

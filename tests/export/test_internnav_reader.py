@@ -212,7 +212,7 @@ def test_the_check_names_what_the_loader_would_not_find(odd_export: Path, tmp_pa
     folder = shutil.copytree(odd_export, tmp_path / "metres")
     stack = next(folder.rglob("observation.images.depth/*.npy"))
     np.save(stack, np.load(stack) * np.float32(MAX_DEPTH))
-    assert any("no share of 10 m" in fault for fault in exporter.check(folder))
+    assert any("not a share of 10 m" in fault for fault in exporter.check(folder))
     wrong = shutil.copytree(odd_export, tmp_path / "of-3dgs")
     assert any("3dgs" in remark for remark in remark_export(wrong))  # cma_lerobot_dataset.py 57
 

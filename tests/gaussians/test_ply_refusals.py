@@ -33,7 +33,7 @@ def swap(data: bytes, old: bytes, new: bytes) -> bytes:
 
 CASES = {
     "empty file": (b"", "the file is empty"),
-    "three bytes": (b"ply", "no splat file that we know"),
+    "three bytes": (b"ply", "not a splat file of a known format"),
     "magic only": (b"ply\n", "cut off"),
     "header cut": (SOUND[:60], "cut off"),
     "header without end": (b"ply\ncomment " + b"x" * HEADER_LIMIT, "no end_header within"),
@@ -164,7 +164,7 @@ FOREIGN = {
     "webp": (b"RIFF\0\0\0\0WEBPVP8L", "a picture"),
     "lfs": (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "Git LFS pointer"),
     "page": (b"\n<!DOCTYPE html><html></html>", "a web page"),
-    "text": (b"hello, world", "no splat file that we know"),
+    "text": (b"hello, world", "not a splat file of a known format"),
 }
 
 

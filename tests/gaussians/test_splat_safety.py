@@ -92,9 +92,9 @@ HUGE_WEBP = b"RIFF\x16\0\0\0WEBPVP8L\x0a\0\0\0" + struct.pack("<BI", 0x2F, (1638
 HUGE_WEBP += b"\0" * 8
 
 CASES = {
-    "splat, cut": (build_splat(TEN)[:-5], "no multiple"),
+    "splat, cut": (build_splat(TEN)[:-5], "not a multiple"),
     "splat, all NaN after a good start": (
-        build_splat(TEN)[:32] * 8 + b"\xff" * 31, "no multiple"
+        build_splat(TEN)[:32] * 8 + b"\xff" * 31, "not a multiple"
     ),
     "spz, one more": (put(SPZ, 8, "<I", 11), "truncated or its header is forged"),
     "spz, 4 billion": (put(SPZ, 8, "<I", 0xFFFFFFFF), "forged: 4294967295"),

@@ -127,7 +127,7 @@ def test_goal_sets_and_tiers_are_read_back_and_leave_other_files_as_they_were(
 
 
 def test_a_goal_set_without_the_goal_is_refused() -> None:
-    with pytest.raises(EpisodeError, match="none of its goal set"):
+    with pytest.raises(EpisodeError, match="not in its goal set"):
         check_episode(goal(0, goal_set=GoalSet(points=((0.0, 2.0), (1.0, 2.0)))))
 
 

@@ -123,9 +123,9 @@ def test_an_upright_agent_looks_along_minus_z() -> None:
     assert yaw_from_habitat([0, 0, 0, 1]) == pytest.approx(math.pi / 2)
     quarter = [0, math.sin(math.pi / 4), 0, math.cos(math.pi / 4)]
     assert abs(math.remainder(yaw_from_habitat(quarter) - math.pi, 2 * math.pi)) < 1e-12
-    with pytest.raises(FormatError, match="no quaternion"):
+    with pytest.raises(FormatError, match="not a quaternion"):
         yaw_from_habitat([0, 0, 0, 0])
-    with pytest.raises(FormatError, match="no quaternion"):
+    with pytest.raises(FormatError, match="not a quaternion"):
         yaw_from_habitat([0, math.nan, 0, 1])
 
 

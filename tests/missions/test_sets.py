@@ -324,7 +324,7 @@ def test_the_older_folder_comes_back_and_obeys_its_list(tmp_path: Path) -> None:
     assert read.format == "gn-matrix-json" and [t.id for t in read.tasks] == [
         f"plan_{i:04d}" for i in range(5)
     ]
-    assert "1 files are no episodes" in read.notes[0]
+    assert "1 files are not episodes" in read.notes[0]
     ExporterGnMatrixJson().save(read, tmp_path / "b")
     for name in ("0001", "0009"):
         a, b = (load_exact(tmp_path / f / "plan" / f"{name}.json") for f in "ab")
@@ -421,7 +421,7 @@ def test_statistics_need_no_scene() -> None:
     ("spoil", "words"),
     [
         (lambda d: d["episodes"][1].pop("start_position"), "episode 2: Object missing"),
-        (lambda d: d["episodes"][0].update(start_rotation=[0, 0, 0, 0]), "no quaternion"),
+        (lambda d: d["episodes"][0].update(start_rotation=[0, 0, 0, 0]), "not a quaternion"),
         (lambda d: d["episodes"][0]["instruction"].clear(), "instruction_text"),
         (lambda d: d["episodes"][0].update(reference_path=[[1, 2]]), "reference_path"),
         (lambda d: d["episodes"].append(d["episodes"][0]), "used by row 1 and row 6"),

@@ -409,7 +409,7 @@ def test_something_else_on_the_port_is_not_waited_for_forever() -> None:
     ["", "127.0.0.1:8000", "http://127.0.0.1:8000", "ws://", "ws://a:b@127.0.0.1", "ws://[", 7],
 )
 def test_no_address_is_refused(url: Any) -> None:
-    with pytest.raises(ConfigError, match="no address"):
+    with pytest.raises(ConfigError, match="not the address"):
         check_url(url, "")
 
 

@@ -131,7 +131,7 @@ def test_a_fixed_split_is_kept() -> None:
         ("{parts: [{path: x, count: 2}]}", ConfigError, "an import is one scene"),
         ("{parts: [{kind: apartment, colour: red}]}", FormatError, "colour"),
         ("{parts: [{kind: apartment}], splits: {train: 0.5}}", ConfigError, "sum to 0.5"),
-        ("!!python/object/apply:os.system ['true']", FormatError, "none of plain values"),
+        ("!!python/object/apply:os.system ['true']", FormatError, "not of a plain value"),
     ],
 )
 def test_a_bad_spec_is_told(tmp_path: Path, text: str, error: type[Exception], said: str) -> None:

@@ -46,7 +46,7 @@ def read_identity(policy: Any) -> Identity:
     )
     if not good or len(entries) > ENTRIES_LIMIT:
         raise PolicyError(
-            f"identity() of policy {str(policy.name)[:80]!r} is no map of names to plain values",
+            f"identity() of policy {str(policy.name)[:80]!r} is not a map of names to plain values",
             remedy='return e.g. {"checkpoint": digest, "version": "3"}',
         )
     return tuple((name[:WORDS_LIMIT], str(value)[:WORDS_LIMIT]) for name, value in entries)

@@ -160,7 +160,7 @@ def compute_metrics(
     bad = [i for i, pose in enumerate(trajectory.poses) if not pose.is_finite()]
     if bad:
         raise EpisodeError(
-            f"the pose after action {bad[0]} is not finite", where=where, remedy="mend the policy"
+            f"the pose after action {bad[0]} is not finite", where=where, remedy="fix the policy"
         )
     geodesic = np.asarray(distance_to_goal(positions), np.float64)
     if not np.isfinite(geodesic).all():

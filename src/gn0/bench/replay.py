@@ -309,7 +309,7 @@ def _open_run(run: Path | str, suite: Path | str | None) -> tuple[RunData, Suite
     backend = str(_kept(data).get("backend", "auto"))
     if backend not in BACKENDS:
         raise BenchError(
-            f"was drawn by a renderer {brief(backend)} that is none of ours",
+            f"was drawn by an unknown renderer {brief(backend)}",
             where=data.folder,
             remedy=f"known: {', '.join(BACKENDS)}",
         )

@@ -136,7 +136,7 @@ def run_suite(
     Raises:
         BenchError: the folder holds another run (another suite, setting, code, or another policy
             behind the same name), is in use, or the policy cannot be built.
-        ConfigError: no such policy, or a name that is none.
+        ConfigError: no such policy, or an invalid name.
         StorageError: `out` cannot be written, or the disk is full.
         KeyboardInterrupt: after all workers have ended; the same command resumes.
     """
@@ -538,7 +538,7 @@ class RunState:
                 raise BenchError(
                     f"episode {name!r} cannot be run: {message.what}",
                     where=self.out,
-                    remedy="mend what is named; the same command then goes on",
+                    remedy="fix what is named; the same command then goes on",
                 )
             pool.end(worker)  # a policy that broke is not trusted with another episode
             if message.beside:

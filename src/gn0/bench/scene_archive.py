@@ -46,17 +46,17 @@ def read_parcel(parcel: bytes) -> dict[str, memoryview]:
     """
     view = memoryview(parcel)
     if len(view) < _HEAD.size or view[: len(MAGIC)] != MAGIC:
-        raise FormatError("not a parcel of files", remedy="send it again")
+        raise FormatError("not a packed scene", remedy="send it again")
     _, count = _HEAD.unpack_from(view)
     files: dict[str, memoryview] = {}
     at = _HEAD.size
     for _ in range(count):  # a forged count ends at the first entry that is not there
         if at + _ENTRY.size > len(view):
-            raise FormatError("the parcel is cut short", offset=at, remedy="send it again")
+            raise FormatError("the packed scene is cut short", offset=at, remedy="send it again")
         name_bytes, data_bytes = _ENTRY.unpack_from(view, at)
         at += _ENTRY.size
         if name_bytes > 4096 or at + name_bytes + data_bytes > len(view):
-            raise FormatError("the parcel is cut short", offset=at, remedy="send it again")
+            raise FormatError("the packed scene is cut short", offset=at, remedy="send it again")
         try:
             name = str(view[at : at + name_bytes], "utf-8")
         except UnicodeDecodeError:

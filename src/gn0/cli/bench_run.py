@@ -153,9 +153,10 @@ def read_options(options: Sequence[str]) -> dict[str, Any]:
         name = name.strip().replace("-", "_")
         if not equals or not name.isidentifier() or name in found:
             raise ConfigError(
-                f"policy option {option!r} " + ("is given twice" if name in found else "is none"),
+                f"policy option {option!r} "
+                + ("is given twice" if name in found else "is not NAME=VALUE"),
                 where="--policy-option",
-                remedy="give NAME=VALUE, e.g. url=ws://127.0.0.1:8000",
+                remedy="for example url=ws://127.0.0.1:8000",
             )
         try:
             found[name] = msgspec.json.decode(value)

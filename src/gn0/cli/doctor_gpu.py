@@ -18,7 +18,7 @@ def examine_gpu(*, compile_all: bool = False, architecture: str = "") -> tuple[l
         architecture: compile for this one, such as "sm_90"; the card's own when "".
 
     Raises:
-        ConfigError: the architecture is none.
+        ConfigError: no such architecture.
     """
     from gn0.device.libcuda import say_driver, say_version
     from gn0.device.open import find_device

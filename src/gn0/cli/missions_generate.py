@@ -175,7 +175,9 @@ def read_options(given: Sequence[str]) -> dict[str, Any]:
         key, equals, value = option.partition("=")
         if not equals or not key:
             raise ConfigError(
-                f"{option!r} is no option", where="--language-options", remedy="name=value"
+                f"{option!r} is not NAME=VALUE",
+                where="--language-options",
+                remedy="for example model=NAME",
             )
         options[key] = value
         for kind in (float, int):

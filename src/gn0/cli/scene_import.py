@@ -35,8 +35,8 @@ class Args(Config, frozen=True):
         resolution: cell size of the occupancy grid [m].
         density: Gaussians per square metre of floor, for meshes.
         light: home bakes lamps and daylight, flat shows textures as they are; for meshes.
-        strict: refuse a world of meshes that has any defect, instead of mending what can be mended
-            and leaving the rest out; either way the list is printed before any light is baked.
+        strict: refuse a world of meshes that has any defect, instead of repairing what can be
+            repaired and leaving the rest out; either way the list comes before the light is baked.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
         up: bare captures: auto, an axis of the file (z, -y, ...) or a direction x,y,z.

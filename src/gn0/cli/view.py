@@ -169,7 +169,7 @@ def find_view(args: Args) -> Any:
     paths = [Path(path) for path in args.paths]
     for path in paths:
         if not path.exists():
-            raise StorageError("there is nothing of that name", where=path, remedy="check the path")
+            raise StorageError("no such file or folder", where=path, remedy="check the path")
     first = paths[0]
     if args.results or (first / "summary.json").is_file():
         from gn0.viewer.recorded_runs import load_replay
@@ -182,11 +182,12 @@ def find_view(args: Args) -> Any:
         return partial(ReplayView, replay=replay, splats=args.splats, first=args.episode)
     if args.episode:
         raise ConfigError(
-            "an episode is shown of runs", where="--episode", remedy="gn0 view RUN --episode ID"
+            "only a run has episodes to show", where="--episode", remedy="gn0 view RUN --episode ID"
         )
     if len(paths) > 1:
         raise ConfigError(
-            "several paths that are no runs", remedy="one scene or file, or several run folders"
+            "several paths, and not all of them are runs",
+            remedy="one scene or file, or several run folders",
         )
     if first.is_dir() and (first / "scene.json").is_file():
         from gn0.scenes.folder import load_scene

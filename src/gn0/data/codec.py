@@ -209,13 +209,13 @@ def write_answer(
     """
     codes = [int(code) for code in actions]
     if not codes or not all(0 <= code < len(ACTION_TOKENS) for code in codes):
-        raise ConfigError(f"actions {codes} are none", remedy="give codes 0 to 3")
+        raise ConfigError(f"invalid action codes {codes}", remedy="give codes 0 to 3")
     spoken = ",".join(ACTION_TOKENS[code] for code in codes)
     text = f'{{"vlnce":"{ACTION_BEGIN}{spoken}{ACTION_END}"'
     if tokens is not None:
         pairs = [(int(x), int(y)) for x, y in tokens]
         if not pairs or not all(0 <= v < MAP_BINS for pair in pairs for v in pair):
-            raise ConfigError(f"map tokens {pairs} are none", remedy="give pairs of 0 to 999")
+            raise ConfigError(f"invalid map tokens {pairs}", remedy="give pairs of 0 to 999")
         text += ',"pixel":"[' + ",".join(f"[<{x}>,<{y}>]" for x, y in pairs) + ']"'
     return text + "}"
 

@@ -371,7 +371,7 @@ def _ask(policy: Policy, observation: Observation, episode: Episode) -> int:
         raise PolicyError(
             f"policy {policy.name!r}: act failed: {type(error).__name__}: {lines[0]}",
             where=where,
-            remedy="run the same command again once it is mended: what is done is kept",
+            remedy="fix it and run the same command again: what is done is kept",
         ) from error
     if isinstance(answer, Teleport | Displacement):
         raise PolicyError(

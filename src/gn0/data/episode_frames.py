@@ -41,7 +41,7 @@ def read_frames(
             rounded: stored depth is within 0.5 mm).
 
     Raises:
-        DataError: the episode has no samples, or a sensor is none of these.
+        DataError: the episode has no samples, or has no such sensor.
     """
     sensors = frozenset(sensors)
     unknown = sorted(sensors - set(FRAMES))

@@ -361,7 +361,7 @@ def _check(step: DrawnStep) -> None:
         wanted = step.block.hashes[name][step.step]
         if wanted and wanted != found:
             raise DataError(
-                f"the {name} picture is drawn otherwise than when the dataset was made",
+                f"the {name} picture differs from the one drawn when the dataset was made",
                 where=f"episode {step.episode.id!r}, step {step.step}",
                 remedy="use the version of gn0 that dataset.json names, or restore the row "
                 "with `gn0 data repair`",

@@ -288,7 +288,7 @@ def _check_values(table: pa.Table, path: Path | str) -> None:
     valid = _column(table, "valid")
     refuse("valid", (valid < 1) | (valid > POINTS), f"is outside 1 to {POINTS}")
     source = _column(table, "source")
-    refuse("source", ~np.isin(source, SOURCES), "is none of " + ", ".join(SOURCES))
+    refuse("source", ~np.isin(source, SOURCES), "is not one of " + ", ".join(SOURCES))
     ids, steps = _column(table, "episode_id"), _column(table, "step")
     if len(ids):
         begins = np.r_[True, ids[1:] != ids[:-1]]

@@ -239,7 +239,7 @@ class DeviceCuda:
         ):
             raise DeviceError(
                 f"the array is on {there.name}, not on cuda:{self.ordinal}",
-                remedy="bring it over: `device.upload(array.numpy())`",
+                remedy="copy it there: `device.upload(array.numpy())`",
             )
 
     # --- memory --------------------------------------------------------------------------------

@@ -270,7 +270,7 @@ def _check_episode(folder: Path, index: int, views: Sequence[str], faults: Fault
         ahead = columns[f"relative_goal_frame_id.{view}"]
         turn = pose[:, :3, :3]
         straight = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
-        faults.expect(bool(straight < 1e-6), f"{path}: pose.{view} is no rigid motion")
+        faults.expect(bool(straight < 1e-6), f"{path}: pose.{view} is not a rigid motion")
         faults.expect(
             bool(np.abs(pose[:1, :2, 3]).max(initial=0.0) < 1e-9),
             f"{path}: pose.{view} does not begin over the origin",

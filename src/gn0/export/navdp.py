@@ -347,7 +347,7 @@ def _check_scene(scene: Path, faults: Faults) -> None:
         columns = load_columns(episode_path(scene, line.episode_index, CHUNK), SHAPES)
         turn = columns["action"][:, :3, :3]
         off = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
-        faults.expect(bool(off < 1e-6), f"{name}: action is no rigid motion")
+        faults.expect(bool(off < 1e-6), f"{name}: action is not a rigid motion")
         number += line.length
     faults.expect(len(sizes) <= 1, f"{scene}: pictures of several sizes")
     found = len(list((scene / RGB_FOLDER).glob("*")))

@@ -305,7 +305,7 @@ def _parts(talk: Talk, folder: Path) -> tuple[int, int]:
 def _sides(talk: Talk, folder: Path) -> tuple[str, str]:
     if [turn.who for turn in talk.conversations] != ["human", "gpt"]:
         raise FormatError(
-            f"{talk.id!r:.80} is no question of a human and answer of gpt",
+            f"{talk.id!r:.80} is not a question by human and an answer by gpt",
             file=folder / ANNOTATIONS,
             field="conversations",
         )

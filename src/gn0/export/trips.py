@@ -78,7 +78,7 @@ class Trip:
                 remedy="a pose and labels before each move, and at the end",
             )
         if not np.isin(self.moves, (FORWARD, LEFT, RIGHT)).all():
-            raise EpisodeError("a move is none of 1, 2, 3", where=where, remedy="cut STOP off")
+            raise EpisodeError("a move is not 1, 2 or 3", where=where, remedy="cut STOP off")
         if not np.isfinite(self.poses).all():
             raise EpisodeError("a pose is not finite", where=where, remedy="build it again")
 

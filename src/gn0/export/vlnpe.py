@@ -362,7 +362,7 @@ def _check_episode(path: Path, index: int, faults: Faults) -> None:
             )
             faults.expect(
                 frames.min(initial=0.0) >= 0.0 and frames.max(initial=0.0) <= 1.0,
-                f"{file}: depth is no share of 10 m",
+                f"{file}: depth is not a share of 10 m",
             )
 
 

@@ -103,7 +103,7 @@ def decode_glb(source: CloudSource) -> CloudFile:
             remedy=REFETCH,
         )
     if header[16:20] != _JSON_CHUNK or length > _CHUNK_LIMIT:
-        raise source.refuse(f"the first chunk is no JSON of up to {_CHUNK_LIMIT} bytes", 12)
+        raise source.refuse(f"the first chunk is not JSON of up to {_CHUNK_LIMIT} bytes", 12)
     text = source.read(20, length, "the JSON chunk")
     document = decode_json(text, GltfDocument, source.file, "glTF", offset=20)
     at = 20 + length
@@ -233,7 +233,7 @@ def _find_splats(
             field="nodes",
         )
     if others:
-        notes[f"{others} primitives that are no splats were left out"] = None
+        notes[f"{others} primitives that are not splats were left out"] = None
     return placed, list(notes)
 
 

@@ -98,7 +98,7 @@ def open_buffer(
     text = memoryview(uri)
     head = bytes(text[:1024])
     if not head.startswith(b'"'):
-        raise source.refuse("the URI of a buffer is no text", field=field)
+        raise source.refuse("the URI of a buffer is not a text", field=field)
     if head[1:].lower().startswith(_DATA):
         comma = head.find(b",")
         if comma < 0 or b";base64" not in head[:comma].lower():

@@ -154,7 +154,7 @@ def decode_sog_bundle(source: CloudSource) -> CloudFile:
     metas = [n for n in entries if n == META_NAME or n.endswith("/" + META_NAME)]
     if len(metas) != 1:
         raise source.refuse(
-            "the zip has no meta.json: this is no SOG bundle"
+            "the zip has no meta.json: this is not a SOG bundle"
             if not metas
             else "the zip has more than one meta.json",
             0,

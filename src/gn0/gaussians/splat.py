@@ -47,7 +47,7 @@ def decode_splat(source: CloudSource) -> CloudFile:
     """
     if source.size % RECORD:
         raise source.refuse(
-            f".splat has records of {RECORD} bytes, but {source.size} bytes are no multiple of it",
+            f".splat has records of {RECORD} bytes; {source.size} bytes are not a multiple of it",
             source.size // RECORD * RECORD,
             remedy=REFETCH,
         )

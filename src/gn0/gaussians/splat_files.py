@@ -91,7 +91,7 @@ def load_cloud(
     except OSError as error:
         raise storage_error(error, path, "read") from error
     raise FormatError(
-        "is no splat file that we know" if head else "the file is empty",
+        "not a splat file of a known format" if head else "the file is empty",
         file=path,
         offset=0,
         remedy=f"pass a {READABLE}",

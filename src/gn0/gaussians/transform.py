@@ -33,7 +33,7 @@ def transform_cloud(
         shift: added last [3] m.
 
     Raises:
-        SceneError: the matrix is no rotation, or the scale is not a positive number.
+        SceneError: the matrix is not a rotation, or the scale is not a positive number.
     """
     if not (math.isfinite(scale) and scale > 0):
         raise SceneError(f"scale {scale} is not a positive number", remedy="give e.g. 1.0")

@@ -43,7 +43,7 @@ class GoalSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         if self.radius is not msgspec.UNSET and not (self.points and 0 < self.radius <= 100):
             raise EpisodeError(
                 f"a goal set has a success radius of {self.radius} m",
-                remedy="give points one of 100 m at most, and areas none",
+                remedy="give points a radius of at most 100 m, and areas no radius",
             )
         if any(len(area) < 3 for area in self.areas):
             raise EpisodeError("an area of a goal set has fewer than 3 corners")

@@ -128,7 +128,10 @@ def load_movingai_scenario(path: Path | str) -> list[MovingAiQuery]:
                 raise ValueError("a value is negative or not finite")
         except ValueError as error:
             raise FormatError(
-                f"line {number}: {error}", file=path, field=f"line {number}", remedy="mend the line"
+                f"line {number}: {error}",
+                file=path,
+                field=f"line {number}",
+                remedy="correct the line",
             ) from error
         queries.append(MovingAiQuery(bucket, parts[1], (sy, sx), (gy, gx), optimum))
     return queries

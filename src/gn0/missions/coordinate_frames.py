@@ -107,7 +107,7 @@ def yaw_from_habitat(rotation: ArrayLike) -> float:
     norm = x * x + y * y + z * z + w * w
     if not (math.isfinite(norm) and norm > 1e-12):
         raise FormatError(
-            f"rotation {(x, y, z, w)} is no quaternion", remedy="x, y, z, w of length 1"
+            f"rotation {(x, y, z, w)} is not a quaternion", remedy="x, y, z, w of length 1"
         )
     # −z turned by the quaternion, in Habitat's frame
     forward_x = -2.0 * (x * z + w * y)

@@ -231,7 +231,7 @@ def check_episode(episode: Episode) -> Episode:
     known = episode.goal_set.points if episode.goal_set is not None else ()
     if known and episode.goal not in known:
         raise EpisodeError(
-            "goal is none of its goal set", where=where, remedy="list the goal among the points"
+            "goal is not in its goal set", where=where, remedy="list the goal among the points"
         )
     if not episode.instruction.strip():
         raise EpisodeError("instruction is empty", where=where, remedy="give it a text")

@@ -42,7 +42,7 @@ class PolicyRecorded:
         if digest and digest != self._digest:
             raise PolicyError(
                 f"run {run} has other trajectories than those meant ({self._digest}, not {digest})",
-                remedy="choose another --out, or bring back the run",
+                remedy="choose another --out, or restore the run",
             )
         self._traces = load_traces(run)
         self._said: Iterator[Action | Teleport] = iter(())

@@ -40,7 +40,9 @@ class MapPicture(msgspec.Struct, frozen=True, tag="map"):
             FormatError: they are of another size than said.
         """
         if min(self.shape) < 1 or len(self.grey) != self.shape[0] * self.shape[1]:
-            raise FormatError("a map picture of another size than said", field="grey")
+            raise FormatError(
+                "a map picture whose size differs from what was announced", field="grey"
+            )
         return np.frombuffer(self.grey, np.uint8).reshape(self.shape)
 
 

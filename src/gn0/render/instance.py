@@ -197,7 +197,7 @@ def check_named(name: str, cloud: GaussianCloud) -> None:
         RenderError: no name, or a cloud of too many splats or with normals that are not finite.
     """
     if not isinstance(name, str) or not name:
-        raise RenderError(f"{brief(name)} is no name of a cloud", where="name_cloud")
+        raise RenderError(f"{brief(name)} is not the name of a cloud", where="name_cloud")
     where = f"cloud {brief(name)}"
     if len(cloud) > PART_SPLATS_MAX:
         raise RenderError(

@@ -365,7 +365,7 @@ def _check_about(scene: Scene) -> Iterator[Finding]:
             level="note",
             code="left-out",
             text=f"the world had parts that could not be used: {str(missing)[:300]}",
-            remedy="mend them and import again; `--strict` refuses a world with any defect",
+            remedy="repair them and import again; `--strict` refuses a world with any defect",
         )
     if not scene.licence:
         yield Finding(

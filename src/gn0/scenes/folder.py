@@ -228,7 +228,7 @@ def load_scene_file(folder: Path) -> SceneFile:
     check_scene_id(about.id, path)
     if about.cloud not in CLOUD_FILES.values():
         raise FormatError(
-            f"splat file {about.cloud!r} is none of {', '.join(CLOUD_FILES.values())}",
+            f"splat file {about.cloud!r} is not one of {', '.join(CLOUD_FILES.values())}",
             file=path,
             field="cloud",
             remedy="name the splat file beside scene.json",

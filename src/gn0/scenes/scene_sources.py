@@ -127,8 +127,8 @@ def import_scene(
         density: Gaussians per square metre of floor, for meshes.
         seed: of whatever is drawn by chance.
         light: "home" bakes lamps and daylight, "flat" shows the textures as they are.
-        strict: refuse a world of meshes with any defect; by default defects are mended or what they
-            touch is left out.
+        strict: refuse a world of meshes with any defect; by default defects are repaired or what
+            they touch is left out.
         capture: up, scale, floor and the like of a bare capture, where known.
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).
         overwrite: replace an existing folder.

@@ -355,7 +355,7 @@ class _Reader:
             try:
                 mesh = self._find(_text(shape, "uri"), file)
                 if not mesh.is_file():
-                    fault = StorageError("the mesh is no file", where=mesh)
+                    fault = StorageError("the mesh is not a file", where=mesh)
             except StorageError as error:
                 fault = error
         diffuse = item.find("material/diffuse")

@@ -69,7 +69,7 @@ def defect_lines(defects: Sequence[WorldDefect]) -> list[str]:
     out = sum(defect.left_out for defect in defects)
     head = (
         f"{len(defects)} defect{'s' * (len(defects) > 1)} in this world: "
-        f"{len(defects) - out} mended, {out} left out; --strict refuses it instead"
+        f"{len(defects) - out} repaired, {out} left out; --strict refuses it instead"
     )
     more = [f"  … and {len(lines) - _LINES} more"] if len(lines) > _LINES else []
     return [head, *(f"  {line}" for line in lines[:_LINES]), *more]
@@ -90,5 +90,5 @@ def refuse_defects(defects: Sequence[WorldDefect], file: object) -> None:
     raise SceneError(
         f"{len(defects)} defects in this world: {lines}",
         where=str(file),
-        remedy="mend them, or import without --strict",
+        remedy="repair them, or import without --strict",
     )

@@ -170,7 +170,7 @@ class SimulatorBatch:
         """Take one action 0..3 each.
 
         Raises:
-            SimError: wrong shape or type, or an action that is none; then no agent has moved.
+            SimError: wrong shape or type, or an invalid action; then no agent has moved.
         """
         codes = check_actions(actions, self.count)
         if self.eyes is not None:

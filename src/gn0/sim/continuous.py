@@ -7,7 +7,7 @@ exactly one step of `gn0.sim.kinematics.Journey`, so `max_steps`, rewards and co
 mean what they mean for discrete actions. Such a body goes or turns in a step, and never sideways:
 
 * stop > 0.5: it says STOP;
-* else forward is the largest: it goes `forward` steps straight ahead (a stride under 1 cm is none);
+* else forward is the largest: it goes `forward` steps straight ahead (under 1 cm: none);
 * else turn or left is: it turns by that share of a turn, for `left` towards that side.
 
 Largest means forward ≥ |turn| and forward ≥ |left|, then |turn| ≥ |left|; nobody goes backwards.

@@ -187,7 +187,7 @@ class SimulatorDevice:
         Those that are on the device already are checked there: see `catch_up`.
 
         Raises:
-            SimError: wrong shape or type, or a host action that is none; then nobody has moved.
+            SimError: wrong shape or type, or an invalid host action; then nobody has moved.
         """
         codes = self._codes if codes is None else codes
         if not isinstance(actions, DeviceArray):
@@ -271,7 +271,7 @@ class SimulatorDevice:
             late, self.steps = self.steps - step, step
             self._safe = step
             raise SimError(
-                f"an action {late} steps ago was none of 0..3; nobody has moved since",
+                f"an action {late} steps ago was not one of 0..3; nobody has moved since",
                 where=f"agent {agent}",
                 remedy="give STOP 0, FORWARD 1, LEFT 2 or RIGHT 3",
             )

@@ -248,7 +248,7 @@ class Simulator:
         truncates it.
 
         Raises:
-            SimError: before reset, after the end, or an action that is none or holds NaN.
+            SimError: before reset, after the end, or not a valid action (unknown, or holds NaN).
         """
         if self._over:
             raise SimError(
@@ -440,7 +440,7 @@ def action_code(action: Action | int) -> int:
     """The code 0..3 of a local action.
 
     Raises:
-        SimError: it is none.
+        SimError: it is not an action.
     """
     if type(action) is int and 0 <= action <= 3:  # what most callers give
         return action

@@ -192,7 +192,7 @@ def draw_top_down_map(info: Mapping[str, Any], height: int | None = None) -> U8:
         height: of the picture [px]; a pixel a map cell when None.
 
     Raises:
-        ConfigError: that is no top-down map, or no height.
+        ConfigError: not a top-down map, or not a height.
     """
     from PIL import Image, ImageDraw
 

@@ -42,7 +42,7 @@ def read_track(text: str) -> Track | None:
     """The track of a text such as "object" or "point+pose"; None of "".
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: it does not name a track.
     """
     if not text:
         return None

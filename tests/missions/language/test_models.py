@@ -270,9 +270,9 @@ def test_a_review_that_spoils_a_good_text_is_not_taken() -> None:
     [
         ({"model": ""}, "no model"),
         ({"model": "m"}, "no language server"),
-        ({"model": "m", "base_url": "localhost:8000"}, "no address"),
-        ({"model": "m", "base_url": "ftp://x/v1"}, "no address"),
-        ({"model": "m", "base_url": "http://u:p@x/v1"}, "no address"),
+        ({"model": "m", "base_url": "localhost:8000"}, "not the address"),
+        ({"model": "m", "base_url": "ftp://x/v1"}, "not the address"),
+        ({"model": "m", "base_url": "http://u:p@x/v1"}, "not the address"),
         ({"model": "m", "base_url": "http://x/v1", "retries": -1}, "retries"),
         ({"model": "m", "base_url": "http://x/v1", "timeout": 0}, "timeout"),
         ({"model": "m", "base_url": "http://x/v1", "speed": 1}, "speed"),

@@ -402,7 +402,7 @@ def test_files_without_room_are_left_to_who_asked(serve) -> None:
     with pytest.raises(RenderError, match="step 0 has no view 2"):
         render_files(renderer, CAMERA, views(2), bad)
     odd = Encode(85, 10**5, (17, 12), steps=np.int32([0]).tobytes())
-    with pytest.raises(RenderError, match="no multiple"):
+    with pytest.raises(RenderError, match="not a multiple"):
         render_files(renderer, CAMERA, views(2), odd)
     assert len(render_files(renderer, CAMERA, views(2), Encode(85, 10**5)).files) == 2
 

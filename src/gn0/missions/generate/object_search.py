@@ -38,7 +38,7 @@ def build_searches(
     allowed: NDArray[np.bool_],
     categories: Sequence[str] = (),
 ) -> tuple[list[GoalTarget], dict[str, str]]:
-    """A target for each category of a scene, and why others are none, by category.
+    """A target for each category of a scene, and why other categories have no target.
 
     What a category's name fits is an instance of it: a coffee table is a table. Instances that lie
     in another connected region than most view points do not count.

@@ -295,7 +295,7 @@ class ChatClient:
             completion = msgspec.json.decode(body, type=_Completion)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             kind = headers.get_content_type()
-            raise self._failed(f"the reply is no chat completion but {kind}: {said}") from None
+            raise self._failed(f"the reply is not a chat completion but {kind}: {said}") from None
         letters = sum(len(m["content"]) for m in request.messages) + len(body)
         used = completion.usage.total_tokens if completion.usage is not None else 0
         self._count("tokens", used if used > 0 else letters // 4)
@@ -317,7 +317,7 @@ def _check_url(text: str) -> urllib.parse.SplitResult:
     """The parts of a server's address.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: it is not an address.
     """
     try:
         url = urllib.parse.urlsplit(text.strip())
@@ -327,7 +327,9 @@ def _check_url(text: str) -> urllib.parse.SplitResult:
         good = False
     if not good:
         raise ConfigError(
-            f"{text!r} is no address of a language server" if text else "no language server given",
+            f"{text!r} is not the address of a language server"
+            if text
+            else "no language server given",
             where="base_url",
             remedy="e.g. base_url='http://localhost:8000/v1', or set $OPENAI_BASE_URL; "
             "the key goes into $OPENAI_API_KEY",

@@ -257,8 +257,8 @@ def _check_distances(plain: str, route: RouteDescription, style: Style) -> list[
         if re.match(r"\d", number):
             value = float(number.replace(",", "."))
         if value is None:
-            return [f"{number} {unit} is no distance of the route"]
+            return [f"{number} {unit} is not a distance of the route"]
         # in the order of the route, to the metre or a quarter
         if not any(abs(value - d) <= max(1.0, 0.25 * d) for d in rest):
-            return [f"{number} {unit} is no distance of the route, or not in its order"]
+            return [f"{number} {unit} is not a distance of the route, or not in its order"]
     return []

@@ -291,6 +291,6 @@ def _scored_path(
         raise EpisodeError(
             f"its path is more than {LONGEST_PATH:g} m long",
             where=f"episode {task.id!r}",
-            remedy="mend the path, or leave the episode out",
+            remedy="correct the path, or leave the episode out",
         )
     return densify_path(path), "resampled"

@@ -109,7 +109,7 @@ class ExporterGnMatrix:
             StorageError: the file cannot be written.
         """
         if not isinstance(episodes.native, pa.Table):
-            raise FormatError(f"a set of format {episodes.format!r} is no GN-Matrix table")
+            raise FormatError(f"a set of format {episodes.format!r} is not a GN-Matrix table")
         stream = io.BytesIO()
         pq.write_table(
             episodes.native,

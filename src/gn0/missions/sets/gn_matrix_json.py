@@ -145,7 +145,7 @@ class ExporterGnMatrixJson:
         check_unique(tasks, path)
         if others:
             notes.append(
-                f"{len(others)} files are no episodes: not in {', '.join(configs) or 'the list'}, "
+                f"{len(others)} files are not episodes: not in {', '.join(configs) or 'the list'}, "
                 "or without start_facing"
             )
         native = JsonFolder({**ours, **others}, len(ours), configs)
@@ -160,7 +160,7 @@ class ExporterGnMatrixJson:
         """
         native = episodes.native
         if not isinstance(native, JsonFolder):
-            raise FormatError(f"a set of format {episodes.format!r} is no folder of JSON files")
+            raise FormatError(f"a set of format {episodes.format!r} is not a folder of JSON files")
         check_replaceable(path, overwrite=False, marker=CONFIG)
         with folder_atomic(path, overwrite=False, marker=CONFIG) as folder:
             for (scene, name), content in native.files.items():

@@ -152,7 +152,7 @@ class ExporterVlnce:
         """
         native = episodes.native
         if not isinstance(native, VlnceFile):
-            raise FormatError(f"a set of format {episodes.format!r} is no VLN-CE file")
+            raise FormatError(f"a set of format {episodes.format!r} is not a VLN-CE file")
         path = Path(path)
         if not path.name.endswith((".json", ".json.gz")):
             raise FormatError(

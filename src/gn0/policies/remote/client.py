@@ -139,7 +139,7 @@ class RemoteClient:
                 seconds = min(float(wait), LONGEST_PAUSE) if wait.isdecimal() else 0.0
                 raise _Later(f"it answers HTTP {code}", seconds) from None
             raise PolicyError(
-                f"{self.url} is no WebSocket server: it answers HTTP {code}",
+                f"{self.url} is not a WebSocket server: it answers HTTP {code}",
                 remedy="check host and port",
             ) from None
         except (InvalidHandshake, WebSocketException, OSError, EOFError, ValueError) as error:
@@ -349,16 +349,16 @@ def check_url(url: str, token: str) -> tuple[str, int]:
     """Host and port of a server's address.
 
     Raises:
-        ConfigError: it is none, or on another machine without a token.
+        ConfigError: it is not such an address, or is on another machine and has no token.
     """
     remedy = "give ws://127.0.0.1:8000 or the like"
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
     except (ValueError, TypeError, AttributeError):
-        raise ConfigError(f"{url!r} is no address of a server", remedy=remedy) from None
+        raise ConfigError(f"{url!r} is not the address of a server", remedy=remedy) from None
     if parts.scheme not in ("ws", "wss") or not host or parts.username or parts.password:
-        raise ConfigError(f"{url!r} is no address of a WebSocket server", remedy=remedy)
+        raise ConfigError(f"{url!r} is not the address of a WebSocket server", remedy=remedy)
     if not is_loopback(host) and not token:
         raise ConfigError(
             f"{host} is another machine, and there is no token for it",

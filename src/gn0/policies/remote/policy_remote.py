@@ -276,7 +276,7 @@ def pick_url(url: str, ports: str | int | Sequence[int]) -> str:
     """The address of this worker's server: that of `url`, or with one of `ports`, in turn.
 
     Raises:
-        ConfigError: a port is none.
+        ConfigError: a port is not a port number.
     """
     if isinstance(ports, str):
         listed: list[Any] = [part.strip() for part in ports.split(",") if part.strip()]

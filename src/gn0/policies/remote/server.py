@@ -302,11 +302,11 @@ class PolicySession:
         """The reply to a decoded request.
 
         Raises:
-            FormatError: the request is none.
+            FormatError: it is not a valid request.
             PolicyError: the policy gives no action.
         """
         if not isinstance(request, dict):
-            raise FormatError("is no map", where="request", remedy="send a map")
+            raise FormatError("not a map", where="request", remedy="send a map")
         endpoint = request.get("endpoint")
         if not isinstance(endpoint, str):  # an array compares with a text cell by cell
             endpoint = ""
@@ -350,7 +350,7 @@ def _stream(more: Any, session: str) -> np.random.Generator:
 def _words(request: dict[str, Any], name: str) -> str:
     value = request.get(name, "")
     if not isinstance(value, str) or len(value) > WORDS_LIMIT:
-        raise FormatError("is no text", where="request", field=name, remedy="send a text")
+        raise FormatError("not a text", where="request", field=name, remedy="send a text")
     return value
 
 

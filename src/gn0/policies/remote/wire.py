@@ -238,7 +238,7 @@ class _Reader:
         count = dtype.itemsize
         for size in shape:
             if type(size) is not int or not 0 <= size <= self.limits.size:
-                self.refuse(f"{str(size)[:40]} is no size", "shape")
+                self.refuse(f"{str(size)[:40]} is not a size", "shape")
             count *= size
         if not isinstance(data, bytes) or len(data) != count:
             held = f"{len(data)} bytes" if isinstance(data, bytes) else type(data).__name__
@@ -262,4 +262,4 @@ class _Reader:
                     return value
             except (OverflowError, ValueError, TypeError):
                 pass
-        self.refuse(f"{str(data)[:40]!r} is no {dtype.name}", "data")
+        self.refuse(f"{str(data)[:40]!r} is not a {dtype.name}", "data")

@@ -104,7 +104,7 @@ class DrawConnection:
         """
         answer = self._ask(Who())
         if not isinstance(answer, DrawnBy):
-            raise DeviceError(f"no answer of ours: {type(answer).__name__}", where="drawing socket")
+            raise DeviceError(f"unexpected answer: {type(answer).__name__}", where="drawing socket")
         return answer.name
 
     def close(self) -> None:
@@ -155,7 +155,7 @@ class DrawConnection:
             raise _lost() from None
         answer = self._ask(draw)
         if not isinstance(answer, Drawn):
-            raise DeviceError(f"no answer of ours: {type(answer).__name__}", where="drawing socket")
+            raise DeviceError(f"unexpected answer: {type(answer).__name__}", where="drawing socket")
         spared = encode is not None and not encode.pixels
         if spared and not answer.files:
             return self.draw(  # nothing stands for the views: bring them after all
@@ -385,7 +385,7 @@ class RendererShared:
         """Draw views [V, 4, 4], `VIEWS` of a scene a request; see `Renderer.draw`.
 
         Raises:
-            RenderError: a view is none, a scene is unknown, or `extra` splats are given: they do
+            RenderError: a view is invalid, a scene is unknown, or `extra` splats are given: they do
                 not travel.
             DeviceError: the device or the process that draws is lost.
         """
@@ -432,7 +432,7 @@ class RendererShared:
         """One request: at most `VIEWS` views [V, 4, 4] of a scene, and files of them.
 
         Raises:
-            RenderError: a view is none, there are too many, the scene is unknown, or `parts`
+            RenderError: a view is invalid, there are too many, the scene is unknown, or `parts`
                 have no meaning.
             DeviceError: the device or the process that draws is lost.
         """
@@ -485,7 +485,7 @@ class SceneEncoder:
         as uint16 millimetres, see `gn0.render.depth`.
 
         Raises:
-            RenderError: a view is none, or there are too many.
+            RenderError: a view is invalid, or there are too many.
             DeviceError: the device or the process that draws is lost.
         """
         return self.renderer.ask(

@@ -155,7 +155,7 @@ class JpegEncoder:
         """
         count, high, wide, _ = pictures.shape
         if wide % width or high % height:
-            raise RenderError(f"{wide}x{high} is no multiple of {width}x{height}")
+            raise RenderError(f"{wide}x{high} is not a multiple of {width}x{height}")
         tiles = self.device.empty((count, height, width, 3), np.uint8)
         self._kernels["reduce_tiles"].launch(
             -(-tiles.size // _THREADS), _THREADS, pictures, np.int32(count), np.int32(wide),

@@ -49,7 +49,7 @@ class MapPainter:
         """The pictures of some maps with dots, those of one size side by side.
 
         Raises:
-            FormatError: a map is none.
+            FormatError: a map is invalid.
             DeviceMemoryError: there is no room.
         """
         groups: dict[tuple[tuple[int, int], bool], list[int]] = {}

@@ -91,10 +91,10 @@ class Floor(msgspec.Struct, frozen=True, tag="floor"):
         """The map.
 
         Raises:
-            FormatError: it is none.
+            FormatError: it is not one.
         """
         if len(self.cells) != self.shape[0] * self.shape[1]:
-            raise FormatError("a map of another size than said", field="cells")
+            raise FormatError("a map whose size differs from what was announced", field="cells")
         cells = np.frombuffer(self.cells, np.uint8).reshape(self.shape)
         return OccupancyGrid(cells, self.resolution, self.origin)
 
@@ -316,7 +316,7 @@ class Inbox:
         try:
             return decoder.decode(body)
         except msgspec.ValidationError as error:
-            raise DeviceError(f"no message of ours: {error}", where="drawing socket") from None
+            raise DeviceError(f"unexpected message: {error}", where="drawing socket") from None
 
     def _fill(self, size: int) -> bool:
         while len(self._data) < size:

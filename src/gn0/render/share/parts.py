@@ -47,7 +47,7 @@ class Cloud(msgspec.Struct, frozen=True, tag="cloud"):
             FormatError: it is smaller than said.
         """
         if not 0 <= self.count <= PART_SPLATS_MAX or self.coefficients not in (1, 4, 9, 16):
-            raise FormatError("a cloud that nobody makes", field="count")
+            raise FormatError("an unknown kind of cloud", field="count")
         if len(area) < self.size:
             raise FormatError("an area smaller than its cloud", field="count")
         words, at = area[: self.size].view(np.float32), 0
@@ -104,7 +104,9 @@ class PartRows(msgspec.Struct, frozen=True):
             FormatError: they are none.
         """
         if len(self.cloud_of) % 4 or len(self.ends) % 4:
-            raise FormatError("instances of another shape than said", field="parts")
+            raise FormatError(
+                "instances whose shape differs from what was announced", field="parts"
+            )
         cloud_of = np.frombuffer(self.cloud_of, np.int32)
         ends = np.frombuffer(self.ends, np.int32)
         total = len(cloud_of)
@@ -112,7 +114,9 @@ class PartRows(msgspec.Struct, frozen=True):
         good = good and len(ends) == count and bool((np.diff(ends, prepend=0) >= 0).all())
         good = good and (int(ends[-1]) if count else 0) == total
         if not good or ((cloud_of < 0) | (cloud_of >= len(self.clouds))).any():
-            raise FormatError("instances of another shape than said", field="parts")
+            raise FormatError(
+                "instances whose shape differs from what was announced", field="parts"
+            )
         poses = np.frombuffer(self.poses, np.float64).reshape(-1, 4, 4)
         gains = np.frombuffer(self.gains, np.float32).reshape(-1, 4, 3)
         rows = [

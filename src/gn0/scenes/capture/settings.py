@@ -82,7 +82,7 @@ def check_capture_settings(settings: CaptureSettings) -> CaptureSettings:
         )
     if not (math.isfinite(settings.least_area) and settings.least_area >= 0):
         raise ConfigError(
-            f"least area {settings.least_area:g} is no area",
+            f"least area {settings.least_area:g} is not an area",
             where="--least-area",
             remedy="give square metres, e.g. 0.2, or 0 to take whatever comes",
         )
@@ -107,7 +107,7 @@ def read_up(text: str) -> F64 | None:
         up = np.zeros(0)
     if up.shape != (3,) or not np.isfinite(up).all() or not np.linalg.norm(up) > 0:
         raise ConfigError(
-            f"{text!r} is no direction",
+            f"{text!r} is not a direction",
             where="--up",
             remedy="use auto, x, -x, y, -y, z, -z or three numbers such as 0,-0.98,0.2 "
             "(write --up=-y, with '=', for what starts with a minus)",
@@ -132,7 +132,7 @@ def read_floor(text: str) -> float | Literal["bottom"] | None:
         value = math.nan
     if not math.isfinite(value):
         raise ConfigError(
-            f"{text!r} is no height",
+            f"{text!r} is not a height",
             where="--floor",
             remedy="use auto, bottom, or a height along up in the file's units, e.g. --floor=-0.4",
         )
@@ -151,12 +151,12 @@ def read_scale_rule(text: str) -> ScaleRule:
         metres = float(length)
         where = tuple(tuple(float(v) for v in point.split(",")) for point in points)
     except ValueError:
-        raise ConfigError(f"{text!r} is no rule", where="--scale-from", remedy=_FORMS) from None
+        raise ConfigError(f"{text!r} is not a rule", where="--scale-from", remedy=_FORMS) from None
     if (
         kind not in _POINTS
         or len(where) != _POINTS[kind]
         or not (math.isfinite(metres) and metres > 0)
         or any(len(p) != 3 or not all(map(math.isfinite, p)) for p in where)
     ):
-        raise ConfigError(f"{text!r} is no rule", where="--scale-from", remedy=_FORMS)
+        raise ConfigError(f"{text!r} is not a rule", where="--scale-from", remedy=_FORMS)
     return ScaleRule(kind, metres, tuple((p[0], p[1], p[2]) for p in where))

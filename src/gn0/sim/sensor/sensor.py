@@ -82,7 +82,7 @@ class Space:
         return len(self.shape) == 3 and self.shape[-1] == 3
 
     def channels_first(self) -> Space:
-        """The same of a picture [3, H, W]; what is none stays as it is."""
+        """The same of a picture [3, H, W]; other spaces stay as they are."""
         if not self.is_picture:
             return self
         return replace(self, shape=(self.shape[-1], *self.shape[:-1]))
@@ -239,7 +239,7 @@ class Wire:
     Attributes:
         once: sent when it is another object, not with every question.
         pack: what is sent of a value, when not the array itself.
-        unpack: the value of what was sent; ValueError where it is none.
+        unpack: the value of what was sent; ValueError where it is invalid.
         holds: what `unpack` takes, in words.
     """
 
@@ -267,7 +267,7 @@ class Sensor:
         tells: what it says that not every track allows, or that no robot could know (labels).
         many: reads of all agents at once what needs no picture; one by one when None.
         device: reads of all agents on a device; it is not carried there when None.
-        array: the array of a value that is none.
+        array: the array that stands for a missing value.
         wire: how it is sent; None where the released protocol has a place of its own for it.
     """
 
@@ -356,7 +356,7 @@ class Sensor:
         except Exception as error:  # whatever a stranger's code raises
             raise SimError(
                 f"sensor {self.name!r} cannot be read: {describe_error(error)}",
-                remedy="mend it; what it looks at must stand in its draws, views, goal_view or bev",
+                remedy="fix it; name what it looks at in its draws, views, goal_view or bev",
             ) from error
 
     def _check(self, value: Any, space: Space) -> NDArray[Any]:
@@ -374,5 +374,5 @@ class Sensor:
     def _refusal(self, wrong: str) -> SimError:
         return SimError(
             f"sensor {self.name!r} {wrong}",
-            remedy="mend what reads it, or its space(); gn0.testing.check_sensor tells more",
+            remedy="correct what reads it, or its space(); gn0.testing.check_sensor tells more",
         )

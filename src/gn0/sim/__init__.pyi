@@ -9,6 +9,10 @@ from gn0.sim.motion import Moment as Moment
 from gn0.sim.motion import Motion as Motion
 from gn0.sim.motion import PartPath as PartPath
 from gn0.sim.motion import PathMotion as PathMotion
+from gn0.sim.noise import ActuationNoise as ActuationNoise
+from gn0.sim.noise import Noise as Noise
+from gn0.sim.noise import PoseNoise as PoseNoise
+from gn0.sim.noise import find_actuation as find_actuation
 from gn0.sim.open import look_hash as look_hash
 from gn0.sim.open import open_simulator as open_simulator
 from gn0.sim.policy import Policy as Policy

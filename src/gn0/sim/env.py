@@ -42,6 +42,7 @@ from gn0.missions.episode import AgentSpec, Episode
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space, read_action
 from gn0.sim.motion import Motion
+from gn0.sim.noise import Noise
 from gn0.sim.open import name_look, open_simulator, split_look
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensor.sensor import MAP_SIDE
@@ -84,6 +85,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         copy: arrays are the caller's own; without, they are not to be written to.
         channels_first: pictures are [3, H, W] rather than [H, W, 3].
         top_down_map: `info["top_down_map"]` follows the agent, see `gn0.sim.top_down_map`.
+        noise: what the body adds to depth, pose and moves, see `gn0.sim.noise`.
     """
 
     metadata = {  # noqa: RUF012 (Gymnasium's own declaration)
@@ -110,6 +112,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         copy: bool = True,
         channels_first: bool = False,
         top_down_map: bool = False,
+        noise: Noise | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -118,6 +121,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self.success_distance = success_distance
         self.copy, self.channels_first = copy, channels_first
         self._shows_map = top_down_map
+        self._noise = noise
         self._map: TopDownMap | None = None
         self._backend = backend
         self.tasks = load_tasks(
@@ -249,6 +253,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
                 map_mode=self.map_mode,
                 light=light,
                 motion=self._motions.get(scene_id),
+                noise=self._noise,
             )
         self._simulators.move_to_end(look)
         while len(self._simulators) > SIMULATORS_KEPT:

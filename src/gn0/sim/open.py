@@ -19,6 +19,7 @@ from gn0.render.open import build_renderer, name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS, DrawnScene
 from gn0.scenes.scene import Scene
 from gn0.sim.motion import Motion
+from gn0.sim.noise import Noise
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensor.table import carry_sensors
 from gn0.sim.sensors import SensorConfig, check_map_mode
@@ -62,6 +63,7 @@ def open_simulator(
     renderer: DrawnScene | None = None,
     one_step_moves: bool = False,
     motion: Motion | None = None,
+    noise: Noise | None = None,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -82,6 +84,7 @@ def open_simulator(
         renderer: draws instead of one of `backend`; it must hold this scene in this light.
         one_step_moves: see `Simulator`.
         motion: what moves in the scene, see `gn0.sim.motion`.
+        noise: what the body adds to depth, pose and moves; nothing when None.
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -129,7 +132,11 @@ def open_simulator(
         scene,
         navigation=navigation,
         sensors=SensorConfig(
-            active=frozenset(active), preset=cameras, map_mode=mode, cut_height=cut_height
+            active=frozenset(active),
+            preset=cameras,
+            map_mode=mode,
+            cut_height=cut_height,
+            noise=noise or Noise(),
         ),
         renderer=renderer,
         bev=bev,

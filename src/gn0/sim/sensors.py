@@ -19,6 +19,7 @@ from gn0.missions.episode import GoalPicture
 from gn0.paper import BEV_CUT
 from gn0.sim.look_plan import Shot, aim_at_goal, plan_look, render_plan
 from gn0.sim.motion import STILL, Moment, Motion, take_moment
+from gn0.sim.noise import Noise
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensor.table import Carried, carry_sensors, check_sensors
 from gn0.sim.state import MapMode
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from gn0.render.renderer import DrawnScene
 
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
+SILENCE = Noise()
 GREEN, RED = (0, 255, 0), (255, 0, 0)
 
 
@@ -43,6 +45,7 @@ class SensorConfig(Config, frozen=True):
         disc_radius: radius of the start and agent discs in the occupancy picture [px].
         map_mode: what bev and occupancy show, see `gn0.sim.state.MapMode`.
         cut_height: what lies higher [m] is left out of an explored BEV.
+        noise: what the body adds to depth, pose and moves.
     """
 
     active: frozenset[str] = frozenset()
@@ -52,6 +55,7 @@ class SensorConfig(Config, frozen=True):
     disc_radius: int = 3
     map_mode: MapMode = "prior"
     cut_height: float = BEV_CUT
+    noise: Noise = Noise()
 
     def __post_init__(self) -> None:
         check_sensors(self.active)
@@ -76,7 +80,19 @@ class SensorConfig(Config, frozen=True):
     @property
     def carried(self) -> Carried:
         """The sensors themselves, and what they need together."""
-        return carry_sensors(self.active)
+        return self.carry(self.active)
+
+    def carry(self, names: frozenset[str]) -> Carried:
+        """Some of them, each with its noise."""
+        carried = carry_sensors(names)
+        if self.noise == SILENCE:
+            return carried
+        return replace(
+            carried,
+            sensors=tuple(
+                self.noise.wrap(sensor, self.preset.depth_range) for sensor in carried.sensors
+            ),
+        )
 
 
 def check_map_mode(mode: str, sensors: Iterable[str]) -> MapMode:

@@ -25,7 +25,7 @@ from gn0.sim.collision import check_finite, check_places, move_agent
 from gn0.sim.history import History
 from gn0.sim.kinematics import Heading, heading_yaw, plan_journey, step_forward
 from gn0.sim.mapping import Mapper
-from gn0.sim.sensor.table import carry_sensors
+from gn0.sim.noise import sample_move
 from gn0.sim.sensors import SensorConfig, SensorSuite
 from gn0.sim.standpoint import Standpoint
 from gn0.sim.state import (
@@ -140,6 +140,7 @@ class Simulator:
                 coloured="rgb" in config.carried.explored,
             )  # fmt: skip
         self._here.mapper = self._mapper
+        self._actuation = config.noise.actuation if config.noise.moves else None
         self._episode: Episode | None = None
         self._history = History()
         self._over = True
@@ -257,6 +258,11 @@ class Simulator:
             )
         moved, collided, stop, steps = 0.0, False, False, 1
         x, y = self._x, self._y
+        if self._actuation is not None and isinstance(action, Displacement | Teleport):
+            raise SimError(
+                f"a {type(action).__name__} has no noise",
+                remedy="give FORWARD, LEFT, RIGHT or STOP, or leave out noise.actuation",
+            )
         if isinstance(action, Displacement):
             check_finite("displacement", *action)
             action = action.at(Pose2D(x, y, self._yaw))
@@ -268,7 +274,9 @@ class Simulator:
             code = action_code(action)
             if self._keeps_views:
                 self._keep_view()
-            if code == 1:
+            if self._actuation is not None and code:
+                moved, collided = self._slip(code)
+            elif code == 1:
                 target = step_forward(x, y, self._yaw, self.agent.forward_step)
                 self._x, self._y, moved, collided = move_agent(
                     self.navigation, x, y, *target, self.agent
@@ -291,6 +299,20 @@ class Simulator:
             {"pose": self._here.pose},
             steps,
         )
+
+    def _slip(self, code: int) -> tuple[float, bool]:
+        """Do FORWARD, LEFT or RIGHT with the body's noise: metres covered, and whether cut."""
+        assert self._actuation is not None
+        agent, episode = self.agent, self.episode
+        rng = random_stream(episode.seed, "actuation", episode.id, self._steps)
+        turn = math.radians(agent.turn_degrees) * (0, 0, 1, -1)[code]
+        ahead = agent.forward_step if code == 1 else 0.0
+        there = Displacement(*sample_move(self._actuation, ahead, turn, rng)).at(
+            Pose2D(self._x, self._y, self._yaw)
+        )
+        move = move_agent(self.navigation, self._x, self._y, there.x, there.y, agent)
+        self._place(move.x, move.y, wrap_angle(there.yaw), 0)
+        return move.moved, move.collided
 
     def _go(self, x1: float, y1: float, yaw: float) -> tuple[float, bool, int]:
         """Move to (x1, y1) [m] and look along `yaw` [rad]: metres covered, cut, steps taken."""
@@ -359,7 +381,7 @@ class Simulator:
     def _want(self, wanted: frozenset[str]) -> None:
         """Choose what is observed, and what must be drawn for it."""
         self._wanted = wanted
-        carried = carry_sensors(wanted)
+        carried = self._suite.config.carry(wanted)
         self._keeps_views = carried.views
         self._scaled = bool(carried.maps)
         self._maps = self._mapper is not None and self._scaled

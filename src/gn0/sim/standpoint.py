@@ -93,3 +93,7 @@ class Standpoint:
     def random(self, name: str) -> np.random.Generator:
         """Chance that belongs to episode, step and name alone."""
         return random_stream(self.episode.seed, "sensor", name, self.episode.id, self.steps)
+
+    def random_walk(self, name: str) -> np.random.Generator:
+        """Chance that belongs to episode and name alone: the same again at each step."""
+        return random_stream(self.episode.seed, "sensor walk", name, self.episode.id)

@@ -40,6 +40,7 @@ from gn0.sim.env import (
     shape_of_maps,
 )
 from gn0.sim.motion import Motion
+from gn0.sim.noise import Noise
 from gn0.sim.open import open_simulator, split_look
 from gn0.sim.presets import find_preset
 from gn0.sim.sensor.goal_vector import VECTOR_LIMIT
@@ -81,6 +82,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         copy: observations are the caller's own; without, pictures are the environment's memory
             and hold until the next step or reset.
         channels_first: pictures are [N, 3, H, W] rather than [N, H, W, 3].
+        noise: what each body adds to depth and pose, see `gn0.sim.noise`; moves are exact here.
 
     Raises:
         ConfigError: an unknown sensor, preset, backend, action space or render mode.
@@ -117,6 +119,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         action_space: str = "discrete",
         copy: bool = True,
         channels_first: bool = False,
+        noise: Noise | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -132,13 +135,24 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         self._motions = dict(motions or {})
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset)
+        self.noise = noise or Noise()
+        if self.noise.moves:
+            raise ConfigError(
+                "agents in a vector move exactly",
+                remedy="use GoalNavEnv, or leave out noise.actuation",
+            )
         self._backend = visible_backend(backend) if visible_sets else backend
         self._drawn = self.sensors | ({"rgb"} if render_mode else frozenset())
         engine = SimulatorBatchContinuous if action_space == "continuous" else SimulatorBatch
         self.batch: SimulatorBatch = engine(
             num_envs,
             self.tasks.scenes,
-            SensorConfig(active=frozenset(self._drawn), preset=camera, map_mode=self.map_mode),
+            SensorConfig(
+                active=frozenset(self._drawn),
+                preset=camera,
+                map_mode=self.map_mode,
+                noise=self.noise,
+            ),
             agent=self.tasks.agent,
             max_steps=self.tasks.max_steps,
             open_suite=self._open_suite,

@@ -184,7 +184,11 @@ class Here(Protocol):
         ...
 
     def random(self, name: str) -> np.random.Generator:
-        """Chance that belongs to episode, step and name alone: the only one that may be used."""
+        """Chance that belongs to episode, step and name alone."""
+        ...
+
+    def random_walk(self, name: str) -> np.random.Generator:
+        """Chance of episode and name, the same again at each step: for what adds up."""
         ...
 
 

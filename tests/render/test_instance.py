@@ -254,7 +254,7 @@ def test_clouds_that_cannot_be_parts_are_refused() -> None:
     cloud = random_cloud(4, 1)
     check_named("ball", cloud)
     for name in ("", None, 3):
-        with pytest.raises(RenderError, match="no name"):
+        with pytest.raises(RenderError, match="not the name of a cloud"):
             check_named(name, cloud)  # type: ignore[arg-type]
     with pytest.raises(RenderError, match=r"cloud 'ball': normals are not finite"):
         check_named("ball", replace(cloud, normal=np.full((4, 3), np.nan, np.float32)))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from gn0.config import Config
 
 EXAMPLES = """  gn0 scene show out/flat
-  gn0 scene show out/flat --out flat.png"""
+  gn0 scene show out/flat --out flat.png
+  gn0 scene show out/flat --labels semantic --out kinds.png"""
 
 
 class Args(Config, frozen=True):
@@ -19,10 +20,13 @@ class Args(Config, frozen=True):
     Attributes:
         folder: a scene folder.
         out: the PNG to write; default: sheet.png beside the scene folder.
+        labels: what the views show instead of colours: the category of what is seen (semantic), or
+            which object it is (instance), each in a colour of its own.
     """
 
     folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     out: str = ""
+    labels: Literal["", "semantic", "instance"] = ""
 
 
 def run(args: Args) -> int:
@@ -39,7 +43,11 @@ def run(args: Args) -> int:
     check_writable(out)
     with draw_progress() as progress:
         progress("drawing", 0, 1)
-        sheet = render_sheet(scene, build_renderer(scene.gaussians))
+        sheet = render_sheet(
+            scene,
+            build_renderer(scene.gaussians, "cpu" if args.labels else "auto"),
+            labels=args.labels,
+        )
         progress("drawing", 1, 1)
     write_atomic(out, lambda stream: sheet.save(stream, "PNG"))
     print(f"written to {out}")

@@ -25,10 +25,12 @@ class GaussianCloud:
         scales: standard deviations along the local axes [N, 3] m, linear.
         opacities: [N] in 0..1.
         sh: spherical harmonics [N, K, 3], K in 1, 4, 9, 16; coefficient 0 is the DC term.
-        label: instance id per Gaussian [N] int32 (−1 none), optional.
+        label: number of the object that a Gaussian belongs to [N] int32 (−1 none), optional.
         albedo: linear base colour [N, 3] in 0..1, optional.
         irradiance: baked linear irradiance [N, 3], optional.
         normal: unit surface normal [N, 3], optional.
+        categories: category number of each object [K] int32, from 1 (0 none), optional. An object
+            is named by its place, which `label` holds.
     """
 
     means: F32
@@ -40,6 +42,7 @@ class GaussianCloud:
     albedo: F32 | None = None
     irradiance: F32 | None = None
     normal: F32 | None = None
+    categories: NDArray[np.int32] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -53,6 +56,7 @@ class GaussianCloud:
             "albedo": (n, 3),
             "irradiance": (n, 3),
             "normal": (n, 3),
+            "categories": (-1 if self.categories is None else self.categories.size,),
         }
         for name, shape in shapes.items():
             value = getattr(self, name)
@@ -62,7 +66,7 @@ class GaussianCloud:
                 raise FormatError(
                     f"cloud array has shape {value.shape}, expected {shape}", field=name
                 )
-            dtype = np.int32 if name == "label" else np.float32
+            dtype = np.int32 if name in ("label", "categories") else np.float32
             if value.dtype != dtype or not value.flags.c_contiguous:
                 object.__setattr__(self, name, np.ascontiguousarray(value, dtype))
         if self.sh.shape[1] not in (1, 4, 9, 16):
@@ -109,7 +113,8 @@ class GaussianCloud:
 def join_clouds(clouds: list[GaussianCloud]) -> GaussianCloud:
     """One cloud of all Gaussians in order; SH padded to the highest degree.
 
-    An extra (label, albedo, …) survives only where every cloud has it.
+    An extra (label, albedo, …) survives only where every cloud has it, and the categories of
+    objects only where all agree.
     """
     k = max(cloud.sh.shape[1] for cloud in clouds)
     sh = [np.pad(cloud.sh, ((0, 0), (0, k - cloud.sh.shape[1]), (0, 0))) for cloud in clouds]
@@ -119,4 +124,7 @@ def join_clouds(clouds: list[GaussianCloud]) -> GaussianCloud:
     for name in ("label", "albedo", "irradiance", "normal"):
         parts = [getattr(cloud, name) for cloud in clouds]
         merged[name] = None if any(p is None for p in parts) else np.concatenate(parts)
+    tables = [cloud.categories for cloud in clouds]
+    if all(t is not None and np.array_equal(t, tables[0]) for t in tables):  # type: ignore[arg-type]
+        merged["categories"] = tables[0]
     return GaussianCloud(**merged)  # type: ignore[arg-type]

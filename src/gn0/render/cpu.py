@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, cached_property
 
 import numba
 import numpy as np
@@ -23,14 +23,23 @@ from gn0.geometry import F32, F64
 from gn0.render import cpu_project as project
 from gn0.render.camera import Camera
 from gn0.render.cpu_bin import BLOCKS, fill_tiles, scan_tiles
+from gn0.render.cpu_labels import SLOTS, label_tiles
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud
 from gn0.render.cpu_parts import NO_GAIN, NO_NORMALS, NamedClouds, PlacedPart
 from gn0.render.cpu_raster import TILE, raster_tiles
 from gn0.render.instance import Parts, check_parts
-from gn0.render.renderer import Output, RenderOptions, RenderResult, check_views
+from gn0.render.labels import U32, check_labelled, encode_labels, split_codes
+from gn0.render.renderer import (
+    LABELS,
+    OUTPUTS,
+    Output,
+    RenderOptions,
+    RenderResult,
+    check_outputs,
+    check_views,
+)
 from gn0.render.visible_mark import mark_tiles
 
-OUTPUTS = ("rgb", "depth", "alpha")
 STAGES = ("project", "bin", "raster")
 
 
@@ -38,6 +47,7 @@ class RendererCpu:
     """Renders one cloud with Numba. Buffers are kept between calls: one thread at a time."""
 
     name = "cpu"
+    label_slots = SLOTS  # labels that a tile has room for at a time; never changes a byte
 
     def __init__(
         self,
@@ -62,6 +72,7 @@ class RendererCpu:
             self.cloud = pack_cloud(cloud)
         self._named = NamedClouds() if named is None else named
         self._buffers = _Buffers()
+        self._label, self._categories = cloud.label, cloud.categories
         self.stage_seconds = dict.fromkeys(STAGES, 0.0)  # spent so far, for figures
 
     def name_cloud(self, name: str, cloud: GaussianCloud) -> None:
@@ -82,7 +93,7 @@ class RendererCpu:
         *,
         extra: GaussianCloud | None = None,
         parts: Parts = (),
-        outputs: tuple[Output, ...] = OUTPUTS,  # type: ignore[assignment]
+        outputs: tuple[Output, ...] = OUTPUTS,
         background: tuple[float, float, float] | None = None,
     ) -> RenderResult:
         """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.render`.
@@ -111,7 +122,7 @@ class RendererCpu:
         *,
         extra: GaussianCloud | None = None,
         parts: Parts = (),
-        outputs: tuple[Output, ...] = OUTPUTS,  # type: ignore[assignment]
+        outputs: tuple[Output, ...] = OUTPUTS,
         background: tuple[float, float, float] | None = None,
     ) -> RenderResult:
         """Render each view [4, 4] of `matrices` from its own of `clouds`, pieces of the whole.
@@ -122,9 +133,8 @@ class RendererCpu:
             RenderError: an output is unknown, a colour or a splat is not finite, or `parts` are
                 wrong (see `check_parts`).
         """
-        unknown = [name for name in outputs if name not in OUTPUTS]
-        if unknown:
-            raise RenderError(f"unknown output {unknown[0]!r}", remedy="rgb, depth or alpha")
+        check_outputs(outputs)
+        check_labelled(self._label, self._categories, outputs)
         colour = np.array(self.options.background if background is None else background, np.float32)
         if colour.shape != (3,) or not np.isfinite(colour).all():
             raise RenderError("background is not three finite numbers", where="background")
@@ -145,6 +155,7 @@ class RendererCpu:
         )
         no_u8, no_f32 = np.empty((1, 1, 3), np.uint8), np.empty((1, 1, 3), np.float32)
         no_map = np.empty((1, 1), np.float32)
+        shown = np.empty(shape, np.uint32) if set(outputs) & set(LABELS) else None
         with _threads(self.options.threads):
             moving, first = [], self.size
             if extra is not None and len(extra):
@@ -154,20 +165,42 @@ class RendererCpu:
                 placed = self._named.place(instances[v], first)
                 lists = self.arrange(camera, matrix, [(cloud, 0), *moving], placed)
                 start = time.perf_counter()
-                raster_tiles(
-                    *lists,
-                    -(-camera.width // TILE),
-                    camera.width,
-                    camera.height,
-                    colour,
-                    wants,
-                    no_u8 if rgb is None or as_float else rgb[v],
-                    no_f32 if rgb is None or not as_float else rgb[v],
-                    no_map if depth is None else depth[v],
-                    no_map if alpha is None else alpha[v],
-                )
+                plain = bool(wants.any()) or shown is None
+                if plain:
+                    raster_tiles(
+                        *lists,
+                        -(-camera.width // TILE),
+                        camera.width,
+                        camera.height,
+                        colour,
+                        wants,
+                        no_u8 if rgb is None or as_float else rgb[v],
+                        no_f32 if rgb is None or not as_float else rgb[v],
+                        no_map if depth is None else depth[v],
+                        no_map if alpha is None else alpha[v],
+                    )
+                if shown is not None:
+                    label_tiles(
+                        *lists,
+                        -(-camera.width // TILE),
+                        camera.width,
+                        camera.height,
+                        plain,
+                        self._codes,
+                        _codes_moving(extra, placed),
+                        self.size,
+                        self.label_slots,
+                        shown[v],
+                    )
                 self.stage_seconds["raster"] += time.perf_counter() - start
-        return RenderResult(rgb, depth, alpha)
+        labels = {} if shown is None else split_codes(shown, outputs)
+        return RenderResult(rgb, depth, alpha, **labels)
+
+    @cached_property
+    def _codes(self) -> U32:
+        """What the scene's splats belong to [N]; kept once somebody wants labels."""
+        assert self._label is not None
+        return encode_labels(self._label, self._categories)
 
     def mark_visible(
         self, camera: Camera, matrices: F64, threshold: float, marks: NDArray[np.uint8]
@@ -239,6 +272,14 @@ class RendererCpu:
         (rows, spare_rows), (keys, spare_keys) = buffers.tile_rows, buffers.tile_keys
         lists = (starts, rows, keys, spare_rows, spare_keys)
         return (buffers.records, buffers.indices, ordered, *lists, spread_rows(tiles_y))
+
+
+def _codes_moving(extra: GaussianCloud | None, placed: Sequence[PlacedPart]) -> U32:
+    """What the splats belong to that are numbered behind those of the scene."""
+    codes = [part.codes for part in placed]
+    if extra is not None and len(extra):
+        codes.insert(0, encode_labels(extra.label, extra.categories, len(extra)))
+    return np.concatenate([np.zeros(0, np.uint32), *codes])
 
 
 class _Drawn:

@@ -13,6 +13,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.render.cpu_pack import CHUNK, PackedCloud, pack_cloud, read_only
 from gn0.render.instance import Instance, check_named, digest_part, find_normals
+from gn0.render.labels import U32, encode_labels
 
 NO_GAIN = read_only(np.empty((0, 3), np.float32))  # colours stay as they are
 NO_NORMALS = read_only(np.empty((0, 3 * CHUNK), np.float32))
@@ -28,6 +29,7 @@ class PlacedPart(NamedTuple):
         gain: [0, 3] none, [1, 3] constant, or [4, 3] with the linear terms in the part's frame.
         normals: [C, 3 * CHUNK] packed as the cloud is, in the part's frame; read for a gain of
             [4, 3] alone.
+        codes: what its splats belong to, by cloud index [N]; see `gn0.render.labels`.
     """
 
     cloud: PackedCloud
@@ -35,6 +37,7 @@ class PlacedPart(NamedTuple):
     pose: F64
     gain: F32
     normals: F32
+    codes: U32
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,7 @@ class _NamedCloud:
     normals: F32
     size: int
     digest: str
+    codes: U32
     source: weakref.ref[GaussianCloud]
 
 
@@ -72,7 +76,12 @@ class NamedClouds:
         lanes = find_normals(cloud)[packed.order].reshape(-1, CHUNK, 3).transpose(0, 2, 1)
         normals = np.ascontiguousarray(lanes).reshape(-1, 3 * CHUNK)
         self._held[name] = _NamedCloud(
-            packed, read_only(normals), len(cloud), digest, weakref.ref(cloud)
+            packed,
+            read_only(normals),
+            len(cloud),
+            digest,
+            encode_labels(cloud.label, cloud.categories, len(cloud)),
+            weakref.ref(cloud),
         )
 
     def place(self, instances: Sequence[Instance], first: int) -> list[PlacedPart]:
@@ -85,6 +94,8 @@ class NamedClouds:
                 gain = NO_GAIN
             elif not gain[1:].any():
                 gain = gain[:1]
-            placed.append(PlacedPart(held.cloud, first, instance.pose, gain, held.normals))
+            placed.append(
+                PlacedPart(held.cloud, first, instance.pose, gain, held.normals, held.codes)
+            )
             first += held.size
         return placed

@@ -22,11 +22,18 @@ from gn0.errors import DeviceError, DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud, join_clouds
 from gn0.geometry import F64
 from gn0.render.camera import Camera
-from gn0.render.renderer import Output, RenderOptions, RenderResult, check_views
+from gn0.render.labels import refuse_labels
+from gn0.render.renderer import (
+    OUTPUTS,
+    Output,
+    RenderOptions,
+    RenderResult,
+    check_outputs,
+    check_views,
+)
 
 _log = logging.getLogger(__name__)
 
-OUTPUTS = ("rgb", "depth", "alpha")
 _FIELDS = ("means", "quats", "scales", "opacities", "sh")
 _SPLAT_BYTES = 112  # a splat and view while a batch is drawn, packed, SH 3 (measured: 74 to 96)
 _PIXEL_BYTES = 64
@@ -80,7 +87,7 @@ class RendererGsplat:
         views: NDArray[np.floating],
         *,
         extra: GaussianCloud | None = None,
-        outputs: tuple[Output, ...] = OUTPUTS,  # type: ignore[assignment]
+        outputs: tuple[Output, ...] = OUTPUTS,
         background: tuple[float, float, float] | None = None,
     ) -> RenderResult:
         """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.render`.
@@ -92,9 +99,8 @@ class RendererGsplat:
             DeviceError: the GPU failed.
         """
         matrices = check_views(views)
-        unknown = [name for name in outputs if name not in OUTPUTS]
-        if unknown:
-            raise RenderError(f"unknown output {unknown[0]!r}", remedy="rgb, depth or alpha")
+        check_outputs(outputs)
+        refuse_labels(outputs, self.name)
         colour = np.array(self.options.background if background is None else background, np.float32)
         if colour.shape != (3,) or not np.isfinite(colour).all():
             raise RenderError("background is not three finite numbers", where="background")

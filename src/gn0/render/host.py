@@ -19,8 +19,11 @@ from gn0.gaussians.cloud import GaussianCloud, join_clouds
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.instance import Instance, Parts, check_named, check_parts, move_instance
+from gn0.render.labels import refuse_labels
 from gn0.render.renderer import (
+    ALL_OUTPUTS,
     ALONE,
+    LABELS,
     OUTPUTS,
     VISIBLE_BACKENDS,
     Colour,
@@ -58,6 +61,7 @@ class RendererHost:
         options: image formation, for all scenes.
         limit: makes of such a renderer one that draws from visible sets; None: it has none.
         takes_parts: whether such a renderer draws instances; else their splats are moved for it.
+        labels: whether such a renderer draws "semantic" and "instance".
     """
 
     def __init__(
@@ -68,10 +72,13 @@ class RendererHost:
         limit: Limit | None = None,
         *,
         takes_parts: bool = False,
+        labels: bool = False,
     ) -> None:
         self.name = name
         self.options = options or RenderOptions()
-        self.traits = Traits(name, self.options.antialiased, visible_sets=limit is not None)
+        self.traits = Traits(
+            name, self.options.antialiased, visible_sets=limit is not None, labels=labels
+        )
         self._build, self._limit = build, limit
         self._named: dict[str, _Named] = {}
         self._renderers: OrderedDict[str, SceneRenderer] = OrderedDict()  # least recent first
@@ -175,8 +182,11 @@ class RendererHost:
         """Draw views; see `Renderer.draw`. Neighbours of one scene are one call of its renderer.
 
         Raises:
-            RenderError: a key is unknown, `parts` have no meaning, or see `SceneRenderer.render`.
+            RenderError: a key is unknown, `parts` have no meaning, labels are wanted and it draws
+                none, or see `SceneRenderer.render`.
         """
+        if not self.traits.labels:
+            refuse_labels(outputs, self.name)
         if isinstance(keys, str) and not parts:
             runs = [(keys, views, slice(None))]
         else:
@@ -253,10 +263,11 @@ def _join(
         if parts:
             found[name] = np.concatenate([getattr(part, name) for part in parts])
         else:
-            kind = np.float32 if name != "rgb" or options.rgb_float else np.uint8
+            kind: type = np.float32 if name != "rgb" or options.rgb_float else np.uint8
+            kind = np.uint32 if name in LABELS else kind
             shape = (0, camera.height, camera.width, *((3,) if name == "rgb" else ()))
             found[name] = np.zeros(shape, kind)
-    return RenderResult(*(found.get(name) for name in OUTPUTS))
+    return RenderResult(*(found.get(name) for name in ALL_OUTPUTS))
 
 
 def _no_load() -> GaussianCloud:

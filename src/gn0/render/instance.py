@@ -210,10 +210,14 @@ def check_named(name: str, cloud: GaussianCloud) -> None:
 
 
 def digest_part(cloud: GaussianCloud) -> str:
-    """Digest of all that a picture of a part depends on: its splats and its normals."""
-    if cloud.normal is None:
-        return cloud.content_hash
-    return content_hash(cloud.content_hash, cloud.normal)
+    """Digest of all that a picture of a part depends on: its splats, normals and labels."""
+    digest = cloud.content_hash
+    if cloud.normal is not None:
+        digest = content_hash(digest, cloud.normal)
+    if cloud.label is not None:
+        table = np.zeros(0, np.int32) if cloud.categories is None else cloud.categories
+        digest = content_hash("labels", digest, cloud.label, table, cloud.categories is None)
+    return digest
 
 
 def find_normals(cloud: GaussianCloud) -> F32:

@@ -40,8 +40,10 @@ VISIBLE_BACKENDS = {VISIBLE: "cpu", VISIBLE_CUDA: "cuda"}  # and who draws for t
 VISIBLE_OF = {drawn: name for name, drawn in VISIBLE_BACKENDS.items()}
 VIEW_TOLERANCE = 1e-4  # how far a view's rotation may be from orthonormal
 
-Output = Literal["rgb", "depth", "alpha"]
-OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
+Output = Literal["rgb", "depth", "alpha", "semantic", "instance"]
+OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")  # what is drawn where nobody says
+LABELS: tuple[Output, ...] = ("semantic", "instance")
+ALL_OUTPUTS: tuple[Output, ...] = (*OUTPUTS, *LABELS)
 Colour = tuple[float, float, float]
 Load = Callable[[], GaussianCloud]
 ALONE = ""  # key of the scene of a renderer that was built for one
@@ -72,11 +74,15 @@ class RenderResult:
         depth: camera z of the expected surface [V, H, W] float32 m; +inf where alpha < 0.5. As
             uint16 millimetres where those were asked for, see `gn0.render.depth`.
         alpha: accumulated opacity [V, H, W] float32 in 0..1.
+        semantic: category number [V, H, W] uint32 of what is seen, see `gn0.render.labels`.
+        instance: object number [V, H, W] uint32 of what is seen, from 1; 0 is no object.
     """
 
     rgb: NDArray[np.uint8] | F32 | None
     depth: F32 | None
     alpha: F32 | None
+    semantic: NDArray[np.uint32] | None = None
+    instance: NDArray[np.uint32] | None = None
 
     def numpy(self) -> RenderResult:
         """The same: these are in host memory."""
@@ -103,6 +109,14 @@ class Pictures(Protocol):
     @property
     def alpha(self) -> Any:
         """Opacity [V, H, W]."""
+
+    @property
+    def semantic(self) -> Any:
+        """Category numbers [V, H, W]."""
+
+    @property
+    def instance(self) -> Any:
+        """Object numbers [V, H, W]."""
 
     def numpy(self) -> RenderResult:
         """The same in host memory."""
@@ -137,6 +151,7 @@ class Traits:
         device: where pictures lie; None in host memory.
         device_views: whether views, and which scene each shows, may lie there as well.
         encoder: makes files of one scene's pictures, see `DrawnScene`; None if nobody does.
+        labels: whether "semantic" and "instance" are drawn, of scenes whose splats carry labels.
     """
 
     drawn_by: str
@@ -145,6 +160,7 @@ class Traits:
     device: Device | None = None
     device_views: bool = False
     encoder: Callable[[str, bool], Encoder] | None = None
+    labels: bool = False
 
 
 class SceneRenderer(Protocol):
@@ -299,7 +315,8 @@ class Renderer(Protocol):
 
         Raises:
             RenderError: a view is not finite or not rigid, an output or a scene is unknown, a
-                colour or a splat is not finite, or `parts` have no meaning.
+                colour or a splat is not finite, `parts` have no meaning, or labels are wanted of
+                a renderer or a scene without.
         """
         ...
 
@@ -393,9 +410,11 @@ def check_outputs(outputs: Sequence[str]) -> None:
     Raises:
         RenderError: an output is unknown.
     """
-    unknown = [name for name in outputs if name not in OUTPUTS]
+    unknown = [name for name in outputs if name not in ALL_OUTPUTS]
     if unknown:
-        raise RenderError(f"unknown output {unknown[0]!r}", remedy="rgb, depth or alpha")
+        raise RenderError(
+            f"unknown output {unknown[0]!r}", remedy="rgb, depth, alpha, semantic or instance"
+        )
 
 
 def check_views(views: NDArray[np.floating]) -> F64:

@@ -28,7 +28,7 @@ from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cpu_pack import CHUNK, FIELDS, REACH, PackedCloud
 from gn0.render.instance import Parts
-from gn0.render.renderer import VISIBLE, Output, RenderResult, check_views
+from gn0.render.renderer import OUTPUTS, VISIBLE, Output, RenderResult, check_views
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_mark import gather_chunks
 from gn0.render.visible_places import MEMORY, VisibleOptions, key_of_sets
@@ -117,7 +117,7 @@ class RendererVisible:
         *,
         extra: GaussianCloud | None = None,
         parts: Parts = (),
-        outputs: tuple[Output, ...] = ("rgb", "depth", "alpha"),
+        outputs: tuple[Output, ...] = OUTPUTS,
         background: tuple[float, float, float] | None = None,
     ) -> RenderResult:
         """Render `views` (world-to-camera [4, 4] or [V, 4, 4]); see `Renderer.render`.

@@ -38,7 +38,7 @@ from gn0.gaussians.splat_files import load_cloud
 from gn0.maps.interiorgs_map import load_occupancy, save_occupancy
 from gn0.progress import Progress, no_progress
 from gn0.scenes.label_file import REACH, encode_labels, load_labels
-from gn0.scenes.scene import Scene, SceneObject, SceneRoom, SceneSourceInfo
+from gn0.scenes.scene import Scene, SceneObject, SceneRoom, SceneSourceInfo, name_categories
 from gn0.scenes.structure import encode_structure, load_structure
 from gn0.storage import (
     check_contained,
@@ -190,7 +190,7 @@ def load_scene(path: Path | str) -> Scene:
         bounds=np.asarray(about.bounds, np.float64),
         licence=about.licence,
         path=folder,
-        load_cloud=_cloud_loader(folder, cloud_path, about),
+        load_cloud=_cloud_loader(folder, cloud_path, about, objects),
         cloud_hash=about.hashes["cloud"],
     )
 
@@ -257,7 +257,9 @@ def _need(folder: Path, name: str) -> Path:
     return path
 
 
-def _cloud_loader(folder: Path, path: Path, about: SceneFile) -> Callable[[], GaussianCloud]:
+def _cloud_loader(
+    folder: Path, path: Path, about: SceneFile, objects: tuple[SceneObject, ...]
+) -> Callable[[], GaussianCloud]:
     def load() -> GaussianCloud:
         cloud = load_cloud(path).cloud
         if len(cloud) != about.count or cloud.content_hash != about.hashes["cloud"]:
@@ -266,7 +268,7 @@ def _cloud_loader(folder: Path, path: Path, about: SceneFile) -> Callable[[], Ga
                 file=path,
                 remedy="restore the file, or import the scene again",
             )
-        return _attach_aux(cloud, safe_join(folder, AUX_FILE))
+        return name_categories(_attach_aux(cloud, safe_join(folder, AUX_FILE)), objects)
 
     return load
 

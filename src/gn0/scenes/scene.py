@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from gn0.config import Config
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64
 from gn0.maps.grid import OccupancyGrid
+
+UNLABELLED = "unlabelled"  # name of category 0
 
 
 class ObjectBox(Config, frozen=True):
@@ -118,6 +120,15 @@ class Scene:
         return self.load_cloud()
 
     @cached_property
+    def categories(self) -> tuple[str, ...]:
+        """Names by category number, as pictures of output "semantic" hold them.
+
+        0 is what belongs to no object: walls, floors, the sky, nothing at all. The others are the
+        categories of `objects`, sorted.
+        """
+        return (UNLABELLED, *sorted({thing.category for thing in self.objects}))
+
+    @cached_property
     def content_hash(self) -> str:
         """Digest of splats, grid, objects and rooms: the scene's identity in results."""
         from gn0.storage import content_hash
@@ -127,3 +138,16 @@ class Scene:
             self.grid.content_hash,
             msgspec.json.encode((self.objects, self.rooms)),
         )
+
+
+def name_categories(cloud: GaussianCloud, objects: tuple[SceneObject, ...]) -> GaussianCloud:
+    """The cloud of a scene, knowing the category number of each of its objects.
+
+    The cloud itself where it carries no labels. Numbers are those of `Scene.categories`.
+    """
+    if cloud.label is None:
+        return cloud
+    names = sorted({thing.category for thing in objects})
+    numbers = {name: number for number, name in enumerate(names, start=1)}
+    table = np.array([numbers[thing.category] for thing in objects], np.int32)
+    return replace(cloud, categories=table)

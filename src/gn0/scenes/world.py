@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from gn0.errors import SceneError
 from gn0.maps.grid import FREE, OccupancyGrid
@@ -16,7 +17,7 @@ from gn0.scenes.boxes import upright_box
 from gn0.scenes.mesh import SceneMesh, join_meshes
 from gn0.scenes.occupancy import build_occupancy, find_floor
 from gn0.scenes.rooms import RoomMap, assign_rooms, build_rooms
-from gn0.scenes.scene import Scene, SceneObject, SceneOpening, SceneSourceInfo
+from gn0.scenes.scene import Scene, SceneObject, SceneOpening, SceneSourceInfo, name_categories
 from gn0.scenes.scene_sources import ImportSettings
 from gn0.scenes.sdf import SdfWorld, find_world_file, load_sdf
 from gn0.scenes.surfels import build_surfels
@@ -70,6 +71,7 @@ class SceneSourceWorld:
         maps = self._lay_maps(world, meshes, settings)
         rooms = world_rooms(meshes, grid)
         objects = assign_rooms(world_objects(meshes), rooms, grid)
+        numbers = number_instances(meshes)
         ground = max(float((rooms.label >= 0).sum()) * grid.resolution**2, grid.free_area, 1.0)
         if settings.light == "home":
             progress("closing the roof", 0, 1)
@@ -94,8 +96,10 @@ class SceneSourceWorld:
             shader,
             count=int(settings.density * ground),
             seed=settings.seed,
+            label_of_instance=numbers,
             progress=progress,
         )
+        cloud = name_categories(cloud, objects)
         vertices = meshes.visual.vertices[meshes.visual.faces.ravel()]
         notes = _told(meshes.notes)
         return Scene(
@@ -195,6 +199,13 @@ def world_objects(meshes: WorldMeshes) -> tuple[SceneObject, ...]:
             box = upright_box(points, meshes.yaws[index])
             objects.append(SceneObject(id=name, category=category, box=box))
     return tuple(objects)
+
+
+def number_instances(meshes: WorldMeshes) -> NDArray[np.int32]:
+    """Which of `world_objects` each instance of a mesh is [I], −1 for one without a face."""
+    count = max(len(meshes.names), 1)
+    seen = np.bincount(meshes.visual.instance[meshes.visual.instance >= 0], minlength=count) > 0
+    return np.where(seen, np.cumsum(seen) - 1, -1).astype(np.int32)
 
 
 def world_openings(objects: tuple[SceneObject, ...]) -> tuple[SceneOpening, ...]:

@@ -72,6 +72,53 @@ def project_splats(
     cloud: GaussianCloud, camera: Camera, view: F64, *, antialiased: bool = False
 ) -> tuple[F64, F64, F64, F64, F64]:
     """Splats in the picture, front to back: centre [M, 2] px, conic [M, 3], opacity, rgb, z."""
+    centre, conic, opacity, colour, z, _ = _project(cloud, camera, view, antialiased)
+    return centre, conic, opacity, colour, z
+
+
+def find_labels(
+    cloud: GaussianCloud, camera: Camera, view: F64, *, antialiased: bool = False
+) -> tuple[NDArray[np.int64], F64]:
+    """The object that each pixel shows, and how clearly, a pixel and a splat at a time.
+
+    Returns:
+        label of the greatest summed weight [H, W], -1 for splats without, -2 where nothing shows;
+        and its lead over the next label [H, W], a weight: where it is next to nothing, rounding
+        decides.
+
+    Raises:
+        ValueError: the cloud has no labels.
+    """
+    if cloud.label is None:
+        raise ValueError("the cloud has no labels")
+    centre, conic, opacity, _, _, index = _project(cloud, camera, view, antialiased)
+    labels = np.maximum(cloud.label[index], -1).tolist()
+    shown = np.full((camera.height, camera.width), -2, np.int64)
+    lead = np.ones((camera.height, camera.width))
+    for row in range(camera.height):
+        for column in range(camera.width):
+            dx, dy = column + 0.5 - centre[:, 0], row + 0.5 - centre[:, 1]
+            s = 0.5 * (conic[:, 0] * dx * dx + conic[:, 2] * dy * dy) + conic[:, 1] * dx * dy
+            alpha = np.minimum(ALPHA_CAP, opacity * np.exp(-np.maximum(s, 0)))
+            through, sums = 1.0, dict[int, float]()
+            for i in np.flatnonzero((s >= 0) & (alpha >= ALPHA_MIN)).tolist():
+                after = through * (1 - alpha[i])
+                if after <= TRANSMITTANCE_STOP:
+                    break
+                sums[labels[i]] = sums.get(labels[i], 0.0) + alpha[i] * through
+                through = after
+            if sums:  # the first of equals: a dictionary keeps the order in which it was filled
+                shown[row, column] = best = max(sums, key=lambda label: sums[label])
+                first, *others = sorted(sums.values(), reverse=True)
+                lead[row, column] = first - max(others, default=0.0)
+                assert sums[best] == first
+    return shown, lead
+
+
+def _project(
+    cloud: GaussianCloud, camera: Camera, view: F64, antialiased: bool
+) -> tuple[F64, F64, F64, F64, F64, NDArray[np.int64]]:
+    """As `project_splats`, and each splat's index in the cloud."""
     rotation, shift = view[:3, :3], view[:3, 3]
     point = cloud.means.astype(float) @ rotation.T + shift
     z = point[:, 2]
@@ -116,7 +163,7 @@ def project_splats(
     order = np.flatnonzero(visible)
     # the protocol's order: float32 depth, then index in the cloud
     order = order[np.argsort(z[order].astype(np.float32), kind="stable")]
-    return centre[order], conic[order], opacity[order], colour[order], z[order]
+    return centre[order], conic[order], opacity[order], colour[order], z[order], kept[order]
 
 
 def sh_colours(sh: NDArray[np.floating], directions: F64) -> F64:

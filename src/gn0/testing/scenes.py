@@ -6,6 +6,8 @@ for whatever moves and plans without looking.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 
@@ -16,12 +18,12 @@ from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionInstruction
 from gn0.scenes.example import build_example_scene as build_room_scene
-from gn0.scenes.scene import Scene, SceneSourceInfo
+from gn0.scenes.scene import Scene, SceneSourceInfo, name_categories
 from gn0.seeds import random_stream
 
 __all__ = [
-    "build_floor_plan", "build_map_scene", "build_point_episodes", "build_room_scene",
-    "with_goal_sets",
+    "build_floor_plan", "build_labelled_scene", "build_map_scene", "build_point_episodes",
+    "build_room_scene", "with_goal_sets",
 ]  # fmt: skip
 
 _ROOM = 2.2  # m, a room is not split below twice this
@@ -75,6 +77,18 @@ def build_floor_plan(
         cells[r : r + h, c : c + w] = OCCUPIED
     cells[: round(0.6 / resolution), : round(0.6 / resolution)] = UNKNOWN
     return OccupancyGrid(cells, resolution, (-width / 2, -depth / 3))
+
+
+def build_labelled_scene(spacing: float = 0.1) -> Scene:
+    """The example flat, whose splats know which piece of furniture they belong to."""
+    scene = build_room_scene(spacing)
+    cloud = scene.gaussians
+    label = np.full(len(cloud), -1, np.int32)
+    for number, thing in enumerate(scene.objects):
+        gap = np.abs(cloud.means - np.array(thing.box.centre)) - np.array(thing.box.size) / 2
+        label[(gap < 1e-3).all(axis=1)] = number
+    labelled = name_categories(replace(cloud, label=label), scene.objects)
+    return replace(scene, load_cloud=lambda: labelled)
 
 
 def build_map_scene(grid: OccupancyGrid, id: str = "plan") -> Scene:

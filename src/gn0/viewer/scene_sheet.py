@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw
 from gn0.geometry import Pose2D, view_from_pose
 from gn0.render.bev import render_bev
 from gn0.render.camera import Camera
+from gn0.render.labels import colour_labels
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.viewer.floor_plan import INK, MUTED, PAPER, font, plan_bounds, render_plan
@@ -22,7 +23,12 @@ _VIEWS = 4
 
 
 def render_sheet(
-    scene: Scene, renderer: Renderer, *, width: int = 1920, cut_height: float | None = None
+    scene: Scene,
+    renderer: Renderer,
+    *,
+    width: int = 1920,
+    cut_height: float | None = None,
+    labels: str = "",
 ) -> Image.Image:
     """Plan with rooms and objects, BEV, and four views of a scene.
 
@@ -32,6 +38,7 @@ def render_sheet(
         width: of the picture [px]; the height follows.
         cut_height: height [m] above which the BEV shows nothing; by default a little below the
             ceiling when it is known, else 2.0.
+        labels: "semantic" or "instance": the views show these in false colours.
     """
     x0, y0, x1, y1 = plan_bounds(scene)
     column = (width - 3 * _GAP) // 2
@@ -48,7 +55,7 @@ def render_sheet(
     bev = draw_bev(scene, renderer, column, tall, cut_height)
     sheet.paste(bev, (2 * _GAP + column, _TITLE))
     top = _TITLE + tall + _GAP
-    views = render_views(renderer, poses, view_width, view_height)
+    views = render_views(renderer, poses, view_width, view_height, labels=labels)
     for index, (pose, view) in enumerate(zip(poses, views, strict=True)):
         left = _GAP + index * (view_width + _GAP)
         sheet.paste(view, (left, top))
@@ -130,10 +137,12 @@ def render_views(
     width: int,
     height: int,
     pitches: Sequence[float] | None = None,
+    labels: str = "",
 ) -> list[Image.Image]:
     """A picture [width x height px] from each pose at eye height, smoothed by 1.5 x 1.5 samples.
 
-    `pitches` [rad] say how far up each looks; slightly down when absent.
+    `pitches` [rad] say how far up each looks; slightly down when absent. With `labels`, semantic
+    or instance, the numbers in false colours instead, one ray a pixel.
     """
     if not poses:
         return []
@@ -142,6 +151,10 @@ def render_views(
     views = np.stack(
         [view_from_pose(p.x, p.y, EYE, p.yaw, t) for p, t in zip(poses, tilts, strict=True)]
     )
+    if labels:
+        camera = Camera.from_hfov(width, height, 79.0)
+        numbers = getattr(renderer.render(camera, views, outputs=(labels,)), labels)  # type: ignore[arg-type]
+        return [Image.fromarray(colour_labels(picture)) for picture in numbers]
     rgb = renderer.render(camera, views, outputs=("rgb",)).rgb
     assert rgb is not None
     out = []

@@ -37,7 +37,6 @@ from gn0.render.cuda.parts import (
 )
 from gn0.render.cuda.replay import PicturesDevice, SetMissingError
 from gn0.render.cuda.request import (
-    OUTPUTS,
     check_chosen,
     check_picture,
     choose_keys,
@@ -49,6 +48,7 @@ from gn0.render.cuda.visible import Cell, SceneSets, VisibleSets, lock_of
 from gn0.render.instance import Parts, PartsDevice
 from gn0.render.renderer import (
     ALONE,
+    OUTPUTS,
     Colour,
     Output,
     RenderOptions,

@@ -9,11 +9,11 @@ from gn0.device.device import Device
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
-from gn0.render.cuda.batch import OUTPUTS, RendererBatch
+from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.pack import cloud_bytes
 from gn0.render.cuda.replay import PicturesDevice
 from gn0.render.cuda.visible import SceneSets, VisibleSets
-from gn0.render.renderer import VISIBLE_CUDA, Output, RenderOptions, RenderResult
+from gn0.render.renderer import OUTPUTS, VISIBLE_CUDA, Output, RenderOptions, RenderResult
 from gn0.render.visible_places import VisibleOptions
 
 _KEY = "scene"

@@ -19,7 +19,7 @@ from gn0.geometry import F32
 from gn0.render.cuda.instances import WRONG_PART
 from gn0.render.cuda.tables import NOWHERE, TARGET
 from gn0.render.cuda.work import Lists
-from gn0.render.renderer import RenderResult
+from gn0.render.renderer import ALL_OUTPUTS, RenderResult
 
 _NOT_HELD = 3
 _WRONG = (  # with a view, as `views.cu` numbers it
@@ -50,18 +50,19 @@ class PicturesDevice:
         rgb: uint8 [V, H, W, 3], or float32 with `rgb_float`.
         depth: camera z of the expected surface [V, H, W] float32 m; +inf where alpha < 0.5.
         alpha: accumulated opacity [V, H, W] float32 in 0..1.
+        semantic, instance: category and object numbers [V, H, W] uint32.
     """
 
     rgb: DeviceArray | None
     depth: DeviceArray | None
     alpha: DeviceArray | None
+    semantic: DeviceArray | None = None
+    instance: DeviceArray | None = None
 
     def numpy(self) -> RenderResult:
         """Copies in host memory."""
-        rgb, depth, alpha = (
-            None if a is None else a.numpy() for a in (self.rgb, self.depth, self.alpha)
-        )
-        return RenderResult(rgb, depth, alpha)
+        held = (getattr(self, name) for name in ALL_OUTPUTS)
+        return RenderResult(*(None if array is None else array.numpy() for array in held))
 
 
 def build_target(pictures: PicturesDevice, background: F32) -> np.void:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from gn0.device.device import DeviceArray
 from gn0.errors import RenderError
 from gn0.geometry import F32
-from gn0.render.renderer import Output
-
-OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "alpha")
+from gn0.render.labels import refuse_labels
+from gn0.render.renderer import check_outputs
 
 
 def check_chosen(
@@ -86,9 +85,8 @@ def check_picture(outputs: tuple[str, ...], background: Sequence[float]) -> F32:
     Raises:
         RenderError: an output is unknown, or a colour is not finite.
     """
-    unknown = [name for name in outputs if name not in OUTPUTS]
-    if unknown:
-        raise RenderError(f"unknown output {unknown[0]!r}", remedy="rgb, depth or alpha")
+    check_outputs(outputs)
+    refuse_labels(outputs, "cuda")
     colour = np.array(background, np.float32)
     if colour.shape != (3,) or not np.isfinite(colour).all():
         raise RenderError("background is not three finite numbers", where="background")

@@ -28,7 +28,9 @@ from gn0.render.encoding import DrawnViews, Encode, MapPicture
 from gn0.render.instance import Parts, check_named, check_parts, digest_part
 from gn0.render.open import name_drawing, visible_backend
 from gn0.render.renderer import (
+    ALL_OUTPUTS,
     ALONE,
+    LABELS,
     OUTPUTS,
     VISIBLE_OF,
     Colour,
@@ -96,8 +98,8 @@ class DrawConnection:
         self._clouds: set[str] = set()  # that were sent
 
     @cached_property
-    def drawn_by(self) -> str:
-        """Who draws, in a name that tells a card from its emulation.
+    def drawn_by(self) -> DrawnBy:
+        """Who draws, in a name that tells a card from its emulation, and what it can.
 
         Raises:
             DeviceError: the process that draws is gone.
@@ -105,7 +107,7 @@ class DrawConnection:
         answer = self._ask(Who())
         if not isinstance(answer, DrawnBy):
             raise DeviceError(f"unexpected answer: {type(answer).__name__}", where="drawing socket")
-        return answer.name
+        return answer
 
     def close(self) -> None:
         """Let go of the socket; what was asked for is not answered any more."""
@@ -202,7 +204,9 @@ class DrawConnection:
         if digest in self._clouds:
             return
         coefficients, normals = cloud.sh.shape[1], cloud.normal is not None
-        message = Cloud(digest, len(cloud), coefficients, normals)
+        labels = cloud.label is not None
+        table = None if cloud.categories is None else cloud.categories.tobytes()
+        message = Cloud(digest, len(cloud), coefficients, normals, labels, table)
         descriptor = _open_memory()
         try:
             os.ftruncate(descriptor, max(message.size, 1))
@@ -294,10 +298,12 @@ class RendererShared:
             DeviceError: it is gone.
         """
         encodes = name_drawing(self.name) != "cpu"
+        drawn_by = self._connection.drawn_by
         return Traits(
-            self._connection.drawn_by,
+            drawn_by.name,
             visible_sets=name_drawing(self.name) in VISIBLE_OF,
             encoder=partial(SceneEncoder, self) if encodes else None,
+            labels=drawn_by.labels,
         )
 
     def add_source(self, key: str, source: Mapping[str, Any]) -> DrawnScene:
@@ -411,7 +417,7 @@ class RendererShared:
                 else np.concatenate(arrays) if arrays
                 else _empty(name, camera, millimetres)
             )  # fmt: skip
-        return RenderResult(*(found.get(name) for name in OUTPUTS))
+        return RenderResult(*(found.get(name) for name in ALL_OUTPUTS))
 
     render = draw
 
@@ -511,6 +517,8 @@ def _empty(name: str, camera: Camera, millimetres: bool) -> NDArray[Any]:
     shape = (0, camera.height, camera.width)
     if name == "rgb":
         return np.zeros((*shape, 3), np.uint8)
+    if name in LABELS:
+        return np.zeros(shape, np.uint32)
     return np.zeros(shape, np.uint16 if name == "depth" and millimetres else np.float32)
 
 

@@ -19,7 +19,7 @@ from gn0.errors import DeviceError, FormatError
 from gn0.maps.grid import OccupancyGrid
 from gn0.render.camera import Camera
 from gn0.render.encoding import Encode
-from gn0.render.renderer import Output
+from gn0.render.renderer import LABELS, Output
 from gn0.render.share.parts import PartRows
 from gn0.storage import content_hash
 
@@ -141,9 +141,13 @@ class Who(msgspec.Struct, frozen=True, tag="who"):
 
 
 class DrawnBy(msgspec.Struct, frozen=True, tag="drawn by"):
-    """Who draws: equal names, equal pictures; "cuda on host" is the emulation."""
+    """Who draws: equal names, equal pictures; "cuda on host" is the emulation.
+
+    `labels` says whether it draws "semantic" and "instance".
+    """
 
     name: str
+    labels: bool = False
 
 
 class Drawn(msgspec.Struct, frozen=True, tag="drawn"):
@@ -254,7 +258,7 @@ def lay_files(draw: Draw) -> tuple[int, int, int]:
 def find_places(draw: Draw, area: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
     """Where in an area the pictures of a request are, by output: uint8 or float32 [V, H, W, …].
 
-    Depth in millimetres is uint16. With mosaics also "tiles" uint8 [V, h, w, 3].
+    Depth in millimetres is uint16, labels are uint32. With mosaics also "tiles" uint8 [V, h, w, 3].
     """
     places, _ = lay_out(draw.camera, draw.outputs, draw.count, millimetres=draw.millimetres)
     shape = (draw.count, draw.camera.height, draw.camera.width)
@@ -266,7 +270,8 @@ def find_places(draw: Draw, area: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
         elif name == "depth" and draw.millimetres:
             found[name] = area[place : place + pixels * 2].view(np.uint16).reshape(shape)
         else:
-            found[name] = area[place : place + pixels * 4].view(np.float32).reshape(shape)
+            kind = np.uint32 if name in LABELS else np.float32
+            found[name] = area[place : place + pixels * 4].view(kind).reshape(shape)
     if draw.encode is not None and draw.encode.tile is not None:
         width, height = draw.encode.tile
         tiles = area[lay_files(draw)[0] :][: draw.count * height * width * 3]

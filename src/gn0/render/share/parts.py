@@ -22,23 +22,32 @@ class Cloud(msgspec.Struct, frozen=True, tag="cloud"):
         count: N.
         coefficients: K, of spherical harmonics.
         normals: whether there are any.
+        labels: whether splats know which object they belong to.
+        categories: of each object, int32 [K] as bytes; None if nobody knows.
     """
 
     name: str
     count: int
     coefficients: int
     normals: bool
+    labels: bool = False
+    categories: bytes | None = None
 
     @property
     def size(self) -> int:
-        """Bytes: means, quaternions, scales, opacities, harmonics, normals, float32."""
-        return self.count * (3 + 4 + 3 + 1 + 3 * self.coefficients + 3 * self.normals) * 4
+        """Bytes: means, quaternions, scales, opacities, harmonics, normals, float32; labels."""
+        words = 3 + 4 + 3 + 1 + 3 * self.coefficients + 3 * self.normals + self.labels
+        return self.count * words * 4
 
     def lay(self, cloud: GaussianCloud, area: NDArray[np.uint8]) -> None:
         """Put a cloud's splats into an area."""
         arrays = [cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.sh, cloud.normal]
         held = [np.ravel(array) for array in arrays if array is not None]
-        area[: self.size].view(np.float32)[:] = np.concatenate(held, dtype=np.float32)
+        words = area[: self.size].view(np.float32)
+        floats = self.count * (len(words) // max(self.count, 1) - self.labels)
+        words[:floats] = np.concatenate(held, dtype=np.float32)
+        if cloud.label is not None:
+            words[floats:].view(np.int32)[:] = cloud.label
 
     def read(self, area: NDArray[np.uint8]) -> GaussianCloud:
         """The cloud in an area: a copy.
@@ -58,9 +67,16 @@ class Cloud(msgspec.Struct, frozen=True, tag="cloud"):
             arrays.append(words[at : at + size].reshape(self.count, *width).copy())
             at += size
         means, quats, scales, opacities, sh, *normal = arrays
+        if self.categories is not None and len(self.categories) % 4:
+            raise FormatError("categories of another size than numbers", field="categories")
         return GaussianCloud(
-            means, quats, scales, opacities, sh, normal=normal[0] if normal else None
-        )
+            means, quats, scales, opacities, sh,
+            label=words[at : at + self.count].view(np.int32).copy() if self.labels else None,
+            normal=normal[0] if normal else None,
+            categories=(
+                None if self.categories is None else np.frombuffer(self.categories, np.int32)
+            ),
+        )  # fmt: skip
 
 
 class PartRows(msgspec.Struct, frozen=True):

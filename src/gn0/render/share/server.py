@@ -93,7 +93,7 @@ class Server:
         self._handing = Handing()
         device = batch.traits.device
         self._files = None if device is None else FileMaker(device)
-        self._drawn_by = DrawnBy(batch.traits.drawn_by)
+        self._drawn_by = DrawnBy(batch.traits.drawn_by, batch.traits.labels)
         self.tally = Tally()
 
     @property

@@ -15,7 +15,7 @@ from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
 from gn0.scenes.procedural.finish import cover_outlined, floor_area, light_draft
 from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
 from gn0.scenes.procedural.refine_views import refine_draft
-from gn0.scenes.scene import Scene, SceneSourceInfo
+from gn0.scenes.scene import Scene, SceneSourceInfo, name_categories
 from gn0.storage import check_replaceable
 
 
@@ -69,6 +69,7 @@ def build_generated(
         cloud = refine_draft(
             draft, shader, cloud, outlines, area=area, seed=settings.seed, progress=progress
         )
+    cloud = name_categories(cloud, draft.objects)
     corners = draft.mesh.vertices[np.unique(draft.mesh.faces)]
     return Scene(
         id=scene_id,

@@ -1,0 +1,25 @@
+"""The wheel holds the package and nothing of the checkout beside it."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_wheel_holds_no_figures_trials_or_tests(tmp_path: Path) -> None:
+    wheel = pytest.importorskip(
+        "hatchling.builders.wheel", reason="needs hatchling: pip install -e '.[dev]'"
+    )
+    path = next(wheel.WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"]))
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    rooms = {name.split("/")[1] for name in names if name.startswith("gn0/") and "/" in name}
+    assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"gn0"}
+    assert {"scenes", "render", "sim", "bench", "data", "testing", "py.typed"} <= rooms
+    assert not {"figures", "trials", "tests"} & rooms
+    assert not [name for name in names if "test_" in name or "__pycache__" in name]
+    assert {".py", ".pyi", ".cu", ".cuh", ".js"} <= {Path(name).suffix for name in names}

@@ -45,10 +45,10 @@ def shoot(page: Path, out: Path, width: int, height: int) -> None:
 def shoot_view(arguments: list[str], out: Path, keys: str, done: str) -> None:
     """A picture of the live view after some keys, once the page says `done`."""
     from gn0_figures.view import running_view
-    from gn0_trials.browser import find_browser, open_browser
+    from gn0_trials.browser import open_browser, why_no_browser
 
-    if find_browser() is None:
-        sys.stderr.write(f"no Chromium here: {out} is kept as it was\n")
+    if missing := why_no_browser():
+        sys.stderr.write(f"{missing}; {out} is kept as it was\n")
         return
     wait = 300.0
     with (
@@ -60,10 +60,10 @@ def shoot_view(arguments: list[str], out: Path, keys: str, done: str) -> None:
         page.wait_for("/yaw|outcome/.test(document.body.innerText)", wait=wait, what="the page")
         page.wait_for("document.querySelectorAll('img[src^=blob]').length >= 2", wait=wait)
         for key in keys:
-            page.press(key, "Space" if key == " " else f"Key{key.upper()}")
+            page.press("Space" if key == " " else f"Key{key.upper()}")
         page.wait_for(done, wait=wait, what=done)
         if " " in keys:
-            page.press(" ", "Space", key_code=32)
+            page.press("Space")
         page.evaluate(
             "document.querySelectorAll('.mantine-Notification-closeButton').forEach(b => b.click())"
         )

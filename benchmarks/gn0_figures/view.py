@@ -16,8 +16,15 @@ import numpy as np
 
 from gn0.errors import BenchError
 from gn0.geometry import U8
-from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
-from gn0_trials.browser import BrowserPage, find_browser, open_browser
+from gn0_figures.board import (
+    Figure,
+    FigureContext,
+    FigureRow,
+    FigureSkipped,
+    row_at_least,
+    row_at_most,
+)
+from gn0_trials.browser import BrowserPage, open_browser, why_no_browser
 
 SPLATS = 30_000
 SIZE = (960, 640)  # px
@@ -108,13 +115,13 @@ def confirm_picture(page: BrowserPage, tries: int = 20) -> None:
 
 def turning_rate(page: BrowserPage, seconds: float) -> float:
     """Frames with splats drawn in a second while the camera turns; all work is finished first."""
-    page.hold("ArrowRight", "ArrowRight", key_code=39)
+    page.hold("ArrowRight")
     start = page.evaluate("window.gn0Frames")
     page.wait_for(f"window.gn0Frames > {start} + 2", what="the camera to turn")
     before = page.evaluate(_READ)
     page.evaluate(f"new Promise(done => setTimeout(done, {1000 * seconds:.0f}))")
     after = page.evaluate(_READ)
-    page.release("ArrowRight", "ArrowRight", key_code=39)
+    page.release("ArrowRight")
     return float((after[1] - before[1]) / (after[0] - before[0]))
 
 
@@ -132,14 +139,15 @@ def measure_view(context: FigureContext) -> list[FigureRow]:
     """Time from the command to the first picture, and frames a second while turning.
 
     Raises:
-        FileNotFoundError: no Chromium or no viser on this machine.
+        FileNotFoundError: no viser on this machine.
+        FigureSkipped: no Playwright or no Chromium.
     """
     try:
         import viser
     except ImportError:
         raise FileNotFoundError("viser (pip install -e '.[view]')") from None
-    if find_browser() is None:
-        raise FileNotFoundError("a Chromium")
+    if missing := why_no_browser():
+        raise FigureSkipped(missing)
     flat = str(_flat(context))
     first, inside, over = [], [], []
     for run in range(_RUNS + 1):  # the first run warms the caches of disk and kernels
@@ -157,7 +165,7 @@ def measure_view(context: FigureContext) -> list[FigureRow]:
             if run:
                 first.append(seconds)
                 over.append(turning_rate(page, _SECONDS))
-                page.press("c", "KeyC")
+                page.press("KeyC")
                 page.wait_for(
                     "[...document.querySelectorAll('input')].some(i => i.value.includes('eyes'))",
                     what="the agent's eyes",

@@ -6,14 +6,11 @@ import base64
 import html
 import itertools
 import json
-import os
 import re
 import shutil
 import subprocess
-import time
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -28,6 +25,7 @@ from gn0.errors import BenchError, StorageError
 from gn0.maps.goal_places import GoalSet
 from gn0.scenes.folder import load_scene
 from gn0.suites.suite import Suite, build_suite, save_suite
+from gn0_trials.browser import open_browser, why_no_browser
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -35,6 +33,7 @@ CHROMIUM = next(
     (p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None
 )
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+needs_driver = pytest.mark.skipif(bool(why_no_browser()), reason=why_no_browser())
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +246,7 @@ def test_hostile_names_are_text(hostile_page: Path) -> None:
 FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-    *("--autoplay-policy=no-user-gesture-required", "--host-resolver-rules=MAP * ~NOTFOUND"),
+    "--host-resolver-rules=MAP * ~NOTFOUND",
 )
 
 
@@ -320,70 +319,14 @@ PROBE = """
 """
 
 
-def evaluate(page: Path, script: str, profile: Path, *flags: str) -> str:
-    """The string that a script returns in a page, over Chromium's debugging pipe."""
-    to_read, to_write = os.pipe()
-    from_read, from_write = os.pipe()
-    # Chromium reads commands from descriptor 3 and writes answers to descriptor 4
-    command = f'exec "$@" 3<&{to_read} 4>&{from_write}'
-    process = subprocess.Popen(
-        [
-            *("bash", "-c", command, "bash", str(CHROMIUM), *FLAGS, "--remote-debugging-pipe"),
-            *(f"--user-data-dir={profile}", *flags, page.as_uri()),
-        ],
-        pass_fds=(to_read, from_write),
-        stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-    )
-    os.close(to_read)
-    os.close(from_write)
-    number = 0
-    try:
-        with os.fdopen(from_read, "rb") as answers:
-            rest = b""
-
-            def ask(method: str, session: str | None = None, **more: object) -> dict[str, Any]:
-                nonlocal number, rest
-                number += 1
-                message = {"id": number, "method": method, "params": more}
-                if session:
-                    message["sessionId"] = session
-                os.write(to_write, json.dumps(message).encode() + b"\0")
-                while True:
-                    while b"\0" not in rest:
-                        chunk = os.read(answers.fileno(), 1 << 20)
-                        assert chunk, "Chromium went away"
-                        rest += chunk
-                    line, _, rest = rest.partition(b"\0")
-                    answer = json.loads(line)
-                    if answer.get("id") == number:
-                        assert "error" not in answer, answer
-                        result: dict[str, Any] = answer["result"]
-                        return result
-
-            target = None
-            for _ in range(200):
-                targets = ask("Target.getTargets")["targetInfos"]
-                target = next((t for t in targets if t["url"] == page.as_uri()), None)
-                if target is not None:
-                    break
-                time.sleep(0.1)
-            assert target is not None
-            session = ask("Target.attachToTarget", targetId=target["targetId"], flatten=True)
-            name = session["sessionId"]
-            for _ in range(200):
-                ready = "!!document.querySelector('footer') && document.readyState === 'complete'"
-                state = ask("Runtime.evaluate", name, expression=ready)
-                if state["result"].get("value") is True:
-                    break
-                time.sleep(0.1)
-            found = ask("Runtime.evaluate", name, expression=script, awaitPromise=True)
-            assert "exceptionDetails" not in found, found
-            return str(found["result"]["value"])
-    finally:
-        os.close(to_write)
-        process.kill()
-        process.wait()
+def evaluate(page: Path, script: str, width: int = 960) -> str:
+    """The string that a script returns in a page, network refused."""
+    with open_browser(width=width, flags=("--host-resolver-rules=MAP * ~NOTFOUND",)) as browser:
+        browser.navigate(page.as_uri())
+        browser.wait_for("document.querySelector('footer') && document.readyState === 'complete'")
+        said = str(browser.evaluate(script))
+        assert browser.failures == []
+        return said
 
 
 WIDE = """
@@ -412,9 +355,9 @@ WIDE = """
 
 
 @pytest.mark.browser
-@needs_browser
-def test_no_column_is_cut_at_1400_px(page: Path, runs: list[Path], tmp_path: Path) -> None:
-    said = json.loads(evaluate(page, WIDE, tmp_path / "profile", "--window-size=1400,900"))
+@needs_driver
+def test_no_column_is_cut_at_1400_px(page: Path, runs: list[Path]) -> None:
+    said = json.loads(evaluate(page, WIDE, width=1400))
     assert 1380 <= said["page"] <= 1400 and said["cut"] == [] and said["map"] >= 200
     episode = next(iter(load_run(runs[1]).results)).episode.rpartition("_")[0]
     command = said["command"].split()
@@ -422,10 +365,10 @@ def test_no_column_is_cut_at_1400_px(page: Path, runs: list[Path], tmp_path: Pat
 
 
 @pytest.mark.browser
-@needs_browser
-def test_it_works_in_a_stock_browser_under_its_own_policy(page: Path, tmp_path: Path) -> None:
+@needs_driver
+def test_it_works_in_a_stock_browser_under_its_own_policy(page: Path) -> None:
     """Filter, sort, enlarge and play, on the very file that a user opens from disk."""
-    said = json.loads(evaluate(page, PROBE, tmp_path / "profile"))
+    said = json.loads(evaluate(page, PROBE))
     text = page.read_text()
     sofas = text.count('<span class="instruction">Go to the sofa')
     assert said["found"] == sofas and 0 < sofas < 12

@@ -1,11 +1,12 @@
-"""The DevTools driver: it acts, waits for conditions, and says what went wrong."""
+"""The driver of a browser: it acts, waits for conditions, and says what went wrong."""
 
 from __future__ import annotations
 
 import pytest
 
 from gn0.errors import ConfigError, StorageError
-from gn0_trials.browser import find_browser, open_browser
+from gn0_trials import browser
+from gn0_trials.browser import find_browser, open_browser, why_no_browser
 
 PAGE = """data:text/html,<title>t</title><button onclick="this.textContent='pressed'">b</button>
 <script>console.log('hello', 3); alert('stop'); setTimeout(() => { throw new Error('oops') });
@@ -13,7 +14,7 @@ document.addEventListener('keydown', event => { window.key = event.code });</scr
 
 
 @pytest.mark.browser
-@pytest.mark.skipif(find_browser() is None, reason="no Chromium on this machine")
+@pytest.mark.skipif(bool(why_no_browser()), reason=why_no_browser())
 def test_a_page_is_driven():
     with open_browser(width=320, height=200) as page:
         page.prepare("window.early = 1")
@@ -25,7 +26,7 @@ def test_a_page_is_driven():
         )
         page.click(x, y)
         assert page.wait_for("document.querySelector('button').textContent === 'pressed'") is True
-        page.press("i", "KeyI")
+        page.press("KeyI")
         assert page.wait_for("Promise.resolve(window.key)") == "KeyI"
         assert page.screenshot().shape == (200, 320, 3)
         assert "hello 3" in page.console
@@ -41,7 +42,12 @@ def test_a_page_is_driven():
 
 def test_without_a_browser_the_error_says_what_to_do(monkeypatch):
     monkeypatch.setenv("GN0_CHROMIUM", "/no/such/browser")
+    monkeypatch.setattr(browser, "find_spec", lambda name: name)  # as if Playwright were here
     assert find_browser() is None
     with pytest.raises(ConfigError, match="no Chromium") as caught, open_browser():
         pass
     assert "GN0_CHROMIUM" in caught.value.remedy
+    monkeypatch.setattr(browser, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match="Playwright") as caught, open_browser():
+        pass
+    assert "pip install" in caught.value.remedy

@@ -75,7 +75,7 @@ class RenderResult:
             uint16 millimetres where those were asked for, see `gn0.render.depth`.
         alpha: accumulated opacity [V, H, W] float32 in 0..1.
         semantic: category number [V, H, W] uint32 of what is seen, see `gn0.render.labels`.
-        instance: object number [V, H, W] uint32 of what is seen, from 1; 0 is no object.
+        instance: object number [V, H, W] uint32 seen there, from 1; 0 without an object.
     """
 
     rgb: NDArray[np.uint8] | F32 | None

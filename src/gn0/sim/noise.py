@@ -80,7 +80,7 @@ class ActuationNoise(Config, frozen=True):
 
     Attributes:
         forward, turn: to FORWARD, and to LEFT and RIGHT.
-        multiplier: of all of it; 0 is none.
+        multiplier: of all of it; 0 for none.
     """
 
     forward: MoveNoise
@@ -119,7 +119,7 @@ class Noise(Config, frozen=True):
     """The noise of one body.
 
     Attributes:
-        depth: multiplier of the depth camera's; 0 is none.
+        depth: multiplier of the depth camera's; 0 for none.
         pose: of the sensor `pose`.
         actuation: of FORWARD, LEFT and RIGHT.
     """

@@ -117,6 +117,25 @@ def test_what_we_show_imports_only_what_is_public() -> None:
     assert not deep, deep
 
 
+# strings of configuration: the module that registers the Gymnasium ids, and the entry-point group
+KEPT = {"gn0.sim.env", "gn0.plugins"}
+
+
+def test_what_we_write_names_nothing_private() -> None:
+    named = {
+        f"{page.name}: {name}"
+        for page in (ROOT / "docs").glob("*.md")
+        for name in re.findall(r"\bgn0(?:\.[a-zA-Z]\w*)+", page.read_text())
+        if name not in NAMESPACES and name not in KEPT and not _is_public(name)
+    }
+    assert not named, named
+
+
+def _is_public(name: str) -> bool:
+    room, _, key = name.rpartition(".")
+    return room in NAMESPACES and key in import_module(room).__all__
+
+
 @pytest.mark.slow
 def test_a_users_file_is_typed_all_through(tmp_path: Path) -> None:
     """With mypy as strict as it gets, from outside, against the package as it is installed."""

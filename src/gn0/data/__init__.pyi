@@ -15,6 +15,7 @@ from gn0.data.expert_labels import LabelSettings as LabelSettings
 from gn0.data.expert_labels import label_states as label_states
 from gn0.data.expert_labels import plan_expert as plan_expert
 from gn0.data.expert_labels import walk_actions as walk_actions
+from gn0.data.follow import label_follow as label_follow
 from gn0.data.repair import RepairReport as RepairReport
 from gn0.data.repair import repair_dataset as repair_dataset
 from gn0.data.settings import BuildSettings as BuildSettings

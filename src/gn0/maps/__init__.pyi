@@ -1,5 +1,6 @@
 from gn0.maps.astar import GridPath as GridPath
 from gn0.maps.astar import PlannerAstar as PlannerAstar
+from gn0.maps.disc import disc_overlap as disc_overlap
 from gn0.maps.distance import GeodesicField as GeodesicField
 from gn0.maps.distance import GeodesicMap as GeodesicMap
 from gn0.maps.grid import OccupancyGrid as OccupancyGrid

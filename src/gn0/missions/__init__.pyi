@@ -11,7 +11,9 @@ from gn0.missions.generate.scene_paths import generate_paths as generate_paths
 from gn0.missions.generate.settings import MissionSettings as MissionSettings
 from gn0.missions.goal import sample_goal_episodes as sample_goal_episodes
 from gn0.missions.language.describe import describe_route as describe_route
+from gn0.missions.language.exchanges import pack_exchanges as pack_exchanges
 from gn0.missions.language.providers import open_provider as open_provider
+from gn0.missions.language.write import fallback_kind as fallback_kind
 from gn0.missions.language.write import write_texts as write_texts
 from gn0.missions.sets.episode_set import EpisodeSet as EpisodeSet
 from gn0.missions.sets.episode_set import Exporter as Exporter

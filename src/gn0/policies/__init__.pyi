@@ -7,3 +7,4 @@ from gn0.policies.remote.server import serve as serve
 from gn0.policies.simple import PolicyRandom as PolicyRandom
 from gn0.policies.simple import PolicyStraight as PolicyStraight
 from gn0.policies.simple import PolicyWallFollower as PolicyWallFollower
+from gn0.policies.text import parse_navid as parse_navid

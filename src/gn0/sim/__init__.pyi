@@ -1,5 +1,6 @@
 from gn0.sim.adapters import FlatVectorEnv as FlatVectorEnv
 from gn0.sim.adapters import build_vec_env as build_vec_env
+from gn0.sim.continuous import read_action as read_action
 from gn0.sim.device_env import VectorEnvDevice as VectorEnvDevice
 from gn0.sim.device_rollout import RolloutCollector as RolloutCollector
 from gn0.sim.device_rollout import RolloutDevice as RolloutDevice
@@ -44,3 +45,5 @@ from gn0.sim.top_down_map import TopDownMap as TopDownMap
 from gn0.sim.top_down_map import colorize_top_down_map as colorize_top_down_map
 from gn0.sim.top_down_map import draw_top_down_map as draw_top_down_map
 from gn0.sim.vector import VectorEnv as VectorEnv
+from gn0.sim.words import decode_tokens as decode_tokens
+from gn0.sim.words import encode_text as encode_text

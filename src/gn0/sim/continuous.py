@@ -16,7 +16,7 @@ Largest means forward ≥ |turn| and forward ≥ |left|, then |turn| ≥ |left|;
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -27,7 +27,6 @@ from gn0.geometry import F64
 from gn0.missions.episode import AgentSpec
 from gn0.sim.state import Action, Displacement
 
-ActionSpaceName = Literal["discrete", "continuous"]
 SIZE = 4  # forward, left, turn, stop
 STOP_ABOVE = 0.5
 SHORTEST_STRIDE = 0.01  # m; of a shorter one rounding would make a bearing

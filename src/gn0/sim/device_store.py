@@ -143,10 +143,6 @@ class EpisodeStore:
         """Episodes that are on the device."""
         return len(self._own)
 
-    def numbers_of(self, slots: NDArray[np.integer]) -> NDArray[np.int32]:
-        """Episode numbers at slots."""
-        return self._number_of[slots]
-
     def looks_in_play(self) -> list[str | None]:
         """Looks by number, as rows of episodes name them; None: of no pinned episode."""
         if self._in_play is None:

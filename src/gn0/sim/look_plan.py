@@ -57,17 +57,6 @@ class LookPlan:
     background: Colour
     millimetres: bool = False
 
-    def camera_of(self, output: str) -> Camera:
-        """The camera that an output is drawn with.
-
-        Raises:
-            KeyError: it is not drawn.
-        """
-        for shot in self.shots:
-            if output in shot.outputs:
-                return shot.camera
-        raise KeyError(output)
-
     def finish(self, output: str, drawn: Any) -> NDArray[Any]:
         """An output [V, H, W, …] as agents get it, read-only; see `render_plan`."""
         if output == RGB:

@@ -11,8 +11,8 @@ _MODULES = (
     "install", "gaussians", "splat_formats", "maps", "render", "device_checks", "device_table",
     "device_parts",
     "device_rates", "device_suite", "device_sanitizers", "scenes", "capture", "procedural",
-    "scene_kinds", "sim", "ppo", "mapping", "vector", "bench", "policies", "missions", "targets",
-    "generate", "language", "samples", "data_gpu", "labels", "export", "view", "trust",
+    "scene_kinds", "sim", "ppo", "mapping", "vector", "bench", "crowd", "policies", "missions",
+    "targets", "generate", "language", "samples", "data_gpu", "labels", "export", "view", "trust",
     "proof",
 )  # fmt: skip
 

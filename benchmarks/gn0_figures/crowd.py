@@ -1,0 +1,88 @@
+"""Episodes side by side: what `--agents` does for a run whose policy looks at pictures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from gn0.bench.results import load_results
+from gn0.bench.runner import run_suite
+from gn0.plugins import register
+from gn0.render.open import name_drawing
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import save_scene
+from gn0.sim.state import Action, Observation
+from gn0.suites.suite import build_suite, load_suite
+from gn0_figures.board import Figure, FigureContext, FigureRow
+
+EPISODES, STEPS, AGENTS = 64, 40, (1, 16, 64)
+SPACING = 0.02  # m between splats
+SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
+
+
+class PolicyCrowd:
+    """Walks at random with its eyes open, so that all costs but its own are measured."""
+
+    name = "crowd"
+    sensors = frozenset({"rgb", "depth"})
+
+    def __init__(self) -> None:
+        self._draws: dict[int, np.random.Generator] = {}
+
+    def reset_batch(
+        self,
+        slots: Sequence[int],
+        instructions: Sequence[str],
+        rngs: Sequence[np.random.Generator],
+    ) -> None:
+        """Begin episodes."""
+        self._draws.update(zip(slots, rngs, strict=True))
+
+    def act_batch(self, slots: Sequence[int], observations: Sequence[Observation]) -> list[Action]:
+        """Mostly forward, never STOP."""
+        return [Action(int(self._draws[s].choice(4, p=(0, 0.6, 0.2, 0.2)))) for s in slots]
+
+
+register("policy", "crowd", PolicyCrowd)
+
+
+def measure_agents(ctx: FigureContext) -> list[FigureRow]:
+    """Steps a second of one worker with 1, 16 and 64 agents, and whether results differ."""
+    folder = ctx.work
+    scene = folder / "flat"
+    flat = build_example_scene(spacing=SPACING)
+    save_scene(flat, scene)
+    build_suite([scene], folder / "suite", EPISODES, 0, max_steps=STEPS)
+    suite = load_suite(folder / "suite")
+    spent: dict[int, float] = {}
+    outputs: list[list[bytes]] = []
+    for agents in AGENTS:
+        ctx.progress("bench.agents", len(spent), len(AGENTS))
+        for part in ("warm", "run"):  # kernels, pictures of maps
+            out = folder / f"{part}-{agents}"
+            begin = time.perf_counter()
+            run_suite(
+                suite, "crowd", out, agents=agents, plugin_modules=("gn0_figures.crowd",),
+                max_episodes=2 if part == "warm" else None,
+            )  # fmt: skip
+            spent[agents] = time.perf_counter() - begin
+        outputs.append([(out / name).read_bytes() for name in SAME])
+    steps = sum(r.metrics.steps for r in load_results(out) if r.metrics)
+    drawn = name_drawing("auto")
+    detail = f"{EPISODES} episodes of {STEPS} steps in the built-in flat "
+    detail += f"({len(flat.gaussians):,} splats), RGB and depth 480x360, "
+    detail += f"one worker, drawn by {drawn}, a policy that costs nothing, its start included"
+    rows = [
+        FigureRow(name=f"steps, {agents} agents", value=steps / s, unit="/s", detail=detail)
+        for agents, s in spent.items()
+    ]
+    equal = all(output == outputs[0] for output in outputs)
+    rows.append(
+        FigureRow(name="results that differ", value=float(not equal), unit="", detail=detail)
+    )
+    return rows
+
+
+FIGURES = [Figure("bench.agents", "Episodes side by side", measure_agents, 5.0)]

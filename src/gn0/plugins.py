@@ -53,6 +53,8 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "goal_vector": "gn0.sim.sensor.goal_vector:SENSOR",
         "goal_picture": "gn0.sim.sensor.goal_picture:SENSOR",
         "pose": "gn0.sim.sensor.pose:SENSOR",
+        "semantic": "gn0.sim.sensor.semantic:SENSOR",
+        "instance": "gn0.sim.sensor.instance:SENSOR",
     },
     "policy": {
         "oracle": "gn0.policies.oracle:PolicyOracle",

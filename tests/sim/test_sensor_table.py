@@ -16,7 +16,7 @@ import pytest
 from gn0 import plugins
 from gn0.cli import list_names
 from gn0.device.host import DeviceHost
-from gn0.errors import ConfigError, SimError
+from gn0.errors import ConfigError, RenderError, SimError
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.env import GoalNavEnv
 from gn0.sim.open import open_simulator
@@ -25,7 +25,7 @@ from gn0.sim.sensor.sensor import MAP_SIDE, Sensor, Space
 from gn0.sim.sensors import SensorConfig
 from gn0.sim.state import OBSERVED, Observation
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_point_episodes
+from gn0.testing.scenes import build_labelled_scene, build_point_episodes
 from gn0.testing.sensor_check import check_sensor
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,10 +63,10 @@ def enter(sensor: Sensor) -> str:
 def test_the_docs_have_each_sensor_in_order_as_it_says_itself() -> None:
     page = (ROOT / "docs/simulator.md").read_text("utf-8")
     section = page.partition("\n## Sensors\n")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| `(\w+)` \| (.+) \| (yes|) \|$", section, re.M)
+    rows = re.findall(r"^\| `(\w+)` \| (.+) \| (yes|–) \|$", section, re.M)
     names = plugins.builtin_names("sensor")
     found = [table.find_sensor(name) for name in names]
-    assert rows == [(s.name, s.doc, "yes" if s.device else "") for s in found]
+    assert rows == [(s.name, s.doc, "yes" if s.device else "–") for s in found]
 
 
 def test_every_sensor_is_one_file_and_every_field_of_an_observation_has_one() -> None:
@@ -262,3 +262,49 @@ def test_it_goes_over_the_wire_as_it_is() -> None:
     sent = decode_message(encode_message(ObservationSender().pack(seen)))
     got = read_observation("go", None, sent, None)
     assert got.read("compass").tobytes() == seen.read("compass").tobytes()
+
+
+@pytest.mark.parametrize("name", ["semantic", "instance"])
+def test_labels_are_seen_by_one_by_many_and_over_the_wire(name) -> None:
+    check_sensor(table.find_sensor(name))
+
+
+def test_a_pixel_names_the_object_and_its_category() -> None:
+    scene = build_labelled_scene()
+    sensors = {"semantic", "instance", "depth", "rgb"}
+    simulator = open_simulator(scene, "vlnce_r2r", "auto", sensors)
+    (episode,) = build_point_episodes(scene, simulator.navigation, 1, seed=3)
+    seen = simulator.reset(episode)
+    plain = open_simulator(scene, "vlnce_r2r", "cpu", {"depth", "rgb"}).reset(episode)
+    assert seen.rgb.tobytes() == plain.rgb.tobytes()
+    assert seen.depth.tobytes() == plain.depth.tobytes()
+    for _ in range(24):
+        seen = simulator.step(2).observation
+        number, kind = seen.read("instance"), seen.read("semantic")
+        assert number.shape == kind.shape == seen.depth.shape
+        assert number.dtype == kind.dtype == np.uint32 and not number.flags.writeable
+        if len(np.unique(number)) > 1:
+            break
+    else:
+        pytest.fail("nothing with a label came in sight")
+    for found in np.unique(number[number > 0]).tolist():
+        shown = kind[number == found]
+        assert {scene.categories[k] for k in np.unique(shown)} == {
+            scene.objects[found - 1].category
+        }
+        box = scene.objects[found - 1].box
+        reach = np.hypot(*np.subtract(box.centre[:2], simulator.pose[:2]))
+        near = seen.depth[number == found].min()
+        assert near <= reach + max(box.size), "it is not as far away as that"
+
+
+def test_a_scene_without_labels_says_so(room_scene, make_episode) -> None:
+    simulator = open_simulator(room_scene, "vlnce_r2r", "cpu", {"semantic"})
+    with pytest.raises(RenderError, match="label"):
+        simulator.reset(make_episode())
+
+
+@needs_host
+def test_a_device_has_no_labels_yet_and_says_so(plan) -> None:
+    with pytest.raises(ConfigError, match="'semantic' does not say how a device reads it"):
+        VectorEnvDevice(1, plan, device=DeviceHost(), sensors=("semantic",))

@@ -24,7 +24,7 @@ from gn0.sim.sensors import SensorConfig
 from gn0.sim.simulator import Simulator
 from gn0.sim.state import Observation
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_point_episodes, build_room_scene
+from gn0.testing.scenes import build_labelled_scene, build_point_episodes
 
 ACTIONS = (1, 2, 1, 1, 3, 3, 1)
 
@@ -56,7 +56,7 @@ def check_sensor(sensor: Sensor, *, preset: str = "vlnce_r2r") -> None:
 
 
 def _open(sensor: Sensor, preset: str) -> Simulator:
-    return open_simulator(build_room_scene(), preset, "cpu", {sensor.name})
+    return open_simulator(build_labelled_scene(), preset, "cpu", {sensor.name})
 
 
 def _walk(sensor: Sensor, simulator: Simulator) -> list[Observation]:
@@ -105,7 +105,7 @@ def _in_space(sensor: Sensor, array: Any, preset: str, config: SensorConfig) -> 
 
 
 def _check_many(sensor: Sensor, preset: str) -> None:
-    scene = build_room_scene()
+    scene = build_labelled_scene()
     settings: dict[str, Any] = {"preset": preset, "backend": "cpu", "sensors": {sensor.name}}
     one, many = GoalNavEnv(scene, **settings), VectorEnv(2, scene, **settings)
     a, b = one.reset(seed=7)[0], many.reset(seed=7)[0]

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Everything that needs a GPU, in groups of a few minutes, the most telling ones first: the table against gsplat,
-# agreement, the device suite, memory, visible sets, simulation, data, compute-sanitizer. See docs/gpu_figures.md.
+# agreement, the device suite, memory, visible sets, simulation, data, compute-sanitizer. See benchmarks/gpu_figures.md.
 #
 #   runs/gpu-figures.sh OUT                 all groups that are not done yet, in order
 #   runs/gpu-figures.sh OUT small large     these groups, again if need be

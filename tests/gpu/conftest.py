@@ -1,7 +1,7 @@
 """The device suite: on the card that is here, else on the host emulation at tiny sizes.
 
 `GN0_DEVICE` chooses (`cuda`, `cuda:1`, `host`, `none`); `GN0_FIGURE_SCENES` names a folder of
-scenes made beforehand (docs/gpu_figures.md). The mark `small` is for runs under compute-sanitizer.
+scenes made beforehand (benchmarks/gpu_figures.md). The mark `small` is for compute-sanitizer.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class Args(Config, frozen=True):
         out: folder of the board.
         data: folder of third-party test data; default $GN0_DATA, else ../shared/data.
         backend: only figures of this backend ("cuda"), of those chosen.
-        scenes: folder of scenes made beforehand (see docs/gpu_figures.md).
+        scenes: folder of scenes made beforehand (see benchmarks/gpu_figures.md).
         merge: measure nothing; take the rows of this figures.json, measured on another machine.
     """
 

@@ -28,11 +28,11 @@ from gn0.render.cuda.draw import STAGES, Drawer
 from gn0.render.cuda.pack import upload_cloud
 from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.cuda.replay import PicturesDevice
-from gn0.render.cuda.stages import time_stages
 from gn0.render.cuda.tune import FEW, MANY, Tuning, choose_tuning
 from gn0_figures.device import describe_device, is_emulation, open_figure_device
 from gn0_figures.device_scenes import FigureScene, flat_scene, scene_of
 from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
+from gn0_figures.stages import time_stages
 
 _POSES = 4  # different sets of poses, taken in turn
 _BLACK = np.zeros(3, np.float32)

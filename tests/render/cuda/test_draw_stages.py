@@ -9,7 +9,7 @@ import pytest
 
 from gn0.device.host import DeviceHost
 from gn0.render.cuda.draw import STAGES, Drawer
-from gn0.render.cuda.stages import time_stages
+from gn0_figures.stages import time_stages
 from gn0_figures.tune import TuneCase, build_cases, list_tunings, main, name_tuning, time_case
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")

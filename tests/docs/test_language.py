@@ -37,6 +37,7 @@ TRANSLATED = {
     r"\b[Mm]end(?:s|ed)?\b": 'write "fix" or "correct"',
     r"\btold off\b|\bis told of\b|\btells of it\b": 'write "refused", "reported"',
     r"\b[Ww]ho wants to\b|\bfor who\b": 'write "anyone who"',
+    r"\bin the mean\b": 'write "on average"',
     r"\bby itself alone\b|\bnot so much\b|\bfor ever\b": "write plainly",
 }
 

@@ -1,4 +1,4 @@
-"""Compare two runs of a suite: is A better than B, worse, or can nobody tell?
+"""Compare two runs of a suite: is A better than B, worse, or too close to tell?
 
 Runs of suites that `gn0 missions generate` wrote can be paired by path as well: missions of one
 path have the same start, goal and way, so goal and instruction missions can be held against each

@@ -1,4 +1,4 @@
-"""Drive a run's recorded actions through the simulator again, and say where it parts, if it does.
+"""Drive a run's recorded actions through the simulator again, and say where it differs.
 
 Every line of results.jsonl and trajectories.jsonl is made again and compared byte for byte, and
 the summary with the results. No policy is needed; with --policy NAME that policy runs again. What

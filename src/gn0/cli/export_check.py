@@ -1,4 +1,4 @@
-"""Check an export: all that its reader takes for granted, file by file.
+"""Check an export for everything its reader assumes, file by file.
 
 Reads every table, picture and video of it. With --format a folder that another program wrote is
 checked too.

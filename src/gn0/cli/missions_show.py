@@ -1,4 +1,4 @@
-"""Draw an episode: its path on the occupancy map on the bird's-eye view, with its instruction.
+"""Draw an episode: its path over the map and the bird's-eye view, with its instruction.
 
 A goal that is told by a picture is shown with its picture. Without an episode: all paths of each
 scene, a picture a scene, or with --coverage how many of them pass through each spot. A foreign

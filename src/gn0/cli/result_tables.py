@@ -103,7 +103,7 @@ def _print_release(summary: RunSummary) -> None:
             f"{getattr(theirs, key) * factor:.2f}",
             "–" if mean is None else f"{mean.mean * factor:.2f}",
         )
-    table.add_row("episodes in the mean", str(theirs.episodes), str(summary.valid))
+    table.add_row("episodes averaged", str(theirs.episodes), str(summary.valid))
     Console(width=max(80, Console().width), highlight=False).print(table)
     print(
         f"the harness stopped {theirs.forced_stops} episodes itself "

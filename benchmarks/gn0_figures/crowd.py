@@ -72,7 +72,7 @@ def measure_agents(ctx: FigureContext) -> list[FigureRow]:
     drawn = name_drawing("auto")
     detail = f"{EPISODES} episodes of {STEPS} steps in the built-in flat "
     detail += f"({len(flat.gaussians):,} splats), RGB and depth 480x360, "
-    detail += f"one worker, drawn by {drawn}, a policy that costs nothing; seconds of the episodes, no start"
+    detail += f"one worker, drawn by {drawn}, a policy that costs nothing, without the start"
     rows = [
         FigureRow(name=f"steps, {agents} agents", value=steps / s, unit="/s", detail=detail)
         for agents, s in spent.items()

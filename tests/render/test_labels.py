@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
+from gn0.render.cuda.request import check_picture
 from gn0.render.host import RendererHost
 from gn0.render.instance import Instance
 from gn0.render.labels import OBJECTS_MAX, colour_labels, encode_labels
@@ -132,6 +134,13 @@ def test_a_renderer_or_a_scene_without_labels_says_so() -> None:
     assert not host.traits.labels and open_renderer("cpu").traits.labels
     with pytest.raises(RenderError, match="'mine' does not draw 'semantic'"):
         host.draw(["scene"], CAMERA, VIEW[None], outputs=("semantic",))
+
+
+def test_who_is_refused_labels_is_sent_to_backends_that_draw_them() -> None:
+    with pytest.raises(RenderError, match="'cuda' does not draw 'instance'") as caught:
+        check_picture(("rgb", "instance"), (0, 0, 0))
+    named = re.findall("'([^']+)'", caught.value.remedy)
+    assert named and set(named) <= {"cpu", "cpu-visible"}
 
 
 def test_numbers_that_no_picture_can_hold_are_refused() -> None:

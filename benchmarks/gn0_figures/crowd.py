@@ -3,49 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-
-import numpy as np
 
 from gn0.bench.results import load_results
 from gn0.bench.runner import run_suite
-from gn0.plugins import register
 from gn0.render.open import name_drawing
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
-from gn0.sim.state import Action, Observation
 from gn0.suites.suite import build_suite, load_suite
 from gn0_figures.board import Figure, FigureContext, FigureRow
 
 EPISODES, STEPS, AGENTS = 64, 40, (1, 16, 64)
 SPACING = 0.02  # m between splats
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
-
-
-class PolicyCrowd:
-    """Walks at random with its eyes open, so that all costs but its own are measured."""
-
-    name = "crowd"
-    sensors = frozenset({"rgb", "depth"})
-
-    def __init__(self) -> None:
-        self._draws: dict[int, np.random.Generator] = {}
-
-    def reset_batch(
-        self,
-        slots: Sequence[int],
-        instructions: Sequence[str],
-        rngs: Sequence[np.random.Generator],
-    ) -> None:
-        """Begin episodes."""
-        self._draws.update(zip(slots, rngs, strict=True))
-
-    def act_batch(self, slots: Sequence[int], observations: Sequence[Observation]) -> list[Action]:
-        """Mostly forward, never STOP."""
-        return [Action(int(self._draws[s].choice(4, p=(0, 0.6, 0.2, 0.2)))) for s in slots]
-
-
-register("policy", "crowd", PolicyCrowd)
 
 
 def measure_agents(ctx: FigureContext) -> list[FigureRow]:
@@ -63,7 +32,7 @@ def measure_agents(ctx: FigureContext) -> list[FigureRow]:
         for part in ("warm", "run"):  # kernels, pictures of maps
             out = folder / f"{part}-{agents}"
             run_suite(
-                suite, "crowd", out, agents=agents, plugin_modules=("gn0_figures.crowd",),
+                suite, "crowd", out, agents=agents, plugin_modules=("gn0_figures.crowd_policy",),
                 max_episodes=agents if part == "warm" else None,
             )  # fmt: skip
             spent[agents] = json.loads((out / "run.json").read_text())["seconds"]

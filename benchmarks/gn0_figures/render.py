@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cpu import STAGES, RendererCpu
 from gn0.render.instance import Instance, move_instance
-from gn0.render.renderer import RenderOptions, RenderResult
+from gn0.render.renderer import Output, RenderOptions, RenderResult
 from gn0.testing.reference import RendererReference
 from gn0.testing.renderer_check import psnr
 from gn0_figures.board import (
@@ -171,6 +172,49 @@ def measure_parts(ctx: FigureContext) -> list[FigureRow]:
     return rows + _parts_agreement(body)
 
 
+def measure_labels(ctx: FigureContext) -> list[FigureRow]:
+    """What labels add to a picture, and labels alone, by turns."""
+    plain, camera, views = build_flat(300_000), flat_camera(224, 224), flat_views(_VIEWS)
+    numbers = np.arange(len(plain)) // 3000  # a hundred objects, each in one place
+    cloud = replace(
+        plain, label=numbers.astype(np.int32), categories=np.arange(1, 101, dtype=np.int32)
+    )
+    bare, renderer = (RendererCpu(c, RenderOptions(threads=2)) for c in (plain, cloud))
+    seen: tuple[Output, ...] = ("rgb", "depth")
+    contenders: dict[str, Callable[[int], RenderResult]] = {
+        "splats without labels": lambda v: bare.render(camera, views[v], outputs=seen),
+        "splats with labels": lambda v: renderer.render(camera, views[v], outputs=seen),
+        "colour, depth and object": lambda v: renderer.render(
+            camera, views[v], outputs=(*seen, "instance")
+        ),
+        "the object alone": lambda v: renderer.render(camera, views[v], outputs=("instance",)),
+    }
+    spent = {name: np.empty((_ROUNDS + 1, _VIEWS)) for name in contenders}
+    for turn in range(_ROUNDS + 1):  # the first one warms up
+        ctx.progress("render.labels", turn, _ROUNDS + 1)
+        for v in range(_VIEWS):
+            for name, draw in contenders.items():
+                draw(v)
+                start = time.perf_counter()
+                draw(v)
+                spent[name][turn, v] = time.perf_counter() - start
+    each = {name: float(np.median(taken[1:], axis=0).mean()) for name, taken in spent.items()}
+    told = ", ".join(f"{name} {seconds * 1e3:.2f}" for name, seconds in each.items())
+    detail = "standard flat, 224x224, 0.3 M Gaussians of 100 objects, two cores, RGB + depth; ms: "
+    detail += told
+    base = each["splats without labels"]
+    rows = [
+        row_at_most(
+            "labels that nobody asks for add", 100 * (each["splats with labels"] / base - 1),
+            1.0, "%", detail,
+        ),
+    ]  # fmt: skip
+    for name in ("colour, depth and object", "the object alone"):
+        ratio = each[name] / base
+        rows.append(FigureRow(name=f"{name}, over RGB + depth", value=ratio, unit="times"))
+    return rows
+
+
 def _parts_agreement(body: GaussianCloud) -> list[FigureRow]:
     """Instances against moved splats, picture by picture: the worst of them."""
     camera, views, rows = flat_camera(224, 224), flat_views(8), []
@@ -207,4 +251,5 @@ FIGURES = [
         minutes=2.0,
     ),
     Figure(id="render.parts", title="CPU renderer: moving parts", measure=measure_parts),
+    Figure(id="render.labels", title="CPU renderer: labels of pictures", measure=measure_labels),
 ]

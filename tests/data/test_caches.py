@@ -232,7 +232,7 @@ def test_pictures_that_come_out_otherwise_stop_a_rendering(labels_only, webdatas
     hashes = {name: list(values) for name, values in block.hashes.items()}
     hashes["bev"][2] = "0" * 32
     drawer = PartDrawer(webdataset, [block.with_hashes(hashes)], PictureSettings())
-    with pytest.raises(DataError, match="bev picture is drawn otherwise") as caught:
+    with pytest.raises(DataError, match="bev picture differs from the one drawn") as caught:
         list(drawer.steps())
     assert "step 2" in caught.value.where
 

@@ -200,7 +200,7 @@ def test_a_depth_that_is_drawn_otherwise_is_named(deep, copy_of) -> None:
     (row,) = compare_part({"folder": str(folder), "part": part.name})["rows"]
     assert row == f"depth of row 2 (episode {block.episode_id!r}, step 1)"
     shutil.rmtree(folder / "pictures")
-    with pytest.raises(DataError, match="the depth picture is drawn otherwise"):
+    with pytest.raises(DataError, match="the depth picture differs from the one drawn"):
         render_dataset(folder)
 
 

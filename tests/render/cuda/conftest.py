@@ -19,7 +19,7 @@ from gn0.render.cpu_raster import TILE, raster_tiles
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.replay import Replay, SetMissingError
-from gn0.render.renderer import RenderOptions, check_views
+from gn0.render.renderer import OUTPUTS, RenderOptions, check_views
 from gn0.render.visible_mark import mark_tiles
 from gn0.testing.renderer_check import random_cloud
 
@@ -74,7 +74,8 @@ class DrawerCpu(Drawer):
         self.batches += 1
         cpu = RendererCpu(random_cloud(0, seed=0), RenderOptions(antialiased=antialiased))
         whole, moving = [unpack_cloud(c) for c in clouds], [unpack_cloud(c) for c in tails]
-        out = [None if a is None else a.numpy() for a in vars(pictures).values()]
+        held = [getattr(pictures, name) for name in OUTPUTS]
+        out = [None if a is None else a.numpy() for a in held]
         as_float = out[0] is not None and out[0].dtype == np.float32
         wants = np.array(
             [out[0] is not None and not as_float, as_float, *(a is not None for a in out[1:])]
@@ -92,7 +93,7 @@ class DrawerCpu(Drawer):
                 none32 if not as_float else out[0][row],
                 *(np.empty((1, 1), np.float32) if a is None else a[row] for a in out[1:]),
             )
-        for array, target in zip(out, vars(pictures).values(), strict=True):
+        for array, target in zip(out, held, strict=True):
             if array is not None:
                 self.device.upload(array, target)
 

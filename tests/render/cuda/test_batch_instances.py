@@ -198,5 +198,5 @@ def test_bad_parts_are_told(parts, match: str) -> None:
     batch = open_batch()
     with pytest.raises(RenderError, match=match):
         batch.draw(CAMERA, VIEWS, KEYS, parts=parts)
-    with pytest.raises(RenderError, match="no name"):
+    with pytest.raises(RenderError, match="is not the name of a cloud"):
         batch.name_cloud("", CLOUDS["ball"])

@@ -81,7 +81,7 @@ def draw(
 
 
 def as_bytes(got: tuple[F32, F32, F32]) -> list[bytes]:
-    return [array.tobytes() for array in got]
+    return [array.tobytes() for array in got if array is not None]
 
 
 def moved(clouds: list[GaussianCloud], instances: Instances, v: int) -> GaussianCloud | None:

@@ -9,70 +9,52 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Self
+from typing import Any
 
 import msgspec
 import pytest
 
 from gn0.bench import runner
 from gn0.bench.episode_worker import WorkerObedient
-from gn0.bench.executors import Heard, Pool, Worker, next_worker
-from gn0.bench.pool_kinds import open_pool
-from gn0.bench.worker_messages import FromWorker, Open, ToWorker
+from gn0.bench.executors import EpisodePool, open_pool, pool_of
+from gn0.bench.worker_messages import Open, ToWorker
+from gn0.jobs.hosts import Goods
 from gn0.jobs.process import Ended
 from gn0.sim.policy import SLOT_VARIABLE
 
 
-class PoolHere:
-    """An executor whose workers do at once, and in this process, what they are told."""
+class HostsHere:
+    """Workers that do at once, and in this process, what they are told."""
 
-    def __init__(self, settings: Open, workers: int) -> None:
-        self.size = workers
-        self.workers: dict[int, Worker] = {}
-        self._settings = settings
+    def __init__(self) -> None:
         self._obeying: dict[int, WorkerObedient] = {}
         self._said: deque[tuple[int, bytes]] = deque()
-        self._next = 0
 
-    def start(self) -> Worker:
-        worker = next_worker(self._next, self.workers)
-        self._next += 1
-        self.workers[worker.number] = worker
-        self.send(worker, msgspec.structs.replace(self._settings, slot=worker.slot))
-        return worker
+    def start(self, number: int) -> None:
+        self._obeying[number] = WorkerObedient(
+            lambda said: self._said.append((number, msgspec.json.encode(said)))
+        )
 
-    def send(self, worker: Worker, message: Any) -> None:
-        number = worker.number
-        heard: ToWorker = msgspec.json.decode(msgspec.json.encode(message), type=ToWorker)
-        if number not in self._obeying:
-            self._obeying[number] = WorkerObedient(
-                lambda said: self._said.append((number, msgspec.json.encode(said)))
-            )
-        self._obeying[number].obey(heard)
+    def send(self, number: int, line: bytes, goods: Goods | None = None) -> None:
+        self._obeying[number].obey(msgspec.json.decode(line, type=ToWorker))
 
-    def hear(self, timeout: float) -> Heard | None:
+    def hear(self, timeout: float) -> tuple[int, bytes | None] | None:
         while not self._said:
             busy = [worker for worker in self._obeying.values() if worker.is_busy]
             if not busy:
                 return None
             for worker in busy:
                 worker.step()
-        number, line = self._said.popleft()
-        return Heard(number, msgspec.json.decode(line, type=FromWorker))
+        return self._said.popleft()
 
-    def ask_where(self, worker: Worker) -> str:
+    def ask_where(self, number: int) -> str:
         return ""
 
-    def end(self, worker: Worker) -> Ended:
-        self.workers.pop(worker.number, None)
-        self._obeying.pop(worker.number, None)
+    def end(self, number: int) -> Ended:
+        self._obeying.pop(number, None)
         return Ended("was ended", "")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.workers.clear()
+    def close(self) -> None:
         self._obeying.clear()
 
 
@@ -80,9 +62,9 @@ class PoolHere:
 def no_processes() -> Iterator[None]:
     """Runs by one worker stay in this process; several workers are processes, as for users."""
 
-    def open_here(executor: str, settings: Open, workers: int, **more: Any) -> Pool:
+    def open_here(executor: str, settings: Open, workers: int, **more: Any) -> EpisodePool:
         if executor == "process" and workers == 1 and not settings.drawing:
-            return PoolHere(settings, workers)
+            return pool_of(HostsHere(), settings, workers)
         return open_pool(executor, settings, workers, **more)  # type: ignore[arg-type]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -13,7 +13,8 @@ import numpy as np
 
 from gn0.bench.episode_worker import score
 from gn0.bench.results import EpisodeResult, aggregate, load_results
-from gn0.bench.runner import JOURNAL, run_suite
+from gn0.bench.run_state import JOURNAL
+from gn0.bench.runner import run_suite
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes

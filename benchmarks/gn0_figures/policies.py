@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from gn0.bench.runner import JOURNAL, run_suite
+from gn0.bench.run_state import JOURNAL
+from gn0.bench.runner import run_suite
 from gn0.errors import PolicyError
 from gn0.policies.remote.policy_remote import PolicyRemote
 from gn0.policies.remote.wire import decode_message, encode_message

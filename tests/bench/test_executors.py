@@ -14,21 +14,21 @@ from typing import Any
 
 import pytest
 
-from gn0.bench import pool_ray, runner
-from gn0.bench.pool_kinds import open_pool
-from gn0.bench.pool_ray import PoolRay
+from gn0.bench import protocol, runner
+from gn0.bench.executors import CODE, MODULE, open_pool, pool_of
 from gn0.bench.runner import run_suite
 from gn0.bench.scene_archive import pack_folder, read_parcel, unpack_scene
 from gn0.bench.worker_messages import Lease, Open, Ready
-from gn0.errors import BenchError, FormatError, PolicyError, StorageError
+from gn0.errors import BenchError, ConfigError, FormatError, PolicyError, StorageError
 from gn0.jobs.cluster import local_cluster
+from gn0.jobs.hosts_ray import HostsRay
 from gn0.jobs.process import describe_end
 from gn0.missions.episode import AgentSpec
 from gn0.suites.suite import Suite
 
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
 PLUGIN = Path(__file__).parent / "plugin"
-check_code = PoolRay._check_code  # the real one; most tests here must not mind an edit
+check_code = HostsRay._check_code  # the real one; most tests here must not mind an edit
 
 
 def outputs(folder: Path) -> dict[str, bytes]:
@@ -44,7 +44,7 @@ def still_code() -> Iterator[None]:
     """Pretend that nobody edits the package while these tests stop and resume runs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "code_version", lambda: "1.0+still")
-        patch.setattr(PoolRay, "_check_code", lambda *_: None)
+        patch.setattr(HostsRay, "_check_code", lambda *_: None)
         patch.syspath_prepend(str(PLUGIN))
         yield
 
@@ -153,7 +153,8 @@ def test_a_scene_travels_to_a_machine_that_does_not_see_its_folder(
         folder=str(flats_suite.scene_folder(episode.scene_id)),
         hash=flats_suite.scene_hash(episode.scene_id),
     )
-    with PoolRay(settings(agent=episode.agent), 1, always_ship=True) as pool:
+    hosts = HostsRay(MODULE, 1, code=CODE, always_ship=True)
+    with pool_of(hosts, settings(agent=episode.agent), 1) as pool:
         worker = pool.start()
         kinds = []
         while "Done" not in kinds:
@@ -162,7 +163,7 @@ def test_a_scene_travels_to_a_machine_that_does_not_see_its_folder(
             kinds.append(type(heard.message).__name__)
             if isinstance(heard.message, Ready):
                 pool.send(worker, lease)
-        host, process = pool.pids(worker)
+        host, process = hosts.pids(worker.number)
         assert host and process and host != process
         ended = pool.end(worker)
         assert ended.how == "was killed by SIGKILL"
@@ -173,10 +174,10 @@ def test_a_scene_travels_to_a_machine_that_does_not_see_its_folder(
 def test_a_machine_with_other_code_is_refused_by_name(
     cluster: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(PoolRay, "_check_code", check_code)
-    monkeypatch.setattr(pool_ray, "code_version", lambda: "0.0.1+older")
+    monkeypatch.setattr(HostsRay, "_check_code", check_code)
+    monkeypatch.setattr(protocol, "code_version", lambda: "0.0.1+older")
     with (
-        pool_ray.PoolRay(settings(), 1) as pool,
+        open_pool("ray", settings(), 1) as pool,
         pytest.raises(BenchError, match=r"runs gn0 .*, this one 0\.0\.1\+older"),
     ):
         pool.start()
@@ -201,7 +202,7 @@ def test_without_ray_the_error_says_what_to_type(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(BenchError, match=r"pip install -e '\.\[scale\]'"):
         open_pool("ray", settings(), 1)
-    with pytest.raises(BenchError, match="no executor 'slurm'"):
+    with pytest.raises(ConfigError, match="no executor 'slurm'"):
         open_pool("slurm", settings(), 1)  # type: ignore[arg-type]
 
 

@@ -17,11 +17,11 @@ from typing import Any
 import pytest
 
 from gn0.bench import runner
-from gn0.bench.executors import next_worker
 from gn0.bench.results import RunSummary, load_results, load_summary
 from gn0.bench.runner import run_suite
 from gn0.cli import bench_run
 from gn0.errors import ConfigError, PolicyError
+from gn0.jobs.pool import Worker, free_slot
 from gn0.policies.remote.wire import decode_message, encode_message
 from gn0.suites.suite import Suite
 from gn0_trials.rogue_servers import ROGUES, serve_bare
@@ -87,12 +87,12 @@ def test_a_run_asks_a_server_and_says_so_on_its_card(flats_suite: Suite, tmp_pat
 
 
 def test_a_successor_takes_over_the_place_of_the_worker_it_replaces() -> None:
-    workers = {number: next_worker(number, {}) for number in (4,)}
-    for number in (5, 6):
-        workers[number] = next_worker(number, workers)
+    workers: dict[int, Worker] = {}
+    for number in (4, 5, 6):
+        workers[number] = Worker(number, free_slot(workers))
     assert [worker.slot for worker in workers.values()] == [0, 1, 2]
     del workers[5]
-    assert next_worker(7, workers).slot == 1
+    assert free_slot(workers) == 1
 
 
 def test_each_worker_asks_a_server_of_its_own(flats_suite: Suite, tmp_path: Path) -> None:

@@ -440,7 +440,7 @@ def test_a_full_disk_is_told_before_the_work(
     flats_suite: Suite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(runner.shutil, "disk_usage", lambda _: usage._replace(free=1000))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1000))
     with pytest.raises(StorageError, match="the disk is full"):
         run_odd(flats_suite, tmp_path / "run")
     assert [p.name for p in (tmp_path / "run").iterdir()] == []

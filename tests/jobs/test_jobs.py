@@ -147,9 +147,25 @@ def test_ray_tries_a_unit_twice_as_processes_do(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # as below
         warnings.simplefilter("ignore", DeprecationWarning)
-        with pytest.raises(JobError, match=r"worker of unit 0 was lost"):
+        with pytest.raises(JobError, match=r"worker of unit 0 was killed by SIGKILL, 2 times"):
             run("count_and_fall", 1, executor="ray", extra={"mark": str(tmp_path / "mark")})
     assert (tmp_path / "mark").read_text() == "x" * TRIES
+
+
+@pytest.mark.slow
+def test_ray_gives_up_what_hangs_and_tells_of_steps(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    steps: list[tuple[str, int, int]] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # as below
+        warnings.simplefilter("ignore", DeprecationWarning)
+        run("tell", 1, executor="ray", steps=lambda *step: steps.append(step))
+        with pytest.raises(JobError, match=r"unit 1 hung, 2 times"):
+            run("hang", 2, workers=2, executor="ray", limit=8.0)
+    assert steps[-1] == ("writing", 3, 3)
 
 
 @pytest.mark.slow

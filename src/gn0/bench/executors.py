@@ -1,106 +1,93 @@
-"""Executors: where the workers of a run live. The runner speaks to all of them in the same words.
+"""Executors: where the workers of a run live, and what the runner knows of each.
 
-`process` keeps them on this machine as child processes; `ray` spreads them over a Ray cluster. An
-executor only carries messages (see `gn0.bench.worker_messages`): what a worker does, and so every
-byte of a result, is the same on each of them.
+`process` keeps them on this machine as child processes; `ray` spreads them over a Ray cluster. What
+a worker does, and so every byte of a result, is the same on each of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Any, Protocol, Self
+from pathlib import Path
+from typing import Any
 
-from gn0.bench.worker_messages import FromWorker
+import msgspec
+
+from gn0.bench.scene_archive import MARKER, pack_folder, unpack_scene
+from gn0.bench.worker_messages import FromWorker, Lease, Open
 from gn0.errors import BenchError
-from gn0.jobs.process import Ended
+from gn0.jobs.hosts import ExecutorName, Goods, Hosts, open_hosts
+from gn0.jobs.pool import Pool, Worker
+
+MODULE = "gn0.bench.episode_worker"
+CODE = "gn0.bench.protocol:code_version"
+RECEIVE = f"{__name__}:receive_lease"
+LOAD_TIME_LIMIT = 900.0  # s to load a scene and to build the policy
 
 
 @dataclass(eq=False)
-class Worker:
+class EpisodeSeat(Worker):
     """One worker as the runner sees it.
 
     Attributes:
-        number: its id in this run.
         scene: the scene it has loaded, or is loading.
         leased: the episodes it holds a lease of, and by when each that has begun must have ended
             (monotonic time [s]); infinity for one that has not.
         alone: its one episode is not to run beside others.
-        loading: by when it must have built its policy, or begun an episode.
         ready: its policy is built.
-        slot: its place among its fellows.
+        due: by when it must have built its policy, or begun an episode.
     """
 
-    number: int
     scene: str = ""
     leased: dict[str, float] = field(default_factory=dict)
     alone: bool = False
-    loading: float = float("inf")
     ready: bool = False
-    slot: int = 0
 
     @property
     def deadline(self) -> float:
         """Monotonic time [s] after which it counts as hung."""
         begun = min(self.leased.values(), default=float("inf"))
         waits = not self.ready or (bool(self.leased) and begun == float("inf"))
-        return self.loading if waits else begun
+        return self.due if waits else begun
 
 
-def next_worker(number: int, workers: Mapping[int, Worker]) -> Worker:
-    """A new worker, in the first place that is free among `workers`."""
-    taken = {worker.slot for worker in workers.values()}
-    return Worker(number, slot=min(set(range(len(taken) + 1)) - taken))
+EpisodePool = Pool[EpisodeSeat, FromWorker]
 
 
-@dataclass(frozen=True)
-class Heard:
-    """A message of a worker; None when it is gone."""
+def open_pool(
+    executor: ExecutorName, settings: Open, workers: int, *, ray_address: str = ""
+) -> EpisodePool:
+    """Workers that run episodes, none started yet.
 
-    worker: int
-    message: FromWorker | None
-
-
-class Pool(Protocol):
-    """Starts, hears and ends workers; a context manager that ends all of them on the way out.
-
-    Attributes:
-        size: how many workers are wanted at a time.
-        workers: those that have been started and not ended, by number.
+    Raises:
+        ConfigError: unknown executor.
+        BenchError: `ray` is not installed, or its cluster does not serve.
     """
+    hosts = open_hosts(executor, MODULE, workers, code=CODE, ray_address=ray_address)
+    return pool_of(hosts, settings, workers)
 
-    size: int
-    workers: dict[int, Worker]
 
-    def start(self) -> Worker:
-        """Start one worker and tell it which policy to build."""
-        ...
+def pool_of(hosts: Hosts, settings: Open, workers: int) -> EpisodePool:
+    """Workers that run episodes on these hosts; each is told first which policy to build."""
 
-    def send(self, worker: Worker, message: Any) -> None:
-        """Send a message; a worker that is gone is noticed by `hear`, not here."""
-        ...
+    def greet(worker: EpisodeSeat) -> Open:
+        return msgspec.structs.replace(settings, slot=worker.slot)
 
-    def hear(self, timeout: float) -> Heard | None:
-        """The next message within `timeout` [s], or None."""
-        ...
+    return Pool(hosts, workers, EpisodeSeat, FromWorker, greet=greet, goods=_pack_scene)
 
-    def ask_where(self, worker: Worker) -> str:
-        """Where a hung worker is: its Python stacks, as far as it can still tell them."""
-        ...
 
-    def end(self, worker: Worker) -> Ended:
-        """End one worker with whatever it started, however stuck it is."""
-        ...
+def _pack_scene(message: Any) -> Goods | None:
+    """The scene of a lease, for a machine that does not see its folder."""
+    if not isinstance(message, Lease):
+        return None
+    folder = Path(message.folder)
+    return Goods(message.hash, folder / MARKER, lambda: pack_folder(folder), RECEIVE)
 
-    def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+def receive_lease(line: bytes, parcel: bytes) -> bytes:
+    """A lease whose scene came along, on the machine of the worker."""
+    lease = msgspec.json.decode(line, type=Lease)
+    folder = str(unpack_scene(parcel, lease.hash))
+    return msgspec.json.encode(msgspec.structs.replace(lease, folder=folder))
 
 
 def check_workers(workers: int) -> int:

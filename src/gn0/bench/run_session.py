@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from datetime import UTC, datetime
 
-from gn0.bench.executors import Pool
+from gn0.bench.executors import EpisodePool
 from gn0.bench.results import PolicyCard
 from gn0.bench.worker_messages import Ready, Refused
 from gn0.errors import ConfigError
@@ -73,7 +73,7 @@ def tell_earlier(
     return lines
 
 
-def ask_card(pool: Pool, seconds: float) -> PolicyCard | str:
+def ask_card(pool: EpisodePool, seconds: float) -> PolicyCard | str:
     """Have one worker build the policy and say who it is; or why it did not, in words."""
     worker = pool.start()
     until = time.monotonic() + seconds

@@ -18,12 +18,8 @@ from gn0.bench.replay import PolicyReplay
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummary, load_results
 from gn0.bench.run_session import check_name
 from gn0.bench.run_settings import build_settings
-from gn0.bench.runner import (
-    RunState,
-    choose_episodes,
-    forget_run,
-    sweep_run,
-)
+from gn0.bench.run_state import RunState, forget_run, sweep_run
+from gn0.bench.runner import choose_episodes
 from gn0.bench.worker_messages import Open
 from gn0.errors import BenchError
 from gn0.locked_folder import check_room, lock_folder

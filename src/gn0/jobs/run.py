@@ -8,27 +8,23 @@ more in a new process.
 
 from __future__ import annotations
 
-import queue
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
-
-import msgspec
+from typing import Any
 
 from gn0 import errors
-from gn0.errors import ConfigError, Gn0Error, JobError
-from gn0.jobs.cluster import import_ray, join_cluster
-from gn0.jobs.process import WorkerProcess, count_cores
+from gn0.errors import Gn0Error, JobError
+from gn0.jobs.hosts import ExecutorName, check_executor, open_hosts
+from gn0.jobs.pool import Pool, Worker, drive
+from gn0.jobs.process import Ended
 from gn0.jobs.worker import Answer, Told, Unit, work
 from gn0.progress import Progress, no_progress
 
-ExecutorName = Literal["process", "ray"]
-TRIES = 2  # of a unit whose worker dies
-_WAKE = 0.5  # s between looks at the clock
+TRIES = 2  # of a unit whose worker dies or hangs
+CODE = "gn0.jobs.worker:name_package"
 
 
 def ignore_answer(index: int, answer: dict[str, Any]) -> None:
@@ -66,18 +62,15 @@ def run_jobs(
         what: the units' name in the progress bar.
         progress: progress sink.
         steps: progress sink of the steps within units, added up over all of them; their totals are
-            not known where there are several units. Nothing is heard from a cluster.
+            not known where there are several units.
 
     Raises:
         ConfigError: fewer than one worker, or no such executor.
         JobError: a unit raised something unforeseen, or its worker died or hung twice.
         Gn0Error: what a unit raised on purpose; units that are running are given up.
-        BenchError: Ray is not installed, or does not answer.
+        BenchError: Ray is not installed, does not answer, or has too few CPUs.
     """
-    if not 1 <= workers <= 1024:
-        raise ConfigError(f"{workers} workers", where="--workers", remedy="give 1 to 1024")
-    if executor not in ("process", "ray"):
-        raise ConfigError(f"no executor {executor!r}", where="--executor", remedy="process or ray")
+    check_executor(executor, workers)
     units = [Unit(i, function, dict(payload)) for i, payload in enumerate(payloads)]
     labels = list(names) if names is not None else [f"unit {i}" for i in range(len(units))]
     finished = 0
@@ -92,13 +85,15 @@ def run_jobs(
 
     sums = _Sums(steps, alone=len(units) == 1)
     progress(what, 0, len(units))
-    if executor == "ray":
-        _run_on_ray(units, min(workers, max(len(units), 1)), ray_address, labels, settle)
-    elif workers == 1 or len(units) <= 1:
+    if executor == "process" and (workers == 1 or len(units) <= 1):
         for unit in units:
             settle(work(unit, sums.of(unit.index)))
-    else:
-        _run_in_processes(units, min(workers, len(units)), limit, labels, settle, sums)
+    elif units:
+        size = min(workers, len(units))
+        hosts = open_hosts(executor, "gn0.jobs.worker", size, code=CODE, ray_address=ray_address)
+        pool: Pool[_Seat, Answer | Told] = Pool(hosts, size, _Seat, Answer | Told)
+        with pool:
+            drive(pool, _Units(units, labels, limit, settle, sums))
 
 
 def _error_of(answer: Answer, label: str) -> Gn0Error:
@@ -140,131 +135,77 @@ class _Sums:
 
 
 @dataclass(eq=False)
-class _Seat:
-    """A place at the work bench: a process and the unit that it holds."""
+class _Seat(Worker):
+    """A worker and the unit that it holds."""
 
-    process: WorkerProcess
-    unit: Unit
-    deadline: float
+    unit: Unit | None = None
 
 
-def _run_in_processes(
-    units: Sequence[Unit],
-    workers: int,
-    limit: float,
-    labels: Sequence[str],
-    settle: Callable[[Answer], None],
-    sums: _Sums,
-) -> None:
-    heard: queue.Queue[tuple[int, bytes | None]] = queue.Queue()
-    waiting = deque(units)
-    tries = dict.fromkeys(range(len(units)), 0)
-    seats: dict[int, _Seat] = {}
-    threads = max(1, count_cores() // workers)
-    number = 0
-    decoder: msgspec.json.Decoder[Answer | Told] = msgspec.json.Decoder(Answer | Told)
+class _Units:
+    """The crew of a pool that does units: see `gn0.jobs.pool.Crew`."""
 
-    def lease(process: WorkerProcess) -> _Seat:
-        unit = waiting.popleft()
-        tries[unit.index] += 1
-        process.send(msgspec.json.encode(unit))
-        return _Seat(process, unit, time.monotonic() + limit)
+    def __init__(
+        self,
+        units: Sequence[Unit],
+        labels: Sequence[str],
+        limit: float,
+        settle: Callable[[Answer], None],
+        sums: _Sums,
+    ) -> None:
+        self._waiting = deque(units)
+        self._labels = labels
+        self._limit = limit
+        self._settle = settle
+        self._sums = sums
+        self._tries = dict.fromkeys(range(len(units)), 0)
+        self._left = len(units)
 
-    def start(number: int) -> None:
-        process = WorkerProcess(
-            "gn0.jobs.worker", lambda line: heard.put((number, line)), threads, sys.path
-        )
-        seats[number] = lease(process)
+    @property
+    def is_done(self) -> bool:
+        """Whether each unit was answered."""
+        return not self._left
 
-    try:
-        while waiting or seats:
-            while waiting and len(seats) < workers:
-                start(number)
-                number += 1
-            try:
-                at, line = heard.get(timeout=_WAKE)
-            except queue.Empty:
-                now = time.monotonic()
-                for late in [n for n, seat in seats.items() if seat.deadline < now]:
-                    stacks = seats[late].process.ask_where()
-                    _give_back(seats.pop(late), waiting, tries, labels, f"hung\n{stacks}")
-                continue
-            if at not in seats:
-                continue
-            if line is None:
-                _give_back(seats.pop(at), waiting, tries, labels, "")
-                continue
-            message = decoder.decode(line)
-            if isinstance(message, Told):
-                sums.hear(message.index, message.stage, message.done, message.total)
-                continue
-            settle(message)
-            seat = seats.pop(at)
-            if waiting:
-                seats[at] = lease(seat.process)
+    def staff(self, pool: Pool[_Seat, Answer | Told]) -> None:
+        """Give idle workers a unit; end those for whom there is none."""
+        for worker in [w for w in pool.workers.values() if w.unit is None]:
+            if self._waiting:
+                self._lease(pool, worker)
             else:
-                seat.process.end()
-    finally:
-        for seat in seats.values():
-            seat.process.kill()
-        for seat in seats.values():
-            seat.process.end()
+                pool.end(worker)
+        while self._waiting and len(pool.workers) < pool.size:
+            self._lease(pool, pool.start())
 
+    def _lease(self, pool: Pool[_Seat, Answer | Told], worker: _Seat) -> None:
+        worker.unit = unit = self._waiting.popleft()
+        worker.due = time.monotonic() + self._limit
+        self._tries[unit.index] += 1
+        pool.send(worker, unit)
 
-def _give_back(
-    seat: _Seat, waiting: deque[Unit], tries: Mapping[int, int], labels: Sequence[str], how: str
-) -> None:
-    """Put a lost worker's unit in front again, or give up on it."""
-    ended = seat.process.end()
-    label = labels[seat.unit.index]
-    if tries[seat.unit.index] >= TRIES:
-        words = how or f"{ended.how}\n{ended.last_words}"
-        first, _, rest = words.partition("\n")
-        raise JobError(
-            f"the worker of {label} {first}, {TRIES} times",
-            where=label,
-            remedy=f"its last words:\n{rest}" if rest.strip() else "is there enough memory?",
-        )
-    waiting.appendleft(seat.unit)
+    def hear(self, pool: Pool[_Seat, Answer | Told], worker: _Seat, message: Answer | Told) -> None:
+        """Take an answer, or word of a step."""
+        if isinstance(message, Told):
+            self._sums.hear(message.index, message.stage, message.done, message.total)
+            return
+        self._settle(message)
+        self._left -= 1
+        worker.unit, worker.due = None, float("inf")
 
+    def lose(self, worker: _Seat, ended: Ended) -> None:
+        """Put a lost worker's unit in front again, or give up on it."""
+        self._give_back(worker, ended.how, ended.last_words)
 
-def _work_on_ray(line: bytes) -> bytes:
-    """One unit on a machine of a cluster: bytes in, bytes out."""
-    return msgspec.json.encode(work(msgspec.json.decode(line, type=Unit)))
+    def give_up(self, worker: _Seat, stacks: str) -> None:
+        """A unit took too long."""
+        self._give_back(worker, "hung", stacks)
 
-
-def _run_on_ray(
-    units: Sequence[Unit],
-    workers: int,
-    address: str,
-    labels: Sequence[str],
-    settle: Callable[[Answer], None],
-) -> None:
-    ray = import_ray()
-    ours = not ray.is_initialized()
-    if ours:
-        join_cluster(ray, workers, address)
-    try:
-        task = ray.remote(_work_on_ray).options(num_cpus=1, max_retries=TRIES - 1)
-        waiting = deque(units)
-        running: dict[Any, Unit] = {}
-        while waiting or running:
-            while waiting and len(running) < workers:
-                unit = waiting.popleft()
-                running[task.remote(msgspec.json.encode(unit))] = unit
-            ended, _ = ray.wait(list(running), num_returns=1)
-            for reference in ended:
-                unit = running.pop(reference)
-                try:
-                    line = bytes(ray.get(reference))
-                except ray.exceptions.RayError as error:
-                    first = (str(error).splitlines() or [type(error).__name__])[0]
-                    raise JobError(
-                        f"the worker of {labels[unit.index]} was lost: {first}",
-                        where=labels[unit.index],
-                        remedy="is there enough memory?",
-                    ) from None
-                settle(msgspec.json.decode(line, type=Answer))
-    finally:
-        if ours:
-            ray.shutdown()
+    def _give_back(self, worker: _Seat, how: str, words: str) -> None:
+        if worker.unit is None:
+            return
+        label = self._labels[worker.unit.index]
+        if self._tries[worker.unit.index] >= TRIES:
+            raise JobError(
+                f"the worker of {label} {how}, {TRIES} times",
+                where=label,
+                remedy=f"its last words:\n{words}" if words.strip() else "is there enough memory?",
+            )
+        self._waiting.appendleft(worker.unit)

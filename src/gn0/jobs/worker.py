@@ -10,7 +10,7 @@ import inspect
 import time
 import traceback
 from collections.abc import Callable
-from importlib import import_module
+from importlib import import_module, metadata
 from typing import Any
 
 import msgspec
@@ -50,10 +50,15 @@ class Told(msgspec.Struct, frozen=True, tag=True):
     total: int
 
 
-def find_function(name: str) -> Callable[..., dict[str, Any] | None]:
+def name_package() -> str:
+    """The release of gn0 on this machine."""
+    return metadata.version("gn0")
+
+
+def find_function(name: str) -> Callable[..., Any]:
     """The function "module:name"."""
     module, attribute = name.split(":")
-    function: Callable[..., dict[str, Any] | None] = getattr(import_module(module), attribute)
+    function: Callable[..., Any] = getattr(import_module(module), attribute)
     return function
 
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import sys
 from collections import deque
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 from unittest import mock
 
 import msgspec
 
 from gn0.bench import runner
-from gn0.bench.executors import Heard, Worker, next_worker
+from gn0.bench.executors import EpisodePool, pool_of
 from gn0.bench.metrics import EpisodeMetrics
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard, RunSummary
-from gn0.bench.worker_messages import Begun, Done, FromWorker, Lease, Open, Ready
+from gn0.bench.worker_messages import Begun, Done, FromWorker, Lease, Open, Ready, ToWorker
+from gn0.jobs.hosts import Goods
 from gn0.jobs.process import Ended
 from gn0.suites.suite import Suite, load_suite
 from gn0_trials.peak_memory import memory_bytes, peak_memory_bytes, reset_peak_memory
@@ -23,63 +23,44 @@ from gn0_trials.peak_memory import memory_bytes, peak_memory_bytes, reset_peak_m
 STEPS = 60  # of each episode
 
 
-class PoolInstant:
-    """An executor whose workers say that they have run whatever they are told to run.
+class HostsInstant:
+    """Workers that say that they have run whatever they are told to run."""
 
-    Each message is decoded anew, as one from a process is: nothing in it is shared.
-    """
-
-    def __init__(self, settings: Open, workers: int) -> None:
-        self.size = workers
-        self.workers: dict[int, Worker] = {}
-        self._card = PolicyCard(name=settings.policy, sensors=(), privileged=False)
+    def __init__(self) -> None:
         self._said: deque[tuple[int, bytes]] = deque()
-        self._decoder = msgspec.json.Decoder(FromWorker)
-        self._next = 0
+        self._decoder = msgspec.json.Decoder(ToWorker)
 
-    def start(self) -> Worker:
-        """Start one worker, which is ready."""
-        worker = next_worker(self._next, self.workers)
-        self._next += 1
-        self.workers[worker.number] = worker
-        self._say(worker, Ready(card=self._card))
-        return worker
+    def start(self, number: int) -> None:
+        """Start one worker."""
 
-    def send(self, worker: Worker, message: Any) -> None:
-        """Send a lease; it is begun and done."""
-        assert isinstance(message, Lease)
-        self._say(worker, Begun(episode=message.episode.id))
-        self._say(worker, _finish(message))
+    def send(self, number: int, line: bytes, goods: Goods | None = None) -> None:
+        """Send a message: a policy is built, an episode is begun and done."""
+        message = self._decoder.decode(line)
+        if isinstance(message, Lease):
+            self._say(number, Begun(episode=message.episode.id))
+            self._say(number, _finish(message))
+        else:
+            self._say(
+                number, Ready(card=PolicyCard(name=message.policy, sensors=(), privileged=False))
+            )
 
-    def _say(self, worker: Worker, message: FromWorker) -> None:
-        self._said.append((worker.number, msgspec.json.encode(message)))
+    def _say(self, number: int, message: FromWorker) -> None:
+        self._said.append((number, msgspec.json.encode(message)))
 
-    def hear(self, timeout: float) -> Heard | None:
+    def hear(self, timeout: float) -> tuple[int, bytes | None] | None:
         """The next message, or None."""
-        if not self._said:
-            return None
-        number, line = self._said.popleft()
-        return Heard(number, self._decoder.decode(line))
+        return self._said.popleft() if self._said else None
 
-    def ask_where(self, worker: Worker) -> str:
+    def ask_where(self, number: int) -> str:
         """Nowhere."""
         return ""
 
-    def end(self, worker: Worker) -> Ended:
+    def end(self, number: int) -> Ended:
         """End one worker."""
-        self.workers.pop(worker.number, None)
         return Ended("was ended", "")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.workers.clear()
+    def close(self) -> None:
+        """Nothing to end."""
 
 
 def _finish(lease: Lease) -> Done:
@@ -118,8 +99,8 @@ def crowd_suite(suite: Suite, count: int) -> Suite:
 def run_instantly(suite: Suite, out: Path, *, workers: int = 2, **more: Any) -> RunSummary:
     """`run_suite` with workers that answer at once."""
 
-    def open_instant(executor: str, settings: Open, workers: int, **_: Any) -> PoolInstant:
-        return PoolInstant(settings, workers)
+    def open_instant(executor: str, settings: Open, workers: int, **_: Any) -> EpisodePool:
+        return pool_of(HostsInstant(), settings, workers)
 
     with mock.patch.object(runner, "open_pool", open_instant):
         return runner.run_suite(suite, "random", out, workers=workers, **more)

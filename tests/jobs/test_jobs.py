@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import gn0
 from gn0.errors import ConfigError, FormatError, JobError
 from gn0.jobs import run_jobs
 from gn0.jobs.process import WorkerProcess
@@ -57,6 +58,9 @@ def tell(payload, progress):
 def stumble(payload):
     return {}["nothing"]
 """
+
+
+SOURCE = Path(gn0.__file__).parent.parent
 
 
 @pytest.fixture(autouse=True)
@@ -143,7 +147,7 @@ def test_ray_tries_a_unit_twice_as_processes_do(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{SOURCE}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # as below
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -157,7 +161,7 @@ def test_ray_gives_up_what_hangs_and_tells_of_steps(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{SOURCE}")
     steps: list[tuple[str, int, int]] = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # as below
@@ -171,7 +175,7 @@ def test_ray_gives_up_what_hangs_and_tells_of_steps(
 @pytest.mark.slow
 def test_ray_gives_the_same_answers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{SOURCE}")
     with warnings.catch_warnings():
         # Ray's own files and sockets, closed when its processes end
         warnings.simplefilter("ignore", ResourceWarning)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gn0.data.lerobot_video import VideoWriter
 from gn0.jobs.priority import keep_priority
+from gn0.render.video import VideoWriter
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "sched_getscheduler"), reason="this system has no scheduling policies"
@@ -24,7 +24,7 @@ def policies() -> set[int]:
 def test_writing_a_video_leaves_every_thread_as_it_was() -> None:
     """As root SVT-AV1 makes its caller a real-time thread, which starves the whole machine."""
     assert os.SCHED_FIFO not in policies()
-    writer = VideoWriter((64, 48), 30)
+    writer = VideoWriter((64, 48), 30, 5)
     for level in range(3):
         writer.add(np.full((48, 64, 3), 80 * level, np.uint8))
         assert os.SCHED_FIFO not in policies()

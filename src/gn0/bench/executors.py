@@ -15,7 +15,8 @@ import msgspec
 from gn0.bench.scene_archive import MARKER, pack_folder, unpack_scene
 from gn0.bench.worker_messages import FromWorker, Lease, Open
 from gn0.errors import BenchError
-from gn0.jobs.hosts import ExecutorName, Goods, Hosts, open_hosts
+from gn0.jobs.executors import ExecutorName, open_hosts
+from gn0.jobs.hosts import Goods, Hosts
 from gn0.jobs.pool import Pool, Worker
 
 MODULE = "gn0.bench.episode_worker"

@@ -10,13 +10,9 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
-from gn0.errors import ConfigError
 from gn0.jobs.process import Ended, WorkerProcess, count_cores
-
-ExecutorName = Literal["process", "ray"]
-MOST_WORKERS = 1024
 
 
 @dataclass(frozen=True)
@@ -110,42 +106,3 @@ class HostsProcess:
             process.kill()
         for number in list(self._processes):
             self.end(number)
-
-
-def check_executor(executor: str, workers: int) -> None:
-    """Refuse what cannot be opened.
-
-    Raises:
-        ConfigError: no such executor, or a number of workers that makes no sense.
-    """
-    if not 1 <= workers <= MOST_WORKERS:
-        raise ConfigError(
-            f"{workers} workers", where="--workers", remedy=f"give 1 to {MOST_WORKERS}"
-        )
-    if executor not in get_args(ExecutorName):
-        raise ConfigError(f"no executor {executor!r}", where="--executor", remedy="process or ray")
-
-
-def open_hosts(
-    executor: ExecutorName, module: str, size: int, *, code: str, ray_address: str = ""
-) -> Hosts:
-    """The hosts of an executor, none started yet.
-
-    Args:
-        executor: "process" on this machine, "ray" on a cluster.
-        module: what each worker runs, as `python -m`.
-        size: how many at a time.
-        code: "module:name" of a function that names the code that decides results: machines of a
-            cluster must agree on it.
-        ray_address: of a running cluster; "" starts one of this machine.
-
-    Raises:
-        ConfigError: see `check_executor`.
-        BenchError: Ray is not installed, no cluster answers, or it has too few CPUs.
-    """
-    check_executor(executor, size)
-    if executor == "process":
-        return HostsProcess(module, size)
-    from gn0.jobs.hosts_ray import HostsRay
-
-    return HostsRay(module, size, code=code, address=ray_address)

@@ -36,7 +36,7 @@ GONE = b"gone"  # a host's line when its worker process has ended
 class WorkerHost:
     """The actor: owns one worker process on the machine that Ray chose for it."""
 
-    def __init__(self, module: bytes, paths: bytes, threads: int) -> None:
+    def __init__(self, module: bytes, code: bytes, paths: bytes, threads: int) -> None:
         self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         given = [path for path in msgspec.json.decode(paths, type=list[str]) if Path(path).exists()]
         self._process = WorkerProcess(
@@ -45,10 +45,11 @@ class WorkerHost:
             threads,
             list(dict.fromkeys([*given, *sys.path])),
         )
+        self._code = name_code(code.decode()).encode()  # now: to import takes its time
 
-    def name_code(self, function: bytes) -> bytes:
+    def code(self) -> bytes:
         """Which code would decide results here."""
-        return name_code(function.decode()).encode()
+        return self._code
 
     def pids(self) -> bytes:
         """Process ids of the host and of its worker, for those who watch them."""
@@ -137,7 +138,9 @@ class HostsRay:
     def start(self, number: int) -> None:
         """Start one on a machine that Ray chooses."""
         paths = msgspec.json.encode([path or os.getcwd() for path in sys.path])
-        self._hosts[number] = self._host.remote(self._module, paths, self._threads)
+        self._hosts[number] = self._host.remote(
+            self._module, self._code.encode(), paths, self._threads
+        )
         self._listen(number)
 
     def _listen(self, number: int) -> None:
@@ -206,7 +209,7 @@ class HostsRay:
     def _check_code(self, number: int) -> None:
         """A result of other code is another result: such a machine is not worked with."""
         here = name_code(self._code)
-        there = self._ask(self._hosts[number].name_code.remote(self._code.encode()), b"").decode()
+        there = self._ask(self._hosts[number].code.remote(), b"").decode()
         if there and there != here:
             raise BenchError(
                 f"a machine of the Ray cluster runs gn0 {there}, this one {here}",

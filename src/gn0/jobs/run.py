@@ -17,7 +17,7 @@ from typing import Any
 
 from gn0 import errors
 from gn0.errors import Gn0Error, JobError
-from gn0.jobs.hosts import ExecutorName, check_executor, open_hosts
+from gn0.jobs.executors import ExecutorName, check_executor, open_hosts
 from gn0.jobs.pool import Pool, Worker, drive
 from gn0.jobs.process import Ended
 from gn0.jobs.worker import Answer, Told, Unit, work

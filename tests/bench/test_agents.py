@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -14,6 +15,7 @@ from gn0.bench import runner
 from gn0.bench.results import iterate_results
 from gn0.bench.runner import run_suite
 from gn0.errors import BenchError
+from gn0.maps.distance import GeodesicField, GeodesicMap
 from gn0.suites.suite import Suite
 
 SAME = ("results.jsonl", "trajectories.jsonl", "summary.json")
@@ -135,3 +137,20 @@ def test_no_agents_are_refused(flats_suite: Suite, tmp_path: Path) -> None:
         with pytest.raises(BenchError, match="agents"):
             run(flats_suite, tmp_path / "run", "odd", agents)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_field_is_built_once_for_a_walk_and_its_score(
+    flats_suite: Suite, tmp_path: Path, worker_here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Agents side by side, and who scores them, ask one map for the distance to a goal."""
+    built: list[object] = []
+    build = GeodesicMap.build_field
+
+    def note(self: GeodesicMap, goal: Any) -> GeodesicField:
+        built.append(goal)
+        return build(self, goal)
+
+    monkeypatch.setattr(GeodesicMap, "build_field", note)
+    run(flats_suite, tmp_path / "run", "odd", 3, max_episodes=9)
+    there = {(e.scene_id, e.destination) for e in flats_suite.episodes[:9]}
+    assert len(built) == len(there)

@@ -187,9 +187,9 @@ def test_maps_and_fields_stream_in_and_out(plans, host_memory) -> None:
     store = env.simulator.store
     assert store.dropped > 20
     assert (store.fields_built <= len(episodes)) == (host_memory == 2**30)
-    shelf = sum(array.nbytes for pair in store._shelf.values() for array in pair)
-    assert shelf + store._shelf_room == host_memory
-    assert store._shelf_room >= 0
+    kept = sum(field.nbytes for field in store.ground._fields.values())
+    assert kept + store.ground._room == host_memory
+    assert store.ground._room >= 0
     assert store.pool.used <= store.pool.held <= 1_200_000
     assert store.resident <= len(episodes)
     held = [h.block for k in ("_own", "_fields", "_scenes") for h in getattr(store, k).values()]

@@ -17,8 +17,8 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
 from gn0.render.cpu import RendererCpu
 from gn0.sim.batch import SimulatorBatch
-from gn0.sim.batch_tables import MAPS_KEPT, turns_a_circle
 from gn0.sim.env import ENVIRONMENTS, GoalNavEnv
+from gn0.sim.ground import MAPS_KEPT, turns_a_circle
 from gn0.sim.open import open_simulator
 from gn0.sim.sensors import SensorConfig, SensorSuite
 from gn0.sim.simulator import Simulator
@@ -435,7 +435,7 @@ def test_hundreds_of_scenes_are_read_once_each_and_share_their_maps() -> None:
     assert packed.blocked.nbytes + packed.compact.nbytes == 5 * cells
     assert batch.table.fields.labels.nbytes <= 2**20
     assert batch.table.fields_built > len(batch.table.episodes)  # dropped and built again
-    assert len(batch.table.maps._kept) == MAPS_KEPT
+    assert len(batch.table.maps.ground._kept) == MAPS_KEPT
 
 
 def replace_scene(episode, name: str):

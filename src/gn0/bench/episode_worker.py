@@ -152,7 +152,10 @@ class EpisodeWorker:
             scene = self._scene
             s = self.settings
             released = s.profile == RELEASE
-            self._release = ReleaseNavigation(scene.grid, s.agent.radius) if released else None
+            if not released:  # another light, the same ground
+                ground = None if self._simulator is None else self._simulator.navigation
+            else:
+                ground = self._release = ReleaseNavigation(scene.grid, s.agent.radius)
             self._simulator = open_simulator(
                 scene,
                 s.camera,
@@ -161,7 +164,7 @@ class EpisodeWorker:
                 agent=s.agent,
                 max_steps=s.max_steps,
                 map_mode=s.map_mode,
-                navigation=self._release,
+                navigation=ground,
                 light=light,
                 renderer=self._ask_for(Look(str(folder), scene_id, expected_hash, light)),
                 one_step_moves=s.profile in ONE_STEP_PROFILES,

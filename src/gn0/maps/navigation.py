@@ -136,8 +136,12 @@ class NavigationMap:
         )
         return None if cell is None else self.inflated.centre_of(*cell)
 
-    def geodesic(self, goal: tuple[float, float] | GoalSet) -> GeodesicField:
+    def geodesic(self, goal: tuple[float, float] | GoalSet, *, keep: bool = True) -> GeodesicField:
         """The any-angle distance field of a goal (x, y) m or of a set; the latest are cached.
+
+        Args:
+            goal: what counts.
+            keep: put a field that is built now among those.
 
         Raises:
             PlanError: the goal is not in a free cell; of a set, no place is.
@@ -149,6 +153,8 @@ class NavigationMap:
                 self._fields.move_to_end(key)
                 return field
         field = self._geodesic_map.build_field(key)
+        if not keep:
+            return field
         with self._lock:
             self._fields[key] = field
             while len(self._fields) > FIELDS_KEPT:

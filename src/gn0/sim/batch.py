@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import SimError
 from gn0.geometry import F32, F64, Pose2D
+from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
 from gn0.scenes.scene import Scene
 from gn0.sim.batch_eyes import BatchEyes, Snapshot
@@ -27,6 +28,7 @@ from gn0.sim.batch_kernels import (
     step_agents,
 )
 from gn0.sim.batch_tables import EpisodeTable, MapTable
+from gn0.sim.ground import GroundStore
 from gn0.sim.open import name_look
 from gn0.sim.sensors import SensorConfig
 from gn0.sim.state import OBSERVED
@@ -98,6 +100,7 @@ class SimulatorBatch:
         open_suite: scene id → the sensors of one agent in that scene; needed for pictures.
         scenes_kept: picture-making scenes held while no agent is in them.
         field_memory: bytes that geodesic fields may take.
+        navigation: scene id → a map that is there already; what is built of it is left with it.
 
     Raises:
         SimError: a number out of range, a turn that never comes full circle, or pictures asked
@@ -115,6 +118,7 @@ class SimulatorBatch:
         open_suite: Callable[[str], SensorSuite] | None = None,
         scenes_kept: int = 4,
         field_memory: int = FIELD_MEMORY,
+        navigation: Mapping[str, NavigationMap] | None = None,
     ) -> None:
         if count < 1 or max_steps < 1:
             raise SimError(
@@ -124,7 +128,8 @@ class SimulatorBatch:
         self.config = config
         self.agent = agent or config.preset.agent
         self.max_steps = max_steps
-        self.table = EpisodeTable(MapTable(scenes, self.agent.radius), self.agent, field_memory)
+        ground = GroundStore(scenes, self.agent.radius, lent=navigation)
+        self.table = EpisodeTable(MapTable(ground), self.agent, field_memory)
         self.state = AgentArrays(
             np.full(count, -1, np.int32),
             np.zeros((count, 2)),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -20,21 +19,25 @@ from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray, Kernel
 from gn0.errors import DeviceMemoryError
-from gn0.geometry import F64, U8, wrap_angle
-from gn0.maps.goal_places import GoalSet
-from gn0.maps.navigation import NavigationMap
+from gn0.geometry import F64, U8
+from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import AgentSpec, Episode, check_episode
 from gn0.scenes.scene import Scene
-from gn0.sim.batch_tables import MapTable, turns_a_circle
 from gn0.sim.collision import check_places
 from gn0.sim.device_layout import EPISODE, THREADS, blocks_of
 from gn0.sim.device_pool import Block, PoolDevice, store_size
-from gn0.sim.kinematics import heading_yaw
+from gn0.sim.ground import (
+    Destination,
+    EpisodeNumbers,
+    GroundStore,
+    destination_of,
+    list_headings,
+    turns_a_circle,
+)
 from gn0.sim.open import name_look
 from gn0.sim.sensors import MapFrame
 
 _log = logging.getLogger(__name__)
-_Goal = tuple[str, tuple[float, float] | GoalSet]  # scene, and what counts there
 _WORD = 16  # bytes that a thread of `store_rows` copies
 
 
@@ -97,25 +100,21 @@ class EpisodeStore:
         self.device = device
         self.agent = agent
         self.circle = turns_a_circle(agent.turn_degrees)
-        self.episodes: list[Episode] = []
         self.scene_ids = sorted(scenes)
-        self.fields_built = self.dropped = 0
+        self.dropped = 0
         self.pool = PoolDevice(device, memory)
         self._kernels = kernels
-        self._maps = MapTable(scenes, agent.radius)
+        self.ground = GroundStore(scenes, agent.radius, memory=host_memory)
         self._scene_number = {name: k for k, name in enumerate(self.scene_ids)}
         self._rays, self._pictures = rays, pictures
-        self._number: dict[Episode, int] = {}
+        self._numbers = EpisodeNumbers()
         self._checked: set[int] = set()
         self._slot_of = np.zeros(0, np.int32)  # by episode number; −1: not here
         self._scenes: dict[str, _Held] = {}
         self._looks: dict[str, _Held] = {}
         self._look_names: list[str | None] = []  # by number; None: free
         self._in_play: list[str | None] | None = None  # forgotten when references change
-        self._fields: dict[_Goal, _Held] = {}
-        self._shelf: OrderedDict[_Goal | str, tuple[NDArray[Any], ...]] = OrderedDict()
-        self._shelf_room = host_memory
-        self._frames: dict[str, tuple[float, ...]] = {}
+        self._fields: dict[Destination, _Held] = {}
         self._own: dict[int, _Held] = {}  # by slot: headings
         self._number_of = np.full(64, -1, np.int32)  # by slot
         self._references = np.zeros(64, np.int64)
@@ -126,17 +125,21 @@ class EpisodeStore:
 
     def add(self, episodes: Iterable[Episode]) -> NDArray[np.int64]:
         """Numbers of episodes; equal ones share a number. Nothing is loaded or checked yet."""
-        numbers = []
-        for episode in episodes:
-            number = self._number.get(episode)
-            if number is None:
-                number = self._number[episode] = len(self.episodes)
-                self.episodes.append(episode)
-            numbers.append(number)
+        numbers = self._numbers.add(episodes)
         missing = len(self.episodes) - len(self._slot_of)
         if missing > 0:
             self._slot_of = np.append(self._slot_of, np.full(missing, -1, np.int32))
-        return np.array(numbers, np.int64)
+        return numbers
+
+    @property
+    def episodes(self) -> list[Episode]:
+        """Those met so far, by number."""
+        return self._numbers.episodes
+
+    @property
+    def fields_built(self) -> int:
+        """How many distance fields were built, again or for the first time."""
+        return self.ground.fields_built
 
     @property
     def resident(self) -> int:
@@ -196,14 +199,14 @@ class EpisodeStore:
         episode = self.episodes[number]
         if number not in self._checked:
             check_episode(episode)
-            check_places(self._maps.open(episode.scene_id)[0], episode, self.agent.radius)
+            check_places(self.ground.open(episode.scene_id), episode, self.agent.radius)
             self._checked.add(number)
         used: list[_Held] = []  # held while others are brought
         try:
             scene = self._scenes.get(episode.scene_id) or self._bring_scene(episode.scene_id)
             scene.users += 1
             used.append(scene)
-            key = _key(episode)
+            key = destination_of(episode)
             field = self._fields.get(key)
             if field is None:
                 field = self._fields[key] = self._bring_field(key)
@@ -308,7 +311,7 @@ class EpisodeStore:
         episode = self.episodes[number]
         self._slot_of[number] = self._number_of[slot] = -1
         self.pool.give(self._own.pop(slot).block)
-        self._fields[_key(episode)].users -= 1
+        self._fields[destination_of(episode)].users -= 1
         self._scenes[episode.scene_id].users -= 1
         if self._pictures is not None:
             self._looks[name_look(episode)].users -= 1
@@ -318,7 +321,7 @@ class EpisodeStore:
 
     def _sweep(self, episode: Episode | None = None) -> None:
         """Give back fields, looks and scenes that nothing needs; of one episode, or any."""
-        keys = list(self._fields) if episode is None else [_key(episode)]
+        keys = list(self._fields) if episode is None else [destination_of(episode)]
         for key in keys:
             if not self._fields[key].users:
                 self.pool.give(self._fields.pop(key).block)
@@ -334,34 +337,11 @@ class EpisodeStore:
                 self.pool.give(self._scenes.pop(scene_id).block)
 
     def _bring_scene(self, scene_id: str) -> _Held:
-        (compact,) = self._fetch(scene_id, lambda: self._number_cells(scene_id))
-        held = self._put(compact)
-        held.frame, held.shape = self._frames[scene_id], compact.shape
+        grid = self.ground.inflated(scene_id)
+        held = self._put(number_cells(grid))
+        held.frame, held.shape = (*map(float, grid.origin), float(grid.resolution)), grid.shape
         self._scenes[scene_id] = held
         return held
-
-    def _number_cells(self, scene_id: str) -> tuple[NDArray[np.int32]]:
-        navigation, _ = self._maps.open(scene_id)
-        grid = navigation.grid
-        self._frames[scene_id] = (*map(float, grid.origin), float(grid.resolution))
-        return (number_cells(navigation),)
-
-    def _fetch(
-        self, key: _Goal | str, build: Callable[[], tuple[NDArray[Any], ...]]
-    ) -> tuple[NDArray[Any], ...]:
-        """What was built before and is still on the host, or is built now."""
-        if key in self._shelf:
-            self._shelf.move_to_end(key)
-            return self._shelf[key]
-        arrays = build()
-        size = sum(array.nbytes for array in arrays)
-        while self._shelf and size > self._shelf_room:
-            _, old = self._shelf.popitem(last=False)
-            self._shelf_room += sum(array.nbytes for array in old)
-        if size <= self._shelf_room:
-            self._shelf[key] = arrays
-            self._shelf_room -= size
-        return arrays
 
     def _bring_look(self, name: str) -> _Held:
         assert self._pictures is not None
@@ -378,37 +358,18 @@ class EpisodeStore:
         self._looks[name] = held
         return held
 
-    def _bring_field(self, key: _Goal) -> _Held:
-        arrays = self._fetch(key, lambda: self._build_field(key))
-        held = self._put(*arrays)
-        held.wide = arrays[0].dtype == np.uint32
+    def _bring_field(self, key: Destination) -> _Held:
+        field = self.ground.field(key)
+        held = self._put(*field)
+        held.wide = field.labels.dtype == np.uint32
         return held
 
-    def _build_field(self, key: _Goal) -> tuple[NDArray[Any], F64]:
-        """The field of a goal: labels of free cells, and the roots that they use."""
-        navigation, geodesic_map = self._maps.open(key[0])
-        field = geodesic_map.build_field(key[1])
-        self.fields_built += 1
-        label = field.label[~navigation.blocked]
-        used = np.zeros(len(field.roots) + 1, np.bool_)
-        used[label + 1] = True
-        used[0] = True  # root 0 is "unreachable"
-        roots = np.vstack([[0.0, 0.0, np.inf], field.roots[used[1:]]])
-        wide = len(roots) > 65535
-        labels = (np.cumsum(used) - 1)[label + 1].astype(np.uint32 if wide else np.uint16)
-        return labels, roots
-
     def _build_headings(self, episode: Episode) -> _Held:
-        """Headings after each number of turns, and the directions of range rays from each.
-
-        Python's own sines and cosines: those of a device differ in the last bit.
-        """
-        base = wrap_angle(episode.start[2])
-        yaws = [heading_yaw(base, k, self.agent.turn_degrees) for k in range(self.circle)]
-        headings = np.array([(yaw, math.cos(yaw), math.sin(yaw)) for yaw in yaws])
+        """Headings after each number of turns, and the directions of range rays from each."""
+        headings = list_headings(episode, self.agent)
         if self._rays is None:
             return self._put(headings)
-        angles = (np.array(yaws)[:, None] + self._rays).ravel().tolist()
+        angles = (headings[:, :1] + self._rays).ravel().tolist()
         directions = np.empty((len(angles), 2))
         directions[:, 0] = list(map(math.cos, angles))
         directions[:, 1] = list(map(math.sin, angles))
@@ -419,15 +380,11 @@ class EpisodeStore:
         return _Held(block, self.pool.store(block, *arrays))
 
 
-def number_cells(navigation: NavigationMap) -> NDArray[np.int32]:
+def number_cells(grid: OccupancyGrid) -> NDArray[np.int32]:
     """The number of each free cell among the free cells [H, W]; −1 where blocked."""
-    blocked = np.ascontiguousarray(navigation.blocked)
+    blocked = np.ascontiguousarray(grid.blocked)
     numbers = np.cumsum(~blocked.ravel(), dtype=np.int64) - 1
     return np.where(blocked, -1, numbers.reshape(blocked.shape)).astype(np.int32)
-
-
-def _key(episode: Episode) -> _Goal:
-    return episode.scene_id, episode.destination
 
 
 def _bytes_of(rows: NDArray[Any]) -> U8:

@@ -15,7 +15,7 @@ from gn0.progress import Progress, no_progress
 from gn0.render.light import LightCondition
 from gn0.seeds import random_stream
 from gn0.sim.batch import SimulatorBatch
-from gn0.sim.batch_tables import turns_a_circle
+from gn0.sim.ground import turns_a_circle
 from gn0.sim.open import split_look
 from gn0.sim.policy import (
     Policy,
@@ -187,6 +187,7 @@ def open_agents(
         agent=first.agent,
         max_steps=max_steps,
         open_suite=lambda look: open_simulator(split_look(look)[1]).suite,
+        navigation={scene.id: first.navigation},  # scoring and labels ask for the same fields
     )
 
 

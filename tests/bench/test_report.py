@@ -16,13 +16,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from gn0.bench.episode_clip import choose_frames
 from gn0.bench.report import choose_videos, load_run, write_report
 from gn0.bench.report_maps import CELL, MapWindow, fit_view, path_marks, simplify
 from gn0.bench.results import EpisodeResult
 from gn0.bench.runner import run_suite
-from gn0.bench.video import choose_frames, encode_clip
 from gn0.errors import BenchError, StorageError
 from gn0.maps.goal_places import GoalSet
+from gn0.render.video import VP9, encode_video
 from gn0.scenes.folder import load_scene
 from gn0.suites.suite import Suite, build_suite, save_suite
 from gn0_trials.browser import open_browser, why_no_browser
@@ -417,7 +418,7 @@ def test_a_clip_is_vp9_in_mp4_and_decodes_to_what_went_in() -> None:
 
     x = np.linspace(0, 255, 96, dtype=np.uint8)
     frames = [np.stack([np.tile(np.roll(x, 4 * i), (64, 1))] * 3, axis=2) for i in range(10)]
-    data = encode_clip(frames, 20)
+    data = encode_video(frames, 20, 8, VP9)
     with av.open(io.BytesIO(data)) as container:
         assert "mp4" in container.format.name
         stream = container.streams.video[0]

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from gn0.bench.episode_clip import BAD, CAPTION, render_clip
 from gn0.bench.report import draw_scene, load_run
 from gn0.bench.runner import run_suite
-from gn0.bench.video import BAD, CAPTION, render_clip
 from gn0.geometry import U8, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.light import draw_condition

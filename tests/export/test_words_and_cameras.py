@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from gn0.data.lerobot_video import join_clips
 from gn0.errors import FormatError, Gn0Error
 from gn0.export.cameras import (
     camera_poses,
@@ -30,6 +29,7 @@ from gn0.export.move_words import coarsen_turns, find_runs, merge_amounts
 from gn0.export.navdp import encode_obstacles, load_obstacles, trace_way
 from gn0.export.picture_files import encode_depth
 from gn0.maps.grid import OccupancyGrid
+from gn0.render.video import join_videos
 from gn0.sim.presets import find_preset, preset_names
 
 MOVES = st.lists(st.integers(1, 3), max_size=40)
@@ -190,7 +190,7 @@ def test_cut_and_joined_clips_show_the_same_frames(
     assert encode_frames(pictures, 5).mp4 == clip.mp4
     short = cut_clip(clip, 13)
     for name, data in (
-        ("whole", clip.mp4), ("short", short), ("joined", join_clips([clip.mp4, short], 5)),
+        ("whole", clip.mp4), ("short", short), ("joined", join_videos([clip.mp4, short], 5)),
     ):  # fmt: skip
         (tmp_path / f"{name}.mp4").write_bytes(data)
     whole, joined = read_clip(tmp_path / "whole.mp4"), read_clip(tmp_path / "joined.mp4")

@@ -24,6 +24,7 @@ import numpy as np
 from markupsafe import Markup
 
 from gn0.bench.breakdown import Bar, split_categories, split_lengths
+from gn0.bench.episode_clip import ClipScene, render_clip
 from gn0.bench.intervals import Interval
 from gn0.bench.metrics import METRICS
 from gn0.bench.release_score import SIDE_BY_SIDE
@@ -47,7 +48,6 @@ from gn0.bench.results import (
 )
 from gn0.bench.spreadsheet import render_csv
 from gn0.bench.standing import group_runs
-from gn0.bench.video import ClipScene, render_clip
 from gn0.config import load_json
 from gn0.errors import BenchError, Gn0Error, brief
 from gn0.missions.episode import Episode

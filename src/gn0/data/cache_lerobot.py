@@ -46,7 +46,7 @@ from gn0.data.lerobot_tables import (
     number_table,
     number_tasks,
 )
-from gn0.data.lerobot_video import WalkWriter, encode_still, join_clips
+from gn0.data.lerobot_video import WalkWriter, encode_still
 from gn0.data.picture_cache import (
     DrawnStep,
     cache_folder,
@@ -63,6 +63,7 @@ from gn0.geometry import U8
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.missions.episode_files import read_table
 from gn0.render.depth import to_metres
+from gn0.render.video import join_videos
 from gn0.sim.presets import find_preset
 from gn0.storage import content_hash, safe_join, write_bytes
 
@@ -182,7 +183,7 @@ class PartReel:
         records = list(self._shared.values())
         fps = self._film.fps
         for name in self._moving if self._episodes else ():
-            records.append(self._put(name, join_clips(self._clips[name], fps)))
+            records.append(self._put(name, join_videos(self._clips[name], fps)))
         for name, stills in self._stills.items():
             if not stills:
                 continue
@@ -190,7 +191,7 @@ class PartReel:
             for key, (picture, frames) in stills.items():
                 clips.append(encode_still(picture, frames, self._film, self._settings.crf))
                 places[key], first = first, first + frames
-            records.append(self._put(name, join_clips(clips, fps)))
+            records.append(self._put(name, join_videos(clips, fps)))
             for own in self._episodes:
                 key = own["still"][name]
                 sums = PixelSums()

@@ -7,22 +7,23 @@ encoded once. Joined clips keep their packets too.
 
 from __future__ import annotations
 
-import io
+import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from gn0.data.lerobot_video import join_clips
 from gn0.errors import FormatError, RenderError, StorageError
 from gn0.geometry import U8
+from gn0.render.video import VP9, VideoWriter, join_videos
 
-CODEC = "libvpx-vp9"
 QUALITY = 30  # crf
-KEY_EVERY = 10  # frames between pictures that stand alone: seeks stay short
+# a picture that stands alone every 10 frames: seeks stay short
+VP9_CUT = dataclasses.replace(
+    VP9, options={**VP9.options, "lag-in-frames": "0", "auto-alt-ref": "0", "g": "10"}
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,43 +45,25 @@ def encode_frames(frames: Iterable[U8], fps: int) -> Clip:
     """Encode pictures [H, W, 3] of one even size; the same pixels give the same bytes.
 
     Raises:
-        RenderError: this PyAV was built without VP9, or the pictures are of odd or changing size.
+        RenderError: this PyAV was built without VP9, or the pictures are of changing size.
     """
-    import av
-
-    stream, count = io.BytesIO(), 0
-    options = {
-        "crf": str(QUALITY), "b": "0", "deadline": "realtime", "cpu-used": "7", "row-mt": "0",
-        "lag-in-frames": "0", "auto-alt-ref": "0", "g": str(KEY_EVERY),
-    }  # fmt: skip
-    try:
-        with av.open(stream, "w", format="mp4") as container:
-            video: Any = None
-            for picture in frames:
-                height, width = picture.shape[:2]
-                if video is None:
-                    video = container.add_stream(CODEC, rate=fps, options=options)
-                    video.width, video.height, video.pix_fmt = width, height, "yuv420p"
-                    video.thread_count = 1
-                frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-                frame.pts, frame.time_base = count, Fraction(1, fps)
-                container.mux(video.encode(frame))
-                count += 1
-            if video is None:
-                raise RenderError("a clip of no frames")
-            container.mux(video.encode())
-    except (av.codec.codec.UnknownCodecError, ValueError) as error:
-        raise RenderError(
-            f"cannot encode VP9: {error}", remedy="install PyAV from PyPI, which brings libvpx"
-        ) from None
-    return Clip(stream.getvalue(), count, fps)
+    video, count = None, 0
+    for picture in frames:
+        height, width = picture.shape[:2]
+        if video is None:
+            video = VideoWriter((width, height), QUALITY, fps, VP9_CUT)
+        video.add(picture)
+        count += 1
+    if video is None:
+        raise RenderError("a clip of no frames")
+    return Clip(video.finish(), count, fps)
 
 
 def cut_clip(clip: Clip, frames: int) -> bytes:
     """The MP4 of a clip's first frames: its first packets, as they are."""
     if frames >= clip.frames:
         return clip.mp4
-    return join_clips([clip.mp4], clip.fps, [frames])
+    return join_videos([clip.mp4], clip.fps, [frames])
 
 
 @dataclass(frozen=True)

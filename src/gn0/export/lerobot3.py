@@ -46,7 +46,7 @@ from gn0.data.lerobot_tables import (
     number_table,
     number_tasks,
 )
-from gn0.data.lerobot_video import WalkWriter, encode_still, join_clips
+from gn0.data.lerobot_video import WalkWriter, encode_still
 from gn0.data.picture_cache import encode_depth, encode_map
 from gn0.errors import Gn0Error
 from gn0.export.exporter import ExportSettings, Job, OwnPoses, Place, Record
@@ -56,6 +56,7 @@ from gn0.export.trips import RGB, RGBD, Recovered, Trip
 from gn0.geometry import U8
 from gn0.missions.episode_files import read_table
 from gn0.render.depth import to_millimetres
+from gn0.render.video import join_videos
 from gn0.sim.history import History
 from gn0.storage import content_hash, read_bytes, write_bytes
 
@@ -252,7 +253,7 @@ def _join_walks(
             clips.append(read_bytes(_part(folder, f"{way}.{name}.mp4")))
             places[way] = Span(file, first)
             first += walks[way]["length"]
-        write_bytes(folder / file_path(name, file), join_clips(clips, film.fps))
+        write_bytes(folder / file_path(name, file), join_videos(clips, film.fps))
     for record, own in zip(records, spans, strict=True):
         own[name] = places[record["way"]]
 
@@ -278,7 +279,7 @@ def _join_stills(
     file = first = 0
 
     def close() -> None:
-        write_bytes(folder / file_path(name, file), join_clips(clips, film.fps))
+        write_bytes(folder / file_path(name, file), join_videos(clips, film.fps))
 
     for path, frames in longest.items():
         if not path:

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gn0.bench.episode_clip import ACTION_WORDS
 from gn0.bench.metrics import METRICS
 from gn0.bench.report import RunData, find_suite, load_run
 from gn0.bench.results import EpisodeResult, EpisodeTrace
-from gn0.bench.video import ACTION_WORDS
 from gn0.errors import BenchError, brief
 from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
-from gn0.bench.video import clip_camera
+from gn0.bench.episode_clip import clip_camera
 from gn0.errors import BenchError
 from gn0.geometry import U8, view_from_pose
 from gn0.missions.episode import Episode

@@ -6,11 +6,8 @@ rendered again from the recorded poses, when a report is written and never durin
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
-from typing import cast
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -22,9 +19,9 @@ from gn0.missions.episode import Episode
 from gn0.render.bev import BevPicture
 from gn0.render.camera import Camera
 from gn0.render.renderer import SceneRenderer
+from gn0.render.video import VP9, encode_video
 from gn0.sim.presets import CameraPreset
 
-CODEC = "libvpx-vp9"
 VIEW_HEIGHT = 252  # px of the view and of the map beside it
 CAPTION = 46  # px
 FRAMES_PER_SECOND = 8
@@ -137,7 +134,7 @@ def render_clip(
     poster = frames[len(frames) * 3 // 5]  # the start is often a wall, the end a close-up
     frames += [frames[-1]] * FRAMES_PER_SECOND  # hold the end for a second
     for quality in QUALITIES:
-        data = encode_clip(frames, quality)
+        data = encode_video(frames, quality, FRAMES_PER_SECOND, VP9)
         if len(data) <= size_limit:
             return Clip(data, poster)
     raise RenderError(
@@ -248,38 +245,3 @@ def _fit(
     while line and draw.textlength(line + "…", font) > width:
         line = line[:-1]
     return line + "…"
-
-
-def encode_clip(frames: Sequence[U8], quality: int = QUALITIES[0]) -> bytes:
-    """Frames [H, W, 3] of one even size as VP9 in MP4.
-
-    Raises:
-        RenderError: this PyAV was built without VP9.
-    """
-    import av
-
-    stream = io.BytesIO()
-    height, width = frames[0].shape[:2]
-    try:
-        with av.open(stream, "w", format="mp4") as container:
-            options = {
-                "crf": str(quality),
-                "b": "0",
-                "deadline": "realtime",
-                "cpu-used": "7",
-                "row-mt": "0",
-            }
-            added = container.add_stream(CODEC, rate=FRAMES_PER_SECOND, options=options)
-            video = cast(av.VideoStream, added)
-            video.width, video.height, video.pix_fmt = width, height, "yuv420p"
-            video.thread_count = 1
-            for number, picture in enumerate(frames):
-                frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-                frame.pts, frame.time_base = number, Fraction(1, FRAMES_PER_SECOND)
-                container.mux(video.encode(frame))
-            container.mux(video.encode())
-    except (av.codec.codec.UnknownCodecError, ValueError) as error:
-        raise RenderError(
-            f"cannot encode VP9: {error}", remedy="install PyAV from PyPI, which brings libvpx"
-        ) from None
-    return stream.getvalue()

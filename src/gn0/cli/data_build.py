@@ -8,7 +8,7 @@ build that was stopped goes on when the same command is given again.
 from __future__ import annotations
 
 import time
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import tyro
@@ -21,7 +21,8 @@ EXAMPLES = """  gn0 data build out/suite --out out/data
   gn0 data build out/suite --backend cuda --quality 85 --out out/data
   gn0 data build out/suite --depth --out out/rgbd
   gn0 data build out/suite --labels mpc --tokens ego --out out/ego
-  gn0 data build out/suite --executor ray --ray-address auto --workers 16 --out out/data"""
+  gn0 data build out/suite --executor ray --ray-address auto --workers 16 --out out/data
+  gn0 data build out/suite --shard 2/8 --out out/shard-2    # then gn0 data merge"""
 
 
 class Args(Config, frozen=True):
@@ -53,6 +54,8 @@ class Args(Config, frozen=True):
             core where a GPU draws.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
+        shard: i/n builds the i-th of n shards by itself, on a machine of its own; `gn0 data merge`
+            joins them to the very dataset that is built without it. Empty builds all.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
@@ -73,20 +76,23 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
+    shard: str = ""
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
 def run(args: Args) -> int:
     """Build, and say what came out."""
     from gn0.cli.console import draw_progress, say_aside, say_backend
-    from gn0.data.build import build_dataset
+    from gn0.data.build import build_dataset, build_shard
     from gn0.data.dataset import DATASET_FILE
     from gn0.data.drawing_process import choose_drawing, count_workers, with_backend
     from gn0.data.expert_labels import LabelSettings
     from gn0.data.settings import BuildSettings, PictureSettings, TokenSettings
+    from gn0.data.shard import ShardName, describe_shard
     from gn0.locked_folder import forget_folder
     from gn0.suites.suite import open_suite
 
+    name = ShardName.parse(args.shard) if args.shard else None
     pictures = PictureSettings(
         layout=args.layout,
         format=args.format,
@@ -112,17 +118,22 @@ def run(args: Args) -> int:
         forget_folder(args.out, DATASET_FILE)
     begin = time.perf_counter()
     with draw_progress() as progress:
-        dataset = build_dataset(
-            open_suite(args.episodes, beside=f"{args.out.rstrip('/')}-episodes"),
-            args.out,
-            settings,
-            workers=count_workers(args.workers, pictures),
-            executor=args.executor,
-            ray_address=args.ray_address,
-            batch=args.batch,
-            progress=progress,
-            note=say_aside,
-        )
+        suite = open_suite(args.episodes, beside=f"{args.out.rstrip('/')}-episodes")
+        work: dict[str, Any] = {
+            "workers": count_workers(args.workers, pictures),
+            "executor": args.executor,
+            "ray_address": args.ray_address,
+            "batch": args.batch,
+            "progress": progress,
+            "note": say_aside,
+        }
+        if name is not None:
+            shard = build_shard(suite, args.out, name, settings, **work)
+        else:
+            dataset = build_dataset(suite, args.out, settings, **work)
+    if name is not None:
+        print(describe_shard(shard, args.out))
+        return 0
     seconds = time.perf_counter() - begin
     about = dataset.about
     skipped = [own for part in about.parts for own in part.skipped]

@@ -9,7 +9,7 @@ bytes for any number of workers.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import tyro
@@ -21,6 +21,7 @@ EXAMPLES = """  gn0 data dagger out/suite --policy wall_follower --beta 0.5 --ou
   gn0 data dagger out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --beta 0 \\
       --workers 2 --pictures webdataset --out out/mine
   gn0 data dagger out/suite --policy mine --plugin mine.py --agents 32 --chunk 64 --out out/wide
+  gn0 data dagger out/suite --policy mine --plugin mine.py --shard 2/8 --out out/shard-2
   gn0 data dagger out/suite --policy straight --halting gn0-release --out out/official
   gn0 data dagger out/suite --policy recorded --policy-option run=out/by_hand --labels own \\
       --beta 0 --halting none --out out/demonstrations"""
@@ -55,6 +56,8 @@ class Args(Config, frozen=True):
         workers: processes; never changes a byte.
         executor: where the workers live: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
+        shard: i/n collects the i-th of n shards by itself, on a machine of its own; `gn0 data
+            merge` joins them to the very dataset that is collected without it. Empty: all.
         plugin: modules to import first; they call `gn0.plugins.register` for policies of yours.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
@@ -78,6 +81,7 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
+    shard: str = ""
     plugin: tuple[str, ...] = ()
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
@@ -86,15 +90,18 @@ def run(args: Args) -> int:
     """Collect, and say what the policy did and what it should have done."""
     from gn0.cli.bench_run import read_options
     from gn0.cli.console import draw_progress
-    from gn0.data.collect import build_dagger, describe_summary, sum_up
+    from gn0.data.build import build_shard
+    from gn0.data.collect import build_dagger, check_dagger, describe_summary, sum_up
     from gn0.data.dataset import DATASET_FILE
     from gn0.data.expert_labels import LabelSettings
     from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
+    from gn0.data.shard import ShardName, describe_shard
     from gn0.locked_folder import forget_folder
     from gn0.plugins import import_plugins
     from gn0.suites.suite import open_suite
 
     out = Path(args.out)
+    name = ShardName.parse(args.shard) if args.shard else None
     if args.fresh:
         forget_folder(out, DATASET_FILE)
     with draw_progress() as progress:
@@ -119,16 +126,20 @@ def run(args: Args) -> int:
                 demonstrate=args.labels == "own",
             ),
         )
-        dataset = build_dagger(
-            suite,
-            out,
-            settings,
-            workers=args.workers,
-            executor=args.executor,
-            ray_address=args.ray_address,
-            agents=args.agents,
-            progress=progress,
-        )
+        work: dict[str, Any] = {
+            "workers": args.workers,
+            "executor": args.executor,
+            "ray_address": args.ray_address,
+            "agents": args.agents,
+            "progress": progress,
+        }
+        if name is not None:
+            shard = build_shard(suite, out, name, check_dagger(settings), **work)
+        else:
+            dataset = build_dagger(suite, out, settings, **work)
+    if name is not None:
+        print(describe_shard(shard, args.out))
+        return 0
     print(describe_summary(sum_up(dataset)))
     print(f"dataset: {out}")
     print(f"next:    gn0 data balance {out}    or train on it as it is")

@@ -38,6 +38,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "missions show": ("missions_show", "draw episodes over map and bird's-eye view"),
     "missions describe": ("missions_describe", "routes in words: steps, landmarks, texts, checks"),
     "data build": ("data_build", "walk, label and draw the episodes of a suite: a dataset"),
+    "data merge": ("data_merge", "join the shards of a dataset that several machines built"),
     "data render": ("data_render", "draw the pictures of a dataset again, bit for bit"),
     "data show": ("data_show", "draw a sample sheet: pictures, waypoints, actions"),
     "data stats": ("data_stats", "one page on paths, turns, actions, words, goals, scenes"),

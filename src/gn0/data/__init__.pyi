@@ -3,6 +3,7 @@ from gn0.data.balance import balance_dataset as balance_dataset
 from gn0.data.balance import load_balance as load_balance
 from gn0.data.balance import load_selection as load_selection
 from gn0.data.build import build_dataset as build_dataset
+from gn0.data.build import build_shard as build_shard
 from gn0.data.codec import parse_answer as parse_answer
 from gn0.data.codec import write_answer as write_answer
 from gn0.data.dagger import collect_visited as collect_visited
@@ -16,11 +17,14 @@ from gn0.data.expert_labels import label_states as label_states
 from gn0.data.expert_labels import plan_expert as plan_expert
 from gn0.data.expert_labels import walk_actions as walk_actions
 from gn0.data.follow import label_follow as label_follow
+from gn0.data.merge import merge_shards as merge_shards
 from gn0.data.repair import RepairReport as RepairReport
 from gn0.data.repair import repair_dataset as repair_dataset
 from gn0.data.settings import BuildSettings as BuildSettings
 from gn0.data.settings import DaggerSettings as DaggerSettings
 from gn0.data.settings import PictureSettings as PictureSettings
 from gn0.data.settings import TokenSettings as TokenSettings
+from gn0.data.shard import ShardFile as ShardFile
+from gn0.data.shard import ShardName as ShardName
 from gn0.data.verify import VerifyReport as VerifyReport
 from gn0.data.verify import verify_dataset as verify_dataset

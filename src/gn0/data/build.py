@@ -40,6 +40,15 @@ from gn0.data.picture_build import finish_cache
 from gn0.data.picture_cache import check_cache_free
 from gn0.data.sample_table import SAMPLE_LAYOUT
 from gn0.data.settings import BuildSettings
+from gn0.data.shard import (
+    SHARD_FILE,
+    ShardFile,
+    ShardName,
+    find_damage,
+    load_shard,
+    part_records,
+    save_shard,
+)
 from gn0.errors import DataError
 from gn0.jobs import ExecutorName
 from gn0.locked_folder import LOCK, PROBE, check_room, lock_folder, sweep_folder
@@ -92,32 +101,109 @@ def build_dataset(
         BenchError: a scene is missing or changed.
         StorageError: `out` cannot be written, or the disk is full.
     """
-    suite = episodes if isinstance(episodes, Suite) else load_suite(episodes)
-    out = Path(out)
-    about = describe_dataset(suite, settings or BuildSettings())
-    plans = [
-        msgspec.structs.replace(plan, agents=agents)
-        for plan in plan_parts(suite, out, about.settings.chunk)
-    ]
-    _check_target(out, about)
-    check_room(out, len(suite.episodes) * BYTES_PER_EPISODE)
+    _build(
+        _load(episodes), Path(out), settings or BuildSettings(), None, workers=workers,
+        executor=executor, ray_address=ray_address, batch=batch, agents=agents, server=server,
+        progress=progress, note=note,
+    )  # fmt: skip
+    return open_dataset(out)
+
+
+def build_shard(
+    episodes: Path | str | Suite,
+    out: Path | str,
+    shard: ShardName | str,
+    settings: BuildSettings | None = None,
+    *,
+    workers: int = 1,
+    executor: ExecutorName = "process",
+    ray_address: str = "",
+    batch: int = 0,
+    agents: int = 1,
+    progress: Progress = no_progress,
+    note: Callable[[str], None] = lambda text: None,
+) -> ShardFile:
+    """Build one shard of a dataset by itself; `merge_shards` joins them. See `build_dataset`.
+
+    A shard that is there already is read again, and what is damaged in it is made again.
+
+    Args:
+        episodes: see `build_dataset`; the same for all shards.
+        out: the shard's own folder.
+        shard: "i/n", i from 1 to n.
+        settings: see `build_dataset`; the same for all shards.
+        workers: see `build_dataset`.
+        executor: see `build_dataset`.
+        ray_address: see `build_dataset`.
+        batch: see `build_dataset`.
+        agents: see `build_dataset`.
+        progress: progress sink.
+        note: told once what people should hear.
+
+    Raises:
+        ConfigError: there is no such shard.
+        DataError, BenchError, StorageError: see `build_dataset`.
+    """
+    name = ShardName.parse(shard) if isinstance(shard, str) else shard
+    _build(
+        _load(episodes), Path(out), settings or BuildSettings(), name, workers=workers,
+        executor=executor, ray_address=ray_address, batch=batch, agents=agents, server=None,
+        progress=progress, note=note,
+    )  # fmt: skip
+    return load_shard(out)
+
+
+def _load(episodes: Path | str | Suite) -> Suite:
+    return episodes if isinstance(episodes, Suite) else load_suite(episodes)
+
+
+def _build(
+    suite: Suite,
+    out: Path,
+    settings: BuildSettings,
+    shard: ShardName | None,
+    *,
+    workers: int,
+    executor: ExecutorName,
+    ray_address: str,
+    batch: int,
+    agents: int,
+    server: DrawServer | None,
+    progress: Progress,
+    note: Callable[[str], None],
+) -> None:
+    about = describe_dataset(suite, settings)
+    every = plan_parts(suite, out, about.settings.chunk)
+    plans = every
+    if shard is not None:
+        about = msgspec.structs.replace(about, shard=str(shard))
+        plans = shard.choose(every)
+    plans = [msgspec.structs.replace(plan, agents=agents) for plan in plans]
+    check_target(out, about)
+    check_room(out, sum(len(plan.episodes) for plan in plans) * BYTES_PER_EPISODE)
     with lock_folder(out, refuse=DataError):
-        found = _check_target(out, about)
+        found = check_target(out, about)
         sweep_folder(out)
         if found is not None and found.complete:
             write_journal(out / JOURNAL, parts_journal(found))
-            return open_dataset(out)
+            return
+        if (out / SHARD_FILE).is_file() and not find_damage(out, load_shard(out).records()):
+            return
         pictures = about.settings.pictures  # a device that is not here is said before any work
         with open_drawing(
             pictures, executor=executor, batch=batch, server=server, note=note
         ) as drawing:
             if found is None:
-                found = _lay_out(out, suite, about, progress)
+                found = _lay_out(out, suite, about, {plan.scene for plan in plans}, progress)
             done = read_done(out / JOURNAL)
             parts = run_parts(
                 "build_part",
                 drawn_at(plans, drawing),
-                {name: made for name, made in done.items() if _is_there(out, made)},
+                {
+                    name: made
+                    for name, made in done.items()
+                    if _is_there(out, made, shard, pictures.layout)
+                },
                 out / JOURNAL,
                 workers=workers,
                 executor=executor,
@@ -125,8 +211,11 @@ def build_dataset(
                 progress=progress,
                 check=check_plan,
             )
-        _finish(out, found, [parts[plan.name] for plan in plans])
-    return open_dataset(out)
+        made = [parts[plan.name] for plan in plans]
+        if shard is None:
+            finish_dataset(out, found, made)
+        else:
+            save_shard(out, shard, found, every, made)
 
 
 def describe_dataset(suite: Suite, settings: BuildSettings) -> DatasetFile:
@@ -173,7 +262,7 @@ def plan_parts(suite: Suite, out: Path, chunk: int) -> list[PartPlan]:
     return plans
 
 
-def _check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
+def check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
     """The description that is in the folder; None where there is none yet.
 
     Raises:
@@ -201,21 +290,21 @@ def _check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
         started = msgspec.structs.replace(started, settings=settings)
     if started != about:
         raise DataError(
-            f"the folder holds another dataset: {_difference(started, about)}",
+            f"the folder holds another dataset: {tell_difference(started, about)}",
             where=out,
             remedy="choose another --out, or delete that folder",
         )
     return found
 
 
-def _difference(found: Any, wanted: Any) -> str:
+def tell_difference(found: Any, wanted: Any) -> str:
     """The first field in which two structs differ, in words."""
     for name in wanted.__struct_fields__:
         ours, theirs = getattr(wanted, name), getattr(found, name)
         if ours == theirs:
             continue
         if isinstance(ours, msgspec.Struct) and type(ours) is type(theirs):
-            return f"{name}.{_difference(theirs, ours)}"
+            return f"{name}.{tell_difference(theirs, ours)}"
         if isinstance(ours, tuple):
             return f"its {name} differ"
         words = ["unset" if own is msgspec.UNSET else repr(own) for own in (theirs, ours)]
@@ -223,11 +312,18 @@ def _difference(found: Any, wanted: Any) -> str:
     return "it differs"
 
 
-def _lay_out(out: Path, suite: Suite, about: DatasetFile, progress: Progress) -> DatasetFile:
-    """Scenes, episodes, and the description that makes the folder ours."""
+def _lay_out(
+    out: Path, suite: Suite, about: DatasetFile, needed: set[str], progress: Progress
+) -> DatasetFile:
+    """Scenes, episodes, and the description that makes the folder ours.
+
+    A shard is given the scenes that its parts need; the first one also those without episodes.
+    """
+    first = about.shard is msgspec.UNSET or about.shard.startswith("1/")
+    here = [s for s in about.scenes if s.id in needed or (first and not s.episodes)]
     records = []
-    for number, scene in enumerate(about.scenes):
-        progress("scenes", number, len(about.scenes))
+    for number, scene in enumerate(here):
+        progress("scenes", number, len(here))
         source = suite.scene_folder(scene.id)
         load_suite_scene(source, scene.id, scene.hash)  # not the one of the episodes: say it now
         target = safe_join(out, scene.folder)
@@ -239,7 +335,7 @@ def _lay_out(out: Path, suite: Suite, about: DatasetFile, progress: Progress) ->
         for path in sorted(target.rglob("*")):
             if path.is_file():
                 records.append(record_path(out, path))
-    progress("scenes", len(about.scenes), len(about.scenes))
+    progress("scenes", len(here), len(here))
     for name in (EPISODE_FILE, MANIFEST):  # generated missions say how they came about
         if (suite.folder / name).is_file():
             write_bytes(out / name, read_bytes(suite.folder / name))
@@ -256,13 +352,18 @@ def record_path(root: Path, path: Path) -> FileRecord:
     return FileRecord(path=relative, size=len(data), digest=file_digest(data))
 
 
-def _is_there(out: Path, made: PartDone) -> bool:
-    """Whether the sample table that a journal names is still there, whole."""
+def _is_there(out: Path, made: PartDone, shard: ShardName | None, layout: str) -> bool:
+    """Whether the sample table that a journal names is still there, whole.
+
+    Of a shard, which nobody will verify until it is merged, every byte is read.
+    """
+    if shard is not None:
+        return not find_damage(out, part_records(made, layout))
     path = safe_join(out, made.part.path)
     return path.is_file() and path.stat().st_size == made.part.size
 
 
-def _finish(out: Path, about: DatasetFile, parts: list[PartDone]) -> None:
+def finish_dataset(out: Path, about: DatasetFile, parts: list[PartDone]) -> None:
     """Write the cache's last files, and say that the dataset is whole."""
     pictures = about.settings.pictures
     whole = msgspec.structs.replace(

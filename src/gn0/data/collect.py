@@ -65,23 +65,31 @@ def build_dagger(
         PolicyError: the policy misbehaves.
         DataError, BenchError, StorageError: see `build_dataset`.
     """
-    if settings.dagger is None:
-        raise ConfigError("no policy to drive", remedy="give BuildSettings(dagger=…)")
-    dagger = _pin_run(settings.dagger)
-    settings = msgspec.structs.replace(settings, dagger=dagger)
-    check_options(dagger.options, SECRETS)
-    import_plugins(dagger.plugins)
-    get_plugin("policy", dagger.policy)
     return build_dataset(
         suite,
         out,
-        settings,
+        check_dagger(settings),
         workers=workers,
         executor=executor,
         ray_address=ray_address,
         agents=agents,
         progress=progress,
     )
+
+
+def check_dagger(settings: BuildSettings) -> BuildSettings:
+    """Settings whose policy is there, as `build_dataset` and `build_shard` take them.
+
+    Raises:
+        ConfigError: no policy is given, there is none of that name, or an option is a secret.
+    """
+    if settings.dagger is None:
+        raise ConfigError("no policy to drive", remedy="give BuildSettings(dagger=…)")
+    dagger = _pin_run(settings.dagger)
+    check_options(dagger.options, SECRETS)
+    import_plugins(dagger.plugins)
+    get_plugin("policy", dagger.policy)
+    return msgspec.structs.replace(settings, dagger=dagger)
 
 
 def _pin_run(dagger: DaggerSettings) -> DaggerSettings:

@@ -135,6 +135,7 @@ class DatasetFile(Config, frozen=True):
         rendered: whether the pictures' hashes are known.
         software: what wrote it.
         seal: digest of all the rest.
+        shard: "i/n" of a shard, see `gn0.data.shard`; unset in a whole dataset.
     """
 
     layout: int
@@ -150,6 +151,7 @@ class DatasetFile(Config, frozen=True):
     rendered: bool = False
     software: str = ""
     seal: str = ""
+    shard: str | msgspec.UnsetType = msgspec.UNSET
 
     @property
     def stores_depth(self) -> bool:
@@ -425,6 +427,11 @@ def open_dataset(path: Path | str) -> Dataset:
     """
     folder = Path(path)
     about = load_dataset_file(folder)
+    if about.shard:
+        raise DataError(
+            f"shard {about.shard} of a dataset", where=folder,
+            remedy="join all shards with `gn0 data merge`",
+        )  # fmt: skip
     if not about.complete:
         raise DataError(
             "the build of this dataset has not ended", where=folder,

@@ -22,6 +22,7 @@ from gn0.storage import cache_dir
 from gn0.testing.scenes import build_room_scene
 from gn0_figures import (
     device_checks,
+    device_labels,
     device_parts,
     device_rates,
     device_sanitizers,
@@ -38,7 +39,10 @@ from gn0_figures.flat import build_flat, flat_bev, flat_camera, flat_views
 from gn0_figures.floor import count_work
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the emulation needs g++")
-MODULES = (device_checks, device_table, device_parts, device_rates, device_suite, device_sanitizers)
+MODULES = (
+    *(device_checks, device_table, device_parts, device_labels, device_rates, device_suite),
+    device_sanitizers,
+)
 FIGURES = [figure for module in MODULES for figure in module.FIGURES]
 
 

@@ -16,9 +16,9 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.request import check_picture
 from gn0.render.host import RendererHost
 from gn0.render.instance import Instance
-from gn0.render.labels import OBJECTS_MAX, colour_labels, encode_labels
+from gn0.render.labels import OBJECTS_MAX, colour_labels, encode_labels, refuse_labels
 from gn0.render.open import build_renderer, open_renderer
-from gn0.render.renderer import RenderOptions
+from gn0.render.renderer import VISIBLE_BACKENDS, RenderOptions
 from gn0.scenes.procedural.finish import cover_outlined, floor_area, light_draft
 from gn0.scenes.procedural.kinds import KINDS
 from gn0.scenes.rays import RayCaster
@@ -137,10 +137,11 @@ def test_a_renderer_or_a_scene_without_labels_says_so() -> None:
 
 
 def test_who_is_refused_labels_is_sent_to_backends_that_draw_them() -> None:
-    with pytest.raises(RenderError, match="'cuda' does not draw 'instance'") as caught:
-        check_picture(("rgb", "instance"), (0, 0, 0))
+    with pytest.raises(RenderError, match="'mine' does not draw 'instance'") as caught:
+        refuse_labels(("rgb", "instance"), "mine")
     named = re.findall("'([^']+)'", caught.value.remedy)
-    assert named and set(named) <= {"cpu", "cpu-visible"}
+    assert set(named) == {"cpu", "cuda"} == set(VISIBLE_BACKENDS.values())
+    check_picture(("rgb", "instance"), (0, 0, 0))  # of a device
 
 
 def test_numbers_that_no_picture_can_hold_are_refused() -> None:

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from gn0.device.host import DeviceHost
-from gn0.errors import ConfigError, SimError
+from gn0.errors import ConfigError, RenderError, SimError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import GoalPicture, MissionGoal
 from gn0.render.camera import Camera
@@ -28,7 +28,7 @@ from gn0.sim.history import reduce_picture
 from gn0.sim.open import name_look
 from gn0.sim.presets import CameraPreset
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_point_episodes, build_room_scene
+from gn0.testing.scenes import build_labelled_scene, build_point_episodes, build_room_scene
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 ALL = ("rgb", "depth", "bev", "occupancy", "history", "goal_picture", "goal_vector")
@@ -200,6 +200,36 @@ def tiny(monkeypatch) -> str:
     camera = Camera.from_hfov(36, 28, 90)
     monkeypatch.setitem(presets._BY_NAME, "tiny", CameraPreset("tiny", camera, camera))
     return "tiny"
+
+
+def test_agents_see_labels_on_a_device(rooms, tiny) -> None:
+    """Category and object of each pixel, as many agents see them on the CPU; last ones as well."""
+    scenes = [build_labelled_scene(), rooms[0][0]]
+    episodes = build_point_episodes(scenes[0], NavigationMap(scenes[0].grid, 0.2), 2, seed=5)
+    names = ("depth", "semantic", "instance")
+    settings = {"episodes": episodes, "sensors": names, "preset": tiny, "max_steps": 3}
+    device = DeviceHost(3)
+    env = VectorEnvDevice(2, scenes[0], device=device, renderer=RendererBatch(device),
+                          final_pictures=True, **settings)  # fmt: skip
+    twin = VectorEnv(2, scenes[0], backend="cpu", **settings)
+    mine, theirs = env.reset(seed=3)[0], twin.reset(seed=3)[0]
+    same, last, seen = [], [], set()
+    for _ in range(4):
+        for name in names[1:]:
+            assert mine[name].dtype == theirs[name].dtype == np.uint32
+            assert mine[name].shape == theirs[name].shape == env.observation_space[name].shape
+            same.append(mine[name].numpy() == theirs[name])
+        seen |= set(np.unique(theirs["instance"]).tolist())
+        mine, _, _, _, told = env.step(np.full(2, 2))
+        theirs, _, _, _, infos = twin.step(np.full(2, 2))
+        for k, agent in enumerate(told["final_obs"]["agents"].tolist()):
+            final = infos["final_obs"][agent]["instance"]
+            last.append(told["final_obs"]["instance"][k].numpy() == final)
+    assert np.mean(same) >= 0.999 and np.mean(last) >= 0.999 and len(seen) > 2
+    bare = VectorEnvDevice(1, scenes[1], device=device, renderer=RendererBatch(device),
+                           sensors=("semantic",), preset=tiny)  # fmt: skip
+    with pytest.raises(RenderError, match="carry no labels"):
+        bare.reset(seed=0)
 
 
 class RendererByHost(RendererBatch):

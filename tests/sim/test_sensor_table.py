@@ -272,7 +272,7 @@ def test_labels_are_seen_by_one_by_many_and_over_the_wire(name) -> None:
 def test_a_pixel_names_the_object_and_its_category() -> None:
     scene = build_labelled_scene()
     sensors = {"semantic", "instance", "depth", "rgb"}
-    simulator = open_simulator(scene, "vlnce_r2r", "auto", sensors)
+    simulator = open_simulator(scene, "vlnce_r2r", "cpu", sensors)
     (episode,) = build_point_episodes(scene, simulator.navigation, 1, seed=3)
     seen = simulator.reset(episode)
     plain = open_simulator(scene, "vlnce_r2r", "cpu", {"depth", "rgb"}).reset(episode)
@@ -302,9 +302,3 @@ def test_a_scene_without_labels_says_so(room_scene, make_episode) -> None:
     simulator = open_simulator(room_scene, "vlnce_r2r", "cpu", {"semantic"})
     with pytest.raises(RenderError, match="label"):
         simulator.reset(make_episode())
-
-
-@needs_host
-def test_a_device_has_no_labels_yet_and_says_so(plan) -> None:
-    with pytest.raises(ConfigError, match="'semantic' does not say how a device reads it"):
-        VectorEnvDevice(1, plan, device=DeviceHost(), sensors=("semantic",))

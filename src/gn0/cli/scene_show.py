@@ -45,7 +45,7 @@ def run(args: Args) -> int:
         progress("drawing", 0, 1)
         sheet = render_sheet(
             scene,
-            build_renderer(scene.gaussians, "cpu" if args.labels else "auto"),
+            build_renderer(scene.gaussians),
             labels=args.labels,
         )
         progress("drawing", 1, 1)

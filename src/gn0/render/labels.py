@@ -104,7 +104,7 @@ def refuse_labels(outputs: Sequence[str], name: str) -> None:
         raise RenderError(
             f"renderer {name!r} does not draw {wanted[0]!r}",
             where="outputs",
-            remedy="use backend 'cpu' or 'cpu-visible'",
+            remedy="use backend 'cpu' or 'cuda', or one of their visible sets",
         )
 
 

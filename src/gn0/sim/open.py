@@ -16,7 +16,7 @@ from gn0.paper import BEV_CUT
 from gn0.render.bev import BevPicture, render_bev
 from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import build_renderer, name_drawing
-from gn0.render.renderer import LABELS, VISIBLE_BACKENDS, DrawnScene
+from gn0.render.renderer import VISIBLE_BACKENDS, DrawnScene
 from gn0.scenes.scene import Scene
 from gn0.sim.motion import Motion
 from gn0.sim.noise import Noise
@@ -92,8 +92,6 @@ def open_simulator(
         StorageError, FormatError: the scene folder is missing or broken.
     """
     carried = carry_sensors(sensors)
-    if backend == "auto" and carried.outputs.intersection(LABELS):
-        backend = "cpu"  # which draws labels
     active = frozenset(sensor.name for sensor in carried.sensors)
     mode = check_map_mode(map_mode, active)
     explores = mode == "explored" and bool(carried.maps)

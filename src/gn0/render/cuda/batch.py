@@ -93,6 +93,7 @@ class RendererBatch:
             visible_sets=True,
             device=device,
             device_views=True,
+            labels=True,
         )
         self.store = CloudStore(device, memory)
         self.drawer = share_drawer(device)

@@ -21,7 +21,7 @@ from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.instances import Instances
 from gn0.render.cuda.replay import PicturesDevice, Replay, SetMissingError
 from gn0.render.cuda.visible import Cell, VisibleSets
-from gn0.render.renderer import Output, RenderOptions
+from gn0.render.renderer import LABELS, Output, RenderOptions
 
 CALLS = 8  # kinds of calls that are remembered
 Record = Callable[[], Replay | None]
@@ -48,7 +48,9 @@ def name_call(
     visible: bool | VisibleSets | Sequence[Cell | None] | None,
     instances: Instances | None = None,
 ) -> Call | None:
-    """What a call is remembered by; None if it is not of a kind that is."""
+    """What a call is remembered by; None if it is not of a kind that is, as with labels."""
+    if set(outputs) & set(LABELS):
+        return None
     if not (visible is None or isinstance(visible, bool | VisibleSets)):
         return None
     if views.dtype.kind not in "fiu" or views.shape[-2:] != (4, 4) or not 2 <= views.ndim <= 3:

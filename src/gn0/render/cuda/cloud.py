@@ -9,10 +9,45 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import DeviceArray
+from gn0.device.device import Device, DeviceArray
 from gn0.render.cuda.tables import CLOUD, NOWHERE
+from gn0.render.labels import encode_labels
 
 _NO_CLOUD = np.array([(0,) * 9 + (NOWHERE,)], CLOUD).tobytes()
+
+
+class CloudLabels:
+    """What the splats of a cloud belong to; on the device from when somebody wants labels.
+
+    Args:
+        label: int32 [N] of each splat, as in `GaussianCloud`.
+        categories: of each object, likewise.
+    """
+
+    def __init__(
+        self, label: NDArray[np.int32], categories: NDArray[np.int32] | None = None
+    ) -> None:
+        self.label, self.categories = label, categories
+        self._codes: DeviceArray | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return 0 if self._codes is None else self._codes.nbytes
+
+    def bring(self, device: Device, order: DeviceArray, alive: int) -> DeviceArray:
+        """Codes uint32 [rows] of the packed splats, the `alive` first of which are some.
+
+        Raises:
+            RenderError: numbers that a code cannot hold.
+            DeviceMemoryError: the device has no room for them.
+        """
+        if self._codes is None:
+            codes = np.zeros(len(order), np.uint32)
+            index = order.numpy()[:alive]
+            codes[:alive] = encode_labels(self.label, self.categories)[index]
+            self._codes = device.upload(codes)
+        return self._codes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,6 +69,7 @@ class CloudDevice:
         slots: for a part, uint32 [chunks * 256]: packed numbers in packed order, then 0xffffffff;
             `boxes` are those of its own chunks. None for the whole.
         normals: of one that may be an instance, uint32 [rows] as `instances.pack_normals` has them.
+        labels: what its splats belong to; None if nobody said.
     """
 
     splats: DeviceArray
@@ -47,6 +83,7 @@ class CloudDevice:
     alive: int
     slots: DeviceArray | None = None
     normals: DeviceArray | None = None
+    labels: CloudLabels | None = None
 
     @property
     def chunks(self) -> int:
@@ -63,7 +100,8 @@ class CloudDevice:
         """Bytes on the device."""
         arrays = (self.splats, self.order, self.places, self.sh, self.boxes, self.slots,
                   self.normals)  # fmt: skip
-        return sum(array.nbytes for array in arrays if array is not None)
+        codes = 0 if self.labels is None else self.labels.nbytes
+        return codes + sum(array.nbytes for array in arrays if array is not None)
 
 
 def build_clouds(clouds: Sequence[CloudDevice | None]) -> NDArray[np.void]:

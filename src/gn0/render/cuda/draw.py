@@ -25,6 +25,7 @@ from gn0.geometry import F32, F64
 from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.instances import Instances, build_parts, mark_firsts
+from gn0.render.cuda.labels import LabelDrawer
 from gn0.render.cuda.replay import (
     NO_ROOM,
     Heard,
@@ -47,8 +48,8 @@ from gn0.render.cuda.tables import (
     share_work,
 )
 from gn0.render.cuda.tune import MANY, Tuning, choose_tuning
-from gn0.render.cuda.work import Lists, Work, WorkDevice
-from gn0.render.renderer import VIEW_TOLERANCE, Output
+from gn0.render.cuda.work import Blend, Lists, Work, WorkDevice
+from gn0.render.renderer import LABELS, VIEW_TOLERANCE, Output
 
 _FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
@@ -107,6 +108,7 @@ class Drawer:
         self._roomy = True  # whether lists may have equal room; not again on a full device
         self._heard: Heard | None = None
         self._replays: WeakSet[Replay] = WeakSet()
+        self._labels = LabelDrawer(device)
 
     def pictures(
         self, camera: Camera, count: int, outputs: Sequence[Output], rgb_float: bool = False
@@ -124,6 +126,7 @@ class Drawer:
                 ("rgb", 3 * kind.itemsize, (*shape, 3), kind),
                 ("depth", 4, shape, _FLOAT),
                 ("alpha", 4, shape, _FLOAT),
+                *((name, 4, shape, np.dtype(np.uint32)) for name in LABELS),
             )
         ]
         size = sum(-(-size // _ROW) * _ROW for wanted, size, _, _ in parts if wanted)
@@ -177,14 +180,15 @@ class Drawer:
             tail_of: [V] which of them a view shows, -1 for none.
             instances: clouds that stand somewhere in views; drawn after all others at equal
                 depth, in the order given. With `matrices` on the device they are brought there.
-            pictures: what to fill; its type decides the type of rgb.
+            pictures: what to fill; its type decides the type of rgb. Labels need `clouds` with.
             rows: [V] rows of `pictures` that the views fill; their own numbers when None.
             background: float32 [3].
             antialiased: compensate opacity for the dilation.
 
         Raises:
             RenderError: a view or an instance on the device is not finite, not rigid, or of no
-                cloud; or there are more instances than keys can number.
+                cloud; there are more instances than keys can number; or labels are wanted of a
+                cloud without.
             SetMissingError: the visible set of one is not here.
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
@@ -203,7 +207,10 @@ class Drawer:
                 *(camera, matrices, [*clouds, *tails], cloud_of, tail_of, len(clouds), rows),
                 instances=instances,
             )
-        self._run(work, "paint_tiles" if instances is None else "paint_parts", last, antialiased)
+        labels = self._labels.prepare(work, clouds, pictures)
+        kernel = "paint_tiles" if instances is None else "paint_parts"
+        alone = labels is not None and labels.alone
+        self._run(work, Blend("" if alone else kernel, last, labels), antialiased)
 
     def mark(
         self,
@@ -237,9 +244,9 @@ class Drawer:
         """
         last = (np.float32(threshold), marks, np.uint64(marks.shape[1]))
         work = Work(camera, matrices, list(clouds), cloud_of, None, len(clouds), rows)
-        self._run(work, "mark_tiles", last, antialiased)
+        self._run(work, Blend("mark_tiles", last), antialiased)
 
-    def _run(self, work: Work, kernel: str, last: tuple[Any, ...], antialiased: bool) -> None:
+    def _run(self, work: Work, blend: Blend, antialiased: bool) -> None:
         """List and blend all views, in batches that have room."""
         memory, flags = self._begin(work), _flags(work.camera, antialiased)
         begin, most = 0, work.count
@@ -249,7 +256,7 @@ class Drawer:
             if count < wanted:
                 self._say_smaller(count)
             try:
-                need = self._run_batch(work, slice(begin, begin + count), kernel, last, flags)
+                need = self._run_batch(work, slice(begin, begin + count), blend, flags)
             except DeviceMemoryError:
                 self._let_go("entries")
                 if self._roomy:  # equal room for all lists takes most
@@ -289,16 +296,14 @@ class Drawer:
         """Entries a splat and view, probably."""
         return self._density.get(work.picture, self._first_density)
 
-    def _run_batch(
-        self, work: Work, views: slice, kernel: str, last: tuple[Any, ...], flags: int
-    ) -> int:
+    def _run_batch(self, work: Work, views: slice, blend: Blend, flags: int) -> int:
         """List and blend one batch; returns 0, or the entries that it needs and has no room for."""
         self._tell("upload")
         lists = self._lay_out(work, views, flags)
         if self._heard is None:
             self._heard = Heard(self.device)
         self._heard.hush()
-        self._launch(work, lists, self._heard, kernel, last)
+        self._launch(work, lists, self._heard, blend)
         self._tell("end")
         # all that the host waits for; it goes on while the device draws
         heard, self._heard = self._heard, None  # one that nobody waited for may yet be written to
@@ -403,15 +408,16 @@ class Drawer:
         work: Work,
         lists: Lists,
         heard: Heard,
-        kernel: str,
-        last: tuple[Any, ...],
+        blend: Blend,
         header: ReplayHeader | None = None,
     ) -> None:
         """Launch all kernels of a batch."""
         kernels, whole = self._kernels_for(work), np.uint32(lists.all_tiles)
         listing = "entries" if work.instances is None else "parts"
         zeros = lists.all_tiles + _CLASSES
-        checked = 0
+        checked, label = 0, None
+        if blend.labels is not None:
+            label = self._labels.arrange(work, lists, self.tuning, blend.labels)
         if isinstance(work, WorkDevice):
             checked = lists.count + (0 if work.instances is None else len(work.instances))
             self._write_views(work, lists, zeros, header)
@@ -444,13 +450,13 @@ class Drawer:
             *(lists.order, lists.views, np.uint32(checked), lists.state, heard.words),
         )
         self._tell("blend")
-        kernels[kernel].launch(
-            *(lists.all_tiles + 3 * lists.split, self.tuning.threads),
-            *(lists.views, lists.clouds, lists.starts, lists.counts, lists.entries),
-            *(np.uint64(lists.capacity), np.uint32(lists.room), lists.aside),
-            *(np.uint32(lists.split), lists.order, lists.state, *lists.tiles, *lists.shape, *last),
-            *(() if lists.parts is None else (lists.part_views, lists.parts)),
-        )
+        if blend.kernel:
+            kernels[blend.kernel].launch(
+                *(lists.blocks, self.tuning.threads, *lists.blending(lists.clouds), *blend.last),
+                *(() if lists.parts is None else (lists.part_views, lists.parts)),
+            )
+        if label is not None:
+            label()
 
     def _tables(
         self, work: Work, views: slice, own: bool
@@ -590,7 +596,7 @@ class Drawer:
         last = (header.target, np.zeros(1, TARGET)[0])
         with self.device.capture() as graph:
             painting = "paint_tiles" if placed is None else "paint_parts"
-            self._launch(work, lists, header.heard, painting, last, header)
+            self._launch(work, lists, header.heard, Blend(painting, last), header)
         replay = Replay(header, graph, lists, (clouds, floors, placed, which))
         self._replays.add(replay)
         return replay

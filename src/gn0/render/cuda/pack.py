@@ -25,7 +25,7 @@ from gn0.errors import RenderError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32
-from gn0.render.cuda.cloud import CloudDevice
+from gn0.render.cuda.cloud import CloudDevice, CloudLabels
 from gn0.render.cuda.instances import pack_normals
 from gn0.render.cuda.tables import CHUNK, NOWHERE, SPLATS_MAX
 from gn0.render.instance import PART_SPLATS_MAX, find_normals
@@ -248,6 +248,7 @@ def _upload_alike(device: Device, ready: Sequence[CloudReady], degree: int) -> l
                 size=lay.size,
                 alive=lay.alive,
                 normals=_place_normals(device, one, lay.chunks * CHUNK),
+                labels=_keep_labels(one.cloud),
             )
         )
     return found
@@ -259,6 +260,10 @@ def _place_normals(device: Device, ready: CloudReady, rows: int) -> DeviceArray 
     placed, there = np.zeros(rows, np.uint32), ready.places != NOWHERE
     placed[ready.places[there]] = ready.normals[there]
     return device.upload(placed)
+
+
+def _keep_labels(cloud: GaussianCloud) -> CloudLabels | None:
+    return None if cloud.label is None else CloudLabels(cloud.label, cloud.categories)
 
 
 class _Packer:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from gn0.device.device import DeviceArray
 from gn0.errors import RenderError
 from gn0.geometry import F32
-from gn0.render.labels import refuse_labels
 from gn0.render.renderer import check_outputs
 
 
@@ -86,7 +85,6 @@ def check_picture(outputs: tuple[str, ...], background: Sequence[float]) -> F32:
         RenderError: an output is unknown, or a colour is not finite.
     """
     check_outputs(outputs)
-    refuse_labels(outputs, "cuda")
     colour = np.array(background, np.float32)
     if colour.shape != (3,) or not np.isfinite(colour).all():
         raise RenderError("background is not three finite numbers", where="background")

@@ -1,4 +1,4 @@
-"""What the drawing kernels are compiled from: for all views, and for views with instances."""
+"""What the drawing kernels are compiled from: of views, of views with instances, of labels."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gn0.device.device import KernelSource
 from gn0.render.cuda.tune import FEW, MANY, Tuning
+from gn0.render.labels import OBJECT_BITS
 from gn0.render.renderer import ALPHA_CAP, ALPHA_MIN, DILATION, EXTENT_MAX, TRANSMITTANCE_STOP
 
 _KERNELS = Path(__file__).parent / "kernels"
@@ -16,11 +17,37 @@ _FILES = (
     *(*_WALK, "paint.cu"),
 )
 _PARTS_FILES = ("view.cuh", "pose.cuh", "project.cuh", "list.cuh", *_WALK, "parts.cu")
+_LABEL_FILES = (
+    *("view.cuh", "project.cuh", "list.cuh", "code.cuh"),  # codes instead of colours
+    *("group.cuh", "reach.cuh", "part.cuh", "walk.cuh", "labels.cuh"),
+)
+CODES = 4  # that a pixel has room for at a time; never changes a byte
 
 
 def kernel_source(tuning: Tuning, *, parts: bool = False) -> KernelSource:
     """The drawing kernels, or those that views with instances have of their own."""
-    constants = (
+    files = tuple(_KERNELS / name for name in (_PARTS_FILES if parts else _FILES))
+    return KernelSource("parts" if parts else "draw", files, _constants(tuning, parts))
+
+
+def label_source(tuning: Tuning, *, parts: bool = False, codes: int = CODES) -> KernelSource:
+    """The kernels that find labels, without instances or with.
+
+    Apart from the others, so that these are the same machine code with labels and without.
+    """
+    more = (
+        ("OBJECT_BITS", OBJECT_BITS),
+        ("ROOM", codes),
+        ("LABEL_BLOCKS", max(tuning.blocks - 2, 1)),  # pixels have more to remember than colours
+    )
+    name = "label_parts" if parts else "labels"
+    files = tuple(_KERNELS / file for file in (*_LABEL_FILES, f"{name}.cu"))
+    return KernelSource(name, files, (*_constants(tuning, parts), *more))
+
+
+def _constants(tuning: Tuning, parts: bool) -> tuple[tuple[str, int | float], ...]:
+    return (
+        *tuning.defines,
         ("DILATION", float(DILATION)),
         ("ALPHA_CAP", float(ALPHA_CAP)),
         ("LOG_ALPHA_MIN", math.log(ALPHA_MIN)),
@@ -28,11 +55,12 @@ def kernel_source(tuning: Tuning, *, parts: bool = False) -> KernelSource:
         ("PAD", EXTENT_MAX * math.sqrt(DILATION) + 0.5),  # px: the dilation, and rounding
         ("INSTANCES", int(parts)),
     )
-    files = tuple(_KERNELS / name for name in (_PARTS_FILES if parts else _FILES))
-    return KernelSource("parts" if parts else "draw", files, (*tuning.defines, *constants))
 
 
 # what is compiled ahead of time
 SOURCES = tuple(
-    kernel_source(tuning, parts=parts) for parts in (False, True) for tuning in (MANY, FEW)
+    source(tuning, parts=parts)
+    for source in (kernel_source, label_source)
+    for parts in (False, True)
+    for tuning in (MANY, FEW)
 )

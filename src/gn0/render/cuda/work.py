@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,24 @@ class Lists:
     parts: DeviceArray | None = None
 
     @property
+    def views_of(self) -> slice:
+        """Views of the call that it draws."""
+        return slice(self.first, self.first + self.count)
+
+    @property
+    def blocks(self) -> int:
+        """That draw tiles."""
+        return self.all_tiles + 3 * self.split
+
+    def blending(self, clouds: DeviceArray) -> tuple[Any, ...]:
+        """What kernels that draw tiles take first, with `clouds` or others of the same numbers."""
+        return (
+            *(self.views, clouds, self.starts, self.counts, self.entries),
+            *(np.uint64(self.capacity), np.uint32(self.room), self.aside),
+            *(np.uint32(self.split), self.order, self.state, *self.tiles, *self.shape),
+        )
+
+    @property
     def listing(self) -> tuple[Any, ...]:
         """What both listing kernels take first."""
         return (
@@ -81,6 +99,35 @@ class Lists:
     def holds(self, needed: int, longest: int) -> bool:
         """Whether lists that need room for so many entries, the longest for so many, had it."""
         return longest <= self.room if self.room else needed <= self.capacity
+
+
+class LabelTarget(NamedTuple):
+    """Where labels go, and what they are made of.
+
+    Attributes:
+        semantic, instance: uint32 [V, H, W]; None where nobody asked.
+        clouds: the call's table of clouds, with codes where else spherical harmonics are.
+        alone: whether nothing but labels is wanted.
+    """
+
+    semantic: DeviceArray | None
+    instance: DeviceArray | None
+    clouds: DeviceArray
+    alone: bool
+
+
+class Blend(NamedTuple):
+    """What is made of lists.
+
+    Attributes:
+        kernel: that makes pictures, or marks; "": nothing but labels are wanted.
+        last: what it takes last.
+        labels: where labels go; None where nobody asked.
+    """
+
+    kernel: str
+    last: tuple[Any, ...]
+    labels: LabelTarget | None = None
 
 
 class Work:

@@ -13,4 +13,5 @@ SENSOR = Sensor(
     draws=frozenset({"instance"}),
     tells="labels",
     read=lambda here: here.seen("instance"),
+    device=lambda agents: agents.seen("instance"),
 )

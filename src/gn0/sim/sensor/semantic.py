@@ -21,4 +21,5 @@ SENSOR = Sensor(
     draws=frozenset({"semantic"}),
     tells="labels",
     read=lambda here: here.seen("semantic"),
+    device=lambda agents: agents.seen("semantic"),
 )

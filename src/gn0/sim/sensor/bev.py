@@ -6,7 +6,8 @@ from gn0.sim.sensor.sensor import MAP_SIDE, Sensor, Wire, picture_space
 
 SENSOR = Sensor(
     name="bev",
-    doc="uint8 map picture, north up, a pixel a map cell; what it holds is the [map mode](maps.md)",
+    doc="uint8 map picture, north up, one pixel per map cell; the [map mode](maps.md) decides what "
+    "it shows",
     space=lambda _: picture_space(MAP_SIDE, MAP_SIDE),
     bev=True,
     explores=frozenset({"depth", "rgb"}),

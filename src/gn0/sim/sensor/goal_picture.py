@@ -6,7 +6,7 @@ from gn0.sim.sensor.sensor import Sensor, Wire, picture_space
 
 SENSOR = Sensor(
     name="goal_picture",
-    doc="uint8 [H, W, 3]: the goal as the episode's record shows it, for policies that are told so",
+    doc="uint8 [H, W, 3]: the goal as recorded in the episode, for policies that are shown it",
     space=lambda settings: picture_space(*settings.preset.picture_size),
     goal_view=True,
     tells="image",

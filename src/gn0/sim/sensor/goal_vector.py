@@ -25,7 +25,7 @@ def _unpack(sent: Any) -> tuple[float, ...]:
 
 SENSOR = Sensor(
     name="goal_vector",
-    doc="metres (forward, left) to the goal, for policies that are told the place",
+    doc="metres (forward, left) to the goal, for policies that are told where it is",
     space=lambda _: Space((2,), np.float32, -VECTOR_LIMIT, VECTOR_LIMIT),
     tells="point",
     read=lambda here: world_to_agent(here.pose, *here.goal),

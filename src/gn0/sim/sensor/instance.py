@@ -7,7 +7,7 @@ from gn0.sim.sensor.sensor import Sensor
 
 SENSOR = Sensor(
     name="instance",
-    doc="uint32 [Hd, Wd]: the object that each pixel of depth shows, `scene.objects[n - 1]`, or 0. "
+    doc="uint32 [Hd, Wd]: the object that each depth pixel shows, `scene.objects[n - 1]`, or 0. "
     "For policies that are told labels",
     space=label_space,
     draws=frozenset({"instance"}),

@@ -15,7 +15,7 @@ def label_space(settings: SensorSettings) -> Space:
 
 SENSOR = Sensor(
     name="semantic",
-    doc="uint32 [Hd, Wd]: the category that each pixel of depth shows, an index into "
+    doc="uint32 [Hd, Wd]: the category that each depth pixel shows, an index into "
     "`scene.categories`, or 0. For policies that are told labels",
     space=label_space,
     draws=frozenset({"semantic"}),

@@ -38,7 +38,7 @@ class _PlainLoader(yaml.SafeLoader):
         event = self.peek_event()
         mark = event.start_mark
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
-            raise _Refused("anchors and aliases are not read here: write the value out", mark)
+            raise _Refused("anchors and aliases are not supported here: write the value out", mark)
         self.nodes += 1
         self.depth += 1
         if self.depth > DEPTH:

@@ -130,7 +130,7 @@ def test_a_pose_that_is_not_finite_makes_the_episode_invalid(bad: float) -> None
 
 
 def test_an_unreachable_goal_is_never_averaged() -> None:
-    with pytest.raises(EpisodeError, match="no way to the goal"):
+    with pytest.raises(EpisodeError, match="no path to the goal"):
         compute_metrics(walk((0, 0), (1, 0)), GOAL, lambda p: np.full(len(p), np.inf))
 
 

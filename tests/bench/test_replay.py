@@ -157,7 +157,7 @@ def test_a_tampered_field_is_found_and_named(
     assert (parting.episode, parting.step) == (episode, step)
     assert parting.field.startswith(field)
     assert parting.recorded != parting.now
-    assert f"parts at episode '{episode}'" in str(found) and field in str(found)
+    assert f"differs at episode '{episode}'" in str(found) and field in str(found)
 
 
 def test_equal_values_in_other_bytes_are_not_to_the_byte(copy: Path) -> None:

@@ -341,7 +341,7 @@ def test_a_graph_runs_again_and_keeps_its_arrays(
         add.launch(1, 8, inner, np.int32(5))
         add.launch(1, 8, a, np.int32(1))
         device.download_async(inner, result)
-        with pytest.raises(DeviceError, match="ended well"):
+        with pytest.raises(DeviceError, match="end properly"):
             graph.launch()
         for refused in (device.synchronize, a.numpy, device.event):
             with pytest.raises(DeviceError, match="cannot be recorded"):
@@ -370,7 +370,7 @@ def test_a_recording_that_fails_leaves_the_device_usable(
     fake.fake_fail(b"cuStreamEndCapture", 901, 0)
     with pytest.raises(DeviceError, match=r"EndCapture.*\(901\)"), device.capture() as graph:
         pass
-    with pytest.raises(DeviceError, match="ended well"):
+    with pytest.raises(DeviceError, match="end properly"):
         graph.launch()
     add.launch(1, 8, a, np.int32(2))
     assert a.numpy().tolist() == [2] * 8

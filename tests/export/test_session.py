@@ -347,7 +347,7 @@ def test_a_format_without_words_takes_a_path_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["", "../x", "a/b", "-x", "ä", "a b", "x" * 65])
 def test_a_name_that_is_no_name_is_refused(name: str) -> None:
-    with pytest.raises(ConfigError, match="cannot stand in ids"):
+    with pytest.raises(ConfigError, match="cannot be used in ids"):
         ExportSettings(name=name)
 
 

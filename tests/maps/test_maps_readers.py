@@ -214,7 +214,7 @@ def test_ros_transparent_pixels_of_a_scale_map_are_unknown(tmp_path):
         ("resolution: 0\n", FormatError, "resolution"),
         ("resolution: .nan\n", FormatError, "finite"),
         ("resolution: -\n", FormatError, "missing"),
-        ("origin: [0, 0, 0.3]\n", FormatError, "turned by 0.3 rad"),
+        ("origin: [0, 0, 0.3]\n", FormatError, "rotated by 0.3 rad"),
         ("origin: [0]\n", FormatError, "origin"),
         ("mode: colour\n", FormatError, "mode"),
         ("negate: 7\n", FormatError, "negate"),

@@ -264,7 +264,7 @@ def test_a_closed_door_keeps_starts_on_the_goals_side() -> None:
 
 def test_planning_to_the_other_side_of_a_wall_says_so() -> None:
     scene = make_scene(closed=True)
-    with pytest.raises(PlanError, match="no way from"):
+    with pytest.raises(PlanError, match="no path from"):
         plan_reference(NavigationMap(scene.grid, 0.2), (3.0, 3.0), (9.0, 3.0))
 
 

@@ -294,8 +294,8 @@ def test_motions_without_meaning_are_refused() -> None:
         ([0.0], rest, "box", SimError, "no cloud is named 'box'"),
         ([0.0, 1.0], rest, "ball", SimError, "poses at 2 times"),
         ([], rest[:0], "ball", SimError, "at 0 times"),
-        ([1.0, 1.0], rest.repeat(2, 0), "ball", SimError, "do not rise"),
-        ([0.0, np.nan], rest.repeat(2, 0), "ball", SimError, "do not rise"),
+        ([1.0, 1.0], rest.repeat(2, 0), "ball", SimError, "do not increase"),
+        ([0.0, np.nan], rest.repeat(2, 0), "ball", SimError, "do not increase"),
         ([0.0], np.full((1, 4, 4), np.nan), "ball", RenderError, "not finite"),
         ([0.0], 2 * rest, "ball", RenderError, "not a rigid"),
     ):

@@ -181,7 +181,7 @@ def test_the_environments_carry_it(room_scene, make_episode) -> None:
             assert a[name].tobytes() == b[name][0].tobytes() != c[name].tobytes()
         assert a in one.observation_space and b in many.observation_space
         a, b, c = one.step(action)[0], many.step([action, 2])[0], plain.step(action)[0]
-    with pytest.raises(ConfigError, match="move exactly"):
+    with pytest.raises(ConfigError, match="move without noise"):
         VectorEnv(2, room_scene, **settings | {"noise": LOUD})
 
 

@@ -65,7 +65,7 @@ def test_what_cannot_be_written_is_refused_before_any_work(
     out = tmp_path / "scan.splat"
     assert ".compressed.ply" in told("--as-capture", "--out", str(tmp_path / "folder"))
     assert "add --as-capture" in told("--capture-scale", "2", "--out", str(out))
-    assert "which way is up" in told("--as-capture", "--capture-up", "auto", "--out", str(out))
+    assert "up must be given" in told("--as-capture", "--capture-up", "auto", "--out", str(out))
     out.write_bytes(b"mine")
     assert "--overwrite" in told("--as-capture", "--out", str(out))
     assert out.read_bytes() == b"mine" and sorted(tmp_path.iterdir()) == [out]

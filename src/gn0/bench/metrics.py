@@ -155,7 +155,7 @@ def compute_metrics(
         raise EpisodeError(
             f"{len(positions)} poses for {len(trajectory.actions)} actions, expected one more",
             where=where,
-            remedy="a trajectory holds the start pose and one pose an action",
+            remedy="a trajectory holds the start pose and one pose per action",
         )
     bad = [i for i, pose in enumerate(trajectory.poses) if not pose.is_finite()]
     if bad:
@@ -166,7 +166,7 @@ def compute_metrics(
     if not np.isfinite(geodesic).all():
         first = int(np.flatnonzero(~np.isfinite(geodesic))[0])
         raise EpisodeError(
-            f"no way to the goal from the pose after action {first}",
+            f"no path to the goal from the pose after action {first}",
             where=where,
             remedy="unreachable goals are refused when a suite is built: check the scene's map",
         )

@@ -109,11 +109,12 @@ class Replay:
         lines += self.notes
         if self.unscored:
             lines.append(f"{len(self.unscored)} episodes failed when recorded: nothing to drive")
-        lines += [f"parts at {parting}" for parting in self.partings[:SHOWN]]
+        lines += [f"differs at {parting}" for parting in self.partings[:SHOWN]]
         if len(self.partings) > SHOWN:
             lines.append(f"... and {len(self.partings) - SHOWN} more")
         parted = len({parting.episode for parting in self.partings} - {""})
-        verdict = "" if self.ok else f"; {parted} part" if parted else "; the summary does not"
+        differ = f"{parted} differ" + "s" * (parted == 1)
+        verdict = "" if self.ok else f"; {differ}" if parted else "; the summary does not"
         lines.append(f"{self.agreed} episodes agree to the byte{verdict}")
         return "\n".join(lines)
 
@@ -170,7 +171,7 @@ def replay_run(
 
     Args:
         run: results folder.
-        suite: its suite, where it was not run from here.
+        suite: its suite, if it was not run from here.
         progress: progress sink.
 
     Raises:
@@ -231,7 +232,7 @@ def rerun_policy(
     Args:
         run: results folder.
         policy: plug-in name of the policy; what the run itself names is shown, never obeyed.
-        suite: its suite, where it was not run from here.
+        suite: its suite, if it was not run from here.
         workers: processes.
         policy_options: of the policy.
         plugin_modules: modules to import first.

@@ -192,9 +192,9 @@ def write_report(
     for run in loaded[1:]:
         if run.summary.task_hash != ran.task_hash:
             raise BenchError(
-                "ran another suite than the first run; their numbers cannot stand side by side",
+                "ran another suite than the first run; their numbers cannot be compared",
                 where=run.folder,
-                remedy="report them apart",
+                remedy="report them separately",
             )
     path = Path(out) if out is not None else Path(folders[0]) / "report.html"
     write_text(path, _render(ran, loaded, videos, backend, progress, beside=path.parent))

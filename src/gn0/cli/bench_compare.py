@@ -1,7 +1,7 @@
 """Compare two runs of a suite: is A better than B, worse, or too close to tell?
 
 Runs of suites that `gn0 missions generate` wrote can be paired by path as well: missions of one
-path have the same start, goal and way, so goal and instruction missions can be held against each
+path have the same start, goal and route, so goal and instruction missions can be compared with each
 other, in two runs or in one.
 """
 

@@ -25,7 +25,7 @@ class Args(Config, frozen=True):
 
     Attributes:
         run: a run folder, as written by `gn0 bench run`.
-        suite: its suite, where it was not run from here.
+        suite: its suite, if it was not run from here.
         policy: ask this policy again instead of taking the recorded actions.
         policy_option: an option of the policy as NAME=VALUE; may be given several times.
         plugin: modules to import first, with --policy.

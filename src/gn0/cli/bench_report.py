@@ -21,8 +21,8 @@ class Args(Config, frozen=True):
     Attributes:
         runs: run folders, as written by `gn0 bench run`.
         out: the page to write; default: report.html in the first run's folder.
-        suite: their suite, where it was not run from here.
-        videos: how many episodes are shown as video, a policy.
+        suite: their suite, if it was not run from here.
+        videos: how many episodes are shown as video per policy.
     """
 
     runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]

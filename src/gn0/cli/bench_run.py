@@ -2,8 +2,8 @@
 
 A scene folder given as a suite means fifty goal episodes sampled with seed 0, written beside the
 results. Results are the same bytes for any number of workers; a run that was stopped goes on
-where it stopped when the same command is given again. Episodes that failed are then tried again,
-those that were scored never.
+where it stopped when the same command is given again. Failed episodes are then tried again,
+scored ones never.
 """
 
 from __future__ import annotations
@@ -34,38 +34,38 @@ class Args(Config, frozen=True):
 
     Attributes:
         suite: a suite folder, or a scene folder.
-        out: the folder of results; an interrupted run there is resumed.
+        out: the results folder; an interrupted run there is resumed.
         policy: name of a policy (oracle, straight, wall_follower, random, remote, or a plug-in).
         name: what tables, reports and comparisons call this run; by default what the policy
-            calls itself. No part of the run's identity: give another one later, and nothing is run.
+            calls itself. Not part of the run's identity: another one later runs nothing again.
         policy_option: an option of the policy as NAME=VALUE; may be given several times.
         workers: processes; never changes a result.
         agents: episodes that each worker runs side by side: a policy that takes many agents is
-            asked once a step, pictures are drawn in one call; never changes a result.
-        executor: where the workers live: on this machine, or on a Ray cluster.
-        ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
+            asked once a step, and pictures are drawn in one call; never changes a result.
+        executor: where the workers run: on this machine, or on a Ray cluster.
+        ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
         map_mode: what the maps shown to the policy hold: the whole scene (prior), what the agent
             has seen (explored), or nothing (none). By default what the suite says; part of the
             run's identity.
         track: what a policy may be told, e.g. object, instruction, image+pose, point+pose; by
-            default what the suite says. A policy that asks for more gets a marked row of its own.
+            default what the suite says. A policy that asks for more gets a table of its own.
         isolate: run the policy in a process of its own: it shares no memory with the harness, gets
-            no path of suite or scene, and starts in an empty folder.
+            no path to suite or scene, and starts in an empty folder.
         profile: default, paper, gn0-release (the official harness beside ours), or vlnce (the body
             of VLN-CE's own task); by default what the suite says.
         limit: run only the first so many episodes; 0 means all.
-        visible_sets: draw pictures from the splats that show near each place: quicker, nearly the
-            same pictures. Off for scored runs; part of the run's identity and protocol card.
-        backend: what draws pictures, where the policy sees any: cpu, cuda, or the best that is
-            here (auto); part of the run's identity.
+        visible_sets: draw only splats that can be seen near each place: quicker, nearly the same
+            pictures. Off for scored runs; part of the run's identity and protocol card.
+        backend: what draws pictures, if the policy sees any: cpu, cuda, or the best available
+            (auto); part of the run's identity.
         time_limit: seconds an episode may take before it counts as failed.
         fresh: forget an earlier run in the output folder instead of resuming it.
         keep_failed: leave episodes that failed in an earlier run as they are, instead of trying
             them again.
         no_report: do not write report.html.
         videos: how many episodes the report shows as video.
-        plugin: .py files or modules to import first; they call `gn0.plugins.register` for policies
-            of yours.
+        plugin: .py files or modules to import first; they call `gn0.plugins.register` for your
+            policies.
     """
 
     suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]

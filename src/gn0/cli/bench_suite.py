@@ -21,7 +21,7 @@ class Args(Config, frozen=True):
     Attributes:
         scenes: scene folders.
         out: the suite folder to write.
-        episodes: episodes a scene.
+        episodes: episodes per scene.
         seed: seed of the sampler.
         minimum_length: shortest geodesic from start to goal [m].
         camera: name of a camera preset.

@@ -1,6 +1,6 @@
 """Completion of verbs, flags and their values in bash, zsh and fish.
 
-The script is printed; how to load it stands in its first lines. It names this version's verbs and
+The script is printed; its first lines say how to load it. It contains this version's verbs and
 flags, so print it again after an update.
 """
 

@@ -1,7 +1,7 @@
 """Balance the actions of a dataset to the paper's table, by weights or by leaving samples out.
 
-Walks are mostly straight. This writes which samples to draw and how often, beside the samples,
-which stay as they are: selection.parquet and balance.json.
+Walks are mostly straight. This writes which samples to draw, and how often, to selection.parquet
+and balance.json beside the samples, which stay unchanged.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Args(Config, frozen=True):
         right: wanted share of RIGHT [percent].
         stop: wanted share of STOP [percent].
         tolerance: how far off a share may be [percentage points]; a selection keeps more with it.
-        seed: of the choice which samples are left out.
+        seed: seed of the choice of samples that are left out.
     """
 
     dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]

@@ -33,29 +33,29 @@ class Args(Config, frozen=True):
             folder, whose fifty goal episodes (seed 0) are then sampled beside `--out`.
         out: the dataset folder; an interrupted build there goes on.
         layout: how pictures are kept: tar shards (webdataset), Parquet and MP4 (lerobot), or not
-            at all (none): poses and labels only, drawn later by `gn0 data render`.
-        format: of single pictures: jpg, or png for the very pixels.
-        quality: of jpg.
-        maps: BEV and occupancy picture in every sample, so that a shard stands alone, or once a
-            scene and light beside the shards: smaller.
-        visible_sets: draw from the splats that show near each place: quicker, and nearly the same
-            pictures; part of the dataset's identity.
+            at all (none): poses and labels only, to be drawn later by `gn0 data render`.
+        format: format of single pictures: jpg, or png, which is lossless.
+        quality: quality of jpg.
+        maps: BEV and occupancy picture in every sample, so that a shard stands alone, or, which is
+            smaller, once per scene and light beside the shards.
+        visible_sets: draw only splats that can be seen near each place: quicker, and nearly the
+            same pictures; part of the dataset's identity.
         depth: store the depth of each view as well, in millimetres.
-        depth_as: how shards keep it: npy, which every reader takes for what it is; png, a third of
-            the size, of 16 bits that some readers cut to 8; or both.
+        depth_as: how shards keep it: npy, which every reader takes for what it is; png, a quarter
+            of the size, with 16 bits that some readers cut to 8; or both.
         labels: next actions by the exact planner (exact), the paper's tracking objective (mpc), or
             as the official release labels (gn0-release).
-        tokens: what map tokens count over: the whole map, or a square around the agent.
-        chunk: episodes a part, which is what a worker does at a time and what a shard holds.
-        backend: what draws: cpu, cuda, or the best that is here (auto). Their pictures differ by
+        tokens: what map tokens refer to: the whole map, or a square around the agent.
+        chunk: episodes per part, which is what a worker takes at a time and what a shard holds.
+        backend: what draws: cpu, cuda, or the best available (auto). Their pictures differ by
             rounding, so the dataset says which it was, and goes on with the same.
-        batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
-        workers: processes that walk, label and encode; never changes a byte. 0 means one, or one a
-            core where a GPU draws.
-        executor: where the workers live: on this machine, or on a Ray cluster.
-        ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
-        shard: i/n builds the i-th of n shards by itself, on a machine of its own; `gn0 data merge`
-            joins them to the very dataset that is built without it. Empty builds all.
+        batch: views per call of the GPU's renderer; 0 takes its default; never changes a byte.
+        workers: processes that walk, label and encode; never changes a byte. 0 means one, or one
+            per core if a GPU draws.
+        executor: where the workers run: on this machine, or on a Ray cluster.
+        ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
+        shard: i/n builds the i-th of n shards, on a machine of its own; `gn0 data merge` joins
+            them into the same dataset that is built without it. Empty builds all.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 

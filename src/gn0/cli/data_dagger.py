@@ -1,9 +1,9 @@
 """Let a policy drive through a suite and label every state it visits with the expert's actions.
 
-DAgger collects where the policy really goes, mistakes included, and says what would have been right
-there. The result is a dataset like any other, whose samples also hold the policy's own answers. A
-collection that was stopped goes on when the same command is given again, and comes out the same
-bytes for any number of workers.
+DAgger collects the states that the policy really visits, mistakes included, with what would have
+been right there. The result is a dataset like any other, whose samples also hold the policy's own
+answers. A collection that was stopped goes on when the same command is given again, and has the
+same bytes for any number of workers.
 """
 
 from __future__ import annotations
@@ -41,24 +41,24 @@ class Args(Config, frozen=True):
         iteration: number of this iteration, from 1.
         halting: what ends an episode near the goal: paper, ten steps within the success distance
             and then STOP; gn0-release, ten steps after leaving the goal zone; none.
-        labels: how actions are labelled: exact, mpc, or gn0-release; by default exact, and
+        labels: how actions are labelled: exact, mpc, or gn0-release; by default exact, or
             gn0-release with that halting rule. own: with what the policy itself did next, so that
             its walks are demonstrations (--beta 0 --halting none).
-        tokens: what map tokens count over: the whole map (global) or a square around the agent.
+        tokens: what map tokens refer to: the whole map (global) or a square around the agent.
         pictures: the cache of pictures: webdataset, lerobot, or none (`gn0 data render` makes one
             later).
         map_mode: what the maps shown to the policy hold; by default what the suite says.
         max_steps: actions until an episode is cut off; by default what the suite says.
-        seed: of the draws of who acts.
-        chunk: episodes that a worker does at a time.
-        agents: episodes that each worker drives side by side, of the --chunk that it does at a
-            time: a policy that takes many agents is asked once a step; never changes a byte.
+        seed: seed of the draws that decide who acts.
+        chunk: episodes that a worker takes at a time.
+        agents: episodes, out of a --chunk, that each worker drives side by side: a policy that
+            takes many agents is asked once a step; never changes a byte.
         workers: processes; never changes a byte.
-        executor: where the workers live: on this machine, or on a Ray cluster.
-        ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
-        shard: i/n collects the i-th of n shards by itself, on a machine of its own; `gn0 data
-            merge` joins them to the very dataset that is collected without it. Empty: all.
-        plugin: modules to import first; they call `gn0.plugins.register` for policies of yours.
+        executor: where the workers run: on this machine, or on a Ray cluster.
+        ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
+        shard: i/n collects the i-th of n shards, on a machine of its own; `gn0 data merge` joins
+            them into the same dataset that is collected without it. Empty collects all.
+        plugin: modules to import first; they call `gn0.plugins.register` for your policies.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 

@@ -26,18 +26,18 @@ class Args(Config, frozen=True):
         layout: tar shards (webdataset) or Parquet and MP4 (lerobot); by default what the dataset
             was built with.
         format: of single pictures: jpg or png; by default as built.
-        quality: of jpg; by default as built.
-        maps: BEV and occupancy picture in every sample, or once a scene and light; as built.
-        depth: store depth as well, in millimetres, of a dataset of poses and labels alone; else as
-            built.
+        quality: quality of jpg; by default as built.
+        maps: BEV and occupancy picture in every sample, or once per scene and light; as built.
+        depth: store depth as well, in millimetres, if the dataset has only poses and labels;
+            otherwise as built.
         depth_as: how shards keep it: npy, png or both; by default as built, and npy for new depth.
         backend: what draws: cpu or cuda. A dataset that has pictures is drawn by what drew them
-            first; one of poses and labels alone by the best that is here (auto).
-        batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
-        workers: processes that encode; never changes a byte. 0 means one, or one a core where a
-            GPU draws.
-        executor: where the workers live: on this machine, or on a Ray cluster.
-        ray_address: the cluster to join, e.g. auto; empty starts one of this machine alone.
+            first; one of poses and labels alone by the best available (auto).
+        batch: views per call of the GPU's renderer; 0 takes its default; never changes a byte.
+        workers: processes that encode; never changes a byte. 0 means one, or one per core
+            if a GPU draws.
+        executor: where the workers run: on this machine, or on a Ray cluster.
+        ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
     """
 
     dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]

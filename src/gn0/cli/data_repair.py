@@ -1,7 +1,7 @@
-"""Make what is damaged in a dataset again, and nothing else.
+"""Rebuild what is damaged in a dataset, and nothing else.
 
 Sample tables are walked and labelled again, pictures drawn again; both must come out with the
-digest they had. Episodes and scenes cannot be made from the dataset: give the suite for those.
+digest they had. Episodes and scenes cannot be rebuilt from the dataset: give the suite for those.
 """
 
 from __future__ import annotations

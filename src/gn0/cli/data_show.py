@@ -1,4 +1,4 @@
-"""Draw a sample sheet: a few steps with view, history, BEV and occupancy, and the way ahead."""
+"""Draw a sample sheet: a few steps with view, history, BEV and occupancy, and the path ahead."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class Args(Config, frozen=True):
         folder: a dataset folder.
         out: folder of stats.html and stats.json; default: the dataset itself.
         sheets: sample sheets on the page; they need the scenes' splats or cached pictures.
-        seed: of the choice of samples shown.
+        seed: seed of the choice of samples shown.
     """
 
     folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE_OR_DATASET")]

@@ -1,7 +1,7 @@
 """Read every byte of a dataset again and name what is damaged: the file, and the rows where known.
 
 With --pixels every picture is drawn again as well and compared with the hash in its row. The exit
-code is 0 when all is whole and 1 when something is damaged.
+code is 0 if everything is intact and 1 if something is damaged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Args(Config, frozen=True):
     Attributes:
         dataset: the dataset folder.
         pixels: also draw every picture again.
-        workers: readers, and processes that draw; 0 takes a core each.
+        workers: readers, and processes that draw; 0 means one per core.
     """
 
     dataset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]

@@ -1,7 +1,7 @@
 """The main job in one command: an apartment, its suite, four policies, one report to look at.
 
 It needs nothing but this package and takes about a minute and a half on two cores. Everything lands
-in one folder; pictures of the apartment, the very ones of the README, in `pictures`.
+in one folder; pictures of the apartment, the same as in the README, in `pictures`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Args(Config, frozen=True):
         seed: seed of the apartment and of its episodes.
         episodes: goal episodes in the suite.
         density: Gaussians per square metre of floor.
-        workers: processes that run episodes; 0 means one a core, at most 4.
+        workers: processes that run episodes; 0 means one per core, at most 4.
         overwrite: replace an earlier demo in that folder.
     """
 

@@ -19,7 +19,7 @@ class Args(Config, frozen=True):
     """Settings of `gn0 doctor`.
 
     Attributes:
-        compile: compile the kernels of the graphics card now, not at first use.
+        compile: compile the graphics card's kernels now, not on first use.
         architecture: compile for this one, such as sm_90, though no such card is here.
     """
 

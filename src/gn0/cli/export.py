@@ -1,8 +1,8 @@
-"""Write a dataset in a format that others train with, measure with, or look at.
+"""Write a dataset in another project's format, to train or evaluate with.
 
 Formats: gn-matrix, gn-matrix-json, vlnce-r2r, vlnce-rxr (episodes); vln-pe, interndata-n1, navdp,
 lerobot-v3, navid, uninavid, streamvln, navila (with pictures). Stopped runs go on with the same
-command. What a format cannot hold is left out, counted and told.
+command. What a format cannot hold is left out, counted and reported.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ class Args(Config, frozen=True):
         format: name of the format.
         dataset: a folder that `gn0 data build` wrote.
         out: the folder to write.
-        camera: preset to render again through; by default the dataset's own pictures.
+        camera: preset to render through again; by default the dataset's own pictures.
         split: only episodes of this split.
         limit: at most so many episodes; 0 means all.
-        quality: of JPEG pictures, 1 to 100.
+        quality: quality of JPEG pictures, 1 to 100.
         fps: frames a second in videos and time stamps; by default the format's own.
-        every: a question at every so-many-th decision (navid, uninavid, navila).
+        every: ask at every so-many-th decision (navid, uninavid, navila).
         spacing: metres between frames of a navdp trajectory; 0 means the dataset's own poses.
         views: camera presets of an interndata-n1 export.
-        merge_turns: put finer turns together into the 30° of navid and uninavid; what is left over
-            is dropped and counted.
-        vocabulary: any {split}.json.gz of VLN-CE's R2R: tokens of vlnce-r2r and vln-pe are of its
-            words, which are those that VLN-CE's models know.
-        depth: depth pictures also where the dataset stores none (lerobot-v3).
+        merge_turns: merge finer turns into the 30° of navid and uninavid; leftovers are dropped
+            and counted.
+        vocabulary: any {split}.json.gz of VLN-CE's R2R: vlnce-r2r and vln-pe then take their
+            tokens from its words, which VLN-CE's models know.
+        depth: depth pictures even if the dataset stores none (lerobot-v3).
         name: name of the data in ids and paths of the format.
-        exact: render pictures again, also where the dataset's cache has them.
+        exact: render pictures again, even if the dataset's cache has them.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 

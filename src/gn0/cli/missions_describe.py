@@ -36,7 +36,7 @@ class Args(Config, frozen=True):
         base_url: address of the server up to "/v1" (openai); by default $OPENAI_BASE_URL. The
             key is taken from $OPENAI_API_KEY.
         recording: folder or file of recorded answers (replay).
-        seed: of the choice of words.
+        seed: seed of the choice of words.
         held_out: use only the skeletons that are kept for unseen splits.
         out: folder for pictures; by default none are drawn.
     """

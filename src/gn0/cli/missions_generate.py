@@ -1,9 +1,9 @@
 """Generate missions in scenes: goals, starts, paths, filters, pictures and words.
 
 Each accepted path becomes a goal mission (a goal picture and a short instruction) and route
-instructions in two styles; they share the path, so that policies can be compared on it. What was
-refused is counted, with the reason, in manifest.json. Stopped half-way, give the same command
-again: it goes on where it stopped.
+instructions in two styles; they share the path, so that policies can be compared on it. Rejected
+candidates are counted, with the reason, in manifest.json. If it is stopped half-way, give the
+same command again: it goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -46,40 +46,40 @@ class Args(Config, frozen=True):
         scenes: scene folders, folders of scene folders, or a folder of `gn0 scene corpus`.
         out: the folder to write: a suite, with paths, texts and manifest.
         seed: root seed; the same seed gives the same bytes.
-        per_scene: paths a scene (50).
+        per_scene: paths per scene (50).
         missions: goal, instruction, or both with a comma between (both).
         styles: of instructions: detailed, benchmark, or both (both).
         goals: objects, rooms, or both (both); or categories, of which any object will do: "Find a
             chair."
         categories: those to search for, with a comma between (all of each scene).
-        starts: how starts are drawn (zones): against the density of paths over zones, far from
-            earlier starts, evenly (uniform), or auto.
+        starts: how starts are drawn (zones): in zones where paths are sparse, far from earlier
+            starts, evenly (uniform), or auto.
         planner: any-angle, or astar with lines of sight (any-angle).
-        minimum_length: shorter ways are refused [m] (3).
-        maximum_length: longer ways are refused [m] (200).
-        minimum_displacement: a way that ends nearer to where it began is refused [m] (1).
-        start_radius: only paths whose starts are this close are compared [m] (1).
-        goal_radius: only paths whose goals are this close are compared [m] (1).
+        minimum_length: refuse shorter paths [m] (3).
+        maximum_length: refuse longer paths [m] (200).
+        minimum_displacement: refuse paths that end nearer to where they began [m] (1).
+        start_radius: compare only paths whose starts are this close [m] (1).
+        goal_radius: compare only paths whose goals are this close [m] (1).
         frechet: a smaller Fréchet distance means the same task [m] (0.75).
-        safety_margin: obstacles grow by this beyond the agent's radius [m] (0.05).
-        reach: one stands this near to an object [m] (1.5).
+        safety_margin: inflate obstacles by this beyond the agent's radius [m] (0.05).
+        reach: how near to an object the agent has to come [m] (1.5).
         attempts: candidates tried for each path asked for (40).
-        goal_picture: view on arrival, crop of the target, or the one or the other (mixed).
-        lights: conditions of light a scene, of which each path gets one (0: as it was made).
-        split: of scenes whose corpus does not say it.
+        goal_picture: view on arrival, crop of the target, or either (mixed).
+        lights: lighting conditions per scene, of which each path gets one (0: the original light).
+        split: split of scenes whose corpus does not name one.
         val_seen: share of the paths of training scenes held out as split val_seen (0.1).
-        against: earlier generations or suites whose paths are not to come again.
+        against: earlier generations or suites whose paths must not be repeated.
         language: who writes the texts: template, openai or replay (template).
-        language_options: of the language provider, as name=value: model=… base_url=… for openai,
-            path=… for replay.
-        spec: a YAML or JSON file of settings, in the words of request.settings in manifest.json.
+        language_options: options of the language provider, as name=value: model=… base_url=… for
+            openai, path=… for replay.
+        spec: a YAML or JSON file of settings, with the keys of request.settings in manifest.json.
         agent: name of a preset whose body walks: navid for turns of 30°; its camera too, unless
             --camera names another.
         camera: name of a camera preset (gn_bench); its body too, unless --agent names another.
-        name: of the suite; by default the folder's name.
+        name: name of the suite; by default the folder's name.
         workers: processes.
-        executor: processes of this machine, or a Ray cluster.
-        ray_address: of a running Ray cluster.
+        executor: processes on this machine, or a Ray cluster.
+        ray_address: address of a running Ray cluster.
         overwrite: replace another generation in --out.
     """
 

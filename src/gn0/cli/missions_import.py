@@ -1,4 +1,4 @@
-"""Make a suite of an episode set in another format, in the scenes that you have.
+"""Make a suite from an episode set in another format, in the scenes that you have.
 
 Reads GN-Matrix (a Parquet file, or a folder of <scene>/<digits>.json) and VLN-CE R2R
 ({split}.json.gz). Scenes are matched by their id. Says how many points of the set lie on free
@@ -27,7 +27,7 @@ class Args(Config, frozen=True):
         path: the episode set.
         scenes: scene folders, or folders of scene folders.
         out: the suite folder to write.
-        format: gn-matrix, gn-matrix-json or vlnce; by default found by looking.
+        format: gn-matrix, gn-matrix-json or vlnce; by default detected from the content.
         frame: how the file's frame lies in the scenes; by default as its format documents.
         camera: camera preset; by default the format's own.
         profile: default, paper, gn0-release, or vlnce (the body of VLN-CE's own task).

@@ -1,8 +1,8 @@
 """Draw an episode: its path over the map and the bird's-eye view, with its instruction.
 
-A goal that is told by a picture is shown with its picture. Without an episode: all paths of each
-scene, a picture a scene, or with --coverage how many of them pass through each spot. A foreign
-set whose scenes are not here is told in numbers, and its paths are drawn on white.
+A goal that is given by a picture is shown with it. Without an episode: one picture per scene of
+all its paths or, with --coverage, of how many pass through each spot. For a third-party set whose
+scenes are missing, numbers are printed, and its paths are drawn on white.
 """
 
 from __future__ import annotations

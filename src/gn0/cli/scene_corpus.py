@@ -35,7 +35,7 @@ class Args(Config, frozen=True):
         out: folder of the corpus.
         workers: scenes made at a time; each takes 2 to 8 GB.
         executor: process on this machine, or ray.
-        ray_address: of a running Ray cluster.
+        ray_address: address of a running Ray cluster.
         sheet: draw all scenes from above into corpus.jpg.
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """

@@ -37,22 +37,22 @@ class Args(Config, frozen=True):
 
     Attributes:
         out: the scene folder to write.
-        kind: of building; listed above.
-        seed: of everything drawn by chance.
-        size: of the building; the m² of each kind are listed above.
-        style: taste of the furnishing; drawn from the seed by default.
+        kind: kind of building; listed above.
+        seed: seed of everything random.
+        size: size of the building; the m² of each kind are listed above.
+        style: style of the furnishing; drawn from the seed by default.
         density: Gaussians per square metre of floor, 5000 fast to 20000 sharp; by default
             10000 for homes, fewer for halls.
         light: normal, or draft for a quicker bake.
-        refine: fit the Gaussians to ray-traced pictures: 34 dB instead of 26 at density 20000, for
-            a quarter of an hour and more.
+        refine: fit the Gaussians to ray-traced pictures: 34 dB instead of 26 at density 20000, but
+            a quarter of an hour or more.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
-        as_capture: write a bare splat file instead of a scene folder, as a scan would be: no map,
-            no labels, leaning; OUT ends with .ply, .compressed.ply, .splat, .ksplat, .spz, .sog
+        as_capture: write a bare splat file instead of a scene folder, like a scan: no map,
+            no labels, tilted; OUT ends with .ply, .compressed.ply, .splat, .ksplat, .spz, .sog
             or .glb.
-        capture_up: the axis of that file that up is near, or a direction x,y,z.
-        capture_tilt: by how many degrees up is off it; the seed draws the side.
+        capture_up: the axis of that file nearest to up, or a direction x,y,z.
+        capture_tilt: by how many degrees up differs from it; the seed draws the direction.
         capture_scale: metres that one unit of that file stands for.
     """
 
@@ -81,7 +81,7 @@ def run(args: Args) -> int:
     given = (args.capture_up, args.capture_tilt, args.capture_scale)
     if given != ("-y", 8.0, 1.0) and not args.as_capture:
         raise ConfigError(
-            "--capture-up, --capture-tilt and --capture-scale are of a bare splat file",
+            "--capture-up, --capture-tilt and --capture-scale belong to a bare splat file",
             remedy="add --as-capture, or leave them out",
         )
 

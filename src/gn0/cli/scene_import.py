@@ -1,6 +1,6 @@
 """Turn a splat file, an InteriorGS folder, a Gazebo/SDF world or a ROS map into a scene folder.
 
-The source is told by its content. Occupancy comes from what lies within the agent's body:
+The source is recognised by its content. Occupancy comes from what lies within the agent's body:
 `--height-band LO HI`, metres above the floor.
 
 A bare splat file (.ply, .splat, .spz, .sog, .glb, a SOG folder) says neither which way is up nor
@@ -36,7 +36,7 @@ class Args(Config, frozen=True):
         density: Gaussians per square metre of floor, for meshes.
         light: home bakes lamps and daylight, flat shows textures as they are; for meshes.
         strict: refuse a world of meshes that has any defect, instead of repairing what can be
-            repaired and leaving the rest out; either way the list comes before the light is baked.
+            repaired and leaving the rest out; either way defects are listed before light is baked.
         packed: write 3dgs_compressed.ply (smaller, rounded) instead of point_cloud.ply.
         overwrite: replace an existing output folder.
         up: bare captures: auto, an axis of the file (z, -y, ...) or a direction x,y,z.
@@ -45,9 +45,9 @@ class Args(Config, frozen=True):
             camera-height:1.5@x,y,z or two-points:1.2@x,y,z@x,y,z (points in the file's units).
         floor: bare captures: auto, bottom, or a height along up in the file's units; the last two
             put a flat ground there, for objects scanned without their floor.
-        yaw: bare captures: walls turns them along x and y, keep leaves the heading.
+        yaw: bare captures: walls aligns them with x and y, keep leaves the heading.
         seed_point: bare captures: X Y [m] on the open floor to map from.
-        least_area: bare captures: under so much walkable ground [m²] it asks, and writes nothing.
+        least_area: bare captures: with less walkable ground [m²] it asks, and writes nothing.
         open_doors: bare captures: take the leaves of doors found closed out of splats and map.
         level: bare captures: level of detail of a streamed SOG, 0 the finest.
     """

@@ -1,7 +1,7 @@
 """See a scene in other light, and write a variant of it: brighter, warmer, at dusk, at night.
 
-Geometry, depth and meaning stay as they are. Every picture of an episode is made under the one
-condition that is recorded with it, the bird's-eye view as well.
+Geometry, depth and labels stay unchanged. Every picture of an episode, the bird's-eye view
+included, is made in the one light that is recorded with it.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ class Args(Config, frozen=True):
     Attributes:
         folder: a scene folder.
         out: contact sheet to write; default: NAME-light.jpg beside the scene.
-        seed: of the conditions.
+        seed: seed of the conditions.
         count: conditions on the sheet.
         mood: only this one; custom takes the numbers below.
         exposure: stops brighter or darker.
         kelvin: colour temperature of the light; 5500 leaves colours alone.
-        contrast: of light and shadow, where the scene keeps them.
-        saturation: of colours.
+        contrast: contrast of light and shadow, if the scene keeps them.
+        saturation: saturation of colours.
         write: also write the first condition's scene as a folder of its own.
         overwrite: replace that folder.
     """

@@ -1,8 +1,8 @@
-"""Find the visible sets of a whole scene now, so that later runs need not.
+"""Compute the visible sets of a whole scene now, so that later runs need not.
 
-A visible set holds the splats that show from one floor cell. Runs that use them (`--visible-sets`,
-`VectorEnv(visible_sets=True)`) find each set when an agent first comes there; this verb walks all
-cells. Sets are kept in the cache folder. Stopped, it goes on where it was.
+A visible set holds the splats that can be seen from one floor cell. Runs that use them
+(`--visible-sets`, `VectorEnv(visible_sets=True)`) compute each set when an agent first comes there;
+this verb does so for all cells. Sets are kept in the cache folder. It can be stopped and resumed.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class Args(Config, frozen=True):
     Attributes:
         folder: a scene folder.
         camera: the camera preset whose body and eye height count.
-        cells: find only the first so many; 0 means all.
-        backend: who looks; each backend has sets of its own. auto: the best that is here.
+        cells: compute only the first so many; 0 means all.
+        backend: what draws; each backend has sets of its own. auto: the best available.
     """
 
     folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]

@@ -1,8 +1,8 @@
 """Walk through a scene in the browser, replay runs, walk episodes by hand, or look at a splat file.
 
 The agent moves by the simulator's own actions and collides as a policy's would; its pictures are
-drawn from all splats, while the browser gets a thinned set. Nobody but this machine can reach the
-page, and only with the secret in its address. Ctrl-C ends it.
+drawn from all splats, while the browser gets a thinned set. Only this machine can reach the page,
+and only with the secret in its address. Ctrl-C ends it.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class Args(Config, frozen=True):
         limit: record only the first so many episodes, by id; 0 for all.
         fresh: forget an earlier recording.
         splats: how many splats the browser gets; 60,000 still move without a GPU.
-        camera: eyes and body of the agent, a camera preset by name.
+        camera: a camera preset by name: the agent's camera and body.
         up: which axis of a splat file points up; auto proposes one.
         level: level of detail of a streamed SOG, 0 the finest.
         host: address to listen on.
-        port: port to listen on; the next free one when it is taken, 0 for any.
+        port: port to listen on; the next free one if it is taken, 0 for any.
         allow_remote: allow a --host that other machines can reach.
         no_browser: do not open a browser.
         check: stop with code 0 as soon as everything is on the page; for scripts.

@@ -64,7 +64,7 @@ class BalanceSettings(Config, frozen=True):
         method: weights or selection, see the module.
         forward, left, right, stop: shares of the labels' first actions [percent].
         tolerance: how far off a share may be [percentage points]; a selection uses it to keep more.
-        seed: of the choice which samples are left out.
+        seed: seed of the choice of samples that are left out.
     """
 
     method: Method = "weights"

@@ -297,7 +297,7 @@ def _escape(
     raise PlanError(
         f"no actions lead from ({x:g}, {y:g}) to within {settings.stop_distance:g} m of "
         f"{field.goal}",
-        remedy="label states that the agent can come to, or give it smaller steps",
+        remedy="label states that the agent can reach, or give it smaller steps",
     )
 
 

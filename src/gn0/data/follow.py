@@ -154,7 +154,7 @@ def label_follow(
     clock = np.asarray(times, np.float64).ravel()
     if len(clock) != len(states):
         raise EpisodeError(
-            f"{len(states)} states and {len(clock)} times", remedy="one time a state"
+            f"{len(states)} states and {len(clock)} times", remedy="give one time per state"
         )
     actions = np.zeros((len(states), ACTIONS_AHEAD), np.int8)
     waypoints = np.zeros((len(states), POINTS, 2))

@@ -166,7 +166,7 @@ def _rewrite(dataset: Dataset, damage: Damage) -> None:
     data = encode_table(encode_rows(blocks))
     if file_digest(data) != part.file:
         raise DataError(
-            "made again, the table comes out otherwise",
+            "made again, the table comes out different",
             where=damage.path,
             remedy=f"repair it with {dataset.about.software}, which wrote it",
         )
@@ -213,7 +213,7 @@ def _redraw(
         check_rendered(plans[index], made)
         if made.files != done[made.part.name].files:
             raise DataError(
-                "drawn again, the pictures are encoded otherwise",
+                "drawn again, the pictures are encoded differently",
                 where=f"part {made.part.name!r}",
                 remedy="delete the cache and render all of it: the pixels are the same",
             )

@@ -143,7 +143,7 @@ def _encode_block(block: EpisodeRows, schema: pa.Schema) -> pa.Table:
         if found != shape:
             raise FormatError(
                 f"{name} has shape {list(found)}, expected {list(shape)}",
-                where=f"episode {block.episode_id!r}", remedy="one row a step",
+                where=f"episode {block.episode_id!r}", remedy="one row per step",
             )  # fmt: skip
     said = block.policy_actions or ((),) * n
     values: dict[str, Any] = {
@@ -233,7 +233,7 @@ def check_layout(table: pa.Table, path: Path | str) -> None:
         return
     if not found.isdigit():
         raise FormatError(
-            "not a sample table: it does not say its layout", file=path, field="gn0.samples",
+            "not a sample table: it does not state its layout", file=path, field="gn0.samples",
             remedy="give a file that `gn0 data build` wrote",
         )  # fmt: skip
     older = int(found) < SAMPLE_LAYOUT

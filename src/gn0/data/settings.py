@@ -108,7 +108,7 @@ class DaggerSettings(Config, frozen=True):
         success_radius: walking distance to the goal that the halting rule of the paper means [m].
         map_mode: what the maps shown to the policy hold.
         max_steps: actions until an episode is cut off.
-        seed: of the draws of who acts.
+        seed: seed of the draws that decide who acts.
         plugins: modules to import first, for policies of others.
         demonstrate: what the policy did is the label, not what the expert would have done; unset
             in files where it is off.

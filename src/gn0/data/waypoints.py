@@ -117,7 +117,7 @@ def sample_way_points(
     lost = np.flatnonzero(np.logical_or(status == UNREACHABLE, ~finite))
     if len(lost):
         raise PlanError(
-            f"no way from ({p[lost[0], 0]:g}, {p[lost[0], 1]:g}) m to the goal {field.goal}",
+            f"no path from ({p[lost[0], 0]:g}, {p[lost[0], 1]:g}) m to the goal {field.goal}",
             where=f"state {int(lost[0])}",
             remedy="label states that are walkable and in the goal's region",
         )

@@ -195,7 +195,7 @@ class DeviceHost:
         pages = -(-room // _PAGE) * _PAGE
         base = self._libc.mmap(None, pages + _PAGE, 3, 0x22, -1, 0)
         if base in (None, ctypes.c_void_p(-1).value):
-            raise DeviceMemoryError(f"the machine has no {size} bytes", where=self.name)
+            raise DeviceMemoryError(f"the machine cannot allocate {size} bytes", where=self.name)
         self._libc.mprotect(base + pages, _PAGE, 0)
         pointer = base + pages - room
         ctypes.memset(pointer, _POISON, room)
@@ -402,7 +402,7 @@ class GraphHost:
     def launch(self) -> None:
         """Do it all."""
         if not self.whole:
-            raise DeviceError("the graph's recording has not ended well")
+            raise DeviceError("the graph's recording did not end properly")
         for work, _ in self.steps:
             work()
 

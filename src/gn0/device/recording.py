@@ -121,8 +121,8 @@ class GraphCuda:
         """Run it all on the default stream.
 
         Raises:
-            DeviceError: the recording has not ended well, or the card is lost.
+            DeviceError: the recording did not end properly, or the card is lost.
         """
         if self._runs is None:
-            raise DeviceError("the graph's recording has not ended well", where="CUDA")
+            raise DeviceError("the graph's recording did not end properly", where="CUDA")
         self._device.call("cuGraphLaunch", self._runs, None)

@@ -55,7 +55,7 @@ def encode_frames(frames: Iterable[U8], fps: int) -> Clip:
         video.add(picture)
         count += 1
     if video is None:
-        raise RenderError("a clip of no frames")
+        raise RenderError("a clip without frames")
     return Clip(video.finish(), count, fps)
 
 
@@ -123,7 +123,7 @@ def inspect_clip(path: Path | str) -> ClipFacts:
     wanted = np.arange(len(times)) / max(fps, 1e-9)
     if fps <= 0 or not np.allclose(times, wanted, rtol=0, atol=1e-4):
         raise FormatError(
-            "frames do not come at even times from 0", file=path, remedy="export it again"
+            "frames are not evenly spaced from 0", file=path, remedy="export it again"
         )
     return facts
 

@@ -61,7 +61,7 @@ class ExportSettings(Config, frozen=True):
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", self.name):
             raise ConfigError(
-                f"the name {self.name!r:.80} cannot stand in ids and paths",
+                f"the name {self.name!r:.80} cannot be used in ids and paths",
                 where="--name",
                 remedy="letters, digits, and . _ - after the first",
             )

@@ -137,7 +137,7 @@ def load_columns(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str,
         values = np.asarray(array.to_numpy(zero_copy_only=False))
         if array.null_count or values.size != count * int(np.prod(shape, dtype=np.int64)):
             raise FormatError(
-                f"not {list(shape)} numbers a frame", file=path, field=name,
+                f"not {list(shape)} numbers per frame", file=path, field=name,
                 remedy="export it again",
             )  # fmt: skip
         kind = np.float64 if values.dtype.kind == "f" else np.int64

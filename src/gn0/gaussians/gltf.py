@@ -205,7 +205,7 @@ def _find_splats(
             packed = [name for name in splatting.extensions if "compression" in name.lower()]
             if packed:
                 raise source.refuse(
-                    f"splats packed with {packed[0][:60]!r} are not read",
+                    f"splats packed with {packed[0][:60]!r} are not supported",
                     field="extensions",
                     remedy="write the glTF without compression, or as .spz",
                 )

@@ -228,7 +228,7 @@ def _decode(
         palette = _palette_v2(v2.shN, files) if v2.shN is not None else None
         shn_files = v2.shN.files if v2.shN is not None else []
         if v2.antialias:
-            notes.append("trained with antialiasing, which no renderer here makes use of")
+            notes.append("trained with antialiasing, which no renderer here uses")
     planes = _load_planes(decoders, files)
     degree = math.isqrt(palette[0].shape[1] + 1) - 1 if palette is not None else 0
     builder = CloudBuilder(files.file, decoders.count, degree, limit_bytes, offset)

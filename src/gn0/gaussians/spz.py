@@ -166,7 +166,7 @@ def _decode(header: _Header, stream: PlaneStream, source: CloudSource, encoding:
     if header.degree > kept:
         notes.append(f"SH degree {header.degree} cut to {kept}")
     if header.flags & _ANTIALIASED:
-        notes.append("trained with antialiasing, which no renderer here makes use of")
+        notes.append("trained with antialiasing, which no renderer here uses")
     if header.flags & _EXTENSIONS:
         notes.append("extensions (they hold no splats) were not read")
     return CloudFile(

@@ -102,7 +102,7 @@ def _error_of(answer: Answer, label: str) -> Gn0Error:
         return JobError(
             f"{label} failed: {answer.what}",
             where=label,
-            remedy="this is a fault of the program; the trace:\n" + answer.remedy,
+            remedy="this is a bug in the program; its trace:\n" + answer.remedy,
         )
     kinds = [k for k in vars(errors).values() if isinstance(k, type) and issubclass(k, Gn0Error)]
     kind = next((k for k in kinds if k.code == answer.code), Gn0Error)

@@ -32,7 +32,7 @@ class GoalSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def __post_init__(self) -> None:
         if bool(self.points) == bool(self.areas):
             raise EpisodeError(
-                "a goal set holds points or areas, and one of them at least",
+                "a goal set holds points or areas, and at least one",
                 remedy="leave it out where there is one goal",
             )
         if len(self.points) > PLACES_MOST or sum(map(len, self.areas)) > CORNERS_MOST:

@@ -53,7 +53,7 @@ def load_occupancy(folder: Path | str, *, free_threshold: int = 200) -> Occupanc
     scale = _number(scale, "scale", frame_path)
     if not scale > 0:
         raise FormatError(
-            f"scale is {scale}", file=frame_path, field="scale", remedy="metres a pixel, above 0"
+            f"scale is {scale}", file=frame_path, field="scale", remedy="metres per pixel, above 0"
         )
     for axis, span, pixels in zip("xy", spans, (width, height), strict=True):
         # exported bounds are often rounded to a pixel; more means another picture or another unit

@@ -123,9 +123,9 @@ def _origin(settings: dict[str, Any], path: Path) -> tuple[float, float]:
     x, y, yaw = (_as_number(v, "origin", path) for v in (*origin, 0.0)[:3])
     if abs(math.remainder(yaw, 2 * math.pi)) > 1e-6:
         raise FormatError(
-            f"the map is turned by {yaw:g} rad against the axes",
+            f"the map is rotated by {yaw:g} rad against the axes",
             file=path,
             field="origin",
-            remedy="turn the picture so that its yaw is 0",
+            remedy="rotate the picture so that its yaw is 0",
         )
     return x, y

@@ -63,7 +63,7 @@ def plan_reference(
     field = navigation.geodesic(goal)
     if not np.isfinite(field.distance(np.array([start], np.float64))[0]):
         raise PlanError(
-            f"no way from {start} to {goal}",
+            f"no path from {start} to {goal}",
             remedy="choose start and goal in one connected region",
         )
     line = np.asarray(field.path(*start), np.float64).reshape(-1, 2)

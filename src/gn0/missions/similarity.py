@@ -23,8 +23,8 @@ class SimilaritySettings(Config, frozen=True):
     """When two paths count as the same task (paper, Alg. 'Post-Generation … Filtering').
 
     Attributes:
-        start_radius: only paths whose starts are this close are compared [m].
-        goal_radius: only paths whose goals are this close are compared [m].
+        start_radius: compare only paths whose starts are this close [m].
+        goal_radius: compare only paths whose goals are this close [m].
         frechet: a smaller discrete Fréchet distance means near-duplicate [m].
         samples: points a path is resampled to before comparison.
     """

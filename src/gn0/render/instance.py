@@ -144,7 +144,7 @@ def check_parts(
         raise RenderError(
             f"parts of {len(parts)} views, but {views} views",
             where="parts",
-            remedy="give one sequence of instances a view, or one for all",
+            remedy="give one sequence of instances per view, or one for all",
         )
     checked: dict[int, tuple[Instance, ...]] = {}  # agents of one scene share their sequence
     result = []

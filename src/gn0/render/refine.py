@@ -98,7 +98,7 @@ def refine_cloud(
         raise RenderError("only splats of one colour (SH degree 0) can be refined")
     if not len(matrices) or len(cameras) != len(matrices):
         raise RenderError(
-            f"{len(matrices)} views and {len(cameras)} cameras", remedy="give one lens a view"
+            f"{len(matrices)} views and {len(cameras)} cameras", remedy="give one camera per view"
         )
     if not len(cloud) or not total:
         return cloud

@@ -160,7 +160,7 @@ def check_spec(spec: CorpusSpec, path: Path | str = "") -> CorpusSpec:
         raise ConfigError(
             f"the shares of the splits sum to {sum(spec.splits.values()):g}",
             where=path,
-            remedy="let them sum to 1",
+            remedy="make them sum to 1",
         )
     return spec
 

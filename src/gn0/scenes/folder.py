@@ -213,7 +213,7 @@ def load_scene_file(folder: Path) -> SceneFile:
     path = safe_join(folder, SCENE_FILE)
     if not path.is_file():
         raise StorageError(
-            "scene.json is missing: this is not a GN0 scene folder, or half of one",
+            "scene.json is missing: this is not a GN0 scene folder, or only part of one",
             where=folder,
             remedy="run `gn0 scene import` on it, or restore the file",
         )
@@ -250,7 +250,7 @@ def _need(folder: Path, name: str) -> Path:
     path = safe_join(folder, name)
     if not path.is_file():
         raise StorageError(
-            f"{name} is missing: the scene folder is not whole",
+            f"{name} is missing: the scene folder is incomplete",
             where=folder,
             remedy="restore the file, or write the scene again",
         )
@@ -329,7 +329,7 @@ def _attach_aux(cloud: GaussianCloud, path: Path) -> GaussianCloud:
         shape = (n,) if key == "label" else (n, 3)
         if key not in _AUX or value.shape != shape or value.dtype != _AUX[key]:
             raise FormatError(
-                f"array of shape {value.shape}, type {value.dtype} does not belong to {n} splats",
+                f"array of shape {value.shape}, type {value.dtype} does not fit {n} splats",
                 file=path,
                 field=key,
                 remedy="write the scene again",

@@ -319,7 +319,7 @@ def _load_mesh(path: Path) -> list[ColladaPart]:
         return load_collada(path)
     if path.suffix.lower() not in (".stl", ".obj"):
         raise FormatError(
-            f"meshes of type {path.suffix!r} are not read",
+            f"meshes of type {path.suffix!r} are not supported",
             file=path,
             remedy="use COLLADA (.dae), .obj or .stl",
         )

@@ -52,7 +52,7 @@ def check_places(navigation: NavigationMap, episode: Episode, radius: float) -> 
             raise EpisodeError(
                 f"{name} ({x:.3f}, {y:.3f}) m is blocked for an agent of radius {radius:g} m",
                 where=where,
-                remedy="snap it to walkable ground, or use a slimmer agent",
+                remedy="snap it to walkable ground, or use an agent with a smaller radius",
             )
     if navigation.region_of(*episode.start[:2]) not in reached:
         raise EpisodeError(

@@ -334,7 +334,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         """Wait until all steps are done.
 
         Raises:
-            SimError: a device action was none; nobody has moved since.
+            SimError: a device action was none; no agent has moved since.
         """
         self.simulator.catch_up()
 

@@ -244,7 +244,7 @@ class SimulatorDevice:
 
         Raises:
             EpisodeError: an episode that is drawn does not fit its scene.
-            SimError: an action was none, in a step before; nobody has moved since.
+            SimError: an action was none, in a step before; no agent has moved since.
         """
         if self._safe - self.steps > self.ahead // 2:
             return
@@ -257,7 +257,7 @@ class SimulatorDevice:
         """Wait for the device and learn what has happened there; then fill the queues.
 
         Raises:
-            SimError: an action was none, in a step before; nobody has moved since.
+            SimError: an action was none, in a step before; no agent has moved since.
         """
         self._asked = (self.steps, self.device.download_async(self._words, self._pinned))
         self._learn(*self._asked, fill=fill)
@@ -271,7 +271,7 @@ class SimulatorDevice:
             late, self.steps = self.steps - step, step
             self._safe = step
             raise SimError(
-                f"an action {late} steps ago was not one of 0..3; nobody has moved since",
+                f"an action {late} steps ago was not one of 0..3; no agent has moved since",
                 where=f"agent {agent}",
                 remedy="give STOP 0, FORWARD 1, LEFT 2 or RIGHT 3",
             )

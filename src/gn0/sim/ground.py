@@ -180,7 +180,7 @@ class GroundStore:
             raise SceneError(
                 f"nothing is walkable for an agent of radius {self._radius:g} m",
                 where=scene.path or scene.id,
-                remedy="run `gn0 scene check`, or use a slimmer agent",
+                remedy="run `gn0 scene check`, or use an agent with a smaller radius",
             )
         return navigation
 

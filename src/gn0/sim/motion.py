@@ -135,11 +135,11 @@ class PathMotion:
                 raise SimError(
                     f"{path.poses.shape} poses at {count} times",
                     where=where,
-                    remedy="give a pose [4, 4] a time, and at least one",
+                    remedy="give a pose [4, 4] per time, and at least one",
                 )
             times = np.asarray(path.times, np.float64)
             if not np.isfinite(times).all() or not (np.diff(times) > 0).all():
-                raise SimError("times do not rise", where=where, remedy="in seconds, each once")
+                raise SimError("times do not increase", where=where, remedy="in seconds, each once")
             check_parts([[Instance(path.cloud, pose, path.gain)] for pose in path.poses], count)
 
     def at(self, time: float) -> tuple[Instance, ...]:

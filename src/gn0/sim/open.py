@@ -107,7 +107,7 @@ def open_simulator(
         raise SceneError(
             f"nothing is walkable for an agent of radius {body.radius:g} m",
             where=scene.path or scene.id,
-            remedy="run `gn0 scene check`, or use a slimmer agent",
+            remedy="run `gn0 scene check`, or use an agent with a smaller radius",
         )
     bev: BevPicture | None = None
     if renderer is None and carried.needs_renderer(explores):

@@ -217,7 +217,7 @@ def check_slots(slots: Sequence[int], *columns: Sequence[Any]) -> None:
     if len(set(lengths)) != 1:
         raise PolicyError(
             f"a batch of {lengths[0]} slots with columns of {lengths[1:]}",
-            remedy="give one entry a slot",
+            remedy="give one entry per slot",
         )
     if len(set(slots)) != len(slots):
         raise PolicyError("a slot is named twice in a batch", remedy="name each slot once")
@@ -238,6 +238,6 @@ def check_answers(name: str, actions: Sequence[AnyAction], count: int) -> Sequen
             f"act_batch of policy {name!r} gave "
             + (f"{found} actions" if found >= 0 else f"a {type(actions).__name__}")
             + f" for {count} slots",
-            remedy="return one action a slot, in the order of slots",
+            remedy="return one action per slot, in the order of slots",
         )
     return actions

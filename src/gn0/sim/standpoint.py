@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 
 def _nothing(*_: Any) -> Any:
-    raise SimError("this sensor may not look at that", remedy="say so in its draws, views, …")
+    raise SimError(
+        "this sensor does not declare that it looks at this",
+        remedy="name it in its draws, views, goal_view or bev",
+    )
 
 
 class Standpoint:

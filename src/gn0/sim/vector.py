@@ -138,7 +138,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         self.noise = noise or Noise()
         if self.noise.moves:
             raise ConfigError(
-                "agents in a vector move exactly",
+                "the agents of a VectorEnv move without noise",
                 remedy="use GoalNavEnv, or leave out noise.actuation",
             )
         self._backend = visible_backend(backend) if visible_sets else backend

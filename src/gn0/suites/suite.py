@@ -396,7 +396,7 @@ def build_suite(
     Args:
         scene_paths: scene folders.
         out: the suite folder to write.
-        count: episodes a scene.
+        count: episodes per scene.
         seed: root seed of the sampler.
         minimum_length: least geodesic length from start to goal [m].
         camera: camera preset by name.

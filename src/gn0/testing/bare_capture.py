@@ -81,18 +81,18 @@ def check_capture_file(path: Path, *, overwrite: bool = False) -> None:
 
     Raises:
         ConfigError: the name ends like no format that can be written.
-        StorageError: there is something already.
+        StorageError: the file exists already.
     """
     if not path.name.lower().endswith(FORMATS):
         raise ConfigError(
-            f"{path.name!r} is no splat file",
+            f"{path.name!r} is not a splat file",
             where="--out",
             remedy=f"end it with one of {', '.join(FORMATS)}",
         )
     check_writable(path)
     if path.is_dir() or (path.exists() and not overwrite):
         raise StorageError(
-            "there is something already", where=path, remedy="choose another name, or --overwrite"
+            "the file exists already", where=path, remedy="choose another name, or --overwrite"
         )
 
 
@@ -104,7 +104,7 @@ def check_bare_settings(settings: BareSettings) -> BareSettings:
     """
     if read_up(settings.up) is None:
         raise ConfigError(
-            "which way is up cannot be left to be found: the file is made here",
+            "up must be given, because the file is made here",
             where="--capture-up",
             remedy="use x, -x, y, -y, z, -z or three numbers",
         )

@@ -115,7 +115,7 @@ class AgentWalk:
         """
         seen = self._observation
         if seen is None:
-            raise EpisodeError("the agent stands nowhere yet", remedy="call place first")
+            raise EpisodeError("the agent has no position yet", remedy="call place first")
         if kind == "depth":
             assert seen.depth is not None
             return colour_depth(seen.depth, self.simulator.config.preset.depth_range[1])

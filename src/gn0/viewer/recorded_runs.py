@@ -157,7 +157,7 @@ def load_replay(runs: Sequence[Path], place: Path | None = None) -> Replay:
             raise BenchError(
                 "ran other tasks than the first run; they cannot be played side by side",
                 where=run.folder,
-                remedy="view them apart",
+                remedy="view them separately",
             )
     names = _names(loaded)
     sides = tuple(

@@ -34,7 +34,7 @@ SPEEDS = ("1x", "2x", "4x", "8x", "16x")
 EYES_PANEL = 330  # width of the panel with the agents' pictures [px]
 VIEW_HEIGHT = 208  # px
 _BAR = 24  # px: name and action over each picture
-KEYS = "**space** play · **J L** one step · **N B** next, last episode · **W A S D Q E** fly"
+KEYS = "**space** play · **J L** one step · **N B** next, previous episode · **W A S D Q E** fly"
 
 
 class ReplayView:
@@ -167,7 +167,7 @@ class ReplayView:
             ("Step back", "J", partial(self._nudge, -1)),
             ("Step on", "L", partial(self._nudge, 1)),
             ("Next episode", "N", partial(self._turn_page, 1)),
-            ("Last episode", "B", partial(self._turn_page, -1)),
+            ("Previous episode", "B", partial(self._turn_page, -1)),
         ):
             command = gui.add_command(label, hotkey=key)
             command.on_trigger(lambda event, deed=deed: self.loop.post(deed))

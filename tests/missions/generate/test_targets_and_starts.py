@@ -203,7 +203,7 @@ def test_auto_goes_by_what_there_is(flat: Scene) -> None:
     [
         ({"missions": ()}, "no missions"),
         ({"missions": ("goal", "goal")}, "twice"),
-        ({"styles": ()}, "in no style"),
+        ({"styles": ()}, "without a style"),
         ({"styles": ("detailed", "detailed")}, "twice"),
         ({"minimum_length": 9.0, "maximum_length": 5.0}, "more than maximum"),
         ({"similarity": SimilaritySettings(frechet=-1.0)}, "Fréchet distance -1"),

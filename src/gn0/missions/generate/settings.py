@@ -42,9 +42,9 @@ class MissionSettings(Config, frozen=True):
             from earlier starts, evenly, or (auto) the first of these that has something to go by.
         zone: side of a zone [m].
         planner: exact any-angle paths, or A* over cells made straight by lines of sight.
-        minimum_length: shorter ways are refused [m].
-        maximum_length: longer ways are refused [m].
-        minimum_displacement: a way that ends nearer to where it began is refused [m].
+        minimum_length: refuse shorter paths [m].
+        maximum_length: refuse longer paths [m].
+        minimum_displacement: refuse paths that end nearer to where they began [m].
         similarity: when two paths are the same task.
         keypoint_tolerance: largest distance of the path from its keypoints' polyline [m].
         keypoint_spacing: longest gap between keypoints [m].
@@ -85,7 +85,7 @@ class MissionSettings(Config, frozen=True):
         if not self.missions or len(set(self.missions)) != len(self.missions):
             raise ConfigError("no missions, or one named twice", remedy="goal, instruction or both")
         if "instruction" in self.missions and not self.styles:
-            raise ConfigError("instruction missions in no style", remedy="detailed, benchmark")
+            raise ConfigError("instruction missions without a style", remedy="detailed, benchmark")
         if self.goals == "categories" and "instruction" in self.missions:
             raise ConfigError(
                 "a route leads to one object, and a search to any of a category",

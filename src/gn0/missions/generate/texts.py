@@ -46,7 +46,7 @@ def write_path_texts(
         paths: of this scene.
         settings: missions and styles.
         provider: who writes.
-        seed: of the choice of words.
+        seed: seed of the choice of words.
         eye: height of the agent's eye [m].
         progress: progress sink.
     """

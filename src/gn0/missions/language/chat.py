@@ -196,7 +196,7 @@ class ChatClient:
         s = self.settings
         with self._lock:
             if self._dead:
-                raise LanguageError(f"the server was given up: {self._dead}")
+                raise LanguageError(f"the server was given up on: {self._dead}")
             # before the answer is there its tokens are guessed: four letters each
             letters = sum(len(m["content"]) for m in request.messages)
             if self.counts["requests"] >= s.max_requests:

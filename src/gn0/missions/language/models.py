@@ -124,7 +124,7 @@ class _Recorded:
             raise FormatError("it holds no exchange", file=path, remedy="record some first")
         if (model and model not in models) or (not model and len(models) > 1):
             raise ConfigError(
-                f"recorded were {', '.join(models)}",
+                f"recorded: {', '.join(models)}",
                 where=str(path),
                 remedy="give one of them as `model`",
             )

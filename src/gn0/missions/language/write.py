@@ -47,7 +47,7 @@ def write_texts(
         route: what to describe.
         provider: who writes.
         styles: which styles.
-        seed: of the choice of words.
+        seed: seed of the choice of words.
         held_out: use only the skeletons kept for unseen splits; of no effect on a language model.
     """
     return {style: _write(route, provider, style, seed, held_out) for style in styles}

@@ -238,7 +238,7 @@ def _task(content: Any, scene: str, stem: str, number: int, split: str, file: Pa
             f"{len(t.path.raster_world)} world points and {len(t.path.raster_pixel)} pixels",
             file=file,
             field="path",
-            remedy="one pixel a point",
+            remedy="one pixel per point",
         )
     row = {
         "scene": scene,

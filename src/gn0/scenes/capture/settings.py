@@ -84,7 +84,7 @@ def check_capture_settings(settings: CaptureSettings) -> CaptureSettings:
         raise ConfigError(
             f"least area {settings.least_area:g} is not an area",
             where="--least-area",
-            remedy="give square metres, e.g. 0.2, or 0 to take whatever comes",
+            remedy="give square metres, e.g. 0.2, or 0 to accept any area",
         )
     return settings
 
@@ -110,7 +110,7 @@ def read_up(text: str) -> F64 | None:
             f"{text!r} is not a direction",
             where="--up",
             remedy="use auto, x, -x, y, -y, z, -z or three numbers such as 0,-0.98,0.2 "
-            "(write --up=-y, with '=', for what starts with a minus)",
+            "(write --up=-y, with '=', for values that start with a minus)",
         )
     return np.asarray(up / np.linalg.norm(up))
 

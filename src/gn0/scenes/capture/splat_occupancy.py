@@ -184,7 +184,7 @@ def main_extent(cloud: GaussianCloud) -> tuple[F32, F32]:
     points = cloud.means[solid_enough(cloud)]
     if not len(points):
         raise SceneError(
-            "no splat of the capture is matter: all are faint, huge or not finite",
+            "no splat of the capture is solid: all are faint, huge or not finite",
             remedy="check the scale, or export the splats again",
         )
     low, high = np.quantile(points, (0.01, 0.99), axis=0)

@@ -18,6 +18,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.labels import LabelDrawer
+from gn0.render.cuda.pack import cloud_bytes
 from gn0.render.cuda.renderer import RendererCuda, RendererVisibleCuda
 from gn0.render.cuda.tune import Tuning
 from gn0.render.host import RendererHost
@@ -121,6 +122,11 @@ def test_each_view_shows_the_labels_of_its_own_scene() -> None:
     bare = batch_of(scenes)
     bare.draw(CAMERA, VIEWS, names)
     assert batch.store.used - bare.store.used == codes, "brought there once, and counted"
+    tight = batch_of(scenes, memory=2 * cloud_bytes(300, 0))
+    for _ in range(2):  # not all at once: drawn in turns
+        turns = tight.draw(CAMERA, VIEWS, names, outputs=BOTH)
+        assert numbers_of(turns).tobytes() == numbers_of(there).tobytes()
+    assert tight.store.loads > 3
 
 
 def test_what_moves_brings_labels_of_its_own() -> None:
@@ -159,6 +165,13 @@ def test_what_moves_brings_labels_of_its_own() -> None:
     poses = device.upload(VIEWS)
     found = batch.draw(CAMERA, poses, "scene", parts=there, outputs=BOTH)
     assert numbers_of(found).tobytes() == numbers_of(got).tobytes()
+    drawer = batch.drawer
+    memory, before, drawer.memory = drawer.memory, drawer.batches, 30_000
+    drawer._roomy = False
+    few = batch.draw(CAMERA, VIEWS, "scene", parts=lit, outputs=BOTH)
+    assert drawer.batches - before > 1, "a few views at a time"
+    assert numbers_of(few).tobytes() == numbers_of(got).tobytes()
+    drawer.memory = memory
     for more in ({}, {"parts": parts}):
         with_tail = batch.draw(CAMERA, VIEWS, "scene", extra=tail, outputs=BOTH, **more)
         want = cpu.draw(CAMERA, VIEWS, "scene", extra=tail, outputs=BOTH, **more)

@@ -158,6 +158,28 @@ def test_pictures_are_those_of_the_renderer(serve) -> None:
     assert none.rgb is not None and none.rgb.shape == (0, 36, 48, 3) and none.depth is None
 
 
+@pytest.mark.parametrize("drawn_by", ["cpu", "cuda"])
+def test_labels_go_over_with_those_of_moving_parts(serve, monkeypatch, drawn_by: str) -> None:
+    batch = open_renderer("cpu") if drawn_by == "cpu" else RendererBatch(DeviceHost())
+    label = (np.arange(300) % 9 - 1).astype(np.int32)
+    cloud = replace(random_cloud(1), label=label, categories=np.arange(1, 9, dtype=np.int32))
+    body = replace(random_cloud(2), label=label + 30, categories=np.arange(1, 40, dtype=np.int32))
+    serving = serve(batch)
+    monkeypatch.setattr(serving.server, "_load", lambda source: cloud)
+    shared, alone = serving.renderer(1), RendererCpu(cloud)
+    assert shared.traits.labels
+    for renderer in (shared, alone):
+        renderer.name_cloud("body", body)
+    wanted: Any = ("rgb", "semantic", "instance")
+    for parts in ((), [Instance("body", np.eye(4))]):
+        got = shared.render(CAMERA, views(3), outputs=wanted, parts=parts)
+        want = alone.render(CAMERA, views(3), outputs=wanted, parts=parts)
+        for name in ("semantic", "instance"):
+            mine, theirs = getattr(got, name), getattr(want, name)
+            assert mine.dtype == np.uint32 and (mine == theirs).mean() >= 0.999
+        assert (got.instance > 29).any() == bool(parts)
+
+
 def test_many_ask_at_once_and_get_their_own(serve) -> None:
     serving = serve(BatchWithLimit(), most=64)
     renderers = [serving.renderer(seed % 3) for seed in range(9)]

@@ -22,6 +22,7 @@ FLOORS = {
     "errors": 0, "paper": 0, "geometry": 0, "config": 0, "storage": 0, "seeds": 0,
     "locked_folder": 0, "plugins": 0, "progress": 0, "jit": 0, "kernel_key": 0, "cache": 0,
     "yaml_file": 0, "leftovers": 0, "version": 0, "loopback": 0, "namespace": 0,
+    "remote": 0,
     "gaussians": 1, "maps": 1, "jobs": 1, "device": 1,
     "scenes": 2, "render": 2, "avatars": 2,
     "missions": 3, "sim": 3.5,  # half a floor up: sim knows missions, never the other way

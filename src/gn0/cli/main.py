@@ -46,6 +46,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data repair": ("data_repair", "rebuild what is damaged, byte for byte"),
     "data balance": ("data_balance", "balance the actions of a dataset to the paper's shares"),
     "data dagger": ("data_dagger", "states that a policy visits, labelled by the expert"),
+    "copy": ("copy_folder", "a folder to or from an object store: s3://, gs://, hf://"),
     "export": ("export", "a dataset for VLN-CE, LeRobot, NaVid, StreamVLN, NavDP and others"),
     "export check": ("export_check", "check an export for everything its reader assumes"),
     "list": ("list_names", "policies, presets, sensors, exports, formats: the names to type"),
@@ -99,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = parse_arguments(module, verb, rest)
         with plain_streams():
-            return int(module.run(args) or 0)
+            return _run(module, verb, args)
     except Gn0Error as error:
         print(plain_text(format_error(error), lines=True), file=sys.stderr)
         return 2
@@ -109,6 +110,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output went away
         sys.stderr.close()
         return 141
+
+
+def _run(module: Any, verb: str, args: Any) -> int:
+    """Run a verb; URLs among its arguments are local paths to it."""
+    values = [getattr(args, name) for name in args.__struct_fields__]
+    if "://" not in repr(values):
+        return int(module.run(args) or 0)
+    from gn0.cli.urls import bring_here, publish_made
+
+    args, target = bring_here(verb, args)
+    code = int(module.run(args) or 0)
+    if target and code in (0, 1):
+        publish_made(args, target)
+    return code
 
 
 def _no_verb(argv: list[str]) -> int:

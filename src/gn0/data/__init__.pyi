@@ -24,7 +24,5 @@ from gn0.data.settings import BuildSettings as BuildSettings
 from gn0.data.settings import DaggerSettings as DaggerSettings
 from gn0.data.settings import PictureSettings as PictureSettings
 from gn0.data.settings import TokenSettings as TokenSettings
-from gn0.data.shard import ShardFile as ShardFile
-from gn0.data.shard import ShardName as ShardName
 from gn0.data.verify import VerifyReport as VerifyReport
 from gn0.data.verify import verify_dataset as verify_dataset

@@ -29,6 +29,7 @@ from gn0.geometry import F64
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.missions.episode_files import load_episodes
+from gn0.remote import local_path
 from gn0.sim.collision import move_agent
 from gn0.sim.kinematics import heading_yaw, step_forward
 from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_json
@@ -418,14 +419,14 @@ def load_dataset_file(folder: Path) -> DatasetFile:
 
 
 def open_dataset(path: Path | str) -> Dataset:
-    """Open a dataset folder; tables, scenes and pictures are read when asked for.
+    """Open a dataset folder, or the URL of one; tables and pictures are read when asked for.
 
     Raises:
         StorageError: missing or unreadable.
         FormatError: `dataset.json` is damaged, or of an older or newer layout.
         DataError: the build has not ended.
     """
-    folder = Path(path)
+    folder = local_path(path)
     about = load_dataset_file(folder)
     if about.shard:
         raise DataError(

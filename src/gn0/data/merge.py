@@ -27,6 +27,7 @@ from gn0.data.shard import ShardFile, find_damage, load_shard
 from gn0.errors import DataError
 from gn0.locked_folder import check_room, lock_folder, sweep_folder
 from gn0.progress import Progress, no_progress
+from gn0.remote import local_path
 from gn0.storage import Journal, safe_join, storage_error, write_atomic
 
 _BLOCK = 2**20
@@ -49,7 +50,7 @@ def merge_shards(
     """Join all shards of a dataset; the bytes are those of a build without shards.
 
     Args:
-        shards: their folders, in any order.
+        shards: their folders, or URLs of them, in any order.
         out: the dataset folder; a merge that was interrupted there goes on.
         progress: progress sink.
 
@@ -58,7 +59,8 @@ def merge_shards(
             holds something else.
         StorageError, FormatError: a file cannot be read or written.
     """
-    places = [_Place(Path(folder), load_shard(folder)) for folder in shards]
+    folders = [local_path(folder, progress=progress) for folder in shards]
+    places = [_Place(folder, load_shard(folder)) for folder in folders]
     check_shards(places)
     out = Path(out)
     first = places[0].shard

@@ -37,6 +37,7 @@ from gn0.gaussians.ply_packed import save_ply_packed
 from gn0.gaussians.splat_files import load_cloud
 from gn0.maps.interiorgs_map import load_occupancy, save_occupancy
 from gn0.progress import Progress, no_progress
+from gn0.remote import local_path
 from gn0.scenes.label_file import REACH, encode_labels, load_labels
 from gn0.scenes.scene import Scene, SceneObject, SceneRoom, SceneSourceInfo, name_categories
 from gn0.scenes.structure import encode_structure, load_structure
@@ -162,14 +163,14 @@ def save_scene(
 
 
 def load_scene(path: Path | str) -> Scene:
-    """The scene in a folder that `save_scene` wrote; splats are read on first use.
+    """The scene in a folder that `save_scene` wrote, or its URL; splats are read on first use.
 
     Raises:
         StorageError: the folder or one of its files is missing or unreadable.
         FormatError: a file is damaged, holds unknown keys or contradicts another.
         SceneError: the scene contradicts itself.
     """
-    folder = Path(path)
+    folder = local_path(path)
     about = load_scene_file(folder)
     cloud_path = safe_join(folder, about.cloud)
     structure = load_structure(_need(folder, STRUCTURE_FILE), own=True)

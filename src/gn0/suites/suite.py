@@ -32,6 +32,7 @@ from gn0.missions.episode_files import (
 from gn0.missions.goal import MINIMUM_LENGTH, check_episode_fits, sample_goal_episodes
 from gn0.paper import MAX_STEPS, SUCCESS_RADIUS
 from gn0.progress import Progress, no_progress
+from gn0.remote import local_path
 from gn0.scenes.folder import load_scene
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
@@ -225,7 +226,7 @@ def load_suite_scene(folder: Path, scene_id: str, expected_hash: str) -> Scene:
 
 
 def load_suite(path: Path | str) -> Suite:
-    """Read a suite folder and check that its parts belong together.
+    """Read a suite folder, or the URL of one, and check that its parts belong together.
 
     Raises:
         StorageError: a file is missing, or a path climbs out of the suite.
@@ -234,7 +235,7 @@ def load_suite(path: Path | str) -> Suite:
         EpisodeError: an episode that makes no sense, or a repeated id.
         ConfigError: an unknown camera.
     """
-    folder = Path(path)
+    folder = local_path(path)
     check_contained(folder)
     about_path = safe_join(folder, SUITE_FILE)
     about = load_json(about_path, SuiteFile)

@@ -19,10 +19,10 @@ HEADINGS = ("Args", "Attributes", "Returns", "Yields", "Raises")
 INDEX = [
     "# API reference",
     "",
-    "What GN0 offers to code of yours. Every name has a type and is imported from where it is",
-    "listed; what lies deeper in the package is private, and may move between releases.",
+    "What your code may import from GN0. Every name is typed, and imported from where it is",
+    "listed; anything deeper in the package is private and may move between releases.",
     "",
-    "This reference is drawn from the docstrings by `python docs/draw_api.py`.",
+    "This reference is generated from the docstrings by `python docs/draw_api.py`.",
     "",
     "| import from | what | names |",
     "| --- | --- | --- |",

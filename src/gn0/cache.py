@@ -1,4 +1,4 @@
-"""Cached code is run, so it is taken only from folders that nobody else can write, as ssh does.
+"""Cached code is executed, so it is loaded only from folders that nobody else can write to.
 
 The index of Numba's cache is a pickle, and compiled kernels are machine code: whoever can put a
 file there runs code as us. So such a folder, and each one above it, must belong to us or to the

@@ -1,4 +1,4 @@
-"""Public names of a package: said once, in its stub, and imported on first use."""
+"""Public names of a package: listed once, in its stub, and imported on first use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress, told by any layer and drawn only by the CLI."""
+"""Progress, reported by any layer and drawn only by the CLI."""
 
 from __future__ import annotations
 

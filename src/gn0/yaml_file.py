@@ -1,4 +1,4 @@
-"""The one reader of YAML: plain values only, and bounded whatever a stranger wrote.
+"""The only YAML reader: plain values, within bounds, whatever the file says.
 
 YAML lets a node be named and repeated, so that a few hundred bytes stand for billions of values;
 no file of ours needs that, so anchors and aliases are refused, with nesting, nodes and scalars

@@ -1,4 +1,4 @@
-"""Is run A better than run B, worse, or can nobody tell? Paired, episode by episode.
+"""Is run A better than run B, worse, or too close to tell? Paired, episode by episode.
 
 A difference counts when two things hold: its bootstrap interval leaves out zero, and a sign-flip
 test (Fisher 1935: under equal policies each pair could as well have come out the other way round)

@@ -1,4 +1,4 @@
-"""Which episode a worker of a run is given next, and what becomes of one whose worker is lost."""
+"""Which episode each worker of a run gets next, and what happens to one whose worker is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Executors: where the workers of a run live, and what the runner knows of each.
+"""Executors: where the workers of a run live, and what the runner knows about each.
 
 `process` keeps them on this machine as child processes; `ray` spreads them over a Ray cluster. What
 a worker does, and so every byte of a result, is the same on each of them.

@@ -1,4 +1,4 @@
-"""Who ran: what tells two policies of one name apart.
+"""Who ran: what distinguishes two policies of one name.
 
 A run is of a policy's source and of what the policy, or its server, says it is. Either one changed
 means other scores, so neither may be shown as the other.

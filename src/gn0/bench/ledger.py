@@ -1,4 +1,4 @@
-"""Which episodes of a run have a result: a number each, and the rest stays on the disk.
+"""Which episodes of a run have a result: one number each; everything else stays on disk.
 
 A result, its trace and its times are in the journal before anybody counts them; kept in memory is
 only where. So the parent of a run needs no more for an episode than for the place of its line, and

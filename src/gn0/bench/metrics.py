@@ -1,4 +1,4 @@
-"""Metrics of one episode. `docs/metrics.md` defines each on one page; this module is that page.
+"""Metrics of one episode. `docs/metrics.md` defines them; this module implements that page.
 
 A value that is not finite is never repaired and never averaged: the episode is invalid, and says
 why. Metrics read the trajectory, the episode and a geodesic distance; nothing else.

@@ -1,4 +1,4 @@
-"""Replays: are the numbers of a results folder what this simulator makes of its recorded actions?
+"""Replays: do a run's recorded actions, driven again here, give the numbers in its folder?
 
 The recorded actions are driven through the simulator again, scored again, and compared with
 `results.jsonl` and `trajectories.jsonl` byte for byte. Where something parts, the first episode,

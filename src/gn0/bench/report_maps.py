@@ -1,4 +1,4 @@
-"""Maps of the report as SVG: the scene's BEV and plan once, a path an episode over them.
+"""Maps of the report as SVG: the scene's BEV and plan once, one path per episode over them.
 
 All text here is made of numbers and of our own words; what comes from data is escaped by the
 template that puts these pieces on the page.

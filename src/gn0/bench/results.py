@@ -1,4 +1,4 @@
-"""What a run leaves behind: a line an episode, a summary, and the protocol card.
+"""What a run leaves behind: one line per episode, a summary, and the protocol card.
 
 `results.jsonl`, `trajectories.jsonl` and `summary.json` hold no times and no hosts: they are the
 same bytes for any number of workers, any order and any number of interruptions. What may differ

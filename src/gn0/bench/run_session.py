@@ -1,4 +1,4 @@
-"""One command's part in a run: what it found there, and who the policy says it is."""
+"""One command's part in a run: what it found in the folder, and who the policy says it is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every worker of a run is told, and what of it is kept beside results."""
+"""What every worker of a run is told, and which part of that is kept beside the results."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def run_suite(
         plugin_modules: modules to import first, here and in every worker.
         backend: renderer backend: "auto", "cpu", "cuda" or one with visible sets. With a GPU one
             process draws for all workers of this machine, and the run says on which card.
-        executor: where the workers live, see `gn0.bench.executors`; changes no result.
+        executor: where the workers run, see `gn0.bench.executors`; changes no result.
         ray_address: a Ray cluster to join; by default one of this machine alone is started.
         keep_failed: leave episodes that failed in an earlier run as they are; they are tried
             again otherwise. Episodes that were scored never are.

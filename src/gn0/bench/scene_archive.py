@@ -1,4 +1,4 @@
-"""Scenes as one run of bytes, for machines that do not see the folder.
+"""Scenes packed into one byte string, for machines that do not see the folder.
 
 A parcel is a count, then for each file the lengths of its name and of its content (little-endian
 64-bit), its name relative to the folder, and its content. Nothing in it is executed or followed:

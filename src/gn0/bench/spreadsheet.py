@@ -1,4 +1,4 @@
-"""Results as one CSV table: a line an episode of a run, numbers in full."""
+"""Results as one CSV table: one row per episode of a run, numbers in full precision."""
 
 from __future__ import annotations
 

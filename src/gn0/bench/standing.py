@@ -1,4 +1,4 @@
-"""Which runs may stand in one column: those of one track that keep to it."""
+"""Which runs may be compared in one table: those of one track that keep to it."""
 
 from __future__ import annotations
 

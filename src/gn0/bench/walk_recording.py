@@ -1,4 +1,4 @@
-"""Walks by hand as a run: a person chooses the actions, the benchmark drives and scores them.
+"""Walks by hand as a run: a person chooses the actions, and the benchmark drives and scores them.
 
 What a person did is a list of actions. It is driven from the episode's start and scored by the
 worker that runs any policy, and goes through the same journal into the same files; so the folder is

@@ -1,4 +1,4 @@
-"""What a run and its workers say to each other: one JSON line a message, schema-checked."""
+"""Messages between a run and its workers: one JSON line each, checked against a schema."""
 
 from __future__ import annotations
 

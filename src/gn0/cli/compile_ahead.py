@@ -1,4 +1,4 @@
-"""Compile the kernels that a first run will want next, beside it, on a core that is idle.
+"""Compile the kernels that a first run will need next, beside it, on an idle core.
 
 A fresh machine compiles every kernel once. While one process makes a scene, another can already
 draw a picture and plan an episode of the built-in flat: what it compiles is in the cache when the

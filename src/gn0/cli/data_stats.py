@@ -1,4 +1,4 @@
-"""One page on what a dataset holds: paths, turns, actions, words, goals, scenes, coverage.
+"""One page about what a dataset holds: paths, turns, actions, words, goals, scenes, coverage.
 
 Writes stats.html, which opens from disk and runs no script, and stats.json with the same numbers.
 """

@@ -1,4 +1,4 @@
-"""What `gn0 doctor` finds out about graphics cards: card, driver, compiler, compiled kernels."""
+"""What `gn0 doctor` reports about graphics cards: card, driver, compiler, compiled kernels."""
 
 from __future__ import annotations
 

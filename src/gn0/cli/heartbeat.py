@@ -1,4 +1,4 @@
-"""No step is silent: what is under way is said again while nothing else is, and compiling is said.
+"""No step is silent: a long step is reported again every few seconds, and so is compiling.
 
 Long steps tell nothing of themselves while they compute, and a fresh machine compiles kernels
 inside of whatever needs them first. So a clock beside them speaks where a log would stay silent,

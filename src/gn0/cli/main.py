@@ -1,4 +1,4 @@
-"""The `gn0` command: finds the verb, parses its settings strictly, and speaks plainly of errors.
+"""The `gn0` command: finds the verb, parses its settings strictly, and reports errors plainly.
 
 Nothing heavy is imported before the verb is known, so `gn0 --help` answers at once.
 """

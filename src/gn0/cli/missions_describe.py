@@ -1,4 +1,4 @@
-"""Say the routes of a suite in words: steps, landmarks, the three texts and what the check says.
+"""Describe the routes of a suite: steps, landmarks, the three texts and what the check says.
 
 With `--out` a picture of each: the steps from above beside the views on the way.
 """

@@ -1,4 +1,4 @@
-"""Balance what the samples say: fewer straight steps, more turns, more stops.
+"""Balance the actions of samples: fewer straight steps, more turns, more stops.
 
 Walks are mostly straight, so a model that learns them as they are learns to go straight. The paper
 (appendix, action balancing) trains on 67 % FORWARD, 15 % LEFT, 15 % RIGHT and 3 % STOP. A sample

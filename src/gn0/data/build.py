@@ -87,13 +87,13 @@ def build_dataset(
         out: the dataset folder.
         settings: labels, pictures, parts.
         workers: processes; never changes a byte.
-        executor: where the workers live; never changes a byte.
-        ray_address: of a running Ray cluster; "" starts one of this machine.
-        batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
+        executor: where the workers run; never changes a byte.
+        ray_address: address of a running Ray cluster; "" starts one on this machine.
+        batch: views per call of the GPU's renderer; 0 takes its default; never changes a byte.
         agents: episodes that a policy is driven through side by side; never changes a byte.
         server: a process that draws with that backend, when one is running already.
         progress: progress sink.
-        note: told once what people should hear.
+        note: called with each thing that a person should be told, once.
 
     Raises:
         DataError: `out` holds another dataset or something else, a run is writing there, or the
@@ -138,7 +138,7 @@ def build_shard(
         batch: see `build_dataset`.
         agents: see `build_dataset`.
         progress: progress sink.
-        note: told once what people should hear.
+        note: called with each thing that a person should be told, once.
 
     Raises:
         ConfigError: there is no such shard.

@@ -1,4 +1,4 @@
-"""A dataset of states that a policy visits: built like any other, and summed up."""
+"""A dataset of states that a policy visits: built like any other, and summarised."""
 
 from __future__ import annotations
 

@@ -339,7 +339,7 @@ class Dataset:
         raise DataError(f"no scene {scene_id!r}", where=self.folder, remedy="build it again")
 
     def scene(self, scene_id: str) -> Scene:
-        """A scene, checked to be the very one the samples were made in.
+        """A scene, checked to be the one that the samples were made in.
 
         Raises:
             DataError: there is none of that id.

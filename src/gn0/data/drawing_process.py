@@ -93,7 +93,7 @@ def open_drawing(
         executor: where the workers live: they must be on this machine.
         batch: views a call; 0 takes the server's default.
         server: one that is running already, which goes on afterwards.
-        note: told once what people should hear.
+        note: called with each thing that a person should be told, once.
 
     Raises:
         ConfigError: the workers are on other machines.

@@ -1,4 +1,4 @@
-"""Pictures of a dataset's episodes: from the cache where there is one, else drawn again."""
+"""Pictures of a dataset's episodes: from the cache where there is one, otherwise drawn again."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class Labels:
 def plan_expert(
     navigation: NavigationMap, episode: Episode, settings: LabelSettings = EXACT
 ) -> tuple[F64, I8]:
-    """The walk of the expert through an episode: the very actions of the policy `oracle`.
+    """The expert's walk through an episode: the same actions as the policy `oracle`.
 
     Returns:
         (poses float64 [T+1, 3] x, y [m], yaw [rad], before each action and after the last;

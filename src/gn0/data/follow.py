@@ -1,4 +1,4 @@
-"""Labels for a goal that moves: where a follower should be at a time, and how it gets there.
+"""Labels for a moving goal: where a follower should be at a given time, and how it gets there.
 
 The desired state at time t is a place on the person's own trail, `distance` behind the person along
 it, facing the person. A trail is walkable by nature, which a fixed offset behind somebody who

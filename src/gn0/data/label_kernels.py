@@ -1,4 +1,4 @@
-"""Kernels of labels: the way ahead of many states at once, and the tracking search of `mpc`."""
+"""Kernels of labels: the path ahead of many states at once, and the tracking search of `mpc`."""
 
 from __future__ import annotations
 

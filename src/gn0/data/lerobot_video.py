@@ -1,4 +1,4 @@
-"""Videos of LeRobot datasets: encoded a walk at a time, joined without encoding again.
+"""Videos of LeRobot datasets: encoded one walk at a time, joined without encoding again.
 
 Two missions of one path share a walk's clip; a picture that stands still, the map from above or the
 goal, is encoded once and shown to all who see it.

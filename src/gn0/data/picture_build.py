@@ -1,4 +1,4 @@
-"""Makes the cache of pictures, or makes it again: poses and scenes in, the same bytes out."""
+"""Builds or rebuilds the cache of pictures: poses and scenes in, the same bytes out."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ def render_dataset(
         path: the dataset folder.
         settings: of the cache; by default what the dataset was built with.
         workers: processes; never changes a byte.
-        executor: where the workers live; never changes a byte.
-        ray_address: of a running Ray cluster; "" starts one of this machine.
-        batch: views a call of the GPU's renderer; 0 takes its default; never changes a byte.
+        executor: where the workers run; never changes a byte.
+        ray_address: address of a running Ray cluster; "" starts one on this machine.
+        batch: views per call of the GPU's renderer; 0 takes its default; never changes a byte.
         progress: progress sink.
-        note: told once what people should hear.
+        note: called with each thing that a person should be told, once.
 
     Raises:
         DataError: another cache of that layout is there, a picture is drawn otherwise than its

@@ -1,4 +1,4 @@
-"""Makes what is damaged in a dataset again, and nothing else.
+"""Rebuilds what is damaged in a dataset, and nothing else.
 
 Labels come from the episodes, pictures from poses and scenes; both are made by the same code as in
 the beginning, and must have the same digest. Episodes and scenes themselves come from the suite.

@@ -1,4 +1,4 @@
-"""The pictures of a sample, drawn from a pose: the very ones that the simulator shows.
+"""The pictures of a sample, drawn from a pose: the same ones that the simulator shows.
 
 A step has one new rendering, the view. The history mosaic is made of earlier views, the BEV is
 rendered once a scene and light, and the occupancy picture is the map with two dots.

@@ -1,4 +1,4 @@
-"""A sample sheet: a few steps of an episode as a person can judge them, labels drawn in."""
+"""A sample sheet: a few steps of an episode for a person to judge, with labels drawn in."""
 
 from __future__ import annotations
 

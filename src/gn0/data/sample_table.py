@@ -1,4 +1,4 @@
-"""The sample table: a row a step, read strictly. This, with the scenes, is the dataset.
+"""The sample table: one row per step, read strictly. With the scenes, it is the dataset.
 
 A row holds where the agent stood, what it did, what it should do next, and the hashes of the
 pictures it saw; the pictures themselves can be made again from it (see `gn0.data.sample_pictures`).

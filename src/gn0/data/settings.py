@@ -1,4 +1,4 @@
-"""Settings of a dataset: all that decides its bytes beside the episodes and the scenes."""
+"""Settings of a dataset: everything that decides its bytes besides the episodes and scenes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class PictureSettings(Config, frozen=True):
     Attributes:
         layout: of the cache: tar shards (webdataset), Parquet and MP4 (lerobot), or none, which
             leaves poses and labels without the hashes of pictures.
-        format: of single pictures: jpg, or png for the very pixels.
+        format: of single pictures: jpg, or png, which is lossless.
         quality: of jpg, 1 to 100.
         maps: the BEV and the occupancy picture in every sample ("every"), or once a scene and
             light beside the shards or videos, the two dots drawn on reading ("once").
@@ -36,7 +36,7 @@ class PictureSettings(Config, frozen=True):
         visible_sets: draw from the splats that show near each place: quicker, and nearly the same
             pictures (at least 60 dB). Off, the pictures are exactly the simulator's.
         depth: store depth pictures as well, and hash them; unset in files where it is off.
-        depth_as: how a shard keeps depth: png (a third of the size; read it as 16 bits), npy
+        depth_as: how a shard keeps depth: png (a quarter of the size; read it as 16 bits), npy
             (right in every reader), or both; unset means png. LeRobot has a way of its own.
         backend: the renderer that draws, where it is not the CPU's: its pictures differ by
             rounding, so their hashes do, and they can only be made again by the same.
@@ -73,7 +73,7 @@ class PictureSettings(Config, frozen=True):
 
 
 class TokenSettings(Config, frozen=True):
-    """What map tokens count over.
+    """What map tokens refer to.
 
     Attributes:
         frame: the whole map picture (global), or a square around the agent (ego).
@@ -151,9 +151,9 @@ class BuildSettings(Config, frozen=True):
     """What `gn0 data build` was asked for.
 
     Attributes:
-        tokens: what map tokens count over.
+        tokens: what map tokens refer to.
         labels: how the next actions and the way ahead are found.
-        chunk: episodes a part: what one worker does at a time, and what one shard holds.
+        chunk: episodes per part: what one worker takes at a time, and what one shard holds.
         pictures: see `PictureSettings`.
         dagger: how a policy drives; None for the expert's own walks.
     """

@@ -1,4 +1,4 @@
-"""Looks at every byte of a dataset again, and names what is damaged.
+"""Reads every byte of a dataset again, and names what is damaged.
 
 Files are compared with the digests that were noted when they were written. What differs is then
 read, to say which rows are meant.
@@ -115,12 +115,12 @@ def verify_dataset(
     Args:
         path: the dataset folder.
         pixels: also draw every picture again, and compare it with the hash in its row.
-        workers: readers (threads), and processes that draw; 0 takes a core each.
-        executor: where the processes that draw live.
-        batch: views a call of the GPU's renderer; 0 takes its default.
+        workers: readers (threads), and processes that draw; 0 means one per core.
+        executor: where the processes that draw run.
+        batch: views per call of the GPU's renderer; 0 takes its default.
         server: a process that draws with the dataset's backend, when one is running already.
         progress: progress sink.
-        note: told once what people should hear.
+        note: called with each thing that a person should be told, once.
 
     Raises:
         StorageError, FormatError, DataError: `dataset.json` itself is missing or damaged, the

@@ -1,4 +1,4 @@
-"""The way ahead of a state: points at equal arcs along the shortest drivable path to a goal.
+"""The path ahead of a state: points at equal arc lengths along the shortest drivable path.
 
 Of one geodesic field every way is a chain of the same bends, so the bends are moved off their
 obstacles once a field, and what is left a state is a walk down the chain: the path that

@@ -1,4 +1,4 @@
-"""The card of a WebDataset cache: README.md, with the YAML head that Hugging Face reads.
+"""The card of a WebDataset cache: README.md, with the YAML header that Hugging Face reads.
 
 The head names the shards of each split and the type of every field, so that
 `datasets.load_dataset(FOLDER, streaming=True)` need not guess from the first samples.

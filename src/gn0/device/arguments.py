@@ -1,4 +1,4 @@
-"""What a kernel may be given: prototypes read from its source, and checks before a launch.
+"""What a kernel may be passed: prototypes read from its source, and checks before a launch.
 
 The same for a GPU and for the host emulation, so that a launch that passes here passes there.
 """

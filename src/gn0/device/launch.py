@@ -1,4 +1,4 @@
-"""Kernels of a card: their parameters packed and checked with as little Python as will do."""
+"""Kernels of a card: parameters packed and checked with as little Python as possible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host arrays in pinned memory, and how to know one."""
+"""Host arrays in pinned memory, and how to recognise one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A trial of a card: whether what we rely on happens on this one; for `gn0 doctor`."""
+"""A trial of a card: whether it does what we rely on; for `gn0 doctor`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Datasets in the formats that others train and measure with."""
+"""Datasets in the formats that others train and evaluate with."""
 
 from gn0.namespace import open_namespace
 

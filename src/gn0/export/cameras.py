@@ -1,4 +1,4 @@
-"""Matrices of cameras in the frames of other people's formats.
+"""Camera matrices in the frames of third-party formats.
 
 Ours: world z up, cameras in OpenCV axes (x right, y down, z forward). Poses are x, y [m], yaw [rad]
 of the agent on the floor; a camera stands `height` above it and looks up by `pitch`.

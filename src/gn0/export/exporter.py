@@ -1,4 +1,4 @@
-"""The protocol of a dataset exporter, its settings, and the registry's door.
+"""The protocol of a dataset exporter, its settings, and how to find one by name.
 
 An exporter writes one trip at a time and then what belongs to the whole; `gn0.export.export_run`
 drives it, keeps the journal, and can go on after a crash.

@@ -1,4 +1,4 @@
-"""LeRobot v3.0: episodes put together in larger tables and videos.
+"""LeRobot v3.0: episodes joined into larger tables and videos.
 
 Features, names, frames a second and codec are those of the data cache, `gn0.data.lerobot_schema`:
 `data/chunk-000/file-000.parquet` holds the frames of many episodes, `videos/<key>/…` their pictures

@@ -1,4 +1,4 @@
-"""LeRobot v3.0, reading: the layout, what its own loader takes for granted, and the way back.
+"""LeRobot v3.0, reading: the layout, what its own loader takes for granted, and reading it back.
 
 Reads what `gn0.data.lerobot_schema` names, and what versions before it wrote: one camera, fewer
 columns.

@@ -1,4 +1,4 @@
-"""Whose episode is whose: ids that a peer's format has no place for, kept in a file beside it."""
+"""Which episode is which: ids that a third-party format cannot hold, kept in a file beside it."""
 
 from __future__ import annotations
 

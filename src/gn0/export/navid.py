@@ -1,4 +1,4 @@
-"""NaVid and Uni-NaVid: conversations about the video of all that was seen so far.
+"""NaVid and Uni-NaVid: conversations about the video of everything seen so far.
 
 NaVid answers with one action and its amount, Uni-NaVid with the next four words out of forward,
 left, right and stop. Both turn by 30° and step by 0.25 m: NaVid's agent does `int(degrees / 30)`

@@ -1,4 +1,4 @@
-"""NaVILA: question, answer, and the pictures seen so far, one entry a decision.
+"""NaVILA: question, answer, and the pictures seen so far, one entry per decision.
 
 Answers are in the words its evaluator looks for: "is move forward 25|50|75 cm", "is turn left|right
 15|30|45 degree…", or "stop"; equal moves are put together up to three.

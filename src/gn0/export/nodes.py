@@ -1,4 +1,4 @@
-"""Ways as R2R has them: a few nodes, each seen from the one before, instead of a point a step."""
+"""Paths as in R2R: a few nodes, each in sight of the previous one, not one point per step."""
 
 from __future__ import annotations
 

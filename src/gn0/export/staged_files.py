@@ -1,4 +1,4 @@
-"""Files of one episode: put down quickly, made safe together.
+"""Files of one episode: written quickly, made durable together.
 
 A file that the journal does not name yet may be lost to a power cut, it is written again then. So
 pictures are renamed into place at once and synced when their episode is whole: one wait for the

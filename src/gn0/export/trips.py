@@ -1,4 +1,4 @@
-"""What an exporter is given: episodes that were walked, with poses, moves, labels and pictures.
+"""What an exporter gets: walked episodes, with poses, moves, labels and pictures.
 
 A trip is plain values. Where it comes from is `gn0.export.dataset_source`'s business; tests and
 plug-ins make their own.

@@ -1,1 +1,1 @@
-"""Splats and every file format of theirs, read safely."""
+"""Splats and all their file formats, read safely."""

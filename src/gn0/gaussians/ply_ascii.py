@@ -1,4 +1,4 @@
-"""Ascii PLY rows: one line a row, read in blocks, every value exact."""
+"""ASCII PLY rows: one line per row, read in blocks, every value exact."""
 
 from __future__ import annotations
 

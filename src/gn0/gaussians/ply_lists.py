@@ -1,4 +1,4 @@
-"""Where binary PLY rows with lists end: they must be walked, since each tells its own length."""
+"""Where binary PLY rows with lists end: they must be walked, since each has its own length."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rotations as packed formats keep them: three components, and which one was left out."""
+"""Rotations as packed formats store them: three components, and which one was left out."""
 
 from __future__ import annotations
 

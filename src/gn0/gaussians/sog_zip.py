@@ -1,4 +1,4 @@
-"""The zip of a SOG bundle, read with every size checked before it is believed.
+"""The zip of a SOG bundle, with every size checked before it is trusted.
 
 Only what SOG bundles use is known: stored and deflated entries, sizes in the central directory.
 Python's own zipfile would do, but it builds its objects before any limit can be put on them and

@@ -1,4 +1,4 @@
-"""A cloud turned, scaled and shifted as one: positions, axes, sizes, view-dependent colours."""
+"""A cloud rotated, scaled and shifted: positions, axes, sizes, view-dependent colours."""
 
 from __future__ import annotations
 

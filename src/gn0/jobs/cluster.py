@@ -1,4 +1,4 @@
-"""Ray, where it is installed: a cluster of this machine, or one that is running."""
+"""Ray, if it is installed: a cluster on this machine, or one that is already running."""
 
 from __future__ import annotations
 

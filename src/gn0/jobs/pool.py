@@ -1,4 +1,4 @@
-"""A pool of workers that are sent messages and say some, wherever they live; and its one loop."""
+"""A pool of workers that exchange messages with their parent, wherever they live; its one loop."""
 
 from __future__ import annotations
 

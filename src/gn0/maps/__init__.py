@@ -1,4 +1,4 @@
-"""Occupancy grids, planning and the exact action planner; knows no scene."""
+"""Occupancy grids, planning and the exact action planner; does not know scenes."""
 
 from gn0.namespace import open_namespace
 

@@ -1,4 +1,4 @@
-"""How true the disc of the map is to the disc of the body.
+"""How closely the disc on the map matches the disc of the body.
 
 Inflation measures between centres of cells (`gn0.maps.inflate`), while a body may stand anywhere in
 a free cell and an obstacle fills its cell to the corners. So the rim of a body may reach into a

@@ -1,4 +1,4 @@
-"""Goals of several places: wherever one may stop, the nearest counts."""
+"""Goals with several places: the nearest one counts."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from gn0.render.light import LightCondition
 
 
 class GoalPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the picture of a goal is taken: kept instead of the picture, which it makes again.
+    """How a goal picture is taken: stored in place of the picture, which is drawn from it.
 
     Attributes:
         kind: "view", what the agent would see on arrival; "crop", the target alone, cut out.

@@ -1,4 +1,4 @@
-"""Episodes on disk: Parquet, one row an episode, read strictly.
+"""Episodes on disk: Parquet, one row per episode, read strictly.
 
 GN-Matrix's columns come first by their exact names, in GN-Matrix's own frame and PNG pixels; our
 columns follow in the 3DGS world frame and are the ones read back. A file of GN-Matrix alone is read

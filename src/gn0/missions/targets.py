@@ -1,4 +1,4 @@
-"""Semantic targets: what can be a goal, where one stands to be there, and what to call it."""
+"""Semantic targets: what can be a goal, where one stands on arrival, and what to call it."""
 
 from __future__ import annotations
 

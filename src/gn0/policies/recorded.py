@@ -1,4 +1,4 @@
-"""What a run recorded, walked once more: a demonstration, by hand or by a policy."""
+"""What a run recorded, walked again: a demonstration, by hand or by a policy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simple policies: yardsticks that any learned policy must beat, each told as little as it says."""
+"""Simple policies: baselines that any learned policy must beat."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cameras: intrinsics only; a view matrix says where one stands."""
+"""Cameras: intrinsics only; a view matrix says where the camera is."""
 
 from __future__ import annotations
 

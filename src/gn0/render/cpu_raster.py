@@ -1,4 +1,4 @@
-"""Blending, a 16x16 tile at a time: each tile is one independent piece of work.
+"""Blending, one 16x16 tile at a time: each tile is an independent piece of work.
 
 A tile sorts its list, then takes it in batches: gather the records (independent loads, so memory
 latencies overlap), find the rows that the splat's ellipse reaches inside the tile, and blend those

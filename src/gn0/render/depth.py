@@ -1,4 +1,4 @@
-"""Depth as pictures keep it: whole millimetres in 16 bits, 0 where nothing is seen.
+"""Depth as stored in pictures: whole millimetres in 16 bits, 0 where nothing is seen.
 
 A pixel of a renderer's depth [m] becomes the nearest millimetre, halves to the even one, and at
 least 1 and at most 65,535; +inf (alpha < 0.5) and NaN become 0. The arithmetic is float32, so a

@@ -1,4 +1,4 @@
-"""Files of pictures, made where they are drawn: what is wished for, and what came of it."""
+"""Files of pictures, made where they are drawn: what was requested, and what was made."""
 
 from __future__ import annotations
 

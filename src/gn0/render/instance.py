@@ -30,7 +30,7 @@ _TOLERANCE = 1e-4  # how far a pose's rotation may be from orthonormal, as for a
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """A cloud that stands somewhere for the time of a picture.
+    """A named cloud at a pose, for the duration of a picture.
 
     The arrays are copied, and checked by `check_parts`.
 

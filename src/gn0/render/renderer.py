@@ -1,4 +1,4 @@
-"""The renderer protocol: many scenes by name, many views a call, and what a renderer can do.
+"""The renderer protocol: many scenes by key, many views per call, and what a renderer can do.
 
 `Renderer` draws scenes that were added to it; `DrawnScene` is one of them. What a renderer can do
 is a value, `Traits`. Opening one by name is the business of `gn0.render.open`.
@@ -164,7 +164,7 @@ class Traits:
 
 
 class SceneRenderer(Protocol):
-    """Draws one scene: what a plug-in's factory gives."""
+    """Draws one scene: what a plug-in's factory returns."""
 
     @property
     def name(self) -> str:
@@ -339,7 +339,7 @@ class Renderer(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DrawnScene:
-    """A renderer and which of its scenes: what draws for agents that stay in one.
+    """A renderer and one of its scenes: what draws for agents that stay in that scene.
 
     Attributes:
         renderer: draws.

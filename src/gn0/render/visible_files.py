@@ -1,4 +1,4 @@
-"""Visible sets on disk: one small file a cell, checked when read, bounded in number of bytes.
+"""Visible sets on disk: one small file per cell, checked when read, with a limit on bytes.
 
 A damaged file is found again by looking; a cache that cannot be written costs a warning.
 """

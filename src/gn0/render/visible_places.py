@@ -1,4 +1,4 @@
-"""Visible sets: where eyes are put to find them, with which settings, under which key.
+"""Visible sets: from which positions they are computed, with which settings, under which key.
 
 The same for every backend, so that a set means the same thing everywhere.
 """

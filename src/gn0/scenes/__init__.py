@@ -1,4 +1,4 @@
-"""Scenes and splats: loaded, generated, made of a capture, saved in one folder."""
+"""Scenes and splats: loaded, generated, made from a capture, saved in one folder."""
 
 from gn0.namespace import open_namespace
 

@@ -1,4 +1,4 @@
-"""Make the scenes of a corpus, side by side, going on where an earlier run stopped."""
+"""Make the scenes of a corpus in parallel, going on where an earlier run stopped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""InteriorGS scene folders as scenes. The data set is gated: bring your own copy.
+"""InteriorGS scene folders as scenes. The dataset is gated: bring your own copy.
 
 Frame: metres, floor at z = 0, the splats' own axes. The occupancy picture's orientation is
 `maps.interiorgs`' business; labels, rooms and splats share one frame and are taken as they are.

@@ -1,4 +1,4 @@
-"""How far discs may reach: a splat that leaves its surface shows through the next wall."""
+"""How far discs may reach: a splat that leaves its surface would show through the next wall."""
 
 from __future__ import annotations
 

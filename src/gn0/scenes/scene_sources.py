@@ -1,4 +1,4 @@
-"""From somebody's files to a scene folder: the source is told by its content."""
+"""From third-party files to a scene folder: the source is recognised by its content."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from gn0.storage import check_replaceable
 
 
 class ImportSettings(Config, frozen=True):
-    """What an importer is told.
+    """Settings of an import.
 
     Attributes:
         height_band: (low, high) [m] above the floor: what blocks the agent.
         resolution: cell size of the occupancy grid [m].
         density: Gaussians per square metre of floor, for meshes.
-        seed: of whatever is drawn by chance.
+        seed: seed of everything random.
         scene_id: id of the scene; the source's own name when empty.
         light: "home" bakes lamps and daylight, "flat" shows the textures as they are.
         strict: refuse a world of meshes with defects instead of mending them or leaving them out.
@@ -125,7 +125,7 @@ def import_scene(
         height_band: (low, high) [m] above the floor: what blocks the agent.
         resolution: cell size of the occupancy grid [m].
         density: Gaussians per square metre of floor, for meshes.
-        seed: of whatever is drawn by chance.
+        seed: seed of everything random.
         light: "home" bakes lamps and daylight, "flat" shows the textures as they are.
         strict: refuse a world of meshes with any defect; by default defects are repaired or what
             they touch is left out.

@@ -1,4 +1,4 @@
-"""What is wrong with a world from outside, and what was done about it: told in one list."""
+"""What is wrong with an imported world, and what was done about it, in one list."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Addresses in worlds from outside, looked up inside the world's folder only.
+"""Addresses in imported worlds, looked up only inside the world's folder.
 
 Gazebo finds files through search paths of the machine that the world was made on: `model://`,
 `package://`, `file://` with a stranger's home folder, addresses of the internet, paths relative to

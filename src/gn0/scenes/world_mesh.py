@@ -1,4 +1,4 @@
-"""The meshes of an SDF world, placed: one mesh to look at, one to bump into."""
+"""The meshes of an SDF world, placed: one mesh to see, one to collide with."""
 
 from __future__ import annotations
 

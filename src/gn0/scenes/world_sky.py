@@ -1,4 +1,4 @@
-"""What one sees through the openings of an imported world: sky and far trees, not nothing.
+"""What is seen through the openings of an imported world: sky and distant trees.
 
 A world's walls may have holes where its windows are, its doors may stand open to no garden. Rays
 from inside tell where one looks into nothing; there, on a box around the building, hangs a painted

@@ -1,4 +1,4 @@
-"""Parts of a world that cannot be meant: far from everything else, or absurdly large.
+"""Parts of a world that must be mistakes: far from everything else, or absurdly large.
 
 One stray triangle hundreds of kilometres away stretches the bounds of a scene until no map fits.
 """

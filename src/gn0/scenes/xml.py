@@ -1,4 +1,4 @@
-"""XML from strangers: no document types, no entities, bounded size, depth and element count."""
+"""Untrusted XML: no document types, no entities, bounded size, depth and element count."""
 
 from __future__ import annotations
 

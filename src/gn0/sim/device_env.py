@@ -339,7 +339,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self.simulator.catch_up()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Let go of scenes, renderer and device memory."""
+        """Release scenes, renderer and device memory."""
         self._seen, self._eyes, self._begun = {}, None, False
         del self.simulator, self._now, self._last, self._told, self._layout
 

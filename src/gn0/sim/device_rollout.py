@@ -48,7 +48,7 @@ class RolloutDevice:
 
 
 class RolloutCollector:
-    """Lets a policy act and keeps what it needs to learn from.
+    """Lets a policy act, and keeps what it learns from.
 
     Args:
         env: acts; it must be reset before the first `collect`.

@@ -201,7 +201,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         return self._picture.copy()
 
     def close(self) -> None:
-        """Let go of scenes and renderers."""
+        """Release scenes and renderers."""
         self._simulators.clear()
         self._simulator = None
         self._picture = None
@@ -209,7 +209,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
 
     @property
     def simulator(self) -> Simulator:
-        """The simulator of the episode in progress: a privileged door for experts.
+        """The simulator of the episode in progress: privileged access for experts.
 
         Raises:
             EpisodeError: before the first reset.

@@ -1,4 +1,4 @@
-"""What eyes draw: with which camera, which of a renderer's outputs, and what becomes of them.
+"""What is drawn for sensors: with which camera, which outputs, and what is done with them.
 
 One agent, many, agents on a device and the pictures of samples follow the same plan, so that what
 is decided here is decided for all: colour has a camera of its own, everything else that of depth;

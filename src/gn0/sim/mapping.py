@@ -1,4 +1,4 @@
-"""The map that an agent makes for itself: occupancy and BEV of what its own depth has seen.
+"""The map that an agent makes itself: occupancy and BEV of what its own depth camera has seen.
 
 Both pictures share the frame and scale of the prior ones (see `MapFrame`), so a policy reads them
 alike; what has not been seen is unknown in the one and grey in the other. Frame and scale are all

@@ -37,7 +37,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is seen beside the scene in its light.
+    """What is seen besides the scene itself: a time, and where parts are then.
 
     Attributes:
         time: since the episode began [s].

@@ -76,7 +76,7 @@ class MoveNoise(Config, frozen=True):
 
 
 class ActuationNoise(Config, frozen=True):
-    """What a body's wheels add to commands.
+    """The noise that a body's wheels add to commands.
 
     Attributes:
         forward, turn: to FORWARD, and to LEFT and RIGHT.
@@ -93,7 +93,7 @@ class ActuationNoise(Config, frozen=True):
 
 
 class PoseNoise(Config, frozen=True):
-    """What odometry is off by.
+    """The errors of odometry.
 
     Attributes:
         place: sigma of x and y at each step [m].
@@ -134,7 +134,7 @@ class Noise(Config, frozen=True):
 
     @property
     def moves(self) -> bool:
-        """Whether commands are not done as they are given."""
+        """Whether moves are noisy."""
         return self.actuation is not None and self.actuation.multiplier > 0
 
     def wrap(self, sensor: Sensor, depth_range: tuple[float, float]) -> Sensor:

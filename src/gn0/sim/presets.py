@@ -1,4 +1,4 @@
-"""Camera presets by name: what the well-known benchmarks put on their robots.
+"""Camera presets by name: the cameras of well-known benchmarks' robots.
 
 A preset says which pictures a policy gets and how far an action goes. It never changes physics:
 motion is always clipped by the paper's Eq. collision, also where the original harness slides. The
@@ -21,7 +21,7 @@ WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
 
 class CameraPreset(Config, frozen=True):
-    """The eyes and the body of an agent.
+    """The cameras and the body of an agent.
 
     Attributes:
         name: name in results and on the command line.

@@ -94,7 +94,7 @@ class Standpoint:
         return self._suite.ranges(self.pose)
 
     def random(self, name: str) -> np.random.Generator:
-        """Chance that belongs to episode, step and name alone."""
+        """A random stream of this episode, step and name."""
         return random_stream(self.episode.seed, "sensor", name, self.episode.id, self.steps)
 
     def random_walk(self, name: str) -> np.random.Generator:

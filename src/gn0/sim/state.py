@@ -1,4 +1,4 @@
-"""Actions, observations and results: the words between simulator and policy."""
+"""Actions, observations and results: what simulator and policy exchange."""
 
 from __future__ import annotations
 

@@ -297,7 +297,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         return self.batch
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Let go of scenes and renderers."""
+        """Release scenes and renderers."""
         del self.batch
         self._pictures = None
         self._begun = False

@@ -1,4 +1,4 @@
-"""Paths of earlier runs, which are not to come again: from generations, or from any suite."""
+"""Paths of earlier runs, which must not be repeated: from generations, or from any suite."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def import_set(
         path: the set.
         scenes: scene folders, or folders of scene folders; matched by scene id.
         out: the suite folder.
-        format: exporter name; found by looking when empty.
+        format: exporter name; detected from the content when empty.
         frame: placement by name; empty means the documented one. Never chosen automatically.
         camera: preset; empty means the format's own.
         profile: see `SuiteFile`.

@@ -129,7 +129,7 @@ def generate_missions(
         against: earlier generations (or suites) whose paths are not to come again.
         language_options: for the language provider.
         workers: processes; never changes a byte.
-        executor: where the workers live; never changes a byte.
+        executor: where the workers run; never changes a byte.
         ray_address: of a running Ray cluster.
         overwrite: replace an earlier generation that was another one.
         progress: progress sink.

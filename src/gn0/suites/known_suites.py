@@ -1,4 +1,4 @@
-"""Where the suites are that this person has run: a run's record is not asked for the way.
+"""Where this user's suites are, so that a run's own record need not be trusted for it.
 
 A results folder may be a stranger's. The path that it names is shown and never opened; what is
 opened was named on this machine before, by a command line, and is found again by its hash.

@@ -1,4 +1,4 @@
-"""Profiles of a suite, and by name what `gn0-release` does otherwise than `default`.
+"""Profiles of a suite, and how `gn0-release` differs from `default`, item by item.
 
 `default` is what this package stands for; `paper` reports the straight distance as NE;
 `gn0-release` reproduces the official harness beside it; `vlnce` gives each VLN-CE set the body of

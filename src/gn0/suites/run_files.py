@@ -1,4 +1,4 @@
-"""What the files of a run's folder are called, for all who read one."""
+"""Names of the files in a run's folder, for everything that reads one."""
 
 from __future__ import annotations
 

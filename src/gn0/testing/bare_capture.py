@@ -1,4 +1,4 @@
-"""A scene as a stranger's scan: bare splats in one file, in a frame that says nothing.
+"""A scene as somebody's scan: bare splats in one file, in an arbitrary frame.
 
 What a phone and a trainer leave: no labels, no light, no map, an origin somewhere in the middle, up
 along some axis and a little off it, lengths in units of their own. The pages on captures are

@@ -1,4 +1,4 @@
-"""The judge of all renderers: float64, one pixel at a time, over all splats.
+"""The reference for all renderers: float64, one pixel at a time, over all splats.
 
 It shares no code with any backend and follows the textbook, not the fast forms: covariance
 R S Sᵀ Rᵀ, EWA projection J W Σ Wᵀ Jᵀ, its plain inverse, exact exp, harmonics from Legendre
@@ -31,7 +31,7 @@ from gn0.render.renderer import (
 
 
 class RendererReference:
-    """Slow and right: the `Renderer` protocol in float64, for clouds whole in view."""
+    """Slow and exact: the `Renderer` protocol in float64, for clouds entirely in view."""
 
     name = "reference"
 

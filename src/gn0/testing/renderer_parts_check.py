@@ -1,4 +1,4 @@
-"""Whether a renderer draws moving parts as it would draw the parts' splats, moved.
+"""Whether a renderer draws moving parts as it would draw their moved splats.
 
 from gn0.testing.renderer_parts_check import check_renderer_parts
 check_renderer_parts(RendererCpu)

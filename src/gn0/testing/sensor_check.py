@@ -1,4 +1,4 @@
-"""Whether a sensor keeps its word: run one of your own against it.
+"""Whether a sensor keeps the protocol: run one of your own against it.
 
 from gn0.testing import check_sensor
 check_sensor(SENSOR)

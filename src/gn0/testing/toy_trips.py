@@ -187,7 +187,7 @@ def build_toy_source(trips: Sequence[Trip], grids: dict[str, OccupancyGrid]) -> 
 
 @cache
 def toy_source(count: int = 3, seed: int = 0, longest: int = 0, turn: float = 15.0) -> ExportSource:
-    """The same source for all who ask; nothing in it changes."""
+    """A small dataset of walks in floor plans; the same for the same arguments."""
     return build_toy_source(*build_toy_trips(count, seed, longest=longest, turn=turn))
 
 

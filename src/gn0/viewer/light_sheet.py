@@ -1,4 +1,4 @@
-"""One picture of a scene in many lights: the same views and map, a row a condition."""
+"""One picture of a scene in many lights: the same views and map, one row per condition."""
 
 from __future__ import annotations
 

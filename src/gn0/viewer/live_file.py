@@ -1,4 +1,4 @@
-"""The live view of a bare splat file: look round, no body, for nothing says where the floor is."""
+"""The live view of a bare splat file: look round, without a body, as no floor is known."""
 
 from __future__ import annotations
 

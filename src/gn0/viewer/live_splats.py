@@ -1,4 +1,4 @@
-"""Fewer splats for a browser: what carries the picture stays, the rest is merged with its like.
+"""Fewer splats for a browser: those that carry the picture stay, similar ones are merged.
 
 The cloud is cut by an octree. A cell is cut further while what it would lose by being one splat is
 large: its share of the visible area times how much its colours and its surface differ, plus a

@@ -1,4 +1,4 @@
-"""Words of ours and of others on viser's page.
+"""Texts on viser's page, ours and others'.
 
 viser's Markdown passes raw HTML through, and scene files are written by strangers. So whatever
 does not come from this package goes through `plain` before it meets Markdown.

@@ -1,4 +1,4 @@
-"""Where to stand to show a scene: roomy places that look at furnished ones."""
+"""Where to stand to show a scene: open spots with a view of furnished ones."""
 
 from __future__ import annotations
 

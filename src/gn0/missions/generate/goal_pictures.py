@@ -1,4 +1,4 @@
-"""How the picture of a goal is taken: on arrival, or of the target alone from where it shows well.
+"""How a goal picture is taken: on arrival, or of the target alone from where it is seen well.
 
 Only the record is made here; whoever wants the picture renders it.
 """

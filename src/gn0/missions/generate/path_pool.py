@@ -1,4 +1,4 @@
-"""The path pool: accepted paths on disk, of which all missions are made."""
+"""The path pool: accepted paths on disk, from which all missions are made."""
 
 from __future__ import annotations
 

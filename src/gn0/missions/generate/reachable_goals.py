@@ -1,4 +1,4 @@
-"""Algorithm 1: what one can be sent to in a scene, and what cannot be, with the reason.
+"""Algorithm 1: which goals of a scene can be reached, and why the others cannot.
 
 Objects come from labels, rooms from floor polygons. A scene where neither gives a goal has places:
 cells spread over its walkable ground, which can only be told by their picture.

@@ -1,4 +1,4 @@
-"""All of Algorithms 1 to 3 in one scene: its paths, and the count of what fell on the way."""
+"""All of Algorithms 1 to 3 in one scene: its paths, and counts of what was rejected."""
 
 from __future__ import annotations
 

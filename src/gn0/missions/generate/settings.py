@@ -1,4 +1,4 @@
-"""What missions are generated, and by which measures."""
+"""Which missions are generated, and with which numbers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class MissionSettings(Config, frozen=True):
     """Counts and measures of one generation (paper, Alg. 1 to 3).
 
     Attributes:
-        per_scene: paths to accept in a scene.
+        per_scene: paths to accept per scene.
         missions: what is made of each path.
         styles: in which styles a path is told as a route instruction, an episode each.
         goals: what one is sent to: objects, rooms, both; or categories, of which any object will do

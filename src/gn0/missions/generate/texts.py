@@ -1,4 +1,4 @@
-"""The texts of a scene's paths, by a language provider; what it cannot tell is counted."""
+"""The texts of a scene's paths, by a language provider; what it cannot describe is counted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A path put into steps: turns and straights, the rooms they go through, what one sees there."""
+"""A path as steps: turns and straights, the rooms they go through, what one sees there."""
 
 from __future__ import annotations
 

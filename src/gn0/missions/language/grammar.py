@@ -1,4 +1,4 @@
-"""The grammar: phrases with slots, by what they say. A fixed fifth of each kind is held out.
+"""The grammar: phrases with slots, by meaning. A fixed fifth of each kind is held out.
 
 Slots: {side} where a turn goes; {lm} a landmark with its article, {on} the side it is passed on;
 {room} a room entered, {left} a room left, {mid} one gone through; {n} a distance; {target} the

@@ -1,4 +1,4 @@
-"""Landmarks of a route: what one sees on a segment, and which of it one would name."""
+"""Landmarks of a route: what one sees on a segment, and what of it one would name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every text is held against its route before it is accepted."""
+"""Every text is checked against its route before it is accepted."""
 
 from __future__ import annotations
 

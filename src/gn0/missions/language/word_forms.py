@@ -1,4 +1,4 @@
-"""Words: names of things, their articles and plurals, and which of them are no landmarks."""
+"""Words: names of things, their articles and plurals, and which are unsuitable as landmarks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Texts for a route: asked for, checked, and written by grammar where the check fails."""
+"""Texts for a route: requested, checked, and written by the grammar where the check fails."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def write_texts_many(
 
 
 def fallback_kind(fallback: str) -> str:
-    """What sort of failure a `fallback` tells of, for counting; "" for none.
+    """What kind of failure a `fallback` reports, for counting; "" for none.
 
     One of turns, landmark, target, side, distance, form (the check), answer (not as asked),
     timeout, busy, server, server given up, budget, not recorded.

@@ -1,1 +1,1 @@
-"""Episode sets in other people's formats: read, checked, placed in scenes, and written again."""
+"""Episode sets in third-party formats: read, checked, placed in scenes, and written again."""

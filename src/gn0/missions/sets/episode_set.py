@@ -1,4 +1,4 @@
-"""A set of episodes as a foreign file tells it: the tasks we understand, and everything else.
+"""A set of episodes as a third-party file has it: the tasks we understand, and all the rest.
 
 `tasks` is the common reading of every format, in the floor plane of the file. `native` is the file
 itself, decoded and untouched: writing a set gives back what was read, the fields nobody here knows
@@ -162,7 +162,7 @@ class Exporter(Protocol):
     def build(
         self, episodes: Sequence[Episode], grids: Mapping[str, OccupancyGrid], name: str
     ) -> EpisodeSet:
-        """A set of this format from episodes of ours, given the raw grid of each scene."""
+        """A set of this format from our episodes, given the raw grid of each scene."""
         ...
 
     def take(self, native: Any, rows: Sequence[int]) -> Any:
@@ -189,7 +189,7 @@ def load_set(path: Path | str, format: str = "") -> EpisodeSet:
 
     Args:
         path: a file or folder.
-        format: exporter name; found by looking when empty.
+        format: exporter name; detected from the content when empty.
 
     Raises:
         StorageError, FormatError: missing, damaged, or of no known format.

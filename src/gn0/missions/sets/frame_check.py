@@ -1,4 +1,4 @@
-"""Whether a set lies right in a scene's map: the share of its points on free ground, in words.
+"""Whether a set fits a scene's map: the share of its points on free ground, in words.
 
 A wrong frame is the usual fault: a mirrored map, a half turn, a shift left out. Each such reading
 is tried beside the documented one, and a better one is named together with the option that asks

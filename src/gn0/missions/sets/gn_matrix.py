@@ -1,4 +1,4 @@
-"""GN-Matrix as Parquet: one row a trajectory, its columns by their exact names.
+"""GN-Matrix as Parquet: one row per trajectory, with its exact column names.
 
 The agent receives `grounded_instruction`. Positions are in the nav frame, the heading is
 `start_facing_heading_degrees`. Columns that GN-Matrix does not have are kept as they are.

@@ -1,4 +1,4 @@
-"""GN-Matrix's older layout: `<scene>/<digits>.json`, one file a trajectory.
+"""GN-Matrix's older layout: `<scene>/<digits>.json`, one file per trajectory.
 
 A JSON file beside the scene folders may list trajectories as {"easy": {scene: {id: {}}}, …}; with
 one, only those belong to the set, and their group becomes the split.

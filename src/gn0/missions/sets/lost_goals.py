@@ -1,4 +1,4 @@
-"""What a foreign file cannot say of our goals, and so what its harness counts otherwise."""
+"""What a third-party file cannot say of our goals, and so what its harness counts differently."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The extension: what the released protocol has no room for, under one key and with a version.
+"""The extension: what the released protocol has no room for, under one key, with a version.
 
 A server that wants more than pictures and words says so in the frame it sends on connect:
 `{"gn0": {"version": 1, "name": "mine", "wants": ["rgb", "depth"]}}`. Requests to it then hold a map

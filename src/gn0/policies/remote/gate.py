@@ -1,4 +1,4 @@
-"""Who may wait for a policy: a queue with an end, so that nobody waits without bound.
+"""Who may wait for a policy: a bounded queue, so that no client waits forever.
 
 A server asks one policy at a time. Who finds the queue full, or the memory for questions used up,
 is told at once when to come again; those inside wait no longer than the queue is long. The times

@@ -75,9 +75,9 @@ class PolicyServer:
     Each connection has a policy of its own, and one is asked at a time, so a model that all of them
     share needs no lock. Any exception of the policy goes back to the client as an error text.
 
-    A few questions wait (`queue`); who comes beyond is told at once when to come again: at the
-    door by HTTP 503 with Retry-After, inside by the extension's `{"status": "busy",
-    "retry_after": s}`, and a client that does not know the extension by close code 1013.
+    A few questions may wait (`queue`). Any further client is told at once when to come back: a
+    new one by HTTP 503 with Retry-After, a connected one by the extension's `{"status": "busy",
+    "retry_after": s}`, or by close code 1013 if it does not know the extension.
 
     Args:
         build: builds a policy or `Answerer`; called once here and once a connection.
@@ -254,7 +254,7 @@ class PolicyServer:
         self._server.serve_forever()
 
     def close(self) -> None:
-        """Stop listening and hang up on everybody."""
+        """Stop listening and close all connections."""
         self._server.shutdown()
         for connection in list(self._open):
             with contextlib.suppress(Exception):

@@ -1,4 +1,4 @@
-"""The wire format: msgpack with arrays, read as if by an enemy.
+"""The wire format: msgpack with arrays, read as if written by an attacker.
 
 A message is msgpack and nothing else: no magic and no length come before the map's type byte. An
 array is a map with the byte-string keys `__ndarray__`, `data`, `dtype` (NumPy's type string) and

@@ -1,4 +1,4 @@
-"""Brings pictures from the device into the areas of those who asked, while the next are drawn."""
+"""Copies pictures from the device to the processes that asked, while the next are drawn."""
 
 from __future__ import annotations
 

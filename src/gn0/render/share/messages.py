@@ -1,4 +1,4 @@
-"""What those who want pictures and the process that draws them say to each other.
+"""Messages between the drawing process and those who ask it for pictures.
 
 A message is four bytes of length (little endian) and MessagePack, checked against its type. It
 goes over a Unix socket; pictures go through areas of shared memory that the asking side makes and

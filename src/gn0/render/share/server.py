@@ -1,4 +1,4 @@
-"""The process that owns the device and draws for all others of this machine.
+"""The process that owns the device and draws for all others on this machine.
 
 Started as `python -m gn0.render.share.server` by `gn0.render.share.client.DrawServer`. Requests of
 all connections wait in one queue; as many as fit are drawn in one call, views of one scene side by

@@ -1,4 +1,4 @@
-"""Which way is up in a capture: candidates, what speaks for each, and how sure one can be.
+"""Which way is up in a capture: candidates, the evidence for each, and how sure one can be.
 
 Buildings and grounds leave three traces that need no colour and no scale:
 

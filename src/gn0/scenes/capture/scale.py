@@ -1,4 +1,4 @@
-"""How many metres a unit of a capture's file is: given, measured, or voted for."""
+"""How many metres one unit of a capture's file is: given, measured, or voted for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Noisy surfaces made thin again: every disc moves along its normal onto its neighbours' plane.
+"""Noisy surfaces thinned: every disc moves along its normal onto its neighbours' plane.
 
 Only the map is drawn from the moved discs. A wall whose points stray by a few millimetres would
 otherwise close the whole row of cells before it.

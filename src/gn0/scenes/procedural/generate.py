@@ -24,9 +24,9 @@ class GenerateSettings(Config, frozen=True):
 
     Attributes:
         kind: of building, one of `kinds.KINDS`.
-        seed: of everything that is drawn by chance.
+        seed: seed of everything random.
         size: of the kind's three; `KINDS[kind].areas` says how many m² of floor.
-        style: taste of the furnishing; drawn from the seed when None.
+        style: style of the furnishing; drawn from the seed when None.
         density: Gaussians per square metre of floor; the kind's own when None.
         light: "normal", or "draft" for a bake that takes a third of the time.
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).

@@ -1,4 +1,4 @@
-"""What a sensor is: one value that says all that any engine needs to know of it.
+"""What a sensor is: one value that says everything any engine needs to know about it.
 
     SENSOR = Sensor(
         name="nearest",
@@ -127,7 +127,7 @@ def picture_space(width: int, height: int) -> Space:
 
 
 class Here(Protocol):
-    """One agent where it stands now: what a sensor may look at."""
+    """One agent at its current pose: what a sensor may use."""
 
     @property
     def pose(self) -> Pose2D:
@@ -184,16 +184,16 @@ class Here(Protocol):
         ...
 
     def random(self, name: str) -> np.random.Generator:
-        """Chance that belongs to episode, step and name alone."""
+        """A random stream of this episode, step and name."""
         ...
 
     def random_walk(self, name: str) -> np.random.Generator:
-        """Chance of episode and name, the same again at each step: for what adds up."""
+        """A random stream of this episode and name, the same at each step: for what accumulates."""
         ...
 
 
 class Agents(Protocol):
-    """Many agents where they stand now: what is read of all at once."""
+    """Many agents at their current poses: what is read for all at once."""
 
     def poses(self) -> F64:
         """[K, 3] x, y [m], yaw [rad]."""
@@ -209,7 +209,7 @@ class Agents(Protocol):
 
 
 class AgentsDevice(Protocol):
-    """Agents on a device, where they stand now or where they stood last; all arrays lie there."""
+    """Agents on a device, at their current or their last poses; all arrays are there."""
 
     def output(self, name: str) -> DeviceArray:
         """What the last step wrote [N, …]: pose, goal_vector, collided; see `device_layout`."""
@@ -238,7 +238,7 @@ class AgentsDevice(Protocol):
 
 @dataclass(frozen=True)
 class Wire:
-    """How a sensor goes over the wire; an array as it is, unless said otherwise.
+    """How a sensor goes over the wire; by default as an array, unchanged.
 
     Attributes:
         once: sent when it is another object, not with every question.
@@ -255,7 +255,7 @@ class Wire:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sensor:
-    """A sensor, by all that the engines need to know.
+    """A sensor: everything that the engines need to know about it.
 
     Attributes:
         name: in `sensors=`, in observations, spaces and on the wire.

@@ -38,6 +38,11 @@ TRANSLATED = {
     r"\btold off\b|\bis told of\b|\btells of it\b": 'write "refused", "reported"',
     r"\b[Ww]ho wants to\b|\bfor who\b": 'write "anyone who"',
     r"\bin the mean\b": 'write "on average"',
+    r"\bthe very (?!end\b)": 'write "the same"',
+    r"\bheld against\b": 'write "compared with", "checked against"',
+    r"\btold by (?:its|their) (?:content|name)\b|\bfound by looking\b": 'write "detected from"',
+    r"\b(?:a|one) (?:line|row|file|picture|sample|worker|process|pixel) an? "
+    r"(?:step|scene|episode|core|cell|map cell|trajectory)\b": 'write "one … per …"',
     r"\bby itself alone\b|\bnot so much\b|\bfor ever\b": "write plainly",
 }
 

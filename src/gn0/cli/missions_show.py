@@ -33,7 +33,7 @@ class Args(Config, frozen=True):
     Attributes:
         path: a suite folder, a scene folder (the fifty goal episodes sampled in it), or an episode
             set in another format.
-        episode: id of an episode; by default all of them, a picture a scene.
+        episode: id of an episode; by default all of them, one picture per scene.
         out: the PNG to write, or a folder for several; by default beside the suite.
         no_rooms: leave out the outlines of rooms.
         coverage: show how many paths pass through each spot, instead of the paths.

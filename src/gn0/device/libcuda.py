@@ -100,7 +100,7 @@ _REMEDIES = {
     304: "the system refused the driver: see its log (dmesg) for NVRM, and the limits of memory",
     701: "the kernel needs more registers or shared memory than a block has: use smaller blocks",
     702: "the system ended a kernel that took too long (a card that also drives a display)",
-    802: "the machine's fabric manager is not ready: wait, or ask whoever runs it",
+    802: "the machine's fabric manager is not ready: wait, or ask its administrator",
     803: "the driver's library and its kernel module differ in version: restart the machine",
     804: "the driver is too old for this card and library: update it",
     805: "CUDA's multi-process service does not answer: start it, or unset CUDA_MPS_PIPE_DIRECTORY",

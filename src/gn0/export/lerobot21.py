@@ -241,7 +241,7 @@ def check_meta(folder: Path, faults: Faults) -> list[EpisodeLine]:
         stats = load_lines(folder / "meta/episodes_stats.jsonl", dict[str, Any])
         faults.expect(
             [s.get("episode_index") for s in stats] == [e.episode_index for e in lines],
-            f"{folder}/meta/episodes_stats.jsonl: not one line an episode",
+            f"{folder}/meta/episodes_stats.jsonl: not one line per episode",
         )
         first = 0
         for line in lines:

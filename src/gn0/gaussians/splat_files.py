@@ -55,7 +55,7 @@ class CloudFormat:
 def load_cloud(
     path: Path | str, *, level: int | None = None, limit_bytes: int | None = None
 ) -> CloudFile:
-    """Read a splat file of any format we know, told by its content and not by its name.
+    """Read a splat file of any format we know, detected from its content, not from its name.
 
     Args:
         path: the file, or the folder of an unbundled or streamed SOG.

@@ -134,7 +134,7 @@ def relight_cloud(cloud: GaussianCloud, condition: LightCondition) -> GaussianCl
     0.5·(k − 1)/C0 and k times every other coefficient: exact at every SH degree up to clipping,
     for display values that are a power of linear light.
 
-    A neutral condition gives the very same cloud back.
+    A neutral condition returns the same cloud.
     """
     if condition.is_neutral or not len(cloud):
         return cloud

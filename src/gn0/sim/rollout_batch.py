@@ -211,8 +211,8 @@ def run_episodes(
 ) -> list[Trajectory]:
     """Let a batch policy act until every episode has ended; trajectories in the order given.
 
-    Agent i is slot i of the policy; whoever is done takes the next episode. Each trajectory is
-    the one that `run_episode` makes of that episode alone. Afterwards the environment must be
+    Agent i is slot i of the policy; an agent that is done takes the next episode. Each trajectory
+    is the one that `run_episode` makes of that episode alone. Afterwards the environment must be
     reset.
 
     Raises:

@@ -186,8 +186,8 @@ def open_server(
     module = need_viser()
     if not is_loopback(host) and not allow_remote:
         raise ConfigError(
-            f"{host} can be reached from other machines; the page is not encrypted, and whoever "
-            "has its address sees the scene and moves the agent",
+            f"{host} can be reached from other machines; the page is not encrypted, and anyone "
+            "with its address sees the scene and moves the agent",
             where="--host",
             remedy="stay on 127.0.0.1 and forward the port (ssh -L), or add --allow-remote",
         )

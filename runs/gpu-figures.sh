@@ -25,7 +25,7 @@ mkdir -p "$OUT/log" "$OUT/done"
 OUT=$(cd "$OUT" && pwd)
 if [ -n "${KEEP:-}" ]; then mkdir -p "$KEEP"; KEEP=$(cd "$KEEP" && pwd); fi
 PYTHON=${PYTHON:-python3}
-ALL=(check start rival small large scenes accuracy suite visible memory sim moving parts data apartment house others sanitizers stages sweep)
+ALL=(check start rival small large scenes accuracy suite visible memory sim moving parts labels data apartment house others sanitizers stages sweep)
 LIBRARY=$OUT/gsplat_cuda.so
 export GN0_CACHE=${GN0_CACHE:-$OUT/cache}
 export TORCH_EXTENSIONS_DIR=${TORCH_EXTENSIONS_DIR:-$OUT/torch_extensions}

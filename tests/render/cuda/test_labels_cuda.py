@@ -92,7 +92,7 @@ def test_neither_sizes_nor_room_for_labels_can_show(monkeypatch) -> None:
     want = RendererCpu(cloud).render(CAMERA, views, outputs=BOTH)
     small = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2)
     split = Tuning(threads=256, blocks=4, split=128)
-    for codes, tuning, memory in ((4, small, None), (2, split, None), (8, None, 60_000)):
+    for codes, tuning, memory in ((8, small, None), (4, split, None), (6, None, 60_000)):
         monkeypatch.setattr(LabelDrawer, "codes", codes)
         monkeypatch.setattr(
             "gn0.render.cuda.batch.share_drawer",
@@ -238,7 +238,7 @@ def test_a_scene_without_labels_says_so() -> None:
 def test_no_thread_reads_what_another_may_be_writing(monkeypatch) -> None:
     small = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2)
     monkeypatch.setattr("gn0.render.cuda.batch.share_drawer", lambda device: Drawer(device, small))
-    monkeypatch.setattr(LabelDrawer, "codes", 2)  # some tiles take turns
+    monkeypatch.setattr(LabelDrawer, "codes", 4)  # some tiles take turns
     cloud = labelled(300, 6)
     batch = RendererBatch(DeviceHost(seed=2, checked=True))
     batch.add("scene", lambda: cloud)

@@ -21,7 +21,7 @@ _LABEL_FILES = (
     *("view.cuh", "project.cuh", "list.cuh", "code.cuh"),  # codes instead of colours
     *("group.cuh", "reach.cuh", "part.cuh", "walk.cuh", "labels.cuh"),
 )
-CODES = 4  # that a pixel has room for at a time; never changes a byte
+CODES = 8  # that a pixel has room for at a time, even; never changes a byte
 
 
 def kernel_source(tuning: Tuning, *, parts: bool = False) -> KernelSource:

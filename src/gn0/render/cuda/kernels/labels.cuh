@@ -1,16 +1,16 @@
 // Labels of pictures: for each pixel the code whose splats weigh most. A block a (view, tile), as those
 // that paint, from the same lists; see `gn0.render.cuda.labels`.
 //
-// A pixel has room for ROOM codes. A new one takes the place of one that can no longer win. Where all
-// can, the tile is done again in two turns, four, eight, ...: in each only codes count whose mixed
+// A pixel has room for ROOM codes. A new one takes the place of one that can no longer win. A pixel
+// where all can is done again in two turns, four, eight, ...: in each only codes count whose mixed
 // bits fall to that turn. All splats of a code are summed in one turn, in order: turns cannot show.
 
-#define SURE 1e-5f  // more than sums of weights are rounded by
+#define SURE 1e-5f       // more than sums of weights are rounded by
+#define HALF (ROOM / 2)  // of the places are used in turns; the others hold `first` of these
 
-struct Codes {  // of a tile's pixels: by place, then thread
+struct Codes {  // of a tile's pixels: by place, then thread; those met first come first
   u32 code[ROOM][TILE * TILE];
-  float sum[ROOM][TILE * TILE];    // of weights
-  float first[ROOM][TILE * TILE];  // what came through to the first splat: the nearer, the more
+  float sum[ROOM][TILE * TILE];  // of weights; `first`: what came through to the first splat
 };
 
 // Codes in another order: one to one, neighbours far apart.
@@ -30,21 +30,29 @@ struct Labels {  // of a lane's pixels
   u32 used[PIXELS];                   // places
   u32 shown[PIXELS];                  // of the turns before, with its sum
   float best[PIXELS], met[PIXELS];
-  bool over;
+  bool wanted[PIXELS], over[PIXELS];  // in these turns; done again in twice as many
 
-  __device__ __forceinline__ void begin(int2 at, int width, int height) {
-    over = false;
+  // The first turn.
+  __device__ __forceinline__ void start(int2 at, int width, int height) {
+    turns = 1, turn = 0;
 #pragma unroll
     for (int i = 0; i < PIXELS; i++) {
-      through[i] = at.x + i < width && at.y < height ? 1.f : 0.f;
+      wanted[i] = at.x + i < width && at.y < height, over[i] = false;
+      shown[i] = 0, best[i] = met[i] = 0.f;
+    }
+  }
+
+  __device__ __forceinline__ void begin() {
+#pragma unroll
+    for (int i = 0; i < PIXELS; i++) {
+      through[i] = wanted[i] && !over[i] ? 1.f : 0.f;
       place[i] = NOWHERE, code[i] = used[i] = 0, sum[i] = others[i] = 0.f;
-      if (turn == 0) shown[i] = 0, best[i] = met[i] = 0.f;
     }
   }
 
   // Goes on to the sum of another code.
   __device__ __forceinline__ void change(int i, u32 next) {
-    u32 p = threadIdx.x + i * BLENDERS, found = NOWHERE, least = 0;
+    u32 p = threadIdx.x + i * BLENDERS, found = NOWHERE, least = 0, most = turns == 1 ? ROOM : HALF;
     if (place[i] != NOWHERE) codes->sum[place[i]][p] = sum[i];
     float low = INFINITY, high = 0.f;
     for (u32 k = 0; k < used[i]; k++) {
@@ -53,10 +61,18 @@ struct Labels {  // of a lane's pixels
       if (one < low) low = one, least = k;
       high = fmaxf(high, one);
     }
+    if (found == NOWHERE && used[i] == most) {  // one gives way, those behind it move up
+      over[i] = over[i] || !(low + through[i] + SURE < high);
+      for (u32 k = least + 1; k < most; k++) {
+        codes->code[k - 1][p] = codes->code[k][p], codes->sum[k - 1][p] = codes->sum[k][p];
+        if (turns > 1) codes->sum[HALF + k - 1][p] = codes->sum[HALF + k][p];
+      }
+      used[i]--;
+    }
     if (found == NOWHERE) {
-      if (used[i] < ROOM) found = used[i]++;
-      else found = least, over = over || !(low + through[i] + SURE < high);
-      codes->code[found][p] = next, codes->sum[found][p] = 0.f, codes->first[found][p] = through[i];
+      found = used[i]++;
+      codes->code[found][p] = next, codes->sum[found][p] = 0.f;
+      if (turns > 1) codes->sum[HALF + found][p] = through[i];
     }
     float other = 0.f;
     for (u32 k = 0; k < used[i]; k++)
@@ -71,9 +87,11 @@ struct Labels {  // of a lane's pixels
     if (keep && weight > 0.f && (turns == 1 || (mix_code(next) & (turns - 1)) == turn)) {
       if (next != code[i] || place[i] == NOWHERE) change(i, next);
       sum[i] += weight;
-      if (turns == 1 && sum[i] > others[i] + after + SURE) keep = false;  // it has won
+      bool won = turns == 1 && sum[i] > others[i] + after + SURE;
+      bool lost = fmaxf(sum[i], others[i]) + after + SURE < best[i];
+      keep = !won && !lost && !over[i];
     }
-    through[i] = keep && !over ? after : 0.f;
+    through[i] = keep ? after : 0.f;
   }
   __device__ __forceinline__ void splat(const TileRoom &, u32) {}
   __device__ __forceinline__ bool open() const {
@@ -88,13 +106,24 @@ struct Labels {  // of a lane's pixels
 #pragma unroll
     for (int i = 0; i < PIXELS; i++) {
       u32 p = threadIdx.x + i * BLENDERS;
-      if (place[i] != NOWHERE) codes->sum[place[i]][p] = sum[i];
+      if (place[i] == NOWHERE || over[i]) continue;
+      codes->sum[place[i]][p] = sum[i];
       for (u32 k = 0; k < used[i]; k++) {
-        float total = codes->sum[k][p], first = codes->first[k][p];
+        float total = codes->sum[k][p], first = turns == 1 ? 0.f : codes->sum[HALF + k][p];
         bool wins = total > best[i] || (total == best[i] && first > met[i]);
         best[i] = wins ? total : best[i], met[i] = wins ? first : met[i];
         shown[i] = wins ? codes->code[k][p] : shown[i];
       }
+    }
+  }
+
+  // Twice as many turns, for pixels that had no room.
+  __device__ __forceinline__ void go_on() {
+    turns *= 2, turn = 0;
+#pragma unroll
+    for (int i = 0; i < PIXELS; i++) {
+      wanted[i] = over[i], over[i] = false;
+      if (wanted[i]) shown[i] = 0, best[i] = met[i] = 0.f;
     }
   }
 };
@@ -106,15 +135,21 @@ __device__ __forceinline__ void label(TileRoom &t, Codes &codes, const View *__r
                                       int width, int height, u32 flags, u32 *semantic, u32 *instance,
                                       Moving moving) {
   Labels p;
-  p.codes = &codes, p.turns = 1, p.turn = 0;
-  while (p.turn < p.turns) {
-    p.begin(find_first(c), width, height);
+  p.codes = &codes;
+  p.start(find_first(c), width, height);
+  while (true) {
+    p.begin();
     walk_tile(t, p, views, clouds, starts, counts, entries, capacity, room, aside, c, flags, moving);
-    bool over = __syncthreads_or(p.over);  // behind which all have left the walk
+    __syncthreads();  // all have left the walk
     c = t.corner;
-    if (!over) p.settle();
-    p.turns = over ? 2 * p.turns : p.turns, p.turn = over ? 0 : p.turn + 1;
-    __syncthreads();
+    p.settle();
+    bool over = false;
+#pragma unroll
+    for (int i = 0; i < PIXELS; i++) over = over || p.over[i];
+    over = __syncthreads_or(over);
+    if (++p.turn < p.turns) continue;
+    if (!over) break;
+    p.go_on();
   }
   int2 at = find_first(c);
   u64 row = (u64)views[c.view].row * height;

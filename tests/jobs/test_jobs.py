@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import gn0
-from gn0.errors import ConfigError, FormatError, JobError
+from gn0.errors import BenchError, ConfigError, FormatError, JobError
 from gn0.jobs import run_jobs
 from gn0.jobs.process import WorkerProcess
 from gn0.jobs.run import TRIES
@@ -54,6 +54,9 @@ def tell(payload, progress):
     for done in range(4):
         progress("writing", done, 3)
     return {"n": payload["n"]}
+
+def see_cards(payload):
+    return {"cards": os.environ.get("CUDA_VISIBLE_DEVICES", "")}
 
 def stumble(payload):
     return {}["nothing"]
@@ -170,6 +173,34 @@ def test_ray_gives_up_what_hangs_and_tells_of_steps(
         with pytest.raises(JobError, match=r"unit 1 hung, 2 times"):
             run("hang", 2, workers=2, executor="ray", limit=8.0)
     assert steps[-1] == ("writing", 3, 3)
+
+
+@pytest.mark.slow
+def test_ray_gives_each_worker_cards_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Ray counts the cards that it is told of; here are none that could be used."""
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install -e '.[scale]'")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{SOURCE}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # as below
+        warnings.simplefilter("ignore", DeprecationWarning)
+        ray.init(num_cpus=2, num_gpus=2, include_dashboard=False, log_to_driver=False)
+        try:
+            found = run("see_cards", 2, workers=2, executor="ray", gpus=1)
+            with pytest.raises(BenchError, match=r"2 workers of 2 GPUs each, but .* has 2 GPUs"):
+                run("see_cards", 2, workers=2, executor="ray", gpus=2)
+        finally:
+            ray.shutdown()
+    assert sorted(answer["cards"] for answer in found.values()) == ["0", "1"]
+
+
+def test_gpus_that_nobody_can_set_aside_are_refused() -> None:
+    with pytest.raises(ConfigError, match="only Ray sets GPUs aside"):
+        run("square", gpus=1)
+    for gpus in (-1, float("nan"), 1.5):
+        with pytest.raises(ConfigError, match="GPUs a worker"):
+            run("square", executor="ray", gpus=gpus)
 
 
 @pytest.mark.slow

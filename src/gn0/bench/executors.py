@@ -55,7 +55,12 @@ EpisodePool = Pool[EpisodeSeat, FromWorker]
 
 
 def open_pool(
-    executor: ExecutorName, settings: Open, workers: int, *, ray_address: str = ""
+    executor: ExecutorName,
+    settings: Open,
+    workers: int,
+    *,
+    ray_address: str = "",
+    gpus: float = 0,
 ) -> EpisodePool:
     """Workers that run episodes, none started yet.
 
@@ -63,7 +68,7 @@ def open_pool(
         ConfigError: unknown executor.
         BenchError: `ray` is not installed, or its cluster does not serve.
     """
-    hosts = open_hosts(executor, MODULE, workers, code=CODE, ray_address=ray_address)
+    hosts = open_hosts(executor, MODULE, workers, code=CODE, ray_address=ray_address, gpus=gpus)
     return pool_of(hosts, settings, workers)
 
 

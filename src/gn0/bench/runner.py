@@ -63,6 +63,7 @@ def run_suite(
     backend: str = "auto",
     executor: ExecutorName = "process",
     ray_address: str = "",
+    gpus: float = 0,
     keep_failed: bool = False,
     name: str = "",
     isolate: bool = False,
@@ -87,6 +88,7 @@ def run_suite(
             process draws for all workers of this machine, and the run says on which card.
         executor: where the workers run, see `gn0.bench.executors`; changes no result.
         ray_address: a Ray cluster to join; by default one of this machine alone is started.
+        gpus: cards that Ray sets aside for each worker; changes no result.
         keep_failed: leave episodes that failed in an earlier run as they are; they are tried
             again otherwise. Episodes that were scored never are.
         name: what tables, reports and comparisons call the run; by default what the policy calls
@@ -162,7 +164,9 @@ def run_suite(
                 with open_run_drawing(backend, executor) as server:
                     address, card = ("", "") if server is None else (server.address, server.card)
                     told = msgspec.structs.replace(settings, drawing=address)
-                    with open_pool(executor, told, workers, ray_address=ray_address) as pool:
+                    with open_pool(
+                        executor, told, workers, ray_address=ray_address, gpus=gpus
+                    ) as pool:
                         run.begin_session(workers, executor, card, agents)
                         progress("episodes", run.ledger.done, len(episodes))
                         drive(pool, EpisodeCrew(run, Schedule(run.left, shuffle_seed)))

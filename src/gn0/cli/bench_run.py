@@ -44,6 +44,7 @@ class Args(Config, frozen=True):
             asked once a step, and pictures are drawn in one call; never changes a result.
         executor: where the workers run: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
+        gpus: GPUs that Ray sets aside for each worker: 1, or a part of one that several share.
         map_mode: what the maps shown to the policy hold: the whole scene (prior), what the agent
             has seen (explored), or nothing (none). By default what the suite says; part of the
             run's identity.
@@ -77,6 +78,7 @@ class Args(Config, frozen=True):
     agents: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
+    gpus: Annotated[float, msgspec.Meta(ge=0, le=64)] = 0.0
     map_mode: Literal["prior", "explored", "none"] | None = None
     track: str = ""
     isolate: bool = False
@@ -123,6 +125,7 @@ def run(args: Args) -> int:
             progress=progress,
             executor=args.executor,
             ray_address=args.ray_address,
+            gpus=args.gpus,
             keep_failed=args.keep_failed,
             name=args.name,
             isolate=args.isolate,

@@ -54,6 +54,8 @@ class Args(Config, frozen=True):
             per core if a GPU draws.
         executor: where the workers run: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
+        gpus: GPUs that Ray sets aside for each worker, which then draws for itself: 1, or a part of
+            one that several share, e.g. 0.25.
         shard: i/n builds the i-th of n shards, on a machine of its own; `gn0 data merge` joins
             them into the same dataset that is built without it. Empty builds all.
         fresh: forget what an earlier command left in the output folder, instead of going on.
@@ -76,6 +78,7 @@ class Args(Config, frozen=True):
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
+    gpus: Annotated[float, msgspec.Meta(ge=0, le=64)] = 0.0
     shard: str = ""
     fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
@@ -123,6 +126,7 @@ def run(args: Args) -> int:
             "workers": count_workers(args.workers, pictures),
             "executor": args.executor,
             "ray_address": args.ray_address,
+            "gpus": args.gpus,
             "batch": args.batch,
             "progress": progress,
             "note": say_aside,

@@ -74,6 +74,7 @@ def build_dataset(
     workers: int = 1,
     executor: ExecutorName = "process",
     ray_address: str = "",
+    gpus: float = 0,
     batch: int = 0,
     agents: int = 1,
     server: DrawServer | None = None,
@@ -89,6 +90,7 @@ def build_dataset(
         workers: processes; never changes a byte.
         executor: where the workers run; never changes a byte.
         ray_address: address of a running Ray cluster; "" starts one on this machine.
+        gpus: cards that Ray sets aside for each worker, which then draws for itself.
         batch: views per call of the GPU's renderer; 0 takes its default; never changes a byte.
         agents: episodes that a policy is driven through side by side; never changes a byte.
         server: a process that draws with that backend, when one is running already.
@@ -103,8 +105,8 @@ def build_dataset(
     """
     _build(
         _load(episodes), Path(out), settings or BuildSettings(), None, workers=workers,
-        executor=executor, ray_address=ray_address, batch=batch, agents=agents, server=server,
-        progress=progress, note=note,
+        executor=executor, ray_address=ray_address, gpus=gpus, batch=batch, agents=agents,
+        server=server, progress=progress, note=note,
     )  # fmt: skip
     return open_dataset(out)
 
@@ -118,6 +120,7 @@ def build_shard(
     workers: int = 1,
     executor: ExecutorName = "process",
     ray_address: str = "",
+    gpus: float = 0,
     batch: int = 0,
     agents: int = 1,
     progress: Progress = no_progress,
@@ -135,6 +138,7 @@ def build_shard(
         workers: see `build_dataset`.
         executor: see `build_dataset`.
         ray_address: see `build_dataset`.
+        gpus: see `build_dataset`.
         batch: see `build_dataset`.
         agents: see `build_dataset`.
         progress: progress sink.
@@ -147,8 +151,8 @@ def build_shard(
     name = ShardName.parse(shard) if isinstance(shard, str) else shard
     _build(
         _load(episodes), Path(out), settings or BuildSettings(), name, workers=workers,
-        executor=executor, ray_address=ray_address, batch=batch, agents=agents, server=None,
-        progress=progress, note=note,
+        executor=executor, ray_address=ray_address, gpus=gpus, batch=batch, agents=agents,
+        server=None, progress=progress, note=note,
     )  # fmt: skip
     return load_shard(out)
 
@@ -166,6 +170,7 @@ def _build(
     workers: int,
     executor: ExecutorName,
     ray_address: str,
+    gpus: float,
     batch: int,
     agents: int,
     server: DrawServer | None,
@@ -191,7 +196,7 @@ def _build(
             return
         pictures = about.settings.pictures  # a device that is not here is said before any work
         with open_drawing(
-            pictures, executor=executor, batch=batch, server=server, note=note
+            pictures, executor=executor, gpus=gpus, batch=batch, server=server, note=note
         ) as drawing:
             if found is None:
                 found = _lay_out(out, suite, about, {plan.scene for plan in plans}, progress)
@@ -208,6 +213,7 @@ def _build(
                 workers=workers,
                 executor=executor,
                 ray_address=ray_address,
+                gpus=gpus,
                 progress=progress,
                 check=check_plan,
             )

@@ -45,6 +45,7 @@ def run_parts(
     workers: int,
     executor: ExecutorName,
     ray_address: str,
+    gpus: float = 0,
     progress: Progress,
     check: Callable[[PartPlan, PartDone], None],
 ) -> dict[str, PartDone]:
@@ -75,6 +76,7 @@ def run_parts(
             workers=workers,
             executor=executor,
             ray_address=ray_address,
+            gpus=gpus,
             names=[f"part {plan.name}" for plan in left],
             done=take,
             steps=progress,

@@ -82,6 +82,7 @@ def open_drawing(
     settings: PictureSettings,
     *,
     executor: ExecutorName = "process",
+    gpus: float = 0,
     batch: int = 0,
     server: DrawServer | None = None,
     note: Callable[[str], None] = lambda text: None,
@@ -90,23 +91,27 @@ def open_drawing(
 
     Args:
         settings: how pictures are drawn.
-        executor: where the workers live: they must be on this machine.
+        executor: where the workers live.
+        gpus: cards set aside for each worker of a cluster, which then draws for itself.
         batch: views a call; 0 takes the server's default.
         server: one that is running already, which goes on afterwards.
         note: called with each thing that a person should be told, once.
 
     Raises:
-        ConfigError: the workers are on other machines.
+        ConfigError: the workers are on other machines, without cards of their own.
         DataError: the backend is not here.
     """
     if settings.layout == "none" or settings.drawn_by not in scene_drawing.SHARED:
+        yield None
+        return
+    if executor != "process" and gpus:
         yield None
         return
     if executor != "process":
         raise ConfigError(
             "workers on other machines cannot use this one's GPU",
             where=f"--executor {executor}",
-            remedy="use --executor process on each GPU machine, or --backend cpu",
+            remedy="give each a part of its own with --gpus, or use --backend cpu",
         )
     if server is not None:
         if server.backend != settings.drawn_by:

@@ -49,13 +49,14 @@ def local_cluster(cpus: int) -> Iterator[None]:
         ray.shutdown()
 
 
-def join_cluster(ray: Any, cpus: int, address: str = "") -> None:
+def join_cluster(ray: Any, cpus: int, address: str = "", *, gpus: float = 0) -> None:
     """Connect to a running cluster, or start one of this machine alone with so many CPUs.
 
     Args:
         ray: the module.
         cpus: of a cluster that is started here.
         address: of a running one ("auto", or host:port); "" starts one.
+        gpus: that its workers will ask for; one that is started here then has this machine's.
 
     Raises:
         BenchError: no cluster answers.
@@ -64,7 +65,8 @@ def join_cluster(ray: Any, cpus: int, address: str = "") -> None:
     if address:
         options["address"] = address
     else:
-        options |= {"num_cpus": cpus, "num_gpus": 0, "include_dashboard": False}
+        options |= {"num_cpus": cpus, "include_dashboard": False}
+        options |= {} if gpus else {"num_gpus": 0}
         options |= {"object_store_memory": OBJECT_STORE}
     try:
         ray.init(**options)

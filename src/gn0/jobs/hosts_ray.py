@@ -98,6 +98,7 @@ class HostsRay:
         module: what each worker runs, as `python -m`.
         size: how many at a time.
         code: "module:name" of a function that names the code that decides results.
+        gpus: cards that Ray sets aside for each worker; a part of one shares it with others.
         address: of a running cluster ("auto" for the one of this machine, or host:port); empty
             starts one of this machine alone, without dashboard, that ends with the hosts.
         always_ship: send folders packed even to machines that see them.
@@ -107,7 +108,14 @@ class HostsRay:
     """
 
     def __init__(
-        self, module: str, size: int, *, code: str, address: str = "", always_ship: bool = False
+        self,
+        module: str,
+        size: int,
+        *,
+        code: str,
+        gpus: float = 0,
+        address: str = "",
+        always_ship: bool = False,
     ) -> None:
         self._ray = import_ray()
         self._module = module.encode()
@@ -121,7 +129,7 @@ class HostsRay:
         self._parcels: dict[str, Any] = {}
         self._ours = not self._ray.is_initialized()
         if self._ours:
-            join_cluster(self._ray, size, address)
+            join_cluster(self._ray, size, address, gpus=gpus * size)
         cores = int(self._ray.cluster_resources().get("CPU", 0))
         if cores < size:
             self._leave()
@@ -130,9 +138,17 @@ class HostsRay:
                 where="--workers",
                 remedy=f"give at most {cores}, or add machines with `ray start`",
             )
+        cards = float(self._ray.cluster_resources().get("GPU", 0))
+        if cards < gpus * size:
+            self._leave()
+            raise BenchError(
+                f"{size} workers of {gpus:g} GPUs each, but the Ray cluster has {cards:g} GPUs",
+                where="--gpus",
+                remedy="give fewer workers, or a part of a GPU to each",
+            )
         self._threads = max(1, count_cores() // size) if self._ours else 1
         self._host = self._ray.remote(WorkerHost).options(
-            num_cpus=1, max_restarts=0, max_concurrency=4
+            num_cpus=1, num_gpus=gpus, max_restarts=0, max_concurrency=4
         )
 
     def start(self, number: int) -> None:

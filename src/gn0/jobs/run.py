@@ -17,7 +17,7 @@ from typing import Any
 
 from gn0 import errors
 from gn0.errors import Gn0Error, JobError
-from gn0.jobs.executors import ExecutorName, check_executor, open_hosts
+from gn0.jobs.executors import ExecutorName, check_executor, check_gpus, open_hosts
 from gn0.jobs.pool import Pool, Worker, drive
 from gn0.jobs.process import Ended
 from gn0.jobs.worker import Answer, Told, Unit, work
@@ -38,6 +38,7 @@ def run_jobs(
     workers: int = 1,
     executor: ExecutorName = "process",
     ray_address: str = "",
+    gpus: float = 0,
     names: Sequence[str] | None = None,
     limit: float = float("inf"),
     done: Callable[[int, dict[str, Any]], None] = ignore_answer,
@@ -56,6 +57,7 @@ def run_jobs(
         workers: how many at a time.
         executor: "process" on this machine, "ray" on a cluster whose machines see the same files.
         ray_address: of a running cluster; "" starts one of this machine.
+        gpus: cards that Ray sets aside for each worker.
         names: what to call units in errors; their numbers by default.
         limit: seconds that a unit may take before its worker counts as hung.
         done: hears of each unit once, in this process.
@@ -71,6 +73,7 @@ def run_jobs(
         BenchError: Ray is not installed, does not answer, or has too few CPUs.
     """
     check_executor(executor, workers)
+    check_gpus(executor, gpus)
     units = [Unit(i, function, dict(payload)) for i, payload in enumerate(payloads)]
     labels = list(names) if names is not None else [f"unit {i}" for i in range(len(units))]
     finished = 0
@@ -90,7 +93,9 @@ def run_jobs(
             settle(work(unit, sums.of(unit.index)))
     elif units:
         size = min(workers, len(units))
-        hosts = open_hosts(executor, "gn0.jobs.worker", size, code=CODE, ray_address=ray_address)
+        hosts = open_hosts(
+            executor, "gn0.jobs.worker", size, code=CODE, ray_address=ray_address, gpus=gpus
+        )
         pool: Pool[_Seat, Answer | Told] = Pool(hosts, size, _Seat, Answer | Told)
         with pool:
             drive(pool, _Units(units, labels, limit, settle, sums))

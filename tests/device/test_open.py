@@ -85,7 +85,7 @@ def test_the_doctor_compiles_ahead_of_time(
         found = {name: text for name, text, _ in rows}
         assert healthy and said in found["kernels"] and "sm_90" in found["kernels"]
     assert "Pretended Card 0" in found["gpu"] and "capability 9.0" in found["gpu"]
-    assert "speaks CUDA 12.8" in found["driver"] and "do as they must" in found["trial"]
+    assert "speaks CUDA 12.8" in found["driver"] and "recordings work" in found["trial"]
     tried = ["order: a copy: 3 of 7 values differ"]
     rows, healthy = examine_gpu()
     assert not healthy and ("trial", tried[0], "✗") in rows

@@ -92,6 +92,6 @@ def run(args: Args) -> int:
     layout = manifest.settings.layout
     print(
         f"{len(manifest.files)} files, {size / 1e6:.1f} MB, in {args.dataset}/pictures/{layout}; "
-        "every picture has the pixels that its hash says"
+        "every picture matches its hash"
     )
     return 0

@@ -50,5 +50,5 @@ def run(args: Args) -> int:
     if not report.found:
         print("nothing is damaged")
     elif report.ok:
-        print("all is whole again, byte for byte")
+        print("everything is intact again, byte for byte")
     return 0 if report.ok else 1

@@ -74,7 +74,7 @@ def examine(args: Args) -> tuple[list[tuple[str, str, str]], bool]:
     rows.append(("video", video, "✓" if encodes else "✗"))
     rows += _extras()
     data = os.environ.get("GN0_DATA", "")
-    rows.append(("GN0_DATA", data or "not set (only some tests and figures want it)", "·"))
+    rows.append(("GN0_DATA", data or "not set (only some tests and figures need it)", "·"))
     return rows, healthy and writable and kept and encodes and compiled
 
 

@@ -55,7 +55,7 @@ def _try(card: Any, rows: list[Row]) -> bool:
     took = time.perf_counter() - begun
     rows += [("trial", text, "✗") for text in wrong]
     if not wrong:
-        rows.append(("trial", f"copies, kernels and recordings do as they must; {took:.1f} s", "✓"))
+        rows.append(("trial", f"copies, kernels and recordings work; {took:.1f} s", "✓"))
     return not wrong
 
 
@@ -96,7 +96,7 @@ def _kernels(card: Any, target: tuple[int, int], compile_all: bool) -> tuple[Row
         cached = [s for s in sources if read_image(cache_path(s, arch, compiler)) is not None]
         text = f"{len(cached)} of {len(sources)} modules are compiled for {arch}"
         if not compile_all:
-            more = "" if len(cached) == len(sources) else "; the others will be at first use"
+            more = "" if len(cached) == len(sources) else "; the others at first use"
             return ("kernels", text + more, "✓"), True
         begun = time.perf_counter()
         for source in sources:

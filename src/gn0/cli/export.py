@@ -91,10 +91,7 @@ def run(args: Args) -> int:
     for what, count in done.notes.items():
         print(f"counted: {count:,} × {what}")
     if len(done.splits) > 1 and not exporter.has_splits:
-        print(
-            "note: this format keeps splits apart by no means of its own; give --split to export "
-            "one at a time"
-        )
+        print("note: this format does not keep splits apart; give --split to export one at a time")
     for remark in remark_export(args.out):
         print(f"note: {remark}")
     print(f"read by: {exporter.reader}")

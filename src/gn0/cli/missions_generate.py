@@ -227,9 +227,9 @@ def tell(manifest: Manifest, out: Path) -> list[str]:
         f"{t.paths} of {t.asked} paths in {t.scenes} scenes, {sum(t.episodes.values())} episodes: "
         f"{missions}",
         f"splits: {splits}",
-        f"candidates: {t.candidates}; fell: "
+        f"candidates: {t.candidates}; rejected: "
         + (", ".join(f"{n} {name}" for name, n in fell) or "none"),
-        f"goals: {t.targets} of {t.targets + sum(t.targets_fell.values())}; not: "
+        f"goals: {t.targets} of {t.targets + sum(t.targets_fell.values())}; unusable: "
         + (", ".join(f"{n} {why}" for why, n in t.targets_fell.items()) or "none"),
         "texts: " + ", ".join(f"{n} {name}" for name, n in t.texts.items()),
     ]
@@ -241,7 +241,7 @@ def tell(manifest: Manifest, out: Path) -> list[str]:
     if len(manifest.notes) > 6:
         lines.append(f"note: {len(manifest.notes) - 6} more in manifest.json")
     lines += [
-        f"written to {out}; everything that fell is in {out / 'manifest.json'}",
+        f"written to {out}; everything rejected is in {out / 'manifest.json'}",
         f"next: gn0 missions show {out}, gn0 bench run {out} --policy oracle --out {out}-oracle",
     ]
     return lines

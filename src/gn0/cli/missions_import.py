@@ -78,7 +78,7 @@ def run(args: Args) -> int:
         print(f"{len(report.missing)} scenes of the set are not in --scenes:")
         for scene, count in report.missing.items():
             print(f"  {scene} ({count} episodes)")
-    for word, counts in (("left out", report.skipped), ("kept all the same", report.unfit)):
+    for word, counts in (("left out", report.skipped), ("kept anyway", report.unfit)):
         for reason, count in counts.items():
             print(f"{word}: {count} × {reason}")
     if report.suite is None:

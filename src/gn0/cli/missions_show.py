@@ -182,7 +182,7 @@ def _show_set(args: Args) -> int:
     if told.no_goal:
         print(f"  {told.no_goal} have no goal: they cannot be scored")
     if told.storeys:
-        print(f"  {told.storeys} change storey; maps here know one floor")
+        print(f"  {told.storeys} change storey; maps here have one floor")
     for note in found.notes:
         print(f"  {note}")
     if args.out and tasks:

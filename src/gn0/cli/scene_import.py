@@ -123,7 +123,7 @@ def print_capture(scene: object, out: str) -> None:
     picture = render_capture(scene)
     path = Path(out) / "capture.png"
     write_atomic(path, lambda stream: picture.save(stream, "PNG"))
-    print(f"what speaks for the frame (picture: {path}):")
+    print(f"evidence for the frame (picture: {path}):")
     print("\n".join(evidence_lines(scene.source)))
 
 

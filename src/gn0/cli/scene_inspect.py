@@ -51,7 +51,7 @@ def _lines(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:
     kind = f"{facts['format']}, {facts['encoding']}" if facts["encoding"] else facts["format"]
     yield (
         "format",
-        f"{kind}; {facts['bytes'] / 1e6:,.2f} MB, {facts['bytes_per_gaussian']} bytes a Gaussian",
+        f"{kind}; {facts['bytes'] / 1e6:,.2f} MB, {facts['bytes_per_gaussian']} bytes per Gaussian",
     )
     dropped = facts["dropped_non_finite"]
     left_out = f"; {dropped:,} more left out as non-finite" if dropped else ""

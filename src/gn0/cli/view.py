@@ -222,7 +222,7 @@ def find_up(cloud: Any) -> str:
         return "+z"
     axis = max(range(3), key=lambda k: abs(best.up[k]))
     up = ("-" if best.up[axis] < 0 else "+") + "xyz"[axis]
-    print(f"up is taken for {up} ({best.share:.0%} sure); --up says otherwise", flush=True)
+    print(f"up is assumed to be {up} ({best.share:.0%} sure); --up says otherwise", flush=True)
     return up
 
 

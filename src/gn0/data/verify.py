@@ -351,7 +351,7 @@ def _compare_pixels(
                 Damage(
                     "samples",
                     parts[index].path,
-                    "pictures are drawn otherwise",
+                    "pictures are drawn differently",
                     tuple(answer["rows"]),
                     parts[index].name,
                 )

@@ -232,8 +232,8 @@ class ExporterVlnPe(OwnPoses):
         remarks = remark_splits(folder / RAW)
         if "3dgs" in str(folder.resolve()):
             remarks.append(
-                "the loader turns colours about and takes other depths where its path has 3dgs in "
-                "it: rename the folder"
+                "the loader swaps colour channels and takes other depths where its path has 3dgs "
+                "in it: rename the folder"
             )
         return remarks
 

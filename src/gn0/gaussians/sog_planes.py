@@ -1,4 +1,4 @@
-"""The picture planes of SOG: lossless WebP, four bytes a Gaussian, sizes checked before decoding.
+"""The picture planes of SOG: lossless WebP, four bytes per Gaussian, sizes checked before decoding.
 
 A few bytes of WebP can claim 268 million pixels; so the size is read from the header by hand and
 held against the number of Gaussians before any decoder sees the file.

@@ -1,4 +1,4 @@
-""".splat: 32 bytes a Gaussian, no header, no spherical harmonics.
+""".splat: 32 bytes per Gaussian, no header, no spherical harmonics.
 
 Each record is float32 x y z, float32 linear scales, bytes r g b a, and the quaternion w x y z in
 bytes. Writers cut v · 128 + 128 down to whole bytes, so the middle of a step is b / 255 · 2 − 1 but

@@ -114,7 +114,7 @@ class VisibleFiles:
                 raise ValueError(f"{len(bits)} bytes instead of {size}")
             return np.frombuffer(bits, np.uint8)
         except (StorageError, ValueError, KeyError, TypeError, zlib.error) as error:
-            _log.warning("%s: damaged visible set is found again: %s", path, error)
+            _log.warning("%s: damaged visible set is computed again: %s", path, error)
             return None
 
     def _sweep(self) -> None:

@@ -67,7 +67,7 @@ def check_folder(path: Path | str, *, radius: float = RADIUS) -> list[Finding]:
                 level="note",
                 code="edited",
                 text=f"the {' and the '.join(edited)} differ from what was written",
-                remedy="nothing, if you did; results of the old scene do not compare",
+                remedy="nothing, if you did; results from the old scene cannot be compared",
             )
         )
     return findings
@@ -225,7 +225,7 @@ def _check_floor(scene: Scene, cloud: GaussianCloud) -> Iterator[Finding]:
         yield Finding(
             level="warning",
             code="no-floor-splats",
-            text="hardly any splats lie over walkable ground",
+            text="hardly any splats lie above walkable ground",
             remedy="check that the map and the splats share one frame",
         )
         return
@@ -262,7 +262,7 @@ def _check_splats(scene: Scene, cloud: GaussianCloud) -> Iterator[Finding]:
         yield Finding(
             level="warning",
             code="few-splats",
-            text=f"{len(cloud) / area:.0f} splats a m² of walkable floor: views will show gaps",
+            text=f"{len(cloud) / area:.0f} splats per m² of walkable floor: views will show gaps",
             remedy="import with a higher --density",
         )
     yield from _check_needles(scene, cloud)
@@ -347,8 +347,8 @@ def _check_about(scene: Scene) -> Iterator[Finding]:
         yield Finding(
             level="note",
             code="labels-heuristic",
-            text=f"the {len(scene.objects)} labels are guesses from shapes: nobody has said what "
-            "the things are",
+            text=f"the {len(scene.objects)} labels are guesses from shapes: nobody has confirmed "
+            "what the objects are",
             remedy="correct labels.json, or do not compare goal results with labelled scenes",
         )
     for key, doubt in scene.source.settings.items():

@@ -68,7 +68,7 @@ class ImportReport:
         checks: how the set lies in each scene.
         missing: scenes of the set that were not given, with their number of episodes.
         skipped: why episodes were left out, and how many.
-        unfit: the same of those that were kept all the same.
+        unfit: the same of those that were kept anyway.
         kept: episodes in the suite.
     """
 

@@ -55,7 +55,7 @@ def render_capture(scene: Scene) -> Image.Image:
     height = 64 + _SIDE + 36 + top.height + 40 + text + _GAP
     sheet = Image.new("RGB", (WIDTH, height), PAPER)
     pen = ImageDraw.Draw(sheet)
-    pen.text((_GAP, 16), f"{scene.id[:50]}: what speaks for its frame", font=font(26), fill=INK)
+    pen.text((_GAP, 16), f"{scene.id[:50]}: evidence for its frame", font=font(26), fill=INK)
     # side view and histogram share one scale of heights
     hist = 360
     side = WIDTH - 3 * _GAP - hist - 50
@@ -225,7 +225,7 @@ def _legend(pen: ImageDraw.ImageDraw, y: int) -> None:
     for colour, name in (
         (_WALK, "walkable"),
         (_BLOCK, "in the agent's way"),
-        ((255, 255, 255), "dot: where the flood began"),
+        ((255, 255, 255), "dot: where the flood fill began"),
     ):
         pen.rectangle((x, y, x + 14, y + 14), fill=colour, outline=INK)
         pen.text((x + 22, y + 7), name, font=font(14), fill=INK, anchor="lm")

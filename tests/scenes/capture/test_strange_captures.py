@@ -211,7 +211,7 @@ def test_opening_doors_where_none_is_closed_is_said(flat, tmp_path):
     save_ply(flat, tmp_path / "scan.ply")
     told = CaptureSettings(up="z", scale=1.0, open_doors=True)
     scene = import_scene(tmp_path / "scan.ply", tmp_path / "scene", capture=told)
-    assert "none was found closed" in str(scene.source.settings["evidence_doors"])
+    assert "no closed door was found" in str(scene.source.settings["evidence_doors"])
     assert len(scene.gaussians) == len(flat)
 
 

@@ -207,7 +207,7 @@ def describe_doors(
     out: dict[str, str | int | float | bool | None] = {"doors_closed": len(doors)}
     if not doors:
         if opened:
-            out["evidence_doors"] = "none was found closed, so there was none to open"
+            out["evidence_doors"] = "no closed door was found, so none was opened"
         return out
     named = "; ".join(door.words for door in doors)
     out["evidence_doors"] = f"{len(doors)} found closed, at {named}"
@@ -225,7 +225,7 @@ def describe_doors(
     )
     shut = [door.words for door in leading if not occupancy.grid.is_free(*door.centre)]
     if shut:
-        out["doubt_doors"] = f"opened, and still no way through: {'; '.join(shut)}"
+        out["doubt_doors"] = f"opened, but still no way through: {'; '.join(shut)}"
     return out
 
 

@@ -32,7 +32,7 @@ def lock_folder(
         folder: it must be there.
         refuse: the error that says that somebody else is writing.
         writer: what that somebody is, in words.
-        name: of the lock's file, in the folder.
+        name: name of the lock's file, in the folder.
 
     Raises:
         Gn0Error: `refuse`, where somebody else is writing.

@@ -193,7 +193,7 @@ class _Store:
     """What fsspec knows of a URL; every error of its packages becomes a `StorageError`.
 
     Args:
-        url: of the folder that all names are relative to.
+        url: url of the folder that all names are relative to.
     """
 
     def __init__(self, url: str) -> None:

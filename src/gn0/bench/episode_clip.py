@@ -53,7 +53,7 @@ class ClipScene:
     """What clips of one scene share.
 
     Attributes:
-        renderer: of the scene's splats.
+        renderer: renderer of the scene's splats.
         bev: the map picture.
         preset: the agent's eyes.
         camera_height: eye above the floor [m].

@@ -64,7 +64,7 @@ def digest_policy(name: str, modules: Sequence[str] = (), *, isolated: bool = Fa
     below what those files import from their own folder.
 
     Args:
-        name: of the policy.
+        name: name of the policy.
         modules: as given to `--plugin`; imported already, unless it is isolated.
         isolated: import nothing of it here.
 

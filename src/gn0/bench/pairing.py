@@ -27,7 +27,7 @@ class Pair:
     """What two runs scored on one task.
 
     Attributes:
-        name: of the episode or path.
+        name: name of the episode or path.
         scene: its scene.
         a, b: scores of each run; several where a path was told in several styles.
     """

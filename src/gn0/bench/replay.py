@@ -124,7 +124,7 @@ class PolicyReplay:
     """Says what was said before.
 
     Attributes:
-        name: of the policy that was recorded.
+        name: name of the policy that was recorded.
         trace: what it did.
     """
 
@@ -234,7 +234,7 @@ def rerun_policy(
         policy: plug-in name of the policy; what the run itself names is shown, never obeyed.
         suite: its suite, if it was not run from here.
         workers: processes.
-        policy_options: of the policy.
+        policy_options: options of the policy.
         plugin_modules: modules to import first.
         progress: progress sink.
 

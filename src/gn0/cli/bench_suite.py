@@ -25,7 +25,7 @@ class Args(Config, frozen=True):
         seed: seed of the sampler.
         minimum_length: shortest geodesic from start to goal [m].
         camera: name of a camera preset.
-        radius: of the agent's body [m], instead of the preset's.
+        radius: radius of the agent's body [m], instead of the preset's.
         camera_height: of the agent's eye above the floor [m], instead of the preset's.
         map_mode: what the maps shown to a policy hold: the whole scene (prior), what the agent has
             seen (explored), or nothing (none).

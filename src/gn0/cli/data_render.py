@@ -25,7 +25,7 @@ class Args(Config, frozen=True):
         dataset: the dataset folder.
         layout: tar shards (webdataset) or Parquet and MP4 (lerobot); by default what the dataset
             was built with.
-        format: of single pictures: jpg or png; by default as built.
+        format: format of single pictures: jpg or png; by default as built.
         quality: quality of jpg; by default as built.
         maps: BEV and occupancy picture in every sample, or once per scene and light; as built.
         depth: store depth as well, in millimetres, if the dataset has only poses and labels;

@@ -48,7 +48,7 @@ class Args(Config, frozen=True):
         seed: root seed; the same seed gives the same bytes.
         per_scene: paths per scene (50).
         missions: goal, instruction, or both with a comma between (both).
-        styles: of instructions: detailed, benchmark, or both (both).
+        styles: styles of instructions: detailed, benchmark, or both (both).
         goals: objects, rooms, or both (both); or categories, of which any object will do: "Find a
             chair."
         categories: those to search for, with a comma between (all of each scene).

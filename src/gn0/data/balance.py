@@ -110,7 +110,7 @@ class BalanceFile(Config, frozen=True):
         effective: how many independent samples the weights are worth (Kish).
         before: by action, as the samples are.
         after: by action, as they are drawn.
-        weights: of each action's samples; 1 or 0 a sample for a selection.
+        weights: weights of each action's samples; 1 or 0 a sample for a selection.
         notes: what a reader should know, in words.
         labels: digest of the labels that were balanced, part by part.
         selection: digest of `selection.parquet`'s columns.

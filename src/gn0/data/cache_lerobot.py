@@ -221,8 +221,8 @@ def write_tables(
 
     Args:
         dataset: with its sample tables.
-        notes: of each part by name, from `write_videos`.
-        settings: of the cache.
+        notes: notes of each part by name, from `write_videos`.
+        settings: settings of the cache.
 
     Raises:
         DataError: a part was drawn by an earlier version, with other features.

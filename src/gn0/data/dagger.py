@@ -161,7 +161,7 @@ class Visitor:
         standing: where the agent is; read anew at every state.
         episode: what is played; it has just begun.
         settings: who acts, and what ends it.
-        labels: of the expert.
+        labels: labels of the expert.
 
     Raises:
         PlanError: the goal cannot be reached.
@@ -277,7 +277,7 @@ def collect_together(
         navigation: the map of the scene.
         episodes: begun in this order.
         settings: who acts, and what ends an episode.
-        labels: of the expert.
+        labels: labels of the expert.
 
     Raises:
         PolicyError: see `collect_visited`.

@@ -66,7 +66,7 @@ class SceneStats(Config, frozen=True):
     """A scene and what happens in it.
 
     Attributes:
-        id: of the scene.
+        id: id of the scene.
         source: its make: "procedural apartment 1", "world", …
         splits: of its episodes.
         area: walkable ground of the agent [m²].
@@ -92,7 +92,7 @@ class DatasetStats(Config, frozen=True):
     """The content of `stats.json`.
 
     Attributes:
-        name: of the suite that the dataset was built from.
+        name: name of the suite that the dataset was built from.
         scenes: in order of ids.
         episodes: by split, then mission.
         samples: by split.
@@ -100,7 +100,7 @@ class DatasetStats(Config, frozen=True):
         styles: episodes by the style of their instruction.
         lights: episodes by the name of their light.
         paths: how many different paths the episodes share.
-        length: of reference paths [m].
+        length: length of reference paths [m].
         turns: turns of 30° and more in an episode.
         steps: actions in an episode.
         categories: episodes by goal category, most first.

@@ -58,7 +58,7 @@ class EpisodeEntry:
         length: frames.
         data: number of its data file.
         videos: where its frames are, by the video's short name. Episodes may share frames.
-        stats: of its columns and pictures.
+        stats: statistics of its columns and pictures.
         map_size: (width, height) [px] of its exact maps.
         beside: paths of BEV, bare occupancy picture and goal picture; "" where there is none.
     """

@@ -43,9 +43,9 @@ class PartPlan(msgspec.Struct, frozen=True):
     """What a worker is told.
 
     Attributes:
-        folder: of the dataset.
-        name: of the part.
-        number: of the part, from 0 over all scenes.
+        folder: folder of the dataset.
+        name: name of the part.
+        number: number of the part, from 0 over all scenes.
         scene: its scene.
         episodes: its episodes.
         pictures: the cache to make; None takes what the build was asked for.
@@ -74,7 +74,7 @@ class PartDone(msgspec.Struct, frozen=True):
 
     Attributes:
         part: the sample table.
-        files: of the cache, with paths relative to it.
+        files: files of the cache, with paths relative to it.
         notes: what the cache's last step must know of the part.
     """
 

@@ -58,7 +58,7 @@ def render_dataset(
 
     Args:
         path: the dataset folder.
-        settings: of the cache; by default what the dataset was built with.
+        settings: settings of the cache; by default what the dataset was built with.
         workers: processes; never changes a byte.
         executor: where the workers run; never changes a byte.
         ray_address: address of a running Ray cluster; "" starts one on this machine.

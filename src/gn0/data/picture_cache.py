@@ -61,12 +61,12 @@ class DrawnStep:
     """A sample with its pictures.
 
     Attributes:
-        row: of its part's table, from 0.
-        step: of its episode, from 0.
+        row: row of its part's table, from 0.
+        step: step of its episode, from 0.
         block: the rows of its episode.
         episode: the episode.
         pictures: what it shows.
-        hashes: of the raw pixels, by name.
+        hashes: hashes of the raw pixels, by name.
         places: (row, column) of the start and of the agent in the map pictures.
         base: the occupancy picture [H, W, 3] before dots are drawn, and its hash.
         goal: what the goal looks like [H, W, 3], and the picture's hash; None where the mission
@@ -189,7 +189,7 @@ def write_recorded(
     """Write a file through `write(put)`, and say its size and digest.
 
     Args:
-        folder: of the cache.
+        folder: folder of the cache.
         path: relative to it.
         write: calls `put(data)` for each piece; that returns the offset after it.
     """

@@ -91,7 +91,7 @@ class StepPictures:
         lay, paint: make `history` and `occupancy`, where somebody looks at them.
         files: encoded pictures by name, where they are made already.
         depth: uint16 [Hd, Wd] mm, see `gn0.render.depth`; None where it is not stored.
-        digests: of raw pixels by name, where they are made already.
+        digests: digests of raw pixels by name, where they are made already.
     """
 
     rgb: U8 | None
@@ -131,7 +131,7 @@ class Seen:
         tile: the view as it is in later mosaics uint8 [120, 160, 3]; None where it is to be made.
         files: encoded pictures by name, the bytes that `encode_picture` gives.
         depth: uint16 [Hd, Wd] mm; None where it is not stored.
-        digests: of raw pixels by name, those that `content_hash` gives.
+        digests: digests of raw pixels by name, those that `content_hash` gives.
     """
 
     pose: Pose2D
@@ -194,7 +194,7 @@ class Painting:
 
     Attributes:
         bare: the map before dots are drawn.
-        start: of the walk.
+        start: start of the walk.
         encode: whether files are wanted, too; else digests alone.
     """
 

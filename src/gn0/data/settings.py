@@ -28,8 +28,8 @@ class PictureSettings(Config, frozen=True):
     Attributes:
         layout: of the cache: tar shards (webdataset), Parquet and MP4 (lerobot), or none, which
             leaves poses and labels without the hashes of pictures.
-        format: of single pictures: jpg, or png, which is lossless.
-        quality: of jpg, 1 to 100.
+        format: format of single pictures: jpg, or png, which is lossless.
+        quality: quality of jpg, 1 to 100.
         maps: the BEV and the occupancy picture in every sample ("every"), or once a scene and
             light beside the shards or videos, the two dots drawn on reading ("once").
         crf: constant rate factor of AV1 videos, 0 (best) to 63.

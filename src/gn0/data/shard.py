@@ -85,7 +85,7 @@ class ShardPart(Config, frozen=True):
     """A part that was built.
 
     Attributes:
-        number: of the part in the whole dataset, from 0.
+        number: number of the part in the whole dataset, from 0.
         done: what was made, as the build's journal says it.
         waiting: files of it that the cache's last step takes up: depth of LeRobot's layout.
     """
@@ -101,7 +101,7 @@ class ShardFile(Config, frozen=True):
     Attributes:
         layout: version of this file's layout.
         index: which shard, from 1.
-        count: of how many.
+        count: how many shards there are.
         plan: digest of all parts of all shards: their names and episodes.
         total: parts of all shards.
         about: the dataset's description; `files` are the scenes of this shard, and the episodes.
@@ -149,7 +149,7 @@ def part_records(done: PartDone, layout: str) -> list[FileRecord]:
 
     Args:
         done: what was made.
-        layout: of its pictures.
+        layout: layout of its pictures.
     """
     part = done.part
     table = FileRecord(path=part.path, size=part.size, digest=part.file)
@@ -201,10 +201,10 @@ def save_shard(
     """Write `shard.json`, which seals a shard.
 
     Args:
-        folder: of the shard.
+        folder: folder of the shard.
         name: which it is.
         about: its `dataset.json`.
-        plans: of the whole dataset.
+        plans: plans of the whole dataset.
         parts: what was made.
 
     Raises:

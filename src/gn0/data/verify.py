@@ -54,7 +54,7 @@ class Damage:
         what: what is wrong with it.
         rows: samples that are meant, in words; empty where the whole file is.
         part: the part that it belongs to, where there is one.
-        layout: of the cache, where it is one.
+        layout: layout of the cache, where it is one.
     """
 
     kind: Kind

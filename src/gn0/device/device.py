@@ -30,7 +30,7 @@ class KernelSource:
     """Kernels to compile together.
 
     Attributes:
-        name: of the module, for messages and the cache.
+        name: name of the module, for messages and the cache.
         files: CUDA C++ files, joined in this order behind the prelude.
         defines: macros, such as a tile size that the Python side must agree on.
     """
@@ -220,7 +220,7 @@ class Device(Protocol):
     """One accelerator (or its emulation). All work runs in order on one stream.
 
     Attributes:
-        name: of the card.
+        name: name of the card.
         kind: "cuda", or "host" for the emulation.
         multiprocessors: how many, for grids that stay resident.
     """

@@ -50,7 +50,7 @@ class DeviceCuda:
         driver: the driver's library; the system's when None.
 
     Attributes:
-        name: of the card.
+        name: name of the card.
         ordinal: its number.
         capability: compute capability, such as (9, 0).
         multiprocessors: how many.

@@ -116,10 +116,10 @@ class Driver:
     """libcuda, loaded and initialised.
 
     Args:
-        path: of the library; the system's own by name when None.
+        path: path of the library; the system's own by name when None.
 
     Attributes:
-        version: of CUDA that the driver speaks, 12040 for 12.4.
+        version: version of CUDA that the driver speaks, 12040 for 12.4.
 
     Raises:
         DeviceError: there is none, it is too old, or it cannot start.

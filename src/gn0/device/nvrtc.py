@@ -45,7 +45,7 @@ class NvrtcFile:
     """A compiler that was found.
 
     Attributes:
-        path: of the library; a bare name when the system's loader is to find it.
+        path: path of the library; a bare name when the system's loader is to find it.
         major: version of CUDA that it belongs to, 0 when its name does not say.
     """
 
@@ -114,7 +114,7 @@ class Nvrtc:
         file: see `find_nvrtc`.
 
     Attributes:
-        version: of CUDA, such as (12, 9).
+        version: version of CUDA, such as (12, 9).
         architectures: numbers it makes machine code for, such as 90 for sm_90, ascending.
 
     Raises:

@@ -20,7 +20,7 @@ class ExportFile(Config, frozen=True):
         layout: version of this file's layout.
         format: exporter name.
         dataset: name of the dataset.
-        digest: of the dataset and the settings.
+        digest: digest of the dataset and the settings.
         settings: how it was exported.
         written, frames: how many episodes and frames.
         skipped: why episodes were left out, and how many.

@@ -32,7 +32,7 @@ class ExportSettings(Config, frozen=True):
         camera: preset to render again through; "" means the dataset's own pictures.
         split: only episodes of this split; "" means all.
         limit: at most so many episodes; 0 means all.
-        quality: of JPEG pictures, 1 to 100.
+        quality: quality of JPEG pictures, 1 to 100.
         fps: frames a second in videos; 0 means the format's own.
         every: a sample at every so-many-th decision (NaVid, Uni-NaVid, NaVILA).
         spacing: metres between frames of a NavDP trajectory; 0 means the dataset's own poses.

@@ -68,7 +68,7 @@ class MetaEpisode:
         index: its number in the folder.
         length: frames.
         task: the instruction.
-        stats: of each numeric column, see `column_stats`.
+        stats: statistics of each numeric column, see `column_stats`.
         more: further keys of its line in `episodes.jsonl`.
         more_stats: further keys of its line in `episodes_stats.jsonl`.
         more_task: further keys of its line in `tasks.jsonl`.

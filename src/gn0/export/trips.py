@@ -167,7 +167,7 @@ class ExportSource:
 
     Attributes:
         name: what people call it.
-        digest: of everything an export depends on; another digest is another export.
+        digest: digest of everything an export depends on; another digest is another export.
         preset: camera of the dataset's own pictures.
         scenes: what is known of each scene, by id.
         trips: gives every trip, always in the same order.
@@ -233,7 +233,7 @@ def differing_fields(trip: Trip, found: Recovered, kept: F64, tolerance: float =
         trip: what was written.
         found: what was read; what its format does not hold is not compared.
         kept: the poses [K, 3] whose pictures the export holds.
-        tolerance: of positions [m] and angles [rad].
+        tolerance: tolerance of positions [m] and angles [rad].
     """
     episode = trip.episode
     pairs = {

@@ -108,9 +108,9 @@ class About(msgspec.Struct):
     """What the files have no place for: turn of an action [degrees], styles, splits, odd words.
 
     Attributes:
-        turn_degrees: of an action.
+        turn_degrees: turn of an action.
         splits: their names.
-        role: of RxR's files; "" for R2R's.
+        role: role of RxR's files; "" for R2R's.
         unknown: words that the vocabulary lacks, and how often they come.
     """
 

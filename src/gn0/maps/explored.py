@@ -57,7 +57,7 @@ class DepthFan:
         angles: [B] rad, left of straight ahead.
         blind: distance [m] nearer than which no ray meets the band's foot.
         focal: fx [px].
-        height: of the camera above the floor [m].
+        height: height of the camera above the floor [m].
         limits: (min, max) depth [m]; at or beyond them a pixel has no return.
         band: (low, high) of the agent's body above the floor [m].
         cut: colours above this height [m] are left out.
@@ -102,7 +102,7 @@ def build_fan(
         focal: fx, fy [px].
         centre: cx, cy [px].
         pitch: how far the camera looks up [rad].
-        height: of the camera above the floor [m].
+        height: height of the camera above the floor [m].
         limits: see `DepthFan`.
         band: see `DepthFan`.
         cut: see `DepthFan`.

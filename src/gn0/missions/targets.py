@@ -50,7 +50,7 @@ class GoalTarget:
         goals: all places that its words fit, where there are several, or the areas of rooms.
         places: the instances behind them, rooms in the order of the areas, and where one stands to
             be at each.
-        middle: of a room, where there is most room; its picture is taken there.
+        middle: middle of a room, where there is most room; its picture is taken there.
         from_above: whether the bird's-eye view shows it.
         searched: the category, of which any object will do.
     """
@@ -288,7 +288,7 @@ def find_view_points(
         item: the object.
         reach: their largest distance from its footprint [m].
         farthest: that of the one cell that is taken where there is none in reach [m].
-        spacing: of the lattice [m].
+        spacing: spacing of the lattice [m].
         walls: see `find_standing_cell`.
         allowed: [H, W] cells to choose from instead of all safe ones.
     """

@@ -31,7 +31,7 @@ class PolicyExplorer:
 
     Args:
         stop_distance: STOP this near the goal [m].
-        radius: of its own body [m].
+        radius: radius of its own body [m].
         margins: extra room kept from obstacles [m], tried in turn until there is a way.
         step: length of FORWARD [m].
         turn_degrees: angle of LEFT and RIGHT.

@@ -26,7 +26,7 @@ class PolicyRecorded:
 
     Args:
         run: a run folder, of a policy or of walks by hand.
-        digest: of its trajectories, where they must be the ones meant.
+        digest: digest of its trajectories, where they must be the ones meant.
 
     Raises:
         StorageError, FormatError: no finished run there, or a damaged one.

@@ -52,7 +52,7 @@ class Dots(msgspec.Struct, frozen=True):
     Attributes:
         places: row and column of the start, then of the agent, of each picture
             int32 [P, 2, 2] as bytes.
-        radius: of both discs [px].
+        radius: radius of both discs [px].
         encode: make files of them; else their digests alone.
     """
 
@@ -74,7 +74,7 @@ class Encode(msgspec.Struct, frozen=True):
         room: bytes of the area, behind the pictures, that files may take.
         tile: width and height [px] that a view has in the history mosaic; None makes no mosaics.
         cells: tiles of a mosaic, in rows of `columns`: the views before a step, newest first.
-        columns: of a mosaic.
+        columns: columns of a mosaic.
         steps: number of each step's view int32 [T] as bytes; a mosaic a step.
         begin: forget the views of earlier requests: a new walk begins.
         dots: occupancy pictures that are wanted, too.

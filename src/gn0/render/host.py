@@ -56,7 +56,7 @@ class RendererHost:
     """Draws views of many scenes, each by a renderer of its own.
 
     Args:
-        name: of the backend.
+        name: name of the backend.
         build: a renderer of one cloud.
         options: image formation, for all scenes.
         limit: makes of such a renderer one that draws from visible sets; None: it has none.

@@ -102,7 +102,7 @@ class PartsDevice:
     """Instances of a call whose poses lie on the device, beside its views.
 
     Attributes:
-        names: of their clouds.
+        names: names of their clouds.
         poses: part-to-world, float64 [I, 4, 4].
         chosen: int32 [I], numbers into `names`; -1 stands nowhere.
         firsts: int32 [V + 1], where the instances of each view begin, and the end of all; or how

@@ -39,8 +39,8 @@ def encode_labels(
 
     Args:
         label: of each splat, as in `GaussianCloud`; None: `count` splats have none.
-        categories: of each object, likewise.
-        count: of splats without labels.
+        categories: category of each object, likewise.
+        count: count of splats without labels.
 
     Raises:
         RenderError: numbers that a code cannot hold.

@@ -37,7 +37,7 @@ class LightCondition(Config, frozen=True):
         tint: stops of green against magenta.
         contrast: of light and shadow: 1 as they are, 0 the same light everywhere. It acts on the
             baked irradiance, and only where albedo and irradiance are kept.
-        saturation: of colours: 1 as they are, 0 grey.
+        saturation: saturation of colours: 1 as they are, 0 grey.
     """
 
     name: str = "as made"
@@ -74,7 +74,7 @@ def draw_condition(seed: int, *names: str | int, mood: str | None = None) -> Lig
 
     Args:
         seed: root seed.
-        names: of the stream, such as the scene and the episode.
+        names: names of the stream, such as the scene and the episode.
         mood: one of `condition_names`; drawn when None.
     """
     rng = random_stream(seed, "light", *names)

@@ -84,7 +84,7 @@ def refine_cloud(
         settings: steps and rates.
         closed: whether whatever is not black in the pictures is solid. Gaps between splats then
             count as errors even where a surface is about as dark as the background.
-        seed: of the order of the pictures.
+        seed: seed of the order of the pictures.
         progress: progress sink.
 
     Raises:

@@ -268,10 +268,10 @@ class Renderer(Protocol):
         """Let `visible=True` draw a scene from the sets that are visible near each place.
 
         Args:
-            key: of a scene that was added.
+            key: key of a scene that was added.
             cloud_hash: content hash of its geometry (its light does not matter).
             floor: free cells where eyes can be, inflated for the agent.
-            eye_height: of the cameras [m].
+            eye_height: eye height of the cameras [m].
 
         Raises:
             ConfigError: `traits.visible_sets` is False.
@@ -301,7 +301,7 @@ class Renderer(Protocol):
         """Draw views; the pictures stay where they are made, see `Traits.device`.
 
         Args:
-            camera: of all views.
+            camera: camera of all views.
             views: world-to-camera [4, 4] or [V, 4, 4].
             keys: the scene of each view, in any order, or one for all.
             extra: moving splats, drawn after the scene's at equal depth.
@@ -343,7 +343,7 @@ class DrawnScene:
 
     Attributes:
         renderer: draws.
-        key: of the scene.
+        key: key of the scene.
         visible: draw from visible sets where they apply.
     """
 

@@ -26,7 +26,7 @@ class VideoCodec:
     Attributes:
         name: for people.
         encoder: FFmpeg's name of it.
-        options: of the encoder, beside its quality.
+        options: options of the encoder, beside its quality.
         instead: what to do where PyAV was built without it.
     """
 

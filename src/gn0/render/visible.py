@@ -60,7 +60,7 @@ class RendererVisible:
         renderer: draws; holds all splats.
         cloud_hash: content hash of its cloud.
         floor: where eyes can be: free cells, inflated for the agent.
-        eye_height: of the cameras [m].
+        eye_height: eye height of the cameras [m].
         options: how sets are found.
         cache: read and write the cache folder.
     """

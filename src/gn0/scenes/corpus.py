@@ -36,13 +36,13 @@ class CorpusPart(Config, frozen=True):
     """Some scenes of one make.
 
     Attributes:
-        kind: of generated building; see `gn0 scene generate --help`.
+        kind: kind of generated building; see `gn0 scene generate --help`.
         path: files to import instead: a scene folder, InteriorGS folder, world or splat file;
             relative to the spec, `$NAME` is taken from the environment.
         count: how many generated scenes.
         size, style, density, light, refine, packed: see `GenerateSettings`.
         height_band: of an import [m]; see `ImportSettings`.
-        split: of all its scenes; dealt by the spec's shares when None.
+        split: split of all its scenes; dealt by the spec's shares when None.
         name: beginning of the ids; the kind, or the name of the path.
     """
 
@@ -66,7 +66,7 @@ class CorpusSpec(Config, frozen=True):
     Attributes:
         parts: what its scenes are.
         name: what people call it.
-        seed: of everything drawn by chance: buildings and splits.
+        seed: seed of everything drawn by chance: buildings and splits.
         splits: share of the scenes in each split.
         val_seen: share of the training scenes of which missions hold out paths.
     """
@@ -84,7 +84,7 @@ class CorpusScene(Config, frozen=True):
     """A scene of a corpus: where it lies, what it is for, and what is in it.
 
     Attributes:
-        id: of the scene.
+        id: id of the scene.
         folder: relative to the corpus.
         split: train, val_unseen or test.
         source: kind of building, or "import".

@@ -55,7 +55,7 @@ def generate_corpus(
         base: what the paths of imports are relative to.
         workers: scenes at a time.
         executor: "process" or "ray".
-        ray_address: of a running cluster.
+        ray_address: address of a running cluster.
         progress: progress sink.
 
     Raises:

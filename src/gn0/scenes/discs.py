@@ -43,8 +43,8 @@ class Discs:
         opacity: [N]; less than full for what is thinner than a pixel.
         keep: discs that can be seen from somewhere [N].
         open_length: length of each disc's sides that end in the open [N] m.
-        area: of each disc's cell [N] m².
-        depth: of the solid under each disc [N] m.
+        area: area of each disc's cell [N] m².
+        depth: depth of the solid under each disc [N] m.
     """
 
     cell: NDArray[np.int64]

@@ -25,7 +25,7 @@ def build_ball(
 
     Args:
         radius: [m].
-        colours: of its stripes, 0..1.
+        colours: colours of its stripes, 0..1.
         spacing: distance of discs [m].
 
     Raises:

@@ -27,7 +27,7 @@ class Outlines:
     Attributes:
         charts: pieces of surface.
         chart: the piece of each disc [N].
-        spacing: of each disc's tile [N] m.
+        spacing: spacing of each disc's tile [N] m.
         least: standard deviation that is never cut [m].
     """
 
@@ -86,7 +86,7 @@ def hold_reach(
         quats: orientations [N, 4].
         charts: pieces of surface.
         chart: the piece that each disc lies on [N].
-        spacing: of each disc's tile [N] m.
+        spacing: spacing of each disc's tile [N] m.
         least: standard deviation that is never cut [m].
     """
     axes = rotation_from_quaternion(quats)

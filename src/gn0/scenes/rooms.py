@@ -152,8 +152,8 @@ def guess_room_type(categories: list[str], area: float | None = None) -> str:
     makes no living room of it.
 
     Args:
-        categories: of the things in the room, one entry per thing.
-        area: of the room's floor [m²]; None when unknown.
+        categories: categories of the things in the room, one entry per thing.
+        area: area of the room's floor [m²]; None when unknown.
     """
     scores = {
         kind: sum(weights.get(category, 0.0) for category in sorted(set(categories)))

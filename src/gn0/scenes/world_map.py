@@ -31,7 +31,7 @@ class MapFit:
     Attributes:
         dx, dy: shift [m].
         turns: quarter turns counter-clockwise.
-        share: of the map's occupied cells that then lie within 15 cm of ours.
+        share: share of the map's occupied cells that then lie within 15 cm of ours.
         plain: the same share for the map as it is.
     """
 

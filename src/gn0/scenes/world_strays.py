@@ -36,8 +36,8 @@ def drop_strays(
     Args:
         visual: what is seen; it alone says where the place is.
         collision: what is bumped into; same instances.
-        names: of the instances.
-        categories: of the instances.
+        names: names of the instances.
+        categories: categories of the instances.
         file: the world file, for the list.
     """
     defects: list[WorldDefect] = []

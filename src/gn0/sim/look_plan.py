@@ -31,7 +31,7 @@ class Shot:
     """One call of a renderer.
 
     Attributes:
-        camera: of all views.
+        camera: camera of all views.
         outputs: what is drawn, in the renderer's own order.
     """
 

@@ -114,7 +114,7 @@ class PathMotion:
 
     Args:
         clouds: by name.
-        paths: of the parts; several may be of one cloud.
+        paths: paths of the parts; several may be of one cloud.
 
     Raises:
         RenderError: a name or a cloud cannot be a part's, or a pose has no meaning.

@@ -120,8 +120,8 @@ class Noise(Config, frozen=True):
 
     Attributes:
         depth: multiplier of the depth camera's; 0 for none.
-        pose: of the sensor `pose`.
-        actuation: of FORWARD, LEFT and RIGHT.
+        pose: noise of the sensor `pose`.
+        actuation: noise of FORWARD, LEFT and RIGHT.
     """
 
     depth: float = 0.0

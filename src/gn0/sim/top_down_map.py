@@ -189,7 +189,7 @@ def draw_top_down_map(info: Mapping[str, Any], height: int | None = None) -> U8:
 
     Args:
         info: what the environment gave.
-        height: of the picture [px]; one pixel per map cell when None.
+        height: height of the picture [px]; one pixel per map cell when None.
 
     Raises:
         ConfigError: not a top-down map, or not a height.

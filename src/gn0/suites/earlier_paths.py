@@ -22,7 +22,7 @@ class EarlierPaths:
 
     Attributes:
         paths: by scene id.
-        digest: of all of them; "" when there are none.
+        digest: digest of all of them; "" when there are none.
         notes: what was left out.
     """
 

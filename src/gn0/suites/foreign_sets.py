@@ -135,7 +135,7 @@ def import_set(
         camera: preset; empty means the format's own.
         profile: see `SuiteFile`.
         split: written into the episodes; empty means the file's own division, else "test".
-        name: of the suite; empty means the set's.
+        name: name of the suite; empty means the set's.
         keep: keep episodes that do not fit the map; a run will name each of them.
         overwrite: replace an earlier suite.
         progress: progress sink.

@@ -121,8 +121,8 @@ def generate_missions(
         out: the folder to write.
         settings: counts and measures.
         seed: root seed.
-        split: of scenes whose folder does not say it.
-        name: of the suite; by default the folder's name.
+        split: split of scenes whose folder does not say it.
+        name: name of the suite; by default the folder's name.
         camera: camera preset by name, which decides the body too; "" means the agent's own, else
             gn_bench.
         agent: preset by name whose body walks; "" means the camera's.
@@ -130,7 +130,7 @@ def generate_missions(
         language_options: for the language provider.
         workers: processes; never changes a byte.
         executor: where the workers run; never changes a byte.
-        ray_address: of a running Ray cluster.
+        ray_address: address of a running Ray cluster.
         overwrite: replace an earlier generation that was another one.
         progress: progress sink.
 

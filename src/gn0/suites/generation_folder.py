@@ -45,7 +45,7 @@ class GenerationRequest(Config, frozen=True):
     Attributes:
         layout: version of these files.
         software: version, and digest of the source that decides what is made.
-        name: of the suite.
+        name: name of the suite.
         seed: root seed.
         camera: camera preset by name.
         agent: the body.

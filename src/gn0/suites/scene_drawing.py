@@ -25,7 +25,7 @@ class Look(msgspec.Struct, frozen=True):
     """Where the splats of a scene are, and how they are lit.
 
     Attributes:
-        folder: of the scene.
+        folder: folder of the scene.
         scene: its id.
         hash: its content hash.
         light: as the scene was made when None.

@@ -18,7 +18,7 @@ class SceneEntry:
     """A scene on disk.
 
     Attributes:
-        id: of the scene.
+        id: id of the scene.
         folder: where it lies.
         hash: its content hash.
         split: train, val_unseen, test, …
@@ -39,7 +39,7 @@ def list_scenes(
 
     Args:
         paths: scene folders, folders with scene folders in them, or corpora.
-        split: of scenes whose folder does not say it.
+        split: split of scenes whose folder does not say it.
         progress: progress sink.
 
     Raises:

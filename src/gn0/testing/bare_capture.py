@@ -52,7 +52,7 @@ class BareSettings(Config, frozen=True):
         up: the axis of the file that up is near, or a direction "x,y,z".
         tilt: by how much up is off it [degrees], to a side that the seed draws.
         scale: metres that one unit of the file stands for.
-        seed: of the side to which it leans, and of the heading.
+        seed: seed of the side to which it leans, and of the heading.
     """
 
     up: str = "-y"

@@ -113,7 +113,7 @@ def build_toy_trips(
 
     Args:
         count: trips a plan.
-        seed: of plans and episodes.
+        seed: seed of plans and episodes.
         scenes: how many plans.
         longest: only the last so many poses of each trip; 0 means all.
         turn: angle of a turn [degrees].

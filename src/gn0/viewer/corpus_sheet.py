@@ -27,7 +27,7 @@ def render_corpus(
     Args:
         corpus: what is in it.
         folder: where it lies.
-        width: of the picture [px]; the height follows.
+        width: width of the picture [px]; the height follows.
         progress: progress sink.
 
     Raises:

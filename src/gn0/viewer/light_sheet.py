@@ -30,7 +30,7 @@ def render_light(
     Args:
         scene: the scene.
         conditions: the lights.
-        width: of the picture [px]; the height follows.
+        width: width of the picture [px]; the height follows.
         progress: progress sink.
     """
     view_width = (width - _TEXT - (_VIEWS + 2) * _GAP - _ROW) // _VIEWS

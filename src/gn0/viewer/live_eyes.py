@@ -64,7 +64,7 @@ def draw_canvas(
         renderer: draws.
         preset: the agent's camera.
         pose: where it stands.
-        height: of its eyes [m].
+        height: height of its eyes [m].
         size: width and height [px].
         kind: colour, or depth as colours.
         beyond: brightness of what the agent itself does not see, 0 for nothing.
@@ -92,7 +92,7 @@ class LiveEyes:
         server: whose visitors.
         stage: put away while the eyes are shown.
         preset: the agent's camera.
-        height: of its eyes [m].
+        height: height of its eyes [m].
         beyond: brightness of what the agent itself does not see, 0 for nothing.
     """
 

@@ -46,7 +46,7 @@ def render_overlay(
         scene: the scene.
         episodes: one (with start, heading, goal and instruction), or several (thin paths).
         renderer: a renderer of the scene's splats.
-        width: of the picture [px]; less for a scene that is deeper than wide.
+        width: width of the picture [px]; less for a scene that is deeper than wide.
         rooms: draw the outlines of rooms.
         caption: more lines of text below the instruction.
         cut_height: what lies higher [m] is left out of the BEV.

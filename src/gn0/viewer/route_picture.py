@@ -43,7 +43,7 @@ def render_route(
         route: the route, described.
         path: its points [N, 2] m.
         start_yaw: heading at the start [rad].
-        height: of the picture [px]; its width follows.
+        height: height of the picture [px]; its width follows.
         cut_height: what lies higher [m] is left out of the BEV.
     """
     p = np.asarray(path, np.float64).reshape(-1, 2)

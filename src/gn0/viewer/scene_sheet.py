@@ -35,7 +35,7 @@ def render_sheet(
     Args:
         scene: the scene.
         renderer: a renderer of its splats.
-        width: of the picture [px]; the height follows.
+        width: width of the picture [px]; the height follows.
         cut_height: height [m] above which the BEV shows nothing; by default a little below the
             ceiling when it is known, else 2.0.
         labels: "semantic" or "instance": the views show these in false colours.

@@ -59,7 +59,7 @@ class GoalPhotographer:
         scene: objects and rooms.
         navigation: where a camera may stand.
         camera: the agent's own.
-        height: of its eye [m].
+        height: height of its eye [m].
     """
 
     def __init__(

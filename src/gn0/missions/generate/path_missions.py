@@ -50,8 +50,8 @@ def build_missions(
     Args:
         scene: the scene.
         navigation: its map for this agent.
-        paths: of this scene.
-        texts: of these paths; a style that a path was not told in makes no episode.
+        paths: paths of this scene.
+        texts: texts of these paths; a style that a path was not told in makes no episode.
         settings: which missions.
         seed: root seed.
         agent: the body.

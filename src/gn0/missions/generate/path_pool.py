@@ -62,10 +62,10 @@ class PathRecord(msgspec.Struct, frozen=True, kw_only=True):
             the same path through the same scene.
         scene_id: its scene.
         scene_hash: content hash of that scene.
-        split: of its missions.
+        split: split of its missions.
         target_id: object or room that it leads to.
         target_kind: "object", "room" or "place".
-        category: of the target.
+        category: category of the target.
         room: type of the room that the target is in, "" when not known.
         component: connected region of safe ground, 0 the largest.
         start: (x, y) [m] and yaw [rad] along the first leg.

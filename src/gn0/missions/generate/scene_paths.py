@@ -94,7 +94,7 @@ class ScenePaths:
 
     Attributes:
         records: in the order in which they were accepted.
-        targets: of each record.
+        targets: the target of each record.
         report: the count.
     """
 
@@ -123,8 +123,8 @@ def generate_paths(
         scene: the scene.
         settings: counts and measures.
         seed: root seed.
-        radius: of the agent [m].
-        split: of the scene.
+        radius: radius of the agent [m].
+        split: split of the scene.
         held_out: share of its paths that are held out as split val_seen.
         earlier: paths [N, 2] m of earlier runs in this scene.
         progress: progress sink.

@@ -43,7 +43,7 @@ def write_path_texts(
     Args:
         scene: the scene.
         navigation: its map for this agent.
-        paths: of this scene.
+        paths: paths of this scene.
         settings: missions and styles.
         provider: who writes.
         seed: seed of the choice of words.

@@ -44,7 +44,7 @@ class ChatSettings(Config, frozen=True):
         max_tokens: tokens that may be used in all, prompts included.
         answer_tokens: tokens of one answer.
         answer_bytes: a larger reply is refused.
-        temperature: of sampling.
+        temperature: temperature of sampling.
         seed: sent with each request.
         give_up_after: failed requests in a row after which the server is not asked again.
         cache: folder of prompts and answers; by default in GN0's cache; "none" for no cache.

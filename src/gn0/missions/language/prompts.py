@@ -78,7 +78,7 @@ def build_messages(
     Args:
         role: which of the four.
         route: the route.
-        style: of the text in the end.
+        style: style of the text in the end.
         text: the text to mend (`grammar`) or to review (`review`).
         movement: what `moving` wrote, for `detailed`.
     """

@@ -38,7 +38,7 @@ def open_provider(name: str, **options: Any) -> TextProvider:
     Args:
         name: "template"; "openai" (options: `gn0.missions.language.chat.ChatSettings`); or
             "replay" (`path` of recorded answers, and `model` where several were recorded).
-        options: of that provider.
+        options: options of that provider.
 
     Raises:
         ConfigError: no such provider, an option it does not know, or one out of range.

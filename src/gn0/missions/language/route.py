@@ -27,7 +27,7 @@ class Landmark(Config, frozen=True):
         unique: only one of that name is in its room and in sight, so that "the" is right.
         plural: the name is a plural.
         distance: from the path to its footprint at the nearest [m].
-        share: of the view that it fills where it is seen best, 0..1.
+        share: share of the view that it fills where it is seen best, 0..1.
         seen_from: pose (x, y, yaw) [m, rad] on the route where it is seen best.
     """
 
@@ -47,7 +47,7 @@ class RouteSegment(Config, frozen=True):
 
     Attributes:
         turn: which way, or None for a straight.
-        angle: of the turn [degrees], positive to the left; 0 for a straight.
+        angle: angle of the turn [degrees], positive to the left; 0 for a straight.
         distance: length of a straight [m]; 0 for a turn.
         start: where the segment begins (x, y) [m].
         end: where it ends (x, y) [m].
@@ -110,7 +110,7 @@ class RouteDescription(Config, frozen=True):
         key: digest of scene, path, heading and target: the same route has the same key.
         segments: turns and straights in order.
         target: where it ends.
-        length: of the path [m].
+        length: length of the path [m].
         vocabulary: every name of an object or room that the scene holds, sorted; what a text may
             not mention unless the route does.
         shared_rooms: types of room of which the scene has several: "a bedroom" is entered.
@@ -152,7 +152,7 @@ class InstructionText(msgspec.Struct, frozen=True, kw_only=True):
         style: base, detailed or benchmark.
         text: never empty.
         provider: who wrote this text: "template", "openai", …
-        version: of that provider, e.g. "1" or "gpt-x, prompts 1".
+        version: version of that provider, e.g. "1" or "gpt-x, prompts 1".
         fallback: why the provider that was asked did not write it; "" when it did.
     """
 

@@ -38,7 +38,7 @@ class Stretch:
 
     Attributes:
         turn: which way, or None.
-        angle: of the turn [degrees].
+        angle: angle of the turn [degrees].
         begin: arc length at which it starts [m].
         end: arc length at which it ends [m].
     """

@@ -29,7 +29,7 @@ class Surroundings:
 
     Attributes:
         scene: the scene.
-        names: of each object [N], as it is said.
+        names: name of each object [N], as it is said.
         usable: whether each object [N] may be a landmark.
         weight: how well each object [N] serves by kind and size.
         room_of: index of each object's room [N], −1 unknown.

@@ -88,7 +88,7 @@ class PolicyServer:
         model, version: what clients are told of the model; runs of another one are not gone on
             with. What the policy's own `identity()` says is told too.
         queue: questions that may wait while one is answered.
-        held_bytes: of all questions that are held at a time.
+        held_bytes: bytes of all questions that are held at a time.
         idle_timeout: seconds without a question until a connection is closed.
 
     Raises:

@@ -274,7 +274,7 @@ class RendererShared:
 
     Args:
         connection: to that process; of one thread.
-        name: of the backend that draws.
+        name: name of the backend that draws.
 
     Attributes:
         traits: what the other process can do.
@@ -467,7 +467,7 @@ class SceneEncoder:
 
     Attributes:
         renderer: asks.
-        key: of the scene.
+        key: key of the scene.
         visible: draw from visible sets.
     """
 

@@ -37,7 +37,7 @@ class Mosaics:
         table: address on the device of each mosaic's tiles uint8 [h, w, 3] [V, cells], row by row;
             0 is black.
         tile: their width and height [px].
-        columns: of a mosaic.
+        columns: columns of a mosaic.
     """
 
     table: NDArray[np.uint64]

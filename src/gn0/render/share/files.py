@@ -37,13 +37,13 @@ class Files:
     """Files of a batch.
 
     Attributes:
-        views: of each view of the batch, in order.
+        views: one entry per view of the batch, in order.
         digests: uint8 [n, 16] of raw pixels.
         hashed: rows of `digests` by what they are of: "files" for the views, "mosaics", "depth"
             where it is wanted, and "maps 0", "maps 1", … in the order of `maps`.
         tiles: reduced views [V, h, w, 3]; None without mosaics.
-        mosaics: of each step of the requests that ended in this batch; None without.
-        steps: of those requests, how many steps each has, in order.
+        mosaics: mosaics of each step of the requests that ended in this batch; None without.
+        steps: how many steps each of those requests has, in order.
         maps: occupancy pictures of those requests that want them.
     """
 

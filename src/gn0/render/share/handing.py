@@ -49,7 +49,7 @@ class Batch:
         pictures: with fields rgb, depth, alpha on a device, or with `numpy()`.
         outputs: which of them go to the areas.
         pieces: in the order of their rows.
-        files: of the pictures, where they are wanted.
+        files: files of the pictures, where they are wanted.
         copies: under way to pinned memory, by output.
         blocks: of pinned memory that they go to, whole, by output.
     """

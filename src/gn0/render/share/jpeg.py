@@ -140,7 +140,7 @@ class JpegEncoder:
             table: address on the device of each mosaic's tiles uint8 [h, w, 3] [V, cells], row by
                 row; 0 is black. The tiles must stay until this has returned.
             tile: their width and height [px].
-            columns: of a mosaic.
+            columns: columns of a mosaic.
             quality: 1 to 100.
         """
         size = (tile[0] * columns, tile[1] * (table.shape[1] // columns))

@@ -65,7 +65,7 @@ class Floor(msgspec.Struct, frozen=True, tag="floor"):
         shape: H, W.
         resolution: cell size [m].
         origin: (x, y) [m] of the outer corner of cell (0, 0).
-        eye_height: of the cameras [m].
+        eye_height: eye height of the cameras [m].
     """
 
     name: str
@@ -103,8 +103,8 @@ class Draw(msgspec.Struct, frozen=True, tag="draw"):
     """Draw views of one scene into an area.
 
     Attributes:
-        number: of this request, for the answer.
-        key: of the scene in its light; equal keys mean equal splats.
+        number: number of this request, for the answer.
+        key: key of the scene in its light; equal keys mean equal splats.
         source: how the splats are loaded: what the server's loader takes.
         camera: for all views.
         views: world to camera, float64 [V, 4, 4] as bytes.
@@ -154,10 +154,10 @@ class Drawn(msgspec.Struct, frozen=True, tag="drawn"):
     """The pictures of a request are in its area.
 
     Attributes:
-        number: of the request.
+        number: number of the request.
         files: bytes of each view's JPEG file without what all have in common; they follow each
             other behind the pictures. Empty where none were wanted, or they had no room.
-        mosaics: of each step's mosaic; they follow the files.
+        mosaics: one entry per step's mosaic; they follow the files.
         maps: of each occupancy picture; they follow the mosaics.
         digests: 16 bytes each, of the raw pixels: of the views, of the mosaics, of the views'
             depth in millimetres where it is drawn, and of the occupancy pictures. Empty without

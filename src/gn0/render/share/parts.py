@@ -23,7 +23,7 @@ class Cloud(msgspec.Struct, frozen=True, tag="cloud"):
         coefficients: K, of spherical harmonics.
         normals: whether there are any.
         labels: whether splats know which object they belong to.
-        categories: of each object, int32 [K] as bytes; None if nobody knows.
+        categories: category of each object, int32 [K] as bytes; None if unknown.
     """
 
     name: str

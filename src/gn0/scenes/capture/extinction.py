@@ -39,7 +39,7 @@ class VoxelFrame:
 
     Attributes:
         origin: outer corner (x, y, z) [m].
-        size: of a voxel (x, y, z) [m].
+        size: size of a voxel (x, y, z) [m].
         shape: (layers, rows, columns).
     """
 

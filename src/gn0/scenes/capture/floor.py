@@ -27,7 +27,7 @@ class FloorPlane:
 
     Attributes:
         up: its unit normal.
-        height: of the plane along it.
+        height: height of the plane along it.
         noise: standard deviation of its points about it.
         cover: share of the columns of space that stand on it.
         under: share of the matter below it.

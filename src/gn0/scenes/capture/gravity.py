@@ -47,7 +47,7 @@ class UpCandidate:
         under: share of the matter below the floor level.
         low: how low things lie between floor and top, −1 (all at the top) to 1 (all at the floor).
         flat: how flat the capture is along it, 0 as long as wide to 1.
-        score: of all of these.
+        score: score of all of these.
         share: softmax of the scores.
     """
 

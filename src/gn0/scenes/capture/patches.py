@@ -51,7 +51,7 @@ class Patch:
 
     Attributes:
         height: over the floor.
-        area: of its cells.
+        area: area of its cells.
         low, high: corners (x, y) of its box.
         mass: surface in it, as the sample weighs it.
     """

@@ -57,7 +57,7 @@ def collect_votes(
     Args:
         cloud: in the file's frame.
         rotation: [3, 3] from the file's axes to level ones along the walls.
-        height: of the floor along up.
+        height: height of the floor along up.
         storey: what was found over the floor.
     """
     if storey.height is None:
@@ -79,10 +79,10 @@ def find_scale(
     Args:
         settings: what the user says.
         up: in the file's frame.
-        height: of the floor along up.
+        height: height of the floor along up.
         storey: what was found over the floor.
         tally: the votes.
-        size: of the capture from corner to corner, in units.
+        size: size of the capture from corner to corner, in units.
 
     Raises:
         SceneError: a known length cannot be measured.

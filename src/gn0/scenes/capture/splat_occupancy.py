@@ -43,7 +43,7 @@ class CaptureOccupancy:
         open_floor: all open floor [m²].
         seed_outside: whether the seed lies outside walls that enclose something.
         solid: voxels that hold matter, small clumps removed [layers, rows, columns].
-        frame: of the voxels.
+        frame: frame of the voxels.
         floating: voxels removed as small clumps.
     """
 

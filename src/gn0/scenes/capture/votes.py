@@ -66,7 +66,7 @@ class Vote:
 
     Attributes:
         kind: what gives it.
-        count: of such things.
+        count: count of such things.
         units: their size in the file.
         metres: what that size usually is.
         scale: metres a unit, in this opinion.

@@ -65,7 +65,7 @@ class Carried:
 
     Attributes:
         sensors: in the order of the table.
-        outputs: of a renderer, where an agent stands.
+        outputs: outputs of a renderer, where an agent stands.
         explored: outputs that the agent's own map is made of.
         maps: names of those that look at a map.
         eyes: names of those that look through the agent's eyes.

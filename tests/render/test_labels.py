@@ -125,7 +125,7 @@ def test_a_renderer_or_a_scene_without_labels_says_so() -> None:
         RendererCpu(plain).render(CAMERA, VIEW, outputs=("instance",))
     numbered = replace(plain, label=np.zeros(50, np.int32))
     RendererCpu(numbered).render(CAMERA, VIEW, outputs=("instance",))
-    with pytest.raises(RenderError, match="which category"):
+    with pytest.raises(RenderError, match="categories of the scene"):
         RendererCpu(numbered).render(CAMERA, VIEW, outputs=("semantic",))
     with pytest.raises(RenderError, match="unknown output 'normals'"):
         RendererCpu(numbered).render(CAMERA, VIEW, outputs=("normals",))  # type: ignore[arg-type]

@@ -87,7 +87,7 @@ def check_labelled(cloud_label: object, categories: object, outputs: Sequence[st
         )
     if "semantic" in wanted and categories is None:
         raise RenderError(
-            "nobody said which category the scene's objects have: 'semantic' cannot be drawn",
+            "the categories of the scene's objects are unknown: 'semantic' cannot be drawn",
             where="cloud.categories",
             remedy='draw "instance", or give the cloud `categories`',
         )

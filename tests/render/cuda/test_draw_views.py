@@ -101,9 +101,9 @@ def test_batches_and_lists_that_overflow_cannot_show(want) -> None:
         (lambda views, shown: views.__setitem__((2, 0), 2 * views[2, 0]), "view 2: .*not a rigid"),
         (lambda views, shown: views.__setitem__((6, 0), -views[6, 0]), "view 6: .*not a rigid"),
         (lambda views, shown: views.__setitem__((0, 3, 0), 1.0), "view 0: .*not a rigid"),
-        (lambda views, shown: shown.__setitem__(3, 4), "view 3: .*of no scene"),
-        (lambda views, shown: shown.__setitem__(3, -1), "view 3: .*of no scene"),
-        (lambda views, shown: shown.__setitem__(3, 5), "view 3: .*of no scene"),
+        (lambda views, shown: shown.__setitem__(3, 4), "view 3: .*scene that is not here"),
+        (lambda views, shown: shown.__setitem__(3, -1), "view 3: .*scene that is not here"),
+        (lambda views, shown: shown.__setitem__(3, 5), "view 3: .*scene that is not here"),
     ],
 )
 def test_a_view_that_is_none_is_told(change, match: str) -> None:

@@ -226,7 +226,7 @@ def test_a_scene_without_labels_says_so() -> None:
     batch = batch_of({"plain": plain, "numbered": replace(plain, label=np.zeros(50, np.int32))})
     with pytest.raises(RenderError, match="carry no labels"):
         batch.draw(CAMERA, VIEWS, "plain", outputs=("rgb", "instance"))
-    with pytest.raises(RenderError, match="which category"):
+    with pytest.raises(RenderError, match="categories of the scene"):
         batch.draw(CAMERA, VIEWS, "numbered", outputs=("semantic",))
     assert batch.draw(CAMERA, VIEWS, "numbered", outputs=("instance",)).numpy().instance.any()
     far = replace(plain, label=np.full(50, 2**20, np.int32))

@@ -25,7 +25,7 @@ _NOT_HELD = 3
 _WRONG = (  # with a view, as `views.cu` numbers it
     ("a view is not finite", ""),
     ("a view is not a rigid transform", "give a rotation and a translation, world to camera"),
-    ("a view is of no scene that is here", "give numbers of keys that are not None"),
+    ("a view shows a scene that is not here", "give numbers of keys that are not None"),
 )
 
 _PART = 2**31  # top bit of such a word: of an instance; then three bits say what

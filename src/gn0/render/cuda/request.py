@@ -56,11 +56,11 @@ def choose_keys(keys: list[str | None], numbers: list[int]) -> list[str | None]:
     """The key of each view.
 
     Raises:
-        RenderError: a number of no key.
+        RenderError: a number without a key.
     """
     for v, number in enumerate(numbers):
         if not 0 <= number < len(keys):
-            raise RenderError(f"{number} is the number of no key", where=f"view {v}")
+            raise RenderError(f"there is no key number {number}", where=f"view {v}")
     return [keys[number] for number in numbers]
 
 
@@ -74,7 +74,7 @@ def name_all(keys: Sequence[str | None] | str) -> Sequence[str] | str:
         return keys
     for v, key in enumerate(keys):
         if key is None:
-            raise RenderError("a view is of no scene that is here", where=f"view {v}")
+            raise RenderError("a view shows a scene that is not here", where=f"view {v}")
     return [key for key in keys if key is not None]
 
 

@@ -344,7 +344,7 @@ def _measure_builds(
             f"exact pictures; {server.card}, {count_cores()} cores; "
         )
         spent = (
-            f"the process that draws spent {1e3 * tally.drawing / max(tally.views, 1):.3f} ms a "
+            f"the drawing process spent {1e3 * tally.drawing / max(tally.views, 1):.3f} ms a "
             f"view on drawing, {1e3 * tally.encoding / max(tally.views, 1):.3f} on JPEG, "
             f"{1e3 * tally.copying / max(tally.views, 1):.3f} on copies beside, and waited "
             f"{tally.waiting:.1f} s; {tally.views / max(tally.calls, 1):.0f} views a call"

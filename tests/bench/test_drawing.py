@@ -94,7 +94,7 @@ def test_a_lost_drawing_process_ends_the_run_and_it_goes_on(
         return found
 
     monkeypatch.setattr(DrawServer, "__enter__", enter)
-    with pytest.raises(BenchError, match="process that draws"):
+    with pytest.raises(BenchError, match="drawing process"):
         run_suite(small_suite, "seeing", tmp_path / "d", **options)
     monkeypatch.setattr(DrawServer, "__enter__", entered)
     assert run_suite(small_suite, "seeing", tmp_path / "d", **options).ok

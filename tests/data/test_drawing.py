@@ -117,7 +117,7 @@ def test_pixels_are_compared_by_the_process_that_draws(alone, monkeypatch) -> No
 def test_visible_sets_give_the_same_bytes_whoever_draws(
     walks, long_walk, tmp_path, files_of, monkeypatch
 ) -> None:
-    """The sets are found by the process that draws; the dataset says that they were used."""
+    """The sets are found by the drawing process; the dataset says that they were used."""
     monkeypatch.setenv("GN0_CACHE", str(tmp_path / "cache"))
     few = save_suite(tmp_path / "few", [load_scene(walks.scene_folder("example-flat"))],
                      [long_walk], name="few")  # fmt: skip
@@ -164,7 +164,7 @@ def test_a_drawing_process_that_dies_is_said_and_the_build_goes_on(
 
     monkeypatch.setattr(DrawServer, "__enter__", enter)
     monkeypatch.setattr(part, "write_part", write)
-    with pytest.raises(DeviceError, match="process that draws is gone") as caught:
+    with pytest.raises(DeviceError, match="drawing process is gone") as caught:
         build_dataset(walks, tmp_path / "d", BuildSettings(chunk=1))
     assert "same command again" in caught.value.remedy
     build_dataset(walks, tmp_path / "d", BuildSettings(chunk=1))

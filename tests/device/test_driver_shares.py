@@ -1,4 +1,4 @@
-"""The process that draws, through the real driver's calls: copies beside kernels, files, losses."""
+"""The drawing process, through the real driver's calls: copies beside kernels, files, losses."""
 
 from __future__ import annotations
 

@@ -174,7 +174,7 @@ class EpisodeWorker:
         return self._simulator
 
     def _ask_for(self, look: Look) -> DrawnScene | None:
-        """A renderer that asks the process that draws, where there is one and it is needed."""
+        """A renderer that asks the drawing process, where there is one and it is needed."""
         if not self.settings.drawing or not needs_renderer(
             self.policy.sensors, self.settings.map_mode
         ):

@@ -20,7 +20,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         slot: the worker's place among its fellows, 0 for the first; a successor takes it over.
         agents: how many episodes it runs side by side, where the policy can.
         isolated: folder below which the policy's own process runs; "" where it runs in the worker.
-        drawing: address of the process that draws for all workers; "" where each does itself.
+        drawing: address of the drawing process for all workers; "" where each does itself.
         camera, backend, agent, map_mode, max_steps, success_radius, profile: see `SuiteFile`.
     """
 

@@ -93,7 +93,7 @@ def build_dataset(
         gpus: cards that Ray sets aside for each worker, which then draws for itself.
         batch: views per call of the GPU's renderer; 0 takes its default; never changes a byte.
         agents: episodes that a policy is driven through side by side; never changes a byte.
-        server: a process that draws with that backend, when one is running already.
+        server: a drawing process with that backend, when one is running already.
         progress: progress sink.
         note: called with each thing that a person should be told, once.
 

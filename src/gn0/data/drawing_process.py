@@ -87,7 +87,7 @@ def open_drawing(
     server: DrawServer | None = None,
     note: Callable[[str], None] = lambda text: None,
 ) -> Iterator[DrawServer | None]:
-    """The process that draws for a build's workers; None where each draws for itself.
+    """The drawing process for a build's workers; None where each draws for itself.
 
     Args:
         settings: how pictures are drawn.
@@ -116,7 +116,7 @@ def open_drawing(
     if server is not None:
         if server.backend != settings.drawn_by:
             raise ConfigError(
-                f"the process that draws has backend {server.backend!r}, not {settings.drawn_by!r}",
+                f"the drawing process has backend {server.backend!r}, not {settings.drawn_by!r}",
                 remedy="start one with the backend of the dataset",
             )
         yield server

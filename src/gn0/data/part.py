@@ -49,7 +49,7 @@ class PartPlan(msgspec.Struct, frozen=True):
         scene: its scene.
         episodes: its episodes.
         pictures: the cache to make; None takes what the build was asked for.
-        drawing: address of the process that draws; "" lets the worker draw for itself.
+        drawing: address of the drawing process; "" lets the worker draw for itself.
         agents: episodes that a policy is driven through side by side; decides no byte.
     """
 

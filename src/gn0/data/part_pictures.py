@@ -39,7 +39,7 @@ from gn0.sim.sensors import SensorSuite, paint_grid
 from gn0.storage import RowDigest, content_hash, safe_join
 from gn0.suites.scene_drawing import Look
 
-PAINTED = 2**22  # pixels of a map at most that the process that draws paints dots on
+PAINTED = 2**22  # pixels of a map at most that the drawing process paints dots on
 AHEAD = 64  # views drawn before they are wanted, where another process draws them
 T = TypeVar("T")
 KEPT_STEPS = 256  # longer walks are drawn again for each mission of their path
@@ -52,7 +52,7 @@ class Eyes:
     Args:
         dataset: whose agent, camera and scenes.
         settings: how pictures are drawn.
-        drawing: address of the process that draws; "" draws here.
+        drawing: address of the drawing process; "" draws here.
 
     Raises:
         DataError: it is to be drawn here, by a backend that is not.
@@ -95,7 +95,7 @@ class Eyes:
         return self._suite
 
     def painting(self, episode: Episode, *, encode: bool) -> Painting | None:
-        """What the process that draws needs for the occupancy pictures of an episode.
+        """What the drawing process needs for the occupancy pictures of an episode.
 
         None where the map is too large for it. `encode`: let it make files, too.
         """
@@ -108,7 +108,7 @@ class Eyes:
         return Painting(self._bare, Pose2D(*episode.start), encode)
 
     def ask_for(self, scene_id: str, light: LightCondition | None) -> DrawnScene | None:
-        """A renderer that asks the process that draws, where there is one."""
+        """A renderer that asks the drawing process, where there is one."""
         if self._connection is None:
             return None
         about = self.dataset.about_scene(scene_id)
@@ -124,7 +124,7 @@ def eyes_of(dataset: Dataset, settings: PictureSettings | None = None, drawing: 
     Args:
         dataset: whose eyes.
         settings: how pictures are drawn; as the dataset was built when None.
-        drawing: address of the process that draws; "" draws here.
+        drawing: address of the drawing process; "" draws here.
     """
     wanted = settings or dataset.about.settings.pictures
     way = (wanted.visible_sets, wanted.drawn_by, drawing)
@@ -168,7 +168,7 @@ class PartDrawer:
         blocks: the part's rows; hashes that they have are checked.
         settings: how pictures are drawn.
         check: refuse a picture that has another hash than its row says.
-        drawing: address of the process that draws; "" draws here.
+        drawing: address of the drawing process; "" draws here.
         files: let that process encode, too, where it can.
     """
 

@@ -190,7 +190,7 @@ def draw_views(
 
 @dataclass(frozen=True, eq=False)
 class Painting:
-    """Occupancy pictures that the process that draws is to paint.
+    """Occupancy pictures that the drawing process is to paint.
 
     Attributes:
         bare: the map before dots are drawn.
@@ -221,7 +221,7 @@ def draw_files(
     depth: bool = False,
     painting: Painting | None = None,
 ) -> Iterator[Seen]:
-    """As `draw_views`, but jpg files and digests that the process that draws makes, not pixels.
+    """As `draw_views`, but jpg files and digests that the drawing process makes, not pixels.
 
     The poses are those of one walk, from its first step on. What that process has not made is left
     to who needs it. `painting`: let it make the occupancy pictures, too.
@@ -279,7 +279,7 @@ def draw_files(
 
 
 def files_wanted(eyes: SensorSuite, settings: PictureSettings) -> bool:
-    """Whether the process that draws should make the jpg files, too: it must know their pixels."""
+    """Whether the drawing process should make the jpg files, too: it must know their pixels."""
     preset = eyes.config.preset
     return (
         _encoder_of(eyes) is not None

@@ -118,7 +118,7 @@ def verify_dataset(
         workers: readers (threads), and processes that draw; 0 means one per core.
         executor: where the processes that draw run.
         batch: views per call of the GPU's renderer; 0 takes its default.
-        server: a process that draws with the dataset's backend, when one is running already.
+        server: a drawing process with the dataset's backend, when one is running already.
         progress: progress sink.
         note: called with each thing that a person should be told, once.
 

@@ -88,7 +88,7 @@ def choose_run_backend(backend: str, policy: str, map_mode: str, *, isolated: bo
 
 @contextlib.contextmanager
 def open_run_drawing(backend: str, executor: str) -> Iterator[DrawServer | None]:
-    """The process that draws for all workers of a run on this machine's GPU; else None.
+    """The drawing process for all workers of a run on this machine's GPU; else None.
 
     Raises:
         DeviceError: the GPU cannot be used; says why.

@@ -85,7 +85,7 @@ class DrawConnection:
         except OSError as error:
             self._socket.close()
             raise DeviceError(
-                f"the process that draws cannot be reached: {error.strerror}",
+                f"the drawing process cannot be reached: {error.strerror}",
                 where=address,
                 remedy=GOES_ON,
             ) from None
@@ -102,7 +102,7 @@ class DrawConnection:
         """Who draws, in a name that tells a card from its emulation, and what it can.
 
         Raises:
-            DeviceError: the process that draws is gone.
+            DeviceError: the drawing process is gone.
         """
         answer = self._ask(Who())
         if not isinstance(answer, DrawnBy):
@@ -135,7 +135,7 @@ class DrawConnection:
         clouds that were sent, by digest.
 
         Raises:
-            DeviceError: the device or the process that draws is lost.
+            DeviceError: the device or the drawing process is lost.
             Gn0Error: what the process raised.
         """
         self._number += 1
@@ -199,7 +199,7 @@ class DrawConnection:
         """Bring a moving part's splats over, once a connection.
 
         Raises:
-            DeviceError: the process that draws is gone.
+            DeviceError: the drawing process is gone.
         """
         if digest in self._clouds:
             return
@@ -222,7 +222,7 @@ class DrawConnection:
         """The answer to a message.
 
         Raises:
-            DeviceError: the process that draws is gone.
+            DeviceError: the drawing process is gone.
             Gn0Error: what it answers.
         """
         try:
@@ -259,7 +259,7 @@ def _open_memory() -> int:
 
 
 def _lost() -> DeviceError:
-    return DeviceError("the process that draws is gone", remedy=GOES_ON)
+    return DeviceError("the drawing process is gone", remedy=GOES_ON)
 
 
 def error_of(code: str, what: str, where: str, remedy: str) -> Gn0Error:
@@ -280,7 +280,7 @@ class RendererShared:
         traits: what the other process can do.
 
     Raises:
-        DeviceError: the process that draws is gone.
+        DeviceError: the drawing process is gone.
     """
 
     def __init__(self, connection: DrawConnection, name: str) -> None:
@@ -292,7 +292,7 @@ class RendererShared:
 
     @cached_property
     def traits(self) -> Traits:
-        """What the process that draws is and can do.
+        """What the drawing process is and can do.
 
         Raises:
             DeviceError: it is gone.
@@ -331,7 +331,7 @@ class RendererShared:
             ConfigError: always: splats do not travel, see `add_source`.
         """
         raise ConfigError(
-            "splats are not sent to the process that draws",
+            "splats are not sent to the drawing process",
             remedy="say how it loads them: add_source(key, source)",
         )
 
@@ -373,7 +373,7 @@ class RendererShared:
         Raises:
             RenderError: always: the other process has them.
         """
-        raise RenderError("visible sets are kept by the process that draws", where=repr(key))
+        raise RenderError("visible sets are kept by the drawing process", where=repr(key))
 
     def draw(
         self,
@@ -393,7 +393,7 @@ class RendererShared:
         Raises:
             RenderError: a view is invalid, a scene is unknown, or `extra` splats are given: they do
                 not travel.
-            DeviceError: the device or the process that draws is lost.
+            DeviceError: the device or the drawing process is lost.
         """
         if extra is not None and len(extra):
             raise RenderError("moving splats are not sent to another process")
@@ -440,7 +440,7 @@ class RendererShared:
         Raises:
             RenderError: a view is invalid, there are too many, the scene is unknown, or `parts`
                 have no meaning.
-            DeviceError: the device or the process that draws is lost.
+            DeviceError: the device or the drawing process is lost.
         """
         matrices = check_views(views)
         if not 0 < len(matrices) <= VIEWS:
@@ -463,7 +463,7 @@ class RendererShared:
 
 @dataclass(frozen=True, eq=False)
 class SceneEncoder:
-    """Asks the process that draws a scene for files of its pictures.
+    """Asks the drawing process a scene for files of its pictures.
 
     Attributes:
         renderer: asks.
@@ -492,7 +492,7 @@ class SceneEncoder:
 
         Raises:
             RenderError: a view is invalid, or there are too many.
-            DeviceError: the device or the process that draws is lost.
+            DeviceError: the device or the drawing process is lost.
         """
         return self.renderer.ask(
             self.key, camera, views, outputs, background, visible=self.visible,
@@ -582,7 +582,7 @@ class DrawServer:
                 first = heard.get(timeout=START_LIMIT)
             except queue.Empty:
                 raise DeviceError(
-                    f"the process that draws did not start within {START_LIMIT:g} s",
+                    f"the drawing process did not start within {START_LIMIT:g} s",
                     remedy="see `gn0 doctor`, or use --backend cpu",
                 ) from None
             if isinstance(first, Refused):
@@ -592,7 +592,7 @@ class DrawServer:
             if first is None:
                 ended = self._process.end()
                 raise DeviceError(
-                    f"the process that draws {ended.how}\n{ended.last_words}".rstrip(),
+                    f"the drawing process {ended.how}\n{ended.last_words}".rstrip(),
                     remedy="see `gn0 doctor`, or use --backend cpu",
                 )
         except BaseException:

@@ -37,7 +37,7 @@ def open_socket() -> socket.socket:
     """
     if not hasattr(socket, "AF_UNIX"):
         raise DeviceError(
-            "one process that draws for many needs Unix sockets, which this system lacks",
+            "one drawing process for many needs Unix sockets, which this system lacks",
             remedy="use --backend cpu, or Linux (WSL)",
         )
     return socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

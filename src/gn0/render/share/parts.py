@@ -1,4 +1,4 @@
-"""Moving parts on their way to the process that draws: clouds once, then where they stand."""
+"""Moving parts on their way to the drawing process: clouds once, then where they stand."""
 
 from __future__ import annotations
 

@@ -236,6 +236,27 @@ def test_the_light_of_an_episode_is_in_pictures_drawn_again(dataset: Path) -> No
     assert np.array_equal(seen.rgb, again.rgb)
 
 
+def test_pictures_drawn_after_those_of_another_light_are_in_their_own(dataset: Path) -> None:
+    source = open_source(dataset)
+    day, evening = sorted(source.trips(), key=lambda t: t.episode.light is not None)[-2:]
+    next(source.eyes.look(day, day.poses[:1], source.preset, RGBD))
+    after = next(source.eyes.look(evening, evening.poses[:1], source.preset, RGBD))
+    assert np.array_equal(after.rgb, next(source.eyes.frames(evening, RGBD)).rgb)
+
+
+def test_another_camera_stands_at_its_own_height(dataset: Path) -> None:
+    """60 cm up and 15° down, the lowest row sees the floor at 0.6 / (y cos 15° + sin 15°)."""
+    source = open_source(dataset)
+    trip = next(iter(source.trips()))
+    low = find_preset("n1_60cm_15deg")
+    seen = next(source.eyes.look(trip, trip.poses[:1], low, RGBD))
+    assert seen.depth is not None
+    lens = low.depth
+    y, down = (lens.height - 0.5 - lens.cy) / lens.fy, np.radians(15.0)
+    floor = 0.60 / (y * np.cos(down) + np.sin(down))
+    assert float(np.median(seen.depth[-1])) == pytest.approx(floor, rel=0.1)
+
+
 def test_a_walk_that_was_cut_off_has_no_stop(dataset: Path) -> None:
     import dataclasses
 

@@ -15,7 +15,8 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-LISTS = ("by_hand.toml", "drawn.toml")
+ROOMS = ("exports", "viewer", "command_line", "moving_parts")  # a list each, by hand
+LISTS = ("by_hand.toml", *(f"{room}.toml" for room in ROOMS), "drawn.toml")
 
 
 class StaleFaultError(Exception):
@@ -34,7 +35,7 @@ class Fault:
         put: what replaces it.
         tells: what a user would see, or how the drawing calls the change.
         equivalent: why no test can tell it from the code; "" for all others.
-        origin: "hand" or "drawn".
+        origin: "hand", "drawn", or the list of a room.
     """
 
     name: str
@@ -109,7 +110,7 @@ def load_faults() -> list[Fault]:
     for name in LISTS:
         path = HERE / name
         if path.exists():
-            origin = "drawn" if name.startswith("drawn") else "hand"
+            origin = {"by_hand.toml": "hand"}.get(name, path.stem)
             rows = tomllib.loads(path.read_text())["fault"]
             faults += [Fault(**row, origin=origin) for row in rows]
     return faults

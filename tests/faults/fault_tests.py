@@ -86,8 +86,11 @@ class TestMap:
         return names & self.modules.keys(), texts & self.modules.keys()
 
     def module_of(self, file: str) -> str:
-        """The module's name of a file below the root."""
-        return next(n for n, p in self.modules.items() if p == self.root / file)
+        """The module's name of a file below the root; of a card's kernel, that which reads it."""
+        path = self.root / file
+        if path.suffix != ".py":
+            path = path.parent.with_name("source.py")
+        return next(n for n, p in self.modules.items() if p == path)
 
     def distances(self, module: str) -> dict[str, int]:
         """How far the users of a module are from it, itself included."""

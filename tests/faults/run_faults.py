@@ -3,6 +3,7 @@
     python tests/faults/run_faults.py                     # all; goes on where it stopped
     python tests/faults/run_faults.py --only oracle mpc   # those with a word in their name
     python tests/faults/run_faults.py --since HEAD~5      # those whose file or test changed since
+    python tests/faults/run_faults.py --fast --only cli-  # by the tests of `make test` alone
 
 The working tree is never touched. A fault runs the tests that touch its file, nearest first, until
 one fails. A verdict is kept in `out/faults/journal.jsonl` and holds as long as the fault, its file
@@ -29,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from draw_faults import SEED
-from fault_list import HERE, ROOT, Fault, StaleFaultError, load_faults
+from fault_list import HERE, ROOMS, ROOT, Fault, StaleFaultError, load_faults
 from fault_tests import TestMap, batches
 
 LIMIT = 150.0  # s a fault
@@ -56,8 +57,9 @@ def digest_files(names: list[str]) -> str:
 class Lane:
     """A copy of the tree with a kernel cache of its own, in which one fault is tried at a time."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, fast: bool = False) -> None:
         self.folder = folder
+        self.fast = fast  # no test that is marked slow
         self.tree = folder / "tree"
         self.kernels = folder / "kernels"
         self.broken: set[str] = set()  # tests that fail without any fault
@@ -119,7 +121,7 @@ class Lane:
             else []
         )
         parts += [(part, "not slow and not exhaustive and not browser") for part in batches(near)]
-        parts.append((near[:3], "slow and not exhaustive"))
+        parts += [] if self.fast else [(near[:3], "slow and not exhaustive")]
         about: dict[str, Any] = {"verdict": "survived", "files": near, "by": "", "how": ""}
         try:
             path.write_text(fault.changed(kept.decode()))
@@ -301,11 +303,12 @@ def report(faults: list[Fault], journal: Journal, stale: list[str], out: Path) -
               f"  ({journal.rows[fault.name]['how'] or 'all of its tests passed'})")  # fmt: skip
     for name in stale:
         print(f"stale: {name}")
-    origins = {o: [f for f in real if f.origin == o] for o in ("hand", "drawn")}
+    origins = {o: [f for f in real if f.origin == o] for o in ("hand", "drawn", *ROOMS)}
+    titles = {"hand": "by hand", **{room: f"of {room.replace('_', ' ')}" for room in ROOMS}}
     counts = ", ".join(
-        f"{sum(f in killed for f in own)} of {len(own)} {'by hand' if o == 'hand' else 'drawn'}"
-        for o, own in origins.items()
-    )
+        f"{sum(f in killed for f in own)} of {len(own)} {titles.get(o, o)}"
+        for o, own in origins.items() if own
+    )  # fmt: skip
     spent = sum(journal.rows[f.name]["seconds"] for f in judged)
     print(f"{len(killed)} of {len(real)} faults killed ({100 * share:.1f} %): {counts}; "
           f"{len(real) - len(judged)} not judged, {len(faults) - len(real)} equivalents left out, "
@@ -351,6 +354,7 @@ def main() -> int:
     parser.add_argument("--limit", type=float, default=LIMIT, help="seconds a fault")
     parser.add_argument("--report", action="store_true", help="run nothing, say what is known")
     parser.add_argument("--again", action="store_true", help="also those that have a verdict")
+    parser.add_argument("--fast", action="store_true", help="no slow tests; give --out as well")
     asked = parser.parse_args()
     out = asked.out.resolve()
     journal = Journal(out / "journal.jsonl")
@@ -365,12 +369,15 @@ def main() -> int:
     faults = [f for f in choose(every, asked.only, asked.since) if f.name not in gone]
     todo = [f for f in faults if not f.equivalent and (asked.again or not journal.holds(f))]
     if todo and not asked.report:
-        work(todo, journal, out, asked.workers, asked.limit)
+        work(todo, journal, out, asked.workers, asked.limit, fast=asked.fast)
     share = report(faults, journal, stale, out)
     return 0 if share >= WANTED and not stale else 1
 
 
-def work(todo: list[Fault], journal: Journal, out: Path, workers: int, limit: float) -> None:
+def work(
+    todo: list[Fault], journal: Journal, out: Path, workers: int, limit: float, *,
+    fast: bool = False,
+) -> None:  # fmt: skip
     """Judge faults in so many lanes at a time."""
     waiting: queue.SimpleQueue[Fault] = queue.SimpleQueue()
     for fault in todo:
@@ -380,7 +387,7 @@ def work(todo: list[Fault], journal: Journal, out: Path, workers: int, limit: fl
 
     def drive(number: int) -> None:
         nonlocal done
-        lane = Lane(out / f"lane{number}")
+        lane = Lane(out / f"lane{number}", fast=fast)
         lane.prepare()
         while True:
             try:
@@ -399,7 +406,7 @@ def work(todo: list[Fault], journal: Journal, out: Path, workers: int, limit: fl
         thread.start()
     for thread in threads:
         thread.join()
-    lane = Lane(out / "lane0")
+    lane = Lane(out / "lane0", fast=fast)
     lane.prepare()
     while broken := find_broken(lane, todo, journal):
         print(f"fail without a fault, and are left out: {', '.join(sorted(broken))}")

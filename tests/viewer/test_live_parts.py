@@ -159,6 +159,12 @@ def test_an_agent_is_not_put_where_it_has_no_room(scene, walk):
     assert walk.pose == Pose2D(*pose)  # it still stands where it stood
 
 
+def test_the_panel_tells_the_heading_in_degrees(scene, walk):
+    pose = choose_viewpoints(scene, 1)[0]
+    assert walk.place(pose.x, pose.y, math.pi / 2)
+    assert "yaw 90°" in walk.text
+
+
 def test_depth_colours_go_from_pale_to_dark():
     ramp = colour_depth(np.linspace(0, 12, 50, dtype=np.float32)[None], 10.0)[0].astype(int)
     light = ramp.sum(axis=1)

@@ -61,6 +61,7 @@ def test_each_step_is_the_recorded_one(runs):
             assert replay.trail(run, episode, step)[-1] == trace.poses[at][:2]
             assert replay.bumped(run, episode, step) == (step - 1 in trace.collided)
         assert replay.word(run, episode, 0) == "start"
+        assert replay.word(run, episode, len(trace.actions)) not in ("start", "ended")
         assert replay.word(run, episode, len(trace.actions) + 1) == "ended"
 
 

@@ -11,27 +11,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-import gn0.scenes.procedural as package
+import gn0.scenes.procedural.catalogue as package
 from gn0.scenes.procedural.assembly import Item
 from gn0.scenes.procedural.building import choose_palette
 
 MODULES = (
-    "gn0.scenes.procedural.furniture_bath",
-    "gn0.scenes.procedural.furniture_clutter",
-    "gn0.scenes.procedural.furniture_decor",
-    "gn0.scenes.procedural.furniture_depot",
-    "gn0.scenes.procedural.furniture_fixtures",
-    "gn0.scenes.procedural.furniture_garden",
-    "gn0.scenes.procedural.furniture_home",
-    "gn0.scenes.procedural.furniture_kitchen",
-    "gn0.scenes.procedural.furniture_light",
-    "gn0.scenes.procedural.furniture_office",
-    "gn0.scenes.procedural.furniture_public",
-    "gn0.scenes.procedural.furniture_seats",
-    "gn0.scenes.procedural.furniture_shop",
-    "gn0.scenes.procedural.furniture_storage",
-    "gn0.scenes.procedural.furniture_tables",
-    "gn0.scenes.procedural.furniture_tools",
+    "gn0.scenes.procedural.catalogue.bath",
+    "gn0.scenes.procedural.catalogue.clutter",
+    "gn0.scenes.procedural.catalogue.decor",
+    "gn0.scenes.procedural.catalogue.depot",
+    "gn0.scenes.procedural.catalogue.fixtures",
+    "gn0.scenes.procedural.catalogue.garden",
+    "gn0.scenes.procedural.catalogue.home",
+    "gn0.scenes.procedural.catalogue.kitchen",
+    "gn0.scenes.procedural.catalogue.light",
+    "gn0.scenes.procedural.catalogue.office",
+    "gn0.scenes.procedural.catalogue.public",
+    "gn0.scenes.procedural.catalogue.seats",
+    "gn0.scenes.procedural.catalogue.shop",
+    "gn0.scenes.procedural.catalogue.storage",
+    "gn0.scenes.procedural.catalogue.tables",
+    "gn0.scenes.procedural.catalogue.tools",
 )
 
 
@@ -57,7 +57,7 @@ BUILDERS = dict(builders())
 
 def test_no_module_is_forgotten() -> None:
     there = {m.name for m in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")}
-    assert {name for name in there if ".furniture_" in name} == set(MODULES)
+    assert there == set(MODULES)
 
 
 def build_one(name: str, seed: int = 0) -> Item:
@@ -84,7 +84,7 @@ def test_it_is_built_whole_and_of_a_size_that_things_have(name: str) -> None:
 
 
 def test_the_feet_of_a_drip_stand_stand_around_it_evenly() -> None:
-    item = build_one("furniture_public.build_drip_stand")
+    item = build_one("public.build_drip_stand")
     low, high = item.extent()
     # five feet on a circle of 0.26 m: their corners reach 0.26 m ahead and 0.26 cos 36° behind
     assert low[2] == pytest.approx(0.0, abs=1e-6)

@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gn0.scenes.procedural import (
-    furniture_bath,
-    furniture_clutter,
-    furniture_decor,
-    furniture_kitchen,
-    furniture_light,
-    furniture_seats,
-    furniture_storage,
-    furniture_tables,
-)
 from gn0.scenes.procedural.assembly import Assembly, Item, Placed
+from gn0.scenes.procedural.catalogue import (
+    bath,
+    clutter,
+    decor,
+    kitchen,
+    light,
+    seats,
+    storage,
+    tables,
+)
 from gn0.scenes.procedural.palette import STEEL, STYLES, WHITE, Palette, linear_colour
 from gn0.scenes.procedural.shapes import (
     LEAST_AREA,
@@ -39,14 +39,14 @@ from gn0.scenes.procedural.shapes_soft import build_curtain, build_cushion, buil
 from gn0.seeds import random_stream
 
 MODULES = (
-    furniture_bath,
-    furniture_clutter,
-    furniture_decor,
-    furniture_kitchen,
-    furniture_light,
-    furniture_seats,
-    furniture_storage,
-    furniture_tables,
+    bath,
+    clutter,
+    decor,
+    kitchen,
+    light,
+    seats,
+    storage,
+    tables,
 )
 ARGUMENTS: dict[str, dict[str, object]] = {
     "build_dining_table": {"seats": 4},
@@ -167,7 +167,7 @@ def test_a_vessel_is_hollow() -> None:
     assert 0 < volume(cup) < math.pi * 0.04**2 * 0.1 * 0.4
 
 
-@pytest.mark.parametrize("module", MODULES, ids=lambda m: m.__name__.rsplit("_", 1)[-1])
+@pytest.mark.parametrize("module", MODULES, ids=lambda m: m.__name__.rsplit(".", 1)[-1])
 def test_every_piece_of_furniture_is_sound(module: ModuleType) -> None:
     """Finite, without degenerate faces, standing at its origin, and not absurdly large."""
     names = items_of(module)
@@ -187,13 +187,13 @@ def test_every_piece_of_furniture_is_sound(module: ModuleType) -> None:
 
 
 def test_variants_differ() -> None:
-    for module, name in ((furniture_seats, "build_chair"), (furniture_light, "build_floor_lamp")):
+    for module, name in ((seats, "build_chair"), (light, "build_floor_lamp")):
         shapes = {tuple(np.round(make_item(module, name, s).size, 3)) for s in range(8)}
         assert len(shapes) >= 4
 
 
 def test_assembly_gives_each_part_a_box_that_holds_it() -> None:
-    sofa = furniture_seats.build_sofa(random_stream(4, "sofa"), Palette(STYLES[0]), seats=3)
+    sofa = seats.build_sofa(random_stream(4, "sofa"), Palette(STYLES[0]), seats=3)
     assembly = Assembly()
     assembly.add_item(Placed(sofa, 2.0, 1.0, 0.0, 0.7), "living_room_1")
     mesh, materials = assembly.finish()

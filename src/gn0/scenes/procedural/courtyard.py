@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 
 from gn0.scenes.procedural import facades, planting
-from gn0.scenes.procedural import furniture_garden as garden
 from gn0.scenes.procedural.building import choose_palette
+from gn0.scenes.procedural.catalogue import garden
+from gn0.scenes.procedural.catalogue.clutter import build_ball_toy
+from gn0.scenes.procedural.catalogue.depot import build_wheelie_bin
 from gn0.scenes.procedural.draft import Material, SceneDraft, Sky, Sun
-from gn0.scenes.procedural.furniture_clutter import build_ball_toy
-from gn0.scenes.procedural.furniture_depot import build_wheelie_bin
 from gn0.scenes.procedural.layout import Rect
 from gn0.scenes.procedural.palette import Palette, linear_colour, plain
 from gn0.scenes.procedural.plan import FloorPlan, Room, Wall

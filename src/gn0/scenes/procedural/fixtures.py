@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gn0.scenes.procedural import furniture_fixtures as fix
 from gn0.scenes.procedural.assembly import Item, Placed
+from gn0.scenes.procedural.catalogue import fixtures as fix
 from gn0.scenes.procedural.layout import RoomLayout
 from gn0.scenes.procedural.shell import SIDES
 

@@ -8,15 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gn0.scenes.procedural import furniture_clutter as clutter
-from gn0.scenes.procedural import furniture_decor as decor
-from gn0.scenes.procedural import furniture_light as light
-from gn0.scenes.procedural import furniture_office as office
-from gn0.scenes.procedural import furniture_seats as seats
-from gn0.scenes.procedural import furniture_storage as storage
-from gn0.scenes.procedural import furniture_tables as tables
-from gn0.scenes.procedural import furniture_tools as tools
 from gn0.scenes.procedural.assembly import Item, Placed
+from gn0.scenes.procedural.catalogue import (
+    clutter,
+    decor,
+    light,
+    office,
+    seats,
+    storage,
+    tables,
+    tools,
+)
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.groups import stand_at
 from gn0.scenes.procedural.layout import RoomLayout, dress, footprint, overlaps

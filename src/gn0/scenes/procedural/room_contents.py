@@ -7,15 +7,17 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from gn0.scenes.procedural import furniture_bath as bath
-from gn0.scenes.procedural import furniture_clutter as clutter
-from gn0.scenes.procedural import furniture_decor as decor
-from gn0.scenes.procedural import furniture_kitchen as kitchen
-from gn0.scenes.procedural import furniture_light as light
-from gn0.scenes.procedural import furniture_seats as seats
-from gn0.scenes.procedural import furniture_storage as storage
-from gn0.scenes.procedural import furniture_tables as tables
 from gn0.scenes.procedural.assembly import Placed
+from gn0.scenes.procedural.catalogue import (
+    bath,
+    clutter,
+    decor,
+    kitchen,
+    light,
+    seats,
+    storage,
+    tables,
+)
 from gn0.scenes.procedural.groups import (
     dress_windows,
     hang_above_counter,

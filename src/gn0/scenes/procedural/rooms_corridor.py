@@ -7,18 +7,20 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural import fixtures as fit
-from gn0.scenes.procedural import furniture_bath as bath
-from gn0.scenes.procedural import furniture_clutter as clutter
-from gn0.scenes.procedural import furniture_decor as decor
-from gn0.scenes.procedural import furniture_fixtures as fix
-from gn0.scenes.procedural import furniture_home as home
-from gn0.scenes.procedural import furniture_office as office
-from gn0.scenes.procedural import furniture_public as public
-from gn0.scenes.procedural import furniture_seats as seats
-from gn0.scenes.procedural import furniture_storage as storage
-from gn0.scenes.procedural import furniture_tables as tables
-from gn0.scenes.procedural import furniture_tools as tools
 from gn0.scenes.procedural.assembly import Item, Placed
+from gn0.scenes.procedural.catalogue import (
+    bath,
+    clutter,
+    decor,
+    home,
+    office,
+    public,
+    seats,
+    storage,
+    tables,
+    tools,
+)
+from gn0.scenes.procedural.catalogue import fixtures as fix
 from gn0.scenes.procedural.groups import (
     dress_windows,
     hang_pictures,

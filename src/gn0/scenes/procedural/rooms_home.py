@@ -5,13 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from gn0.scenes.procedural import furniture_bath as bath
-from gn0.scenes.procedural import furniture_clutter as clutter
-from gn0.scenes.procedural import furniture_decor as decor
-from gn0.scenes.procedural import furniture_home as home
-from gn0.scenes.procedural import furniture_storage as storage
-from gn0.scenes.procedural import furniture_tables as tables
 from gn0.scenes.procedural.assembly import Item, Placed
+from gn0.scenes.procedural.catalogue import bath, clutter, decor, home, storage, tables
 from gn0.scenes.procedural.fixtures import fit_fixtures
 from gn0.scenes.procedural.groups import (
     dress_windows,

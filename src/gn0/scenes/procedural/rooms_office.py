@@ -7,18 +7,20 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural import fixtures as fit
-from gn0.scenes.procedural import furniture_bath as bath
-from gn0.scenes.procedural import furniture_clutter as clutter
-from gn0.scenes.procedural import furniture_decor as decor
-from gn0.scenes.procedural import furniture_fixtures as fix
-from gn0.scenes.procedural import furniture_home as home
-from gn0.scenes.procedural import furniture_kitchen as kitchen
-from gn0.scenes.procedural import furniture_office as office
-from gn0.scenes.procedural import furniture_seats as seats
-from gn0.scenes.procedural import furniture_storage as storage
-from gn0.scenes.procedural import furniture_tools as tools
 from gn0.scenes.procedural import groups_office as groups
 from gn0.scenes.procedural.assembly import Item, Placed
+from gn0.scenes.procedural.catalogue import (
+    bath,
+    clutter,
+    decor,
+    home,
+    kitchen,
+    office,
+    seats,
+    storage,
+    tools,
+)
+from gn0.scenes.procedural.catalogue import fixtures as fix
 from gn0.scenes.procedural.groups import (
     hang_over,
     hang_pictures,

@@ -8,13 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from gn0.scenes.procedural import furniture_depot as depot
-from gn0.scenes.procedural import furniture_shop as shop
 from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.building import choose_palette
-from gn0.scenes.procedural.draft import Material, SceneDraft, Sun
-from gn0.scenes.procedural.furniture_clutter import build_bin
-from gn0.scenes.procedural.furniture_fixtures import (
+from gn0.scenes.procedural.catalogue import depot, shop
+from gn0.scenes.procedural.catalogue.clutter import build_bin
+from gn0.scenes.procedural.catalogue.fixtures import (
     build_extinguisher,
     build_notice_board,
     build_panel_lamp,
@@ -22,6 +20,7 @@ from gn0.scenes.procedural.furniture_fixtures import (
     build_vending_machine,
     build_vent,
 )
+from gn0.scenes.procedural.draft import Material, SceneDraft, Sun
 from gn0.scenes.procedural.goods import SHELF_GOODS
 from gn0.scenes.procedural.groups import light_ceiling, place_corner_things, place_desk
 from gn0.scenes.procedural.layout import RoomLayout

@@ -8,20 +8,20 @@ from functools import partial
 
 import numpy as np
 
-from gn0.scenes.procedural import furniture_depot as depot
 from gn0.scenes.procedural.assembly import Item
 from gn0.scenes.procedural.building import choose_palette
-from gn0.scenes.procedural.draft import Lamp, Material, SceneDraft, Sun
-from gn0.scenes.procedural.furniture_clutter import build_bin
-from gn0.scenes.procedural.furniture_fixtures import (
+from gn0.scenes.procedural.catalogue import depot
+from gn0.scenes.procedural.catalogue.clutter import build_bin
+from gn0.scenes.procedural.catalogue.fixtures import (
     build_extinguisher,
     build_notice_board,
     build_vending_machine,
 )
-from gn0.scenes.procedural.furniture_light import glow
-from gn0.scenes.procedural.furniture_office import build_lockers
-from gn0.scenes.procedural.furniture_seats import build_bench
-from gn0.scenes.procedural.furniture_shop import build_sign
+from gn0.scenes.procedural.catalogue.light import glow
+from gn0.scenes.procedural.catalogue.office import build_lockers
+from gn0.scenes.procedural.catalogue.seats import build_bench
+from gn0.scenes.procedural.catalogue.shop import build_sign
+from gn0.scenes.procedural.draft import Lamp, Material, SceneDraft, Sun
 from gn0.scenes.procedural.groups import light_ceiling, place_corner_things, place_desk
 from gn0.scenes.procedural.layout import RoomLayout
 from gn0.scenes.procedural.palette import STEEL, Palette, plain

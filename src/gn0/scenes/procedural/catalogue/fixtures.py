@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed
+from gn0.scenes.procedural.catalogue.light import glow, lamp_light
 from gn0.scenes.procedural.draft import Lamp, Material
-from gn0.scenes.procedural.furniture_light import glow, lamp_light
 from gn0.scenes.procedural.palette import BLACK, CHROME, GREY, TRIM, WHITE, Palette, plain
 from gn0.scenes.procedural.shapes import (
     Shape,

@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed
+from gn0.scenes.procedural.catalogue.light import glow, lamp_light
+from gn0.scenes.procedural.catalogue.shop import sign_material
 from gn0.scenes.procedural.draft import Lamp, Material
-from gn0.scenes.procedural.furniture_light import glow, lamp_light
-from gn0.scenes.procedural.furniture_shop import sign_material
 from gn0.scenes.procedural.palette import BLACK, GREY, STEEL, WHITE, linear_colour, plain
 from gn0.scenes.procedural.shapes import (
     Shape,

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Support
+from gn0.scenes.procedural.catalogue.seats import build_legs
 from gn0.scenes.procedural.draft import Material
-from gn0.scenes.procedural.furniture_seats import build_legs
 from gn0.scenes.procedural.palette import BLACK, BRASS, GLASS, Palette, linear_colour, plain
 from gn0.scenes.procedural.shapes import (
     Shape,

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
+from gn0.scenes.procedural.catalogue.kitchen import DARK_GLASS, build_faucet
+from gn0.scenes.procedural.catalogue.tables import build_fronts
 from gn0.scenes.procedural.draft import Material
-from gn0.scenes.procedural.furniture_kitchen import DARK_GLASS, build_faucet
-from gn0.scenes.procedural.furniture_tables import build_fronts
 from gn0.scenes.procedural.palette import CERAMIC, CHROME, GLASS, GREY, WHITE, Palette, plain
 from gn0.scenes.procedural.shapes import (
     Shape,

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
+from gn0.scenes.procedural.catalogue.light import glow, lamp_light
+from gn0.scenes.procedural.catalogue.office import without_underside
+from gn0.scenes.procedural.catalogue.storage import build_towel_stack
 from gn0.scenes.procedural.draft import Lamp, Material
-from gn0.scenes.procedural.furniture_light import glow, lamp_light
-from gn0.scenes.procedural.furniture_office import without_underside
-from gn0.scenes.procedural.furniture_storage import build_towel_stack
 from gn0.scenes.procedural.palette import BLACK, CHROME, GREY, LINEN, STEEL, WHITE, Palette, plain
 from gn0.scenes.procedural.shapes import (
     Shape,

@@ -8,15 +8,15 @@ from collections.abc import Callable
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed
-from gn0.scenes.procedural.draft import Material
-from gn0.scenes.procedural.furniture_decor import build_photo, build_plant, build_vase
-from gn0.scenes.procedural.furniture_light import build_candle
-from gn0.scenes.procedural.furniture_storage import (
+from gn0.scenes.procedural.catalogue.decor import build_photo, build_plant, build_vase
+from gn0.scenes.procedural.catalogue.light import build_candle
+from gn0.scenes.procedural.catalogue.storage import (
     build_basket,
     build_book_stack,
     build_storage_box,
     build_towel_stack,
 )
+from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import (
     BLACK,
     CERAMIC,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item
-from gn0.scenes.procedural.furniture_office import BINDERS
+from gn0.scenes.procedural.catalogue.office import BINDERS
 from gn0.scenes.procedural.palette import BLACK, GREY, PAPER, WHITE, plain
 from gn0.scenes.procedural.shapes import (
     Shape,

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
+from gn0.scenes.procedural.catalogue.seats import build_folded, build_legs, leaning
+from gn0.scenes.procedural.catalogue.tables import build_carcass, build_fronts
 from gn0.scenes.procedural.draft import Material
-from gn0.scenes.procedural.furniture_seats import build_folded, build_legs, leaning
-from gn0.scenes.procedural.furniture_tables import build_carcass, build_fronts
 from gn0.scenes.procedural.palette import (
     BLACK,
     LINEN,

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed
+from gn0.scenes.procedural.catalogue.light import glow, lamp_light
 from gn0.scenes.procedural.draft import Lamp, Material
-from gn0.scenes.procedural.furniture_light import glow, lamp_light
 from gn0.scenes.procedural.goods import (
     BRANDS,
     SHELF_GOODS,

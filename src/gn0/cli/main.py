@@ -17,6 +17,10 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene generate": ("scene_generate", "a furnished building from a seed: homes, offices, halls"),
     "scene import": ("scene_import", "a splat file, InteriorGS folder or Gazebo world as a scene"),
     "scene corpus": ("scene_corpus", "many scenes with train, unseen and test splits"),
+    "scene furniture": (
+        "scene_furniture",
+        "draw the catalogue of furniture of generated scenes",
+    ),
     "scene check": ("scene_check", "say in plain words what is wrong with a scene"),
     "scene show": ("scene_show", "draw a sheet: plan, bird's-eye view, four views"),
     "scene light": ("scene_light", "see a scene by day, dusk and lamplight; write a variant"),

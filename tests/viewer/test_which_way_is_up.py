@@ -28,6 +28,7 @@ from gn0.viewer.live_splats import build_live_splats
 from gn0.viewer.overlay import BLOCKED_PATH, PATH, START, render_overlay
 from gn0.viewer.recorded_runs import _number
 from gn0.viewer.route_picture import segment_words
+from gn0.viewer.see_through import see_through_shares
 from gn0.viewer.stats_page import draw_coverage, draw_histogram, rank
 
 
@@ -172,3 +173,19 @@ def test_a_captures_floor_is_marked_below_its_ceiling(yard: Scene) -> None:
     sheet = render_capture(with_(yard, load_cloud=lambda: cloud, cloud_hash="", source=source))
     floor, ceiling = near(sheet, (34, 120, 200), 3), near(sheet, (130, 90, 170), 3)
     assert np.median(floor[:, 0]) > np.median(ceiling[:, 0]) + 100
+
+
+def test_a_scene_is_open_where_no_splat_stops_the_view(
+    yard: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alpha = np.ones((2, 10, 10))
+    alpha[1, :3] = 0.1  # three of ten rows of the second view
+
+    class Eyes:
+        def render(self, camera: object, views: F64, outputs: object) -> Any:
+            return SimpleNamespace(alpha=alpha[: len(views)])
+
+    monkeypatch.setattr("gn0.viewer.see_through.build_renderer", lambda cloud: Eyes())
+    poses = [Pose2D(1.0, 1.0, 0.0), Pose2D(2.0, 1.0, 0.0)]
+    monkeypatch.setattr("gn0.viewer.see_through.choose_viewpoints", lambda scene, views: poses)
+    assert see_through_shares(yard) == pytest.approx([0.0, 0.3])

@@ -11,6 +11,7 @@ import pytest
 from gn0.errors import RenderError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import view_from_pose
+from gn0.render import cpu_labels
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.request import check_picture
@@ -105,6 +106,53 @@ def test_what_moves_carries_labels_of_its_own() -> None:
     renderer.name_cloud("plain", unlabelled)
     seen = renderer.render(CAMERA, view, parts=[Instance("plain", pose)], outputs=BOTH)
     assert (seen.instance[shows] == 0).mean() > 0.9
+
+
+def test_each_single_splat_that_moves_shows_its_own_label() -> None:
+    """Numbers run on from the scene's splats: the first that moves is not the scene's last."""
+    cloud = labelled()
+    view = views_of(cloud)
+    pose = np.linalg.inv(view[0])
+    pose[:3, 3] += pose[:3, :3] @ (0.0, 0.0, 1.0)
+    one = replace(
+        cloud.select(np.arange(1)),
+        means=np.zeros((1, 3), np.float32),
+        scales=np.full((1, 3), 0.3, np.float32),
+        opacities=np.full(1, 0.99, np.float32),
+        label=np.array([900], np.int32),
+        categories=np.full(901, 5, np.int32),
+    )
+    renderer = RendererCpu(cloud)
+    renderer.name_cloud("dot", one)
+    seen = renderer.render(CAMERA, view, parts=[Instance("dot", pose)], outputs=BOTH)
+    assert seen.instance is not None and seen.semantic is not None
+    assert (seen.instance[0, 13:17, 18:22] == 901).all()
+    assert (seen.semantic[0, 13:17, 18:22] == 5).all()
+
+
+@pytest.mark.parametrize(("first", "shown"), [((5, 2), 9), ((2, 5), 7)])
+def test_of_labels_that_weigh_the_same_the_nearer_shows(
+    monkeypatch: pytest.MonkeyPatch, first: tuple[int, int], shown: int
+) -> None:
+    """Weights alike to the last bit: whose first splat came first, in whatever order they stand."""
+
+    def weigh(*given: object) -> int:
+        sums, firsts, known, _ = given[-4:]
+        assert isinstance(sums, np.ndarray) and isinstance(firsts, np.ndarray)
+        assert isinstance(known, np.ndarray)
+        sums[:], firsts[:], known[:] = 0.0, 2**31 - 1, (7, 9)
+        side = len(sums) // 2
+        sums[[0, side]], firsts[[0, side]] = 0.25, first
+        return 2
+
+    monkeypatch.setattr(cpu_labels, "_sum_tile", weigh)
+    none, tile = np.zeros(0, np.int64), cpu_labels.TILE
+    out = np.zeros((tile, tile), np.uint32)
+    cpu_labels.label_tiles.py_func(
+        none, none, none, np.zeros(2, np.int64), none, none, none, none, np.zeros(1, np.int64),
+        1, tile, tile, True, none, none, 0, 2, out,
+    )  # fmt: skip
+    assert out[0, 0] == shown and not out[1:].any()
 
 
 def test_pieces_of_a_scene_show_the_labels_of_the_whole() -> None:

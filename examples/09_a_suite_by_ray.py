@@ -51,7 +51,10 @@ def cut_when_busy(cluster: Any, node: Any, folder: Path, running: subprocess.Pop
 
 def main(out: Path) -> None:
     """Missions in six flats, twice: by one process, and on two machines."""
-    from ray.cluster_utils import Cluster
+    try:
+        from ray.cluster_utils import Cluster
+    except ImportError:
+        raise SystemExit("Ray is not installed: pip install -e '.[scale]'") from None
 
     flat = build_example_scene()
     for number in range(SCENES):

@@ -117,7 +117,7 @@ def publish_folder(
         if there.get(file.digest) != file.size
     }
     _side_by_side(
-        [partial(store.put, path, f"{OBJECTS}/{file.digest}") for path, file in missing.values()],
+        [partial(_send_object, store, path, file) for path, file in missing.values()],
         "uploading",
         progress,
     )
@@ -157,7 +157,10 @@ def fetch_folder(url: str, *, progress: Progress = no_progress) -> Path:
         for file in manifest.files:
             place = safe_join(folder, file.path)
             place.parent.mkdir(parents=True, exist_ok=True)
-            os.link(objects / file.digest, place)
+            try:
+                os.link(objects / file.digest, place)
+            except OSError:  # a file system without hard links
+                shutil.copyfile(objects / file.digest, place)
 
     return _appear(target, lay)
 
@@ -298,6 +301,13 @@ class _Store:
         except Exception as error:
             raise self._error(error, "upload") from error
 
+    def remove(self, name: str) -> None:
+        """Take a file away again."""
+        try:
+            self._system.rm_file(self._at(name))
+        except Exception as error:
+            raise self._error(error, "remove") from error
+
     def write(self, name: str, data: bytes) -> None:
         """Send a small file."""
         with tempfile.TemporaryDirectory() as folder:
@@ -311,6 +321,17 @@ class _Store:
             self._system.get_file(self._at(name), str(target))
         except Exception as error:
             raise self._error(error, f"download {name or 'it'}") from error
+
+
+def _send_object(store: _Store, path: Path, file: RemoteFile) -> None:
+    """Send a file under the name of its content, unless that changed since it was read."""
+    name = f"{OBJECTS}/{file.digest}"
+    store.put(path, name)
+    if path.stat().st_size != file.size or _digest(path) != file.digest:
+        store.remove(name)
+        raise StorageError(
+            "changed while it was uploaded", where=path, remedy="upload it when nobody writes there"
+        )
 
 
 def _fetch_object(store: _Store, objects: Path, file: RemoteFile) -> None:

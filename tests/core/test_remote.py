@@ -89,6 +89,36 @@ def test_an_upload_that_is_cut_shows_nothing_and_goes_on(
     assert "a.bin" in files_of(fetch_folder(url))
 
 
+def test_a_file_that_changes_on_its_way_is_not_published(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = "memory://bucket/moving"
+    put = remote._Store.put
+
+    def change(self: Any, source: Path, name: str) -> None:
+        if source.name == "c.txt":
+            source.write_bytes(b"delta")
+        put(self, source, name)
+
+    monkeypatch.setattr(remote._Store, "put", change)
+    with pytest.raises(StorageError, match=r"c\.txt: changed while it was uploaded"):
+        publish_folder(folder, url)
+    monkeypatch.setattr(remote._Store, "put", put)
+    publish_folder(folder, url)
+    assert files_of(fetch_folder(url))["deep/er/c.txt"] == b"delta"
+
+
+def test_a_cache_without_hard_links_holds_copies(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(95, "no links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    publish_folder(folder, "memory://bucket/unlinked")
+    assert files_of(fetch_folder("memory://bucket/unlinked"))["a.bin"] == b"alpha" * 1000
+
+
 def test_what_changed_in_the_store_is_not_believed(folder: Path) -> None:
     url = "memory://bucket/bad"
     manifest = publish_folder(folder, url)

@@ -186,7 +186,7 @@ def test_refuses_what_it_cannot_fit() -> None:
     picture = np.zeros((48, 64, 3), np.uint8)
     with pytest.raises(RenderError, match="expected \\(48, 64, 3\\)"):
         refine_cloud(cloud, [LENS], VIEW[None], lambda _: picture[:-1], steps=1)
-    with pytest.raises(RenderError, match="lens"):
+    with pytest.raises(RenderError, match="1 views and 2 cameras"):
         refine_cloud(cloud, [LENS] * 2, VIEW[None], lambda _: picture)
     lit = GaussianCloud(
         cloud.means, cloud.quats, cloud.scales, cloud.opacities, np.zeros((10, 4, 3), np.float32)

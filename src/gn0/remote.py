@@ -32,6 +32,7 @@ from gn0.progress import Progress, no_progress
 from gn0.storage import (
     TEMPORARY_PREFIX,
     cache_dir,
+    check_contained,
     content_hash,
     safe_join,
     storage_error,
@@ -93,10 +94,12 @@ def publish_folder(
         progress: progress sink.
 
     Raises:
-        StorageError: the folder cannot be read, the store cannot be reached or refuses, or a
-            package is missing.
+        StorageError: the folder cannot be read or has a link that leads out of it, the store
+            cannot be reached or refuses, or a package is missing.
     """
-    folder, store = Path(folder), _Store(url)
+    folder = Path(folder)
+    check_contained(folder)
+    store = _Store(url)
     paths = [
         path
         for path in sorted(folder.rglob("*"))

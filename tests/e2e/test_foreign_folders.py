@@ -21,10 +21,11 @@ import pytest
 
 from gn0.bench.runner import run_suite
 from gn0.cli.main import VERBS, main
-from gn0.data.build import build_dataset
+from gn0.data.build import build_dataset, build_shard
 from gn0.data.collect import build_dagger
-from gn0.data.dataset import compute_seal, load_dataset_file
+from gn0.data.dataset import FileRecord, compute_seal, file_digest, load_dataset_file
 from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
+from gn0.data.shard import load_shard
 from gn0.errors import StorageError
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import save_scene
@@ -69,6 +70,11 @@ DATASETS = {
     "data render": ["{it}"],
     "export": ["vlnce-r2r", "{it}", "--out", "{new}"],
     "data build into it": ["{suite}", "--layout", "none", "--out", "{it}"],
+    "copy": ["{it}", "{new}"],
+}
+SHARDS = {
+    "data merge": ["{it}", "--balance", "weights", "--out", "{new}"],
+    "data build into it": ["{suite}", "--layout", "none", "--shard", "1/1", "--out", "{it}"],
 }
 EXPORTS = {
     "export check": ["{it}"],
@@ -78,11 +84,17 @@ EXPORTS = {
 OTHERS = {
     "demo", "doctor", "figures", "scene generate", "scene import", "scene corpus", "scene check",
     "scene show", "scene light", "scene visible", "scene inspect", "scene convert", "list",
-    "completion",
+    "scene furniture", "completion",
 }  # fmt: skip
 CASES = [
     (kind, case, links)
-    for kind, cases in (("run", RUNS), ("suite", SUITES), ("data", DATASETS), ("export", EXPORTS))
+    for kind, cases in (
+        ("run", RUNS),
+        ("suite", SUITES),
+        ("data", DATASETS),
+        ("export", EXPORTS),
+        ("shard", SHARDS),
+    )
     for case in cases
     for links in (False, True)
 ]
@@ -164,10 +176,13 @@ def home(canary: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> di
     run_suite(suite, "random", root / "run")
     plain = BuildSettings(pictures=PictureSettings(layout="none"))
     build_dataset(suite, root / "sound", plain)
+    build_shard(suite, root / "shard", "1/1", plain)
     driven = DaggerSettings(policy="random", max_steps=20, halting="none")
     build_dagger(suite, root / "data", msgspec.structs.replace(plain, dagger=driven))
     assert main(["export", "vlnce-r2r", str(root / "sound"), "--out", str(root / "export")]) == 0
-    return {name: root / name for name in ("flat", "suite", "run", "data", "export", "sound")}
+    return {
+        name: root / name for name in ("flat", "suite", "run", "data", "export", "sound", "shard")
+    }
 
 
 def edit(path: Path, change: Callable[[Any], None]) -> None:
@@ -204,6 +219,20 @@ def spoil(kind: str, it: Path, canary: dict[str, Any]) -> None:
         (it / "dataset.json").write_bytes(msgspec.json.encode(sealed))
         for table in (it / "samples").iterdir():  # to be made again, by whoever drove
             table.write_bytes(table.read_bytes()[:-9])
+    elif kind == "shard":
+        spoil("data", it, canary)
+        shard = load_shard(it)
+        driven = load_dataset_file(it)
+        secret = canary["outside"] / "secret.txt"
+        stolen = FileRecord(
+            path=os.path.relpath(secret, it),
+            size=secret.stat().st_size,
+            digest=file_digest(secret.read_bytes()),
+        )
+        about = msgspec.structs.replace(driven, files=(stolen, *driven.files))
+        shard = msgspec.structs.replace(shard, about=about)
+        shard = msgspec.structs.replace(shard, seal=compute_seal(shard))
+        (it / "shard.json").write_bytes(msgspec.json.encode(shard))
     else:
         edit(it / "export.json", lambda about: about.update(format=f"{MODULE}:Exporter"))
 
@@ -229,7 +258,7 @@ def test_a_strangers_folder_neither_dials_nor_imports_nor_reads_outside_itself(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for name in ("suite", "run", "data", "sound", "export"):
+    for name in ("suite", "run", "data", "sound", "export", "shard"):
         shutil.copytree(home[name], tmp_path / name)
     it = tmp_path / kind
     if links:
@@ -240,8 +269,8 @@ def test_a_strangers_folder_neither_dials_nor_imports_nor_reads_outside_itself(
         (tmp_path / "sound" / "episodes.parquet").unlink()
     places = {name: str(tmp_path / name) for name in ("suite", "run", "new")}
     places |= {"it": str(it), "data": str(tmp_path / "sound"), "scene": str(home["flat"])}
-    table = {"run": RUNS, "suite": SUITES, "data": DATASETS, "export": EXPORTS}[kind]
-    told = [word.format(**places) for word in table[case]]
+    tables = {"run": RUNS, "suite": SUITES, "data": DATASETS, "export": EXPORTS, "shard": SHARDS}
+    told = [word.format(**places) for word in tables[kind][case]]
     watch: Watch = canary["watch"]
     watch.seen.clear()
     watch.on = True

@@ -38,11 +38,13 @@ def run(args: Args) -> int:
     from gn0.cli.console import draw_progress
     from gn0.errors import StorageError
     from gn0.remote import is_url, publish
-    from gn0.storage import storage_error
+    from gn0.storage import check_contained, storage_error
 
     source = Path(args.source)  # fetched already where it was a URL
     if not source.exists():
         raise StorageError("nothing is there", where=source, remedy="give a folder, or a URL")
+    if source.is_dir():
+        check_contained(source)
     if is_url(args.target):
         with draw_progress() as progress:
             publish(source, args.target, progress=progress)

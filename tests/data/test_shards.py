@@ -89,6 +89,7 @@ def test_what_a_policy_visits_is_sharded_alike(data_suite, tmp_path, files_of) -
     assert files_of(merge_shards(folders, tmp_path / "m").folder) == files_of(whole.folder)
 
 
+@pytest.mark.slow
 def test_lerobot_depth_waits_in_its_shard(data_suite, tmp_path, files_of, monkeypatch) -> None:
     """It is not drawn again by who merges."""
     pictures = PictureSettings(layout="lerobot", depth=True)

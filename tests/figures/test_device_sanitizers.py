@@ -84,6 +84,7 @@ def test_every_tool_covers_all_tests(ctx: Any, monkeypatch: pytest.MonkeyPatch) 
         assert " s in 2 processes, the longest " in row.detail
 
 
+@pytest.mark.slow  # waits for a hang to be noticed
 def test_errors_and_hangs_are_told(
     ctx: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

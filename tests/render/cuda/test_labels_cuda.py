@@ -235,6 +235,7 @@ def test_a_scene_without_labels_says_so() -> None:
     assert batch.draw(CAMERA, VIEWS, "plain").numpy().rgb.any(), "and goes on"
 
 
+@pytest.mark.slow
 def test_no_thread_reads_what_another_may_be_writing(monkeypatch) -> None:
     small = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2)
     monkeypatch.setattr("gn0.render.cuda.batch.share_drawer", lambda device: Drawer(device, small))

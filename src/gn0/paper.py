@@ -12,7 +12,7 @@ STOP, FORWARD, LEFT, RIGHT = 0, 1, 2, 3
 """Codes of the four actions, as VLN-CE has them (l. 723)."""
 
 FORWARD_STEP = 0.25
-"""m that FORWARD moves (l. 723)."""
+"""m that FORWARD moves, less where sim/collision.py cuts it (l. 723)."""
 
 TURN_DEGREES = 15.0
 """Degrees that LEFT and RIGHT turn (l. 723)."""
@@ -25,7 +25,8 @@ CAMERA_SIZE, CAMERA_VFOV = (480, 360), 70.0
 in the paper (l. 657), as in its release."""
 
 DEPTH_RANGE = (0.0, 10.0)
-"""m: what a depth sensor tells apart; open in the paper, as in its release."""
+"""m: depth outside is clipped to it, by `LookPlan.finish` in sim/look_plan.py; open in the paper, as
+in its release."""
 
 MAX_STEPS = 500
 """Steps after which an episode ends; open in the paper, as its release and VLN-CE."""

@@ -1,4 +1,7 @@
-"""Motion clipped at obstacles (paper, Eq. collision): the one place where poses meet the map."""
+"""Motion clipped at obstacles (paper, Eq. collision): the one place where poses meet the map.
+
+A move ends before the first blocked cell on its way; maps/ray.py walks along the cells and finds it.
+"""
 
 from __future__ import annotations
 

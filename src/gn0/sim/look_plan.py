@@ -2,7 +2,8 @@
 
 One agent, many, agents on a device and the pictures of samples follow the same plan, so that what
 is decided here is decided for all: colour has a camera of its own, everything else that of depth;
-where both cameras are the same, one call of the renderer serves both.
+where both cameras are the same, one call of the renderer serves both. Depth is clipped to the
+sensor's range here, for every engine.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ CAMERA_SIZE, CAMERA_VFOV = (480, 360), 70.0
 in the paper (l. 657), as in its release."""
 
 DEPTH_RANGE = (0.0, 10.0)
-"""m: depth outside is clipped to it, by `LookPlan.finish` in sim/look_plan.py; open in the paper, as
-in its release."""
+"""m: `LookPlan.finish` in sim/look_plan.py clips depth to it; open in the paper, as in its
+release."""
 
 MAX_STEPS = 500
 """Steps after which an episode ends; open in the paper, as its release and VLN-CE."""

@@ -1,6 +1,6 @@
 """Motion clipped at obstacles (paper, Eq. collision): the one place where poses meet the map.
 
-A move ends before the first blocked cell on its way; maps/ray.py walks along the cells and finds it.
+A move ends before the first blocked cell on its way; maps/ray.py finds it, cell by cell.
 """
 
 from __future__ import annotations

@@ -12,8 +12,11 @@ import msgspec
 import pytest
 
 from gn0.bench import runner
+from gn0.bench.episode_worker import WorkerObedient
 from gn0.bench.results import iterate_results
+from gn0.bench.run_settings import build_settings
 from gn0.bench.runner import run_suite
+from gn0.bench.worker_messages import Done, Lease
 from gn0.errors import BenchError
 from gn0.maps.distance import GeodesicField, GeodesicMap
 from gn0.suites.suite import Suite
@@ -130,6 +133,28 @@ def test_an_oracle_runs_one_at_a_time_and_it_is_said(
     beside = outputs(run(flats_suite, tmp_path / "4", "oracle", 4, tell=told.append, **few))
     assert alone == beside
     assert any("run one at a time" in line for line in told)
+
+
+def test_who_is_run_alone_in_another_scene_leaves_the_group_its_ground(
+    flats_suite: Suite, tmp_path: Path, worker_here: None
+) -> None:
+    """Walks that go on in the scene of before are scored on its map, not on the last one opened."""
+    run(flats_suite, tmp_path / "alone", "wall_follower", 1)
+    want = {result.episode: result for result in iterate_results(tmp_path / "alone")}
+    said: list[Any] = []
+    worker = WorkerObedient(said.append)
+    settings = build_settings(flats_suite, "wall_follower", {})
+    worker.obey(msgspec.structs.replace(settings, agents=2))
+    here = [e for e in flats_suite.episodes if e.scene_id == flats_suite.episodes[0].scene_id]
+    there = next(e for e in flats_suite.episodes if e.scene_id != here[0].scene_id)
+    for episode, alone in ((here[0], False), (there, True), (here[1], False)):
+        name = episode.scene_id
+        folder, digest = flats_suite.scene_folder(name), flats_suite.scene_hash(name)
+        worker.obey(Lease(episode=episode, folder=str(folder), hash=digest, alone=alone))
+        while worker.is_busy:
+            assert worker.step()
+    found = [message.result for message in said if isinstance(message, Done)]
+    assert found == [want[e.id] for e in (here[0], there, here[1])]
 
 
 def test_no_agents_are_refused(flats_suite: Suite, tmp_path: Path) -> None:

@@ -95,6 +95,11 @@ class EpisodeCrew:
                     f"policy {run.identity['policy']!r} {message.alone}: "
                     "its episodes run one at a time"
                 )
+            if message.on_host and not self._built:
+                run.tell(
+                    f"the agents of policy {run.identity['policy']!r} stay on the CPU: they "
+                    f"{message.on_host}"
+                )
             self._stillborn, self._built = 0, True
             run.check_card(message.card)
         elif isinstance(message, Refused):

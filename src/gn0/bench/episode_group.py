@@ -22,6 +22,7 @@ from gn0.sim.rollout_batch import RolloutBatch, open_agents, why_alone
 from gn0.suites.profiles import RELEASE
 
 if TYPE_CHECKING:
+    from gn0.maps.navigation import NavigationMap
     from gn0.missions.episode import Episode
     from gn0.render.light import LightCondition
     from gn0.sim.simulator import Simulator
@@ -34,15 +35,20 @@ class SceneWorker(Protocol):
     settings: Open
 
     def open_scene(
-        self, folder: Path, scene_id: str, expected_hash: str, light: LightCondition | None
+        self,
+        folder: Path,
+        scene_id: str,
+        expected_hash: str,
+        light: LightCondition | None,
+        sensors: frozenset[str],
     ) -> Simulator:
-        """The simulator of a scene under a light."""
+        """The simulator of a scene under a light, with these sensors."""
         ...
 
     def score_walk(
-        self, trajectory: Trajectory, episode: Episode
+        self, trajectory: Trajectory, episode: Episode, navigation: NavigationMap
     ) -> tuple[EpisodeResult, EpisodeTrace]:
-        """Result and trace of a walk in the scene that was opened last."""
+        """Result and trace of a walk on that ground."""
         ...
 
 
@@ -69,6 +75,7 @@ class EpisodeGroup:
         self._waiting: deque[Lease] = deque()
         self._place: tuple[str, str] | None = None  # folder and hash of the scene
         self._rollout: RolloutBatch | None = None
+        self._ground: NavigationMap | None = None  # of the scene
         self._spent: dict[str, float] = {}  # s, of each episode in progress
 
     @property
@@ -91,13 +98,14 @@ class EpisodeGroup:
         rollout = self._rollout
         if rollout is None or not rollout.walks:
             return
+        assert self._ground is not None
         names = [walk.episode.id for walk in rollout.walks.values()]
         ended = rollout.advance(rollout.ask())
         share = (time.perf_counter() - begun) / len(names)
         for name in names:
             self._spent[name] += share
         for slot, walk in ended.items():
-            result, trace = self._worker.score_walk(walk.trajectory, walk.episode)
+            result, trace = self._worker.score_walk(walk.trajectory, walk.episode, self._ground)
             result = self._noted(slot, result)
             steps = result.metrics.steps if result.metrics else 0
             seconds = self._spent.pop(walk.episode.id)
@@ -130,12 +138,23 @@ class EpisodeGroup:
         folder, scene_id = Path(lease.folder), lease.episode.scene_id
         self._rollout = None  # let go before loading the next
 
-        def open_scene(light: LightCondition | None) -> Simulator:
-            return self._worker.open_scene(folder, scene_id, lease.hash, light)
+        def open_scene(light: LightCondition | None, sensors: frozenset[str]) -> Simulator:
+            found = self._worker.open_scene(folder, scene_id, lease.hash, light, sensors)
+            self._ground = found.navigation
+            return found
 
-        light = lease.episode.light
-        batch = open_agents(settings.agents, open_scene, light, settings.max_steps)
-        return RolloutBatch(batch, self._policy)
+        walkers = open_agents(
+            settings.agents,
+            open_scene,
+            lease.episode,
+            sensors=frozenset(self._policy.sensors),
+            preset=settings.camera,
+            map_mode=settings.map_mode,
+            backend=settings.backend,
+            max_steps=settings.max_steps,
+            on_device=settings.on_device,
+        )
+        return RolloutBatch(walkers, self._policy)
 
     def _noted(self, slot: int, result: EpisodeResult) -> EpisodeResult:
         """The result with what the policy has to say about itself."""

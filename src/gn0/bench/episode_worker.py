@@ -55,6 +55,7 @@ from gn0.sim.policy import (
     PolicyPrivileged,
 )
 from gn0.sim.rollout import run_episode
+from gn0.sim.rollout_batch import why_on_host
 from gn0.sim.sensors import check_map_mode
 from gn0.sim.simulator import Simulator
 from gn0.suites.profiles import ONE_STEP_PROFILES, RELEASE
@@ -93,6 +94,7 @@ class EpisodeWorker:
         self._honest: NavigationMap | None = None
         self._hash = ""
         self._light: LightCondition | None = None
+        self._carried: frozenset[str] = frozenset()
         self._scene: Scene | None = None
         self._connection: DrawConnection | None = None
 
@@ -135,8 +137,11 @@ class EpisodeWorker:
         scene_id: str,
         expected_hash: str,
         light: LightCondition | None = None,
+        sensors: frozenset[str] | None = None,
     ) -> Simulator:
         """The simulator of a scene under a light, loaded on the first call for it.
+
+        It carries the policy's sensors, or those given.
 
         Raises:
             BenchError: it is not the scene of that hash.
@@ -145,7 +150,9 @@ class EpisodeWorker:
         # the id as well: two scenes of different names may have the same content
         same = self._scene is not None and self._scene.id == scene_id
         same = same and self._hash == expected_hash
-        if self._simulator is None or self._scene is None or not same or self._light != light:
+        carried = frozenset(self.policy.sensors) if sensors is None else sensors
+        seen_so = self._light == light and self._carried == carried
+        if self._simulator is None or self._scene is None or not same or not seen_so:
             if self._scene is None or not same:
                 self._simulator = self._scene = None  # let go before loading the next
                 self._scene = load_suite_scene(folder, scene_id, expected_hash)
@@ -160,24 +167,22 @@ class EpisodeWorker:
                 scene,
                 s.camera,
                 backend=s.backend,
-                sensors=frozenset(self.policy.sensors),
+                sensors=carried,
                 agent=s.agent,
                 max_steps=s.max_steps,
                 map_mode=s.map_mode,
                 navigation=ground,
                 light=light,
-                renderer=self._ask_for(Look(str(folder), scene_id, expected_hash, light)),
+                renderer=self._ask_for(carried, Look(str(folder), scene_id, expected_hash, light)),
                 one_step_moves=s.profile in ONE_STEP_PROFILES,
             )
             self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
-            self._hash, self._light = expected_hash, light
+            self._hash, self._light, self._carried = expected_hash, light, carried
         return self._simulator
 
-    def _ask_for(self, look: Look) -> DrawnScene | None:
+    def _ask_for(self, sensors: frozenset[str], look: Look) -> DrawnScene | None:
         """A renderer that asks the drawing process, where there is one and it is needed."""
-        if not self.settings.drawing or not needs_renderer(
-            self.policy.sensors, self.settings.map_mode
-        ):
+        if not self.settings.drawing or not needs_renderer(sensors, self.settings.map_mode):
             return None
         if self._connection is None:
             self._connection = DrawConnection(self.settings.drawing)
@@ -196,17 +201,15 @@ class EpisodeWorker:
                 trajectory = run_episode(simulator, self.policy, episode)
             except EpisodeError as error:
                 return _invalid(episode, error), EpisodeTrace(episode=episode.id)
-            result, trace = self.score_walk(trajectory, episode)
+            result, trace = self.score_walk(trajectory, episode, simulator.navigation)
         if isinstance(self.policy, PolicyNotes) and (notes := self.policy.notes()):
             result = msgspec.structs.replace(result, notes=dict(sorted(notes.items())))
         return result, trace
 
     def score_walk(
-        self, trajectory: Trajectory, episode: Episode
+        self, trajectory: Trajectory, episode: Episode, navigation: NavigationMap
     ) -> tuple[EpisodeResult, EpisodeTrace]:
-        """Result and trace of a walk in the scene that was opened last."""
-        assert self._simulator is not None
-        navigation = self._simulator.navigation
+        """Result and trace of a walk on that ground."""
         return score(trajectory, episode, navigation, self.settings.success_radius)
 
     def _run_release(
@@ -342,7 +345,12 @@ class WorkerObedient:
             self._worker = worker = EpisodeWorker(message)
             alone = why_one(worker.policy, message) if message.agents > 1 else ""
             self._group = worker.open_group(self._send)
-            self._send(Ready(card=worker.card, alone=alone))
+            on_host = ""
+            if self._group is not None and message.on_device:
+                on_host = why_on_host(
+                    frozenset(worker.policy.sensors), message.map_mode, message.backend
+                )
+            self._send(Ready(card=worker.card, alone=alone, on_host=on_host))
         except Gn0Error as error:  # says itself what is wrong, and what to do
             what = f"{error.where}: {error.what}" if error.where else error.what
             self._send(Refused(what=what, traceback="", remedy=error.remedy))

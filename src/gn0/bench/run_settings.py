@@ -40,7 +40,8 @@ def build_settings(
 def describe_settings(settings: Open) -> dict[str, Any]:
     """Settings as they are kept beside results; what looks like a secret is not."""
     known: dict[str, Any] = msgspec.to_builtins(settings)
-    known.pop("drawing")
+    for name in ("drawing", "on_device"):  # where work is done
+        known.pop(name)
     known["isolated"] = bool(known["isolated"])
     if known["agents"] == 1:
         del known["agents"]

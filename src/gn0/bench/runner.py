@@ -36,7 +36,7 @@ from gn0.plugins import import_plugins
 from gn0.progress import Progress, no_progress
 from gn0.suites.known_suites import remember_suite
 from gn0.suites.run_files import BYTES_PER_EPISODE
-from gn0.suites.scene_drawing import choose_run_backend, open_run_drawing
+from gn0.suites.scene_drawing import choose_run_backend, find_agents_card, open_run_drawing
 from gn0.suites.suite import Suite, load_suite_scene
 
 EPISODE_TIME_LIMIT = 300.0  # s
@@ -97,7 +97,8 @@ def run_suite(
             memory with the harness and gets no path of suite or scene. Changes no result.
         agents: episodes that each worker runs side by side, all in one scene: their pictures are
             drawn in one call, and a policy that takes many agents is asked once a step. Changes no
-            result. A policy that looks at the simulator itself runs one at a time all the same.
+            result. With one worker they are on the card that draws, see `VectorEnvDevice`. A policy
+            that looks at the simulator itself runs one at a time all the same.
         tell: told in a sentence what was there already, and what is done about it.
 
     Returns:
@@ -125,6 +126,7 @@ def run_suite(
     out = Path(out)
     check_room(out, len(episodes) * BYTES_PER_EPISODE)
     options = dict(policy_options or {})
+    asked = backend
     backend = choose_run_backend(backend, policy_name, suite.map_mode, isolated=isolate)
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
     settings = msgspec.structs.replace(settings, agents=agents)
@@ -161,9 +163,15 @@ def run_suite(
                 _ask_identity(run, settings, executor, ray_address)
             else:
                 _check_scenes(suite, run.left, progress)
-                with open_run_drawing(backend, executor) as server:
+                place = find_agents_card(
+                    asked, backend, agents=agents, workers=workers, executor=executor
+                )
+                with open_run_drawing(backend if place is None else "cpu", executor) as server:
                     address, card = ("", "") if server is None else (server.address, server.card)
-                    told = msgspec.structs.replace(settings, drawing=address)
+                    told = msgspec.structs.replace(
+                        settings, drawing=address, on_device=place is not None
+                    )
+                    card = place or card
                     with open_pool(
                         executor, told, workers, ray_address=ray_address, gpus=gpus
                     ) as pool:

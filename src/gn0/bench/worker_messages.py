@@ -19,6 +19,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         plugin_modules: modules to import first, so that they can register plug-ins.
         slot: the worker's place among its fellows, 0 for the first; a successor takes it over.
         agents: how many episodes it runs side by side, where the policy can.
+        on_device: whether these are on the device that is here, where it can have them.
         isolated: folder below which the policy's own process runs; "" where it runs in the worker.
         drawing: address of the drawing process for all workers; "" where each does itself.
         camera, backend, agent, map_mode, max_steps, success_radius, profile: see `SuiteFile`.
@@ -38,6 +39,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
     drawing: str = ""
     isolated: str = ""
     agents: int = 1
+    on_device: bool = False
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, tag="lease"):
@@ -59,10 +61,12 @@ class Ready(msgspec.Struct, frozen=True, kw_only=True, tag="ready"):
     Attributes:
         card: who it is.
         alone: why its episodes run one at a time although several were asked for; "" otherwise.
+        on_host: why its agents are on the CPU although a device is here for them; "" otherwise.
     """
 
     card: PolicyCard
     alone: str = ""
+    on_host: str = ""
 
 
 class Refused(msgspec.Struct, frozen=True, kw_only=True, tag="refused"):

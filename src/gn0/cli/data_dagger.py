@@ -21,6 +21,7 @@ EXAMPLES = """  gn0 data dagger out/suite --policy wall_follower --beta 0.5 --ou
   gn0 data dagger out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --beta 0 \\
       --workers 2 --pictures webdataset --out out/mine
   gn0 data dagger out/suite --policy mine --plugin mine.py --agents 32 --chunk 64 --out out/wide
+  gn0 data dagger out/suite --policy mine --plugin mine.py --agents 64 --backend cuda --out out/card
   gn0 data dagger out/suite --policy mine --plugin mine.py --shard 2/8 --out out/shard-2
   gn0 data dagger out/suite --policy straight --halting gn0-release --out out/official
   gn0 data dagger out/suite --policy recorded --policy-option run=out/by_hand --labels own \\
@@ -53,6 +54,9 @@ class Args(Config, frozen=True):
         chunk: episodes that a worker takes at a time.
         agents: episodes, out of a --chunk, that each worker drives side by side: a policy that
             takes many agents is asked once a step; never changes a byte.
+        backend: what draws what the policy sees: cpu or cuda. Their pictures differ by rounding,
+            so the policy may go another way. With cuda and one worker the agents of --agents are
+            on the card, too.
         workers: processes; never changes a byte.
         executor: where the workers run: on this machine, or on a Ray cluster.
         ray_address: the cluster to join, e.g. auto; empty starts one on this machine alone.
@@ -78,6 +82,7 @@ class Args(Config, frozen=True):
     seed: int = 0
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     agents: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 1
+    backend: Literal["cpu", "cuda"] = "cpu"
     workers: Annotated[int, msgspec.Meta(ge=1, le=256)] = 1
     executor: Literal["process", "ray"] = "process"
     ray_address: str = ""
@@ -93,6 +98,7 @@ def run(args: Args) -> int:
     from gn0.data.build import build_shard
     from gn0.data.collect import build_dagger, check_dagger, describe_summary, sum_up
     from gn0.data.dataset import DATASET_FILE
+    from gn0.data.drawing_process import with_backend
     from gn0.data.expert_labels import LabelSettings
     from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings, TokenSettings
     from gn0.data.shard import ShardName, describe_shard
@@ -110,7 +116,7 @@ def run(args: Args) -> int:
             tokens=TokenSettings(frame=args.tokens),
             labels=LabelSettings(variant=_label_variant(args)),
             chunk=args.chunk,
-            pictures=PictureSettings(layout=args.pictures),
+            pictures=with_backend(PictureSettings(layout=args.pictures), args.backend),
             dagger=DaggerSettings(
                 policy=args.policy,
                 options=read_options(args.policy_option),

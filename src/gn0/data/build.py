@@ -63,6 +63,7 @@ from gn0.storage import (
 )
 from gn0.suites.generation_folder import MANIFEST
 from gn0.suites.run_files import BYTES_PER_EPISODE
+from gn0.suites.scene_drawing import find_agents_card
 from gn0.suites.suite import EPISODE_FILE, Suite, copy_folder, load_suite, load_suite_scene
 
 
@@ -183,7 +184,17 @@ def _build(
     if shard is not None:
         about = msgspec.structs.replace(about, shard=str(shard))
         plans = shard.choose(every)
-    plans = [msgspec.structs.replace(plan, agents=agents) for plan in plans]
+    place = None
+    if about.settings.dagger is not None:
+        place = find_agents_card(
+            "cuda" if about.settings.pictures.drawn_by == "cuda" else "auto",
+            "auto",  # what it sees, if anything, is known when it is built
+            agents=agents,
+            workers=workers,
+            executor=executor,
+        )
+    there = {"agents": agents, "on_device": place is not None}
+    plans = [msgspec.structs.replace(plan, **there) for plan in plans]
     check_target(out, about)
     check_room(out, sum(len(plan.episodes) for plan in plans) * BYTES_PER_EPISODE)
     with lock_folder(out, refuse=DataError):
@@ -289,6 +300,8 @@ def check_target(out: Path, about: DatasetFile) -> DatasetFile | None:
     started = msgspec.structs.replace(found, files=(), parts=(), complete=False, rendered=False)
     if about.settings.pictures.layout == "none":  # drawn later, by what was there then
         drawn_by = about.settings.pictures.backend
+        if about.settings.dagger is not None and not found.rendered:
+            drawn_by = found.settings.pictures.backend  # it drew what the policy saw, already
         pictures = msgspec.structs.replace(found.settings.pictures, backend=drawn_by)
         if found.rendered and not about.settings.pictures.depth:
             pictures = msgspec.structs.replace(pictures, depth=msgspec.UNSET)

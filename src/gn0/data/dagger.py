@@ -39,13 +39,13 @@ from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode, MissionFollow
 from gn0.paper import ACTIONS_AHEAD, HALT_STEPS, POINTS, SPACING
 from gn0.seeds import random_stream
-from gn0.sim.batch import SimulatorBatch
 from gn0.sim.kinematics import Heading
 from gn0.sim.policy import Policy
 from gn0.sim.rollout import begin_episode
 from gn0.sim.rollout_batch import RolloutBatch
 from gn0.sim.simulator import Simulator, action_code
 from gn0.sim.state import Action, Displacement, Observation, Teleport
+from gn0.sim.walkers import Walkers
 
 ZONE_SHARE, ZONE_LEAST, ZONE_MOST = 0.2, 1.0, 3.0  # of the path's length; m
 _SAME = 1e-6  # m or rad between where a plan expects the agent and where it is
@@ -290,7 +290,7 @@ def collect_together(
             try:
                 check_drivable(episode)
                 (slot,) = rollout.begin([episode])
-                standing = _AgentStanding(rollout.batch, slot, navigation, episode)
+                standing = _AgentStanding(rollout.walkers, slot, navigation, episode)
                 visitors[slot] = Visitor(standing, episode, settings, labels)
             except (EpisodeError, PlanError):  # alone it says what is wrong
                 rollout.give_up(episode)
@@ -330,14 +330,14 @@ class _AgentStanding:
     """One agent of many."""
 
     def __init__(
-        self, batch: SimulatorBatch, slot: int, navigation: NavigationMap, episode: Episode
+        self, walkers: Walkers, slot: int, navigation: NavigationMap, episode: Episode
     ) -> None:
-        self._batch, self._slot = batch, slot
-        self.navigation, self.agent, self.episode = navigation, batch.agent, episode
+        self._walkers, self._slot = walkers, slot
+        self.navigation, self.agent, self.episode = navigation, walkers.agent, episode
 
     @property
     def pose(self) -> Pose2D:
-        return self._batch.pose(self._slot)
+        return self._walkers.pose(self._slot)
 
 
 def _apply_rules(

@@ -51,6 +51,7 @@ class PartPlan(msgspec.Struct, frozen=True):
         pictures: the cache to make; None takes what the build was asked for.
         drawing: address of the drawing process; "" lets the worker draw for itself.
         agents: episodes that a policy is driven through side by side; decides no byte.
+        on_device: whether these are on the device that is here; decides no byte.
     """
 
     folder: str
@@ -61,6 +62,7 @@ class PartPlan(msgspec.Struct, frozen=True):
     pictures: PictureSettings | None = None
     drawing: str = ""
     agents: int = 1
+    on_device: bool = False
 
 
 def drawn_at(plans: Sequence[PartPlan], server: DrawServer | None) -> list[PartPlan]:
@@ -180,9 +182,9 @@ def collect_part(
         settings = plan.pictures or dataset.about.settings.pictures
         if plan.drawing:
             ask = eyes_of(dataset, settings, plan.drawing).ask_for
-            driver = Driver(dataset, ask, agents=plan.agents)
+            driver = Driver(dataset, ask, agents=plan.agents, on_device=plan.on_device)
         else:
-            driver = Driver(dataset, agents=plan.agents)
+            driver = Driver(dataset, agents=plan.agents, on_device=plan.on_device)
     found: dict[str, EpisodeRows | EpisodeError | PlanError] = {}
     episodes = [dataset.episode(name) for name in plan.episodes]
     fitting: list[Episode] = []

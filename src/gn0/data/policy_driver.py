@@ -66,6 +66,7 @@ class Driver:
         dataset: whose scenes, camera, agent and settings.
         ask: gives who draws a scene in a light, where another process does; None draws here.
         agents: episodes that go on side by side, where the policy can.
+        on_device: whether these are on the device that is here, where it can have them.
 
     Raises:
         ConfigError: no such policy, or it does not take these options.
@@ -74,7 +75,11 @@ class Driver:
     """
 
     def __init__(
-        self, dataset: Dataset, ask: Ask = lambda scene_id, light: None, agents: int = 1
+        self,
+        dataset: Dataset,
+        ask: Ask = lambda scene_id, light: None,
+        agents: int = 1,
+        on_device: bool = False,
     ) -> None:
         settings = dataset.about.settings.dagger
         if settings is None:
@@ -88,8 +93,9 @@ class Driver:
         encoded = msgspec.json.encode(settings, order="deterministic")
         self._policy, self._together = _open_policy(encoded)
         self._agents = 1 if why_alone(self._policy, dataset.about.agent) else agents
+        self._on_device = on_device
         self._simulator: Simulator | None = None
-        self._look: tuple[str, LightCondition | None] | None = None
+        self._look: tuple[str, LightCondition | None, frozenset[str]] | None = None
 
     def collect(self, episode: Episode) -> EpisodeRows:
         """The rows of an episode: every state the policy came to, labelled.
@@ -99,7 +105,8 @@ class Driver:
             EpisodeError, PlanError: the episode cannot be done.
         """
         about = self._dataset.about
-        simulator = self._open_simulator(episode.scene_id, episode.light)
+        sensors = frozenset(self._policy.sensors)
+        simulator = self._open_simulator(episode.scene_id, episode.light, sensors)
         rows = collect_visited(
             simulator, self._policy, episode, self._settings, about.settings.labels
         )
@@ -139,26 +146,36 @@ class Driver:
     def _open_rollout(self, episodes: Sequence[Episode]) -> RolloutBatch:
         scene_id = episodes[0].scene_id
 
-        def open_scene(light: LightCondition | None) -> Simulator:
-            return self._open_simulator(scene_id, light)
+        def open_scene(light: LightCondition | None, sensors: frozenset[str]) -> Simulator:
+            return self._open_simulator(scene_id, light, sensors)
 
-        count = min(self._agents, len(episodes))
-        steps = self._settings.max_steps
-        return RolloutBatch(
-            open_agents(count, open_scene, episodes[0].light, steps), self._together
+        about = self._dataset.about
+        walkers = open_agents(
+            min(self._agents, len(episodes)),
+            open_scene,
+            episodes[0],
+            sensors=frozenset(self._policy.sensors),
+            preset=about.camera,
+            map_mode=self._settings.map_mode,
+            backend=about.settings.pictures.drawn_by,
+            max_steps=self._settings.max_steps,
+            on_device=self._on_device,
         )
+        return RolloutBatch(walkers, self._together)
 
-    def _open_simulator(self, scene_id: str, light: LightCondition | None) -> Simulator:
-        look = (scene_id, light)
+    def _open_simulator(
+        self, scene_id: str, light: LightCondition | None, sensors: frozenset[str]
+    ) -> Simulator:
+        look = (scene_id, light, sensors)
         if self._simulator is None or look != self._look:
             self._simulator = None  # let go of the old scene first
             about = self._dataset.about
-            sees = needs_renderer(self._policy.sensors, self._settings.map_mode)
+            sees = needs_renderer(sensors, self._settings.map_mode)
             self._simulator = open_simulator(
                 self._dataset.scene(scene_id),
                 about.camera,
                 about.settings.pictures.drawn_by,  # never "auto": what it sees decides the samples
-                sensors=frozenset(self._policy.sensors),
+                sensors=sensors,
                 agent=about.agent,
                 max_steps=self._settings.max_steps,
                 map_mode=self._settings.map_mode,

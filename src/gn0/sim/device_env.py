@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError, EpisodeError
+from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
@@ -34,6 +35,7 @@ from gn0.sim.continuous import build_action_space
 from gn0.sim.device_eyes import AgentsThere, EyesDevice, device_reader, refuse_host_sensors
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_state import SimulatorDevice
+from gn0.sim.device_walkers import WalkersDevice
 from gn0.sim.device_words import LayoutDevice, ObservationsDevice, WordsDevice, rename_words
 from gn0.sim.env import build_spaces, picture_names, shape_of_maps
 from gn0.sim.motion import Motion
@@ -261,6 +263,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         if options.get("episode") is not None:
             chosen = self._choose(options["episode"])[which]
         self._begun = False  # if this fails, all must be reset
+        self.simulator.limit_steps(self.tasks.max_steps)
         self.simulator.reset(which, seed, chosen)
         self._begun = True
         return self._observe(), self._infos()
@@ -329,6 +332,16 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         simulator.step(codes, into)
         if self.strict and not isinstance(actions, np.ndarray | list):
             simulator.catch_up()
+
+    def claim(self, navigation: Mapping[str, NavigationMap] | None = None) -> WalkersDevice:
+        """The agents themselves, for a rollout; the environment must be reset afterwards.
+
+        Args:
+            navigation: scene id → a map that is there already; what is built of it is left with it.
+        """
+        self._begun = False
+        self.simulator.store.ground.lend(navigation or {})
+        return WalkersDevice(self.simulator, self._eyes, self._at_once, self.tasks.max_steps)
 
     def synchronize(self) -> None:
         """Wait until all steps are done.

@@ -174,9 +174,10 @@ class EyesDevice:
         scene = self._scenes[scene_id]()
         renderer = self._renderer
         if renderer is not None:
+            scenes = self._scenes  # not ourselves: the renderer keeps this, and we keep it
 
             def load() -> GaussianCloud:
-                cloud = self._scenes[scene_id]().gaussians
+                cloud = scenes[scene_id]().gaussians
                 return cloud if light is None else relight_cloud(cloud, light)
 
             renderer.add(look, load, look_hash(scene, light))

@@ -34,6 +34,7 @@ from gn0.sim.env import STEP_COST, SUCCESS_REWARD
 from gn0.sim.sensors import SensorConfig
 
 AGENTS_MAX = 2**20
+STEPS_MAX = 2**31 - 1
 _ON_CARD = (2, 13)  # kDLCUDA, kDLCUDAManaged
 _NEXT, _STAY = -2, -1  # what `place_agents` understands beside slots
 _STATE = (
@@ -177,9 +178,30 @@ class SimulatorDevice:
         else:
             orders[which] = self.store.pin(chosen)
             self.queue.play(which, orders[which])
-        self.launch("place_agents", self.count, self.device.upload(orders), self._plain)
+        self._begin(orders)
         self._safe = self.steps + self.ahead - (chosen is None)
+
+    def place(self, which: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
+        """Begin episodes `chosen` [K] with agents `which`, and make none ready to follow them.
+
+        For agents that do not end over there: see `limit_steps`.
+
+        Raises:
+            EpisodeError, PlanError: an episode does not fit its scene; then no agent has moved.
+        """
+        orders = np.full(self.count, _STAY, np.int32)
+        orders[which] = self.store.pin(chosen)
+        self.queue.play(which, orders[which])
+        self._begin(orders)
+
+    def _begin(self, orders: NDArray[np.int32]) -> None:
+        self.launch("place_agents", self.count, self.device.upload(orders), self._plain)
         self._sense()
+
+    def limit_steps(self, most: int) -> None:
+        """Truncate episodes after so many actions from now on."""
+        if most != self._settings["max_steps"]:
+            self._settings["max_steps"], self._world = most, None
 
     def read_actions(self, actions: Any, codes: DeviceArray | None = None) -> DeviceArray:
         """Actions [N] as codes uint8 [N] on the device, into `codes` when given.

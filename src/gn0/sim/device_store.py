@@ -146,6 +146,11 @@ class EpisodeStore:
         """Episodes that are on the device."""
         return len(self._own)
 
+    def map_frame(self, number: int) -> tuple[int, int, float]:
+        """Height and width [px] of the map pictures of a pinned episode, and metres a pixel."""
+        row = self._rows[self._slot_of[number]]
+        return int(row["map_rows"]), int(row["map_cols"]), float(row["map_scale"])
+
     def looks_in_play(self) -> list[str | None]:
         """Looks by number, as rows of episodes name them; None: of no pinned episode."""
         if self._in_play is None:

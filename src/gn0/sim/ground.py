@@ -154,6 +154,10 @@ class GroundStore:
         self._fields: OrderedDict[Destination, PackedField] = OrderedDict()
         self._room = memory
 
+    def lend(self, navigation: Mapping[str, NavigationMap]) -> None:
+        """Take maps that somebody else keeps, too, for scenes that are not open yet."""
+        self._lent.update(navigation)
+
     def open(self, scene_id: str) -> NavigationMap:
         """The ground of a scene; the latest few are kept.
 

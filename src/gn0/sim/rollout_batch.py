@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from gn0.geometry import Pose2D
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.progress import Progress, no_progress
 from gn0.render.light import LightCondition
+from gn0.render.open import name_drawing
+from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.seeds import random_stream
 from gn0.sim.batch import SimulatorBatch
 from gn0.sim.ground import turns_a_circle
@@ -26,16 +28,12 @@ from gn0.sim.policy import (
 )
 from gn0.sim.sensor.table import carry_sensors
 from gn0.sim.simulator import Simulator, action_code
-from gn0.sim.standpoint import Standpoint
-from gn0.sim.state import (
-    OBSERVED,
-    STEP_SECONDS,
-    Displacement,
-    Observation,
-    Teleport,
-    Trajectory,
-)
+from gn0.sim.state import Displacement, Teleport, Trajectory
 from gn0.sim.vector import VectorEnv
+from gn0.sim.walkers import Walkers, WalkersHost
+
+if TYPE_CHECKING:
+    from gn0.sim.device_env import VectorEnvDevice
 
 _WAIT = 2  # LEFT: what agents without an episode do, unseen
 
@@ -70,29 +68,28 @@ class RolloutBatch:
     """Episodes side by side: whoever is free begins one, and each goes the way it goes alone.
 
     Args:
-        batch: the agents; nobody else moves them.
+        walkers: the agents; nobody else moves them.
         policy: agent i is its slot i.
 
     Raises:
         PolicyError: the policy wants a sensor that is not carried.
     """
 
-    def __init__(self, batch: SimulatorBatch, policy: PolicyBatch) -> None:
+    def __init__(self, walkers: Walkers, policy: PolicyBatch) -> None:
         self._wanted = frozenset(policy.sensors)
-        if self._wanted - batch.sensors:
+        if self._wanted - walkers.sensors:
             raise PolicyError(
-                f"policy {policy.name!r} reads {sorted(self._wanted - batch.sensors)}, which the "
+                f"policy {policy.name!r} reads {sorted(self._wanted - walkers.sensors)}, which the "
                 "agents do not carry",
                 remedy="open the VectorEnv with sensors=policy.sensors",
             )
-        self.batch, self.policy = batch, policy
+        self.walkers, self.policy = walkers, policy
         self.walks: dict[int, Walk] = {}
-        self._placed = False
 
     @property
     def free(self) -> list[int]:
         """Agents without an episode."""
-        return [slot for slot in range(self.batch.count) if slot not in self.walks]
+        return [slot for slot in range(self.walkers.count) if slot not in self.walks]
 
     def begin(self, episodes: Sequence[Episode]) -> list[int]:
         """Give free agents these episodes, in this order; which agents they are.
@@ -105,13 +102,8 @@ class RolloutBatch:
         assert len(slots) == len(episodes), "no more episodes than free agents"
         if not slots:
             return []
-        numbers = self.batch.table.add(episodes)
-        if not self._placed:  # agents without an episode stand somewhere, too
-            everyone = np.arange(self.batch.count)
-            self.batch.place(everyone, numbers[everyone % len(numbers)])
-            self._placed = True
-        self.batch.place(np.array(slots), numbers)
-        poses = self.batch.poses(np.array(slots)).tolist()
+        self.walkers.begin(np.array(slots), episodes)
+        poses = self.walkers.poses(np.array(slots)).tolist()
         for slot, episode, pose in zip(slots, episodes, poses, strict=True):
             self.walks[slot] = Walk(episode, [Pose2D(*pose)])
         self.policy.reset_batch(
@@ -136,7 +128,7 @@ class RolloutBatch:
             PolicyError: it returns no local action.
         """
         slots = sorted(self.walks)
-        seen = _observe(self.batch, np.array(slots), self._wanted)
+        seen = self.walkers.observe(np.array(slots), self._wanted)
         name = self.policy.name
         answers = check_answers(name, self.policy.act_batch(slots, seen), len(slots))
         return {
@@ -147,17 +139,18 @@ class RolloutBatch:
     def advance(self, codes: Mapping[int, int]) -> dict[int, Walk]:
         """Take an action with every agent that has an episode; who has come to an end, by agent."""
         slots = sorted(self.walks)
-        actions = np.full(self.batch.count, _WAIT)
+        actions = np.full(self.walkers.count, _WAIT)
         for slot in slots:
             actions[slot] = codes[slot]
-        _, stopped, truncated = self.batch.step(actions)
-        poses = self.batch.poses(np.array(slots)).tolist()
+        stopped, truncated = self.walkers.step(actions)
+        collided = self.walkers.collided
+        poses = self.walkers.poses(np.array(slots)).tolist()
         ended = {}
         for slot, pose in zip(slots, poses, strict=True):
             walk = self.walks[slot]
             walk.poses.append(Pose2D(*pose))
             walk.actions.append(int(actions[slot]))
-            walk.collided.append(bool(self.batch.state.collided[slot]))
+            walk.collided.append(bool(collided[slot]))
             if stopped[slot] or truncated[slot]:
                 walk.stopped = bool(stopped[slot])
                 ended[slot] = self.walks.pop(slot)
@@ -166,29 +159,75 @@ class RolloutBatch:
 
 def open_agents(
     count: int,
-    open_simulator: Callable[[LightCondition | None], Simulator],
-    light: LightCondition | None,
+    open_simulator: Callable[[LightCondition | None, frozenset[str]], Simulator],
+    first: Episode,
+    *,
+    sensors: frozenset[str],
+    preset: str,
+    map_mode: str,
+    backend: str,
     max_steps: int,
-) -> SimulatorBatch:
-    """Agents of one body in one scene, with the sensors that a simulator of it carries.
+    on_device: bool = False,
+) -> Walkers:
+    """Agents of one body in one scene, on the CPU or on a device.
 
     Args:
         count: how many.
-        open_simulator: the simulator of the scene in a light.
-        light: of the first episode.
+        open_simulator: the simulator of the scene in a light, with these sensors.
+        first: an episode that will be played.
+        sensors: what each carries.
+        preset: their cameras, by name.
+        map_mode: what their maps show.
+        backend: draws what they see.
         max_steps: actions until an episode is cut off.
+        on_device: on the device that is here, where it can have them: see `why_on_host`.
+
+    Raises:
+        DeviceError: the device cannot be used, or is too small.
     """
-    first = open_simulator(light)
-    scene = first.scene
-    return SimulatorBatch(
-        count,
-        {scene.id: lambda: scene},
-        first.config,
-        agent=first.agent,
-        max_steps=max_steps,
-        open_suite=lambda look: open_simulator(split_look(look)[1]).suite,
-        navigation={scene.id: first.navigation},  # scoring and labels ask for the same fields
+    if on_device and not why_on_host(sensors, map_mode, backend):
+        from gn0.sim.device_env import VectorEnvDevice  # those on the CPU need no device
+
+        ground = open_simulator(first.light, frozenset())  # map and body; eyes are over there
+        scene = ground.scene
+        env = VectorEnvDevice(
+            count,
+            scene,
+            episodes=[first],
+            sensors=sensors,
+            preset=preset,
+            agent=ground.agent,
+            max_steps=max_steps,
+            map_mode=map_mode,
+            visible_sets=backend in VISIBLE_BACKENDS,
+        )
+        return env.claim({scene.id: ground.navigation})
+    own = open_simulator(first.light, sensors)
+    scene = own.scene
+    return WalkersHost(
+        SimulatorBatch(
+            count,
+            {scene.id: lambda: scene},
+            own.config,
+            agent=own.agent,
+            max_steps=max_steps,
+            open_suite=lambda look: open_simulator(split_look(look)[1], sensors).suite,
+            navigation={scene.id: own.navigation},  # scoring and labels ask for the same fields
+        )
     )
+
+
+def why_on_host(sensors: frozenset[str], map_mode: str, backend: str) -> str:
+    """Why agents with such sensors cannot be on a device; "" where they can."""
+    carried = carry_sensors(sensors)
+    if map_mode == "explored" and carried.maps:
+        return "make maps for themselves, which no device keeps"
+    strange = [sensor.name for sensor in carried.sensors if sensor.device is None]
+    if strange:
+        return f"carry sensor {strange[0]!r}, which does not say how a device reads it"
+    if carried.needs_renderer(False) and name_drawing(backend) != "cuda":
+        return f"see what backend {backend!r} draws, which is not on a device"
+    return ""
 
 
 def why_alone(policy: Policy, agent: AgentSpec) -> str:
@@ -203,7 +242,7 @@ def why_alone(policy: Policy, agent: AgentSpec) -> str:
 
 
 def run_episodes(
-    vector: VectorEnv,
+    vector: VectorEnv | VectorEnvDevice,
     policy: PolicyBatch,
     episodes: Sequence[Episode],
     *,
@@ -251,40 +290,3 @@ def _code(name: str, action: Any, walk: Walk) -> int:
             where=f"episode {walk.episode.id!r}, step {len(walk.actions)}",
             remedy=error.remedy,
         ) from error
-
-
-def _observe(
-    batch: SimulatorBatch, which: np.ndarray[Any, np.dtype[np.int64]], wanted: frozenset[str]
-) -> list[Observation]:
-    """What agents `which` see, each as a `Simulator` of its own would say it."""
-    spelt = [s for s in carry_sensors(wanted).sensors if s.array is not None]
-    found = batch.observe(which)
-    snapshot = batch.snapshot(which)
-    if snapshot is not None:
-        found |= batch.draw([snapshot])[0]
-    scale, maps = found.pop("bev_metres_per_pixel", None), carry_sensors(wanted).maps
-    observations = []
-    for k, agent in enumerate(which.tolist()):
-        fields = {name: values[k] for name, values in found.items() if name in wanted}
-        for value in fields.values():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-        steps = int(batch.state.steps[agent])
-        episode = batch.table.episodes[int(batch.state.episode[agent])]
-        here = Standpoint(None)
-        here.pose, here.episode, here.steps = batch.pose(agent), episode, steps
-        fields |= {sensor.name: sensor.read(here) for sensor in spelt if sensor.many is not None}
-        more = {name: fields.pop(name) for name in [*fields] if name not in OBSERVED}
-        if scale is not None and maps:
-            fields["bev_metres_per_pixel"] = scale[k]
-        observations.append(
-            Observation(
-                step=steps,
-                time=steps * STEP_SECONDS,
-                instruction=episode.instruction,
-                collided=bool(batch.state.collided[agent]),
-                more=more,
-                **fields,
-            )
-        )
-    return observations

@@ -51,6 +51,7 @@ from gn0.sim.sensors import (
     check_map_mode,
 )
 from gn0.sim.tasks import load_tasks
+from gn0.sim.walkers import WalkersHost
 from gn0.sim.words import encode_texts, split_sensors, word_spaces
 
 _DRAWS = 64  # episodes that an environment draws ahead
@@ -291,10 +292,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             return None
         return tuple(self._pictures.copy())
 
-    def claim(self) -> SimulatorBatch:
-        """The engine itself, for a rollout; the environment must be reset afterwards."""
+    def claim(self) -> WalkersHost:
+        """The agents themselves, for a rollout; the environment must be reset afterwards."""
         self._begun = False
-        return self.batch
+        return WalkersHost(self.batch)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release scenes and renderers."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,38 @@ def choose_run_backend(backend: str, policy: str, map_mode: str, *, isolated: bo
     if backend == "auto" and choose_backend("auto")[0] == "cuda":
         return "cuda"
     return backend
+
+
+def find_agents_card(
+    asked: str, backend: str, *, agents: int, workers: int, executor: str
+) -> str | None:
+    """The card that a worker's agents are on, by name; None where they are on the CPU.
+
+    On the card that draws what they see. Agents that see no pictures are as quick on the CPU: they
+    are on a card only where `asked` or `GN0_DEVICE` names one. Several workers of one machine
+    leave the card to the process that draws for all of them.
+
+    Args:
+        asked: the backend that the user asked for.
+        backend: the one that draws, see `choose_run_backend`.
+        agents: side by side in a worker.
+        workers: how many there are.
+        executor: where they run.
+
+    Raises:
+        DeviceError: pictures are drawn on a card that cannot be used.
+    """
+    if agents == 1 or (workers > 1 and executor == "process"):
+        return None
+    from gn0.device.open import find_device, open_device  # who draws on the CPU needs neither
+
+    if name_drawing(backend) == "cuda":
+        return open_device().name
+    named = os.environ.get("GN0_DEVICE", "") if asked == "auto" else ""
+    if name_drawing(asked) != "cuda" and not named:
+        return None
+    device, _ = find_device()
+    return None if device is None else device.name
 
 
 @contextlib.contextmanager

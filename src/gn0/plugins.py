@@ -48,6 +48,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "depth": "gn0.sim.sensor.depth:SENSOR",
         "bev": "gn0.sim.sensor.bev:SENSOR",
         "occupancy": "gn0.sim.sensor.occupancy:SENSOR",
+        "ego_map": "gn0.sim.sensor.ego_map:SENSOR",
         "history": "gn0.sim.sensor.history:SENSOR",
         "ranges": "gn0.sim.sensor.ranges:SENSOR",
         "goal_vector": "gn0.sim.sensor.goal_vector:SENSOR",

@@ -30,6 +30,8 @@ from gn0.geometry import Pose2D, agent_to_world
 from gn0.locked_folder import lock_folder
 from gn0.paper import ACTIONS_AHEAD
 from gn0.scenes.folder import load_scene
+from gn0.sim.ego_map import EgoSquare, MapView
+from gn0.sim.open import open_simulator
 from gn0.suites.suite import save_suite
 
 
@@ -281,6 +283,22 @@ def test_png_and_maps_in_every_sample_are_the_very_pixels(data_suite, settings_o
     ):
         for kind in kinds:
             np.testing.assert_array_equal(one[kind], other[kind])
+
+
+def test_frames_have_the_ego_maps_and_arrows_of_the_simulator(webdataset) -> None:
+    view = MapView(squares=(EgoSquare(), EgoSquare(size=64, metres_per_pixel=0.2)), arrow=True)
+    for name in webdataset.sampled[:2]:  # the second one in evening light
+        episode, rows = webdataset.episode(name), webdataset.rows(name)
+        simulator = open_simulator(
+            webdataset.scene(episode.scene_id), webdataset.about.camera, "cpu",
+            {"ego_map", "occupancy"}, webdataset.about.agent, light=episode.light, map_view=view,
+        )  # fmt: skip
+        simulator.reset(episode)
+        frames = read_frames(webdataset, name, ("ego_map", "occupancy"), map_view=view)
+        for pose, frame in zip(rows.poses, frames, strict=True):
+            seen = simulator.observe_at(Pose2D(*map(float, pose)))
+            np.testing.assert_array_equal(frame["ego_map"], seen.read("ego_map"))
+            np.testing.assert_array_equal(frame["occupancy"], seen.occupancy)
 
 
 def test_the_journal_names_the_parts_in_order(webdataset) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,25 +20,32 @@ from gn0.errors import DataError
 from gn0.geometry import Pose2D
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.render.depth import to_metres
+from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.presets import find_preset
 
-FRAMES = ("rgb", "depth", "history", "bev", "occupancy", "goal_picture")
+FRAMES = ("rgb", "depth", "history", "bev", "occupancy", "ego_map", "goal_picture")
 Frame = dict[str, NDArray[Any]]
 _FILMED = {"rgb", "history"}  # the other videos are maps on a canvas, and stills
 
 
 def read_frames(
-    dataset: Dataset, episode_id: str, sensors: Iterable[str] = ("rgb",), *, exact: bool = False
+    dataset: Dataset,
+    episode_id: str,
+    sensors: Iterable[str] = ("rgb",),
+    *,
+    exact: bool = False,
+    map_view: MapView | Mapping[str, Any] | None = None,
 ) -> Iterator[Frame]:
     """What the agent saw at each step of an episode: a dict of pictures by sensor name.
 
     Args:
         dataset: the dataset.
         episode_id: the episode.
-        sensors: any of rgb, history, bev, occupancy, goal_picture (uint8 [H, W, 3]) and depth
-            (float32 [H, W] m in the sensor's range).
+        sensors: any of rgb, history, bev, occupancy, ego_map, goal_picture (uint8 [H, W, 3])
+            and depth (float32 [H, W] m in the sensor's range).
         exact: render, also where the cache has the picture (which may be compressed, or
             rounded: stored depth is within 0.5 mm).
+        map_view: squares of ego_map, which no cache has, and the arrow of the occupancy picture.
 
     Raises:
         DataError: the episode has no samples, or has no such sensor.
@@ -50,11 +57,12 @@ def read_frames(
             f"no picture {unknown[0]!r} in a dataset", remedy="known: " + ", ".join(FRAMES)
         )
     rows, episode = dataset.rows(episode_id), dataset.episode(episode_id)
-    drawn: set[str] = set()
+    view = read_map_view(map_view)
+    drawn = {"ego_map", "occupancy"} if view.arrow else {"ego_map"}
     if not isinstance(episode.mission, MissionGoal):
         drawn.add("goal_picture")
     cached = {} if exact else _find_cached(dataset, rows, sensors - drawn)
-    return _join(dataset, episode, rows, sensors, cached)
+    return _join(dataset, episode, rows, sensors, cached, view)
 
 
 def _find_cached(
@@ -98,6 +106,7 @@ def _join(
     rows: EpisodeRows,
     sensors: frozenset[str],
     cached: dict[str, Iterator[NDArray[Any]]],
+    view: MapView,
 ) -> Iterator[Frame]:
     drawn = sensors - cached.keys()
     sources = dict(cached)
@@ -124,7 +133,9 @@ def _join(
                 if "bev" in drawn:
                     frame["bev"] = map_picture(eyes)
                 if "occupancy" in drawn:
-                    frame["occupancy"] = eyes.occupancy_picture(start, pose)
+                    frame["occupancy"] = eyes.occupancy_picture(start, pose, arrow=view.arrow)
+                if "ego_map" in drawn:
+                    frame["ego_map"] = eyes.ego_picture(start, pose, view=view)
                 yield frame
         return
     for _ in range(len(rows)):

@@ -41,6 +41,7 @@ from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space, read_action
+from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.motion import Motion
 from gn0.sim.noise import Noise
 from gn0.sim.open import name_look, open_simulator, split_look
@@ -79,6 +80,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         render_mode: "rgb_array" gives the colour picture from `render()`.
         map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
             (explored), or nothing (none); the suite's, else prior.
+        map_view: squares of the sensor ego_map, and the arrow of the occupancy picture; see
+            `gn0.sim.ego_map.MapView`, whose fields it may also be.
         motions: what moves in each scene, by its id, see `gn0.sim.motion`.
         action_space: "discrete" (STOP 0, FORWARD 1, LEFT 2, RIGHT 3), or "continuous", see
             `gn0.sim.continuous`.
@@ -107,6 +110,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         success_distance: float = 3.0,
         render_mode: str | None = None,
         map_mode: str | None = None,
+        map_view: MapView | Mapping[str, Any] | None = None,
         motions: Mapping[str, Motion] | None = None,
         action_space: str = "discrete",
         copy: bool = True,
@@ -122,6 +126,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self.copy, self.channels_first = copy, channels_first
         self._shows_map = top_down_map
         self._noise = noise
+        self._map_view = read_map_view(map_view)
         self._map: TopDownMap | None = None
         self._backend = backend
         self.tasks = load_tasks(
@@ -139,12 +144,12 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         camera = find_preset(self.tasks.preset)
         self._carried = carry_sensors(self.sensors).sensors
         maps = shape_of_maps(self.tasks, self.sensors, camera)
-        own = build_spaces(self.sensors, camera, maps)
+        own = build_spaces(self.sensors, camera, maps, view=self._map_view)
         self._shapes = {name: space.shape for name, space in own.items()}
         self._numbers = {episode: k for k, episode in enumerate(dict.fromkeys(self.tasks.episodes))}
         self._pictures = picture_names(self.sensors, camera) if channels_first else frozenset()
         self.observation_space = spaces.Dict(
-            build_spaces(self.sensors, camera, maps, channels_first)
+            build_spaces(self.sensors, camera, maps, channels_first, self._map_view)
             | word_spaces(self.words, self.tasks.episodes)
             | {"collided": spaces.Discrete(2)}
         )
@@ -251,6 +256,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
                 self.tasks.agent,
                 self.tasks.max_steps,
                 map_mode=self.map_mode,
+                map_view=self._map_view,
                 light=light,
                 motion=self._motions.get(scene_id),
                 noise=self._noise,
@@ -311,9 +317,10 @@ def build_spaces(
     preset: CameraPreset,
     map_shape: tuple[int, int] | None,
     channels_first: bool = False,
+    view: MapView | None = None,
 ) -> dict[str, spaces.Space[Any]]:
     """The observation space of each sensor; maps of several scenes share the largest size."""
-    config = SensorConfig(active=frozenset(sensors), preset=preset)
+    config = SensorConfig(active=frozenset(sensors), preset=preset, map_view=view or MapView())
     found: dict[str, spaces.Space[Any]] = {}
     for sensor in sorted(config.carried.sensors, key=lambda sensor: sensor.name):
         space = sensor.find_space(config).sized(map_shape)

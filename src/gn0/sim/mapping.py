@@ -91,6 +91,14 @@ class Mapper:
         return picture
 
     @property
+    def layers(self) -> tuple[U8, U8]:
+        """BEV [H, W, 3] and grey of the occupancy picture [H, W] as they are now, not copied."""
+        bev, grey = self._map.bev.view(), self._map.occupancy[:, :, 0]
+        bev.setflags(write=False)
+        grey.setflags(write=False)
+        return bev, grey
+
+    @property
     def grid(self) -> OccupancyGrid:
         """The cells known so far."""
         return self._map.grid

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,6 +19,7 @@ from gn0.render.light import LightCondition, relight_cloud
 from gn0.render.open import build_renderer, name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS, DrawnScene
 from gn0.scenes.scene import Scene
+from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.motion import Motion
 from gn0.sim.noise import Noise
 from gn0.sim.presets import CameraPreset, find_preset
@@ -58,6 +60,7 @@ def open_simulator(
     *,
     cut_height: float = BEV_CUT,
     map_mode: str = "prior",
+    map_view: MapView | Mapping[str, Any] | None = None,
     navigation: NavigationMap | None = None,
     light: LightCondition | None = None,
     renderer: DrawnScene | None = None,
@@ -79,6 +82,8 @@ def open_simulator(
         cut_height: what lies higher [m] is left out of the BEV.
         map_mode: what bev and occupancy show: the whole scene (prior), what the agent has seen
             (explored), or nothing (none).
+        map_view: squares of the sensor ego_map, and the arrow of the occupancy picture; see
+            `gn0.sim.ego_map.MapView`, whose fields it may also be.
         navigation: the map that moves the agent; by default its radius decides.
         light: how the scene is lit, in views and BEV alike; as it was made when None.
         renderer: draws instead of one of `backend`; it must hold this scene in this light.
@@ -91,15 +96,22 @@ def open_simulator(
         SceneError: nothing is walkable for this agent.
         StorageError, FormatError: the scene folder is missing or broken.
     """
-    carried = carry_sensors(sensors)
-    active = frozenset(sensor.name for sensor in carried.sensors)
+    active = frozenset(sensor.name for sensor in carry_sensors(sensors).sensors)
     mode = check_map_mode(map_mode, active)
-    explores = mode == "explored" and bool(carried.maps)
     if not isinstance(scene, Scene):
         from gn0.scenes.folder import load_scene  # readers are not needed for a Scene in memory
 
         scene = load_scene(Path(scene))
     cameras = find_preset(preset) if isinstance(preset, str) else check_config(preset)
+    config = SensorConfig(
+        active=active,
+        preset=cameras,
+        map_view=read_map_view(map_view),
+        map_mode=mode,
+        cut_height=cut_height,
+        noise=noise or Noise(),
+    )
+    carried, explores = config.carried, config.explores
     body = agent or cameras.agent
     if navigation is None:
         navigation = NavigationMap(scene.grid, body.radius)
@@ -131,13 +143,7 @@ def open_simulator(
     return Simulator(
         scene,
         navigation=navigation,
-        sensors=SensorConfig(
-            active=frozenset(active),
-            preset=cameras,
-            map_mode=mode,
-            cut_height=cut_height,
-            noise=noise or Noise(),
-        ),
+        sensors=config,
         renderer=renderer,
         bev=bev,
         agent=body,

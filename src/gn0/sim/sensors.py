@@ -17,21 +17,25 @@ from gn0.maps.grid import GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.missions.episode import GoalPicture
 from gn0.paper import BEV_CUT
+from gn0.sim.ego_map import MapView, draw_arrow, draw_ego_map
 from gn0.sim.look_plan import Shot, aim_at_goal, plan_look, render_plan
 from gn0.sim.motion import STILL, Moment, Motion, take_moment
 from gn0.sim.noise import Noise
 from gn0.sim.presets import CameraPreset, find_preset
-from gn0.sim.sensor.table import Carried, carry_sensors, check_sensors
+from gn0.sim.sensor.table import Carried, carry_sensors, check_sensors, join_sensors
 from gn0.sim.state import MapMode
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.render.bev import BevPicture
     from gn0.render.renderer import DrawnScene
+    from gn0.sim.mapping import Mapper
 
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
 SILENCE = Noise()
 GREEN, RED = (0, 255, 0), (255, 0, 0)
+NO_BEV = np.zeros((0, 0, 3), np.uint8)
+NO_BEV.setflags(write=False)
 
 
 class SensorConfig(Config, frozen=True):
@@ -43,6 +47,7 @@ class SensorConfig(Config, frozen=True):
         range_rays: rays of the range ring.
         range_limit: reach of the range ring [m].
         disc_radius: radius of the start and agent discs in the occupancy picture [px].
+        map_view: squares of the ego map, and whether the occupancy picture has an arrow.
         map_mode: what bev and occupancy show, see `gn0.sim.state.MapMode`.
         cut_height: what lies higher [m] is left out of an explored BEV.
         noise: what the body adds to depth, pose and moves.
@@ -53,6 +58,7 @@ class SensorConfig(Config, frozen=True):
     range_rays: int = 72
     range_limit: float = 10.0
     disc_radius: int = 3
+    map_view: MapView = MapView()
     map_mode: MapMode = "prior"
     cut_height: float = BEV_CUT
     noise: Noise = Noise()
@@ -85,6 +91,9 @@ class SensorConfig(Config, frozen=True):
     def carry(self, names: frozenset[str]) -> Carried:
         """Some of them, each with its noise."""
         carried = carry_sensors(names)
+        if any(sensor.settle for sensor in carried.sensors):
+            settled = [s.settle(self) if s.settle else s for s in carried.sensors]
+            carried = join_sensors(tuple(settled))
         if self.noise == SILENCE:
             return carried
         return replace(
@@ -241,6 +250,12 @@ class SensorSuite:
         return paint_grid(self.navigation.grid, self.map_frame)
 
     @cached_property
+    def _grey(self) -> U8:
+        grey = self._occupancy[:, :, 0]
+        grey.setflags(write=False)
+        return grey
+
+    @cached_property
     def bev_picture(self) -> U8:
         """The scene from above [Hb, Wb, 3].
 
@@ -299,16 +314,48 @@ class SensorSuite:
         drawn: U8 = render_plan(plan, self.renderer.render, view[None], {})["rgb"][0]
         return drawn
 
-    def occupancy_picture(self, start: Pose2D, pose: Pose2D, own: U8 | None = None) -> U8:
+    def occupancy_picture(
+        self, start: Pose2D, pose: Pose2D, own: U8 | None = None, arrow: bool | None = None
+    ) -> U8:
         """The occupancy picture [H, W, 3] with the start in green, then the agent in red.
 
-        Drawn on `own`, the agent's own map, where there is one, and on the scene's else.
+        Drawn on `own`, the agent's own map, where there is one, and on the scene's else. The agent
+        is an `arrow` or a disc; as the settings say when None.
         """
         picture = self._occupancy.copy() if own is None else own
         radius = self.config.disc_radius
-        draw_disc(picture, *self.map_frame.pixel_of(start.x, start.y), radius, GREEN)
-        draw_disc(picture, *self.map_frame.pixel_of(pose.x, pose.y), radius, RED)
+        frame, arrow = self.map_frame, self.config.map_view.arrow if arrow is None else arrow
+        draw_disc(picture, *frame.pixel_of(start.x, start.y), radius, GREEN)
+        if arrow:
+            corner, place = (frame.x_min, frame.y_min), (pose.x, pose.y, pose.yaw)
+            draw_arrow(picture, corner, frame.metres_per_pixel, place, radius)
+        else:
+            draw_disc(picture, *frame.pixel_of(pose.x, pose.y), radius, RED)
         return picture
+
+    def ego_picture(
+        self,
+        start: Pose2D,
+        pose: Pose2D,
+        mapper: Mapper | None = None,
+        view: MapView | None = None,
+    ) -> U8:
+        """The ego map [H, W, 3] at a pose, see `gn0.sim.ego_map`; read-only.
+
+        Of `mapper`, the agent's own map, where there is one, and of the scene's else; as `view`
+        says, or the settings when None.
+        """
+        view = view or self.config.map_view
+        if mapper is not None:
+            bev, grey = mapper.layers
+        else:
+            bev = self.bev_picture if view.looks_at_bev else NO_BEV
+            grey = self._grey
+        frame = self.map_frame
+        place = pose.x, pose.y, pose.yaw
+        return draw_ego_map(
+            view, bev, grey, (frame.x_min, frame.y_min), frame.metres_per_pixel, place, start[:2]
+        )
 
     def ranges(self, pose: Pose2D) -> F32:
         """The range ring [R] m at a pose, on the inflated map."""

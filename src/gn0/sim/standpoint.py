@@ -89,6 +89,10 @@ class Standpoint:
         own = None if self.mapper is None else self.mapper.occupancy
         return self._suite.occupancy_picture(self.start, self.pose, own)
 
+    def ego_map(self) -> U8:
+        """The same around the agent, its heading up, side by side."""
+        return self._suite.ego_picture(self.start, self.pose, self.mapper)
+
     def ranges(self) -> F32:
         """The range ring [R] m."""
         return self._suite.ranges(self.pose)

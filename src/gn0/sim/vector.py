@@ -31,6 +31,7 @@ from gn0.sim.batch import FIELD_MEMORY, SimulatorBatch
 from gn0.sim.batch_continuous import SimulatorBatchContinuous
 from gn0.sim.batch_eyes import Snapshot
 from gn0.sim.continuous import build_action_space
+from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.env import (
     STEP_COST,
     SUCCESS_REWARD,
@@ -78,6 +79,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         visible_sets: draw pictures from the splats visible near each place, not from all; see
             `gn0.render.visible`.
         map_mode: what bev and occupancy show, see `GoalNavEnv`; the suite's, else prior.
+        map_view: squares of the sensor ego_map, and the arrow of the occupancy picture; see
+            `gn0.sim.ego_map.MapView`, whose fields it may also be.
         motions: what moves in each scene, by its id, see `gn0.sim.motion`.
         action_space: "discrete" or "continuous", see `gn0.sim.continuous`.
         copy: observations are the caller's own; without, pictures are the environment's memory
@@ -116,6 +119,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         field_memory: int = FIELD_MEMORY,
         visible_sets: bool = False,
         map_mode: str | None = None,
+        map_view: MapView | Mapping[str, Any] | None = None,
         motions: Mapping[str, Motion] | None = None,
         action_space: str = "discrete",
         copy: bool = True,
@@ -137,6 +141,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset)
         self.noise = noise or Noise()
+        self._map_view = read_map_view(map_view)
         if self.noise.moves:
             raise ConfigError(
                 "the agents of a VectorEnv move without noise",
@@ -151,6 +156,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             SensorConfig(
                 active=frozenset(self._drawn),
                 preset=camera,
+                map_view=self._map_view,
                 map_mode=self.map_mode,
                 noise=self.noise,
             ),
@@ -169,12 +175,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             s.name for s in carried if MAP_SIDE in s.find_space(self.batch.config).shape
         ]
         self._moved = picture_names(self.sensors, camera) if channels_first else frozenset()
-        own = build_spaces(self.sensors, camera, map_shape)
+        own = build_spaces(self.sensors, camera, map_shape, view=self._map_view)
         self._shapes = {name: own[name].shape for name in self._padded}
         self._spelt = {s.name: s.as_array for s in carried if s.array is not None and not s.many}
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
-            build_spaces(self.sensors, camera, map_shape, channels_first)
+            build_spaces(self.sensors, camera, map_shape, channels_first, self._map_view)
             | word_spaces(self.words, self.tasks.episodes)
             | {"collided": spaces.Discrete(2)}
         )
@@ -213,6 +219,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             self.tasks.agent,
             self.tasks.max_steps,
             map_mode=self.map_mode,
+            map_view=self._map_view,
             light=light,
             motion=self._motions.get(scene_id),
         ).suite

@@ -29,6 +29,7 @@ from gn0.plugins import describe_error
 if TYPE_CHECKING:
     from gn0.device.device import DeviceArray
     from gn0.maps.navigation import NavigationMap
+    from gn0.sim.ego_map import MapView
     from gn0.sim.presets import CameraPreset
 
 MAP_SIDE = -1  # a side of a space that is as long as the scene's map picture
@@ -51,6 +52,11 @@ class SensorSettings(Protocol):
     @property
     def range_limit(self) -> float:
         """Reach of the range ring [m]."""
+        ...
+
+    @property
+    def map_view(self) -> MapView:
+        """How maps are shown."""
         ...
 
 
@@ -179,6 +185,10 @@ class Here(Protocol):
         """The map as a picture [Hb, Wb, 3] with start and agent, or what the agent knows of it."""
         ...
 
+    def ego_map(self) -> U8:
+        """Maps around the agent, its heading up, side by side [H, W, 3]."""
+        ...
+
     def ranges(self) -> F32:
         """The range ring [R] m."""
         ...
@@ -268,6 +278,7 @@ class Sensor:
         goal_view: whether it looks at the goal's picture.
         bev: whether it looks at the scene from above.
         explores: what an agent's own map is made of, for those that look at a map; else empty.
+        settle: the sensor as it is with these settings, where they change what it looks at.
         tells: what it says that not every track allows, or that no robot could know (labels).
         many: reads of all agents at once what needs no picture; one by one when None.
         device: reads of all agents on a device; it is not carried there when None.
@@ -284,6 +295,7 @@ class Sensor:
     goal_view: bool = False
     bev: bool = False
     explores: frozenset[str] = frozenset()
+    settle: Callable[[SensorSettings], Sensor] | None = None
     tells: Tells = ""
     many: Callable[[Agents], NDArray[Any]] | None = None
     device: Callable[[AgentsDevice], DeviceArray] | None = None

@@ -102,7 +102,11 @@ def carry_sensors(names: Iterable[str]) -> Carried:
 @lru_cache(maxsize=256)
 def _carry(names: frozenset[str]) -> Carried:
     check_sensors(names)
-    sensors = tuple(find_sensor(name) for name in sensor_names() if name in names)
+    return join_sensors(tuple(find_sensor(name) for name in sensor_names() if name in names))
+
+
+def join_sensors(sensors: tuple[Sensor, ...]) -> Carried:
+    """Sensors in the order of the table, and what they need together."""
     views = any(sensor.views for sensor in sensors)
     drawn = frozenset[str]().union(*(sensor.draws for sensor in sensors))
     return Carried(

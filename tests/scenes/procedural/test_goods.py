@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gn0.scenes.procedural.catalogue.shop import build_shelf_run, fill_level, sign_material
+from gn0.scenes.procedural.catalogue.shop.shelves import build_shelf_run, fill_level
+from gn0.scenes.procedural.catalogue.shop.signs import sign_material
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.goods import FORMS, SHELF_GOODS, build_facing
 from gn0.scenes.procedural.materials import evaluate_materials

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-import inspect
 import math
-from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gn0.scenes.procedural.assembly import Item
-from gn0.scenes.procedural.catalogue import (
-    bath,
-    clutter,
-    decor,
-    kitchen,
-    light,
-    seats,
-    storage,
-    tables,
-)
-from gn0.scenes.procedural.palette import STEEL, STYLES, WHITE, Palette, linear_colour
+from gn0.scenes.procedural.palette import WHITE, linear_colour
 from gn0.scenes.procedural.shapes import (
     Shape,
     build_ball,
@@ -37,63 +24,10 @@ from gn0.scenes.procedural.shapes import (
 from gn0.scenes.procedural.shapes_soft import build_curtain, build_cushion, build_drape
 from gn0.seeds import random_stream
 
-MODULES = (
-    bath,
-    clutter,
-    decor,
-    kitchen,
-    light,
-    seats,
-    storage,
-    tables,
-)
-ARGUMENTS: dict[str, dict[str, object]] = {
-    "build_dining_table": {"seats": 4},
-    "build_rug": {"width": 2.0, "depth": 1.4},
-    "build_books": {"length": 0.8, "height": 0.3},
-    "build_plant": {"height": 1.2},
-    "build_picture": {"width": 0.5, "height": 0.4},
-    "build_mirror": {"width": 0.5, "height": 0.5},
-    "build_curtains": {"width": 1.5, "top": 2.2},
-    "build_blind": {"width": 1.0, "height": 1.0},
-    "build_radiator": {"width": 1.0},
-    "build_counter": {"width": 2.4, "front": WHITE, "top": STEEL},
-    "build_wall_units": {"width": 1.2, "front": WHITE},
-    "build_bathtub": {"length": 1.7},
-    "build_pendant": {"drop": 0.9},
-    "build_dishwasher": {"front": WHITE, "metal": STEEL},
-}
-
 
 def volume(shape: Shape) -> float:
     p = shape.vertices[shape.faces]
     return float((np.cross(p[:, 0], p[:, 1]) * p[:, 2]).sum() / 6)
-
-
-def items_of(module: ModuleType) -> list[str]:
-    return [
-        name
-        for name, value in vars(module).items()
-        if name.startswith("build_")
-        and getattr(value, "__module__", "") == module.__name__
-        and inspect.signature(value).return_annotation == "Item"
-    ]
-
-
-def make_item(module: ModuleType, name: str, seed: int) -> Item:
-    maker = getattr(module, name)
-    offered = {
-        **ARGUMENTS.get(name, {}),
-        "rng": random_stream(seed, name),
-        "palette": Palette(STYLES[seed % len(STYLES)]),
-        "kelvin": 3000.0,
-    }
-    known = inspect.signature(maker).parameters
-    return maker(**{k: v for k, v in offered.items() if k in known})
-
-
-def every_shape(item: Item) -> list[Shape]:
-    return [*item.shapes, *(s for part in item.parts for s in every_shape(part.item))]
 
 
 SOLIDS = {

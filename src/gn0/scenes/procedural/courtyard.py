@@ -10,9 +10,9 @@ import numpy as np
 
 from gn0.scenes.procedural import facades, planting
 from gn0.scenes.procedural.building import choose_palette
-from gn0.scenes.procedural.catalogue import garden
-from gn0.scenes.procedural.catalogue.clutter import build_ball_toy
-from gn0.scenes.procedural.catalogue.depot import build_wheelie_bin
+from gn0.scenes.procedural.catalogue.clutter.on_floor import build_ball_toy
+from gn0.scenes.procedural.catalogue.depot.loading import build_wheelie_bin
+from gn0.scenes.procedural.catalogue.garden import grounds, play, seating, street
 from gn0.scenes.procedural.draft import Material, SceneDraft, Sky, Sun
 from gn0.scenes.procedural.layout import Rect
 from gn0.scenes.procedural.palette import Palette, linear_colour, plain
@@ -261,9 +261,9 @@ def _build_fronts(plot: Plot, yard: Yard, rng: np.random.Generator) -> None:
                     if k in doors and abs(k - arch) > 1:
                         number += 2
                         hang(facades.build_front_door(taste, rng, number), t, 0.0)
-                        hang(garden.build_doormat(rng), t, 0.002, 0.36)
+                        hang(street.build_doormat(rng), t, 0.002, 0.36)
                         hang(facades.build_wall_lantern(), t - 1.05, 1.9)
-                        hang(garden.build_mailboxes(rng, 6), t + 1.45, 1.0, 0.005)
+                        hang(street.build_mailboxes(rng, 6), t + 1.45, 1.0, 0.005)
                         c, s = math.cos(yaw), math.sin(yaw)
                         dx, dy = x + c * t, y + s * t
                         plot.taken.append((dx - 0.9, dy - 0.9, dx + 0.9, dy + 0.9))
@@ -334,7 +334,7 @@ def _fill_square(plot: Plot, yard: Yard) -> None:
     rng = plot.rng
     x, y, half = yard.width / 2, yard.depth / 2, yard.square / 2
     if rng.random() < 0.75:
-        plot.put(garden.build_fountain(rng, float(rng.uniform(1.25, 1.55))), x, y)
+        plot.put(grounds.build_fountain(rng, float(rng.uniform(1.25, 1.55))), x, y)
     else:
         plot.put(planting.build_tree(rng, 0), x, y)
         plot.taken[-1] = (x - 1.0, y - 1.0, x + 1.0, y + 1.0)
@@ -344,7 +344,7 @@ def _fill_square(plot: Plot, yard: Yard) -> None:
         a = math.pi / 4 + k * math.pi / 2
         r = half - 0.35
         if rng.random() < 0.8:
-            bench = garden.build_garden_bench(rng)
+            bench = seating.build_garden_bench(rng)
             plot.put(bench, x + r * math.cos(a), y + r * math.sin(a), a - math.pi / 2)
         else:
             plot.put(planting.build_planter(rng), x + r * math.cos(a), y + r * math.sin(a))
@@ -371,34 +371,34 @@ def _fill_quarter(plot: Plot, room: Room, kind: str, palette: Palette) -> None:
                 y = room.y0 + room.depth * (j + 0.5) / rows
                 bed = planting.build_flower_bed(rng, float(rng.uniform(1.5, 1.8)), 1.0)
                 plot.try_put(bed, x, y, 0.0, margin=0.3)
-        plot.scatter(garden.build_sundial, 1, inner, margin=0.5)
-        plot.scatter(garden.build_wheelbarrow, 1, inner, margin=0.5, turn=quarter, jitter=0.3)
-        plot.scatter(garden.build_watering_can, 2, inner, margin=0.4, turn=quarter, jitter=0.5)
+        plot.scatter(grounds.build_sundial, 1, inner, margin=0.5)
+        plot.scatter(grounds.build_wheelbarrow, 1, inner, margin=0.5, turn=quarter, jitter=0.3)
+        plot.scatter(grounds.build_watering_can, 2, inner, margin=0.4, turn=quarter, jitter=0.5)
     if kind == "terrace":
         _set_tables(plot, room)
     if kind == "playground":
         plot.scatter(
-            lambda: garden.build_swing(rng), 1, inner, margin=0.7, turn=quarter[:2], tries=60
+            lambda: play.build_swing(rng), 1, inner, margin=0.7, turn=quarter[:2], tries=60
         )
-        plot.scatter(lambda: garden.build_slide(rng), 1, inner, margin=0.6, turn=quarter, tries=60)
-        plot.scatter(lambda: garden.build_sandbox(rng), 1, inner, margin=0.6, tries=60)
+        plot.scatter(lambda: play.build_slide(rng), 1, inner, margin=0.6, turn=quarter, tries=60)
+        plot.scatter(lambda: play.build_sandbox(rng), 1, inner, margin=0.6, tries=60)
         plot.scatter(lambda: build_ball_toy(rng, palette), 2, inner, margin=0.4)
     plot.scatter(
         lambda: planting.build_tree(rng), trees, _inner(room, 0.9), margin=0.9, foot=0.3, tries=60
     )
     if kind == "lawn":
-        plot.scatter(garden.build_ping_pong, 1, inner, margin=0.7, turn=quarter[:2])
-        plot.scatter(lambda: garden.build_sculpture(rng), 1, inner, margin=0.6)
+        plot.scatter(play.build_ping_pong, 1, inner, margin=0.7, turn=quarter[:2])
+        plot.scatter(lambda: grounds.build_sculpture(rng), 1, inner, margin=0.6)
     if kind in ("lawn", "orchard"):
-        plot.scatter(lambda: garden.build_picnic_table(rng), 1, inner, margin=0.7, turn=quarter)
-        plot.scatter(lambda: garden.build_deck_chair(rng), 2, inner, margin=0.5, turn=quarter,
+        plot.scatter(lambda: seating.build_picnic_table(rng), 1, inner, margin=0.7, turn=quarter)
+        plot.scatter(lambda: seating.build_deck_chair(rng), 2, inner, margin=0.5, turn=quarter,
                      jitter=0.4)  # fmt: skip
-        plot.scatter(garden.build_bird_bath, 1, inner, margin=0.5)
+        plot.scatter(grounds.build_bird_bath, 1, inner, margin=0.5)
         plot.scatter(lambda: planting.build_bush(rng, float(rng.uniform(0.35, 0.55))), 4, inner,
                      margin=0.5)  # fmt: skip
-        plot.scatter(lambda: garden.build_clothesline(rng), int(kind == "orchard"), inner,
+        plot.scatter(lambda: grounds.build_clothesline(rng), int(kind == "orchard"), inner,
                      margin=0.5, turn=quarter[:2])  # fmt: skip
-    plot.scatter(lambda: garden.build_garden_bench(rng), 1, inner, margin=0.55, turn=quarter)
+    plot.scatter(lambda: seating.build_garden_bench(rng), 1, inner, margin=0.55, turn=quarter)
 
 
 def _hedge_in(plot: Plot, room: Room) -> None:
@@ -431,19 +431,19 @@ def _set_tables(plot: Plot, room: Room) -> None:
                 continue
             x = room.x0 + room.width * (i + 0.5) / columns
             y = room.y0 + room.depth * (j + 0.5) / rows
-            plot.put(garden.build_garden_table(rng), x, y, zone=room.id)
+            plot.put(seating.build_garden_table(rng), x, y, zone=room.id)
             start = float(rng.uniform(0, 6.28))
             count = int(rng.integers(2, 5))
             for k in range(count):
                 a = start + 2 * math.pi * k / count + float(rng.normal(0, 0.1))
                 r = float(rng.uniform(0.55, 0.72))
-                plot.put(garden.build_garden_chair(rng), x + r * math.cos(a), y + r * math.sin(a),
+                plot.put(seating.build_garden_chair(rng), x + r * math.cos(a), y + r * math.sin(a),
                          a - math.pi / 2, zone=room.id)  # fmt: skip
             if rng.random() < 0.7:
-                parasol = garden.build_parasol(rng)
+                parasol = seating.build_parasol(rng)
                 plot.put(parasol, x + 0.45, y + 0.45, zone=room.id, solid=False)
     inner = _inner(room, 0.3)
-    plot.scatter(garden.build_barbecue, 1, inner, margin=0.35, tries=60)
+    plot.scatter(grounds.build_barbecue, 1, inner, margin=0.35, tries=60)
     plot.scatter(lambda: planting.build_planter(rng), 3, inner, margin=0.3, tries=40)
 
 
@@ -464,9 +464,9 @@ def _fill_walks(plot: Plot, yard: Yard, palette: Palette) -> None:
         else:
             strip, turn = (w - 0.95, 1.0, w - 0.1, d - 1.0), -math.pi / 2
         turns = (turn,)
-        plot.scatter(lambda: garden.build_garden_bench(rng), 1, strip, margin=0.5, turn=turns)
+        plot.scatter(lambda: seating.build_garden_bench(rng), 1, strip, margin=0.5, turn=turns)
         plot.scatter(lambda: planting.build_planter(rng), int(length / 5), strip, margin=0.5)
-        plot.scatter(lambda: garden.build_litter_bin(rng), 1, strip, margin=0.3)
+        plot.scatter(lambda: street.build_litter_bin(rng), 1, strip, margin=0.3)
         plot.scatter(lambda: build_wheelie_bin(rng), int(rng.integers(0, 4)), strip, margin=0.02,
                      turn=turns)  # fmt: skip
         deep = 1.9
@@ -477,7 +477,7 @@ def _fill_walks(plot: Plot, yard: Yard, palette: Palette) -> None:
         if rng.random() < 0.6:
             count = int(rng.integers(3, 6))
             plot.scatter(
-                lambda count=count: garden.build_bicycle_rack(rng, count), 1, rack_strip,  # type: ignore[misc]
+                lambda count=count: street.build_bicycle_rack(rng, count), 1, rack_strip,  # type: ignore[misc]
                 margin=0.35, turn=turns,
             )  # fmt: skip
         plot.scatter(lambda: planting.build_flower_bed(rng, float(rng.uniform(1.6, 2.6)), 0.7), 1,
@@ -485,30 +485,30 @@ def _fill_walks(plot: Plot, yard: Yard, palette: Palette) -> None:
     inset = RING - 0.25
     for _ in range(6):
         x, y = float(rng.uniform(1.2, w - 1.2)), float(rng.choice([RING / 2 + 0.4, d - RING / 2]))
-        plot.put(garden.build_drain(), x, y, solid=False)
+        plot.put(street.build_drain(), x, y, solid=False)
     for x, y in ((inset, inset), (w - inset, inset), (inset, d - inset), (w - inset, d - inset)):
-        plot.try_put(garden.build_lamp_post(rng), x, y)
+        plot.try_put(street.build_lamp_post(rng), x, y)
     for sx in (-1, 1):
         x = w / 2 + sx * (yard.square / 2 + 1.4)
-        plot.try_put(garden.build_lamp_post(rng), x, d / 2 + ARM / 2 + 0.05)
+        plot.try_put(street.build_lamp_post(rng), x, d / 2 + ARM / 2 + 0.05)
     for sx in (-1, 1):
         for y in (RING + 0.1, d - RING - 0.1):
-            plot.try_put(garden.build_bollard(), w / 2 + sx * (ARM / 2 - 0.15), y)
+            plot.try_put(street.build_bollard(), w / 2 + sx * (ARM / 2 - 0.15), y)
     wall = next(name for _, name, _ in ends if name != yard.open_side)
     at = {
         "south": (1.1, 0.005, math.pi), "north": (w - 1.1, d - 0.005, 0.0),
         "west": (0.005, d - 1.1, math.pi / 2), "east": (w - 0.005, 1.1, -math.pi / 2),
     }[wall]  # fmt: skip
-    plot.put(garden.build_hose(rng), at[0], at[1], at[2], z=0.5, solid=False, zone=f"{wall}_walk")
+    plot.put(grounds.build_hose(rng), at[0], at[1], at[2], z=0.5, solid=False, zone=f"{wall}_walk")
     whole = (0.3, 0.3, w - 0.3, d - 0.3)
     quarter = (0.0, math.pi / 2, math.pi, -math.pi / 2)
-    plot.scatter(lambda: garden.build_bicycle(rng), 2, whole, margin=0.5, turn=quarter, jitter=0.4)
-    plot.scatter(lambda: garden.build_litter_bin(rng), 2, whole, margin=0.5)
-    plot.scatter(garden.build_hydrant, 1, whole, margin=0.5)
-    plot.scatter(garden.build_watering_can, 1, whole, margin=0.4, turn=quarter, jitter=0.5)
+    plot.scatter(lambda: street.build_bicycle(rng), 2, whole, margin=0.5, turn=quarter, jitter=0.4)
+    plot.scatter(lambda: street.build_litter_bin(rng), 2, whole, margin=0.5)
+    plot.scatter(street.build_hydrant, 1, whole, margin=0.5)
+    plot.scatter(grounds.build_watering_can, 1, whole, margin=0.4, turn=quarter, jitter=0.5)
     if yard.depth > 20 and rng.random() < 0.6:
         long = yard.quarters[0][0].depth * 0.8
         y = (RING + yard.depth / 2 - ARM / 2) / 2
-        pergola = garden.build_pergola(rng, round(long, 2))
+        pergola = seating.build_pergola(rng, round(long, 2))
         if plot.is_free((w / 2 - 0.9, y - long / 2, w / 2 + 0.9, y + long / 2), ignore_keep=True):
             plot.put(pergola, w / 2, y, math.pi / 2, solid=False)

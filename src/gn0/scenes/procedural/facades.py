@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item
-from gn0.scenes.procedural.catalogue.shop import sign_material
+from gn0.scenes.procedural.catalogue.shop.signs import sign_material
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import WHITE, linear_colour, plain
 from gn0.scenes.procedural.planting import IRON, STONE, build_blob, build_sprigs, foliage

@@ -7,16 +7,12 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed
-from gn0.scenes.procedural.catalogue import (
-    bath,
-    clutter,
-    decor,
-    kitchen,
-    light,
-    seats,
-    storage,
-    tables,
-)
+from gn0.scenes.procedural.catalogue import bath, kitchen, light
+from gn0.scenes.procedural.catalogue.clutter import crockery, electronics
+from gn0.scenes.procedural.catalogue.decor import greenery, pictures, windows
+from gn0.scenes.procedural.catalogue.seats import chairs, sofas
+from gn0.scenes.procedural.catalogue.storage import beds, books, cupboards
+from gn0.scenes.procedural.catalogue.tables import high_tables, low_tables, rugs
 from gn0.scenes.procedural.layout import Block, RoomLayout, dress, footprint
 from gn0.scenes.procedural.shell import SIDES, Side
 
@@ -36,7 +32,7 @@ def dress_windows(layout: RoomLayout, *, curtains: bool = True) -> None:
                 continue
             middle, width = (a + b) / 2, b - a
             if curtains and middle - width / 2 > 0.27 and side.length - middle - width / 2 > 0.27:
-                item = decor.build_curtains(rng, layout.palette, width, top)
+                item = windows.build_curtains(rng, layout.palette, width, top)
                 placed = stand_at(side, middle, 0.005, item)
                 layout.placed.append(placed)
                 layout.hung[side.name].append((a - 0.3, 0.0, b + 0.3, top + 0.25))
@@ -45,7 +41,7 @@ def dress_windows(layout: RoomLayout, *, curtains: bool = True) -> None:
                     rect = layout.strip(side, edge - 0.24, edge + 0.24, 0.15)
                     layout.blocks.append(Block(rect, top + 0.2))
             elif rng.random() < 0.7 and layout.room.type != "kitchen":
-                blind = decor.build_blind(rng, layout.palette, width + 0.06, top - bottom)
+                blind = windows.build_blind(rng, layout.palette, width + 0.06, top - bottom)
                 layout.placed.append(
                     Placed(blind, *side.point(middle, 0.005), top + 0.06, side.yaw)
                 )
@@ -53,7 +49,7 @@ def dress_windows(layout: RoomLayout, *, curtains: bool = True) -> None:
             if bottom > 0.75 and layout.room.type in ("living room", "bedroom", "study"):
                 wide = min(width - 0.55, 1.2)
                 if wide > 0.45:
-                    layout.add(stand_at(side, middle, 0.0, decor.build_radiator(rng, wide)))
+                    layout.add(stand_at(side, middle, 0.0, windows.build_radiator(rng, wide)))
 
 
 def hang_pictures(layout: RoomLayout, count: int, *, clock: bool = False) -> None:
@@ -66,18 +62,18 @@ def hang_pictures(layout: RoomLayout, count: int, *, clock: bool = False) -> Non
     for k, (span, name, a, b) in enumerate(gaps[:count]):
         side, middle = layout.sides[name], (a + b) / 2
         if clock and k == len(gaps[:count]) - 1:
-            layout.hang(side, decor.build_clock(rng, layout.palette), middle, 1.75)
+            layout.hang(side, pictures.build_clock(rng, layout.palette), middle, 1.75)
         elif span > 1.1 and rng.random() < 0.3:
-            item = storage.build_wall_shelf(
+            item = cupboards.build_wall_shelf(
                 rng, layout.palette, float(rng.uniform(0.7, min(1.2, span - 0.2)))
             )
             item = dress(item, "shelf", rng, layout.palette, count=5)
             layout.hang(side, item, middle, float(rng.uniform(1.64, 1.74)))
         elif span > 0.45:
-            group = decor.build_wall_group(rng, layout.palette, span)
+            group = pictures.build_wall_group(rng, layout.palette, span)
             layout.hang_group(side, group, middle, 1.52)
             if span > 3.2:
-                extra = decor.build_wall_group(rng, layout.palette, 0.9)
+                extra = pictures.build_wall_group(rng, layout.palette, 0.9)
                 layout.hang_group(side, extra, a + span * 0.15, 1.52)
 
 
@@ -110,21 +106,21 @@ def place_corner_things(
         item = light.build_floor_lamp(rng, palette, kelvin=lamp)
         layout.place_on_wall(item, prefer="corner", gap=0.05, reach=False)
     for _ in range(plants):
-        item = decor.build_plant(rng, palette, float(rng.uniform(0.7, 1.7)))
+        item = greenery.build_plant(rng, palette, float(rng.uniform(0.7, 1.7)))
         low, high = item.full_extent()
         if high[0] - low[0] > widest:
             continue
         layout.place_on_wall(item, prefer="corner", gap=0.03, reach=False)
     if basket:
         layout.place_on_wall(
-            storage.build_basket(rng, palette), prefer="corner", gap=0.03, reach=False
+            cupboards.build_basket(rng, palette), prefer="corner", gap=0.03, reach=False
         )
 
 
 def place_dining(layout: RoomLayout, count: int, *, kelvin: float) -> bool:
     """A dining table with chairs, laid or decorated, under a pendant."""
     rng, palette, r = layout.rng, layout.palette, layout.room
-    table = tables.build_dining_table(rng, palette, count)
+    table = high_tables.build_dining_table(rng, palette, count)
     setting: list[Item] = []
     table = dress(table, "dining table", rng, palette, count=2, first=setting)
     chair_seed, kind = int(rng.integers(2**31)), int(rng.integers(4))
@@ -153,7 +149,7 @@ def place_dining(layout: RoomLayout, count: int, *, kelvin: float) -> bool:
         group: list[tuple[Placed, bool]] = [(Placed(table, x, y, 0.0, yaw), True)]
         chair_rng = np.random.Generator(np.random.Philox(key=chair_seed))
         for dx, dy, turn in spots:
-            chair = seats.build_chair(
+            chair = chairs.build_chair(
                 np.random.Generator(np.random.Philox(key=chair_seed)), palette, kind
             )
             jitter = float(chair_rng.uniform(-0.12, 0.12))
@@ -180,7 +176,7 @@ def place_dining(layout: RoomLayout, count: int, *, kelvin: float) -> bool:
             if rng.random() < 0.5:
                 w_rug = clear[2] - clear[0] - 0.1
                 d_rug = clear[3] - clear[1] - 0.1
-                rug = tables.build_rug(rng, palette, max(w_rug, d_rug), min(w_rug, d_rug))
+                rug = rugs.build_rug(rng, palette, max(w_rug, d_rug), min(w_rug, d_rug))
                 spin = 0.0 if w_rug >= d_rug else math.pi / 2
                 placed = Placed(
                     rug, (clear[0] + clear[2]) / 2, (clear[1] + clear[3]) / 2, 0.0, spin
@@ -199,12 +195,14 @@ def place_sofa_group(layout: RoomLayout) -> Side | None:
     """Television against one wall; sofa, rug, coffee table and armchair before it."""
     rng, palette = layout.rng, layout.palette
     corner = layout.room.area > 24 and rng.random() < 0.35
-    sofa = seats.build_corner_sofa(rng, palette) if corner else seats.build_sofa(rng, palette)
-    stand = tables.build_tv_stand(rng, palette)
+    sofa = sofas.build_corner_sofa(rng, palette) if corner else sofas.build_sofa(rng, palette)
+    stand = low_tables.build_tv_stand(rng, palette)
     stand = dress(stand, "sideboard", rng, palette, count=4)
-    tv = tables.build_tv(rng)
+    tv = low_tables.build_tv(rng)
     stand = stand.with_parts([Placed(tv, 0.0, 0.02, stand.extent()[1][2])])
-    coffee = dress(tables.build_coffee_table(rng, palette), "coffee table", rng, palette, count=5)
+    coffee = dress(
+        low_tables.build_coffee_table(rng, palette), "coffee table", rng, palette, count=5
+    )
     s_low, s_high = sofa.full_extent()
     sofa_w, sofa_d = float(s_high[0] - s_low[0]), float(s_high[1] - s_low[1])
     t_low, t_high = stand.full_extent()
@@ -263,7 +261,7 @@ def place_sofa_group(layout: RoomLayout) -> Side | None:
             layout.add(placed, solid=solid)
         rug_w = min(sofa_w + 0.3, 2.9)
         rug_d = min(max(1.5, front_gap * 0.75), 2.0)
-        rug = tables.build_rug(rng, palette, rug_w, rug_d)
+        rug = rugs.build_rug(rng, palette, rug_w, rug_d)
         rug_at = stand_at(side, t, max(table_y - 0.05, stand_d + 0.15 + rug_d / 2), rug)
         q = footprint(rug_at)
         r = layout.room
@@ -295,7 +293,7 @@ def _place_beside_sofa(
         else:
             lamp = light.build_table_lamp(rng, palette, kelvin=2900.0)
             item = dress(
-                tables.build_side_table(rng, palette),
+                low_tables.build_side_table(rng, palette),
                 "nightstand",
                 rng,
                 palette,
@@ -308,7 +306,7 @@ def _place_beside_sofa(
         if layout.is_clear(footprint(placed)) and layout.is_passable([footprint(placed)]):
             layout.add(placed)
     for sign in ends:
-        chair = seats.build_sofa(rng, palette, seats=1)
+        chair = sofas.build_sofa(rng, palette, seats=1)
         low, high = chair.full_extent()
         off = sofa_w / 2 + float(high[1] - low[1]) / 2 - 0.1
         placed = stand_at(
@@ -341,7 +339,7 @@ def hang_above_counter(
 def place_bed(layout: RoomLayout, double: bool, kelvin: float) -> Placed | None:
     """A bed, its head to a wall, nightstands with lamps at its sides, a rug under its foot."""
     rng, palette = layout.rng, layout.palette
-    bed = storage.build_bed(rng, palette, double)
+    bed = beds.build_bed(rng, palette, double)
     low, high = bed.full_extent()
     width, depth = float(high[0] - low[0]), float(high[1] - low[1])
     options: list[tuple[int, Side, float]] = []  # best first: room for two nightstands, one, none
@@ -370,7 +368,7 @@ def place_bed(layout: RoomLayout, double: bool, kelvin: float) -> Placed | None:
         stand_seed = int(rng.integers(2**31))
         for sign in (-1, 1):
             stand_rng = np.random.Generator(np.random.Philox(key=stand_seed))
-            stand = tables.build_nightstand(stand_rng, palette)
+            stand = low_tables.build_nightstand(stand_rng, palette)
             lamp = light.build_table_lamp(stand_rng, palette, kelvin=kelvin)
             stand = dress(stand, "nightstand", rng, palette, count=2, first=[lamp])
             s_low, s_high = stand.full_extent()
@@ -381,19 +379,19 @@ def place_bed(layout: RoomLayout, double: bool, kelvin: float) -> Placed | None:
             if layout.is_clear(q) and layout.is_passable([q]):
                 layout.add(at)
         if rng.random() < 0.75:
-            rug = tables.build_rug(rng, palette, width + 0.9, 1.5)
+            rug = rugs.build_rug(rng, palette, width + 0.9, 1.5)
             rug_at = stand_at(side, t, depth - 0.35, rug)
             q = footprint(rug_at)
             r = layout.room
             if q[0] > r.x0 and q[1] > r.y0 and q[2] < r.x1 and q[3] < r.y1:
                 layout.placed.append(rug_at)
         if double and rng.random() < 0.35:
-            bench = seats.build_bench(rng, palette, min(width - 0.2, 1.3))
+            bench = chairs.build_bench(rng, palette, min(width - 0.2, 1.3))
             bench_at = stand_at(side, t, depth + 0.28, bench)
             q = footprint(bench_at)
             if layout.is_clear(q) and layout.is_passable([q]):
                 layout.add(bench_at)
-        group = decor.build_wall_group(rng, palette, width * 0.9)
+        group = pictures.build_wall_group(rng, palette, width * 0.9)
         layout.hang_group(side, group, t, 1.6)
         return placed
     return None
@@ -411,19 +409,19 @@ def hang_over(layout: RoomLayout, spot: Placed, item: Item, z: float) -> bool:
 def place_desk(layout: RoomLayout, *, kelvin: float, large: bool = False) -> bool:
     """A desk with monitor or laptop, keyboard, lamp and a chair drawn up to it."""
     rng, palette = layout.rng, layout.palette
-    desk = tables.build_desk(rng, palette)
+    desk = high_tables.build_desk(rng, palette)
     top = desk.supports[0]
     parts: list[Placed] = []
     if rng.random() < 0.65 or large:
         shift = float(rng.uniform(-0.1, 0.1))
-        parts.append(Placed(clutter.build_monitor(rng), shift, top.y1 - 0.1, top.z))
-        parts.append(Placed(clutter.build_keyboard(rng), shift, -0.1, top.z))
-        parts.append(Placed(clutter.build_mouse(rng), shift + 0.3, -0.1, top.z))
+        parts.append(Placed(electronics.build_monitor(rng), shift, top.y1 - 0.1, top.z))
+        parts.append(Placed(electronics.build_keyboard(rng), shift, -0.1, top.z))
+        parts.append(Placed(electronics.build_mouse(rng), shift + 0.3, -0.1, top.z))
         taken = 0.36
     else:
         parts.append(
             Placed(
-                clutter.build_laptop(rng, palette),
+                electronics.build_laptop(rng, palette),
                 0.0,
                 -0.05,
                 top.z,
@@ -436,16 +434,16 @@ def place_desk(layout: RoomLayout, *, kelvin: float, large: bool = False) -> boo
         lamp = light.build_desk_lamp(rng, palette, kelvin=kelvin)
         parts.append(Placed(lamp, side_x, top.y1 - 0.14, top.z, -math.copysign(0.5, side_x)))
         other = (
-            clutter.build_cup(rng, palette)
+            crockery.build_cup(rng, palette)
             if rng.random() < 0.5
-            else storage.build_book_stack(rng, 3)
+            else books.build_book_stack(rng, 3)
         )
         parts.append(Placed(other, -side_x, top.y1 - 0.15, top.z, float(rng.uniform(-0.4, 0.4))))
     desk = desk.with_parts(parts)
     chair = (
-        seats.build_office_chair(rng, palette)
+        chairs.build_office_chair(rng, palette)
         if rng.random() < 0.7 or large
-        else seats.build_chair(rng, palette)
+        else chairs.build_chair(rng, palette)
     )
     spot = layout.place_on_wall(desk, prefer="any", front=0.55, gap=0.03)
     if spot is None:
@@ -472,7 +470,7 @@ def place_desk(layout: RoomLayout, *, kelvin: float, large: bool = False) -> boo
             break
         layout.reach = spots
     if rng.random() < 0.6:
-        shelf = dress(storage.build_wall_shelf(rng, palette, 0.9), "shelf", rng, palette, count=5)
+        shelf = dress(cupboards.build_wall_shelf(rng, palette, 0.9), "shelf", rng, palette, count=5)
         hang_over(layout, spot, shelf, 1.65)
     return True
 

@@ -9,16 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed
-from gn0.scenes.procedural.catalogue import (
-    clutter,
-    decor,
-    light,
-    office,
-    seats,
-    storage,
-    tables,
-    tools,
-)
+from gn0.scenes.procedural.catalogue import light, office, tools
+from gn0.scenes.procedural.catalogue.clutter import crockery, electronics, on_floor
+from gn0.scenes.procedural.catalogue.decor import greenery, pictures
+from gn0.scenes.procedural.catalogue.seats import chairs, sofas
+from gn0.scenes.procedural.catalogue.storage import books, cupboards
+from gn0.scenes.procedural.catalogue.tables import low_tables, rugs
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.groups import stand_at
 from gn0.scenes.procedural.layout import RoomLayout, dress, footprint, overlaps
@@ -73,7 +69,9 @@ def draw_taste(rng: np.random.Generator, palette: Palette) -> OfficeTaste:
 
 def draw_chair(taste: OfficeTaste, palette: Palette) -> Item:
     """The office's swivel chair."""
-    return seats.build_office_chair(np.random.Generator(np.random.Philox(key=taste.chair)), palette)
+    return chairs.build_office_chair(
+        np.random.Generator(np.random.Philox(key=taste.chair)), palette
+    )
 
 
 Maker = Callable[[np.random.Generator, Palette], Item]
@@ -81,7 +79,7 @@ Maker = Callable[[np.random.Generator, Palette], Item]
 _LOOSE: tuple[tuple[float, float, float, float, Maker], ...] = (
     (0.9, 0.78, 0.55, 0.03, lambda r, p: office.build_phone()),
     (0.85, -0.6, 0.5, 0.05, lambda r, p: tools.build_pen_holder(r)),
-    (0.85, 0.58, -0.05, 0.05, clutter.build_cup),
+    (0.85, 0.58, -0.05, 0.05, crockery.build_cup),
     (0.8, -0.62, -0.35, 0.06, lambda r, p: tools.build_notebook(r)),
     (0.75, -0.78, 0.1, 0.03, lambda r, p: tools.build_papers(r)),
     (0.5, -0.82, 0.62, 0.02, lambda r, p: tools.build_tray(r)),
@@ -91,10 +89,10 @@ _LOOSE: tuple[tuple[float, float, float, float, Maker], ...] = (
     (0.35, 0.88, 0.05, 0.02, lambda r, p: tools.build_tissue_box(r)),
     (0.5, 0.5, 0.3, 0.04, lambda r, p: tools.build_flask(r)),
     (0.4, -0.42, 0.35, 0.04, lambda r, p: tools.build_stapler(r)),
-    (0.45, 0.62, 0.78, 0.02, decor.build_photo),
-    (0.35, -0.88, -0.6, 0.03, lambda r, p: storage.build_book_stack(r, int(r.integers(1, 4)))),
-    (0.3, 0.86, 0.7, 0.02, lambda r, p: decor.build_plant(r, p, 0.22)),
-    (0.25, 0.82, -0.3, 0.03, lambda r, p: clutter.build_glass(r, p)),
+    (0.45, 0.62, 0.78, 0.02, pictures.build_photo),
+    (0.35, -0.88, -0.6, 0.03, lambda r, p: books.build_book_stack(r, int(r.integers(1, 4)))),
+    (0.3, 0.86, 0.7, 0.02, lambda r, p: greenery.build_plant(r, p, 0.22)),
+    (0.25, 0.82, -0.3, 0.03, lambda r, p: crockery.build_glass(r, p)),
     (0.4, -0.85, 0.75, 0.02, lambda r, p: _unlit_lamp(r, p)),
     (0.5, 0.3, 0.85, 0.02, lambda r, p: tools.build_dock()),
     (0.4, 0.7, 0.2, 0.05, lambda r, p: tools.build_calculator(r)),
@@ -123,21 +121,21 @@ def build_work_place(rng: np.random.Generator, palette: Palette, taste: OfficeTa
     shift = float(rng.uniform(-0.06, 0.06))
     kind = rng.random()
     if kind < 0.5:
-        parts.append(Placed(clutter.build_monitor(rng), shift, d * 0.24, h))
+        parts.append(Placed(electronics.build_monitor(rng), shift, d * 0.24, h))
     elif kind < 0.85:
-        screen = clutter.build_monitor(rng)
+        screen = electronics.build_monitor(rng)
         half = screen.size[0] / 2 + 0.01
         for sx in (-1, 1):
             turn = -sx * float(rng.uniform(0.08, 0.2))
-            other = clutter.build_monitor(rng) if sx < 0 else screen
+            other = electronics.build_monitor(rng) if sx < 0 else screen
             fitted = Item(other.category, tuple(s.stretched(x=0.86) for s in other.shapes))
             parts.append(Placed(fitted, shift + sx * half * 0.86, d * 0.24, h, turn))
     else:
-        parts.append(Placed(clutter.build_laptop(rng, palette), shift, 0.0, h))
+        parts.append(Placed(electronics.build_laptop(rng, palette), shift, 0.0, h))
     if kind < 0.85:
-        parts.append(Placed(clutter.build_keyboard(rng), shift, -d * 0.2, h, _stray(rng, 0.05)))
+        parts.append(Placed(electronics.build_keyboard(rng), shift, -d * 0.2, h, _stray(rng, 0.05)))
         parts.append(Placed(tools.build_mouse_pad(rng), shift + 0.36, -d * 0.2, h))
-        parts.append(Placed(clutter.build_mouse(rng), shift + 0.36, -d * 0.19, h + 0.004))
+        parts.append(Placed(electronics.build_mouse(rng), shift + 0.36, -d * 0.19, h + 0.004))
     used = [footprint(p) for p in parts]
     for chance, x, y, stray, maker in _LOOSE:
         if rng.random() > chance:
@@ -165,7 +163,7 @@ def build_work_place(rng: np.random.Generator, palette: Palette, taste: OfficeTa
     if rng.random() < 0.5:
         parts.append(Placed(office.build_tower(), -hand * (w / 2 - 0.2), 0.1))
     elif rng.random() < 0.6:
-        parts.append(Placed(clutter.build_bin(rng, palette), -hand * (w / 2 - 0.25), 0.15))
+        parts.append(Placed(on_floor.build_bin(rng, palette), -hand * (w / 2 - 0.25), 0.15))
     if rng.random() < 0.35:
         bag = tools.build_bag(rng)
         parts.append(Placed(bag, hand * (w / 2 - 0.66), -0.05, 0.0, _stray(rng, 0.4)))
@@ -304,9 +302,9 @@ def place_meeting(layout: RoomLayout, *, laptops: float = 0.4) -> bool:
         for x, y, sign in spots:
             model = np.random.Generator(np.random.Philox(key=seed))
             chair = (
-                seats.build_office_chair(model, palette)
+                chairs.build_office_chair(model, palette)
                 if kind == 5
-                else seats.build_chair(model, palette, kind)
+                else chairs.build_chair(model, palette, kind)
             )
             turn = (math.pi if sign < 0 else 0.0) + float(rng.normal(0, 0.12))
             px, py = x + _stray(rng, 0.05), y + sign * float(rng.uniform(0.0, 0.1))
@@ -315,7 +313,7 @@ def place_meeting(layout: RoomLayout, *, laptops: float = 0.4) -> bool:
             )
             face = 0.0 if sign < 0 else math.pi
             laid += _lay_seat(rng, palette, x, sign * (wide / 2 - 0.2), face, laptops)
-        middle = [clutter.build_bottle(rng, palette) for _ in range(per_side)]
+        middle = [crockery.build_bottle(rng, palette) for _ in range(per_side)]
         for k, bottle in enumerate(middle):
             laid.append(Placed(bottle, ((k + 0.5) / per_side - 0.5) * (length - 0.6), 0.09, 0.74))
         group.insert(0, (Placed(table.with_parts(laid), cx, cy, 0.0, yaw), True))
@@ -338,15 +336,15 @@ def _lay_seat(
     out: list[Placed] = []
     s = 1.0 if face == 0.0 else -1.0
     if rng.random() < laptops:
-        out.append(Placed(clutter.build_laptop(rng, palette), x, y + s * 0.03, 0.74, face))
+        out.append(Placed(electronics.build_laptop(rng, palette), x, y + s * 0.03, 0.74, face))
     elif rng.random() < 0.8:
         pad = tools.build_notebook(rng) if rng.random() < 0.6 else tools.build_papers(rng)
         out.append(Placed(pad, x, y, 0.74, face + _stray(rng, 0.15)))
     if rng.random() < 0.7:
         thing = (
-            clutter.build_glass(rng, palette)
+            crockery.build_glass(rng, palette)
             if rng.random() < 0.6
-            else clutter.build_cup(rng, palette)
+            else crockery.build_cup(rng, palette)
         )
         out.append(Placed(thing, x + s * 0.24, y + s * 0.06, 0.74))
     return out
@@ -355,7 +353,7 @@ def _lay_seat(
 def build_wall_screen(rng: np.random.Generator, width: float) -> Item:
     """A large screen on the wall, category "tv"; back at y = 0, middle at z = 0."""
     h = width * 0.5625
-    tv = tables.build_tv(rng)
+    tv = low_tables.build_tv(rng)
     face = next(s.material for s in tv.shapes if s.material.pattern == "screen")
     fields = {f: getattr(face, f) for f in face.__struct_fields__}
     if rng.random() < 0.5:
@@ -380,8 +378,10 @@ def build_wall_screen(rng: np.random.Generator, width: float) -> Item:
 def place_lounge(layout: RoomLayout, count: int = 2, *, chairs: int = 1) -> bool:
     """A sofa at a wall with a coffee table before it and armchairs across, on a rug at times."""
     rng, palette = layout.rng, layout.palette
-    sofa = seats.build_sofa(rng, palette, seats=count)
-    table = dress(tables.build_coffee_table(rng, palette), "coffee table", rng, palette, count=4)
+    sofa = sofas.build_sofa(rng, palette, seats=count)
+    table = dress(
+        low_tables.build_coffee_table(rng, palette), "coffee table", rng, palette, count=4
+    )
     low, high = sofa.full_extent()
     wide, deep = float(high[0] - low[0]), float(high[1] - low[1])
     t_low, t_high = table.full_extent()
@@ -401,10 +401,10 @@ def place_lounge(layout: RoomLayout, count: int = 2, *, chairs: int = 1) -> bool
                 if not layout.place_free(group, clear):
                     continue
                 if rng.random() < 0.6:
-                    rug = tables.build_rug(rng, palette, wide * 0.95, 1.3)
+                    rug = rugs.build_rug(rng, palette, wide * 0.95, 1.3)
                     layout.placed.append(stand_at(side, t, deep + 0.45, rug))
                 for k in range(chairs):
-                    chair = seats.build_sofa(rng, palette, seats=1)
+                    chair = sofas.build_sofa(rng, palette, seats=1)
                     turn = math.pi + _stray(rng, 0.25)
                     at = stand_at(
                         side, t + (k - (chairs - 1) / 2) * 0.95, reach + 0.75, chair, turn
@@ -437,13 +437,13 @@ def build_low_shelf(
             x += 0.06
             continue
         if kind < 0.6:
-            item = decor.build_plant(rng, palette, float(rng.uniform(0.25, 0.4)))
+            item = greenery.build_plant(rng, palette, float(rng.uniform(0.25, 0.4)))
         elif kind < 0.75:
             item = tools.build_tray(rng)
         elif kind < 0.88:
-            item = storage.build_storage_box(rng, palette)
+            item = cupboards.build_storage_box(rng, palette)
         else:
-            item = decor.build_vase(rng, palette)
+            item = greenery.build_vase(rng, palette)
         low, high = item.full_extent()
         wide = float(high[0] - low[0])
         if x + wide > top.x1 + 0.1 or high[1] - low[1] > 0.42:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
-from gn0.scenes.procedural.catalogue.clutter import ON_TABLE, Maker
+from gn0.scenes.procedural.catalogue.clutter.on_table import ON_TABLE, Maker
 from gn0.scenes.procedural.palette import Palette
 from gn0.scenes.procedural.plan import FloorPlan, Opening, Room
 from gn0.scenes.procedural.shell import SIDES, Side, room_sides

@@ -8,16 +8,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Placed
-from gn0.scenes.procedural.catalogue import (
-    bath,
-    clutter,
-    decor,
-    kitchen,
-    light,
-    seats,
-    storage,
-    tables,
-)
+from gn0.scenes.procedural.catalogue import bath, kitchen, light
+from gn0.scenes.procedural.catalogue.clutter import on_floor
+from gn0.scenes.procedural.catalogue.decor import greenery, pictures
+from gn0.scenes.procedural.catalogue.seats import chairs, sofas
+from gn0.scenes.procedural.catalogue.storage import books, cloakroom, cupboards
+from gn0.scenes.procedural.catalogue.tables import high_tables, rugs
 from gn0.scenes.procedural.groups import (
     dress_windows,
     hang_above_counter,
@@ -59,27 +55,34 @@ def furnish_living(layout: RoomLayout) -> None:
         place_dining(layout, 6 if layout.room.area > 32 else 4, kelvin=2900.0)
     shelves = 1 + int(layout.room.area > 26)
     for _ in range(shelves):
-        shelf = dress(storage.build_bookshelf(rng, palette), "shelf", rng, palette, count=10)
+        shelf = dress(books.build_bookshelf(rng, palette), "shelf", rng, palette, count=10)
         layout.place_on_wall(shelf, prefer="corner")
     if rng.random() < 0.7:
         lamp = light.build_table_lamp(rng, palette, kelvin=kelvin)
         board = dress(
-            storage.build_sideboard(rng, palette), "sideboard", rng, palette, count=5, first=[lamp]
+            cupboards.build_sideboard(rng, palette),
+            "sideboard",
+            rng,
+            palette,
+            count=5,
+            first=[lamp],
         )
         layout.place_on_wall(board, prefer="any", front=0.4)
     if rng.random() < 0.4:
-        cart = dress(tables.build_serving_cart(rng, palette), "dining table", rng, palette, count=5)
+        cart = dress(
+            high_tables.build_serving_cart(rng, palette), "dining table", rng, palette, count=5
+        )
         layout.place_on_wall(cart, prefer="any")
     place_corner_things(layout, plants=3, lamp=2700.0)
     if rng.random() < 0.5:
-        pouf = seats.build_stool(rng, palette)
+        pouf = chairs.build_stool(rng, palette)
         layout.place_on_wall(pouf, prefer="any", gap=0.3, reach=False)
     if rng.random() < 0.35:
-        layout.place_on_wall(clutter.build_teddy(rng, palette), gap=0.1, reach=False)
+        layout.place_on_wall(on_floor.build_teddy(rng, palette), gap=0.1, reach=False)
     light_ceiling(layout, kelvin)
     hang_pictures(layout, 5, clock=rng.random() < 0.6)
     if tv_side is not None and rng.random() < 0.5:
-        ball = clutter.build_ball_toy(rng, palette)
+        ball = on_floor.build_ball_toy(rng, palette)
         layout.place_on_wall(ball, gap=0.12, reach=False)
 
 
@@ -134,9 +137,9 @@ def furnish_kitchen(layout: RoomLayout) -> None:
         if not place_dining(layout, seats_at, kelvin=3000.0) and seats_at == 4:
             place_dining(layout, 2, kelvin=3000.0)
     if room.area > 15 and rng.random() < 0.6:
-        shelf = dress(storage.build_sideboard(rng, palette), "counter", rng, palette, count=5)
+        shelf = dress(cupboards.build_sideboard(rng, palette), "counter", rng, palette, count=5)
         layout.place_on_wall(shelf, prefer="any", front=0.4)
-    layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", gap=0.02, reach=False)
+    layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", gap=0.02, reach=False)
     dress_windows(layout, curtains=False)
     place_corner_things(layout, plants=1, basket=rng.random() < 0.3)
     light_ceiling(layout, 3500.0 if rng.random() < 0.5 else 3000.0)
@@ -167,27 +170,27 @@ def furnish_bedroom(layout: RoomLayout) -> None:
     placed = place_bed(layout, double, kelvin)
     if placed is None:
         place_bed(layout, False, kelvin)
-    wardrobe = dress(storage.build_wardrobe(rng, palette), "floor", rng, palette, count=2)
+    wardrobe = dress(cupboards.build_wardrobe(rng, palette), "floor", rng, palette, count=2)
     if layout.place_on_wall(wardrobe, prefer="corner", front=0.45) is None:
-        layout.place_on_wall(storage.build_wardrobe(rng, palette), prefer="any")
+        layout.place_on_wall(cupboards.build_wardrobe(rng, palette), prefer="any")
     if child or (room.area > 13 and rng.random() < 0.4):
         place_desk(layout, kelvin=3500.0)
     if child:
         shelf = dress(
-            storage.build_bookshelf(rng, palette, 0.8),
+            books.build_bookshelf(rng, palette, 0.8),
             "shelf",
             rng,
             palette,
             count=6,
-            first=[clutter.build_teddy(rng, palette)],
+            first=[on_floor.build_teddy(rng, palette)],
         )
         layout.place_on_wall(shelf, prefer="corner")
-        for maker in (clutter.build_blocks, clutter.build_teddy, clutter.build_ball_toy):
+        for maker in (on_floor.build_blocks, on_floor.build_teddy, on_floor.build_ball_toy):
             layout.place_on_wall(maker(rng, palette), gap=0.15, reach=False)
     elif rng.random() < 0.75:
         lamp = light.build_table_lamp(rng, palette, kelvin=kelvin)
         dresser = dress(
-            storage.build_dresser(rng, palette),
+            cupboards.build_dresser(rng, palette),
             "sideboard",
             rng,
             palette,
@@ -199,14 +202,14 @@ def furnish_bedroom(layout: RoomLayout) -> None:
             hang_over(
                 layout,
                 spot,
-                decor.build_mirror(rng, palette, 0.7, float(rng.choice([0.7, 0.95]))),
+                pictures.build_mirror(rng, palette, 0.7, float(rng.choice([0.7, 0.95]))),
                 1.5,
             )
     if rng.random() < 0.4:
-        layout.place_on_wall(seats.build_sofa(rng, palette, seats=1), prefer="corner", gap=0.08)
+        layout.place_on_wall(sofas.build_sofa(rng, palette, seats=1), prefer="corner", gap=0.08)
     place_corner_things(layout, plants=2, basket=rng.random() < 0.6)
     if rng.random() < 0.25:
-        layout.place_on_wall(clutter.build_suitcase(rng, palette), prefer="corner", reach=False)
+        layout.place_on_wall(on_floor.build_suitcase(rng, palette), prefer="corner", reach=False)
     light_ceiling(layout, kelvin, flux=6.5)
     hang_pictures(layout, 3)
 
@@ -217,16 +220,16 @@ def furnish_study(layout: RoomLayout) -> None:
     dress_windows(layout)
     place_desk(layout, kelvin=3500.0, large=True)
     for _ in range(2):
-        shelf = dress(storage.build_bookshelf(rng, palette), "shelf", rng, palette, count=9)
+        shelf = dress(books.build_bookshelf(rng, palette), "shelf", rng, palette, count=9)
         layout.place_on_wall(shelf, prefer="corner", front=0.3)
     if layout.room.area > 8:
-        layout.place_on_wall(seats.build_sofa(rng, palette, seats=1), prefer="corner", gap=0.1)
-    rug = tables.build_rug(rng, palette, 1.7, 1.2)
+        layout.place_on_wall(sofas.build_sofa(rng, palette, seats=1), prefer="corner", gap=0.1)
+    rug = rugs.build_rug(rng, palette, 1.7, 1.2)
     middle = Placed(
         rug, (layout.room.x0 + layout.room.x1) / 2, (layout.room.y0 + layout.room.y1) / 2
     )
     layout.placed.append(middle)
-    layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+    layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
     place_corner_things(layout, plants=2, lamp=2900.0, basket=False)
     light_ceiling(layout, 3500.0)
     hang_pictures(layout, 4, clock=True)
@@ -253,7 +256,9 @@ def furnish_bathroom(layout: RoomLayout) -> None:
     if spot is not None:
         w = float(basin.size[0])
         tall = w if rng.random() < 0.4 else 0.8
-        hang_over(layout, spot, decor.build_mirror(rng, palette, min(w, 0.7), min(tall, 0.8)), 1.55)
+        hang_over(
+            layout, spot, pictures.build_mirror(rng, palette, min(w, 0.7), min(tall, 0.8)), 1.55
+        )
     toilet = layout.place_on_wall(
         bath.build_toilet(rng), prefer="any", gap=0.005, front=0.45, margin=0.12
     )
@@ -263,9 +268,9 @@ def furnish_bathroom(layout: RoomLayout) -> None:
         machine = dress(bath.build_washing_machine(rng), "bath", rng, palette, count=2)
         layout.place_on_wall(machine, prefer="corner", front=0.4)
     layout.place_on_wall(bath.build_laundry(rng, palette), prefer="corner", reach=False)
-    layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+    layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
     if rng.random() < 0.5:
-        layout.place_on_wall(decor.build_plant(rng, palette, 0.6), prefer="corner", reach=False)
+        layout.place_on_wall(greenery.build_plant(rng, palette, 0.6), prefer="corner", reach=False)
     mat = bath.build_bath_mat(rng, palette)
     r = layout.room
     for _ in range(20):
@@ -308,10 +313,10 @@ def furnish_bathroom(layout: RoomLayout) -> None:
 def furnish_hallway(layout: RoomLayout) -> None:
     """Coat rack, shoe rack, console with mirror, a runner and pictures."""
     rng, palette, room = layout.rng, layout.palette, layout.room
-    rack = dress(storage.build_shoe_rack(rng, palette), "floor", rng, palette, count=1)
+    rack = dress(cloakroom.build_shoe_rack(rng, palette), "floor", rng, palette, count=1)
     layout.place_on_wall(rack, prefer="any", gap=0.01)
     console = dress(
-        tables.build_console(rng, palette),
+        high_tables.build_console(rng, palette),
         "sideboard",
         rng,
         palette,
@@ -321,9 +326,12 @@ def furnish_hallway(layout: RoomLayout) -> None:
     spot = layout.place_on_wall(console, prefer="any", gap=0.01)
     if spot is not None:
         hang_over(
-            layout, spot, decor.build_mirror(rng, palette, 0.6, float(rng.choice([0.6, 0.9]))), 1.55
+            layout,
+            spot,
+            pictures.build_mirror(rng, palette, 0.6, float(rng.choice([0.6, 0.9]))),
+            1.55,
         )
-    coats = storage.build_coat_rack(rng, palette)
+    coats = cloakroom.build_coat_rack(rng, palette)
     for name in rng.permutation(list(SIDES)):
         side = layout.sides[str(name)]
         gaps = layout.wall_gaps(side, 0.6, 1.8)
@@ -338,10 +346,10 @@ def furnish_hallway(layout: RoomLayout) -> None:
             ):
                 layout.blocks.append(Block(strip, 1.8))
                 break
-    layout.place_on_wall(storage.build_umbrella_stand(rng, palette), prefer="corner", reach=False)
+    layout.place_on_wall(cloakroom.build_umbrella_stand(rng, palette), prefer="corner", reach=False)
     place_corner_things(layout, plants=2, basket=False, widest=0.5)
     long, short = max(room.width, room.depth), min(room.width, room.depth)
-    runner = tables.build_rug(rng, palette, min(long * 0.6, 3.2), min(0.75, short - 0.5))
+    runner = rugs.build_rug(rng, palette, min(long * 0.6, 3.2), min(0.75, short - 0.5))
     yaw = 0.0 if room.width >= room.depth else math.pi / 2
     layout.placed.append(Placed(runner, (room.x0 + room.x1) / 2, (room.y0 + room.y1) / 2, 0.0, yaw))
     light_ceiling(layout, 2900.0, flux=8.0)

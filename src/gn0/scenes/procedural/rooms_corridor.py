@@ -8,19 +8,13 @@ import numpy as np
 
 from gn0.scenes.procedural import fixtures as fit
 from gn0.scenes.procedural.assembly import Item, Placed
-from gn0.scenes.procedural.catalogue import (
-    bath,
-    clutter,
-    decor,
-    home,
-    office,
-    public,
-    seats,
-    storage,
-    tables,
-    tools,
-)
+from gn0.scenes.procedural.catalogue import bath, home, office, public, tools
 from gn0.scenes.procedural.catalogue import fixtures as fix
+from gn0.scenes.procedural.catalogue.clutter import electronics, on_floor, on_table
+from gn0.scenes.procedural.catalogue.decor import pictures
+from gn0.scenes.procedural.catalogue.seats import chairs, sofas
+from gn0.scenes.procedural.catalogue.storage import books, cupboards
+from gn0.scenes.procedural.catalogue.tables import high_tables, low_tables, rugs
 from gn0.scenes.procedural.groups import (
     dress_windows,
     hang_pictures,
@@ -85,7 +79,7 @@ class CorridorRooms:
                 layout.place_on_wall(bank, prefer="any")
         for _ in range(max(1, round(long / 8))):
             bench = (
-                seats.build_bench(rng, palette, 1.3)
+                chairs.build_bench(rng, palette, 1.3)
                 if self.theme == "hotel"
                 else public.build_seat_row(rng, palette, int(rng.integers(2, 5)))
             )
@@ -101,7 +95,7 @@ class CorridorRooms:
             trolley = public.build_trolley(rng, palette)
             layout.place_on_wall(trolley, prefer="any", gap=0.05, reach=False)
         for _ in range(max(1, round(long / 9))):
-            layout.place_on_wall(clutter.build_bin(rng, palette), prefer="any", reach=False)
+            layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="any", reach=False)
         place_corner_things(layout, plants=round(long / 5) + 1, basket=False, widest=0.65)
         if self.theme != "hotel":
             for _ in range(round(long / 7)):
@@ -111,7 +105,7 @@ class CorridorRooms:
                 fit.hang_somewhere(layout, fix.build_poster(rng, str(words)), 1.6)
         if self.theme == "hospital":
             self._fit_rails(layout)
-        fit.hang_somewhere(layout, decor.build_clock(rng, palette), 2.15)
+        fit.hang_somewhere(layout, pictures.build_clock(rng, palette), 2.15)
         hang_pictures(layout, round(long / 3))
         self._light_corridor(layout)
         fit.fit_fixtures(layout, sockets=round(long / 4))
@@ -126,13 +120,15 @@ class CorridorRooms:
         pieces = max(1, int(long / 6.5))
         for k in range(pieces):
             model = np.random.Generator(np.random.Philox(key=seed))
-            runner = tables.build_rug(model, palette, long / pieces - 0.8, min(0.9, short - 0.8))
+            runner = rugs.build_rug(model, palette, long / pieces - 0.8, min(0.9, short - 0.8))
             t = (k + 0.5) / pieces
             x = room.x0 + room.width * (t if yaw == 0.0 else 0.5)
             y = room.y0 + room.depth * (0.5 if yaw == 0.0 else t)
             layout.placed.append(Placed(runner, x, y, 0.0, yaw))
         for _ in range(max(1, round(long / 9))):
-            console = dress(tables.build_console(rng, palette), "sideboard", rng, palette, count=3)
+            console = dress(
+                high_tables.build_console(rng, palette), "sideboard", rng, palette, count=3
+            )
             layout.place_on_wall(console, prefer="any", gap=0.01)
         lamp = public.build_wall_lamp(rng, palette, self.kelvin)
         for _ in range(round(long / 2.6)):
@@ -203,14 +199,14 @@ class CorridorRooms:
         """A place to sit, or a machine."""
         rng, palette = layout.rng, layout.palette
         if self.theme == "hotel":
-            layout.place_on_wall(seats.build_sofa(rng, palette, seats=2), prefer="centre", gap=0.04)
+            layout.place_on_wall(sofas.build_sofa(rng, palette, seats=2), prefer="centre", gap=0.04)
         else:
             row = public.build_seat_row(rng, palette, 3)
             layout.place_on_wall(row, prefer="centre", gap=0.05)
             layout.place_on_wall(fix.build_vending_machine(rng), prefer="corner", reach=False)
         table = dress(
-            tables.build_side_table(rng, palette), "nightstand", rng, palette, count=1,
-            first=[clutter.build_magazines(rng, palette)],
+            low_tables.build_side_table(rng, palette), "nightstand", rng, palette, count=1,
+            first=[on_table.build_magazines(rng, palette)],
         )  # fmt: skip
         layout.place_on_wall(table, prefer="any", gap=0.05, reach=False)
         place_corner_things(layout, plants=2, basket=False, widest=0.7)
@@ -224,15 +220,15 @@ class CorridorRooms:
         dress_windows(layout)
         if place_bed(layout, True, 2700.0) is None:
             place_bed(layout, False, 2700.0)
-        wardrobe = storage.build_wardrobe(rng, palette)
+        wardrobe = cupboards.build_wardrobe(rng, palette)
         layout.place_on_wall(wardrobe, prefer="corner", front=0.4)
         place_desk(layout, kelvin=2900.0)
-        layout.place_on_wall(clutter.build_suitcase(rng, palette), prefer="any", reach=False)
-        layout.place_on_wall(seats.build_sofa(rng, palette, seats=1), prefer="corner", gap=0.08)
+        layout.place_on_wall(on_floor.build_suitcase(rng, palette), prefer="any", reach=False)
+        layout.place_on_wall(sofas.build_sofa(rng, palette, seats=1), prefer="corner", gap=0.08)
         place_corner_things(layout, plants=1, lamp=2700.0, basket=False)
-        layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+        layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
         fit.hang_somewhere(layout, build_wall_screen(rng, 1.0), 1.4, middle=True)
-        fit.hang_somewhere(layout, decor.build_mirror(rng, palette, 0.5, 1.3), 1.2)
+        fit.hang_somewhere(layout, pictures.build_mirror(rng, palette, 0.5, 1.3), 1.2)
         hang_pictures(layout, 2)
         light_ceiling(layout, 2900.0)
         fit.fit_fixtures(layout)
@@ -241,8 +237,8 @@ class CorridorRooms:
         """Shelves of towels and boxes, a trolley, laundry baskets."""
         rng, palette = layout.rng, layout.palette
         for _ in range(3):
-            stock: list[Item] = [storage.build_towel_stack(rng, palette) for _ in range(9)]
-            stock += [storage.build_storage_box(rng, palette) for _ in range(3)]
+            stock: list[Item] = [cupboards.build_towel_stack(rng, palette) for _ in range(9)]
+            stock += [cupboards.build_storage_box(rng, palette) for _ in range(3)]
             stock += [home.build_detergent(rng) for _ in range(5)]
             rack = home.build_utility_shelf(rng, 0.9)
             rack = dress(rack, "bath", rng, palette, count=0, first=stock, turn=0.08)
@@ -274,17 +270,17 @@ class CorridorRooms:
             layout.hang(side, public.build_blackboard(rng, wide), sum(gaps[0]) / 2, 1.5)
         self._seat_class(layout, side.name)
         for _ in range(3):
-            shelf = dress(storage.build_bookshelf(rng, palette), "shelf", rng, palette, count=7)
+            shelf = dress(books.build_bookshelf(rng, palette), "shelf", rng, palette, count=7)
             layout.place_on_wall(shelf, prefer="corner")
         low = office.build_low_cabinet(rng, self.offices.taste.front, 1.2)
         low = dress(low, "shelf", rng, palette, count=2, first=[public.build_globe(rng, palette)])
         layout.place_on_wall(low, prefer="any")
         place_corner_things(layout, plants=2, basket=False, widest=0.7)
-        layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+        layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
         for words in rng.permutation(list(POSTERS["school"]))[:4]:
             fit.hang_somewhere(layout, fix.build_poster(rng, str(words), 0.5, 0.7), 1.6)
         fit.hang_somewhere(layout, fix.build_notice_board(rng, palette, 1.2), 1.55)
-        fit.hang_somewhere(layout, decor.build_clock(rng, palette), 2.1)
+        fit.hang_somewhere(layout, pictures.build_clock(rng, palette), 2.1)
         fit.light_grid(layout, self.kelvin, long=True)
         fit.fit_fixtures(layout)
 
@@ -297,12 +293,12 @@ class CorridorRooms:
         columns = max(int((side.length - 1.6) / 1.85), 1)
         rows = max(int((across - 2.9) / ROW), 1)
         desk = dress(
-            tables.build_desk(rng, palette), "desk", rng, palette, count=2,
-            first=[clutter.build_laptop(rng, palette)],
+            high_tables.build_desk(rng, palette), "desk", rng, palette, count=2,
+            first=[electronics.build_laptop(rng, palette)],
         )  # fmt: skip
         x, y = side.point(side.length * 0.5 + float(rng.uniform(-0.8, 0.8)), 1.45)
         teacher = Placed(desk, x, y, 0.0, side.yaw + math.pi)
-        seat = seats.build_chair(np.random.Generator(np.random.Philox(key=self.chair)), palette, 0)
+        seat = chairs.build_chair(np.random.Generator(np.random.Philox(key=self.chair)), palette, 0)
         x, y = side.point(
             (x - side.start[0]) * side.along[0] + (y - side.start[1]) * side.along[1], 0.85
         )
@@ -315,14 +311,14 @@ class CorridorRooms:
                 off = 2.75 + j * ROW
                 table = public.build_pupil_desk(self.wood, frame)
                 kit: list[Item] = [tools.build_notebook(rng) for _ in range(2)]
-                kit += [storage.build_book_stack(rng, 1), tools.build_pen_holder(rng)]
+                kit += [books.build_book_stack(rng, 1), tools.build_pen_holder(rng)]
                 keep = [item for item in kit if rng.random() < 0.7]
                 table = dress(table, "desk", rng, palette, count=0, first=keep)
                 x, y = side.point(t, off)
                 group = [(Placed(table, x, y, 0.0, side.yaw + math.pi), True)]
                 for s in (-1, 1):
                     model = np.random.Generator(np.random.Philox(key=self.chair))
-                    chair = seats.build_chair(model, palette, 1)
+                    chair = chairs.build_chair(model, palette, 1)
                     px, py = side.point(t + s * 0.33, off + 0.38 + float(rng.uniform(0, 0.1)))
                     turn = float(rng.normal(0, 0.12))
                     group.append((Placed(chair, px, py, 0.0, side.yaw + math.pi + turn), True))
@@ -344,16 +340,16 @@ class CorridorRooms:
             if bed is None:
                 continue
             stand = dress(
-                tables.build_nightstand(rng, palette), "nightstand", rng, palette, count=2
+                low_tables.build_nightstand(rng, palette), "nightstand", rng, palette, count=2
             )
             layout.place_on_wall(stand, prefer="any", reach=False)
             layout.place_on_wall(public.build_drip_stand(), prefer="any", gap=0.1, reach=False)
-        layout.place_on_wall(storage.build_wardrobe(rng, palette), prefer="corner", front=0.4)
+        layout.place_on_wall(cupboards.build_wardrobe(rng, palette), prefer="corner", front=0.4)
         basin = dress(bath.build_washbasin(rng, palette), "bath", rng, palette, count=1)
         layout.place_on_wall(basin, prefer="any", front=0.4)
         for _ in range(2):
-            layout.place_on_wall(seats.build_chair(rng, palette, 2), prefer="any", gap=0.05)
-        layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+            layout.place_on_wall(chairs.build_chair(rng, palette, 2), prefer="any", gap=0.05)
+        layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
         fit.hang_somewhere(layout, build_wall_screen(rng, 0.9), 1.9)
         fit.hang_somewhere(layout, fix.build_dispenser(), 1.2)
         place_corner_things(layout, plants=1, basket=False, widest=0.6)

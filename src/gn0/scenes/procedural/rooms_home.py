@@ -6,7 +6,11 @@ import math
 from collections.abc import Sequence
 
 from gn0.scenes.procedural.assembly import Item, Placed
-from gn0.scenes.procedural.catalogue import bath, clutter, decor, home, storage, tables
+from gn0.scenes.procedural.catalogue import bath, home
+from gn0.scenes.procedural.catalogue.clutter import on_floor, on_table
+from gn0.scenes.procedural.catalogue.decor import pictures
+from gn0.scenes.procedural.catalogue.storage import books, cloakroom, cupboards
+from gn0.scenes.procedural.catalogue.tables import rugs
 from gn0.scenes.procedural.fixtures import fit_fixtures
 from gn0.scenes.procedural.groups import (
     dress_windows,
@@ -30,14 +34,14 @@ def furnish_home(layout: RoomLayout) -> None:
     recipe.get(kind, furnish_room)(layout)
     if kind == "living room":
         _add_shelves(layout, 2)
-        _scatter(layout, [clutter.build_magazines(layout.rng, layout.palette)])
+        _scatter(layout, [on_table.build_magazines(layout.rng, layout.palette)])
     elif kind == "bedroom":
         _furnish_bedroom_more(layout)
     elif kind == "kitchen":
         _lay_tables(layout)
     elif kind == "study":
         _add_shelves(layout, 1)
-        box = storage.build_storage_box(layout.rng, layout.palette)
+        box = cupboards.build_storage_box(layout.rng, layout.palette)
         layout.place_on_wall(box, prefer="corner", reach=False)
     fit_fixtures(layout)
 
@@ -50,7 +54,7 @@ def _furnish_dining(layout: RoomLayout) -> None:
     if not place_dining(layout, count, kelvin=2900.0) and not place_dining(layout, 6, kelvin=2900):
         place_dining(layout, 4, kelvin=2900.0)
     _lay_tables(layout)
-    board = dress(storage.build_sideboard(rng, palette), "sideboard", rng, palette, count=6)
+    board = dress(cupboards.build_sideboard(rng, palette), "sideboard", rng, palette, count=6)
     layout.place_on_wall(board, prefer="centre", front=0.35)
     _add_shelves(layout, 1)
     place_corner_things(layout, plants=2, basket=False)
@@ -79,8 +83,8 @@ def _furnish_laundry(layout: RoomLayout) -> None:
     if rng.random() < 0.5:
         layout.place_on_wall(bath.build_washing_machine(rng), prefer="corner", front=0.5)
     stock: list[Item] = [home.build_detergent(rng) for _ in range(int(rng.integers(5, 9)))]
-    stock += [storage.build_towel_stack(rng, palette) for _ in range(3)]
-    stock += [storage.build_storage_box(rng, palette) for _ in range(2)]
+    stock += [cupboards.build_towel_stack(rng, palette) for _ in range(3)]
+    stock += [cupboards.build_storage_box(rng, palette) for _ in range(2)]
     rack = dress(
         home.build_utility_shelf(rng), "bath", rng, palette, count=0, first=stock, turn=0.1
     )
@@ -91,7 +95,7 @@ def _furnish_laundry(layout: RoomLayout) -> None:
     for _ in range(2):
         basket = bath.build_laundry(rng, palette)
         layout.place_on_wall(basket, prefer="corner", reach=False)
-    layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+    layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
     dress_windows(layout, curtains=False)
     light_ceiling(layout, 4000.0, flux=6.0)
     hang_pictures(layout, 1)
@@ -103,16 +107,16 @@ def _furnish_closet(layout: RoomLayout) -> None:
     for width in (1.8, 1.4, 1.0):
         rail = home.build_rail(rng, palette, width)
         layout.place_on_wall(rail, prefer="corner", front=0.5)
-    rack = dress(storage.build_shoe_rack(rng, palette), "floor", rng, palette, count=1)
+    rack = dress(cloakroom.build_shoe_rack(rng, palette), "floor", rng, palette, count=1)
     layout.place_on_wall(rack, prefer="any")
-    layout.place_on_wall(clutter.build_suitcase(rng, palette), prefer="corner", reach=False)
+    layout.place_on_wall(on_floor.build_suitcase(rng, palette), prefer="corner", reach=False)
     for side in layout.sides.values():
         gaps = layout.wall_gaps(side, 0.6, 2.0)
         if gaps and gaps[0][1] - gaps[0][0] > 0.7:
-            mirror = decor.build_mirror(rng, palette, 0.5, 1.3)
+            mirror = pictures.build_mirror(rng, palette, 0.5, 1.3)
             if layout.hang(side, mirror, sum(gaps[0]) / 2, 1.2) is not None:
                 break
-    rug = tables.build_rug(rng, palette, 1.0, 0.7)
+    rug = rugs.build_rug(rng, palette, 1.0, 0.7)
     r = layout.room
     yaw = 0.0 if r.width > r.depth else math.pi / 2
     layout.placed.append(Placed(rug, (r.x0 + r.x1) / 2, (r.y0 + r.y1) / 2, 0.0, yaw))
@@ -126,14 +130,14 @@ def _furnish_bedroom_more(layout: RoomLayout) -> None:
         _add_shelves(layout, 1)
     if any(p.item.category == "toy" for p in layout.placed):
         toys = [home.build_toy_car(rng, palette) for _ in range(3)]
-        toys += [home.build_stacking_rings(rng, palette), clutter.build_blocks(rng, palette)]
+        toys += [home.build_stacking_rings(rng, palette), on_floor.build_blocks(rng, palette)]
         _scatter(layout, toys)
 
 
 def _add_shelves(layout: RoomLayout, count: int) -> None:
     rng, palette = layout.rng, layout.palette
     for _ in range(count):
-        shelf = dress(storage.build_bookshelf(rng, palette), "shelf", rng, palette, count=10)
+        shelf = dress(books.build_bookshelf(rng, palette), "shelf", rng, palette, count=10)
         layout.place_on_wall(shelf, prefer="corner", front=0.3)
 
 

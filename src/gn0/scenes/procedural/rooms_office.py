@@ -9,18 +9,12 @@ import numpy as np
 from gn0.scenes.procedural import fixtures as fit
 from gn0.scenes.procedural import groups_office as groups
 from gn0.scenes.procedural.assembly import Item, Placed
-from gn0.scenes.procedural.catalogue import (
-    bath,
-    clutter,
-    decor,
-    home,
-    kitchen,
-    office,
-    seats,
-    storage,
-    tools,
-)
+from gn0.scenes.procedural.catalogue import bath, home, kitchen, office, tools
 from gn0.scenes.procedural.catalogue import fixtures as fix
+from gn0.scenes.procedural.catalogue.clutter import crockery, electronics, on_floor, on_table
+from gn0.scenes.procedural.catalogue.decor import greenery, pictures, windows
+from gn0.scenes.procedural.catalogue.seats import chairs, sofas
+from gn0.scenes.procedural.catalogue.storage import books, cloakroom, cupboards
 from gn0.scenes.procedural.groups import (
     hang_over,
     hang_pictures,
@@ -72,7 +66,7 @@ class OfficeRooms:
         groups.place_lounge(layout, int(rng.integers(2, 4)))
         copier = office.build_copier(rng)
         if layout.place_on_wall(copier, prefer="any", front=0.5) is not None:
-            layout.place_on_wall(clutter.build_bin(rng, palette), prefer="any", reach=False)
+            layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="any", reach=False)
         for _ in range(round(layout.room.area / 22)):
             layout.place_on_wall(groups.build_file_wall(rng, palette), prefer="any")
         for _ in range(round(layout.room.area / 40)):
@@ -90,7 +84,7 @@ class OfficeRooms:
         for board in (office.build_whiteboard(rng, 1.8), office.build_whiteboard(rng, 1.5)):
             fit.hang_somewhere(layout, board, 1.5, middle=True)
         fit.hang_somewhere(layout, fix.build_notice_board(rng, palette, 1.6), 1.5)
-        fit.hang_somewhere(layout, decor.build_clock(rng, palette), 2.15)
+        fit.hang_somewhere(layout, pictures.build_clock(rng, palette), 2.15)
         hang_pictures(layout, 4)
         self.finish_room(layout, pitch=2.4)
 
@@ -100,12 +94,12 @@ class OfficeRooms:
         dress_office_windows(layout, radiators=False)
         self._place_counter(layout)
         if not groups.place_lounge(layout, int(rng.integers(2, 4))):
-            sofa = seats.build_sofa(rng, palette, seats=2)
+            sofa = sofas.build_sofa(rng, palette, seats=2)
             layout.place_on_wall(sofa, prefer="any", gap=0.05)
-        chair = seats.build_sofa(rng, palette, seats=1)
+        chair = sofas.build_sofa(rng, palette, seats=1)
         layout.place_on_wall(chair, prefer="any", gap=0.05, front=0.4)
         layout.place_on_wall(office.build_coat_stand(rng, palette), prefer="corner", reach=False)
-        stand = storage.build_umbrella_stand(rng, palette)
+        stand = cloakroom.build_umbrella_stand(rng, palette)
         layout.place_on_wall(stand, prefer="corner", reach=False)
         place_corner_things(layout, plants=4, basket=False)
         fit.hang_over_exits(layout, fix.build_exit_sign())
@@ -120,14 +114,14 @@ class OfficeRooms:
         desk = office.build_reception_desk(rng, palette, width)
         bar, work = desk.supports
         parts = [
-            Placed(clutter.build_monitor(rng), -0.3, 0.12, work.z, math.pi),
-            Placed(clutter.build_keyboard(rng), -0.3, 0.3, work.z, math.pi),
-            Placed(clutter.build_mouse(rng), -0.65, 0.3, work.z),
+            Placed(electronics.build_monitor(rng), -0.3, 0.12, work.z, math.pi),
+            Placed(electronics.build_keyboard(rng), -0.3, 0.3, work.z, math.pi),
+            Placed(electronics.build_mouse(rng), -0.65, 0.3, work.z),
             Placed(office.build_phone(), 0.35, 0.2, work.z, math.pi),
             Placed(tools.build_papers(rng), 0.7, 0.25, work.z),
             Placed(tools.build_pen_holder(rng), bar.x0 + 0.1, -0.28, bar.z),
-            Placed(decor.build_vase(rng, palette, flowers=True), bar.x1 - 0.1, -0.28, bar.z),
-            Placed(clutter.build_magazines(rng, palette), 0.15, -0.28, bar.z),
+            Placed(greenery.build_vase(rng, palette, flowers=True), bar.x1 - 0.1, -0.28, bar.z),
+            Placed(on_table.build_magazines(rng, palette), 0.15, -0.28, bar.z),
         ]
         desk = desk.with_parts(parts)
         chair = groups.draw_chair(self.taste, palette)
@@ -159,14 +153,14 @@ class OfficeRooms:
             fit.hang_somewhere(layout, tv, 1.45, middle=True)
         fit.hang_somewhere(layout, office.build_whiteboard(rng, 1.8), 1.5, middle=True)
         board = office.build_low_cabinet(rng, self.taste.front, 1.2)
-        things = [clutter.build_glass(rng, palette) for _ in range(5)]
-        things += [clutter.build_bottle(rng, palette) for _ in range(3)]
+        things = [crockery.build_glass(rng, palette) for _ in range(5)]
+        things += [crockery.build_bottle(rng, palette) for _ in range(3)]
         things += [kitchen.build_coffee_machine(rng)] if rng.random() < 0.5 else []
         board = dress(board, "counter", rng, palette, count=1, first=things)
         layout.place_on_wall(board, prefer="any")
         layout.place_on_wall(office.build_flip_chart(rng), prefer="corner", gap=0.05, reach=False)
         place_corner_things(layout, plants=2, basket=False, widest=0.7)
-        layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+        layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
         hang_pictures(layout, 2, clock=rng.random() < 0.5)
         self.finish_room(layout, pitch=2.2)
 
@@ -186,12 +180,12 @@ class OfficeRooms:
             layout.blocks.append(Block(footprint(at), 1.1))
         for _ in range(2):
             layout.place_on_wall(groups.build_file_wall(rng, palette), prefer="corner", front=0.3)
-        shelf = dress(storage.build_bookshelf(rng, palette), "shelf", rng, palette, count=8)
+        shelf = dress(books.build_bookshelf(rng, palette), "shelf", rng, palette, count=8)
         layout.place_on_wall(shelf, prefer="corner", front=0.3)
         layout.place_on_wall(groups.build_low_shelf(rng, palette, self.taste), prefer="any")
         model, kind = int(rng.integers(2**31)), int(rng.integers(4))
         for _ in range(2):
-            chair = seats.build_chair(
+            chair = chairs.build_chair(
                 np.random.Generator(np.random.Philox(key=model)), palette, kind
             )
             layout.place_on_wall(chair, prefer="any", gap=0.05, reach=False)
@@ -209,7 +203,7 @@ class OfficeRooms:
             layout.place_on_wall(office.build_copier(rng), prefer="corner", front=0.5)
         for _ in range(2):
             stock: list[Item] = [office.build_paper_pack(rng) for _ in range(14)]
-            stock += [storage.build_storage_box(rng, palette) for _ in range(4)]
+            stock += [cupboards.build_storage_box(rng, palette) for _ in range(4)]
             stock += [tools.build_tray(rng) for _ in range(2)]
             rack = home.build_utility_shelf(rng, float(rng.uniform(0.8, 1.0)))
             rack = dress(rack, "shelf", rng, palette, count=0, first=stock, turn=0.06)
@@ -221,7 +215,7 @@ class OfficeRooms:
         layout.place_on_wall(table, prefer="any")
         layout.place_on_wall(groups.build_file_wall(rng, palette), prefer="corner")
         for _ in range(2):
-            layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+            layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
         fit.hang_somewhere(layout, fix.build_notice_board(rng, palette), 1.5)
         self.finish_room(layout)
 
@@ -231,8 +225,8 @@ class OfficeRooms:
         for _ in range(int(rng.integers(2, 4))):
             layout.place_on_wall(office.build_server_rack(rng), prefer="corner", front=0.6)
         for _ in range(2):
-            stock = [storage.build_storage_box(rng, palette) for _ in range(9)]
-            stock += [clutter.build_monitor(rng), clutter.build_keyboard(rng)]
+            stock = [cupboards.build_storage_box(rng, palette) for _ in range(9)]
+            stock += [electronics.build_monitor(rng), electronics.build_keyboard(rng)]
             rack = home.build_utility_shelf(rng, 0.9)
             rack = dress(rack, "shelf", rng, palette, count=0, first=stock, turn=0.1)
             layout.place_on_wall(rack, prefer="corner")
@@ -246,8 +240,8 @@ class OfficeRooms:
         layout.placed = [p for p in layout.placed if p.item.category != "ceiling lamp"]
         for k, placed in enumerate(layout.placed):
             if placed.item.category == "kitchen counter":
-                cups = [clutter.build_cup(rng, palette) for _ in range(7)]
-                cups += [clutter.build_plates(rng, palette) for _ in range(2)]
+                cups = [crockery.build_cup(rng, palette) for _ in range(7)]
+                cups += [crockery.build_plates(rng, palette) for _ in range(2)]
                 more = dress(placed.item, "counter", rng, palette, count=0, first=cups)
                 layout.placed[k] = Placed(more, placed.x, placed.y, placed.z, placed.yaw)
         layout.place_on_wall(fix.build_vending_machine(rng), prefer="corner", front=0.5)
@@ -271,14 +265,14 @@ def furnish_washroom(layout: RoomLayout) -> None:
     bowl = bath.build_toilet(rng)
     toilet = layout.place_on_wall(bowl, prefer="any", gap=0.005, front=0.45, margin=0.1)
     if spot is not None:
-        hang_over(layout, spot, decor.build_mirror(rng, palette, 0.55, 0.75), 1.55)
+        hang_over(layout, spot, pictures.build_mirror(rng, palette, 0.55, 0.75), 1.55)
     if toilet is not None:
         layout.place_on_wall(bath.build_toilet_brush(), prefer="any", gap=0.03, reach=False)
         hang_over(layout, toilet, fix.build_poster(rng, "WASH HANDS", 0.4, 0.55), 1.6)
     fit.hang_somewhere(layout, bath.build_paper_roll(rng), 0.75)
     for z in (1.15, 1.25):
         fit.hang_somewhere(layout, fix.build_dispenser(), z)
-    layout.place_on_wall(clutter.build_bin(rng, palette), prefer="corner", reach=False)
+    layout.place_on_wall(on_floor.build_bin(rng, palette), prefer="corner", reach=False)
 
 
 def dress_office_windows(layout: RoomLayout, *, radiators: bool = True) -> None:
@@ -289,11 +283,11 @@ def dress_office_windows(layout: RoomLayout, *, radiators: bool = True) -> None:
             if opening.kind != "window":
                 continue
             middle, width = (a + b) / 2, b - a
-            blind = decor.build_blind(rng, palette, width + 0.06, top - bottom)
+            blind = windows.build_blind(rng, palette, width + 0.06, top - bottom)
             layout.placed.append(Placed(blind, *side.point(middle, 0.005), top + 0.06, side.yaw))
             layout.hung[side.name].append((a - 0.1, bottom, b + 0.1, top + 0.1))
             if radiators and bottom > 0.7 and width > 1.0:
-                radiator = decor.build_radiator(rng, min(width - 0.3, 1.4))
+                radiator = windows.build_radiator(rng, min(width - 0.3, 1.4))
                 at = stand_at(side, middle, 0.0, radiator)
                 if layout.is_clear(footprint(at)):
                     layout.add(at)

@@ -10,8 +10,8 @@ import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed
 from gn0.scenes.procedural.building import choose_palette
-from gn0.scenes.procedural.catalogue import depot, shop
-from gn0.scenes.procedural.catalogue.clutter import build_bin
+from gn0.scenes.procedural.catalogue.clutter.on_floor import build_bin
+from gn0.scenes.procedural.catalogue.depot import loading, pallets, racks, trucks
 from gn0.scenes.procedural.catalogue.fixtures import (
     build_extinguisher,
     build_notice_board,
@@ -20,13 +20,15 @@ from gn0.scenes.procedural.catalogue.fixtures import (
     build_vending_machine,
     build_vent,
 )
+from gn0.scenes.procedural.catalogue.shop import checkouts, market, shelves, signs
 from gn0.scenes.procedural.draft import Material, SceneDraft, Sun
 from gn0.scenes.procedural.goods import SHELF_GOODS
 from gn0.scenes.procedural.groups import light_ceiling, place_corner_things, place_desk
 from gn0.scenes.procedural.layout import RoomLayout
-from gn0.scenes.procedural.palette import Palette, plain
+from gn0.scenes.procedural.palette import BLACK, STEEL, WHITE, Palette, plain
 from gn0.scenes.procedural.plan import FloorPlan, Opening, Room
 from gn0.scenes.procedural.plots import Plot, draw_walkable, plan_hall
+from gn0.scenes.procedural.shapes import build_box, build_cylinder
 from gn0.scenes.procedural.shell import (
     SIDES,
     RoomFinish,
@@ -83,8 +85,8 @@ def plan_store(seed: int, size: str) -> Store:
     behind = float(rng.uniform(3.4, 4.2))
     total = math.sqrt(area / ratio)  # depth of hall and back rooms
     width = round(area / total, 2)
-    bays = max(3, round((total - behind - FRONT - BACK - 2.0) / shop.BAY))
-    depth = round(FRONT + BACK + 2.0 + bays * shop.BAY, 2)
+    bays = max(3, round((total - behind - FRONT - BACK - 2.0) / shelves.BAY))
+    depth = round(FRONT + BACK + 2.0 + bays * shelves.BAY, 2)
     width = round(min(max(area / (depth + behind), 15.0), 30.0), 2)
     rows = max(2, int((width - MARKET - 0.56) / (GONDOLA + AISLE)))
     pitch = (width - MARKET - 0.56) / rows
@@ -197,7 +199,7 @@ def _add_shell(plot: Plot, store: Store, palette: Palette, rng: np.random.Genera
         (w / 2, 0.015, 0.0, w), (w / 2, d - 0.015, 0.0, w),
         (0.015, d / 2, math.pi / 2, d - 0.06), (w - 0.015, d / 2, math.pi / 2, d - 0.06),
     ):  # fmt: skip
-        strip = shop.build_box((length, 0.03, 0.45), band)
+        strip = build_box((length, 0.03, 0.45), band)
         plot.assembly.add_shell(strip.moved(x, y, top - 0.62, along))
     view = int(rng.integers(1000))
     for k, opening in enumerate(store.plan.openings):
@@ -224,7 +226,7 @@ def _add_shell(plot: Plot, store: Store, palette: Palette, rng: np.random.Genera
 def _fill_aisles(plot: Plot, store: Store) -> None:
     """Freezers, rows of shelves back to back, end caps, and shelves along the right wall."""
     rng = plot.rng
-    length = store.bays * shop.BAY
+    length = store.bays * shelves.BAY
     y0 = FRONT + 0.95
     middle = y0 + length / 2
     chest = 1.92
@@ -232,7 +234,7 @@ def _fill_aisles(plot: Plot, store: Store) -> None:
     for k in range(count):
         y = middle + (k - (count - 1) / 2) * (chest + 0.01)
         zone = "aisle_1"
-        plot.put(shop.build_freezer_chest(rng), store.gondolas[0], y, math.pi / 2, zone=zone)
+        plot.put(shelves.build_freezer_chest(rng), store.gondolas[0], y, math.pi / 2, zone=zone)
     for k, x in enumerate(store.gondolas):
         for sy, y in ((-1, y0), (1, y0 + length)):
             if k == 0:
@@ -240,7 +242,7 @@ def _fill_aisles(plot: Plot, store: Store) -> None:
             family = str(rng.choice(["snack", "drinks", "household", store.families[k]]))
             if family not in FAMILIES:
                 family = "snack"
-            cap = shop.build_shelf_run(rng, family, 1, bay=0.92, height=1.6,
+            cap = shelves.build_shelf_run(rng, family, 1, bay=0.92, height=1.6,
                                        levels=(0.16, 0.52, 0.88, 1.22))  # fmt: skip
             zone = f"aisle_{min(k + 1, len(store.gondolas))}"
             plot.put(cap, x, y + sy * 0.02, 0.0 if sy < 0 else math.pi, zone=zone)
@@ -255,10 +257,10 @@ def _fill_aisles(plot: Plot, store: Store) -> None:
             y = y0
             while left > 0:  # a shelf object is two or three bays long
                 bays = left if left <= 3 else 2
-                run = shop.build_shelf_run(rng, family, bays, ends=(True, True))
-                y += bays * shop.BAY / 2
+                run = shelves.build_shelf_run(rng, family, bays, ends=(True, True))
+                y += bays * shelves.BAY / 2
                 plot.put(run, x, y, side * math.pi / 2, zone=f"aisle_{aisle}")
-                y += bays * shop.BAY / 2
+                y += bays * shelves.BAY / 2
                 left -= bays
     family = store.families[-1]
     if family == "frozen":
@@ -266,10 +268,10 @@ def _fill_aisles(plot: Plot, store: Store) -> None:
     left, y = store.bays, y0
     while left > 0:
         bays = left if left <= 3 else 2
-        run = shop.build_shelf_run(rng, family, bays, height=2.2, levels=(*shop.LEVELS, 1.87))
-        y += bays * shop.BAY / 2
+        run = shelves.build_shelf_run(rng, family, bays, height=2.2, levels=(*shelves.LEVELS, 1.87))
+        y += bays * shelves.BAY / 2
         plot.put(run, store.width - 0.01, y, -math.pi / 2, zone=f"aisle_{len(store.gondolas)}")
-        y += bays * shop.BAY / 2
+        y += bays * shelves.BAY / 2
         left -= bays
 
 
@@ -278,30 +280,30 @@ def _fill_market(plot: Plot, store: Store) -> None:
     rng = plot.rng
     produce = next(z for z in store.zones if z.id == "produce")
     bakery = next(z for z in store.zones if z.id == "bakery")
-    kinds = int(rng.integers(len(shop.PRODUCE)))
+    kinds = int(rng.integers(len(market.PRODUCE)))
     run = produce.depth - 1.3
     columns = max(2, int((run - 0.1) / 2 / 0.63))
     width = columns * 0.63 + 0.04
     stands = max(1, int(run / width))
     for k in range(stands):
         y = produce.y0 + 0.75 + (k + 0.5) * (run / stands)
-        stand = shop.build_produce_stand(rng, columns, first=kinds)
+        stand = market.build_produce_stand(rng, columns, first=kinds)
         kinds += 2 * columns
         plot.put(stand, 0.56, y, math.pi / 2, front=0.4)
     island = min(max(2, int((run - 1.2) / 0.63)), 5)
     y = produce.y0 + 0.75 + run / 2
     for sx in (-1, 1):
-        stand = shop.build_produce_stand(rng, island, first=kinds)
+        stand = market.build_produce_stand(rng, island, first=kinds)
         kinds += 2 * island
         plot.put(stand, 3.35 + sx * 0.54, y, sx * math.pi / 2, front=0.3)
     low = y - island * 0.315 - 0.3
     scale = _produce_scale()
     plot.try_put(scale, 3.35, low - 0.35, 0.0)
     # bread on the back wall, the counter on the left one
-    bread = shop.build_shelf_run(rng, "bakery", 3, wood=True, height=2.0)
-    plot.put(bread, MARKET - 0.55 - 3 * shop.BAY / 2, bakery.y1 - 0.01, 0.0, front=0.4)
+    bread = shelves.build_shelf_run(rng, "bakery", 3, wood=True, height=2.0)
+    plot.put(bread, MARKET - 0.55 - 3 * shelves.BAY / 2, bakery.y1 - 0.01, 0.0, front=0.4)
     wide = min(bakery.depth - 0.9, 2.8)
-    counter = shop.build_bread_counter(rng, wide)
+    counter = market.build_bread_counter(rng, wide)
     plot.put(counter, 0.62, bakery.y0 + 0.25 + wide / 2, math.pi / 2, front=0.4)
 
 
@@ -310,10 +312,10 @@ def _produce_scale() -> Item:
     return Item(
         "weighing scale",
         (
-            shop.build_cylinder(0.16, 0.02, shop.STEEL, segments=16),
-            shop.build_cylinder(0.03, 0.9, shop.STEEL, segments=10),
-            shop.build_box((0.36, 0.36, 0.06), shop.WHITE, at=(0, 0, 0.9), bevel=0.015),
-            shop.build_box((0.3, 0.03, 0.22), shop.BLACK, at=(0, 0.16, 1.02), bevel=0.008),
+            build_cylinder(0.16, 0.02, STEEL, segments=16),
+            build_cylinder(0.03, 0.9, STEEL, segments=10),
+            build_box((0.36, 0.36, 0.06), WHITE, at=(0, 0, 0.9), bevel=0.015),
+            build_box((0.3, 0.03, 0.22), BLACK, at=(0, 0.16, 1.02), bevel=0.008),
         ),
     )
 
@@ -331,7 +333,7 @@ def _fill_dairy(plot: Plot, store: Store) -> None:
             count -= 1
         for k in range(count):
             wide = min(span / count, 3.0) - 0.02
-            cooler = shop.build_cooler(rng, wide)
+            cooler = shelves.build_cooler(rng, wide)
             plot.put(cooler, x + (k + 0.5) * span / count, store.depth - 0.01, 0.0, front=0.3)
         x = high
 
@@ -342,28 +344,28 @@ def _fill_front(plot: Plot, store: Store) -> None:
     checkout = next(z for z in store.zones if z.id == "checkout")
     for k in range(store.lanes):
         x = checkout.x0 + 1.05 + 2.35 * k
-        plot.put(shop.build_checkout(rng, k + 1), x, 2.95, math.pi / 2)
-        rack = shop.build_shelf_run(
+        plot.put(checkouts.build_checkout(rng, k + 1), x, 2.95, math.pi / 2)
+        rack = shelves.build_shelf_run(
             rng, "sweets", 1, bay=0.8, height=1.25, levels=(0.16, 0.46, 0.74, 1.0)
         )
         if k < store.lanes:
             plot.put(rack, x - 0.86, 3.6, -math.pi / 2, front=0.05, zone="checkout")
     desk = checkout.x0
-    plot.put(shop.build_trolley_row(rng, 7), 0.4, 2.0, 0.0)
+    plot.put(checkouts.build_trolley_row(rng, 7), 0.4, 2.0, 0.0)
     if desk > 6.0:
-        plot.put(shop.build_trolley_row(rng, 5), desk - 0.55, 1.4, 0.0)
-    plot.put(shop.build_alarm_gate(), 2.9, 1.75, 0.0)
-    plot.put(shop.build_gate(1.7), 2.9, FRONT - 0.55, 0.0)
-    plot.put(shop.build_basket_stack(rng), 1.45, FRONT - 0.5, 0.0)
-    plot.put(shop.build_flower_buckets(rng, 4), 4.75, 0.55, math.pi)
+        plot.put(checkouts.build_trolley_row(rng, 5), desk - 0.55, 1.4, 0.0)
+    plot.put(checkouts.build_alarm_gate(), 2.9, 1.75, 0.0)
+    plot.put(checkouts.build_gate(1.7), 2.9, FRONT - 0.55, 0.0)
+    plot.put(checkouts.build_basket_stack(rng), 1.45, FRONT - 0.5, 0.0)
+    plot.put(market.build_flower_buckets(rng, 4), 4.75, 0.55, math.pi)
     for k, text in enumerate(("FRESH FRUIT", "OPEN 7-22", "BEST PRICE")):
-        poster = shop.build_poster(rng, text, 0.8, 1.15)
+        poster = signs.build_poster(rng, text, 0.8, 1.15)
         y = 1.2 + 1.5 * k
         if y < FRONT:
             plot.put(poster, 0.005, y, math.pi / 2, z=1.1, solid=False, zone="entrance")
     for k in range(int((store.depth - FRONT - 3) / 2.6)):
         text = ("TASTE THE SUMMER", "MORE FOR LESS", "NEW HERE", "FROM THE REGION")[k % 4]
-        poster = shop.build_poster(rng, text, 1.5, 0.8)
+        poster = signs.build_poster(rng, text, 1.5, 0.8)
         plot.put(
             poster, store.width - 0.005, FRONT + 1.6 + 2.6 * k, -math.pi / 2, z=2.3, solid=False,
             zone=f"aisle_{len(store.gondolas)}",
@@ -378,14 +380,14 @@ def _hang_signs(plot: Plot, store: Store) -> None:
         "frozen": "FROZEN", "breakfast": "BREAKFAST", "snack": "SNACKS", "pantry": "PANTRY",
         "drinks": "DRINKS", "household": "HOUSEHOLD", "baby and pet": "BABY + PET",
     }  # fmt: skip
-    length = store.bays * shop.BAY
+    length = store.bays * shelves.BAY
     for k, family in enumerate(store.families):
         right = store.gondolas[k + 1] if k + 1 < len(store.gondolas) else store.width
         x = (store.gondolas[k] + right) / 2
         if k + 1 == len(store.gondolas):
             x -= 0.1
         for y in (FRONT + 1.1, FRONT + 0.8 + length):
-            sign = shop.build_sign(f"{k + 1} {words[family]}", 1.5, 0.42, ground, "#f6f3e8",
+            sign = signs.build_sign(f"{k + 1} {words[family]}", 1.5, 0.42, ground, "#f6f3e8",
                                    drop=top - 2.85)  # fmt: skip
             plot.put(sign, x, y, 0.0, z=2.42, solid=False, zone=f"aisle_{k + 1}")
     produce = next(z for z in store.zones if z.id == "produce")
@@ -395,9 +397,9 @@ def _hang_signs(plot: Plot, store: Store) -> None:
         ("DAIRY", 2.0, store.width * 0.7, store.depth - 0.03, 0.0, "dairy"),
     )
     for text, wide, x, y, yaw, zone in wall:
-        sign = shop.build_sign(text, wide, 0.42, ground, "#f6f3e8")
+        sign = signs.build_sign(text, wide, 0.42, ground, "#f6f3e8")
         plot.put(sign, x, y, yaw, z=2.35, solid=False, zone=zone)
-    out = shop.build_sign("EXIT", 0.7, 0.26, "#1f7a3c", "#f2f0e6")
+    out = signs.build_sign("EXIT", 0.7, 0.26, "#1f7a3c", "#f2f0e6")
     plot.put(out, 2.9, 0.06, math.pi, z=2.62, solid=False, zone="entrance")
 
 
@@ -433,16 +435,16 @@ def _scatter_things(plot: Plot, store: Store) -> None:
     names = [f for f in FAMILIES if f != "baby and pet"]
 
     def promotion() -> Item:
-        return shop.build_promotion(rng, str(rng.choice(names)))
+        return shelves.build_promotion(rng, str(rng.choice(names)))
 
     plot.scatter(promotion, 2, dairy, margin=0.62)
     plot.scatter(promotion, 2, produce, margin=0.62, turn=quarter)
-    plot.scatter(lambda: shop.build_trolley(rng, full=True), 3, whole, margin=0.55, turn=quarter,
-                 jitter=0.25)  # fmt: skip
-    plot.scatter(lambda: depot.build_roll_cage(rng), 2, whole, margin=0.55, turn=quarter)
-    plot.scatter(depot.build_cone, 1, whole, margin=0.6)
-    plot.scatter(lambda: shop.build_basket_stack(rng), 1, front, margin=0.6, jitter=0.3)
-    plot.scatter(lambda: shop.build_trolley(rng), 1, (5.0, 0.3, w - 1, 1.3), margin=0.5,
+    plot.scatter(lambda: checkouts.build_trolley(rng, full=True), 3, whole, margin=0.55,
+                 turn=quarter, jitter=0.25)  # fmt: skip
+    plot.scatter(lambda: trucks.build_roll_cage(rng), 2, whole, margin=0.55, turn=quarter)
+    plot.scatter(loading.build_cone, 1, whole, margin=0.6)
+    plot.scatter(lambda: checkouts.build_basket_stack(rng), 1, front, margin=0.6, jitter=0.3)
+    plot.scatter(lambda: checkouts.build_trolley(rng), 1, (5.0, 0.3, w - 1, 1.3), margin=0.5,
                  turn=quarter, jitter=0.3)  # fmt: skip
     palette_bin = build_bin(rng, choose_palette("bin", 0, None))
     plot.scatter(lambda: palette_bin, 2, (0.3, 0.3, w - 0.3, 1.2), margin=0.5)
@@ -459,19 +461,19 @@ def _furnish_back(plot: Plot, store: Store, palette: Palette, seed: int, attempt
         if id == "office":
             place_desk(layout, kelvin=4000.0)
             place_corner_things(layout, plants=1)
-            shelf = depot.build_storage_shelf(rng, 1.0)
+            shelf = racks.build_storage_shelf(rng, 1.0)
             layout.place_on_wall(shelf, prefer="corner")
             layout.place_on_wall(build_vending_machine(rng), prefer="corner")
             light_ceiling(layout, 4000.0)
         else:
             for _ in range(5):
-                shelf = depot.build_storage_shelf(rng, float(rng.choice([1.2, 1.6, 2.0])))
+                shelf = racks.build_storage_shelf(rng, float(rng.choice([1.2, 1.6, 2.0])))
                 layout.place_on_wall(shelf, prefer="corner", front=0.5)
             for load in ("cartons", "wrapped", "stack"):
-                layout.place_on_wall(depot.build_pallet(rng, load=load), gap=0.1)
-            layout.place_on_wall(depot.build_roll_cage(rng), gap=0.05)
-            layout.place_on_wall(depot.build_hand_truck(rng), gap=0.05)
-            layout.place_on_wall(depot.build_ladder(rng), gap=0.05)
+                layout.place_on_wall(pallets.build_pallet(rng, load=load), gap=0.1)
+            layout.place_on_wall(trucks.build_roll_cage(rng), gap=0.05)
+            layout.place_on_wall(trucks.build_hand_truck(rng), gap=0.05)
+            layout.place_on_wall(loading.build_ladder(rng), gap=0.05)
             for k in range(2):
                 lamp = build_panel_lamp(4200.0, 9.0, 1.5, 0.28)
                 x = room.x0 + room.width * (k + 0.5) / 2

@@ -10,8 +10,8 @@ import numpy as np
 
 from gn0.scenes.procedural.assembly import Item
 from gn0.scenes.procedural.building import choose_palette
-from gn0.scenes.procedural.catalogue import depot
-from gn0.scenes.procedural.catalogue.clutter import build_bin
+from gn0.scenes.procedural.catalogue.clutter.on_floor import build_bin
+from gn0.scenes.procedural.catalogue.depot import loading, pallets, racks, trucks
 from gn0.scenes.procedural.catalogue.fixtures import (
     build_extinguisher,
     build_notice_board,
@@ -19,8 +19,8 @@ from gn0.scenes.procedural.catalogue.fixtures import (
 )
 from gn0.scenes.procedural.catalogue.light import glow
 from gn0.scenes.procedural.catalogue.office import build_lockers
-from gn0.scenes.procedural.catalogue.seats import build_bench
-from gn0.scenes.procedural.catalogue.shop import build_sign
+from gn0.scenes.procedural.catalogue.seats.chairs import build_bench
+from gn0.scenes.procedural.catalogue.shop.signs import build_sign
 from gn0.scenes.procedural.draft import Lamp, Material, SceneDraft, Sun
 from gn0.scenes.procedural.groups import light_ceiling, place_corner_things, place_desk
 from gn0.scenes.procedural.layout import RoomLayout
@@ -254,7 +254,7 @@ def _fill_racks(plot: Plot, house: Depot) -> None:
     three = house.plan.ceiling > 6.9
     levels = (0.0, 1.62, 3.05, 4.4) if three else (0.0, 1.75, 3.35)
     for x, zone in house.rows:
-        rack = depot.build_rack(rng, house.bays, levels=levels, height=5.2 if three else 4.6)
+        rack = racks.build_rack(rng, house.bays, levels=levels, height=5.2 if three else 4.6)
         plot.put(rack, x, YARD + 0.25 + house.bays * BAY / 2, math.pi / 2, zone=zone)
     for k, aisle in enumerate(z for z in house.zones if z.type == "rack aisle"):
         sign = build_sign(f"AISLE {k + 1}", 1.5, 0.5, "#1f4f9c", "#f2f0e6",
@@ -267,10 +267,10 @@ def _equip_docks(plot: Plot, house: Depot) -> None:
     """Roller doors with what waits before them."""
     rng = plot.rng
     for k, x in enumerate(house.docks):
-        plot.put(depot.build_dock(rng, k + 1, 2.7, 3.0), x, 0.005, math.pi, zone="loading_area")
+        plot.put(loading.build_dock(rng, k + 1, 2.7, 3.0), x, 0.005, math.pi, zone="loading_area")
         for j in range(int(rng.integers(0, 4))):
             load = str(rng.choice(["cartons", "wrapped", "wrapped", "sacks"]))
-            item = depot.build_pallet(rng, load=load, high=float(rng.uniform(0.9, 1.7)))
+            item = pallets.build_pallet(rng, load=load, high=float(rng.uniform(0.9, 1.7)))
             sx = -1 if j % 2 else 1
             y = 2.1 + 1.45 * (j // 2)
             plot.try_put(item, x + sx * 0.85, y, math.pi / 2, margin=0.02)
@@ -310,7 +310,7 @@ def _build_office(plot: Plot, house: Depot, palette: Palette, rng: np.random.Gen
     layout = RoomLayout(small, room, rng, palette)
     place_desk(layout, kelvin=4000.0)
     place_desk(layout, kelvin=4000.0)
-    layout.place_on_wall(depot.build_storage_shelf(rng, 1.2), prefer="corner")
+    layout.place_on_wall(racks.build_storage_shelf(rng, 1.2), prefer="corner")
     place_corner_things(layout, plants=1)
     light_ceiling(layout, 4000.0, flux=5.0)
     for placed in layout.placed:
@@ -337,17 +337,17 @@ def _equip_front(plot: Plot, house: Depot, palette: Palette) -> None:
     for k in range(tables):
         x = packing.x0 + 2.5 + 2.1 * k + 0.6
         if x + 0.95 < packing.x1:
-            plot.put(depot.build_packing_table(rng), x, 0.45, math.pi, front=0.2)
+            plot.put(pallets.build_packing_table(rng), x, 0.45, math.pi, front=0.2)
     long = min(packing.width - 1.2, 5.5)
     if long > 2.0:
         plot.try_put(
-            depot.build_conveyor(rng, long), packing.x0 + 0.9 + long / 2, 2.45, 0.0, margin=0.3
+            pallets.build_conveyor(rng, long), packing.x0 + 0.9 + long / 2, 2.45, 0.0, margin=0.3
         )
-    plot.try_put(depot.build_wrapper(rng), packing.x1 - 1.1, 3.9, 0.0, margin=0.1)
-    tower = depot.build_bin_tower(rng)
+    plot.try_put(pallets.build_wrapper(rng), packing.x1 - 1.1, 3.9, 0.0, margin=0.1)
+    tower = racks.build_bin_tower(rng)
     plot.put(tower, house.width - 0.23, 3.0, -math.pi / 2, front=0.3, zone="loading_area")
     for k in range(4):
-        sign = depot.build_safety_sign(rng)
+        sign = loading.build_safety_sign(rng)
         x = house.docks[0] - 2.1 + 4.3 * k
         if 0.6 < x < house.width - 0.6:
             plot.put(sign, x, 0.004, math.pi, z=2.2, solid=False)
@@ -374,7 +374,7 @@ def _light_hall(plot: Plot, house: Depot, rng: np.random.Generator) -> None:
     spots += [(w * (k + 0.5) / count, y) for k in range(count) for y in (1.9, YARD - 1.5)]
     flux = 0.75 * w * d / len(spots)
     for x, y in spots:
-        plot.put(depot.build_high_bay(0.85, kelvin, flux), x, y, 0.0, z=top, solid=False)
+        plot.put(loading.build_high_bay(0.85, kelvin, flux), x, y, 0.0, z=top, solid=False)
     day = glow(6200.0, 1.5, "#f4f6f6")
     for k in range(max(1, int(d / 6.5))):
         y = d * (k + 0.5) / max(1, int(d / 6.5))
@@ -405,26 +405,26 @@ def _scatter_things(plot: Plot, house: Depot) -> None:
     yard = (OFFICE[0] + 0.3, 1.6, w - 0.3, YARD - 0.2)
     aisles = (0.3, YARD + 0.3, w - 0.3, house.depth - 0.3)
     corners = (0.3, house.depth - CROSS + 0.35, w - 0.3, house.depth - 0.15)
-    plot.scatter(lambda: depot.build_forklift(rng), 1, yard, margin=0.55, turn=quarter, jitter=0.2,
+    plot.scatter(lambda: trucks.build_forklift(rng), 1, yard, margin=0.55, turn=quarter, jitter=0.2,
                  tries=80)  # fmt: skip
-    plot.scatter(lambda: depot.build_forklift(rng), 1, aisles, margin=0.5,
+    plot.scatter(lambda: trucks.build_forklift(rng), 1, aisles, margin=0.5,
                  turn=(0.0, math.pi), jitter=0.05, tries=60)  # fmt: skip
     makers = (
-        (lambda: depot.build_pallet_truck(rng), 2),
-        (lambda: depot.build_hand_truck(rng), 2),
-        (lambda: depot.build_ladder(rng), 2),
-        (lambda: depot.build_roll_cage(rng), 3),
-        (lambda: depot.build_pallet(rng, load="stack"), 3),
-        (lambda: depot.build_pallet(rng, load="none"), 1),
-        (depot.build_cone, 4),
+        (lambda: trucks.build_pallet_truck(rng), 2),
+        (lambda: trucks.build_hand_truck(rng), 2),
+        (lambda: loading.build_ladder(rng), 2),
+        (lambda: trucks.build_roll_cage(rng), 3),
+        (lambda: pallets.build_pallet(rng, load="stack"), 3),
+        (lambda: pallets.build_pallet(rng, load="none"), 1),
+        (loading.build_cone, 4),
     )
     for make, count in makers:
         plot.scatter(make, count, yard if count > 2 else aisles, margin=0.55, turn=quarter,
                      jitter=0.08)  # fmt: skip
         plot.scatter(make, 1, yard, margin=0.55, turn=quarter, jitter=0.08)
-    plot.scatter(lambda: depot.build_barrel(rng), 6, corners, margin=0.02, tries=40)
-    plot.scatter(lambda: depot.build_wheelie_bin(rng), 2, corners, margin=0.05, tries=40)
-    plot.scatter(lambda: depot.build_pallet(rng, load="barrels"), 2, corners, margin=0.05,
+    plot.scatter(lambda: pallets.build_barrel(rng), 6, corners, margin=0.02, tries=40)
+    plot.scatter(lambda: loading.build_wheelie_bin(rng), 2, corners, margin=0.05, tries=40)
+    plot.scatter(lambda: pallets.build_pallet(rng, load="barrels"), 2, corners, margin=0.05,
                  turn=(0.0,), tries=40)  # fmt: skip
     litter = build_bin(rng, choose_palette("bin", 0, None))
     plot.scatter(lambda: litter, 2, yard, margin=0.3)

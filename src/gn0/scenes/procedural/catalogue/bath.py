@@ -8,7 +8,7 @@ import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
 from gn0.scenes.procedural.catalogue.kitchen import DARK_GLASS, build_faucet
-from gn0.scenes.procedural.catalogue.tables import build_fronts
+from gn0.scenes.procedural.catalogue.tables.joinery import build_fronts
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import CERAMIC, CHROME, GLASS, GREY, WHITE, Palette, plain
 from gn0.scenes.procedural.shapes import (
@@ -188,13 +188,9 @@ def build_shower(rng: np.random.Generator, palette: Palette) -> Item:
     shapes.append(build_cylinder(0.1, 0.015, CHROME, at=(0, y - 0.3, 2.08), segments=22))
     shapes.append(build_box((0.26, 0.05, 0.04), CHROME, bevel=0.01, at=(0, y, 1.0)))
     hand = [
-        (0.02, y - 0.05, 1.35),
-        (0.02, y - 0.02, 1.15),
-        (0.06, y, 0.8),
-        (0.03, y, 0.7),
-        (-0.02, y, 0.9),
-        (0, y, 1.0),
-    ]
+        (0.02, y - 0.05, 1.35), (0.02, y - 0.02, 1.15), (0.06, y, 0.8), (0.03, y, 0.7),
+        (-0.02, y, 0.9), (0, y, 1.0),
+    ]  # fmt: skip
     shapes.append(build_tube(hand, 0.006, CHROME, sides=6))
     if rng.random() < 0.6:
         cloth = palette.curtain(rng)

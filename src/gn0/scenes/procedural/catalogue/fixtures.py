@@ -136,19 +136,13 @@ def build_extinguisher() -> Item:
     """A fire extinguisher on its bracket; back at y = +0.09, hanging 0.12 m above the floor."""
     z = 0.12
     rz = [
-        (0, z),
-        (0.07, z),
-        (0.078, z + 0.02),
-        (0.078, z + 0.38),
-        (0.06, z + 0.43),
+        (0, z), (0.07, z), (0.078, z + 0.02), (0.078, z + 0.38), (0.06, z + 0.43),
         (0.022, z + 0.46),
-    ]
+    ]  # fmt: skip
     hose = [
-        (0.03, 0, z + 0.48),
-        (0.09, -0.02, z + 0.42),
-        (0.1, -0.02, z + 0.25),
+        (0.03, 0, z + 0.48), (0.09, -0.02, z + 0.42), (0.1, -0.02, z + 0.25),
         (0.085, -0.02, z + 0.1),
-    ]
+    ]  # fmt: skip
     return Item(
         "fire extinguisher",
         (

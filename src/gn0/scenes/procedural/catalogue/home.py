@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
-from gn0.scenes.procedural.catalogue.clutter import build_glass, build_plate
-from gn0.scenes.procedural.catalogue.seats import build_folded
-from gn0.scenes.procedural.catalogue.storage import build_coat, build_shoes
-from gn0.scenes.procedural.catalogue.tables import build_carcass
+from gn0.scenes.procedural.catalogue.clutter.crockery import build_glass, build_plate
+from gn0.scenes.procedural.catalogue.seats.sofas import build_folded
+from gn0.scenes.procedural.catalogue.storage.cloakroom import build_coat, build_shoes
+from gn0.scenes.procedural.catalogue.tables.joinery import build_carcass
 from gn0.scenes.procedural.palette import CHROME, STEEL, WHITE, Palette, plain
 from gn0.scenes.procedural.shapes import (
     Shape,

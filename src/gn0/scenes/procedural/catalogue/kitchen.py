@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
-from gn0.scenes.procedural.catalogue.tables import build_fronts
+from gn0.scenes.procedural.catalogue.tables.joinery import build_fronts
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import BLACK, CHROME, GREY, STEEL, WHITE, Palette, plain
 from gn0.scenes.procedural.shapes import (
@@ -256,11 +256,9 @@ def build_fridge(rng: np.random.Generator, palette: Palette) -> Item:
         )
     for z0, z1 in ((split - 0.32, split - 0.06), (split + 0.06, split + 0.42)):
         path = [
-            (w / 2 - 0.06, -d / 2, z0),
-            (w / 2 - 0.06, -d / 2 - 0.04, z0),
-            (w / 2 - 0.06, -d / 2 - 0.04, z1),
-            (w / 2 - 0.06, -d / 2, z1),
-        ]
+            (w / 2 - 0.06, -d / 2, z0), (w / 2 - 0.06, -d / 2 - 0.04, z0),
+            (w / 2 - 0.06, -d / 2 - 0.04, z1), (w / 2 - 0.06, -d / 2, z1),
+        ]  # fmt: skip
         shapes.append(build_tube(path, 0.009, CHROME, sides=8))
     for _ in range(int(rng.integers(0, 5))):
         card = plain(
@@ -351,11 +349,9 @@ def build_counter(
         bx, bw = basin
         x0, x1, y0, y1 = bx - bw / 2, bx + bw / 2, -0.21, 0.19
         pieces = [
-            (-width / 2, x0, -d / 2, d / 2),
-            (x1, width / 2, -d / 2, d / 2),
-            (x0, x1, -d / 2, y0),
+            (-width / 2, x0, -d / 2, d / 2), (x1, width / 2, -d / 2, d / 2), (x0, x1, -d / 2, y0),
             (x0, x1, y1, d / 2),
-        ]
+        ]  # fmt: skip
     for x0, x1, y0, y1 in pieces:
         if x1 - x0 > 0.01:
             shapes.append(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
-from gn0.scenes.procedural.catalogue.tables import build_fronts
+from gn0.scenes.procedural.catalogue.tables.joinery import build_fronts
 from gn0.scenes.procedural.draft import Material
 from gn0.scenes.procedural.palette import BLACK, CHROME, GREY, PAPER, STEEL, WHITE, Palette, plain
 from gn0.scenes.procedural.shapes import (

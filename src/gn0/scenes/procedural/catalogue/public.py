@@ -9,7 +9,7 @@ import numpy as np
 from gn0.scenes.procedural.assembly import Item, Placed, Support
 from gn0.scenes.procedural.catalogue.light import glow, lamp_light
 from gn0.scenes.procedural.catalogue.office import without_underside
-from gn0.scenes.procedural.catalogue.storage import build_towel_stack
+from gn0.scenes.procedural.catalogue.storage.cupboards import build_towel_stack
 from gn0.scenes.procedural.draft import Lamp, Material
 from gn0.scenes.procedural.palette import BLACK, CHROME, GREY, LINEN, STEEL, WHITE, Palette, plain
 from gn0.scenes.procedural.shapes import (

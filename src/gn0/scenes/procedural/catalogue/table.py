@@ -5,9 +5,11 @@ from __future__ import annotations
 import difflib
 import fnmatch
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module
 from types import ModuleType
 from typing import Any, Literal
 
@@ -36,7 +38,7 @@ from gn0.scenes.procedural.palette import STEEL, STYLES, WHITE, Palette
 from gn0.seeds import random_stream
 
 Mounting = Literal["base", "wall", "ceiling", "held"]
-KINDS: dict[str, ModuleType] = {
+KINDS: dict[str, ModuleType] = {  # modules, and folders of them
     "bath": bath, "clutter": clutter, "decor": decor, "depot": depot, "fixtures": fixtures,
     "garden": garden, "home": home, "kitchen": kitchen, "light": light, "office": office,
     "public": public, "seats": seats, "shop": shop, "storage": storage, "tables": tables,
@@ -158,17 +160,27 @@ class Thing:
         return self.make(**{key: value for key, value in offered.items() if key in asked})
 
 
-@cache
-def list_things() -> dict[str, Thing]:
-    """Every thing by name: each `build_…` of a kind that gives an `Item`."""
-    found = {}
-    for kind, module in KINDS.items():
-        for name, make in sorted(vars(module).items()):
+def list_makers(kind: str) -> Iterator[tuple[str, Callable[..., Item]]]:
+    """Each `build_…` of a kind's module, or of those in its folder, that gives an `Item`."""
+    modules = [KINDS[kind]]
+    for inner in pkgutil.iter_modules(getattr(KINDS[kind], "__path__", ())):
+        modules.append(import_module(f"{KINDS[kind].__name__}.{inner.name}"))
+    for module in modules:
+        for name, make in vars(module).items():
             if not name.startswith("build_") or make.__module__ != module.__name__:
                 continue
             if inspect.signature(make).return_annotation == "Item":
-                full = f"{kind}/{name.removeprefix('build_')}"
-                found[full] = Thing(full, make, GIVEN.get(full, {}), HANGS.get(full, "base"))
+                yield name.removeprefix("build_"), make
+
+
+@cache
+def list_things() -> dict[str, Thing]:
+    """Every thing by name, kind by kind."""
+    found = {}
+    for kind in KINDS:
+        for name, make in sorted(list_makers(kind), key=lambda pair: pair[0]):
+            full = f"{kind}/{name}"
+            found[full] = Thing(full, make, GIVEN.get(full, {}), HANGS.get(full, "base"))
     return found
 
 

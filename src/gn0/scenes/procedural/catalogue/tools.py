@@ -125,14 +125,8 @@ def build_flask(rng: np.random.Generator) -> Item:
     code = str(rng.choice(["#2f6f8c", "#c94f3c", "#3d3f44", "#6f9a6a", "#d8d9da"]))
     body = plain("flask", "metal", code, contrast=0.15)
     rz = [
-        (0, 0),
-        (0.034, 0),
-        (0.036, 0.01),
-        (0.036, 0.17),
-        (0.024, 0.2),
-        (0.024, 0.205),
-        (0, 0.205),
-    ]
+        (0, 0), (0.034, 0), (0.036, 0.01), (0.036, 0.17), (0.024, 0.2), (0.024, 0.205), (0, 0.205),
+    ]  # fmt: skip
     cap = build_cylinder(0.026, 0.03, BLACK, at=(0, 0, 0.203), segments=12)
     return Item("bottle", (build_lathe(rz, body, segments=16), cap))
 

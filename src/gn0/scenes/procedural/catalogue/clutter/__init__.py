@@ -1,0 +1,1 @@
+"""Small things on tables, shelves and floors: crockery, bottles, fruit, computers, toys."""

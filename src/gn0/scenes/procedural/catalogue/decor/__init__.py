@@ -1,0 +1,1 @@
+"""What makes a flat a home: plants, vases, pictures, mirrors, clocks, curtains, radiators."""

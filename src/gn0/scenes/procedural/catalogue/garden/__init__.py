@@ -1,0 +1,1 @@
+"""Things of yards and gardens: a fountain, benches, bicycles, tables, playthings."""

@@ -1,0 +1,1 @@
+"""Seats: sofas, armchairs, chairs, benches, stools, office chairs, and their cushions."""

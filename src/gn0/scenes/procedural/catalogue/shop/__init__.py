@@ -1,0 +1,1 @@
+"""Fittings of a supermarket: shelves with goods, coolers, freezers, stands, checkouts, trolleys."""

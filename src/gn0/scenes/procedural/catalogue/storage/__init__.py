@@ -1,0 +1,1 @@
+"""Storage and beds: bookshelves with their books, wardrobes, dressers, racks, shelves, beds."""

@@ -1,0 +1,1 @@
+"""Tables and what is as low: desks, nightstands, television stands, rugs, televisions."""

@@ -15,7 +15,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-ROOMS = ("exports", "viewer", "command_line", "moving_parts")  # a list each, by hand
+ROOMS = ("exports", "viewer", "command_line", "moving_parts", "procedural")  # a list each, by hand
 LISTS = ("by_hand.toml", *(f"{room}.toml" for room in ROOMS), "drawn.toml")
 
 

@@ -42,7 +42,8 @@ def test_the_list_is_as_long_as_promised_and_half_of_it_is_drawn() -> None:
 
 
 @pytest.mark.parametrize(
-    ("room", "least"), {"exports": 20, "viewer": 20, "command_line": 20, "moving_parts": 10}.items()
+    ("room", "least"),
+    {"exports": 20, "viewer": 20, "command_line": 20, "moving_parts": 10, "procedural": 20}.items(),
 )
 def test_a_room_has_a_list_of_its_own(room: str, least: int) -> None:
     own = [fault for fault in FAULTS if fault.origin == room]

@@ -196,3 +196,13 @@ def test_flats_are_full_of_things() -> None:
     assert len(every) >= 60
     wanted = {"sofa", "bed", "toilet", "fridge", "kitchen counter", "door", "window", "picture"}
     assert all(every[name] == QUICK for name in wanted), every
+
+
+def test_the_sun_shines_in_through_the_window_of_the_living_room() -> None:
+    for seed in range(QUICK):
+        draft, plan = flat(seed)
+        room = plan.rooms[0]
+        assert room.type == "living room" and draft.sun is not None
+        window = next(o for o in plan.openings if o.kind == "window" and room.id in o.rooms)
+        inward = 1.0 if window.rooms[1] == room.id else -1.0
+        assert draft.sun.direction[1 if window.axis == "x" else 0] * inward > 0.3

@@ -16,6 +16,8 @@ from gn0.cli.main import main
 from gn0.errors import ConfigError
 from gn0.scenes.procedural.assembly import WHOLE_PICTURE, Assembly, Item, Placed
 from gn0.scenes.procedural.catalogue.table import GIVEN, HANGS, KINDS, find_things, list_things
+from gn0.scenes.procedural.catalogue.tables.joinery import build_fronts
+from gn0.scenes.procedural.palette import STEEL, WHITE
 from gn0.scenes.procedural.shapes import LEAST_AREA, Shape
 from gn0.viewer.furniture_sheet import draw_item
 
@@ -139,6 +141,29 @@ def check_reach(name: str, item: Item) -> None:
             assert tops and least <= max(tops) <= most
 
 
+def surfaces(item: Item, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:
+    """Middles of the faces that look up, of a thing and its parts (their yaw left out)."""
+    found = []
+    for shape in item.shapes:
+        p = shape.vertices[shape.faces]
+        n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        found.append(
+            p[n[:, 2] > 0.5 * np.linalg.norm(n, axis=1)].mean(axis=1) + np.array([x, y, z])
+        )
+    found += [surfaces(p.item, x + p.x, y + p.y, z + p.z) for p in item.parts]
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("name", sorted(THINGS))
+def test_what_is_put_on_it_stands_on_a_surface(name: str) -> None:
+    for seed in range(SEEDS):
+        item = THINGS[name].build(seed)
+        if item.supports:
+            heights = surfaces(item)[:, 2]
+            for support in item.supports:
+                assert np.abs(heights - support.z).min() < 0.012, f"nothing is at {support.z}"
+
+
 @pytest.mark.parametrize("name", sorted(THINGS))
 def test_its_box_holds_it(name: str) -> None:
     """The object's box, as the scene's labels have it, turned as the thing is."""
@@ -164,6 +189,20 @@ def test_who_sits_looks_to_the_front(name: str) -> None:
         points = np.concatenate([shape.vertices for shape in item.shapes])
         top = points[points[:, 2] > 0.85 * item.extent()[1][2]]
         assert top[:, 1].mean() > 0.08
+
+
+@pytest.mark.parametrize("way", [{}, {"knob": True}, {"vertical": True}])
+def test_handles_are_in_front_of_their_fronts(way: dict[str, bool]) -> None:
+    shapes = build_fronts(1.2, 0.8, 2, 2, -0.25, 0.1, WHITE, STEEL, **way)
+    fronts = [s for s in shapes if s.material == WHITE]
+    handles = [s for s in shapes if s.material == STEEL]
+    assert len(fronts) == len(handles) == 4
+    face = min(s.vertices[:, 1].min() for s in fronts)
+    assert face == pytest.approx(-0.268)
+    for handle in handles:
+        assert (
+            handle.vertices[:, 1].min() < face - 0.02 and handle.vertices[:, 1].max() < face + 0.01
+        )
 
 
 def test_the_same_seed_builds_the_same_thing_and_others_differ() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from functools import cache
 
@@ -135,6 +136,23 @@ def test_a_supermarket_is_stocked() -> None:
     # goods belong to the zone that their shelf faces, and are a small part of the whole each
     shelves = {t.room for t in of_category(draft.objects, "shelf")}
     assert {room.id for room in draft.rooms if room.id.startswith("aisle")} <= shelves
+
+
+def test_shelves_of_an_aisle_stand_along_it_and_look_into_it() -> None:
+    draft = hall("supermarket")
+    rooms = {room.id: room for room in draft.rooms}
+    looked = 0
+    for thing in draft.objects:
+        if thing.category != "shelf" or not (thing.room or "").startswith("aisle"):
+            continue
+        x, y = thing.box.centre[:2]
+        reach = thing.box.size[1] / 2 + 0.2
+        x, y = x + math.sin(thing.box.yaw) * reach, y - math.cos(thing.box.yaw) * reach
+        (x0, y0), (x1, y1) = (f(rooms[thing.room].polygon, axis=0) for f in (np.min, np.max))
+        if y0 < thing.box.centre[1] < y1 and thing.box.size[0] > 1.3:  # not at the end of a row
+            looked += 1
+            assert x0 < x < x1 and y0 < y < y1, thing.id
+    assert looked >= 6
 
 
 def test_a_warehouse_has_what_warehouses_have() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -10,14 +12,20 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions
 from gn0.scenes.procedural import refine_views
 from gn0.scenes.procedural.apartment import draft_apartment
+from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated
 from gn0.scenes.procedural.refine_views import LENSES, place_views
 from gn0.scenes.rays import RayCaster
 
 
-def test_views_stand_free_and_are_repeatable() -> None:
+@cache
+def flat() -> tuple[SceneDraft, RayCaster]:
     draft = draft_apartment(3, size="small")
-    caster = RayCaster(draft.mesh)
+    return draft, RayCaster(draft.mesh)
+
+
+def test_views_stand_free_and_are_repeatable() -> None:
+    draft, caster = flat()
     views, lenses = place_views(draft, caster, 40, 5)
     again, _ = place_views(draft, caster, 40, 5)
     np.testing.assert_array_equal(views, again)
@@ -28,6 +36,30 @@ def test_views_stand_free_and_are_repeatable() -> None:
             np.repeat(eye[None], 4, 0), np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0.0]])
         )
         assert far.min() >= refine_views.CLEARANCE
+
+
+def test_views_look_where_there_is_something_to_see() -> None:
+    """Farther than a view to a random side does: the farthest of three is taken."""
+    draft, caster = flat()
+    views, _ = place_views(draft, caster, 60, 6)
+    eyes = np.array([-view[:3, :3].T @ view[:3, 3] for view in views])
+    ahead = np.array([view[2, :3] * (1, 1, 0) for view in views])
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    seen = np.minimum(caster.cast(eyes, ahead)[1], 6.0)
+    angle = np.arange(12) * np.pi / 6
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    around = np.minimum(caster.cast(np.repeat(eyes, 12, 0), np.tile(ring, (60, 1)))[1], 6.0)
+    assert seen.mean() > 1.25 * around.mean()
+
+
+@pytest.mark.parametrize("index", range(len(LENSES)))
+def test_photographs_are_taken_through_the_lens_that_is_named(index: int) -> None:
+    intrinsics, size = refine_views._lens(index)
+    width, height, hfov = LENSES[index]
+    camera = Camera.from_hfov(width, height, hfov)
+    assert size == (width, height)
+    assert intrinsics[0, 0] == pytest.approx(camera.fx) and intrinsics[1, 1] == camera.fy
+    assert (intrinsics[0, 2], intrinsics[1, 2]) == (camera.cx, camera.cy)
 
 
 @pytest.mark.slow

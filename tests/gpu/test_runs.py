@@ -22,9 +22,10 @@ def test_policies_without_pictures_give_the_cpus_results(
     suite = load_suite(tmp_path / "suite")
     for backend in ("cuda", "auto", "cpu"):
         run_suite(suite, policy, tmp_path / backend, backend=backend, workers=2)
+    run_suite(suite, policy, tmp_path / "beside", backend="cuda", agents=5)  # on the card
     results = {
-        backend: (tmp_path / backend / "results.jsonl").read_bytes()
-        for backend in ("cuda", "auto", "cpu")
+        name: (tmp_path / name / "results.jsonl").read_bytes()
+        for name in ("cuda", "auto", "cpu", "beside")
     }
     assert results["cuda"]
-    assert results["cuda"] == results["auto"] == results["cpu"]
+    assert results["cuda"] == results["auto"] == results["cpu"] == results["beside"]

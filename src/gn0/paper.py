@@ -40,6 +40,9 @@ ACTIONS_AHEAD = 6
 POINTS = 13
 """Waypoints of a label: where the agent is, and twelve more (l. 1795)."""
 
+TRACKING_POINTS = 7
+"""Waypoints that a policy that follows a person answers with, its own place included (l. 1882)."""
+
 SPACING = 0.25
 """m of arc length between waypoints: of a label (l. 1795), and of a reference path (ours)."""
 

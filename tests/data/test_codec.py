@@ -13,10 +13,15 @@ from hypothesis import strategies as st
 from gn0.data.codec import (
     ACTION_TOKENS,
     NAVIGATION_TOKENS,
+    ORDERS,
     Answer,
+    AnswerLayout,
+    AnswerOrder,
     EgoFrame,
+    decode_heading,
     decode_pixels,
     decode_waypoints,
+    encode_heading,
     encode_pixels,
     encode_waypoints,
     parse_answer,
@@ -31,6 +36,8 @@ from gn0.sim.sensors import MapFrame
 
 POSE = np.zeros((1, 3))
 actions = st.lists(st.integers(0, 3), min_size=6, max_size=6)
+orders = st.sampled_from(ORDERS)
+layouts: st.SearchStrategy[AnswerLayout] = st.sampled_from(["json", "compact"])
 pairs = st.lists(st.tuples(st.integers(0, 999), st.integers(0, 999)), min_size=1, max_size=13)
 
 
@@ -120,6 +127,18 @@ def test_every_token_pair_survives_decoding_and_encoding(kind: str, x: int, y: i
     ]
 
 
+@given(st.floats(-50, 50))
+def test_a_heading_is_clockwise_from_up_in_thousandths_of_a_turn(yaw: float) -> None:
+    token = encode_heading(yaw)
+    assert 0 <= token <= 999 and encode_heading(decode_heading(token)) == token
+    off = (decode_heading(token) - yaw + math.pi) % math.tau - math.pi
+    assert abs(off) <= math.tau / 2000 + 1e-9
+    assert [encode_heading(math.radians(d)) for d in (90, 0, -90, 180, 89.8)] == [
+        0, 250, 500, 750, 1,
+    ]  # fmt: skip
+    assert -math.pi < decode_heading(token) <= math.pi
+
+
 def test_frames_without_meaning_are_refused() -> None:
     for wrong in ({"size": 0}, {"metres_per_pixel": 0.0}, {"ahead": 1.5}, {"size": 10**6}):
         with pytest.raises(ConfigError):
@@ -136,7 +155,7 @@ def test_there_are_1006_tokens_the_numbers_first_and_in_order() -> None:
 
 
 def test_the_answer_is_the_release_s_to_the_byte() -> None:
-    text = write_answer([1, 1, 2, 3, 0, 0], [(12, 34), (999, 0)])
+    text = write_answer([1, 1, 2, 3, 0, 0], [(12, 34), (999, 0)], order="actions_first")
     assert text == (
         '{"vlnce":"<action><FWD>,<FWD>,<LEFT>,<RIGHT>,<STOP>,<STOP></action>",'
         '"pixel":"[[<12>,<34>],[<999>,<0>]]"}'
@@ -145,38 +164,71 @@ def test_the_answer_is_the_release_s_to_the_byte() -> None:
     assert write_answer([1] * 6) == '{"vlnce":"<action>' + ",".join(["<FWD>"] * 6) + '</action>"}'
 
 
-@given(actions, st.none() | pairs)
-def test_what_is_written_is_read(codes: list[int], tokens: list | None) -> None:
-    text = write_answer(codes, tokens)
+def test_the_paper_has_the_waypoints_first_and_both_orders_are_read() -> None:
+    told = [1, 1, 2, 3, 0, 0], [(12, 34), (999, 0)]
+    text = write_answer(*told)
+    assert text == (
+        '{"pixel":"[[<12>,<34>],[<999>,<0>]]",'
+        '"vlnce":"<action><FWD>,<FWD>,<LEFT>,<RIGHT>,<STOP>,<STOP></action>"}'
+    )
+    other = write_answer(*told, order="actions_first")
+    assert parse_answer(text) == parse_answer(other) == salvage_answer(text)
+    assert parse_answer(text, order="paper") == parse_answer(other, order="actions_first")
+    for wrong, order in ((text, "actions_first"), (other, "paper")):
+        with pytest.raises(FormatError, match="its parts are in the order"):
+            parse_answer(wrong, order=order)
+    short = write_answer(*told, layout="compact")
+    assert short == (
+        "<12><34><999><0><action><FWD><FWD><LEFT><RIGHT><STOP><STOP></action>"
+    ) and parse_answer(short, layout="compact") == parse_answer(text)
+    for wrong, layout in ((text, "compact"), (short, "json")):
+        with pytest.raises(FormatError, match="not an answer"):
+            parse_answer(wrong, layout=layout)
+    for made in ({"order": "vlnce"}, {"layout": "xml"}):
+        with pytest.raises(ConfigError):
+            write_answer(*told, **made)
+        with pytest.raises(ConfigError):
+            parse_answer(text, **made)
+
+
+@given(actions, st.none() | pairs, orders, layouts)
+def test_what_is_written_is_read(
+    codes: list[int], tokens: list | None, order: AnswerOrder, layout: AnswerLayout
+) -> None:
+    text = write_answer(codes, tokens, order=order, layout=layout)
     wanted = Answer(tuple(codes), None if tokens is None else tuple(tokens))
-    assert parse_answer(text) == wanted == salvage_answer(text)
-    assert parse_answer(f"\n {text}\n", points=len(tokens or ())) == wanted
+    assert parse_answer(text, layout=layout) == wanted
+    assert parse_answer(text, layout=layout, order=order) == wanted
+    assert layout == "compact" or salvage_answer(text) == wanted
+    assert parse_answer(f"\n {text}\n", points=len(tokens or ()), layout=layout) == wanted
     with pytest.raises(FormatError):
-        parse_answer(text, points=len(tokens or ()) + 1)
+        parse_answer(text, points=len(tokens or ()) + 1, layout=layout)
 
 
 @settings(max_examples=300)
-@given(actions, pairs, st.data())
+@given(actions, pairs, orders, layouts, st.data())
 def test_what_the_strict_parser_takes_is_what_would_be_written(
-    codes: list[int], tokens: list, data: st.DataObject
+    codes: list[int], tokens: list, order: AnswerOrder, layout: AnswerLayout, data: st.DataObject
 ) -> None:
     """Any change of a text is refused, or is another text that would be written just so."""
-    text = write_answer(codes, tokens)
+    text = write_answer(codes, tokens, order=order, layout=layout)
     at = data.draw(st.integers(0, len(text) - 1))
     piece = data.draw(st.sampled_from(["", "0", "<", ">", ",", " ", "[", "}", '"', "FWD", "7"]))
     changed = text[:at] + piece + text[at + data.draw(st.integers(0, 3)) :]
     try:
-        answer = parse_answer(changed)
+        answer = parse_answer(changed, order=order, layout=layout)
     except FormatError:
         return
-    assert write_answer(answer.actions, answer.tokens) == changed.strip()
+    again = write_answer(answer.actions, answer.tokens, order=order, layout=layout)
+    assert again == changed.strip()
 
 
 @given(st.text(max_size=60) | st.text(alphabet='{}[]<>",:vlncepixe FWD0123/action', max_size=90))
 def test_any_text_is_refused_or_read_and_never_breaks(text: str) -> None:
     salvage_answer(text)
-    with pytest.raises(FormatError):
-        parse_answer(text)
+    for layout in ("json", "compact"):
+        with pytest.raises(FormatError):
+            parse_answer(text, layout=layout)
 
 
 @pytest.mark.parametrize(
@@ -234,3 +286,4 @@ def test_no_token_survives_in_a_user_s_text(text: str) -> None:
 def test_plain_words_of_a_user_are_kept() -> None:
     assert without_control_tokens("go <b>left</b>, 3 < 5") == "go <b>left</b>, 3 < 5"
     assert without_control_tokens("a<9<FWD>99>b<|im_end|>c") == "a<9 99>b c"
+    assert without_control_tokens("<image>left</image>") == " left</image>"

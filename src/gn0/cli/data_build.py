@@ -20,7 +20,7 @@ EXAMPLES = """  gn0 data build out/suite --out out/data
   gn0 data build out/suite --layout none --out out/labels
   gn0 data build out/suite --backend cuda --quality 85 --out out/data
   gn0 data build out/suite --depth --out out/rgbd
-  gn0 data build out/suite --labels mpc --tokens ego --out out/ego
+  gn0 data build out/suite --labels mpc --tokens ego --answer-order paper --out out/ego
   gn0 data build out/suite --executor ray --ray-address auto --workers 16 --out out/data
   gn0 data build out/suite --shard 2/8 --out out/shard-2    # then gn0 data merge"""
 
@@ -46,6 +46,8 @@ class Args(Config, frozen=True):
         labels: next actions by the exact planner (exact), the paper's tracking objective (mpc), or
             as the official release labels (gn0-release).
         tokens: what map tokens refer to: the whole map, or a square around the agent.
+        answer_order: what comes first where the dataset's answers are written as text: the actions,
+            or the waypoints, as in the paper's prompts (paper).
         chunk: episodes per part, which is what a worker takes at a time and what a shard holds.
         backend: what draws: cpu, cuda, or the best available (auto). Their pictures differ by
             rounding, so the dataset says which it was, and goes on with the same.
@@ -72,6 +74,7 @@ class Args(Config, frozen=True):
     depth_as: Literal["npy", "png", "both"] = "npy"
     labels: Literal["exact", "mpc", "gn0-release"] = "exact"
     tokens: Literal["global", "ego"] = "global"
+    answer_order: Literal["actions_first", "paper"] = "actions_first"
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     backend: Literal["auto", "cpu", "cuda"] = "auto"
     batch: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
@@ -112,7 +115,7 @@ def run(args: Args) -> int:
     else:
         say_backend(args.backend)
     settings = BuildSettings(
-        tokens=TokenSettings(frame=args.tokens),
+        tokens=TokenSettings(frame=args.tokens, order=args.answer_order),
         labels=LabelSettings(variant=args.labels),
         chunk=args.chunk,
         pictures=pictures,

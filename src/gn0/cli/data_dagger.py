@@ -46,6 +46,8 @@ class Args(Config, frozen=True):
             gn0-release with that halting rule. own: with what the policy itself did next, so that
             its walks are demonstrations (--beta 0 --halting none).
         tokens: what map tokens refer to: the whole map (global) or a square around the agent.
+        answer_order: what comes first where the dataset's answers are written as text: the actions,
+            or the waypoints, as in the paper's prompts (paper).
         pictures: the cache of pictures: webdataset, lerobot, or none (`gn0 data render` makes one
             later).
         map_mode: what the maps shown to the policy hold; by default what the suite says.
@@ -76,6 +78,7 @@ class Args(Config, frozen=True):
     halting: Literal["paper", "gn0-release", "none"] = "paper"
     labels: Literal["", "exact", "mpc", "gn0-release", "own"] = ""
     tokens: Literal["global", "ego"] = "global"
+    answer_order: Literal["actions_first", "paper"] = "actions_first"
     pictures: Literal["webdataset", "lerobot", "none"] = "none"
     map_mode: Literal["prior", "explored", "none"] | None = None
     max_steps: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
@@ -113,7 +116,7 @@ def run(args: Args) -> int:
     with draw_progress() as progress:
         suite = open_suite(args.suite, beside=f"{args.out.rstrip('/')}-episodes")
         settings = BuildSettings(
-            tokens=TokenSettings(frame=args.tokens),
+            tokens=TokenSettings(frame=args.tokens, order=args.answer_order),
             labels=LabelSettings(variant=_label_variant(args)),
             chunk=args.chunk,
             pictures=with_backend(PictureSettings(layout=args.pictures), args.backend),

@@ -6,12 +6,17 @@ is the whole map (`sim.sensors.MapFrame`), or a square around the agent that tur
 (`EgoFrame`). Pixel coordinates count from the centre of the first pixel, as the official release
 counts them, so a waypoint at a pixel's centre gets exactly the release's tokens.
 
-An answer is one JSON object on one line:
+An answer is one JSON object on one line, its keys in the paper's order or actions first:
 
-    {"vlnce":"<action><FWD>,<LEFT>,<STOP>,<STOP>,<STOP>,<STOP></action>","pixel":"[[<12>,<34>],…]"}
+    {"pixel":"[[<12>,<34>],…]","vlnce":"<action><FWD>,<LEFT>,<STOP>,<STOP>,<STOP>,<STOP></action>"}
+
+or, for models trained from scratch, the same tokens with nothing between them (`compact`):
+
+    <12><34>…<action><FWD><LEFT><STOP><STOP><STOP><STOP></action>
 
 `parse_answer` is strict: what it accepts, `write_answer` writes byte for byte. `salvage_answer`
-reads what a model meant, by the release's rules.
+reads what a model meant, by the release's rules. What an answer must hold, slot by slot, is in
+`answer_form.py`; the same in the ids of a tokenizer in `answer_slots.py`.
 """
 
 from __future__ import annotations
@@ -21,7 +26,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,16 +45,37 @@ NAVIGATION_TOKENS = (
 )
 """The 1006 tokens a model learns, the numbers first and without gaps."""
 
+AnswerOrder = Literal["paper", "actions_first"]
+"""Which key comes first: `pixel` as in the paper's prompts (l. 1799), or `vlnce` (earlier exit)."""
+
+AnswerLayout = Literal["json", "compact"]
+ORDERS: tuple[AnswerOrder, ...] = ("paper", "actions_first")
+
 I16 = NDArray[np.int16]
 _CODE_OF = {token: code for code, token in enumerate(ACTION_TOKENS)}
 _NUMBER = "(?:0|[1-9][0-9]{0,2})"
-_PAIR = re.compile(rf"\[<({_NUMBER})>,<({_NUMBER})>\]")
+_PAIR = re.compile(rf"<({_NUMBER})>,?<({_NUMBER})>")
 _ACTIONS = "<(?:FWD|LEFT|RIGHT|STOP)>"
-_STRICT = re.compile(
-    rf'\{{"vlnce":"<action>({_ACTIONS}(?:,{_ACTIONS})*)</action>"'
-    rf'(?:,"pixel":"\[((?:\[<{_NUMBER}>,<{_NUMBER}>\])(?:,\[<{_NUMBER}>,<{_NUMBER}>\])*)\]")?\}}'
-)
-_CONTROL = re.compile(r"<(?:[0-9]{1,3}|/?action|FWD|LEFT|RIGHT|STOP|\|[^<>|\s]*\|)>")
+_SPOKEN = rf"<action>({_ACTIONS}(?:,{_ACTIONS})*)</action>"
+_POINTS = rf"\[((?:\[<{_NUMBER}>,<{_NUMBER}>\])(?:,\[<{_NUMBER}>,<{_NUMBER}>\])*)\]"
+_SHORT_SPOKEN = rf"<action>((?:{_ACTIONS})+)</action>"
+_SHORT_POINTS = rf"((?:<{_NUMBER}><{_NUMBER}>)*)"
+# by layout and order: the pattern, and which of its groups are the actions and the points
+_STRICT: dict[tuple[AnswerLayout, AnswerOrder], tuple[re.Pattern[str], int, int]] = {
+    ("json", "paper"): (
+        re.compile(rf'\{{(?:"pixel":"{_POINTS}",)?"vlnce":"{_SPOKEN}"\}}'), 2, 1,
+    ),
+    ("json", "actions_first"): (
+        re.compile(rf'\{{"vlnce":"{_SPOKEN}"(?:,"pixel":"{_POINTS}")?\}}'), 1, 2,
+    ),
+    ("compact", "paper"): (re.compile(_SHORT_POINTS + _SHORT_SPOKEN), 2, 1),
+    ("compact", "actions_first"): (re.compile(_SHORT_SPOKEN + _SHORT_POINTS), 1, 2),
+}  # fmt: skip
+_EXAMPLE: dict[AnswerOrder, str] = {
+    "paper": '{"pixel":…,"vlnce":…}',
+    "actions_first": '{"vlnce":…,"pixel":…}',
+}
+_CONTROL = re.compile(r"<(?:[0-9]{1,3}|/?action|FWD|LEFT|RIGHT|STOP|image|video|\|[^<>|\s]*\|)>")
 
 
 @dataclass(frozen=True)
@@ -172,6 +198,24 @@ def decode_waypoints(
     return _to_agent(np.stack([x, y], axis=-1), at).astype(np.float32)
 
 
+def encode_heading(yaw: float) -> int:
+    """The token 0 … 999 of a heading: turned clockwise from up (+y) on a map picture.
+
+    In thousandths of a full turn, rounded half up: 0 up (north), 250 right, 500 down, 750 left.
+
+    Args:
+        yaw: [rad], world frame: 0 is +x (right), counter-clockwise.
+    """
+    share = (0.25 - float(yaw) / math.tau) % 1.0
+    return math.floor(share * MAP_BINS + 0.5) % MAP_BINS
+
+
+def decode_heading(token: int) -> float:
+    """The yaw [rad] in (−π, π] of a heading's token."""
+    yaw = (0.25 - token / MAP_BINS) * math.tau
+    return yaw if yaw > -math.pi else yaw + math.tau
+
+
 def token_error(frame: AnyFrame) -> float:
     """The most that tokens can put a waypoint wrong [m], where it lies on the picture.
 
@@ -201,49 +245,92 @@ class Answer:
 def write_answer(
     actions: Sequence[int] | NDArray[np.integer],
     tokens: Sequence[Sequence[int]] | NDArray[np.integer] | None = None,
+    *,
+    order: AnswerOrder = "paper",
+    layout: AnswerLayout = "json",
 ) -> str:
     """The answer text of actions, and of map tokens [K, 2] where the task has waypoints.
 
+    Args:
+        actions: codes 0 STOP, 1 FORWARD, 2 LEFT, 3 RIGHT.
+        tokens: (x, y) pairs 0 … 999, or None.
+        order: what comes first, the waypoints (paper) or the actions.
+        layout: JSON, or the tokens alone.
+
     Raises:
-        ConfigError: no action, no code of one, or a token outside 0 … 999.
+        ConfigError: no action, no code of one, a token outside 0 … 999, or no such order or layout.
     """
+    _check_kind(layout, order)
     codes = [int(code) for code in actions]
     if not codes or not all(0 <= code < len(ACTION_TOKENS) for code in codes):
         raise ConfigError(f"invalid action codes {codes}", remedy="give codes 0 to 3")
-    spoken = ",".join(ACTION_TOKENS[code] for code in codes)
-    text = f'{{"vlnce":"{ACTION_BEGIN}{spoken}{ACTION_END}"'
-    if tokens is not None:
-        pairs = [(int(x), int(y)) for x, y in tokens]
-        if not pairs or not all(0 <= v < MAP_BINS for pair in pairs for v in pair):
-            raise ConfigError(f"invalid map tokens {pairs}", remedy="give pairs of 0 to 999")
-        text += ',"pixel":"[' + ",".join(f"[<{x}>,<{y}>]" for x, y in pairs) + ']"'
-    return text + "}"
+    words = [ACTION_TOKENS[code] for code in codes]
+    pairs = None if tokens is None else [(int(x), int(y)) for x, y in tokens]
+    if pairs is not None and not (pairs and all(0 <= v < MAP_BINS for p in pairs for v in p)):
+        raise ConfigError(f"invalid map tokens {pairs}", remedy="give pairs of 0 to 999")
+    if layout == "compact":
+        parts = [ACTION_BEGIN + "".join(words) + ACTION_END]
+        if pairs:
+            parts.insert(0, "".join(f"<{x}><{y}>" for x, y in pairs))
+    else:
+        parts = [f'"vlnce":"{ACTION_BEGIN}{",".join(words)}{ACTION_END}"']
+        if pairs:
+            parts.insert(0, '"pixel":"[' + ",".join(f"[<{x}>,<{y}>]" for x, y in pairs) + ']"')
+    if order == "actions_first":
+        parts.reverse()
+    return "".join(parts) if layout == "compact" else "{" + ",".join(parts) + "}"
 
 
-def parse_answer(text: str, *, points: int | None = None, actions: int = ACTIONS_AHEAD) -> Answer:
+def _check_kind(layout: AnswerLayout, order: AnswerOrder) -> None:
+    if (layout, order) not in _STRICT:
+        raise ConfigError(
+            f"no answer layout {layout!r} in the order {order!r}",
+            remedy="give json or compact; paper or actions_first",
+        )
+
+
+def parse_answer(
+    text: str,
+    *,
+    points: int | None = None,
+    actions: int = ACTIONS_AHEAD,
+    order: AnswerOrder | None = None,
+    layout: AnswerLayout = "json",
+) -> Answer:
     """Read an answer, strictly: exactly what `write_answer` writes.
 
     Args:
         text: the answer; white space around it is forgiven, nothing else.
         points: how many waypoints there must be, 0 for none; None takes any number.
         actions: how many actions there must be.
+        order: the order that it must have; None takes both.
+        layout: the layout that it must have.
 
     Raises:
         FormatError: it is anything else; says what.
+        ConfigError: no such order or layout.
     """
-    match = _STRICT.fullmatch(text.strip(" \t\r\n"))
-    if match is None:
+    _check_kind(layout, order or "paper")
+    bare = text.strip(" \t\r\n")
+    for own in ORDERS if order is None else (order,):
+        pattern, spoken, way = _STRICT[layout, own]
+        match = pattern.fullmatch(bare)
+        if match is not None:
+            break
+    else:
         raise FormatError(
-            "not an answer: " + _fault(text), field=_shorten(text), remedy="see docs/labels.md"
+            "not an answer: " + _fault(bare, layout, order),
+            field=_shorten(text),
+            remedy="see docs/labels.md",
         )
-    codes = tuple(_CODE_OF[token] for token in match[1].split(","))
+    codes = tuple(_CODE_OF[token] for token in re.findall(_ACTIONS, match[spoken]))
     if len(codes) != actions:
         raise FormatError(
             f"{len(codes)} actions, expected {actions}", field="vlnce", remedy="see docs/labels.md"
         )
     tokens = None
-    if match[2] is not None:
-        tokens = tuple((int(x), int(y)) for x, y in _PAIR.findall(match[2]))
+    if match[way]:
+        tokens = tuple((int(x), int(y)) for x, y in _PAIR.findall(match[way]))
     if points is not None and points != len(tokens or ()):
         raise FormatError(
             f"{len(tokens or ())} waypoints, expected {points}",
@@ -314,8 +401,14 @@ def _shorten(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
 
 
-def _fault(text: str) -> str:
+def _fault(text: str, layout: AnswerLayout, order: AnswerOrder | None) -> str:
     """In words, the first thing that is wrong with a text that is no answer."""
+    if order is not None:
+        other = ORDERS[1 - ORDERS.index(order)]
+        if _STRICT[layout, other][0].fullmatch(text):
+            return f"its parts are in the order {other!r}, expected {order!r}"
+    if layout == "compact":
+        return "it is not pairs of <0> to <999> beside <action>…</action>, nothing between them"
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -325,23 +418,18 @@ def _fault(text: str) -> str:
     unknown = sorted(set(map(str, value)) - {"vlnce", "pixel"})
     if unknown or "vlnce" not in value:
         return f"unknown key {_shorten(unknown[0])!r}" if unknown else "key 'vlnce' is missing"
-    if re.fullmatch(rf"<action>{_ACTIONS}(,{_ACTIONS})*</action>", str(value["vlnce"])) is None:
+    if re.fullmatch(_SPOKEN, str(value["vlnce"])) is None:
         return "'vlnce' is not <action>…</action> around <FWD>, <LEFT>, <RIGHT>, <STOP> and commas"
-    if (
-        "pixel" in value
-        and re.fullmatch(
-            rf"\[\[<{_NUMBER}>,<{_NUMBER}>\](,\[<{_NUMBER}>,<{_NUMBER}>\])*\]", str(value["pixel"])
-        )
-        is None
-    ):
+    if "pixel" in value and re.fullmatch(_POINTS, str(value["pixel"])) is None:
         return "'pixel' is not [[<x>,<y>],…] with tokens <0> to <999>"
-    return 'order of keys, blanks or escapes differ from {"vlnce":…,"pixel":…}'
+    return f"blanks, escapes or keys differ from {_EXAMPLE[order or 'paper']}"
 
 
 def without_control_tokens(text: str) -> str:
     """A user's text in which nothing reads as one of our tokens or of a chat template's.
 
-    An instruction that holds `<999>` or `<|im_end|>` would else become that very token. A blank
-    takes the place of each, so that what stood around it does not close up to another.
+    An instruction that holds `<999>` or `<|im_end|>` would else become that very token, and one
+    with `<image>` a picture more. A blank takes the place of each, so that what stood around it
+    does not close up to another.
     """
     return _CONTROL.sub(" ", text)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from gn0.config import Config
-from gn0.data.codec import AnyFrame, EgoFrame
+from gn0.data.codec import AnswerOrder, AnyFrame, EgoFrame
 from gn0.data.expert_labels import LabelSettings
 from gn0.errors import ConfigError
 from gn0.maps.grid import OccupancyGrid
@@ -73,19 +73,31 @@ class PictureSettings(Config, frozen=True):
 
 
 class TokenSettings(Config, frozen=True):
-    """What map tokens refer to.
+    """What map tokens refer to, and how answers of them are written.
 
     Attributes:
         frame: the whole map picture (global), or a square around the agent (ego).
         size: width and height of that square [px].
         metres_per_pixel: its scale [m].
         ahead: the share of it that lies before the agent.
+        order: what comes first in an answer, where it is not the actions; samples hold numbers
+            alone, so this says how their texts are to be written.
     """
 
     frame: Literal["global", "ego"] = "global"
     size: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 224
     metres_per_pixel: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.05
     ahead: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.5
+    order: AnswerOrder | msgspec.UnsetType = msgspec.UNSET
+
+    def __post_init__(self) -> None:
+        if self.order == "actions_first":  # one way to say it: as files from before say nothing
+            msgspec.structs.force_setattr(self, "order", msgspec.UNSET)
+
+    @property
+    def answer_order(self) -> AnswerOrder:
+        """What comes first in an answer."""
+        return "actions_first" if self.order is msgspec.UNSET else self.order
 
     def of_grid(self, grid: OccupancyGrid) -> AnyFrame:
         """The frame in a scene."""

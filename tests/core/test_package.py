@@ -23,3 +23,6 @@ def test_the_wheel_holds_no_figures_trials_or_tests(tmp_path: Path) -> None:
     assert not {"figures", "trials", "tests"} & rooms
     assert not [name for name in names if "test_" in name or "__pycache__" in name]
     assert {".py", ".pyi", ".cu", ".cuh", ".js"} <= {Path(name).suffix for name in names}
+    prompts = {name for name in names if name.startswith("gn0/policies/bae/prompts/")}
+    folder = ROOT / "src" / "gn0" / "policies" / "bae" / "prompts"
+    assert {Path(name).name for name in prompts} == {path.name for path in folder.iterdir()}

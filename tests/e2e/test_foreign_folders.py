@@ -63,6 +63,7 @@ SUITES = {
 }
 DATASETS = {
     "data show": ["{it}", "--out", "{new}.png"],
+    "data prompt": ["{it}", "--prompt", "paper_planning"],
     "data stats": ["{it}"],
     "data verify": ["{it}"],
     "data repair": ["{it}"],

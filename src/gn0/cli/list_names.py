@@ -14,8 +14,9 @@ EXAMPLES = """  gn0 list policies
   gn0 list exports
   gn0 list presets"""
 Kind = Literal[
-    "policies", "presets", "sensors", "exports", "formats", "profiles", "renderers", "metrics"
-]
+    "policies", "presets", "sensors", "exports", "formats", "profiles", "renderers", "metrics",
+    "prompts",
+]  # fmt: skip
 
 
 class Args(Config, frozen=True):
@@ -23,8 +24,8 @@ class Args(Config, frozen=True):
 
     Attributes:
         kind: policies, presets (of `--camera` and `--agent`), sensors, exports (of `gn0 export`),
-            formats (splats and episodes that are read), profiles, renderers (of `--backend`), or
-            metrics.
+            formats (splats and episodes that are read), profiles, renderers (of `--backend`),
+            metrics, or prompts (of `gn0 data prompt`).
         plugin: modules or .py files to import first.
     """
 
@@ -152,6 +153,16 @@ def _metrics() -> Iterator[tuple[str, str]]:
         yield info.key, info.title
 
 
+def _prompts() -> Iterator[tuple[str, str]]:
+    from gn0.policies.bae.prompt_template import load_prompt, prompt_names
+
+    for name in prompt_names():
+        prompt = load_prompt(name)
+        what = ", ".join(prompt.pictures)
+        parts = f"; parts {', '.join(prompt.parts)}" if prompt.parts else ""
+        yield name, f"{prompt.task} from {what}; {prompt.points} waypoints, {prompt.layout}{parts}"
+
+
 _KINDS = {
     "policies": _policies,
     "presets": _presets,
@@ -161,4 +172,5 @@ _KINDS = {
     "profiles": _profiles,
     "renderers": _renderers,
     "metrics": _metrics,
+    "prompts": _prompts,
 }

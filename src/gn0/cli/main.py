@@ -45,6 +45,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data merge": ("data_merge", "join the shards of a dataset that several machines built"),
     "data render": ("data_render", "draw the pictures of a dataset again, bit for bit"),
     "data show": ("data_show", "draw a sample sheet: pictures, waypoints, actions"),
+    "data prompt": ("data_prompt", "print what a model is asked at a sample, and its answer"),
     "data stats": ("data_stats", "one page about paths, turns, actions, words, goals, scenes"),
     "data verify": ("data_verify", "read every byte again and name what is damaged"),
     "data repair": ("data_repair", "rebuild what is damaged, byte for byte"),

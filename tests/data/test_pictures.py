@@ -7,14 +7,18 @@ import pytest
 
 from gn0.data.codec import waypoint_pixels
 from gn0.data.episode_frames import read_frames
+from gn0.data.lerobot_schema import Film
 from gn0.data.part_pictures import bare_map, eyes_of
-from gn0.data.sample_pictures import SENSORS
+from gn0.data.sample_pictures import SENSORS, build_eyes, draw_episode
 from gn0.data.sample_table import PICTURES
 from gn0.data.settings import TokenSettings
 from gn0.errors import DataError
+from gn0.maps.navigation import NavigationMap
 from gn0.sim.open import open_simulator
+from gn0.sim.presets import find_preset
 from gn0.sim.sensors import MapFrame
 from gn0.storage import content_hash
+from gn0.testing.scenes import build_point_episodes, build_room_scene
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +63,25 @@ def test_frames_drawn_again_are_what_the_simulator_shows(webdataset, watched) ->
     for frame, observation in zip(frames, observations, strict=False):
         for sensor in SENSORS:
             np.testing.assert_array_equal(frame[sensor], getattr(observation, sensor))
+
+
+def test_small_eyes_have_small_mosaics() -> None:
+    scene, preset = build_room_scene(), find_preset("tiny_160")
+    navigation = NavigationMap(scene.grid, preset.agent.radius)
+    (episode,) = build_point_episodes(scene, navigation, 1, seed=5)
+    simulator = open_simulator(scene, preset, "cpu", {"rgb", "history"})
+    seen, poses = [simulator.reset(episode)], [simulator.pose]
+    for action in (1, 2, 1):
+        seen.append(simulator.step(action).observation)
+        poses.append(simulator.pose)
+    eyes = build_eyes(scene, navigation, preset, preset.agent)
+    for mine, theirs in zip(draw_episode(eyes, episode, np.array(poses)), seen, strict=True):
+        assert mine.history.shape == mine.rgb.shape == (160, 160, 3)
+        assert mine.history.tobytes() == theirs.history.tobytes()
+    assert mine.history.any()
+    film = Film.of(preset.picture_size, tile=preset.history_tile)
+    assert film.sizes["history"] == (160, 160)
+    assert Film.of((480, 360)).sizes["history"] == (640, 480)
 
 
 def test_light_changes_view_and_map_alike_and_nothing_else(webdataset) -> None:

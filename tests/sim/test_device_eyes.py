@@ -24,6 +24,7 @@ from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_eyes import box_weights
 from gn0.sim.device_layout import SOURCE, blocks_of
 from gn0.sim.device_rollout import RolloutCollector
+from gn0.sim.env import GoalNavEnv
 from gn0.sim.history import reduce_picture
 from gn0.sim.open import name_look
 from gn0.sim.presets import CameraPreset
@@ -300,6 +301,55 @@ def test_looks_get_numbers_again(rooms, tiny) -> None:
         assert seen["rgb"].numpy().any()
     assert store.dropped
     assert len(store._look_names) <= 3
+
+
+@pytest.mark.parametrize("tile", [(16, 12), (12, 7), (9, 5), (36, 28)])
+def test_tiles_of_any_size_are_those_of_one_agent(rooms, tiny, tile) -> None:
+    """Rows of whole 16 and 4 byte words, of neither, and tiles as large as the view."""
+    scenes, episodes = rooms
+    settings = {"episodes": episodes, "sensors": ("history", "rgb"), "preset": tiny,
+                "max_steps": 7, "history_tile": tile}  # fmt: skip
+    device = DeviceHost(2)
+    env = VectorEnvDevice(2, scenes, device=device, renderer=RendererBatchCpu(device),
+                          final_pictures=True, **settings)  # fmt: skip
+    twin = VectorEnv(2, scenes, backend="cpu", **settings)
+    mine, theirs = env.reset(seed=3)[0], twin.reset(seed=3)[0]
+    assert env.observation_space["history"].shape == (2, 4 * tile[1], 4 * tile[0], 3)
+    for t in range(18):
+        assert mine["history"].shape == env.observation_space["history"].shape
+        np.testing.assert_array_equal(mine["history"].numpy(), theirs["history"])
+        actions = np.array([2 - t % 2, 3])
+        mine, _, _, _, told = env.step(actions)
+        theirs, _, _, _, infos = twin.step(actions)
+        for agent in told["final_obs"]["agents"].tolist():
+            last = told["final_obs"]["history"][agent].numpy()
+            np.testing.assert_array_equal(last, infos["final_obs"][agent]["history"])
+    assert theirs["history"][0].any()
+    one = GoalNavEnv(scenes[0], backend="cpu", **(settings | {"episodes": episodes[:1]}))
+    twin = VectorEnv(1, scenes[0], backend="cpu", **(settings | {"episodes": episodes[:1]}))
+    one.reset(seed=1)
+    twin.reset(seed=1)
+    for action in (1, 2, 1):
+        alone, many = one.step(action)[0]["history"], twin.step(np.array([action]))[0]["history"][0]
+        np.testing.assert_array_equal(alone, many)
+    each = 2 * 16 * tile[0] * tile[1] * 3  # tiles, and the mosaic of them
+    assert env.memory["pictures"] == 2 * (each + each // 2)
+
+
+@pytest.mark.parametrize(("preset", "limit"), [("tiny_128", 98_304), ("tiny_160", 153_600)])
+def test_small_eyes_take_little_memory(rooms, preset, limit) -> None:
+    """Tiles and mosaic; with the view and two maps of 128 px, 1,024 agents take 0.25 to 0.33 GB."""
+    scenes, episodes = rooms
+    device = DeviceHost()
+    env = VectorEnvDevice(
+        2, scenes, episodes=episodes, device=device, renderer=RendererBatchCpu(device),
+        sensors=("rgb", "history"), preset=preset,
+    )  # fmt: skip
+    seen = env.reset(seed=0)[0]
+    assert seen["rgb"].shape == seen["history"].shape
+    assert env.memory["pictures"] == 2 * limit
+    maps = 2 * 128 * 128 * 3
+    assert 1024 * (limit + seen["rgb"][0].nbytes + maps) <= 0.5e9
 
 
 def test_rollouts_hold_pictures(rooms, tiny) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gn0.sim.history import History, build_mosaic, reduce_picture
+from gn0.sim.history import History, build_mosaic, mosaic_size, reduce_picture
 
 
 def picture(value: int, height: int = 360, width: int = 480) -> np.ndarray:
@@ -54,6 +54,23 @@ def test_reduction_is_the_mean_of_the_area() -> None:
 def test_reduction_keeps_the_brightness_of_odd_sizes() -> None:
     rgb = np.random.default_rng(1).integers(0, 256, (224, 224, 3), dtype=np.uint8)
     assert reduce_picture(rgb, 160, 120).mean() == pytest.approx(rgb.mean(), abs=0.5)
+
+
+def test_tiles_of_another_size() -> None:
+    history = History(size=(32, 24))
+    for value in (1, 2):
+        history.add(picture(value))
+    mosaic = history.mosaic()
+    assert mosaic.shape == (96, 128, 3) == (*mosaic_size((32, 24))[::-1], 3)
+    assert (mosaic[:24, :32] == 2).all() and (mosaic[:24, 32:64] == 1).all()
+    assert not mosaic[:, 64:].any()
+
+
+def test_a_view_as_large_as_a_tile_is_kept_as_it_was() -> None:
+    history, view = History(size=(32, 24)), picture(5, 24, 32)
+    history.add(view)
+    view[:] = 9
+    assert (history.tiles[0] == 5).all()
 
 
 def test_mosaics_share_no_memory_with_their_tiles() -> None:

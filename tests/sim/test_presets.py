@@ -7,6 +7,7 @@ import pytest
 
 from gn0.config import check_config
 from gn0.errors import ConfigError
+from gn0.sim.history import mosaic_size
 from gn0.sim.presets import CameraPreset, find_preset, preset_names
 
 
@@ -59,6 +60,25 @@ def test_bodies_and_tilts() -> None:
     assert find_preset("datagen").pitch_degrees == pytest.approx(-2.86, abs=0.005)
 
 
+@pytest.mark.parametrize(("name", "side"), [("tiny_128", 128), ("tiny_160", 160)])
+def test_small_eyes_are_square_and_their_mosaic_is_a_view(name: str, side: int) -> None:
+    preset = find_preset(name)
+    assert preset.picture_size == (side, side) == mosaic_size(preset.history_tile)
+    assert preset.rgb == preset.depth and preset.rgb.hfov == preset.rgb.vfov == pytest.approx(90)
+    assert preset.agent == find_preset("gn_bench").agent
+    assert preset.background == find_preset("gn_bench").background
+
+
+def test_tiles_are_those_of_the_preset_unless_told_otherwise() -> None:
+    assert {
+        find_preset(name).history_tile for name in preset_names() if not name.startswith("tiny_")
+    } == {(160, 120)}
+    assert find_preset("vlnce", history_tile=(56, 40)).history_tile == (56, 40)
+    assert find_preset("vlnce").history_tile == (160, 120)
+    with pytest.raises(ConfigError, match="history_tile"):
+        find_preset("vlnce", history_tile=(0, 40))
+
+
 @pytest.mark.parametrize("name", preset_names())
 def test_every_preset_survives_the_wire(name: str) -> None:
     preset = check_config(find_preset(name))
@@ -77,6 +97,8 @@ def test_an_unknown_name_lists_the_known() -> None:
         {"depth_range": (0.0, float("nan"))},
         {"pitch_degrees": 90.0},
         {"rgb_size": (9999, 360)},
+        {"history_tile": (160, 0)},
+        {"history_tile": (5000, 120)},
     ],
 )
 def test_settings_without_meaning_are_refused(change: dict) -> None:

@@ -79,6 +79,7 @@ def film_of(dataset: Dataset, settings: PictureSettings) -> Film:
         maps=settings.maps == "every",
         goals=any(isinstance(episode.mission, MissionGoal) for episode in dataset.episodes),
         depth=(preset.depth.width, preset.depth.height) if settings.depth else None,
+        tile=preset.history_tile,
     )
 
 

@@ -27,13 +27,7 @@ from gn0.data.sample_table import EpisodeRows
 from gn0.geometry import F64, U8, wrap_angle
 from gn0.paper import ACTIONS_AHEAD, POINTS
 from gn0.render.depth import to_metres
-from gn0.sim.history import (
-    COLUMNS,
-    ROWS,
-    TILE_HEIGHT,
-    TILE_WIDTH,
-    reduce_picture,
-)
+from gn0.sim.history import TILE, mosaic_size, reduce_picture
 from gn0.sim.simulator import STEP_SECONDS
 
 VERSION = "v3.0"
@@ -47,7 +41,6 @@ MOVING, STILLS = ("rgb", "history", "occupancy"), ("bev", "goal")
 DEPTH_KEY = "observation.images.depth"
 CANVAS = 448  # px: of the map pictures' square
 OUTSIDE = 127  # grey of the canvas beyond the map: unknown
-HISTORY_SIZE = (COLUMNS * TILE_WIDTH, ROWS * TILE_HEIGHT)
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES, TASKS = "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"
@@ -116,10 +109,11 @@ class Film:
         goals: bool = True,
         depth: tuple[int, int] | None = None,
         fps: int = FPS,
+        tile: tuple[int, int] = TILE,
     ) -> Film:
-        """The usual: views and goals of one size, mosaics, maps on their canvas."""
+        """The usual: views and goals of one size, mosaics of tiles, maps on their canvas."""
         canvas = (CANVAS, CANVAS)
-        sizes = {"rgb": picture, "history": HISTORY_SIZE}
+        sizes = {"rgb": picture, "history": mosaic_size(tile)}
         if maps:
             sizes |= {"bev": canvas, "occupancy": canvas}
         if goals:

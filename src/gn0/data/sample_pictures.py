@@ -26,8 +26,6 @@ from gn0.scenes.scene import Scene
 from gn0.sim.history import (
     COLUMNS,
     LENGTH,
-    TILE_HEIGHT,
-    TILE_WIDTH,
     History,
     build_mosaic,
 )
@@ -104,7 +102,7 @@ class StepPictures:
 
     @cached_property
     def history(self) -> U8:
-        """The mosaic of earlier views uint8 [480, 640, 3]."""
+        """The mosaic of earlier views uint8 [4 h, 4 w, 3]."""
         return self.lay()
 
     @cached_property
@@ -128,7 +126,7 @@ class Seen:
     Attributes:
         pose: where the agent stands.
         rgb: uint8 [H, W, 3]; None where its file and its digest are made already.
-        tile: the view as it is in later mosaics uint8 [120, 160, 3]; None where it is to be made.
+        tile: the view as it is in later mosaics uint8 [h, w, 3]; None where it is to be made.
         files: encoded pictures by name, the bytes that `encode_picture` gives.
         depth: uint16 [Hd, Wd] mm; None where it is not stored.
         digests: digests of raw pixels by name, those that `content_hash` gives.
@@ -149,11 +147,12 @@ def draw_episode(
 
     `views` are its views where they are drawn already.
     """
-    history = History()
+    tile = eyes.config.preset.history_tile
+    history = History(size=tile)
     start = Pose2D(*episode.start)
     bev = map_picture(eyes)
     for seen in draw_views(eyes, poses) if views is None else views:
-        lay = partial(build_mosaic, history.tiles)
+        lay = partial(build_mosaic, history.tiles, tile)
         paint = partial(eyes.occupancy_picture, start, seen.pose)
         yield StepPictures(seen.rgb, bev, lay, paint, seen.files, seen.depth, seen.digests)
         if seen.tile is not None:
@@ -230,7 +229,8 @@ def draw_files(
     assert encoder is not None
     plan = plan_look(preset, frozenset({"rgb", "depth"} if depth else {"rgb"}), True)
     first, both = plan.shots[0], "depth" in plan.shots[0].outputs
-    pixels = preset.rgb.width * preset.rgb.height + TILE_WIDTH * TILE_HEIGHT * LENGTH
+    width, height = preset.history_tile
+    pixels = preset.rgb.width * preset.rgb.height + width * height * LENGTH
     for begin in range(0, len(poses), BATCH):
         batch = [Pose2D(*map(float, row)) for row in poses[begin : begin + BATCH]]
         distinct = list(dict.fromkeys(batch))
@@ -245,7 +245,7 @@ def draw_files(
         wish = Encode(
             quality=quality,
             room=room,
-            tile=(TILE_WIDTH, TILE_HEIGHT),
+            tile=(width, height),
             cells=LENGTH,
             columns=COLUMNS,
             steps=np.array(numbers, np.int32).tobytes(),
@@ -281,12 +281,13 @@ def draw_files(
 def files_wanted(eyes: SensorSuite, settings: PictureSettings) -> bool:
     """Whether the drawing process should make the jpg files, too: it must know their pixels."""
     preset = eyes.config.preset
+    width, height = preset.history_tile
     return (
         _encoder_of(eyes) is not None
         and (settings.layout, settings.format) == ("webdataset", "jpg")
         and preset.picture_size == (preset.rgb.width, preset.rgb.height)
-        and preset.rgb.width % TILE_WIDTH == 0
-        and preset.rgb.height % TILE_HEIGHT == 0
+        and preset.rgb.width % width == 0
+        and preset.rgb.height % height == 0
     )
 
 

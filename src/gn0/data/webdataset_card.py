@@ -16,6 +16,7 @@ from gn0.data.sample_table import DEPTH, PICTURES
 from gn0.data.settings import PictureSettings
 from gn0.missions.episode import MissionGoal
 from gn0.scenes.folder import load_scene_file
+from gn0.sim.history import mosaic_size
 from gn0.sim.presets import find_preset
 from gn0.storage import safe_join
 from gn0.yaml_file import encode_yaml
@@ -152,9 +153,10 @@ def _body(
     about, kind = dataset.about, settings.format
     preset = find_preset(about.camera)
     width, height = preset.picture_size
+    across, down = mosaic_size(preset.history_tile)
     rows = [
         (f"`rgb.{kind}`", f"the view, {width}×{height}, {preset.rgb.hfov:.2f}° wide"),
-        (f"`history.{kind}`", "the last sixteen views, newest at the top left, 640×480"),
+        (f"`history.{kind}`", f"the last sixteen views, newest at the top left, {across}×{down}"),
     ]
     if settings.maps == "every":
         rows += [

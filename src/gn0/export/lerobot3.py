@@ -141,6 +141,7 @@ class ExporterLeRobot3(OwnPoses):
             goals=any(record["beside"][2] for record in records),
             depth=None if head["depth"] is None else (head["depth"][0], head["depth"][1]),
             fps=job.settings.fps or FPS,
+            tile=job.settings.preset(job.source).history_tile,
         )
         spans: list[dict[str, Span]] = [{} for _ in records]
         stats: list[dict[str, Any]] = [dict(record["stats"]) for record in records]
@@ -204,8 +205,8 @@ def _known_walk(job: Job, way: str) -> dict[str, Any] | None:
 def _film_walk(trip: Trip, job: Job, way: str, maps: Iterator[U8]) -> dict[str, Any]:
     """Write the clips of a walk, and its depth; sizes and statistics."""
     preset = job.settings.preset(job.source)
-    film = Film.of(preset.picture_size, fps=job.settings.fps or FPS)
-    writer, history = WalkWriter(film, MOVING, CRF), History()
+    film = Film.of(preset.picture_size, fps=job.settings.fps or FPS, tile=preset.history_tile)
+    writer, history = WalkWriter(film, MOVING, CRF), History(size=preset.history_tile)
     deep, sums, depth = _deep(job), PixelSums(1), []
     for seen, plan in zip(
         job.source.frames(trip, preset, RGBD if deep else RGB), maps, strict=True

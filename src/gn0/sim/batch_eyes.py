@@ -98,7 +98,9 @@ class BatchEyes:
         self.open_suite = open_suite
         self._scenes_kept = scenes_kept
         self._suites: OrderedDict[str, SensorSuite] = OrderedDict()
-        self._histories = [History() for _ in range(count)] if carried.views else []
+        self._histories = [
+            History(size=config.preset.history_tile) for _ in range(count if carried.views else 0)
+        ]
         self._place: list[Place | None] = [None] * count  # of the pictures below
         self._seen: Seen = {}  # of all agents
         self._spaces = {s.name: s.find_space(config) for s in self._sensors}

@@ -92,6 +92,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         copy: what reset and step give are copies; without, it is the environment's memory and
             holds until the next step or reset.
         channels_first: pictures are [N, 3, H, W] rather than [N, H, W, 3].
+        history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
 
     Raises:
         ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves, or
@@ -132,6 +133,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         action_space: str = "discrete",
         copy: bool = False,
         channels_first: bool = False,
+        history_tile: tuple[int, int] | None = None,
     ) -> None:
         self.num_envs = num_envs
         self.sensors, words = split_sensors(sensors)
@@ -148,7 +150,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
-        camera = find_preset(self.tasks.preset)
+        camera = find_preset(self.tasks.preset, history_tile=history_tile)
         config = SensorConfig(active=frozenset(self.sensors), preset=camera, map_mode=self.map_mode)
         carried = config.carried
         refuse_host_sensors(carried.sensors)

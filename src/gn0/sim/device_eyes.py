@@ -28,7 +28,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.device_layout import blocks_of
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_store import MapPictures
-from gn0.sim.history import COLUMNS, LENGTH, ROWS, TILE_HEIGHT, TILE_WIDTH
+from gn0.sim.history import LENGTH, mosaic_size
 from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
 from gn0.sim.open import look_hash, name_look, split_look
 from gn0.sim.sensor.sensor import AgentsDevice, Sensor
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from gn0.sim.device_state import SimulatorDevice
 
 _PIXELS = 256  # threads a block of kernels that have one a pixel
+_WORDS = {16: "lay_mosaics", 4: "lay_mosaics_4", 1: "lay_mosaics_1"}  # kernels by bytes a thread
 _WEIGHT = 22  # bits of the weights of Pillow's box filter
 
 
@@ -79,7 +80,7 @@ class AgentsThere:
         return self.pictures[output]
 
     def mosaics(self) -> DeviceArray:
-        """Mosaics of earlier views [N, 480, 640, 3]."""
+        """Mosaics of earlier views [N, H, W, 3]."""
         assert self._eyes is not None
         views = self.output("views") if self._final else self._simulator.views
         return self._eyes.mosaics(self._simulator, self._prefix, views)
@@ -211,8 +212,8 @@ class EyesDevice:
         if not self._carried.views:
             return
         assert self._rgb is not None
-        tiles = self._array(simulator, "tiles", (LENGTH, TILE_HEIGHT, TILE_WIDTH, 3), np.uint8)
-        self._reduce(simulator, self._rgb, TILE_WIDTH, TILE_HEIGHT, tiles, simulator.views)
+        width, height = self.config.preset.history_tile
+        self._reduce(simulator, self._rgb, width, height, self._rings(simulator), simulator.views)
 
     def draw(self, simulator: SimulatorDevice) -> dict[str, DeviceArray]:
         """What agents see where they stand, [N, …] by sensor.
@@ -263,16 +264,25 @@ class EyesDevice:
 
         With `final`, those of `draw_final` included.
         """
-        each = 0
+        each = tiles = 0
         if self._carried.views:
-            each += ROWS * COLUMNS * TILE_HEIGHT * TILE_WIDTH * 3
+            across, down = mosaic_size(self.config.preset.history_tile)
+            each += down * across * 3
+            tiles = each  # all of them are in it
         if self._map_shape is not None:
             each += len(self._carried.maps) * self._map_shape[0] * self._map_shape[1] * 3
         if self._carried.goal_view:
             width, height = self.config.preset.picture_size
             each += width * height * 3
-        tiles = LENGTH * TILE_HEIGHT * TILE_WIDTH * 3 if self._carried.views else 0
         return (each * (1 + final) + tiles) * count
+
+    def tiles(self, simulator: SimulatorDevice) -> DeviceArray | None:
+        """Earlier views [N, 16, h, w, 3], a ring for each agent; None where no sensor looks."""
+        return self._rings(simulator) if self._carried.views else None
+
+    def _rings(self, simulator: SimulatorDevice) -> DeviceArray:
+        width, height = self.config.preset.history_tile
+        return self._array(simulator, "tiles", (LENGTH, height, width, 3), np.uint8)
 
     def _array(
         self, simulator: SimulatorDevice, name: str, shape: tuple[int, ...], kind: Any
@@ -395,14 +405,15 @@ class EyesDevice:
         self, simulator: SimulatorDevice, prefix: str, views: DeviceArray | None
     ) -> DeviceArray:
         """Mosaics of the last sixteen of so many `views` [N]."""
-        tiles = self._array(simulator, "tiles", (LENGTH, TILE_HEIGHT, TILE_WIDTH, 3), np.uint8)
-        shape = (ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3)
-        out = self._array(simulator, prefix + "history", shape, np.uint8)
-        words = TILE_WIDTH * 3 // 16
-        grid = (simulator.count, blocks_of(ROWS * TILE_HEIGHT * COLUMNS * words, _PIXELS))
-        simulator.kernels["lay_mosaics"].launch(
-            *(grid, _PIXELS, tiles, views),
-            *(np.int32(TILE_HEIGHT), np.int32(words), out),
+        width, height = self.config.preset.history_tile
+        across, down = mosaic_size((width, height))
+        out = self._array(simulator, prefix + "history", (down, across, 3), np.uint8)
+        line = width * 3  # bytes of a tile's row, copied in the widest words that it is whole of
+        word = next(size for size in _WORDS if line % size == 0)
+        grid = (simulator.count, blocks_of(down * across * 3 // word, _PIXELS))
+        simulator.kernels[_WORDS[word]].launch(
+            *(grid, _PIXELS, self._rings(simulator), views),
+            *(np.int32(height), np.int32(line // word), out),
         )
         return out
 

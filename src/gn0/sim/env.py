@@ -89,6 +89,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         channels_first: pictures are [3, H, W] rather than [H, W, 3].
         top_down_map: `info["top_down_map"]` follows the agent, see `gn0.sim.top_down_map`.
         noise: what the body adds to depth, pose and moves, see `gn0.sim.noise`.
+        history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
     """
 
     metadata = {  # noqa: RUF012 (Gymnasium's own declaration)
@@ -117,6 +118,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         channels_first: bool = False,
         top_down_map: bool = False,
         noise: Noise | None = None,
+        history_tile: tuple[int, int] | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -141,7 +143,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self._distance = 0.0
         self.continuous = action_space == "continuous"
         self.action_space = build_action_space(action_space)
-        camera = find_preset(self.tasks.preset)
+        self._camera = camera = find_preset(self.tasks.preset, history_tile=history_tile)
         self._carried = carry_sensors(self.sensors).sensors
         maps = shape_of_maps(self.tasks, self.sensors, camera)
         own = build_spaces(self.sensors, camera, maps, view=self._map_view)
@@ -250,7 +252,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
                 raise EpisodeError(f"scene {scene_id!r} is not here", remedy="open it with scene=")
             self._simulators[look] = open_simulator(
                 self.tasks.scenes[scene_id](),
-                self.tasks.preset,
+                self._camera,
                 self._backend,
                 self._drawn,
                 self.tasks.agent,

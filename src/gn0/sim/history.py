@@ -1,7 +1,8 @@
 """The history mosaic: the last sixteen views in one picture, newest at the top left.
 
 Layout of the official GN0 release: 4 x 4 tiles of 160 x 120 in 640 x 480, row by row, the current
-view excluded, black where there is no view yet. Tiles are reduced by area averaging.
+view excluded, black where there is no view yet. Tiles are reduced by area averaging. A camera
+preset may have tiles of another size.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from PIL import Image
 from gn0.geometry import U8
 from gn0.paper import HISTORY
 
-TILE_WIDTH, TILE_HEIGHT = 160, 120
+Size = tuple[int, int]  # (width, height) [px]
+TILE: Size = 160, 120
 ROWS = COLUMNS = 4
 LENGTH = HISTORY  # of tiles, which fill rows and columns
 
@@ -39,18 +41,30 @@ def reduce_pictures(rgb: U8, width: int, height: int) -> U8:
     return np.stack([reduce_picture(picture, width, height) for picture in rgb])
 
 
-class History:
-    """The tiles of the last sixteen views, newest first."""
+def mosaic_size(tile: Size = TILE) -> Size:
+    """(width, height) [px] of a mosaic of such tiles."""
+    return COLUMNS * tile[0], ROWS * tile[1]
 
-    def __init__(self, tiles: Iterable[U8] = ()) -> None:
+
+class History:
+    """The tiles of the last sixteen views, newest first.
+
+    Args:
+        tiles: of views so far.
+        size: (width, height) [px] of a tile.
+    """
+
+    def __init__(self, tiles: Iterable[U8] = (), size: Size = TILE) -> None:
         self._tiles: deque[U8] = deque(tiles, maxlen=LENGTH)
+        self.size = size
 
     def add(self, rgb: U8) -> None:
         """Remember a view [H, W, 3]; the oldest is forgotten when there are sixteen."""
-        self._tiles.appendleft(reduce_picture(rgb, TILE_WIDTH, TILE_HEIGHT))
+        tile = reduce_picture(rgb, *self.size)
+        self._tiles.appendleft(tile.copy() if tile is rgb else tile)
 
     def add_tile(self, tile: U8) -> None:
-        """Remember a view that is reduced already [120, 160, 3]."""
+        """Remember a view that is reduced already [h, w, 3]."""
         self._tiles.appendleft(tile)
 
     def clear(self) -> None:
@@ -59,19 +73,23 @@ class History:
 
     @property
     def tiles(self) -> tuple[U8, ...]:
-        """The tiles [120, 160, 3], newest first."""
+        """The tiles [h, w, 3], newest first."""
         return tuple(self._tiles)
 
     def mosaic(self) -> U8:
-        """The mosaic [480, 640, 3]: a new array each time."""
-        return build_mosaic(self._tiles)
+        """The mosaic [4 h, 4 w, 3]: a new array each time."""
+        return build_mosaic(self._tiles, self.size)
 
 
-def build_mosaic(tiles: Iterable[U8]) -> U8:
-    """Lay up to sixteen tiles [120, 160, 3], newest first, row by row on black [480, 640, 3]."""
-    mosaic = np.zeros((ROWS * TILE_HEIGHT, COLUMNS * TILE_WIDTH, 3), np.uint8)
+def build_mosaic(tiles: Iterable[U8], size: Size = TILE) -> U8:
+    """Lay up to sixteen tiles [h, w, 3], newest first, row by row on black [4 h, 4 w, 3].
+
+    `size` is their (width, height) [px].
+    """
+    width, height = size
+    mosaic = np.zeros((ROWS * height, COLUMNS * width, 3), np.uint8)
     for index, tile in zip(range(LENGTH), tiles, strict=False):
         row, column = divmod(index, COLUMNS)
-        top, left = row * TILE_HEIGHT, column * TILE_WIDTH
-        mosaic[top : top + TILE_HEIGHT, left : left + TILE_WIDTH] = tile
+        top, left = row * height, column * width
+        mosaic[top : top + height, left : left + width] = tile
     return mosaic

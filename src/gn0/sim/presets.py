@@ -11,13 +11,17 @@ from __future__ import annotations
 
 import math
 
+import msgspec
+
 from gn0.config import Config
 from gn0.errors import ConfigError
 from gn0.missions.episode import AgentSpec
 from gn0.paper import CAMERA_SIZE, CAMERA_VFOV, DEPTH_RANGE
 from gn0.render.camera import Camera
+from gn0.sim.history import TILE
 
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+TILE_LIMIT = 1024  # px
 
 
 class CameraPreset(Config, frozen=True):
@@ -33,6 +37,7 @@ class CameraPreset(Config, frozen=True):
         pitch_degrees: how far the cameras look up (negative: down).
         depth_range: (min, max) [m] of the depth sensor; empty pixels read max.
         background: colour behind the scene, 0..1.
+        history_tile: (width, height) [px] of an earlier view in the mosaic of sensor `history`.
         note: what the source leaves open and we chose.
     """
 
@@ -44,6 +49,7 @@ class CameraPreset(Config, frozen=True):
     pitch_degrees: float = 0.0
     depth_range: tuple[float, float] = DEPTH_RANGE
     background: tuple[float, float, float] = WHITE
+    history_tile: tuple[int, int] = TILE
     note: str = ""
 
     def __post_init__(self) -> None:
@@ -64,6 +70,11 @@ class CameraPreset(Config, frozen=True):
             raise ConfigError(
                 f"rgb_size {self.rgb_size} is not within the rendered {self.rgb.width}x"
                 f"{self.rgb.height}", where=f"preset {self.name!r}", remedy="reduce, never enlarge",
+            )  # fmt: skip
+        if not all(1 <= side <= TILE_LIMIT for side in self.history_tile):
+            raise ConfigError(
+                f"history_tile is {self.history_tile} px", where=f"preset {self.name!r}",
+                remedy=f"give a width and a height from 1 to {TILE_LIMIT}",
             )  # fmt: skip
 
     @property
@@ -96,6 +107,17 @@ def _n1(centimetres: int, degrees: int) -> CameraPreset:
         agent=AgentSpec(camera_height=centimetres / 100),
         pitch_degrees=-float(degrees),
         note=_N1_NOTE,
+    )
+
+
+def _tiny(side: int) -> CameraPreset:
+    return _with_hfov(
+        f"tiny_{side}",
+        (side, side),
+        90.0,
+        agent=_BODY_15,
+        history_tile=(side // 4, side // 4),
+        note="no benchmark's: for small models; view and mosaic of one size",
     )
 
 
@@ -139,6 +161,8 @@ _PRESETS = (
         "rgbd_224", (224, 224), 90.0, agent=_VLNCE_EYE, background=BLACK,
         note="no benchmark's: for training, colour and depth of one small size in one drawing",
     ),
+    _tiny(128),
+    _tiny(160),
     _with_hfov(
         "sage", (640, 480), 90.0, agent=AgentSpec(camera_height=1.20), background=BLACK,
         note="hfov 90 chosen by us: the source gives size and height only",
@@ -158,15 +182,20 @@ def preset_names() -> list[str]:
     return sorted([*_BY_NAME, *_ALIASES])
 
 
-def find_preset(name: str) -> CameraPreset:
+def find_preset(name: str, *, history_tile: tuple[int, int] | None = None) -> CameraPreset:
     """The preset of that name ("vlnce" means vlnce_r2r, "n1" means n1_125cm_0deg).
 
+    `history_tile` (width, height) [px] takes the place of its own.
+
     Raises:
-        ConfigError: no such preset; lists those that exist.
+        ConfigError: no such preset; lists those that exist. Or no such tile.
     """
     try:
-        return _BY_NAME[_ALIASES.get(name, name)]
+        found = _BY_NAME[_ALIASES.get(name, name)]
     except (KeyError, TypeError):
         raise ConfigError(
             f"no camera preset named {name!r}", remedy="known: " + ", ".join(preset_names())
         ) from None
+    if history_tile is None:
+        return found
+    return msgspec.structs.replace(found, history_tile=tuple(history_tile))

@@ -142,7 +142,7 @@ class Simulator:
         self._here.mapper = self._mapper
         self._actuation = config.noise.actuation if config.noise.moves else None
         self._episode: Episode | None = None
-        self._history = History()
+        self._history = History(size=config.preset.history_tile)
         self._over = True
         self._x = self._y = self._yaw = math.nan  # nowhere yet
 
@@ -373,7 +373,7 @@ class Simulator:
         if self._mapper is not None and state.explored is not None:
             self._mapper.restore(state.explored)
         self._steps, self._collided, self._over = state.steps, state.collided, state.over
-        self._history = History(state.tiles)
+        self._history = History(state.tiles, self.config.preset.history_tile)
         self._last_look = None
         self._goal_picture = None
         self._place(state.x, state.y, state.base, state.turns)

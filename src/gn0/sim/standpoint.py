@@ -12,6 +12,7 @@ from gn0.errors import SimError
 from gn0.geometry import F32, U8, Pose2D
 from gn0.missions.episode import Episode
 from gn0.seeds import random_stream
+from gn0.sim.history import build_mosaic
 from gn0.sim.state import STEP_SECONDS
 
 if TYPE_CHECKING:
@@ -79,6 +80,10 @@ class Standpoint:
     def navigation(self) -> NavigationMap:
         """The scene's map."""
         return self._suite.navigation
+
+    def mosaic(self) -> U8:
+        """Earlier views in one picture."""
+        return build_mosaic(self.views(), self._suite.config.preset.history_tile)
 
     def bev(self) -> U8:
         """The scene from above, or what the agent has seen of it."""

@@ -91,7 +91,8 @@ class Observation:
         occupancy: [Hb, Wb, 3] uint8 occupancy picture, same frame and scale as `bev`, with the
             start (green) and the agent (red) drawn as discs; with map mode `explored` all that
             the agent has not seen is unknown.
-        history: [480, 640, 3] uint8 mosaic of the last sixteen views, newest first.
+        history: [480, 640, 3] uint8 mosaic of the last sixteen views, newest first; its size is
+            16 tiles of `CameraPreset.history_tile`.
         ranges: [R] float32 m, a planar lidar ring: ray k points at yaw + 2πk/R, the distance to
             the first blocked cell of the agent's inflated map.
         goal_vector: (forward, left) [m] to the goal, for policies that are told the place.

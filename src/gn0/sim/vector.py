@@ -87,6 +87,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             and hold until the next step or reset.
         channels_first: pictures are [N, 3, H, W] rather than [N, H, W, 3].
         noise: what each body adds to depth and pose, see `gn0.sim.noise`; moves are exact here.
+        history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
 
     Raises:
         ConfigError: an unknown sensor, preset, backend, action space or render mode.
@@ -125,6 +126,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         copy: bool = True,
         channels_first: bool = False,
         noise: Noise | None = None,
+        history_tile: tuple[int, int] | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -139,7 +141,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         )
         self._motions = dict(motions or {})
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
-        camera = find_preset(self.tasks.preset)
+        self._camera = camera = find_preset(self.tasks.preset, history_tile=history_tile)
         self.noise = noise or Noise()
         self._map_view = read_map_view(map_view)
         if self.noise.moves:
@@ -213,7 +215,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         scene_id, light = split_look(look)
         return open_simulator(
             self.tasks.scenes[scene_id](),
-            self.tasks.preset,
+            self._camera,
             self._backend,
             self._drawn,
             self.tasks.agent,

@@ -115,20 +115,34 @@ KERNEL(reduce_pictures)(const u8 *in, int rows, int cols, const int *across, int
   for (int c = 0; c < 3; c++) q[c] = (u8)clip8(sum[c]);
 }
 
-// History mosaics [N, 4 * 120, 4 * 160, 3] from the tiles [N, TILES, 120, 160, 3], newest first;
-// black where there is no view yet. 16 bytes a thread.
-KERNEL(lay_mosaics)(const uint4 *tiles, const int *views, int tile_rows, int row_words, uint4 *out) {
+// History mosaics [N, 4 h, 4 w, 3] from the tiles [N, TILES, h, w, 3], newest first; black where
+// there is no view yet. A word a thread; a tile's row is `row_words` of them.
+template <class Word>
+__device__ __forceinline__ void lay_mosaic(const Word *tiles, const int *views, int tile_rows,
+                                           int row_words, Word nothing, Word *out) {
   int k = blockIdx.y * blockDim.x + threadIdx.x, i = blockIdx.x;
   int wide = COLUMNS * row_words, high = (TILES / COLUMNS) * tile_rows;
   if (k >= wide * high) return;
   int row = k / wide, col = k % wide, seen = views[i];
   int back = (row / tile_rows) * COLUMNS + col / row_words;  // 0 is the newest
-  uint4 word = make_uint4(0, 0, 0, 0);
+  Word word = nothing;
   if (back < min(seen, TILES)) {
     i64 tile = (i64)i * TILES + (seen - 1 - back) % TILES;
     word = tiles[(tile * tile_rows + row % tile_rows) * row_words + col % row_words];
   }
   out[(i64)i * wide * high + k] = word;
+}
+
+KERNEL(lay_mosaics)(const uint4 *tiles, const int *views, int rows, int words, uint4 *out) {
+  lay_mosaic(tiles, views, rows, words, make_uint4(0, 0, 0, 0), out);
+}
+
+KERNEL(lay_mosaics_4)(const u32 *tiles, const int *views, int rows, int words, u32 *out) {
+  lay_mosaic(tiles, views, rows, words, 0u, out);
+}
+
+KERNEL(lay_mosaics_1)(const u8 *tiles, const int *views, int rows, int words, u8 *out) {
+  lay_mosaic(tiles, views, rows, words, (u8)0, out);
 }
 
 // Rows [entries, size] to rows `to` of another array.

@@ -173,6 +173,10 @@ class Here(Protocol):
         """Earlier views as tiles, newest first; for sensors with `Sensor.views`."""
         ...
 
+    def mosaic(self) -> U8:
+        """The same tiles in one picture [H, W, 3]."""
+        ...
+
     def goal_picture(self) -> U8:
         """What the goal looks like [H, W, 3]; for sensors with `Sensor.goal_view`."""
         ...
@@ -234,7 +238,7 @@ class AgentsDevice(Protocol):
         ...
 
     def mosaics(self) -> DeviceArray:
-        """Mosaics of earlier views [N, 480, 640, 3]."""
+        """Mosaics of earlier views [N, H, W, 3]."""
         ...
 
     def goal_pictures(self) -> DeviceArray:

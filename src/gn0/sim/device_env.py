@@ -35,6 +35,7 @@ from gn0.sim.continuous import build_action_space
 from gn0.sim.device_eyes import AgentsThere, EyesDevice, device_reader, refuse_host_sensors
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_state import SimulatorDevice
+from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
 from gn0.sim.device_walkers import WalkersDevice
 from gn0.sim.device_words import LayoutDevice, ObservationsDevice, WordsDevice, rename_words
 from gn0.sim.env import build_spaces, picture_names, shape_of_maps
@@ -208,6 +209,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             | word_spaces(self.words, self.tasks.episodes)
             | {"collided": spaces.Discrete(2)}
         )
+        self._states = StatesDevice(self.simulator, self._eyes)
         self._everyone = np.arange(num_envs)
         self._nobody = self.device.zeros(num_envs, np.bool_)
         self._seen: Observations = {}
@@ -267,6 +269,104 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self._begun = False  # if this fails, all must be reset
         self.simulator.limit_steps(self.tasks.max_steps)
         self.simulator.reset(which, seed, chosen)
+        self._begun = True
+        return self._observe(), self._infos()
+
+    def place(
+        self,
+        episodes: Any,
+        poses: Any,
+        *,
+        agents: Any = None,
+        steps: Any = 0,
+        collided: Any = False,
+        tiles: Any = None,
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Put agents at poses of episodes, as if they had walked there; it waits for the device.
+
+        Args:
+            episodes: ids, indices or Episodes, as `options["episode"]` takes them: one for all, or
+                one each.
+            poses: [K, 3] x, y [m], yaw [rad]. Any yaw will do; whole turns from the start's, as
+                `infos["pose"]` gives them, take no memory.
+            agents: [K] their numbers; all when None. The others stay where they are.
+            steps: taken so far, one number or [K].
+            collided: whether the action before was cut short, one bool or [K].
+            tiles: uint8 [K, n, h, w, 3], up to sixteen earlier views, newest first, reduced to
+                `CameraPreset.history_tile`; without any the mosaic is black. A DeviceArray or
+                anything that NumPy understands.
+
+        Raises:
+            SimError: a pose on blocked ground, out of reach of the goal or not finite, named with
+                its agent; numbers or tiles of another shape. Then nobody has moved.
+            EpisodeError: no such episode, or it does not fit its scene.
+            ResetNeeded: the environment was never reset.
+        """
+        which = self._pick_agents(agents)
+        there = self._states.read_places(len(which), poses, steps, collided, tiles)
+        self._states.place(which, self._choose(episodes, len(which)), there)
+        return self._observe(), self._infos()
+
+    def place_uniform(
+        self, seed: int, *, agents: Any = None, episodes: Any = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Put agents at random where their goals can be reached from; it waits for the device.
+
+        The place is uniform over that ground, the heading over those that whole turns lead to. The
+        mosaic is black and no step is taken. What is drawn comes from the seed's own stream: the
+        k-th of `agents` gets the same, however many there are.
+
+        Args:
+            seed: of the stream.
+            agents: [K] their numbers; all when None. The others stay where they are.
+            episodes: as for `place`; drawn, too, when None.
+
+        Raises:
+            EpisodeError: see `place`; then nobody has moved.
+            ResetNeeded: the environment was never reset.
+        """
+        which = self._pick_agents(agents)
+        numbers = None if episodes is None else self._choose(episodes, len(which))
+        self._states.place_uniform(int(seed), which, numbers)
+        return self._observe(), self._infos()
+
+    def save_state(self, agents: Any = None) -> AgentStates:
+        """The states of agents [K], or of all, to go on from as often as wanted.
+
+        Episode, pose, steps, tiles of earlier views and the episodes that come next: all that
+        decides what follows. Copies of their own on the device; it waits for the device.
+
+        Raises:
+            SimError: no such agents.
+            ResetNeeded: the environment was never reset.
+        """
+        return self._states.save(self._pick_agents(agents))
+
+    def restore_state(
+        self, states: AgentStates, *, agents: Any = None, rows: Any = None, draws: bool = True
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Put agents into saved states; it waits for the device.
+
+        Args:
+            states: that this environment saved.
+            agents: [K] numbers; those that were saved when None, or all where `rows` are as many.
+                The others stay where they are.
+            rows: [K] rows of the states; all when None. A row may come several times: eight
+                answers to 64 states are `rows=np.repeat(np.arange(64), 8)`.
+            draws: go on to the episodes that would have followed, too; else to those that come
+                next in each environment of its own.
+
+        Raises:
+            SimError: states of another environment, or numbers that do not fit them.
+            ResetNeeded: the environment was never reset.
+        """
+        chosen = pick_rows(states, rows)
+        if agents is None and rows is None:
+            agents = states.agents
+        which = self._pick_agents(agents)
+        self._states.check(states, which, chosen)
+        self._begun = False  # if this fails, all must be reset
+        self._states.restore(states, which, chosen, draws=draws)
         self._begun = True
         return self._observe(), self._infos()
 
@@ -356,7 +456,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     def close_extras(self, **kwargs: Any) -> None:
         """Release scenes, renderer and device memory."""
         self._seen, self._eyes, self._begun = {}, None, False
-        del self.simulator, self._now, self._last, self._told, self._layout
+        del self.simulator, self._now, self._last, self._told, self._layout, self._states
 
     def _masked(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:
@@ -371,12 +471,19 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             raise gymnasium.error.ResetNeeded("reset all environments before some of them")
         return np.flatnonzero(mask)
 
-    def _choose(self, wanted: Any) -> NDArray[np.int64]:
-        """Numbers [N] of the episodes named in `options["episode"]`."""
+    def _pick_agents(self, agents: Any) -> NDArray[np.int64]:
+        """Numbers [K] of agents, each once; all when None."""
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._everyone if agents is None else pick_agents(agents, self.num_envs)
+
+    def _choose(self, wanted: Any, count: int | None = None) -> NDArray[np.int64]:
+        """Numbers [N] of the episodes named in `options["episode"]`, or of `count`."""
+        count = self.num_envs if count is None else count
         many = wanted if isinstance(wanted, list | tuple | np.ndarray) else [wanted]
-        if len(many) not in (1, self.num_envs):
+        if len(many) not in (1, count):
             raise EpisodeError(
-                f"{len(many)} episodes for {self.num_envs} environments",
+                f"{len(many)} episodes for {count} environments",
                 remedy="give one each, or one for all",
             )
         own = self.simulator.numbers
@@ -393,7 +500,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                     remedy=f"give an id, an Episode or 0..{len(own) - 1}",
                 )
             numbers.append(int(own[index]))
-        return np.resize(np.array(numbers, np.int64), self.num_envs)
+        return np.resize(np.array(numbers, np.int64), count)
 
     def _observe(self) -> Observations:
         simulator = self.simulator

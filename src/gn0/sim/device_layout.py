@@ -71,7 +71,7 @@ OUTPUTS = np.dtype([(name, np.uint64) for name, _, _ in OUTPUT_FIELDS], align=Tr
 
 SOURCE = KernelSource(
     "simulation",
-    (KERNELS / "world.cu", KERNELS / "step.cu", KERNELS / "pictures.cu"),
+    tuple(KERNELS / f"{part}.cu" for part in ("world", "step", "pictures", "place")),
     (
         ("EPISODE_BYTES", EPISODE.itemsize),
         ("WORLD_BYTES", WORLD.itemsize),

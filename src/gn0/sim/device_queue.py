@@ -7,7 +7,8 @@ have been begun since stays pinned, and the queues are long enough for an episod
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -16,6 +17,18 @@ from numpy.typing import NDArray
 from gn0.sim.device_store import EpisodeStore
 
 _CHUNK = 256  # draws at a time from a generator; their sequence does not depend on it
+
+
+class Draws(NamedTuple):
+    """What an environment will draw next.
+
+    Attributes:
+        numbers: of episodes that are drawn already.
+        stream: state of the generator that draws those after them.
+    """
+
+    numbers: NDArray[np.int64]
+    stream: Mapping[str, Any]
 
 
 class EpisodeQueue:
@@ -43,7 +56,7 @@ class EpisodeQueue:
         self._numbers = numbers
         self._store = store
         self._streams: list[np.random.Generator | None] = [None] * count
-        self._drawn = np.zeros((count, _CHUNK + ahead), np.int32)  # indices into `numbers`
+        self._drawn = np.zeros((count, _CHUNK + ahead), np.int64)  # numbers
         self._at = np.zeros(count, np.int64)
         self._end = np.zeros(count, np.int64)
         self._window = np.full((count, ahead), -1, np.int32)  # slots, by position modulo `ahead`
@@ -84,6 +97,32 @@ class EpisodeQueue:
         self._store.release(playing[playing >= 0])
         self._playing[which] = slots
 
+    def playing(self, which: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Slots of the episodes that `which` play; `known` must be exact."""
+        return self._playing[which]
+
+    def save(self, which: NDArray[np.int64]) -> list[Draws]:
+        """What `which` will draw next, to be handed to `restore`; `known` must be exact."""
+        found = []
+        for i in which.tolist():
+            stream = self._streams[i]
+            assert stream is not None
+            places = np.arange(self.known[i], self.filled[i]) % self.ahead
+            ready = self._store.numbers_at(self._window[i, places])
+            drawn = self._drawn[i, self._at[i] : self._end[i]]
+            found.append(Draws(np.concatenate([ready, drawn]), stream.bit_generator.state))
+        return found
+
+    def restore(self, which: NDArray[np.int64], draws: Sequence[Draws]) -> None:
+        """Let `which` [K] draw what was saved [K]; `known` must be exact."""
+        self._forget(which)
+        for i, saved in zip(which.tolist(), draws, strict=True):
+            stream, count = self._streams[i], len(saved.numbers)
+            assert stream is not None
+            self._drawn[i, :count] = saved.numbers
+            self._end[i] = count
+            stream.bit_generator.state = saved.stream
+
     def refill(self) -> tuple[NDArray[np.int32], int] | None:
         """Draw until each queue holds `ahead` draws beyond what is known to have begun.
 
@@ -104,8 +143,7 @@ class EpisodeQueue:
         first = self.filled[which]
         rows, places = _spans(which, first, first + need[which])
         steps = places - np.repeat(first, need[which])
-        drawn = self._drawn[rows, self._at[rows] + steps]
-        slots = self._store.pin(self._numbers[drawn])
+        slots = self._store.pin(self._drawn[rows, self._at[rows] + steps])
         self._at[which] += need[which]
         self.filled[which] += need[which]
         self._window[rows, places % self.ahead] = slots
@@ -117,7 +155,8 @@ class EpisodeQueue:
         stream, left = self._streams[i], int(self._end[i] - self._at[i])
         assert stream is not None
         self._drawn[i, :left] = self._drawn[i, self._at[i] : self._end[i]]
-        self._drawn[i, left : left + _CHUNK] = stream.integers(len(self._numbers), size=_CHUNK)
+        drawn = stream.integers(len(self._numbers), size=_CHUNK)
+        self._drawn[i, left : left + _CHUNK] = self._numbers[drawn]
         self._at[i], self._end[i] = 0, left + _CHUNK
 
 

@@ -95,7 +95,7 @@ class SimulatorDevice:
                 remedy=f"give 1 to {AGENTS_MAX} agents, a step or more, and 1 to 1024 draws",
             )
         self.count, self.device, self.config = count, device, config
-        self.ahead, self.steps = ahead, 0
+        self.ahead, self.steps, self.max_steps = ahead, 0, max_steps
         self.kernels = device.load(SOURCE)
         rays = None
         if "ranges" in config.active:
@@ -109,7 +109,7 @@ class SimulatorDevice:
         self.numbers = self.store.add(episodes)
         self.queue = EpisodeQueue(count, ahead, self.numbers, self.store)
         self.state = {name: device.zeros((count, *shape), kind) for name, kind, shape in _STATE}
-        self.views = device.zeros(count, np.int32) if "history" in config.active else None
+        self.views = device.zeros(count, np.int32) if config.carried.views else None
         self._ring = device.zeros((count, ahead), np.int32)
         self._filled = device.zeros(count, np.int32)
         # draws begun [N], then the status words: together, so that one copy tells both
@@ -203,6 +203,12 @@ class SimulatorDevice:
         if most != self._settings["max_steps"]:
             self._settings["max_steps"], self._world = most, None
 
+    def tell_all(self) -> None:
+        """After agents were put elsewhere: fill queues, and say what all sense where they stand."""
+        self._fill()
+        self._begin(np.full(self.count, _STAY, np.int32))
+        self._safe = self.steps + self.ahead
+
     def read_actions(self, actions: Any, codes: DeviceArray | None = None) -> DeviceArray:
         """Actions [N] as codes uint8 [N] on the device, into `codes` when given.
 
@@ -213,7 +219,7 @@ class SimulatorDevice:
         """
         codes = self._codes if codes is None else codes
         if not isinstance(actions, DeviceArray):
-            if not _is_on_card(actions):
+            if not is_on_card(actions):
                 found = check_actions(actions, self.count).astype(np.uint8)
                 return self.device.upload(found, codes)
             from gn0.device.dlpack import wrap_array  # not needed for our own arrays
@@ -325,7 +331,7 @@ class SimulatorDevice:
         )
 
 
-def _is_on_card(actions: Any) -> bool:
+def is_on_card(actions: Any) -> bool:
     """Whether an array of another library lies in the memory of a GPU."""
     try:
         return int(actions.__dlpack_device__()[0]) in _ON_CARD

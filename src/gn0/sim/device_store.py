@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -103,7 +104,7 @@ class EpisodeStore:
         self.scene_ids = sorted(scenes)
         self.dropped = 0
         self.pool = PoolDevice(device, memory)
-        self._kernels = kernels
+        self.kernels = kernels
         self.ground = GroundStore(scenes, agent.radius, memory=host_memory)
         self._scene_number = {name: k for k, name in enumerate(self.scene_ids)}
         self._rays, self._pictures = rays, pictures
@@ -116,6 +117,8 @@ class EpisodeStore:
         self._in_play: list[str | None] | None = None  # forgotten when references change
         self._fields: dict[Destination, _Held] = {}
         self._own: dict[int, _Held] = {}  # by slot: headings
+        self._turned: dict[tuple[int, float], int] = {}  # slots of episodes with another heading
+        self._base_of: dict[int, float] = {}  # by such a slot: that heading
         self._number_of = np.full(64, -1, np.int32)  # by slot
         self._references = np.zeros(64, np.int64)
         self._used = np.zeros(64, np.int64)  # clock of the last release
@@ -189,6 +192,41 @@ class EpisodeStore:
             self._send_rows(fresh)
         return self._slot_of[numbers]
 
+    def pin_turned(
+        self, numbers: NDArray[np.integer], bases: NDArray[np.float64]
+    ) -> NDArray[np.int32]:
+        """`pin`, with headings counted from `bases` [K] rad; NaN: from the start's, as ever.
+
+        Raises: see `pin`; then nothing is pinned.
+        """
+        slots = np.empty(len(numbers), np.int32)
+        plain = np.isnan(bases)
+        slots[plain] = self.pin(numbers[plain])
+        done, fresh = plain.copy(), []
+        try:
+            for k in np.flatnonzero(~plain).tolist():
+                key = int(numbers[k]), float(bases[k])
+                if key not in self._turned:
+                    fresh.append(self._bring(*key))
+                slots[k] = self._turned[key]
+                self._references[slots[k]] += 1
+                done[k] = True
+        except BaseException:
+            self.release(slots[done])
+            raise
+        finally:
+            self._in_play = None
+            self._send_rows(fresh)
+        return slots
+
+    def numbers_at(self, slots: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Numbers [K] of the episodes at `slots` [K]."""
+        return self._number_of[slots].astype(np.int64)
+
+    def bases_at(self, slots: NDArray[np.integer]) -> NDArray[np.float64]:
+        """What headings count from at `slots` [K], rad; NaN: the start's heading."""
+        return np.array([self._base_of.get(slot, np.nan) for slot in slots.tolist()])
+
     def _order(self, number: int) -> tuple[str, tuple[float, ...]]:
         episode = self.episodes[number]
         return episode.scene_id, tuple(episode.goal)
@@ -200,7 +238,7 @@ class EpisodeStore:
         np.subtract.at(self._references, slots, 1)
         self._used[slots] = self._clock
 
-    def _bring(self, number: int) -> int:
+    def _bring(self, number: int, base: float | None = None) -> int:
         episode = self.episodes[number]
         if number not in self._checked:
             check_episode(episode)
@@ -224,13 +262,19 @@ class EpisodeStore:
                 look = self._looks.get(name) or self._bring_look(name)
                 look.users += 1
                 used.append(look)
-            own = self._build_headings(episode)
+            own = self._build_headings(episode, base)
         except BaseException:
             for held in used:
                 held.users -= 1
             self._sweep()
             raise
-        return self._seat(number, scene, field, own, look)
+        slot = self._seat(number, scene, field, own, look)
+        if base is None:
+            self._slot_of[number] = slot
+        else:
+            self._turned[number, base] = slot
+            self._base_of[slot] = base
+        return slot
 
     def _seat(self, number: int, scene: _Held, field: _Held, own: _Held, look: _Held | None) -> int:
         """Write the row of an episode; its slot."""
@@ -258,7 +302,6 @@ class EpisodeStore:
             row["look"] = look.number
         self._own[slot] = own
         self._number_of[slot] = number
-        self._slot_of[number] = slot
         return slot
 
     def _grow(self) -> None:
@@ -273,7 +316,7 @@ class EpisodeStore:
         if not slots:
             return
         words = EPISODE.itemsize // _WORD
-        self._kernels["store_rows"].launch(
+        self.kernels["store_rows"].launch(
             *(blocks_of(len(slots) * words), THREADS),
             *(self.device.upload(_bytes_of(self._rows[slots])),),
             *(self.device.upload(np.array(slots, np.int32)), self.rows),
@@ -314,7 +357,11 @@ class EpisodeStore:
         slot = int(idle[np.argmin(self._used[idle])])
         number = int(self._number_of[slot])
         episode = self.episodes[number]
-        self._slot_of[number] = self._number_of[slot] = -1
+        if slot in self._base_of:
+            del self._turned[number, self._base_of.pop(slot)]
+        else:
+            self._slot_of[number] = -1
+        self._number_of[slot] = -1
         self.pool.give(self._own.pop(slot).block)
         self._fields[destination_of(episode)].users -= 1
         self._scenes[episode.scene_id].users -= 1
@@ -369,8 +416,10 @@ class EpisodeStore:
         held.wide = field.labels.dtype == np.uint32
         return held
 
-    def _build_headings(self, episode: Episode) -> _Held:
+    def _build_headings(self, episode: Episode, base: float | None) -> _Held:
         """Headings after each number of turns, and the directions of range rays from each."""
+        if base is not None:
+            episode = msgspec.structs.replace(episode, start=(*episode.start[:2], base))
         headings = list_headings(episode, self.agent)
         if self._rays is None:
             return self._put(headings)

@@ -1,0 +1,94 @@
+// Agents put anywhere: ground that is free, states gathered and put back, free places at random.
+
+#define GROUND_FREE 0
+#define GROUND_BLOCKED 1
+#define GROUND_APART 2  // free, but no way leads from there to the goal
+
+// Whether an agent may stand in a cell of its episode.
+__device__ __forceinline__ int judge_cell(const Episode &e, i64 row, i64 col) {
+  if (is_blocked(e, row, col)) return GROUND_BLOCKED;
+  int at = e.compact[row * e.cols + col];
+  u32 label = e.wide ? ((const u32 *)e.labels)[at] : ((const u16 *)e.labels)[at];
+  return e.roots[(i64)label * 3 + 2] < (double)INFINITY ? GROUND_FREE : GROUND_APART;
+}
+
+// What the ground is like at positions [K, 2] m of the episodes at `slots` [K].
+KERNEL(judge_places)(World w, const int *slots, const double *positions, int count, u8 *verdicts) {
+  int k = blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= count) return;
+  const Episode &e = w.episodes[slots[k]];
+  i64 col = cell_index(positions[2 * k], e.x, e.resolution);
+  i64 row = cell_index(positions[2 * k + 1], e.y, e.resolution);
+  verdicts[k] = (u8)judge_cell(e, row, col);
+}
+
+// A place [K, 2] m for each of `slots` [K], uniform over all ground from which the goal can be
+// reached. `chances` [K, 3] in [0, 1): which cell, and where in it. A block an entry.
+KERNEL(find_places)(World w, const int *slots, const double *chances, double *positions) {
+  __shared__ int counts[1024];
+  __shared__ int wanted;
+  int k = blockIdx.x, t = threadIdx.x, threads = blockDim.x;
+  const Episode &e = w.episodes[slots[k]];
+  i64 cells = (i64)e.rows * e.cols, strip = (cells + threads - 1) / threads;
+  i64 begin = t * strip, end = begin + strip < cells ? begin + strip : cells;
+  int own = 0;
+  for (i64 at = begin; at < end; at++) own += judge_cell(e, at / e.cols, at % e.cols) == GROUND_FREE;
+  counts[t] = own;
+  __syncthreads();
+  if (t == 0) {
+    int total = 0;
+    for (int j = 0; j < threads; j++) {  // cells before each strip
+      int here = counts[j];
+      counts[j] = total;
+      total += here;
+    }
+    wanted = min((int)(chances[3 * k] * (double)total), total - 1);
+  }
+  __syncthreads();
+  int left = wanted - counts[t];
+  if (left < 0 || left >= own) return;
+  for (i64 at = begin; at < end; at++) {
+    if (judge_cell(e, at / e.cols, at % e.cols) != GROUND_FREE || left--) continue;
+    i64 row = at / e.cols, col = at % e.cols;
+    double x = e.x + ((double)col + chances[3 * k + 1]) * e.resolution;
+    double y = e.y + ((double)row + chances[3 * k + 2]) * e.resolution;
+    if (cell_index(x, e.x, e.resolution) != col) x = e.x + ((double)col + 0.5) * e.resolution;
+    if (cell_index(y, e.y, e.resolution) != row) y = e.y + ((double)row + 0.5) * e.resolution;
+    positions[2 * k] = x;
+    positions[2 * k + 1] = y;
+    return;
+  }
+}
+
+// Agents `agents` [K] stand at positions [K, 2] m in the episodes at `slots` [K].
+KERNEL(put_agents)(World w, const int *agents, const int *slots, const double *positions,
+                   const int *turns, const int *steps, const int *views, const u8 *collided,
+                   int count) {
+  int k = blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= count) return;
+  int i = agents[k];
+  double x = positions[2 * k], y = positions[2 * k + 1];
+  w.slot[i] = slots[k];
+  w.position[i] = make_double2(x, y);
+  w.turns[i] = turns[k];
+  w.steps[i] = steps[k];
+  w.collided[i] = collided[k];
+  w.distance[i] = measure(w.episodes[slots[k]], x, y);
+  if (w.views) w.views[i] = views[k];
+}
+
+// Rows `from` [K] of an array to rows `to` [K] of another, `size` bytes each; null: row k.
+KERNEL(move_rows)(const u8 *in, const int *from, const int *to, u64 size, int count, u8 *out) {
+  u64 at = (u64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (at >= size * count) return;
+  u64 k = at / size, byte = at % size;
+  out[(u64)(to ? to[k] : (int)k) * size + byte] = in[(u64)(from ? from[k] : (int)k) * size + byte];
+}
+
+// Tiles [K, views, size] bytes, newest first, into the rings of `agents`, who have seen so many.
+KERNEL(keep_tiles)(const u8 *tiles, const int *agents, int views, u64 size, int count, u8 *rings) {
+  u64 at = (u64)blockIdx.x * blockDim.x + threadIdx.x;
+  if (at >= size * views * count) return;
+  u64 row = at / size, k = row / views, back = row % views;
+  rings[((u64)agents[k] * TILES + (views - 1 - back)) * size + at % size] = tiles[at];
+}

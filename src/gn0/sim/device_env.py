@@ -47,7 +47,7 @@ from gn0.sim.sensors import (
 )
 from gn0.sim.simulator import STEP_SECONDS
 from gn0.sim.tasks import load_tasks
-from gn0.sim.words import split_sensors, token_length, word_spaces
+from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
 
 MEMORY = 2**32  # bytes of maps and distance fields
 HOST_MEMORY = 2**31  # bytes of distance fields beside them
@@ -94,6 +94,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             holds until the next step or reset.
         channels_first: pictures are [N, 3, H, W] rather than [N, H, W, 3].
         history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
+        vocabulary: how `instruction_tokens` are made, bytes when None; see
+            `gn0.sim.words.Vocabulary`, whose fields it may also be.
 
     Raises:
         ConfigError: an unknown sensor, preset or renderer, maps that agents make themselves, or
@@ -135,6 +137,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         copy: bool = False,
         channels_first: bool = False,
         history_tile: tuple[int, int] | None = None,
+        vocabulary: Vocabulary | Mapping[str, Any] | None = None,
     ) -> None:
         self.num_envs = num_envs
         self.sensors, words = split_sensors(sensors)
@@ -199,14 +202,16 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self.copy, self.channels_first = copy, channels_first
         moved = picture_names(self.sensors, camera) if channels_first else ()
         self._layout = LayoutDevice(self.simulator, moved, copy)
-        length = token_length(self.tasks.episodes)
-        self._told = WordsDevice(self.simulator, self.words, length)
+        table = None
+        if "instruction_tokens" in self.words:
+            table = WordTable(self.simulator.store.episodes, vocabulary)
+        self._told = WordsDevice(self.simulator, self.words, table)
         self._now = AgentsThere(self.simulator, self._eyes)
         self._last = AgentsThere(self.simulator, self._eyes, final=True)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
             build_spaces(self.sensors, camera, map_shape, channels_first)
-            | word_spaces(self.words, self.tasks.episodes)
+            | word_spaces(self.words, self.tasks.episodes, table)
             | {"collided": spaces.Discrete(2)}
         )
         self._states = StatesDevice(self.simulator, self._eyes)
@@ -229,6 +234,15 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
     def scene_ids(self) -> Sequence[str]:
         """Scenes by number, as `infos["scene"]` names them."""
         return self.simulator.store.scene_ids
+
+    @property
+    def token_table(self) -> DeviceArray:
+        """Tokens int32 [E, L] by number of the episode, as `instruction_index` gives it.
+
+        Raises:
+            ConfigError: `instruction_tokens` is not among the sensors.
+        """
+        return self._told.table
 
     @property
     def memory(self) -> dict[str, int]:
@@ -491,6 +505,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         numbers = []
         for value in many:
             if isinstance(value, Episode):
+                self._told.check(value)
                 numbers.append(int(self.simulator.store.add([value])[0]))
                 continue
             index = known.get(value, -1) if isinstance(value, str) else int(value)

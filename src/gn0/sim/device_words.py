@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gn0.device.device import DeviceArray
+from gn0.errors import ConfigError
 from gn0.sim.device_layout import blocks_of
-from gn0.sim.words import encode_texts
+from gn0.sim.words import WordTable
 
 if TYPE_CHECKING:
+    from gn0.missions.episode import Episode
     from gn0.sim.device_state import SimulatorDevice
 
 THREADS = 256
@@ -50,11 +52,13 @@ class WordsDevice:
     Args:
         simulator: in which they are.
         words: names of what they are told.
-        length: tokens of an instruction.
+        table: their tokens, where those are among the words.
     """
 
-    def __init__(self, simulator: SimulatorDevice, words: frozenset[str], length: int) -> None:
-        self._simulator, self._words, self._length = simulator, words, length
+    def __init__(
+        self, simulator: SimulatorDevice, words: frozenset[str], table: WordTable | None
+    ) -> None:
+        self._simulator, self._words, self._rows = simulator, words, table
         self._table: DeviceArray | None = None
         self._kept: dict[str, DeviceArray] = {}
 
@@ -68,16 +72,39 @@ class WordsDevice:
             found["instruction_tokens"] = self._take(prefix, numbers)
         return found
 
+    @property
+    def table(self) -> DeviceArray:
+        """Tokens int32 [E, L] by number of the episode; uploaded when episodes were added.
+
+        Raises:
+            ConfigError: tokens are not among the words.
+        """
+        if self._rows is None:
+            raise ConfigError(
+                "agents are not told in tokens", remedy="name sensor 'instruction_tokens'"
+            )
+        if self._rows.extend(self._simulator.store.episodes) or self._table is None:
+            self._table = self._simulator.device.upload(self._rows.rows)
+        return self._table
+
+    def check(self, episode: Episode) -> None:
+        """Refuse an episode that has no tokens.
+
+        Raises:
+            EpisodeError: see `gn0.sim.words.WordTable`.
+        """
+        if self._rows is not None:
+            self._rows.row(episode)
+
     def _take(self, name: str, numbers: DeviceArray) -> DeviceArray:
-        simulator, episodes = self._simulator, self._simulator.store.episodes
-        if self._table is None or len(self._table) < len(episodes):
-            self._table = simulator.device.upload(encode_texts(episodes, self._length))
+        simulator, table = self._simulator, self.table
+        length = table.shape[1]
         if name not in self._kept:
-            self._kept[name] = simulator.device.zeros((simulator.count, self._length), np.int32)
+            self._kept[name] = simulator.device.zeros((simulator.count, length), np.int32)
         out = self._kept[name]
         simulator.kernels["take_rows"].launch(
             *(blocks_of(out.size, THREADS), THREADS),
-            *(self._table, numbers, np.uint64(self._length), np.uint64(out.size), out),
+            *(table, numbers, np.uint64(length), np.uint64(out.size), out),
         )
         return out
 

@@ -53,7 +53,7 @@ from gn0.sim.simulator import Simulator
 from gn0.sim.state import Observation
 from gn0.sim.tasks import TaskSet, load_tasks
 from gn0.sim.top_down_map import TopDownMap
-from gn0.sim.words import encode_text, split_sensors, word_spaces
+from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
 
 STEP_COST = 0.01
 SUCCESS_REWARD = 2.5
@@ -90,6 +90,8 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         top_down_map: `info["top_down_map"]` follows the agent, see `gn0.sim.top_down_map`.
         noise: what the body adds to depth, pose and moves, see `gn0.sim.noise`.
         history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
+        vocabulary: how `instruction_tokens` are made, bytes when None; see
+            `gn0.sim.words.Vocabulary`, whose fields it may also be.
     """
 
     metadata = {  # noqa: RUF012 (Gymnasium's own declaration)
@@ -119,6 +121,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         top_down_map: bool = False,
         noise: Noise | None = None,
         history_tile: tuple[int, int] | None = None,
+        vocabulary: Vocabulary | Mapping[str, Any] | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -150,9 +153,12 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
         self._shapes = {name: space.shape for name, space in own.items()}
         self._numbers = {episode: k for k, episode in enumerate(dict.fromkeys(self.tasks.episodes))}
         self._pictures = picture_names(self.sensors, camera) if channels_first else frozenset()
+        table = None
+        if "instruction_tokens" in self.words:
+            table = self._tokens = WordTable(self.tasks.episodes, vocabulary)
         self.observation_space = spaces.Dict(
             build_spaces(self.sensors, camera, maps, channels_first, self._map_view)
-            | word_spaces(self.words, self.tasks.episodes)
+            | word_spaces(self.words, self.tasks.episodes, table)
             | {"collided": spaces.Discrete(2)}
         )
 
@@ -298,8 +304,7 @@ class GoalNavEnv(gymnasium.Env[dict[str, Any], Any]):
             number = self._numbers.setdefault(self.simulator.episode, len(self._numbers))
             packed["instruction_index"] = np.array(number, np.int32)
         if "instruction_tokens" in self.words:
-            space = self.observation_space["instruction_tokens"]  # type: ignore[index]
-            packed["instruction_tokens"] = encode_text(observation.instruction, space.shape[0])
+            packed["instruction_tokens"] = self._tokens.row(self.simulator.episode)
         for sensor in self._carried:
             value = observation.read(sensor.name)
             if self.copy or sensor.array is not None:

@@ -53,7 +53,7 @@ from gn0.sim.sensors import (
 )
 from gn0.sim.tasks import load_tasks
 from gn0.sim.walkers import WalkersHost
-from gn0.sim.words import encode_texts, split_sensors, word_spaces
+from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
 
 _DRAWS = 64  # episodes that an environment draws ahead
 
@@ -88,6 +88,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         channels_first: pictures are [N, 3, H, W] rather than [N, H, W, 3].
         noise: what each body adds to depth and pose, see `gn0.sim.noise`; moves are exact here.
         history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
+        vocabulary: how `instruction_tokens` are made, bytes when None; see
+            `gn0.sim.words.Vocabulary`, whose fields it may also be.
 
     Raises:
         ConfigError: an unknown sensor, preset, backend, action space or render mode.
@@ -127,6 +129,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         channels_first: bool = False,
         noise: Noise | None = None,
         history_tile: tuple[int, int] | None = None,
+        vocabulary: Vocabulary | Mapping[str, Any] | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -180,10 +183,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         own = build_spaces(self.sensors, camera, map_shape, view=self._map_view)
         self._shapes = {name: own[name].shape for name in self._padded}
         self._spelt = {s.name: s.as_array for s in carried if s.array is not None and not s.many}
+        self._words = None
+        if "instruction_tokens" in self.words:
+            self._words = WordTable(self.batch.table.episodes, vocabulary)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
             build_spaces(self.sensors, camera, map_shape, channels_first, self._map_view)
-            | word_spaces(self.words, self.tasks.episodes)
+            | word_spaces(self.words, self.tasks.episodes, self._words)
             | {"collided": spaces.Discrete(2)}
         )
         self.observation_space = _batch_dict(self.single_observation_space, num_envs)
@@ -207,9 +213,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
                 [e.instruction for e in listed],
             )
         )
-        if "instruction_tokens" in self.words:
-            space = self.single_observation_space["instruction_tokens"]  # type: ignore[index]
-            self._tokens = encode_texts(listed, space.shape[0])
+        if self._words is not None:
+            self._words.extend(listed)
 
     def _open_suite(self, look: str) -> SensorSuite:
         scene_id, light = split_look(look)
@@ -362,6 +367,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         numbers = []
         for value in many:
             if isinstance(value, Episode):
+                if self._words is not None:
+                    self._words.row(value)  # it may be refused
                 numbers.append(int(self.batch.table.add([value])[0]))
                 continue
             index = known.get(value, -1) if isinstance(value, str) else int(value)
@@ -383,7 +390,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         if "instruction" in self.words:
             found["instruction"] = tuple(self._texts[number].tolist())
         if "instruction_tokens" in self.words:
-            found["instruction_tokens"] = self._tokens[number]
+            assert self._words is not None
+            found["instruction_tokens"] = self._words.rows[number]
         if "instruction_index" in self.words:
             found["instruction_index"] = number.astype(np.int32)
         return found, self.batch.snapshot(which)

@@ -62,6 +62,20 @@ def test_the_way_between_two_doors_stays_wide_enough_for_a_person() -> None:
     assert not room.is_passable([(2.5, 0.0, 3.5, 3.0)])
 
 
+@pytest.mark.parametrize("name", SIDES)
+def test_furniture_has_its_back_to_the_wall_and_looks_into_the_room(name: str) -> None:
+    room = layout_of(5.0, 4.0)
+    sofa = room.place_on_wall(box((1.8, 0.8, 0.8), "sofa"), sides=[name], gap=0.02)
+    assert sofa is not None
+    side = room.sides[name]
+    front = (math.sin(sofa.yaw), -math.cos(sofa.yaw))
+    assert front == pytest.approx(side.normal, abs=1e-9)
+    x0, y0, x1, y1 = footprint(sofa)
+    assert 0.0 < x0 < x1 < 5.0 and 0.0 < y0 < y1 < 4.0
+    near = {"south": y0, "north": 4.0 - y1, "west": x0, "east": 5.0 - x1}
+    assert near[name] == pytest.approx(0.02)
+
+
 def test_pictures_hang_beside_windows() -> None:
     room = layout_of(6.0, 4.0, opening("window", "x", -0.06, 2.0, 4.0, 0.9))
     picture = build_picture(np.random.default_rng(0), PALETTE, 0.6, 0.4)

@@ -109,3 +109,18 @@ def test_trucks_fit_between_racks(seed: int) -> None:
     for (left, zone), (right, same) in zip(house.rows[::2], house.rows[1::2], strict=True):
         assert zone == same
         assert right - left - 1.04 > 2.2  # m between two racks 1.04 m deep
+
+
+def test_rooms_lie_on_both_sides_of_a_corridor() -> None:
+    for seed in SEEDS:
+        plan = plan_of("corridor", seed)
+        legs = [room.id for room in plan.rooms if room.type == "corridor"]
+        sides = {
+            (leg, wall.axis, wall.rooms.index(leg))
+            for wall in plan.walls
+            for leg in legs
+            if leg in wall.rooms and wall.rooms[1 - wall.rooms.index(leg)] not in (None, *legs)
+        }
+        long = max(legs, key=lambda id: max(plan.room(id).width, plan.room(id).depth))
+        axis = "x" if plan.room(long).width > plan.room(long).depth else "y"
+        assert {(long, axis, 0), (long, axis, 1)} <= sides, seed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -235,26 +236,7 @@ def _close_plan(rng: np.random.Generator, cells: list[Cell]) -> FloorPlan | None
         counts[name] = counts.get(name, 0) + 1
         ids.append(f"{name.replace(' ', '_')}_{counts[name]}")
     walls = build_walls(cells, ids)
-    rooms = []
-    for (name, x0, y0, x1, y1), id in zip(cells, ids, strict=True):
-        inset = {}
-        for key, axis, at, low, high in (
-            ("x0", "y", x0, y0, y1),
-            ("x1", "y", x1, y0, y1),
-            ("y0", "x", y0, x0, x1),
-            ("y1", "x", y1, x0, x1),
-        ):
-            inset[key] = max(
-                w.thickness / 2
-                for w in walls
-                if w.axis == axis
-                and abs(w.at - at) < 1e-6
-                and id in w.rooms
-                and min(w.high, high) - max(w.low, low) > 1e-6
-            )
-        rooms.append(
-            Room(id, name, x0 + inset["x0"], y0 + inset["y0"], x1 - inset["x1"], y1 - inset["y1"])
-        )
+    rooms = [clear_room(cell, id, walls) for cell, id in zip(cells, ids, strict=True)]
     if min(min(r.width, r.depth) for r in rooms) < 1.25:
         return None
     plan = FloorPlan(tuple(rooms), tuple(walls), (), round(float(rng.uniform(2.5, 2.75)), 2))
@@ -308,6 +290,26 @@ def build_walls(cells: list[Cell], ids: list[str]) -> list[Wall]:
                     pieces.append(Wall(axis, at, low, high, thick, pair))
             walls += pieces
     return walls
+
+
+def clear_room(cell: Cell, id: str, walls: Sequence[Wall]) -> Room:
+    """The rectangle between the faces of the walls round a cell."""
+    name, x0, y0, x1, y1 = cell
+    inset = []
+    for axis, at, low, high in (
+        ("y", x0, y0, y1),
+        ("x", y0, x0, x1),
+        ("y", x1, y0, y1),
+        ("x", y1, x0, x1),
+    ):
+        near = [
+            w.thickness / 2
+            for w in walls
+            if w.axis == axis and abs(w.at - at) < 1e-6 and id in w.rooms
+            if min(w.high, high) - max(w.low, low) > 1e-6
+        ]
+        inset.append(max(near))
+    return Room(id, name, x0 + inset[0], y0 + inset[1], x1 - inset[2], y1 - inset[3])
 
 
 def clear_span(plan: FloorPlan, wall: Wall) -> tuple[float, float]:

@@ -19,6 +19,7 @@ from gn0.scenes.procedural.plan import (
     Room,
     Wall,
     build_walls,
+    clear_room,
     clear_span,
     fit_opening,
 )
@@ -150,26 +151,6 @@ def close_cells(
                 )
             )  # fmt: skip
     return replace(plan, openings=tuple(fit_opening(plan, o) for o in openings))
-
-
-def clear_room(cell: Cell, id: str, walls: Sequence[Wall]) -> Room:
-    """The rectangle between the faces of the walls round a cell."""
-    name, x0, y0, x1, y1 = cell
-    inset = []
-    for axis, at, low, high in (
-        ("y", x0, y0, y1),
-        ("x", y0, x0, x1),
-        ("y", x1, y0, y1),
-        ("x", y1, x0, x1),
-    ):
-        near = [
-            w.thickness / 2
-            for w in walls
-            if w.axis == axis and abs(w.at - at) < 1e-6 and id in w.rooms
-            if min(w.high, high) - max(w.low, low) > 1e-6
-        ]
-        inset.append(max(near))
-    return Room(id, name, x0 + inset[0], y0 + inset[1], x1 - inset[2], y1 - inset[3])
 
 
 def _cut_joint(

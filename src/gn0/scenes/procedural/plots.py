@@ -19,8 +19,7 @@ from gn0.scenes.procedural.assembly import Assembly, Item, Placed
 from gn0.scenes.procedural.building import check_reach, list_openings, list_walls, scene_room
 from gn0.scenes.procedural.draft import SceneDraft, Sky, Sun
 from gn0.scenes.procedural.layout import Rect, footprint, overlaps
-from gn0.scenes.procedural.plan import Cell, FloorPlan, Opening, Room, build_walls
-from gn0.scenes.procedural.plan_cells import clear_room
+from gn0.scenes.procedural.plan import Cell, FloorPlan, Opening, Room, build_walls, clear_room
 
 ATTEMPTS = 10  # drawings of a floor before giving up; each scatters less
 

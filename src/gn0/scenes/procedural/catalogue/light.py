@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item
@@ -35,14 +36,13 @@ def glow(kelvin: float, level: float, code: str = "#f4ead6") -> Material:
     """A shade lit from within."""
     r, g, b = lamp_colour(kelvin)
     base = plain("lampshade", "lampshade", code, contrast=0.25, scale=0.006, detail=0.4)
-    values = {f: getattr(base, f) for f in base.__struct_fields__}
     tint = base.colour
     emission = (
         round(r * level * tint[0], 4),
         round(g * level * tint[1], 4),
         round(b * level * tint[2], 4),
     )
-    return Material(**{**values, "emission": emission})
+    return msgspec.structs.replace(base, emission=emission)
 
 
 def draw_kelvin(rng: np.random.Generator) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed
@@ -46,8 +47,7 @@ def card_material(rng: np.random.Generator, ratio: float) -> Material:
 def build_carton(rng: np.random.Generator, w: float, d: float, h: float) -> Item:
     """A closed cardboard box standing on z = 0."""
     side, end, top = (card_material(rng, r) for r in (w / h, d / h, w / d))
-    colour = side.colour
-    side, end, top = (_with_colour(m, colour) for m in (side, end, top))
+    end, top = (msgspec.structs.replace(m, colour=side.colour) for m in (end, top))
     x, y = w / 2, d / 2
     return Item(
         "cardboard box",
@@ -59,11 +59,6 @@ def build_carton(rng: np.random.Generator, w: float, d: float, h: float) -> Item
             build_panel((-x, -y, h), (w, 0, 0), (0, d, 0), top, fit=True),
         ),
     )
-
-
-def _with_colour(material: Material, colour: tuple[float, float, float]) -> Material:
-    values = {f: getattr(material, f) for f in material.__struct_fields__}
-    return Material(**{**values, "colour": colour})
 
 
 @lru_cache(maxsize=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 
 from gn0.scenes.procedural.assembly import Item, Placed, Support
@@ -20,15 +21,9 @@ def cushion_item(rng: np.random.Generator, palette: Palette, side: float = 0.45)
     pattern = str(rng.choice(["fabric", "knit", "linen", "rug_stripes"], p=[0.4, 0.25, 0.2, 0.15]))
     material = palette.bright(rng, pattern)
     if pattern == "rug_stripes":
-        material = replace_scale(material, 0.06)
+        material = msgspec.structs.replace(material, scale=0.06)
     w, d = side * rng.uniform(0.9, 1.1), side * rng.uniform(0.85, 1.05)
     return Item("cushion", (build_cushion(w, d, 0.15, material, pinch=0.1),))
-
-
-def replace_scale(material: Material, scale: float) -> Material:
-    """The material with another pattern size [m]."""
-    values = {f: getattr(material, f) for f in material.__struct_fields__}
-    return Material(**{**values, "scale": scale})
 
 
 def leaning(item: Item, tilt: float) -> Item:

@@ -143,7 +143,7 @@ def test_beta_changes_with_the_iteration_as_asked() -> None:
 # -------------------------------------------------------------------- what the labels lead to
 
 
-@pytest.mark.parametrize("variant", ["exact", "mpc"])
+@pytest.mark.parametrize("variant", ["exact", "mpc", "field"])
 def test_the_labels_of_visited_states_lead_to_the_goal(
     simulator: Simulator, data_suite: Suite, variant: str
 ) -> None:
@@ -289,7 +289,7 @@ def test_two_workers_write_the_same_bytes_as_one(
     assert files_of(tmp_path / "two") == files_of(driven.folder)
 
 
-@pytest.mark.parametrize("variant", ["exact", "mpc", "gn0-release"])
+@pytest.mark.parametrize("variant", ["exact", "mpc", "gn0-release", "field"])
 def test_any_number_of_agents_writes_the_same_bytes(
     data_suite: Suite,
     tmp_path: Path,

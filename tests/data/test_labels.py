@@ -37,6 +37,7 @@ from gn0.sim.simulator import Simulator
 AGENT = AgentSpec()
 RELEASE = LabelSettings(variant="gn0-release")
 TRACKING = LabelSettings(variant="mpc")
+FIELD = LabelSettings(variant="field")
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +279,7 @@ def test_short_plans_are_as_cheap_as_the_best_of_all_sequences() -> None:
 def test_a_state_at_the_goal_is_labelled_stop(flat: tuple[NavigationMap, list[Episode]]) -> None:
     navigation, episodes = flat
     x, y = episodes[0].goal
-    for rules in (EXACT, RELEASE, TRACKING):
+    for rules in (EXACT, RELEASE, TRACKING, FIELD):
         labels = label_states(navigation, episodes[0], np.array([[x, y, 1.0]]), rules)
         assert labels.actions6.tolist() == [[0] * 6]
         assert labels.valid.tolist() == [1]
@@ -363,7 +364,7 @@ def corner() -> NavigationMap:
     return NavigationMap(OccupancyGrid(cells, 0.05, (0.0, 0.0)), 0.0)
 
 
-@pytest.mark.parametrize("rules", [EXACT, TRACKING], ids=lambda rules: rules.variant)
+@pytest.mark.parametrize("rules", [EXACT, TRACKING, FIELD], ids=lambda rules: rules.variant)
 def test_a_goal_that_is_near_but_out_of_sight_is_not_arrived_at(rules: LabelSettings) -> None:
     """Both sides of one blocked cell: 0.20 m apart, hardly more on foot, and no line between."""
     navigation = corner()
@@ -378,7 +379,7 @@ def test_a_goal_that_is_near_but_out_of_sight_is_not_arrived_at(rules: LabelSett
     assert is_arrived(navigation.geodesic((0.925, 1.105)), *beside, 0.25)
 
 
-@pytest.mark.parametrize("rules", [EXACT, TRACKING], ids=lambda rules: rules.variant)
+@pytest.mark.parametrize("rules", [EXACT, TRACKING, FIELD], ids=lambda rules: rules.variant)
 def test_labels_stop_a_hair_within_the_limit_and_never_on_it(rules: LabelSettings) -> None:
     """0.2495 m from the goal a metric may round to 0.25: one more step; 0.2485 m is near enough."""
     navigation = NavigationMap(OccupancyGrid(np.zeros((40, 40), np.uint8), 0.05, (0.0, 0.0)), 0.0)

@@ -132,7 +132,7 @@ def test_the_tests_named_after_a_module_come_first() -> None:
     assert found[0] == "tests/missions/test_similarity.py"
     assert imports.tests_of("src/gn0/maps/ray.py", "trace_cells", {})[0] == "tests/maps/test_ray.py"
     kernels = imports.stale_kernels("src/gn0/maps/ray.py", "trace_cells")
-    assert {"gn0.maps.ray", "gn0.maps.pose_astar", "gn0.data.label_kernels"} <= kernels
+    assert {"gn0.maps.ray", "gn0.maps.pose_astar", "gn0.maps.way_kernels"} <= kernels
     assert not imports.stale_kernels("src/gn0/storage.py", "write_atomic")
     card = imports.tests_of("src/gn0/render/cuda/kernels/parts.cu", "", {})
     assert any(name.startswith("tests/render/") for name in card[:3])

@@ -52,7 +52,7 @@ def test_the_oracle_walks_to_the_nearest_place_and_into_areas(
         assert found.navigation_error_geodesic <= limit
 
 
-@pytest.mark.parametrize("variant", ["exact", "gn0-release", "mpc"])
+@pytest.mark.parametrize("variant", ["exact", "gn0-release", "mpc", "field"])
 def test_labels_lead_to_the_nearest_place_and_stop_inside_areas(
     plan: tuple[Scene, NavigationMap, list[Episode]], variant: str
 ) -> None:

@@ -43,8 +43,9 @@ class Args(Config, frozen=True):
         depth: store the depth of each view as well, in millimetres.
         depth_as: how shards keep it: npy, which every reader takes for what it is; png, a quarter
             of the size, with 16 bits that some readers cut to 8; or both.
-        labels: next actions by the exact planner (exact), the paper's tracking objective (mpc), or
-            as the official release labels (gn0-release).
+        labels: next actions by the exact planner (exact), the paper's tracking objective (mpc), as
+            the official release labels (gn0-release), or one step ahead on the distance field,
+            quickly (field).
         tokens: what map tokens refer to: the whole map, or a square around the agent.
         answer_order: what comes first where the dataset's answers are written as text: the actions,
             or the waypoints, as in the paper's prompts (paper).
@@ -72,7 +73,7 @@ class Args(Config, frozen=True):
     visible_sets: bool = False
     depth: bool = False
     depth_as: Literal["npy", "png", "both"] = "npy"
-    labels: Literal["exact", "mpc", "gn0-release"] = "exact"
+    labels: Literal["exact", "mpc", "gn0-release", "field"] = "exact"
     tokens: Literal["global", "ego"] = "global"
     answer_order: Literal["actions_first", "paper"] = "actions_first"
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8

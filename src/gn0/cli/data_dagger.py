@@ -42,7 +42,7 @@ class Args(Config, frozen=True):
         iteration: number of this iteration, from 1.
         halting: what ends an episode near the goal: paper, ten steps within the success distance
             and then STOP; gn0-release, ten steps after leaving the goal zone; none.
-        labels: how actions are labelled: exact, mpc, or gn0-release; by default exact, or
+        labels: how actions are labelled: exact, mpc, gn0-release, or field; by default exact, or
             gn0-release with that halting rule. own: with what the policy itself did next, so that
             its walks are demonstrations (--beta 0 --halting none).
         tokens: what map tokens refer to: the whole map (global) or a square around the agent.
@@ -76,7 +76,7 @@ class Args(Config, frozen=True):
     schedule: Literal["constant", "power", "first"] = "constant"
     iteration: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 1
     halting: Literal["paper", "gn0-release", "none"] = "paper"
-    labels: Literal["", "exact", "mpc", "gn0-release", "own"] = ""
+    labels: Literal["", "exact", "mpc", "gn0-release", "field", "own"] = ""
     tokens: Literal["global", "ego"] = "global"
     answer_order: Literal["actions_first", "paper"] = "actions_first"
     pictures: Literal["webdataset", "lerobot", "none"] = "none"
@@ -155,7 +155,7 @@ def run(args: Args) -> int:
     return 0
 
 
-def _label_variant(args: Args) -> Literal["exact", "mpc", "gn0-release"]:
+def _label_variant(args: Args) -> Literal["exact", "mpc", "gn0-release", "field"]:
     """How the expert labels; a demonstration needs him for the distance to the goal alone."""
     if args.labels and args.labels != "own":
         return args.labels

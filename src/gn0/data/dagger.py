@@ -28,7 +28,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gn0.data.expert_labels import I8, LabelSettings, cut_at, label_states, plan_from
+from gn0.data.expert_labels import I8, ROUNDING, LabelSettings, cut_at, label_states, plan_from
+from gn0.data.field_labels import label_poses
 from gn0.data.sample_table import NO_TOKEN, EpisodeRows
 from gn0.data.settings import DaggerSettings, Halting
 from gn0.data.waypoints import sample_way_points
@@ -83,7 +84,7 @@ class _Expert:
         astray = self._expected is None or not _is_at(pose, self._expected)
         self._expected = (pose.x, pose.y, pose.yaw)
         state = np.array([pose])
-        if self._labels.variant != "mpc":
+        if self._labels.variant not in ("mpc", "field"):
             if astray:
                 self._plan = plan_from(self._field, state[0], self._labels, agent).tolist()
             return self._plan[:ACTIONS_AHEAD]
@@ -91,8 +92,10 @@ class _Expert:
         goal = simulator.episode.destination
         labels = label_states(simulator.navigation, goal, state, self._labels, agent=agent)
         label = [int(code) for code in labels.actions6[0]]
-        if astray or not self._plan:  # a plan is carried out to its end: planned anew at every
-            self._plan = [code for code in label if code]  # step it may turn to and fro for ever
+        # a plan of mpc is carried out to its end: planned anew at every step it may turn to and fro
+        # for ever
+        if astray or not self._plan or self._labels.variant == "field":
+            self._plan = [code for code in label if code]
         return label
 
     def follow(self, action: int) -> None:
@@ -215,7 +218,12 @@ class Visitor:
         """The rows of the episode, which has ended there."""
         if self._settings.demonstrate:
             return _demonstration(self.episode, self._field, self._visits, end)
-        return _rows(self.episode, self._field, self._visits)
+        rows = _rows(self.episode, self._field, self._visits)
+        if self._labels.variant != "field":
+            return rows
+        agent, near = self._standing.agent, self._labels.stop_distance - ROUNDING
+        found = label_poses(self._field, rows.poses, agent, near)
+        return dataclasses.replace(rows, waypoints=found.waypoints, valid=found.valid)
 
 
 def check_drivable(episode: Episode) -> None:

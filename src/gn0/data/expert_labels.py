@@ -11,6 +11,8 @@ Variants:
     mpc: the paper's discounted tracking objective (Eq. mpc_action), see `gn0.data.tracking`.
     gn0-release: exact, but STOP from the first place within 1 m of the goal as the crow flies, as
         the official release labels.
+    field: one step ahead on the distance field, see `gn0.maps.field_expert`: nothing is searched,
+        so it is quick, and `VectorEnvDevice.labels` gives the same bits on a GPU.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.config import Config
+from gn0.data.field_labels import label_poses, walk_from
 from gn0.data.tracking import plan_tracking
 from gn0.data.waypoints import sample_way_points
 from gn0.errors import PlanError
@@ -40,7 +43,7 @@ from gn0.sim.collision import move_agent
 from gn0.sim.kinematics import Heading, heading_cycle, step_forward
 from gn0.sim.state import Action
 
-LabelVariant = Literal["exact", "mpc", "gn0-release"]
+LabelVariant = Literal["exact", "mpc", "gn0-release", "field"]
 ROUNDING = 1e-3  # m within the limit, so that no rounding in a metric can put a STOP outside it
 # plans from arbitrary states: at most 2 % dearer than the best, found four times as quickly
 STATE_WEIGHT, STATE_SUBCELLS = 1.02, 1
@@ -54,7 +57,7 @@ class LabelSettings(Config, frozen=True):
     Attributes:
         variant: see the module.
         stop_distance: STOP within this walking distance of the goal, in line of sight [m].
-        turn_cost: price of a turn against travelled length [m].
+        turn_cost: price of a turn against travelled length [m]; `field` has its own, a quarter.
         horizon: actions that `mpc` looks ahead.
         discount: γ of `mpc`.
         release_stop: where `gn0-release` says STOP, as the crow flies [m].
@@ -96,6 +99,8 @@ def plan_expert(
 ) -> tuple[F64, I8]:
     """The expert's walk through an episode: the same actions as the policy `oracle`.
 
+    With variant `field` it is the walk of its own labels, some of whose steps may be cut short.
+
     Returns:
         (poses float64 [T+1, 3] x, y [m], yaw [rad], before each action and after the last;
         actions int8 [T], the last one STOP).
@@ -104,6 +109,12 @@ def plan_expert(
         PlanError: the goal cannot be reached.
     """
     x, y, yaw = episode.start
+    if settings.variant == "field":
+        field = navigation.geodesic(episode.destination)
+        near = settings.stop_distance - ROUNDING
+        plan = walk_from(field, np.array(episode.start), episode.agent, near)
+        actions = np.append(plan, np.int8(Action.STOP))
+        return walk_actions(navigation, episode.agent, episode.start, actions)[0], actions
     plan = plan_actions(
         navigation.geodesic(episode.destination),
         (x, y),
@@ -163,13 +174,15 @@ def label_along(
         episode: whose goal it is.
         poses: [T+1, 3] or [T, 3] x, y [m], yaw [rad] of an expert's walk.
         actions: [T] its actions.
-        settings: with variant `mpc` the actions are planned anew at every pose.
+        settings: with variants `mpc` and `field` each pose is labelled anew.
 
     Raises:
         PlanError: a pose is blocked or cut off; names the row.
     """
     states = np.ascontiguousarray(poses, np.float64).reshape(-1, 3)[: len(actions)]
     field = navigation.geodesic(episode.destination)
+    if settings.variant == "field":
+        return _by_field(field, states, settings, episode.agent)
     waypoints, valid = sample_way_points(field, states)
     if settings.variant == "mpc":
         ahead = _track(field, episode.agent, states, waypoints, valid, settings)
@@ -211,6 +224,8 @@ def label_states(
     body = agent or (goal.agent if isinstance(goal, Episode) else DEFAULT_BODY)
     field = navigation.geodesic(goal.destination if isinstance(goal, Episode) else goal)
     states = np.ascontiguousarray(poses, np.float64).reshape(-1, 3)
+    if settings.variant == "field":
+        return _by_field(field, states, settings, body)
     waypoints, valid = sample_way_points(field, states)
     if settings.variant == "mpc":
         return Labels(_track(field, body, states, waypoints, valid, settings), waypoints, valid)
@@ -226,6 +241,13 @@ def label_states(
     return Labels(ahead, waypoints, valid)
 
 
+def _by_field(
+    field: GeodesicField, states: F64, settings: LabelSettings, agent: AgentSpec
+) -> Labels:
+    found = label_poses(field, states, agent, settings.stop_distance - ROUNDING)
+    return Labels(found.actions, found.waypoints, found.valid)
+
+
 def plan_from(
     field: GeodesicField,
     state: NDArray[np.floating],
@@ -235,11 +257,14 @@ def plan_from(
     """The expert's plan [T] from one state x, y [m], yaw [rad], without the STOP at its end.
 
     Where whole steps do not lead out of a nook (an agent gets there by steps cut short), the plan
-    begins with the fewest steps that may be cut short, too.
+    begins with the fewest steps that may be cut short, too. With variant `field` it is that
+    expert's own walk.
 
     Raises:
         PlanError: no plan exists.
     """
+    if settings.variant == "field":
+        return walk_from(field, state, agent, settings.stop_distance - ROUNDING)
     x, y, yaw = (float(v) for v in state)
     try:
         return _plan_whole(field, x, y, yaw, settings, agent)

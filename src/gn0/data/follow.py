@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.data.expert_labels import DEFAULT_BODY, EXACT, Labels, LabelSettings, is_arrived, plan_from
-from gn0.data.label_kernels import spread_line
 from gn0.data.waypoints import find_way
 from gn0.errors import EpisodeError, PlanError
 from gn0.geometry import F64, wrap_angle
 from gn0.maps.distance import GeodesicField
 from gn0.maps.navigation import NavigationMap
+from gn0.maps.way_kernels import spread_line
 from gn0.missions.episode import AgentSpec
 from gn0.paper import ACTIONS_AHEAD, POINTS, SPACING
 from gn0.sim.state import Action

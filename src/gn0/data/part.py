@@ -24,7 +24,7 @@ from gn0.data.dataset import (
     file_digest,
     load_dataset_file,
 )
-from gn0.data.expert_labels import label_along, plan_expert
+from gn0.data.expert_labels import label_along, plan_expert, walk_actions
 from gn0.data.sample_table import EpisodeRows, digest_labels, encode_rows, encode_table
 from gn0.data.settings import PictureSettings
 from gn0.errors import DataError, EpisodeError, PlanError
@@ -248,7 +248,7 @@ def write_part(
 
 
 def collect_expert(navigation: NavigationMap, episode: Episode, dataset: Dataset) -> EpisodeRows:
-    """The exact planner's own walk through an episode, labelled along the way.
+    """The expert's own walk through an episode, labelled along the way.
 
     Raises:
         PlanError: the goal cannot be reached.
@@ -256,6 +256,9 @@ def collect_expert(navigation: NavigationMap, episode: Episode, dataset: Dataset
     settings = dataset.about.settings
     poses, actions = plan_expert(navigation, episode, settings.labels)
     labels = label_along(navigation, episode, poses, actions, settings.labels)
+    collided = np.zeros(len(actions), bool)
+    if settings.labels.variant == "field":  # the others' steps are whole ones
+        collided = walk_actions(navigation, episode.agent, episode.start, actions)[1]
     frame = settings.tokens.of_grid(navigation.grid)
     distance = navigation.geodesic(episode.destination).distance(poses[:-1, :2])
     return EpisodeRows(
@@ -267,7 +270,7 @@ def collect_expert(navigation: NavigationMap, episode: Episode, dataset: Dataset
         pixels=encode_waypoints(frame, labels.waypoints, poses[:-1]),
         valid=labels.valid,
         distance=distance.astype(np.float32),
-        collided=np.zeros(len(actions), bool),
+        collided=collided,
     )
 
 

@@ -156,12 +156,17 @@ def surfaces(item: Item, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> NDAr
 
 @pytest.mark.parametrize("name", sorted(THINGS))
 def test_what_is_put_on_it_stands_on_a_surface(name: str) -> None:
+    """At the height of each support, and on top of what the thing has there."""
     for seed in range(SEEDS):
         item = THINGS[name].build(seed)
-        if item.supports:
-            heights = surfaces(item)[:, 2]
-            for support in item.supports:
-                assert np.abs(heights - support.z).min() < 0.012, f"nothing is at {support.z}"
+        own = surfaces(Item(item.category, item.shapes))
+        heights = surfaces(item)[:, 2] if item.supports else own[:, 2]
+        for support in item.supports:
+            assert np.abs(heights - support.z).min() < 0.012, f"nothing is at {support.z}"
+            within = (own[:, :2] > (support.x0, support.y0)).all(axis=1)
+            within &= (own[:, :2] < (support.x1, support.y1)).all(axis=1)
+            above = own[within, 2] - support.z
+            assert not ((above > 0.012) & (above < 0.1)).any(), f"it is above {support.z}"
 
 
 @pytest.mark.parametrize("name", sorted(THINGS))

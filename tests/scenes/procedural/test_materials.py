@@ -86,6 +86,15 @@ def test_noise_is_integer_hashed() -> None:
     assert (first <= second).all() and (tone >= 0).all() and (tone <= 1).all()
 
 
+def test_noise_that_is_finer_than_what_is_seen_as_one_point_is_gone() -> None:
+    x, y = np.random.default_rng(3).uniform(0, 40, (2, 2000))
+    assert np.abs(fractal(x, y, 5, footprint=1.0)).max() == 0.0
+    coarse = fractal(x, y, 5, octaves=1, footprint=0.1)
+    np.testing.assert_array_equal(fractal(x, y, 5, octaves=1), coarse)
+    both = fractal(x, y, 5, octaves=4, footprint=0.25)
+    assert np.corrcoef(both, coarse)[0, 1] > 0.99 > np.corrcoef(fractal(x, y, 5), coarse)[0, 1]
+
+
 def test_stripes_keep_their_share() -> None:
     x = np.linspace(0, 50, 100_001)
     for footprint in (0.0, 0.3, 1.0, 2.5):

@@ -109,6 +109,7 @@ def test_trucks_fit_between_racks(seed: int) -> None:
     for (left, zone), (right, same) in zip(house.rows[::2], house.rows[1::2], strict=True):
         assert zone == same
         assert right - left - 1.04 > 2.2  # m between two racks 1.04 m deep
+    assert 0.5 < house.rows[0][0] < 0.75 and 0.5 < house.width - house.rows[-1][0] < 0.75
 
 
 def test_rooms_lie_on_both_sides_of_a_corridor() -> None:

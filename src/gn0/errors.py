@@ -161,6 +161,12 @@ class PolicyError(Gn0Error):
     code = "POLICY"
 
 
+class CheckpointError(PolicyError):
+    """A trained model cannot be read: shards or tokens missing, forged, or of another kind."""
+
+    code = "CHECKPOINT"
+
+
 class LanguageError(Gn0Error):
     """No instruction could be written: a language server failed, or its answer cannot be used."""
 

@@ -32,10 +32,12 @@ from gn0.missions.language.prompts import Role, build_messages
 from gn0.missions.language.route import STYLES
 from gn0.plugins import get_plugin, import_plugins
 from gn0.policies import PolicyOracle, PolicyRemote
+from gn0.policies.qwen.model import load_numpy_model
 from gn0.render import RendererCpu
 from gn0.scenes import build_example_scene, import_scene, load_cloud, load_scene, save_scene
 from gn0.sim import find_preset
 from gn0.storage import safe_join
+from gn0_trials.random_qwen import build_random_checkpoint
 from gn0_trials.routes import build_simple_route
 
 TEXTS = Path(__file__).parent / "texts"
@@ -211,6 +213,10 @@ WRONG: dict[str, dict[str, Callable[[Place], Any]]] = {
             url="ws://127.0.0.1:9", connect_timeout=0.1
         ).reset(None),  # type: ignore[arg-type]
     },
+    "CHECKPOINT": {
+        "a folder without a model": lambda p: load_numpy_model(p.folder),
+        "weights as a pickle": lambda p: load_numpy_model(_pickled(p.folder)),
+    },
     "LANGUAGE": {"a prompt that was never recorded": _ask_what_was_not_recorded},
     "BENCH": {
         "a time limit of nothing": lambda p: run_suite(
@@ -237,6 +243,13 @@ COMMANDS: dict[str, list[str]] = {
     "a suite that does not exist": ["bench", "run", "nowhere", "--out", "o"],
     "a preset that does not exist": ["scene", "visible", "nowhere", "--camera", "gopro"],
 }
+
+
+def _pickled(folder: Path) -> Path:
+    """A checkpoint whose weights are a pickle."""
+    build_random_checkpoint(folder)
+    (folder / "model.safetensors").rename(folder / "pytorch_model.bin")
+    return folder
 
 
 def _codes() -> list[str]:

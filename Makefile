@@ -3,12 +3,13 @@ PYTHON ?= python3
 VENV ?= .venv
 READERS ?= .venv-readers
 RL ?= .venv-rl
+BAE ?= .venv-bae
 BIN := $(VENV)/bin
 OUT ?= out/demo
 TEST_WORKERS ?= 2
 PIP_FLAGS ?= --disable-pip-version-check --quiet
 
-.PHONY: install dev demo test test-all readers rl lowest search faults coverage lint types package figures pictures clean
+.PHONY: install dev demo test test-all readers rl bae lowest search faults coverage lint types package figures pictures clean
 
 install: $(VENV)/.installed ## core install into .venv: no compiler, no torch, no GPU
 
@@ -60,6 +61,17 @@ $(RL)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(RL)
 	$(RL)/bin/pip install $(PIP_FLAGS) torch==2.13.0
 	$(RL)/bin/pip install $(PIP_FLAGS) -c constraints.txt -e '.[rl]' hypothesis pytest pytest-timeout pytest-xdist
+	@touch $@
+
+bae: $(BAE)/.installed ## the policy's model by torch, with the newest and the oldest transformers that it takes
+	$(BAE)/bin/python -m pytest -p no:cacheprovider -ra tests/policies/bae tests/policies/qwen $(PYTEST_FLAGS)
+	PYTHONPATH=$(BAE)/oldest $(BAE)/bin/python -m pytest -p no:cacheprovider -ra tests/policies/bae $(PYTEST_FLAGS)
+
+$(BAE)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(BAE)
+	$(BAE)/bin/pip install $(PIP_FLAGS) torch==2.13.0
+	$(BAE)/bin/pip install $(PIP_FLAGS) -e '.[train]' httpx hypothesis pytest pytest-timeout pytest-xdist
+	$(BAE)/bin/pip install $(PIP_FLAGS) --no-deps --target $(BAE)/oldest transformers==5.17.0 huggingface_hub==1.33.0
 	@touch $@
 
 LOWEST_TESTS ?= tests/core tests/policies tests/bench/test_metrics.py tests/suites/test_suite.py tests/bench/test_replay.py \

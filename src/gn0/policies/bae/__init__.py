@@ -1,1 +1,1 @@
-"""GN-BAE: a vision-language policy; its prompts and tokens need no torch."""
+"""GN-BAE, the paper's policy: its prompts and tokens, and its model by torch (extra `train`)."""

@@ -1,0 +1,155 @@
+"""Checkpoints: any Hugging Face folder of a Qwen3-VL in, one that stock transformers loads out."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors.torch import save_file
+from transformers import AutoTokenizer, PreTrainedTokenizerBase, Qwen3VLForConditionalGeneration
+
+from gn0.errors import CheckpointError, brief
+from gn0.policies.bae.tokenizer import add_navigation_tokens, read_token_ids
+from gn0.policies.bae.tokens import PAD_ROWS, TokenIds
+from gn0.policies.qwen.architecture import load_architecture
+from gn0.policies.qwen.model import check_shapes
+from gn0.policies.qwen.weights import INDEX, MANIFEST, SINGLE, open_weights
+from gn0.storage import folder_atomic, write_json
+
+SHARD_MB = 2000
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A model with its tokenizer.
+
+    Attributes:
+        model: in evaluation mode.
+        tokenizer: has the navigation tokens.
+        ids: those that the model's configuration and prompts need.
+    """
+
+    model: Qwen3VLForConditionalGeneration
+    tokenizer: PreTrainedTokenizerBase
+    ids: TokenIds
+
+
+def load_checkpoint(
+    folder: Path | str, *, grow: bool = False, dtype: torch.dtype = torch.float32
+) -> Checkpoint:
+    """Load a folder with config.json, safetensors and a tokenizer; nothing is asked of the network.
+
+    Args:
+        folder: as `save_checkpoint` or stock transformers wrote it.
+        grow: add navigation tokens where they are missing; their rows begin as the mean of all.
+        dtype: of the weights.
+
+    Raises:
+        CheckpointError: no such model or tokenizer, not all of it, or no navigation tokens.
+    """
+    folder = Path(folder)
+    architecture = load_architecture(folder)
+    check_shapes(architecture, open_weights(folder))
+    try:
+        tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True)
+        model = Qwen3VLForConditionalGeneration.from_pretrained(
+            folder, local_files_only=True, use_safetensors=True, dtype=dtype
+        )
+    except Exception as error:  # transformers has no error of its own
+        what = f"transformers cannot load it: {brief(str(error))}"
+        raise CheckpointError(what, where=folder) from error
+    if grow and add_navigation_tokens(tokenizer):
+        with torch.no_grad():
+            grow_vocabulary(model, len(tokenizer))
+    try:
+        ids = read_token_ids(tokenizer)
+    except CheckpointError as error:
+        raise CheckpointError(error.what, where=folder, remedy=error.remedy) from None
+    if ids.size > model.get_input_embeddings().weight.shape[0]:
+        raise CheckpointError(
+            f"the tokenizer has {ids.size} tokens, the model rows for "
+            f"{model.get_input_embeddings().weight.shape[0]}",
+            where=folder,
+            remedy="the tokenizer is that of another checkpoint",
+        )
+    return Checkpoint(model.eval(), tokenizer, ids)
+
+
+def grow_vocabulary(model: Qwen3VLForConditionalGeneration, tokens: int) -> None:
+    """Rows for so many tokens, a multiple of 64; new ones begin as the mean of those before."""
+    before = model.get_input_embeddings().weight.shape[0]
+    if tokens <= before:
+        return
+    model.resize_token_embeddings(tokens, pad_to_multiple_of=PAD_ROWS, mean_resizing=False)
+    for table in {model.get_input_embeddings().weight, model.get_output_embeddings().weight}:
+        table.data[before:] = table.data[:before].float().mean(0).to(table.dtype)
+
+
+def save_checkpoint(
+    folder: Path | str,
+    checkpoint: Checkpoint,
+    *,
+    shard_mb: int = SHARD_MB,
+    dtype: torch.dtype = torch.bfloat16,
+    overwrite: bool = False,
+    card: str = "",
+) -> None:
+    """Write a folder that stock transformers and our NumPy twin load; all of it or nothing.
+
+    `shards.json` states each shard's SHA-256, which `open_weights` checks.
+
+    Args:
+        folder: where to.
+        checkpoint: model and tokenizer.
+        shard_mb: bytes of a shard at most, in 10⁶; a single array may be larger.
+        dtype: of the weights in the files.
+        overwrite: replace a checkpoint that is there.
+        card: text of the model card, README.md.
+
+    Raises:
+        StorageError: the folder cannot be written, or holds something else.
+    """
+    with folder_atomic(folder, overwrite=overwrite, marker=MANIFEST) as made:
+        checkpoint.model.config.dtype = dtype
+        checkpoint.model.config.save_pretrained(made)
+        checkpoint.tokenizer.save_pretrained(made)
+        hashes = _write_shards(made, checkpoint.model, shard_mb * 1_000_000, dtype)
+        write_json(made / MANIFEST, hashes)
+        if card:
+            (made / "README.md").write_text(card, "utf-8")
+
+
+def _write_shards(
+    folder: Path, model: Qwen3VLForConditionalGeneration, limit: int, dtype: torch.dtype
+) -> dict[str, str]:
+    tied = bool(model.config.tie_word_embeddings)
+    shards: list[dict[str, torch.Tensor]] = [{}]
+    size = 0
+    for name, array in model.state_dict().items():
+        if tied and name == "lm_head.weight":
+            continue
+        own = array.numel() * dtype.itemsize
+        if shards[-1] and size + own > limit:
+            shards.append({})
+            size = 0
+        shards[-1][name] = array.detach().to("cpu", dtype).contiguous()
+        size += own
+    many = len(shards) > 1
+    names = [
+        f"model-{k + 1:05d}-of-{len(shards):05d}.safetensors" if many else SINGLE
+        for k in range(len(shards))
+    ]
+    for name, shard in zip(names, shards, strict=True):
+        save_file(shard, folder / name, metadata={"format": "pt"})
+    if many:
+        where = {key: name for name, shard in zip(names, shards, strict=True) for key in shard}
+        total = sum(one.numel() * one.element_size() for shard in shards for one in shard.values())
+        write_json(folder / INDEX, {"metadata": {"total_size": total}, "weight_map": where})
+    return {name: _hash(folder / name) for name in names}
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,307 @@
+"""Qwen3-VL for prompts of one layout, in torch: no loops over samples, no masks, no padding.
+
+Works on the weights of a stock `Qwen3VLForConditionalGeneration`, for training and for acting.
+transformers' own forward attends picture by picture in Python and finds rotary positions token by
+token; here equal pictures are one batched attention, and what the layout decides is precomputed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+from transformers import Qwen3VLForConditionalGeneration
+
+from gn0.errors import CheckpointError
+from gn0.policies.qwen.architecture import Architecture, parse_architecture
+from gn0.policies.qwen.layout import PromptLayout
+from gn0.policies.qwen.tables import (
+    place_patches,
+    resample_positions,
+    rotate_patches,
+    rotate_tokens,
+)
+
+
+@dataclass(frozen=True)
+class FeaturesTorch:
+    """What the language model is given of a prompt's pictures, in their order.
+
+    Attributes:
+        merged: [B, tokens, hidden] of each picture.
+        levels: the same of each deepstack level.
+    """
+
+    merged: tuple[Tensor, ...]
+    levels: tuple[tuple[Tensor, ...], ...]
+
+    def repeat(self, times: int) -> FeaturesTorch:
+        """Each sample's so many times in a row: answers to one prompt share its pictures."""
+
+        def each(some: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+            return tuple(one.repeat_interleave(times, 0) for one in some)
+
+        return FeaturesTorch(each(self.merged), tuple(each(level) for level in self.levels))
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What was sampled.
+
+    Attributes:
+        ids: int64 [B, slots].
+        logprobs: float32 [B, slots], each token's among those that its slot allows; 0 if forced.
+        entropy: float32 [B, slots], of the same distributions.
+    """
+
+    ids: Tensor
+    logprobs: Tensor
+    entropy: Tensor
+
+
+class ForwardConstant(nn.Module):
+    """A model's forward for one layout.
+
+    Args:
+        model: its weights are used, not copied.
+        layout: of all prompts.
+        answer: tokens of an answer, at most.
+        compiled: compile the blocks (`torch.compile`, static shapes).
+    """
+
+    def __init__(
+        self,
+        model: Qwen3VLForConditionalGeneration,
+        layout: PromptLayout,
+        answer: int,
+        *,
+        compiled: bool = False,
+    ) -> None:
+        super().__init__()
+        self.model, self.layout, self.answer = model, layout, answer
+        self.architecture: Architecture = parse_architecture(model.config.to_dict())
+        positions = np.concatenate([layout.positions, layout.positions_behind(answer)], 1)
+        self._keep("rotation", *rotate_tokens(positions, self.architecture.text))
+        vision = self.architecture.vision
+        self._sizes = {(size.height, size.width) for size in layout.sizes}
+        for height, width in self._sizes:
+            rows, columns = place_patches(height, width, vision)
+            self._keep(f"patches_{height}_{width}", *rotate_patches(rows, columns, vision))
+            taps, weights = resample_positions(rows, columns, height, width, vision)
+            for name, table in (("taps", taps), ("weights", weights)):
+                table = torch.from_numpy(table)
+                self.register_buffer(f"{name}_{height}_{width}", table, persistent=False)
+        self._patch_block: Callable[..., Tensor] = _patch_block
+        self._text_block: Callable[..., tuple[Tensor, Tensor, Tensor]] = _text_block
+        if compiled:
+            self._patch_block = torch.compile(_patch_block, dynamic=False)
+            self._text_block = torch.compile(_text_block, dynamic=False)
+
+    def _keep(self, name: str, cos: Any, sin: Any) -> None:
+        self.register_buffer(f"{name}_cos", torch.from_numpy(cos), persistent=False)
+        self.register_buffer(f"{name}_sin", torch.from_numpy(sin), persistent=False)
+
+    def encode(self, pictures: Sequence[Tensor]) -> FeaturesTorch:
+        """Features of a prompt's pictures, uint8 [B, H, W, 3] each, in the layout's order.
+
+        Raises:
+            CheckpointError: another number, size or type of pictures than the layout's.
+        """
+        got = [tuple(one.shape[1:]) for one in pictures]
+        wanted = [(size.height, size.width, 3) for size in self.layout.sizes]
+        if got != wanted or any(one.dtype != torch.uint8 for one in pictures):
+            raise CheckpointError(f"pictures have shapes {got}, not {wanted} of uint8")
+        merged: list[Tensor | None] = [None] * len(got)
+        levels: list[list[Tensor | None]] = [
+            [None] * len(got) for _ in self.architecture.vision.deepstack
+        ]
+        for shape in dict.fromkeys(got):
+            which = [k for k, one in enumerate(got) if one == shape]
+            x, deep = self._tower(torch.cat([pictures[k] for k in which]), *shape[:2])
+            for k, part in zip(which, x.chunk(len(which)), strict=True):
+                merged[k] = part
+            for level, some in zip(levels, deep, strict=True):
+                for k, part in zip(which, some.chunk(len(which)), strict=True):
+                    level[k] = part
+        return FeaturesTorch(tuple(merged), tuple(tuple(level) for level in levels))
+
+    def logits(
+        self, features: FeaturesTorch, ids: Tensor, answer: Tensor, rows: Tensor | None = None
+    ) -> Tensor:
+        """Logits [B, A, vocabulary or rows] of each token of an answer, given those before it.
+
+        Args:
+            features: of the prompts' pictures.
+            ids: int64 [B, P], prompts.
+            answer: int64 [B, A].
+            rows: only these ids' logits.
+        """
+        behind = answer[:, :-1]
+        hidden, _, _ = self._read(features, torch.cat([ids, behind], 1))
+        return self._score(hidden[:, ids.shape[1] - 1 :], rows)
+
+    @torch.no_grad()
+    def sample(
+        self,
+        features: FeaturesTorch,
+        ids: Tensor,
+        slots: Sequence[Tensor],
+        *,
+        temperature: float = 0.0,
+        generator: torch.Generator | None = None,
+    ) -> Answers:
+        """Answers, each token out of its slot's ids; forced runs are read at once.
+
+        Args:
+            features: of the prompts' pictures.
+            ids: int64 [B, P], prompts.
+            slots: int64 ids that each token may have.
+            temperature: 0 takes the most probable, the first of equals.
+            generator: of the draws.
+        """
+        batch, device = len(ids), ids.device
+        hidden, keys, values = self._read(features, ids, room=len(slots))
+        out = torch.empty((batch, len(slots)), dtype=torch.int64, device=device)
+        chance = torch.zeros((batch, len(slots)), device=device)
+        entropy = torch.zeros((batch, len(slots)), device=device)
+        last, read = hidden[:, -1], 0
+        for k, allowed in enumerate(slots):
+            if len(allowed) == 1:
+                out[:, k] = allowed
+                continue
+            if read < k:
+                last = self._add(out[:, read:k], keys, values, ids.shape[1] + read)
+                read = k
+            score = self._score(last, allowed).float()
+            chances = (score / temperature if temperature > 0 else score).log_softmax(-1)
+            if temperature > 0:
+                picked = torch.multinomial(chances.exp(), 1, generator=generator)
+            else:
+                picked = score.argmax(-1, keepdim=True)
+            out[:, k] = allowed[picked[:, 0]]
+            chance[:, k] = chances.gather(1, picked)[:, 0]
+            entropy[:, k] = -(chances.exp() * chances).sum(-1)
+        return Answers(out, chance, entropy)
+
+    def _tower(self, pictures: Tensor, height: int, width: int) -> tuple[Tensor, list[Tensor]]:
+        shape, tower = self.architecture.vision, self.model.model.visual
+        size = f"{height}_{width}"
+        cos, sin = getattr(self, f"patches_{size}_cos"), getattr(self, f"patches_{size}_sin")
+        taps, weights = getattr(self, f"taps_{size}"), getattr(self, f"weights_{size}")
+        kernel = tower.patch_embed.proj
+        frames = kernel.weight.sum(2).flatten(1)  # all frames of a patch are one picture
+        x = functional.linear(cut_patches(pictures, shape).to(frames.dtype), frames, kernel.bias)
+        x = x + (tower.pos_embed(taps) * weights[..., None]).sum(1).to(x.dtype)
+        deep = {}
+        for k, block in enumerate(tower.blocks):
+            x = self._patch_block(block, x, cos, sin, shape.heads)
+            if k in shape.deepstack:
+                level = shape.deepstack.index(k)
+                deep[level] = _merge(tower.deepstack_merger_list[level], x, shape.merge)
+        return _merge(tower.merger, x, shape.merge), [deep[k] for k in sorted(deep)]
+
+    def _read(
+        self, features: FeaturesTorch, ids: Tensor, room: int = 0
+    ) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+        language = self.model.model.language_model
+        x = language.embed_tokens(ids)
+        x = self._put(x, features.merged, add=False)
+        cos, sin = self.rotation_cos[: x.shape[1]], self.rotation_sin[: x.shape[1]]
+        keys, values = [], []
+        for k, layer in enumerate(language.layers):
+            x, key, value = self._text_block(layer, x, cos, sin)
+            if k < len(features.levels):
+                x = self._put(x, features.levels[k], add=True)
+            if room:
+                keys.append(functional.pad(key, (0, 0, 0, room)))
+                values.append(functional.pad(value, (0, 0, 0, room)))
+        return language.norm(x), keys, values
+
+    def _put(self, x: Tensor, pictures: tuple[Tensor, ...], *, add: bool) -> Tensor:
+        parts, begin = [], 0
+        for (at, count), one in zip(self.layout.places, pictures, strict=True):
+            parts.append(x[:, begin:at])
+            parts.append(x[:, at : at + count] + one.to(x.dtype) if add else one.to(x.dtype))
+            begin = at + count
+        return torch.cat([*parts, x[:, begin:]], 1)
+
+    def _add(self, ids: Tensor, keys: list[Tensor], values: list[Tensor], at: int) -> Tensor:
+        language = self.model.model.language_model
+        x = language.embed_tokens(ids)
+        end = at + x.shape[1]
+        cos, sin = self.rotation_cos[at:end], self.rotation_sin[at:end]
+        seen = torch.ones((x.shape[1], end), dtype=torch.bool, device=x.device).tril(at)
+        for layer, key, value in zip(language.layers, keys, values, strict=True):
+            query, key[:, :, at:end], value[:, :, at:end] = _project(layer, x, cos, sin)
+            looked = functional.scaled_dot_product_attention(
+                query, key[:, :, :end], value[:, :, :end], attn_mask=seen,
+                enable_gqa=query.shape[1] != key.shape[1],
+            )  # fmt: skip
+            x = _finish(layer, x, looked)
+        return language.norm(x[:, -1])
+
+    def _score(self, hidden: Tensor, rows: Tensor | None) -> Tensor:
+        head = self.model.lm_head.weight
+        return functional.linear(hidden, head if rows is None else head[rows])
+
+
+def cut_patches(pictures: Tensor, shape: Any) -> Tensor:
+    """Pixels -1..1 by patch [n, patches, 3 · patch²]; see `gn0.policies.qwen.tables`."""
+    count, height, width, _ = pictures.shape
+    side, merge = shape.patch, shape.merge
+    rows, columns = height // (side * merge), width // (side * merge)
+    parts = pictures.view(count, rows, merge, side, columns, merge, side, 3)
+    flat = parts.permute(0, 1, 4, 2, 5, 7, 3, 6).reshape(count, -1, 3 * side * side)
+    return (flat.float() / 255 - 0.5) / 0.5
+
+
+def _turn(x: Tensor) -> Tensor:
+    low, high = x.chunk(2, -1)
+    return torch.cat((-high, low), -1)
+
+
+def _rotate(x: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
+    return x * cos + _turn(x) * sin
+
+
+def _patch_block(block: Any, x: Tensor, cos: Tensor, sin: Tensor, heads: int) -> Tensor:
+    count, patches, hidden = x.shape
+    qkv = block.attn.qkv(block.norm1(x)).view(count, patches, 3, heads, hidden // heads)
+    query, key, value = qkv.permute(2, 0, 3, 1, 4)
+    query, key = (_rotate(one.float(), cos, sin).to(value.dtype) for one in (query, key))
+    seen = functional.scaled_dot_product_attention(query, key, value)
+    x = x + block.attn.proj(seen.transpose(1, 2).reshape(count, patches, hidden))
+    return x + block.mlp(block.norm2(x))
+
+
+def _merge(merger: Any, x: Tensor, merge: int) -> Tensor:
+    count, patches, _ = x.shape
+    return merger(x).view(count, patches // merge**2, -1)
+
+
+def _project(layer: Any, x: Tensor, cos: Tensor, sin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    own = layer.self_attn
+    shape = (*x.shape[:2], -1, own.head_dim)
+    x = layer.input_layernorm(x)
+    query = own.q_norm(own.q_proj(x).view(shape)).transpose(1, 2)
+    key = own.k_norm(own.k_proj(x).view(shape)).transpose(1, 2)
+    value = own.v_proj(x).view(shape).transpose(1, 2)
+    return _rotate(query, cos, sin).to(value.dtype), _rotate(key, cos, sin).to(value.dtype), value
+
+
+def _finish(layer: Any, x: Tensor, seen: Tensor) -> Tensor:
+    x = x + layer.self_attn.o_proj(seen.transpose(1, 2).reshape(*x.shape[:2], -1))
+    return x + layer.mlp(layer.post_attention_layernorm(x))
+
+
+def _text_block(layer: Any, x: Tensor, cos: Tensor, sin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    query, key, value = _project(layer, x, cos, sin)
+    seen = functional.scaled_dot_product_attention(
+        query, key, value, is_causal=True, enable_gqa=query.shape[1] != key.shape[1]
+    )
+    return _finish(layer, x, seen), key, value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from transformers import AutoProcessor, PreTrainedTokenizerBase, Qwen3VLConfig
+from transformers import PreTrainedTokenizerBase
 from transformers.models.qwen2_vl.image_processing_pil_qwen2_vl import Qwen2VLImageProcessorPil
 from transformers.models.qwen3_vl.processing_qwen3_vl import Qwen3VLProcessor
 
@@ -21,9 +21,6 @@ class ProcessorPictures(Qwen3VLProcessor):
         kwargs.pop("video_processor", None)
         super().__init__(image_processor, tokenizer, None, chat_template=chat_template, **kwargs)
         self.video_processor = None
-
-
-AutoProcessor.register(Qwen3VLConfig, ProcessorPictures, exist_ok=True)
 
 
 def build_processor(

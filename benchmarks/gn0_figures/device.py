@@ -9,10 +9,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from gn0.device.device import Device, KernelSource
+from gn0.device.device import Device, DeviceArray, KernelSource
 from gn0.device.libcuda import say_driver, say_version
 from gn0.device.open import find_device
 from gn0.seeds import random_stream
@@ -25,6 +26,21 @@ _THREADS = 256
 _CHAINS = 8  # independent operations in flight a thread; ceilings.cu agrees
 
 Contender = Callable[[int], object]
+
+
+class CopyWords(NamedTuple):
+    """`copy_words`."""
+
+    source: DeviceArray
+    target: DeviceArray
+    words: np.int64
+
+
+class MultiplyAdd(NamedTuple):
+    """`multiply_add`."""
+
+    out: DeviceArray
+    rounds: np.int32
 
 
 def open_figure_device() -> Device:
@@ -145,12 +161,12 @@ def measure_ceilings(device: Device) -> tuple[float, float]:
     blocks = device.multiprocessors * (1 if small else 8)
 
     def copy() -> None:
-        kernels["copy_words"].launch(blocks, _THREADS, source, target, np.int64(words))
+        kernels["copy_words"].launch(blocks, _THREADS, CopyWords(source, target, np.int64(words)))
 
     rounds = np.int32(4 if small else 2**13)
 
     def multiply() -> None:
-        kernels["multiply_add"].launch(blocks, _THREADS, target, rounds)
+        kernels["multiply_add"].launch(blocks, _THREADS, MultiplyAdd(target, rounds))
 
     times = interleave(device, {"copy": lambda _: copy(), "add": lambda _: multiply()}, 5, warm=1)
     moved = 2 * words * 16

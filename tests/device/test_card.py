@@ -7,12 +7,12 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from gn0.device.device import KernelSource
+from gn0.device.device import DeviceArray, KernelSource
 from gn0.device.driver import DeviceCuda
 from gn0.device.open import find_device
 from gn0.errors import DeviceError, DeviceMemoryError
@@ -43,6 +43,38 @@ KERNEL(reduce)(u32 *out) {
 }
 """
 WILD = "KERNEL(wild)(int *a, u64 far) { a[far] = 1; }"
+
+
+class Work(NamedTuple):
+    x: DeviceArray
+    y: DeviceArray
+    plan: np.void
+    n: np.uint32
+    small: np.uint8
+    wide: np.int64
+
+
+class Reverse(NamedTuple):
+    values: DeviceArray
+    n: np.uint32
+
+
+class Add(NamedTuple):
+    a: DeviceArray
+    value: np.int32
+
+
+class AddOf(NamedTuple):
+    a: DeviceArray
+    value: DeviceArray
+
+
+class CountBlocks(NamedTuple):
+    counts: DeviceArray
+
+
+class Reduce(NamedTuple):
+    out: DeviceArray
 
 
 @pytest.fixture(scope="module")
@@ -78,14 +110,11 @@ def test_parameters_of_every_kind_arrive(card: DeviceCuda, source: KernelSource)
     plan = np.zeros(1, [("by", "f4"), ("first", "i4"), ("mask", "u8"), ("far", "f8")])
     plan[0] = (0.5, -7, 9 << 40, 1e9)
     x, y = np.arange(1000, dtype=np.float32), card.zeros(1000, np.float64)
-    card.load(source)["work"].launch(
-        4, 256, card.upload(x), y, plan[0], np.uint32(1000), np.uint8(200), np.int64(-(2**40))
-    )
+    given = Work(card.upload(x), y, plan[0], np.uint32(1000), np.uint8(200), np.int64(-(2**40)))
+    card.load(source)["work"].launch(4, 256, given)
     assert (y.numpy() == 0.5 * x.astype(np.float64) - 7 + 1e9 + 200 - 2**40 + 9).all()
     with pytest.raises(DeviceError, match="struct Plan"):
-        card.load(source)["work"].launch(
-            1, 1, y, y, np.zeros(1, "f4")[0], np.uint32(1), np.uint8(1), np.int64(1)
-        )
+        card.load(source)["work"].launch(1, 1, given._replace(plan=np.zeros(1, "f4")[0]))
 
 
 def test_much_dynamic_shared_memory(card: DeviceCuda, source: KernelSource) -> None:
@@ -93,32 +122,32 @@ def test_much_dynamic_shared_memory(card: DeviceCuda, source: KernelSource) -> N
     values = np.arange(count, dtype=np.uint32)
     there = card.upload(values)
     reverse = card.load(source)["reverse"]
-    reverse.launch(1, 512, there, np.uint32(count), shared=4 * count)
+    reverse.launch(1, 512, Reverse(there, np.uint32(count)), shared=4 * count)
     assert (there.numpy() == values[::-1]).all()
     with pytest.raises(DeviceError, match="dynamic shared memory"):
-        reverse.launch(1, 512, there, np.uint32(count), shared=card.shared_max + 1)
+        reverse.launch(1, 512, Reverse(there, np.uint32(count)), shared=card.shared_max + 1)
     assert reverse.resources().registers > 0 and reverse.blocks_resident(512) >= 1
 
 
 def test_grids_of_three_sides_and_warp_reductions(card: DeviceCuda, source: KernelSource) -> None:
     counts, out = card.zeros((4, 3), np.uint32), card.zeros(2, np.uint32)
-    card.load(source)["count_blocks"].launch((5, 3, 4), (8, 2, 2), counts)
+    card.load(source)["count_blocks"].launch((5, 3, 4), (8, 2, 2), CountBlocks(counts))
     assert (counts.numpy() == 5 * 4).all()  # threads with x = 0: two by two a block
-    card.load(source)["reduce"].launch(1, 32, out)
+    card.load(source)["reduce"].launch(1, 32, Reduce(out))
     assert out.numpy().tolist() == [496, 31]
 
 
 def test_a_graph_runs_what_was_recorded(card: DeviceCuda, source: KernelSource) -> None:
     kernels, a, value = card.load(source), card.zeros(64, np.int32), card.pinned(1, np.int32)
-    kernels["add"].launch(1, 64, a, np.int32(0))
-    kernels["add_of"].launch(1, 64, a, card.zeros(1, np.int32))
+    kernels["add"].launch(1, 64, Add(a, np.int32(0)))
+    kernels["add_of"].launch(1, 64, AddOf(a, card.zeros(1, np.int32)))
     result = card.pinned(64, np.int32)
     with card.capture() as graph:
         inner = card.upload(value)
         scratch = card.zeros(64, np.int32)
-        kernels["add_of"].launch(1, 64, scratch, inner)
-        kernels["add_of"].launch(1, 64, a, inner)
-        kernels["add"].launch(1, 64, a, np.int32(100))
+        kernels["add_of"].launch(1, 64, AddOf(scratch, inner))
+        kernels["add_of"].launch(1, 64, AddOf(a, inner))
+        kernels["add"].launch(1, 64, Add(a, np.int32(100)))
         card.download_async(scratch, result)
     del inner, scratch
     filler = [card.zeros(64, np.int32) for _ in range(8)]  # would take memory that was let go of
@@ -136,10 +165,10 @@ def test_a_graph_runs_what_was_recorded(card: DeviceCuda, source: KernelSource) 
 def test_copies_beside_later_work(card: DeviceCuda, source: KernelSource) -> None:
     add = card.load(source)["add"]
     first, second = card.zeros(1 << 20, np.int32), card.zeros(1 << 20, np.int32)
-    add.launch(1 << 12, 256, first, np.int32(3))
+    add.launch(1 << 12, 256, Add(first, np.int32(3)))
     copy = card.download_async(first, beside=True)
     for _ in range(5):
-        add.launch(1 << 12, 256, second, np.int32(1))
+        add.launch(1 << 12, 256, Add(second, np.int32(1)))
     del first  # kept until it has arrived
     reused = card.zeros(1 << 20, np.int32)
     assert (copy.numpy() == 3).all() and copy.done
@@ -150,7 +179,7 @@ def test_events_tell_time_in_order(card: DeviceCuda, source: KernelSource) -> No
     add, a = card.load(source)["add"], card.zeros(1 << 20, np.int32)
     begin = card.event()
     for _ in range(10):
-        add.launch(1 << 12, 256, a, np.int32(1))
+        add.launch(1 << 12, 256, Add(a, np.int32(1)))
     end = card.event()
     assert card.elapsed(begin, end) > 0 and begin.done and end.done
 
@@ -169,7 +198,7 @@ def test_a_thread_without_a_context_can_work(card: DeviceCuda, source: KernelSou
     a, seen = card.zeros(32, np.int32), []
 
     def work() -> None:
-        card.load(source)["add"].launch(1, 32, a, np.int32(4))
+        card.load(source)["add"].launch(1, 32, Add(a, np.int32(4)))
         seen.append(a.numpy().tolist())
 
     thread = threading.Thread(target=work)
@@ -181,7 +210,8 @@ def test_a_thread_without_a_context_can_work(card: DeviceCuda, source: KernelSou
 LOSE = """
 import numpy as np
 from pathlib import Path
-from gn0.device.device import KernelSource
+from typing import NamedTuple
+from gn0.device.device import DeviceArray, KernelSource
 from gn0.device.open import find_device, open_device
 from gn0.errors import DeviceError
 device = open_device("cuda")
@@ -189,8 +219,11 @@ a = device.zeros(8, np.int32)
 flying = device.download_async(a, beside=True)
 event = device.event()
 pretended = "Pretended" in device.name
+class Wild(NamedTuple):
+    a: DeviceArray
+    far: np.uint64
 device.load(KernelSource("wild", (Path(PATH),)))["wild"].launch(
-    1, 1, a, np.uint64(0 if pretended else 1 << 44))
+    1, 1, Wild(a, np.uint64(0 if pretended else 1 << 44)))
 for call in (device.synchronize, a.numpy, device.memory, device.trim, device.event, event.wait,
              flying.numpy, lambda: flying.done, lambda: device.zeros(1 << 24, np.uint8)):
     try:

@@ -61,7 +61,8 @@ def test_kernels_take_the_parameters_that_their_prototypes_say(source: KernelSou
     }  # fmt: skip
     said = parse_prototypes(source.text)
     assert taken.keys() == said.keys()
-    for name, types in said.items():
+    for name, parameters in said.items():
+        types = [kind for _, kind in parameters]
         assert len(types) == len(taken[name])
         assert not any(map(_differs, types, taken[name])), (name, types, taken[name])
 

@@ -9,18 +9,44 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from gn0.device.device import KernelSource
+from gn0.device.arguments import Parameter
+from gn0.device.device import DeviceArray, KernelSource
 from gn0.device.driver import DeviceCuda
 from gn0.device.host import DeviceHost
 from gn0.device.libcuda import Driver
 from gn0.errors import DeviceError, DeviceMemoryError
 
 LINE = np.dtype([("slope", np.float32), ("offset", np.int32), ("pad", np.uint8, 24)])
+
+
+class DrawLine(NamedTuple):
+    x: DeviceArray
+    y: DeviceArray
+    line: np.void
+    n: np.int32
+
+
+class Add(NamedTuple):
+    a: DeviceArray | None
+    value: np.int32
+
+
+class Share(NamedTuple):
+    a: DeviceArray
+
+
+class Choose(NamedTuple):
+    yes: np.bool_
+    byte: np.uint8
+    word: np.uint16
+    wide: np.int64
+    real: np.float64
+    out: DeviceArray
 
 
 def line(slope: float, offset: int) -> np.void:
@@ -149,7 +175,7 @@ def test_everything_is_freed_once(device: DeviceCuda, fake: Any, kernels: Kernel
     a = device.zeros(32, np.int32)
     half = a[16:].reshape(4, 4).view(np.float32)
     with device.capture() as graph:
-        add.launch(1, 32, a, np.int32(1))
+        add.launch(1, 32, Add(a, np.int32(1)))
     begin, pinned = device.event(), device.pinned(3, np.int8)
     assert fake.fake_live() > before
     del a, half, graph, begin, pinned
@@ -181,7 +207,7 @@ def everything(
 ) -> list[Callable[[], object]]:
     """All that can be asked of a device."""
     return [
-        lambda: add.launch(1, 8, a, np.int32(1)),
+        lambda: add.launch(1, 8, Add(a, np.int32(1))),
         device.synchronize,
         a.numpy,
         lambda: device.empty(3, np.int8),
@@ -204,12 +230,12 @@ def test_a_lost_card_is_said_and_never_asked_again(
 ) -> None:
     add, a = device.load(kernels)["add"], device.zeros(8, np.int32)
     event, pinned = device.event(), device.pinned(8, np.int32)
-    add.launch(1, 8, a, np.int32(1))
+    add.launch(1, 8, Add(a, np.int32(1)))
     fake.fake_fail(call.encode(), code, 0)
     with pytest.raises(
         DeviceError, match=rf"{call}: CUDA_ERROR_\w+ \({code}\), .*restart the proc"
     ):
-        add.launch(1, 8, a, np.int32(1))
+        add.launch(1, 8, Add(a, np.int32(1)))
         device.synchronize()
     fake.fake_fail(call.encode(), 0, 0)
     calls = fake.fake_total()
@@ -227,35 +253,39 @@ def test_kernels_get_what_they_are_given(device: DeviceCuda, kernels: KernelSour
     x, y = np.arange(100, dtype=np.int32), device.zeros(100, np.float32)
     there = device.upload(x)
     for slope, offset in ((0.5, 3), (2.0, -1)):
-        loaded["draw_line"].launch(2, 64, there, y, line(slope, offset), np.int32(99))
+        loaded["draw_line"].launch(2, 64, DrawLine(there, y, line(slope, offset), np.int32(99)))
         assert (y.numpy()[:99] == slope * x[:99] + offset).all() and y.numpy()[99] == 0
     out = device.zeros(1, np.float64)
-    scalars = (
-        np.bool_(True),
-        np.uint8(200),
-        np.uint16(60000),
-        np.int64(-(2**40)),
-        np.float64(0.25),
+    given = Choose(
+        yes=np.bool_(True),
+        byte=np.uint8(200),
+        word=np.uint16(60000),
+        wide=np.int64(-(2**40)),
+        real=np.float64(0.25),
+        out=out,
     )
-    loaded["choose"].launch((1, 1), (1, 1, 1), *scalars, out)
+    loaded["choose"].launch((1, 1), (1, 1, 1), given)
     assert out.numpy()[0] == 200 + 60000 - 2**40 + 0.25
-    loaded["add"].launch(0, 8, None, np.int32(1))  # no blocks, nothing runs
+    loaded["add"].launch(0, 8, Add(None, np.int32(1)))  # no blocks, nothing runs
 
 
 def test_parameters_are_refused_as_on_the_host(device: DeviceCuda, kernels: KernelSource) -> None:
     loaded, a = device.load(kernels), device.zeros(4, np.int32)
-    for args in [(), (a,), (a, 1), (a, np.int64(1)), (np.int32(1), a), (3, np.int32(1)), (a, a)]:
-        with pytest.raises(DeviceError, match="kernel add"):
-            loaded["add"].launch(1, 1, *args)
+    wrong_values: list[Any] = [
+        *((a, 1), (a, np.int64(1)), (np.int32(1), a), (3, np.int32(1)), (a, a), (a, None))
+    ]
+    for values in wrong_values:
+        with pytest.raises(DeviceError, match=r"kernel add: parameter (a|value) is"):
+            loaded["add"].launch(1, 1, Add(*values))
     wrong = np.zeros(1, [("slope", np.float32)])[0]
     y = device.zeros(4, np.float32)
     with pytest.raises(DeviceError, match="struct Line of 32 bytes"):
-        loaded["draw_line"].launch(1, 4, a, y, wrong, np.int32(1))
+        loaded["draw_line"].launch(1, 4, DrawLine(a, y, wrong, np.int32(1)))
     blocks: list[Any] = [2048, 0, (1, 1, 65), (-1, -1, 1), (-1, 1, -1), (0, 5, 5)]
     grids: list[Any] = [(1, 70000), -1, 2**31, (1, 1, 65536)]
     for grid, block in [*((1, block) for block in blocks), *((grid, 1) for grid in grids)]:
         with pytest.raises(DeviceError, match=r"a (block|grid) of"):
-            loaded["add"].launch(grid, block, a, np.int32(1))
+            loaded["add"].launch(grid, block, Add(a, np.int32(1)))
 
 
 def test_an_array_of_another_device_is_refused(device: DeviceCuda, kernels: KernelSource) -> None:
@@ -263,7 +293,7 @@ def test_an_array_of_another_device_is_refused(device: DeviceCuda, kernels: Kern
     add = device.load(kernels)["add"]
     others: list[Any] = [DeviceCuda(1, device.driver), DeviceHost()]
     uses: list[Callable[[Any], object]] = [
-        lambda a: add.launch(1, 4, a, np.int32(1)),
+        lambda a: add.launch(1, 4, Add(a, np.int32(1))),
         lambda a: device.fill(a, 1),
         device.download,
         lambda a: device.upload(np.zeros(4, np.int32), a),
@@ -274,7 +304,8 @@ def test_an_array_of_another_device_is_refused(device: DeviceCuda, kernels: Kern
         for use in uses:
             with pytest.raises(DeviceError, match=r"not on cuda:0.*upload"):
                 use(there)
-    add.launch(1, 4, DeviceCuda(0, device.driver).zeros(4, np.int32), np.int32(1))  # the same card
+    same = DeviceCuda(0, device.driver).zeros(4, np.int32)
+    add.launch(1, 4, Add(same, np.int32(1)))
 
 
 def test_struct_sizes_are_learnt_where_the_driver_is_older(
@@ -283,10 +314,10 @@ def test_struct_sizes_are_learnt_where_the_driver_is_older(
     older = DeviceCuda(0, Driver(str(build_fake("-DOLDER"))))
     a, y = older.upload(np.arange(4, dtype=np.int32)), older.zeros(4, np.float32)
     draw = older.load(kernels)["draw_line"]
-    draw.launch(1, 4, a, y, line(2, 1), np.int32(4))
+    draw.launch(1, 4, DrawLine(a, y, line(2, 1), np.int32(4)))
     assert y.numpy().tolist() == [1, 3, 5, 7]
     with pytest.raises(DeviceError, match="of 32 bytes"):
-        draw.launch(1, 4, a, y, np.zeros(1, "i4,i4")[0], np.int32(4))
+        draw.launch(1, 4, DrawLine(a, y, np.zeros(1, "i4,i4")[0], np.int32(4)))
 
 
 def test_much_shared_memory_is_asked_for_once(
@@ -294,19 +325,19 @@ def test_much_shared_memory_is_asked_for_once(
 ) -> None:
     share, a = device.load(kernels)["share"], device.zeros(1, np.int32)
     for shared in (1000, 47 * 1024):
-        share.launch(1, 1, a, shared=shared)
+        share.launch(1, 1, Share(a), shared=shared)
     assert not fake.fake_calls(b"cuFuncSetAttribute")
     again = device.load(KernelSource("again", kernels.files, (("AGAIN", 1),)))["share"]
-    again.launch(1, 1, a, shared=47 * 1024 + 1)  # with 1 KB of static memory more than 48 KB
+    again.launch(1, 1, Share(a), shared=47 * 1024 + 1)  # with 1 KB of static memory more than 48 KB
     assert fake.fake_calls(b"cuFuncSetAttribute") == 1
     fake.fake_forget(b"cuFuncSetAttribute")
     for _ in range(3):
-        share.launch(1, 1, a, shared=100_000)
+        share.launch(1, 1, Share(a), shared=100_000)
     assert fake.fake_calls(b"cuFuncSetAttribute") == 1 and a.numpy()[0] == 1
     with pytest.raises(DeviceError, match=r"300000 bytes.*kernel share|kernel share.*300000 bytes"):
-        share.launch(1, 1, a, shared=300_000)
+        share.launch(1, 1, Share(a), shared=300_000)
     with pytest.raises(DeviceError, match=r"232448 bytes .* more than the 231424"):
-        share.launch(1, 1, a, shared=227 * 1024)  # with the static kilobyte too many
+        share.launch(1, 1, Share(a), shared=227 * 1024)  # with the static kilobyte too many
     assert share.resources().registers == 40 and share.blocks_resident(256) == 8
 
 
@@ -315,7 +346,7 @@ def test_a_failed_launch_names_kernel_and_sizes(
 ) -> None:
     fake.fake_fail(b"cuLaunchKernel", 701, 0)
     with pytest.raises(DeviceError, match=r"\(701\), kernel add, grid \(3, 1, 1\).*smaller blocks"):
-        device.load(kernels)["add"].launch(3, 8, None, np.int32(1))
+        device.load(kernels)["add"].launch(3, 8, Add(None, np.int32(1)))
     assert device.lost is None  # the next launch may do better
 
 
@@ -338,8 +369,8 @@ def test_a_graph_runs_again_and_keeps_its_arrays(
     result = device.pinned(8, np.int32)
     with device.capture() as graph:
         inner = device.upload(held)
-        add.launch(1, 8, inner, np.int32(5))
-        add.launch(1, 8, a, np.int32(1))
+        add.launch(1, 8, Add(inner, np.int32(5)))
+        add.launch(1, 8, Add(a, np.int32(1)))
         device.download_async(inner, result)
         with pytest.raises(DeviceError, match="end properly"):
             graph.launch()
@@ -365,14 +396,14 @@ def test_a_recording_that_fails_leaves_the_device_usable(
 ) -> None:
     add, a = device.load(kernels)["add"], device.zeros(8, np.int32)
     with pytest.raises(KeyError), device.capture():
-        add.launch(1, 8, a, np.int32(1))
+        add.launch(1, 8, Add(a, np.int32(1)))
         raise KeyError
     fake.fake_fail(b"cuStreamEndCapture", 901, 0)
     with pytest.raises(DeviceError, match=r"EndCapture.*\(901\)"), device.capture() as graph:
         pass
     with pytest.raises(DeviceError, match="end properly"):
         graph.launch()
-    add.launch(1, 8, a, np.int32(2))
+    add.launch(1, 8, Add(a, np.int32(2)))
     assert a.numpy().tolist() == [2] * 8
 
 
@@ -387,7 +418,8 @@ def test_a_kernel_that_takes_other_parameters_is_refused(
 ) -> None:
     """A stale or foreign image must not read parameters otherwise than they were given."""
     for types in (["int*", "u64"], ["int*", "int", "int"]):
-        monkeypatch.setattr("gn0.device.driver.parse_prototypes", lambda _, t=types: {"add": t})
+        given = [Parameter(f"p{n}", kind) for n, kind in enumerate(types)]
+        monkeypatch.setattr("gn0.device.driver.parse_prototypes", lambda _, g=given: {"add": g})
         source = KernelSource("other", kernels.files, (("A", len(types)), ("B", len(types[-1]))))
         with pytest.raises(DeviceError, match=r"kernel add.*parameters of \[8, 4\] bytes"):
             device.load(source)
@@ -403,13 +435,13 @@ def test_what_is_spare_makes_room_for_a_launch(
         fake.fake_fail(call, 2, 0)
         with pytest.raises(DeviceMemoryError):
             if call == b"cuLaunchKernel":
-                add.launch(1, 8, a, np.int32(2))
+                add.launch(1, 8, Add(a, np.int32(2)))
             else:
                 device.load(KernelSource("more", kernels.files, (("A", 3),)))
         fake.fake_fail(call, 0, 0)
     assert fake.fake_calls(b"cuMemPoolTrimTo") == trims + 2
     fake.fake_once(b"cuLaunchKernel", 2)
-    add.launch(1, 8, a, np.int32(2))
+    add.launch(1, 8, Add(a, np.int32(2)))
     assert a.numpy().tolist() == [2] * 8
 
 
@@ -490,7 +522,7 @@ def test_another_librarys_context_is_left_as_it_was(
     """torch on another card finds its own card current after our calls."""
     add, a = device.load(kernels)["add"], device.zeros(8, np.int32)
     fake.fake_context(1)
-    add.launch(1, 8, a, np.int32(2))
+    add.launch(1, 8, Add(a, np.int32(2)))
     assert a.numpy().tolist() == [2] * 8
     assert fake.fake_current() == 2
     fake.fake_context(0)
@@ -506,7 +538,7 @@ def test_threads_share_a_kernel(orderly: DeviceCuda, kernels: KernelSource) -> N
     def work(slope: int) -> None:
         y = device.zeros(16, np.float32)
         for _ in range(20):
-            draw.launch(1, 16, x, y, line(slope, 1), np.int32(16))
+            draw.launch(1, 16, DrawLine(x, y, line(slope, 1), np.int32(16)))
         if y.numpy().tolist() != [slope * i + 1 for i in range(16)]:
             wrong.append(slope)
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from gn0.device.device import KernelSource
+from gn0.device.device import DeviceArray, KernelSource
 from gn0.device.host import DeviceHost
 from gn0.errors import DeviceError, DeviceMemoryError
 
@@ -44,6 +45,36 @@ KERNEL(halves)(const float *a, float *b) {
 """
 
 
+class ReverseBlock(NamedTuple):
+    a: DeviceArray
+    b: DeviceArray
+    n: np.int32
+
+
+class CountOdd(NamedTuple):
+    a: DeviceArray
+    votes: DeviceArray
+    total: DeviceArray
+
+
+class Racy(NamedTuple):
+    out: DeviceArray
+
+
+class Beyond(NamedTuple):
+    a: DeviceArray | None
+    n: np.int32
+
+
+class Stuck(NamedTuple):
+    a: DeviceArray
+
+
+class Halves(NamedTuple):
+    a: DeviceArray
+    b: DeviceArray
+
+
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> KernelSource:
     path = tmp_path_factory.mktemp("kernels") / "example.cu"
@@ -55,7 +86,9 @@ def test_barriers_order_shared_memory(source: KernelSource) -> None:
     device = DeviceHost(seed=3)
     a = np.arange(128, dtype=np.int32)
     out = device.empty(128, np.int32)
-    device.load(source)["reverse_block"].launch(2, 64, device.upload(a), out, np.int32(128))
+    device.load(source)["reverse_block"].launch(
+        2, 64, ReverseBlock(device.upload(a), out, np.int32(128))
+    )
     assert (out.numpy() == a.reshape(2, 64)[:, ::-1].ravel()).all()
 
 
@@ -63,7 +96,7 @@ def test_warps_vote_and_shuffle(source: KernelSource) -> None:
     device = DeviceHost(seed=5)
     a = np.arange(64, dtype=np.int32)
     votes, total = device.zeros(2, np.uint32), device.zeros(1, np.uint32)
-    device.load(source)["count_odd"].launch(1, 64, device.upload(a), votes, total)
+    device.load(source)["count_odd"].launch(1, 64, CountOdd(device.upload(a), votes, total))
     assert votes.numpy().tolist() == [0xAAAAAAAA] * 2
     assert total.numpy().tolist() == [a.sum()]
 
@@ -74,7 +107,7 @@ def test_a_missing_barrier_shows(source: KernelSource) -> None:
     for seed in range(1, 6):
         device = DeviceHost(seed)
         out = device.empty(64, np.int32)
-        device.load(source)["racy"].launch(1, 64, out)
+        device.load(source)["racy"].launch(1, 64, Racy(out))
         results.add(out.numpy().tobytes())
     assert len(results) > 1
 
@@ -83,31 +116,40 @@ def test_memory_beyond_a_buffer_is_an_error(source: KernelSource) -> None:
     device = DeviceHost()
     a = device.zeros(1024, np.int32)
     beyond = device.load(source)["beyond"]
-    beyond.launch(1, 16, a, np.int32(1024 - 16))
+    beyond.launch(1, 16, Beyond(a, np.int32(1024 - 16)))
     with pytest.raises(DeviceError, match=r"outside of every buffer.*thread 0"):
-        beyond.launch(1, 16, a, np.int32(1024))
+        beyond.launch(1, 16, Beyond(a, np.int32(1024)))
 
 
 def test_a_deadlock_is_an_error(source: KernelSource) -> None:
     device = DeviceHost()
     with pytest.raises(DeviceError, match="deadlock"):
-        device.load(source)["stuck"].launch(1, 32, device.zeros(1, np.int32))
+        device.load(source)["stuck"].launch(1, 32, Stuck(device.zeros(1, np.int32)))
 
 
 def test_dynamic_shared_memory_and_halves(source: KernelSource) -> None:
     device = DeviceHost()
     a = np.linspace(-3, 70000, 64, dtype=np.float32)
     out = device.empty(64, np.float32)
-    device.load(source)["halves"].launch(1, 64, device.upload(a), out, shared=128)
+    device.load(source)["halves"].launch(1, 64, Halves(device.upload(a), out), shared=128)
     with np.errstate(over="ignore"):
         assert (out.numpy() == a.astype(np.float16).astype(np.float32)).all()
 
 
-@pytest.mark.parametrize("args", [(1,), (1, 2), (np.float32(1), np.int32(1)), (None, np.int64(3))])
-def test_parameters_are_checked(source: KernelSource, args: tuple[object, ...]) -> None:
+@pytest.mark.parametrize(
+    ("a", "n", "wrong"),
+    [
+        (1, 2, "a is a int"),
+        (None, 2, "n is a int"),
+        (np.float32(1), np.int32(1), r"a is float32, not a DeviceArray"),
+        (None, np.int64(3), "n is int64, not int32"),
+        (None, None, "n is a pointer, not int32"),
+    ],
+)
+def test_values_are_checked(source: KernelSource, a: Any, n: Any, wrong: str) -> None:
     kernel = DeviceHost().load(source)["beyond"]
-    with pytest.raises(DeviceError, match="kernel beyond"):
-        kernel.launch(1, 1, *args)
+    with pytest.raises(DeviceError, match=f"kernel beyond: parameter {wrong}"):
+        kernel.launch(1, 1, Beyond(a, n))
 
 
 def test_memory_is_limited_and_given_back() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from gn0.device.device import KernelSource
+from gn0.device.device import DeviceArray, KernelSource
 from gn0.device.host import DeviceHost
 from gn0.errors import DeviceError
 
@@ -78,6 +79,16 @@ WRONG = {
 }
 
 
+class Given(NamedTuple):
+    in_: DeviceArray
+    out: DeviceArray
+    fresh: DeviceArray
+
+
+class FillIt(NamedTuple):
+    out: DeviceArray
+
+
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> KernelSource:
     path = tmp_path_factory.mktemp("kernels") / "example.cu"
@@ -93,10 +104,10 @@ def test_kernels_are_told_what_is_wrong(source: KernelSource, name: str, seed: i
     launch, fresh = device.load(source)[name].launch, device.empty(64, np.int32)
     blocks = 2 if name in ("other_blocks", "atomics") else 1
     if not WRONG[name]:
-        launch(blocks, 64, *given, fresh)
+        launch(blocks, 64, Given(*given, fresh))
         return
     with pytest.raises(DeviceError, match=WRONG[name]) as error:
-        launch(blocks, 64, *given, fresh)
+        launch(blocks, 64, Given(*given, fresh))
     if "; here" in str(error.value) and shutil.which("addr2line"):
         assert re.search(r"here (example\.cu|shim\.h):\d+", str(error.value))
 
@@ -108,8 +119,8 @@ def test_launches_follow_each_other(source: KernelSource) -> None:
     kernels = device.load(source)
     for _ in range(2):
         fresh = device.empty(64, np.int32)
-        kernels["barrier"].launch(1, 64, given[0], fresh, fresh)
-        kernels["not_written"].launch(1, 64, given[1], given[0], fresh)
+        kernels["barrier"].launch(1, 64, Given(given[0], fresh, fresh))
+        kernels["not_written"].launch(1, 64, Given(given[1], given[0], fresh))
         assert given[1].numpy().tolist() == list(range(63, -1, -1))
         del fresh
 
@@ -132,7 +143,7 @@ KERNEL(fill_it)(int *out) { fill<1>(out); }
         for size in (4, 5000, 64):
             out = device.empty(size, np.int32)
             device.load(KernelSource("fill", (path,), (("SIZE", size),)))["fill_it"].launch(
-                1, 32, out
+                1, 32, FillIt(out)
             )
             assert out.numpy().tolist() == list(range(size, 0, -1))
 

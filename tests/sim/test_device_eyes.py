@@ -23,6 +23,7 @@ from gn0.sim import presets
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_eyes import box_weights
 from gn0.sim.device_layout import SOURCE, blocks_of
+from gn0.sim.device_records import ReducePictures
 from gn0.sim.device_rollout import RolloutCollector
 from gn0.sim.env import GoalNavEnv
 from gn0.sim.history import reduce_picture
@@ -403,14 +404,22 @@ def test_pictures_are_reduced_as_pillow_reduces_them(size, out) -> None:
     pictures[1] = np.where(pictures[1] > 127, 255, 0)
     across, down = box_weights(size[0], out[0]), box_weights(size[1], out[1])
     result = device.empty((2, out[1], out[0], 3), np.uint8)
-    device.load(SOURCE)["reduce_pictures"].launch(
-        *((2, blocks_of(out[0] * out[1], 256)), 256, device.upload(pictures)),
-        *(np.int32(size[1]), np.int32(size[0])),
-        *(device.upload(across), np.int32(across.shape[1] - 2)),
-        *(device.upload(down), np.int32(down.shape[1] - 2)),
-        *(np.int32(out[1]), np.int32(out[0]), None),
-        *(device.upload(np.array([0x7FFFFFFF], np.int32)), result),
+    reducing = ReducePictures(
+        in_=device.upload(pictures),
+        rows=np.int32(size[1]),
+        cols=np.int32(size[0]),
+        across=device.upload(across),
+        across_taps=np.int32(across.shape[1] - 2),
+        down=device.upload(down),
+        down_taps=np.int32(down.shape[1] - 2),
+        out_rows=np.int32(out[1]),
+        out_cols=np.int32(out[0]),
+        views=None,
+        status=device.upload(np.array([0x7FFFFFFF], np.int32)),
+        out=result,
     )
+    grid = (2, blocks_of(out[0] * out[1], 256))
+    device.load(SOURCE)["reduce_pictures"].launch(grid, 256, reducing)
     for mine, picture in zip(result.numpy(), pictures, strict=True):
         theirs = Image.fromarray(picture).resize(out, Image.Resampling.BOX)
         np.testing.assert_array_equal(mine, np.asarray(theirs))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,21 @@ SCALARS: Mapping[str, str] = {
 }  # fmt: skip
 
 
-def parse_prototypes(text: str) -> dict[str, list[str]]:
-    """Kernels of a source text: C types of their parameters by name, `T*` for pointers."""
-    return {name: _types(params) for name, params in _PROTOTYPE.findall(_bare(text))}
+class Parameter(NamedTuple):
+    """A parameter of a kernel, as its source declares it.
+
+    Attributes:
+        name: in the source.
+        kind: C type, `T*` for a pointer.
+    """
+
+    name: str
+    kind: str
+
+
+def parse_prototypes(text: str) -> dict[str, list[Parameter]]:
+    """Kernels of a source text by name: their parameters, in order."""
+    return {name: _parameters(listed) for name, listed in _PROTOTYPE.findall(_bare(text))}
 
 
 def _bare(text: str) -> str:
@@ -39,13 +51,13 @@ def _bare(text: str) -> str:
     return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
 
 
-def _types(parameters: str) -> list[str]:
-    types = []
-    for parameter in filter(None, (p.strip() for p in parameters.split(","))):
+def _parameters(listed: str) -> list[Parameter]:
+    found = []
+    for parameter in filter(None, (p.strip() for p in listed.split(","))):
         clean = re.sub(r"\b(const|__restrict__|__grid_constant__)\b", " ", parameter)
-        words = clean.replace("*", " ").split()[:-1]
-        types.append(" ".join(words) + ("*" if "*" in clean else ""))
-    return types
+        *words, name = clean.replace("*", " ").split()
+        found.append(Parameter(name, " ".join(words) + ("*" if "*" in clean else "")))
+    return found
 
 
 def size3(size: int | tuple[int, ...]) -> tuple[int, int, int]:
@@ -76,7 +88,7 @@ def check_sizes(kernel: str, grid: tuple[int, int, int], block: tuple[int, int, 
         )
 
 
-def pack_argument(kernel: str, index: int, value: Any) -> NDArray[Any]:
+def pack_argument(kernel: str, name: str, value: Any) -> NDArray[Any]:
     """A kernel parameter as one element in memory.
 
     Raises:
@@ -89,36 +101,26 @@ def pack_argument(kernel: str, index: int, value: Any) -> NDArray[Any]:
     if isinstance(value, np.generic):
         return np.array([value])
     raise DeviceError(
-        f"parameter {index} is a {type(value).__name__}",
+        f"parameter {name} is a {type(value).__name__}",
         where=f"kernel {kernel}",
         remedy="give a DeviceArray, None or a NumPy scalar such as np.int32(3)",
     )
 
 
-def check_count(kernel: str, given: int, wanted: int) -> None:
-    """Compare the number of parameters.
-
-    Raises:
-        DeviceError: another number.
-    """
-    if given != wanted:
-        raise DeviceError(f"{given} parameters for {wanted}", where=f"kernel {kernel}")
-
-
-def check_argument(kernel: str, index: int, value: Any, kind: str, size: int | None = None) -> None:
+def check_argument(kernel: str, given: Parameter, value: Any, size: int | None = None) -> None:
     """Compare a parameter with the type that its kernel declares.
 
     Args:
         kernel: its name.
-        index: of the parameter.
+        given: the parameter.
         value: DeviceArray, None or NumPy scalar.
-        kind: C type, `T*` for a pointer.
         size: bytes of that type where they are known; compared for structs.
 
     Raises:
         DeviceError: a pointer for a number, a number for a pointer, another number, or a struct
             of another size.
     """
+    name, kind = given
     pointer = value is None or isinstance(value, DeviceArray)
     expected = "a DeviceArray" if kind.endswith("*") else SCALARS.get(kind, f"struct {kind}")
     fits = pointer if kind.endswith("*") else not pointer
@@ -128,7 +130,7 @@ def check_argument(kernel: str, index: int, value: Any, kind: str, size: int | N
         expected, fits = f"{expected} of {size} bytes", False
     if not fits:
         got = "a pointer" if pointer else f"{value.dtype.name}"
-        raise DeviceError(f"parameter {index} is {got}, not {expected}", where=f"kernel {kernel}")
+        raise DeviceError(f"parameter {name} is {got}, not {expected}", where=f"kernel {kernel}")
 
 
 def check_copy(array: NDArray[Any], device: DeviceArray) -> None:

@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -163,21 +163,28 @@ class Kernel(Protocol):
     name: str
 
     def launch(
-        self, grid: int | tuple[int, ...], block: int | tuple[int, ...], *args: Any, shared: int = 0
+        self,
+        grid: int | tuple[int, ...],
+        block: int | tuple[int, ...],
+        record: NamedTuple,
+        *,
+        shared: int = 0,
     ) -> None:
-        """Run it: `args` are DeviceArrays (passed as pointers), NumPy scalars (passed by value).
+        """Run it with a record of its parameters by name; see `gn0.device.records`.
 
-        A `None` argument is a null pointer; a NumPy structured scalar (`np.void`) is a struct by
-        value. Python ints and floats are refused: their C type would be a guess.
+        Values are DeviceArrays (passed as pointers), None (a null pointer), NumPy scalars and
+        structured scalars (`np.void`, passed by value). Python ints and floats are refused: their
+        C type would be a guess.
 
         Args:
             grid: blocks, up to three numbers; a grid of zero blocks runs nothing.
             block: threads a block.
-            args: the kernel's parameters, in order.
+            record: the kernel's parameters.
             shared: bytes of dynamic shared memory.
 
         Raises:
-            DeviceError: a parameter of another number or type, or the launch failed.
+            DeviceError: the record has other parameters than the kernel, a value is of another
+                type, or the launch failed.
         """
         ...
 

@@ -438,12 +438,12 @@ class DeviceCuda:
         if code:
             raise self.failed(code, "cuModuleLoadDataEx", f"module {source.name} {log}".strip())
         kernels = {}
-        for name, types in parse_prototypes(source.text).items():
+        for name, parameters in parse_prototypes(source.text).items():
             function = ctypes.c_void_p()
             self.call(
                 "cuModuleGetFunction", ctypes.byref(function), module, name.encode(), about=name
             )
-            kernels[name] = KernelCuda(self, name, function.value or 0, types)
+            kernels[name] = KernelCuda(self, name, function.value or 0, parameters)
         return kernels
 
     def _load_image(self, image: bytes, module: ctypes.c_void_p) -> tuple[int, str]:

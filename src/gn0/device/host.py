@@ -28,16 +28,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from gn0.cache import trust_folder
 from gn0.device.arguments import (
+    Parameter,
     check_argument,
     check_copy,
-    check_count,
     check_sizes,
     pack_argument,
     parse_prototypes,
@@ -45,6 +45,7 @@ from gn0.device.arguments import (
 )
 from gn0.device.device import DeviceArray, Event, KernelSource
 from gn0.device.pinned import is_pinned, new_pinned, not_pinned
+from gn0.device.records import Records
 from gn0.errors import DeviceError, DeviceMemoryError
 from gn0.storage import cache_dir, content_hash
 
@@ -75,20 +76,28 @@ SHARED_MAX = 227 * 1024  # bytes of dynamic shared memory a block on the largest
 class KernelHost:
     """A kernel that runs thread by thread."""
 
-    def __init__(self, device: DeviceHost, name: str, library: Any, types: list[str]) -> None:
+    def __init__(
+        self, device: DeviceHost, name: str, library: Any, parameters: list[Parameter]
+    ) -> None:
         self.name = name
-        self._device, self._types, self._library = device, types, library
+        self._device, self._parameters, self._library = device, parameters, library
+        self._records = Records(name, parameters)
         self._entry, self._text = library[f"gn0_run_{name}"], library.gn0_message
-        self._sizes = list((ctypes.c_size_t * len(types)).in_dll(library, f"gn0_sizes_{name}"))
+        self._sizes = list((ctypes.c_size_t * len(parameters)).in_dll(library, f"gn0_sizes_{name}"))
 
     def launch(
-        self, grid: int | tuple[int, ...], block: int | tuple[int, ...], *args: Any, shared: int = 0
+        self,
+        grid: int | tuple[int, ...],
+        block: int | tuple[int, ...],
+        record: NamedTuple,
+        *,
+        shared: int = 0,
     ) -> None:
         """Run it to its end; see `gn0.device.device.Kernel`.
 
         Raises:
-            DeviceError: a parameter of another number or type, memory used beyond its end, or
-                threads that wait for each other for ever.
+            DeviceError: another record or value than the kernel takes, memory used beyond its
+                end, or threads that wait for each other for ever.
         """
         blocks, threads = size3(grid), size3(block)
         check_sizes(self.name, blocks, threads)
@@ -96,13 +105,14 @@ class KernelHost:
             raise DeviceError(
                 f"{shared} bytes of dynamic shared memory", where=f"kernel {self.name}"
             )
-        check_count(self.name, len(args), len(self._types))
-        held = [pack_argument(self.name, i, value) for i, value in enumerate(args)]
-        for i, value in enumerate(args):
-            check_argument(self.name, i, value, self._types[i], self._sizes[i])
+        values = self._records.flatten(record)
+        held = []
+        for given, value, size in zip(self._parameters, values, self._sizes, strict=True):
+            held.append(pack_argument(self.name, given.name, value))
+            check_argument(self.name, given, value, size)
         if not math.prod(blocks):
             return
-        self._device.do(lambda: self._run(blocks, threads, held, shared), args)
+        self._device.do(lambda: self._run(blocks, threads, held, shared), values)
 
     def _run(
         self,
@@ -262,7 +272,7 @@ class DeviceHost:
         library = ctypes.CDLL(str(self.build(source)))
         library.gn0_message.restype = ctypes.c_char_p
         found = parse_prototypes(source.text)
-        return {name: KernelHost(self, name, library, types) for name, types in found.items()}
+        return {name: KernelHost(self, name, library, given) for name, given in found.items()}
 
     def build(self, source: KernelSource) -> Path:
         """The library of a source's kernels in the cache folder, made if need be.
@@ -418,12 +428,12 @@ def _name_lines(message: str, library: str) -> str:
     return re.sub(r"@([0-9a-f]+)", line, message) if shutil.which("addr2line") else message
 
 
-def _wrappers(found: Mapping[str, list[str]]) -> str:
+def _wrappers(found: Mapping[str, list[Parameter]]) -> str:
     """C entries that unpack parameters and run a grid."""
     lines = ['extern "C" const char *gn0_message() { return gn0::message; }']
-    for name, types in found.items():
-        given = ", ".join(f"*({kind} *)p[{i}]" for i, kind in enumerate(types))
-        sizes = "".join(f"sizeof({kind}), " for kind in types)
+    for name, parameters in found.items():
+        given = ", ".join(f"*({kind} *)p[{i}]" for i, (_, kind) in enumerate(parameters))
+        sizes = "".join(f"sizeof({kind}), " for _, kind in parameters)
         lines.append(f'extern "C" const size_t gn0_sizes_{name}[] = {{{sizes}0}};')
         lines.append(
             f'extern "C" int gn0_run_{name}(const unsigned *grid, const unsigned *block, '

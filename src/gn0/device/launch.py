@@ -6,7 +6,7 @@ import ctypes
 import struct
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,14 +14,15 @@ from gn0.device.arguments import (
     SCALARS,
     THREADS_MAX,
     THREADS_MAX_Z,
+    Parameter,
     check_argument,
-    check_count,
     check_sizes,
     pack_argument,
     size3,
 )
 from gn0.device.device import DeviceArray
 from gn0.device.libcuda import INVALID_VALUE, OUT_OF_MEMORY
+from gn0.device.records import Records
 from gn0.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -53,13 +54,17 @@ class Resources:
 class KernelCuda:
     """A kernel of a card; see `gn0.device.device.Kernel`."""
 
-    def __init__(self, device: DeviceCuda, name: str, function: int, types: list[str]) -> None:
+    def __init__(
+        self, device: DeviceCuda, name: str, function: int, parameters: list[Parameter]
+    ) -> None:
         self.name = name
-        self._device, self._function, self._types = device, function, types
+        self._device, self._function, self._parameters = device, function, parameters
+        self._types = [kind for _, kind in parameters]
+        self._records = Records(name, parameters)
         self._launch = device.driver.function("cuLaunchKernel")
         self._sizes = self._parameter_sizes()
         # the class that a parameter has, as a rule; others take the slow road
-        self._classes: list[Any] = [_class_of(kind) for kind in types]
+        self._classes: list[Any] = [_class_of(kind) for kind in self._types]
         self._packer: struct.Struct | None = None
         self._lock = threading.Lock()  # parameters are packed into one buffer a kernel
         self._shared = 0  # dynamic bytes that blocks may have as things are
@@ -89,13 +94,18 @@ class KernelCuda:
         return [*told] or sizes
 
     def launch(
-        self, grid: int | tuple[int, ...], block: int | tuple[int, ...], *args: Any, shared: int = 0
+        self,
+        grid: int | tuple[int, ...],
+        block: int | tuple[int, ...],
+        record: NamedTuple,
+        *,
+        shared: int = 0,
     ) -> None:
         """Run it; see `gn0.device.device.Kernel`.
 
         Raises:
-            DeviceError: a parameter of another number or type, the launch failed, or something
-                launched before has failed.
+            DeviceError: another record or value than the kernel takes, the launch failed, or
+                something launched before has failed.
         """
         device = self._device
         if device.lost is not None:
@@ -112,22 +122,24 @@ class KernelCuda:
             and 0 <= z < 65536
         ):
             check_sizes(self.name, blocks, threads)
-        if len(args) != len(self._classes):
-            check_count(self.name, len(args), len(self._classes))
+        args = self._records.flatten(record)
         values: list[Any] = []
-        for value, kind in zip(args, self._classes, strict=True):
-            if value.__class__ is not kind:
-                values.append(self._value(len(values), value))
-            elif kind is DeviceArray:
-                if value.device is not device:
-                    device.check_here(value)
-                values.append(value.pointer)
-            elif kind is np.void:
-                if value.itemsize != self._sizes[len(values)]:
-                    self._value(len(values), value)
-                values.append(value.tobytes())
+        for value, kind in zip(args, self._classes):  # noqa: B905, as many of both
+            if value.__class__ is kind:
+                if kind is DeviceArray:
+                    if value.device is not device:
+                        device.check_here(value)
+                    values.append(value.pointer)
+                elif kind is np.void:
+                    if value.itemsize != self._sizes[len(values)]:
+                        self._value(len(values), value)
+                    values.append(value.tobytes())
+                else:
+                    values.append(value)
+            elif value is None and kind is DeviceArray:
+                values.append(0)
             else:
-                values.append(value.item())
+                values.append(self._value(len(values), value))
         if not (x and y and z):
             return
         if shared > self._shared:
@@ -139,9 +151,8 @@ class KernelCuda:
             if self._packer is None:
                 self._packer = self._prepare(args)
             self._packer.pack_into(self._buffer, 0, *values)
-            given = (
-                self._function, x, y, z, *threads, shared, device.stream, self._pointers, None
-            )  # fmt: skip
+            sizes = (x, y, z, *threads, shared)
+            given = (self._function, *sizes, device.stream, self._pointers, None)
             code = device.in_context(self._launch, *given)
             if code == OUT_OF_MEMORY and device.recording is None:
                 device.trim()  # local memory is the card's, not the pool's
@@ -152,8 +163,9 @@ class KernelCuda:
 
     def _value(self, index: int, value: Any) -> Any:
         """A parameter of an uncommon kind, checked."""
-        pack_argument(self.name, index, value)
-        check_argument(self.name, index, value, self._types[index], self._sizes[index])
+        given = self._parameters[index]
+        pack_argument(self.name, given.name, value)
+        check_argument(self.name, given, value, self._sizes[index])
         if value is None:
             return 0
         if isinstance(value, DeviceArray):
@@ -221,10 +233,8 @@ class KernelCuda:
         if shared > self._shared:
             self._allow(shared)
         count = ctypes.c_int()
-        self._device.call(
-            "cuOccupancyMaxActiveBlocksPerMultiprocessor",
-            ctypes.byref(count), self._function, threads, shared, about=self.name,
-        )  # fmt: skip
+        name, to = "cuOccupancyMaxActiveBlocksPerMultiprocessor", ctypes.byref(count)
+        self._device.call(name, to, self._function, threads, shared, about=self.name)
         return count.value
 
 

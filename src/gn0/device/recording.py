@@ -111,10 +111,8 @@ class GraphCuda:
 
     def _end(self, stream: int) -> ctypes.c_void_p:
         recorded = ctypes.c_void_p()
-        self._device.call(
-            "cuStreamEndCapture", stream, ctypes.byref(recorded), about="something was recorded "
-            "that a graph cannot hold",
-        )  # fmt: skip
+        about = "something was recorded that a graph cannot hold"
+        self._device.call("cuStreamEndCapture", stream, ctypes.byref(recorded), about=about)
         return recorded
 
     def launch(self) -> None:

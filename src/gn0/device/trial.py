@@ -5,12 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import KernelSource
+from gn0.device.device import DeviceArray, KernelSource
 from gn0.device.driver import DeviceCuda
 from gn0.device.launch import KernelCuda
 from gn0.errors import DeviceError
@@ -22,6 +22,39 @@ _ODD = np.dtype(
     [("by", "f4"), ("first", "i4"), ("mask", "u8"), ("far", "f8"), ("last", "u1")], align=True
 )
 Kernels = Mapping[str, KernelCuda]
+
+
+class TryParameters(NamedTuple):
+    """`try_parameters`: one of each type."""
+
+    x: DeviceArray
+    y: DeviceArray
+    small: np.uint8
+    odd: np.void
+    middle: np.uint16
+    wide: np.int64
+    yes: np.bool_
+    n: np.uint32
+
+
+class TryShared(NamedTuple):
+    """`try_shared`."""
+
+    values: DeviceArray
+    n: np.uint32
+
+
+class TryGrid(NamedTuple):
+    """`try_grid`."""
+
+    counts: DeviceArray
+
+
+class TrySteps(NamedTuple):
+    """`try_steps`."""
+
+    values: DeviceArray
+    turns: np.uint32
 
 
 def try_card(device: DeviceCuda, turns: int = TURNS) -> list[str]:
@@ -85,10 +118,17 @@ def _try_parameters(device: DeviceCuda, kernels: Kernels, turns: int) -> None:
     odd[0] = (0.5, -7, 9 << 40, 1e9, 3)
     x = np.arange(1000, dtype=np.float32)
     y = device.zeros(1000, np.float64)
-    kernels["try_parameters"].launch(
-        4, 256, device.upload(x), y, np.uint8(200), odd[0], np.uint16(60_000),
-        np.int64(-(2**40)), np.bool_(True), np.uint32(1000),
-    )  # fmt: skip
+    given = TryParameters(
+        x=device.upload(x),
+        y=y,
+        small=np.uint8(200),
+        odd=odd[0],
+        middle=np.uint16(60_000),
+        wide=np.int64(-(2**40)),
+        yes=np.bool_(True),
+        n=np.uint32(1000),
+    )
+    kernels["try_parameters"].launch(4, 256, given)
     _compare("sum", y.numpy(), 0.5 * x.astype(np.float64) + (1e9 + 9 + 3 + 60_200 - 2**40 - 7))
 
 
@@ -96,13 +136,13 @@ def _try_shared(device: DeviceCuda, kernels: Kernels, turns: int) -> None:
     for size in (47 * 1024, 48 * 1024, min(100 * 1024, device.shared_max - 1024)):
         values = np.arange(size // 4, dtype=np.uint32)
         there = device.upload(values)
-        kernels["try_shared"].launch(1, 512, there, np.uint32(len(values)), shared=size)
+        kernels["try_shared"].launch(1, 512, TryShared(there, np.uint32(len(values))), shared=size)
         _compare(f"{size} bytes", there.numpy(), values[::-1] + values[-1])
 
 
 def _try_grid(device: DeviceCuda, kernels: Kernels, turns: int) -> None:
     counts = device.zeros((4, 3, 5), np.uint32)
-    kernels["try_grid"].launch((5, 3, 4), (8, 2, 4), counts)
+    kernels["try_grid"].launch((5, 3, 4), (8, 2, 4), TryGrid(counts))
     _compare("blocks", counts.numpy(), np.full((4, 3, 5), 4, np.uint32))
 
 
@@ -112,12 +152,12 @@ def _try_order(device: DeviceCuda, kernels: Kernels, turns: int) -> None:
     for beside in (False, True):
         there = device.upload(_numbers())
         begin = device.event()
-        kernels["try_steps"].launch(_SIZE // 256, 256, there, np.uint32(turns))
+        kernels["try_steps"].launch(_SIZE // 256, 256, TrySteps(there, np.uint32(turns)))
         end = device.event()
         copy = device.download_async(there, beside=beside)
         del there
         later = device.zeros(_SIZE, np.uint32)
-        kernels["try_steps"].launch(_SIZE // 256, 256, later, np.uint32(1))
+        kernels["try_steps"].launch(_SIZE // 256, 256, TrySteps(later, np.uint32(1)))
         _compare("a copy beside work" if beside else "a copy", copy.numpy(), wanted)
         _compare("memory that was used before", later.numpy(), _steps(0 * _numbers(), 1))
         if device.elapsed(begin, end) <= 0:
@@ -127,11 +167,11 @@ def _try_order(device: DeviceCuda, kernels: Kernels, turns: int) -> None:
 def _try_recording(device: DeviceCuda, kernels: Kernels, turns: int) -> None:
     given = device.pinned(_SIZE, np.uint32)
     result = device.pinned(_SIZE, np.uint32)
-    kernels["try_steps"].launch(1, 1, device.zeros(1, np.uint32), np.uint32(1))
+    kernels["try_steps"].launch(1, 1, TrySteps(device.zeros(1, np.uint32), np.uint32(1)))
     with device.capture() as graph:
         inner = device.upload(given)
         scratch = device.zeros(_SIZE, np.uint32)
-        kernels["try_steps"].launch(_SIZE // 256, 256, inner, np.uint32(turns))
+        kernels["try_steps"].launch(_SIZE // 256, 256, TrySteps(inner, np.uint32(turns)))
         device.download_async(inner, result)
     del inner, scratch
     filler = [device.zeros(_SIZE, np.uint32) for _ in range(4)]
@@ -151,7 +191,7 @@ def _try_threads(device: DeviceCuda, kernels: Kernels, turns: int) -> None:
     def work(begin: int) -> None:
         try:
             there = device.upload(_numbers(begin))
-            kernels["try_steps"].launch(_SIZE // 256, 256, there, np.uint32(3))
+            kernels["try_steps"].launch(_SIZE // 256, 256, TrySteps(there, np.uint32(3)))
             _compare("a thread's own", there.numpy(), _steps(_numbers(begin), 3))
         except DeviceError as error:
             wrong.append(error)

@@ -27,6 +27,15 @@ from gn0.render.renderer import DrawnScene, Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.device_layout import blocks_of
 from gn0.sim.device_motion import MotionDevice
+from gn0.sim.device_records import (
+    BuildViews,
+    ClipDepth,
+    LayMosaics,
+    PaintMaps,
+    PlaceParts,
+    PlaceRows,
+    ReducePictures,
+)
 from gn0.sim.device_store import MapPictures
 from gn0.sim.history import LENGTH, mosaic_size
 from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
@@ -307,10 +316,15 @@ class EyesDevice:
         if there and len(known) > 1:
             chosen = self._array(simulator, "looks", (), np.int32)
         views = self._array(simulator, "views", (4, 4), np.float64)
-        simulator.launch(
-            "build_views", simulator.count, np.float64(self._agent.camera_height),
-            np.float64(np.cos(self._pitch)), np.float64(np.sin(self._pitch)), views, chosen,
-        )  # fmt: skip
+        building = BuildViews(
+            w=simulator.world,
+            height=np.float64(self._agent.camera_height),
+            cos_pitch=np.float64(np.cos(self._pitch)),
+            sin_pitch=np.float64(np.sin(self._pitch)),
+            views=views,
+            looks=chosen,
+        )
+        simulator.launch("build_views", simulator.count, building)
         if len(known) == 1:
             return views if there else views.numpy(), known[0], None
         if chosen is not None:
@@ -326,9 +340,8 @@ class EyesDevice:
         motion = self._motion
         if motion is None or motion.now is None:
             return ()
-        simulator.launch(
-            "place_parts", simulator.count * int(motion.table[-1]), *motion.table, *motion.targets
-        )
+        placing = PlaceParts(simulator.world, motion.tables, motion.targets)
+        simulator.launch("place_parts", simulator.count * int(motion.tables.parts), placing)
         if there:
             return motion.now
         episodes, numbers = simulator.store.episodes, simulator.outputs["episode"].numpy()
@@ -375,25 +388,40 @@ class EyesDevice:
                 self._reduce(simulator, drawn, width, height, small, None)
                 return small
         elif output == "depth" and plan.reach is not None:
-            simulator.kernels["clip_depth"].launch(
-                *(blocks_of(drawn.size, _PIXELS), _PIXELS, drawn),
-                *(*plan.reach, np.uint64(drawn.size), drawn),
-            )
+            low, high = plan.reach
+            clipping = ClipDepth(drawn, low, high, np.uint64(drawn.size), drawn)
+            blocks = blocks_of(drawn.size, _PIXELS)
+            simulator.kernels["clip_depth"].launch(blocks, _PIXELS, clipping)
         return drawn
 
     def _reduce(
-        self, simulator: SimulatorDevice, rgb: DeviceArray, width: int, height: int,
-        out: DeviceArray, views: DeviceArray | None,
-    ) -> None:  # fmt: skip
+        self,
+        simulator: SimulatorDevice,
+        rgb: DeviceArray,
+        width: int,
+        height: int,
+        out: DeviceArray,
+        views: DeviceArray | None,
+    ) -> None:
         rows, cols = rgb.shape[1:3]
         across, taps_x = self._weights(simulator, cols, width)
         down, taps_y = self._weights(simulator, rows, height)
-        simulator.kernels["reduce_pictures"].launch(
-            *((len(rgb), blocks_of(width * height, _PIXELS)), _PIXELS),
-            *(rgb, np.int32(rows), np.int32(cols), across, np.int32(taps_x)),
-            *(down, np.int32(taps_y), np.int32(height), np.int32(width)),
-            *(views, simulator.status, out),
+        reducing = ReducePictures(
+            in_=rgb,
+            rows=np.int32(rows),
+            cols=np.int32(cols),
+            across=across,
+            across_taps=np.int32(taps_x),
+            down=down,
+            down_taps=np.int32(taps_y),
+            out_rows=np.int32(height),
+            out_cols=np.int32(width),
+            views=views,
+            status=simulator.status,
+            out=out,
         )
+        grid = (len(rgb), blocks_of(width * height, _PIXELS))
+        simulator.kernels["reduce_pictures"].launch(grid, _PIXELS, reducing)
 
     def _weights(self, simulator: SimulatorDevice, size: int, out: int) -> tuple[DeviceArray, int]:
         name = f"weights {size} {out}"
@@ -410,11 +438,15 @@ class EyesDevice:
         out = self._array(simulator, prefix + "history", (down, across, 3), np.uint8)
         line = width * 3  # bytes of a tile's row, copied in the widest words that it is whole of
         word = next(size for size in _WORDS if line % size == 0)
-        grid = (simulator.count, blocks_of(down * across * 3 // word, _PIXELS))
-        simulator.kernels[_WORDS[word]].launch(
-            *(grid, _PIXELS, self._rings(simulator), views),
-            *(np.int32(height), np.int32(line // word), out),
+        laying = LayMosaics(
+            tiles=self._rings(simulator),
+            views=views,
+            rows=np.int32(height),
+            words=np.int32(line // word),
+            out=out,
         )
+        grid = (simulator.count, blocks_of(down * across * 3 // word, _PIXELS))
+        simulator.kernels[_WORDS[word]].launch(grid, _PIXELS, laying)
         return out
 
     def map_pictures(
@@ -427,11 +459,18 @@ class EyesDevice:
             name: self._array(simulator, prefix + name, (rows, cols, 3), np.uint8)
             for name in sorted(self._carried.maps)
         }
-        simulator.kernels["paint_maps"].launch(
-            *((simulator.count, blocks_of(rows * cols, _PIXELS)), _PIXELS),
-            *(simulator.world, slots, poses, np.int32(rows), np.int32(cols)),
-            *(np.int32(self.config.disc_radius), found.get("bev"), found.get("occupancy")),
+        painting = PaintMaps(
+            w=simulator.world,
+            slots=slots,
+            poses=poses,
+            rows=np.int32(rows),
+            cols=np.int32(cols),
+            radius=np.int32(self.config.disc_radius),
+            bev=found.get("bev"),
+            occupancy=found.get("occupancy"),
         )
+        grid = (simulator.count, blocks_of(rows * cols, _PIXELS))
+        simulator.kernels["paint_maps"].launch(grid, _PIXELS, painting)
         return found
 
     def last_goal_pictures(self, simulator: SimulatorDevice) -> DeviceArray:
@@ -457,9 +496,11 @@ class EyesDevice:
         for i in fresh.tolist():
             episode = simulator.store.episodes[numbers[i]]
             camera, view = aim_at_goal(
-                self.config.preset, self._agent.camera_height, goal_record(episode),
+                self.config.preset,
+                self._agent.camera_height,
+                goal_record(episode),
                 goal_view(episode),
-            )  # fmt: skip
+            )
             groups.setdefault(camera, []).append((i, name_look(episode), view))
         for camera, group in groups.items():
             drawn = self._renderer.draw(
@@ -471,10 +512,15 @@ class EyesDevice:
             ).rgb
             rgb = self._finish(simulator, plan, "rgb", drawn)
             agents = simulator.device.upload(np.array([i for i, _, _ in group], np.int32))
-            simulator.kernels["place_rows"].launch(
-                *(blocks_of(rgb.size, _PIXELS), _PIXELS, rgb, agents),
-                *(np.uint64(height * width * 3), np.int32(len(group)), out),
+            placing = PlaceRows(
+                in_=rgb,
+                to=agents,
+                size=np.uint64(height * width * 3),
+                entries=np.int32(len(group)),
+                out=out,
             )
+            blocks = blocks_of(rgb.size, _PIXELS)
+            simulator.kernels["place_rows"].launch(blocks, _PIXELS, placing)
         self._goal_numbers = numbers
         return out
 

@@ -13,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import Device, DeviceArray
+from gn0.device.device import Device
 from gn0.errors import SimError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.render.instance import Instance, PartsDevice, digest_part
+from gn0.sim.device_records import MotionTables, MotionTargets
 from gn0.sim.motion import Moment, Motion, take_moment
 
 NO_MOTION = -1
@@ -89,13 +90,13 @@ class MotionDevice:
         number = {id(motion): m for m, motion in enumerate(different)}
         found = [self._motions.get(scene_id) for scene_id in scene_ids]
         of_scene = [NO_MOTION if one is None else number[id(one)] for one in found]
-        self.table = (
-            device.upload(np.array(of_scene, np.int32)),
-            device.upload(poses),
-            device.upload(chosen),
-            device.upload(gains) if lit else None,
-            np.int32(times),
-            np.int32(self._parts),
+        self.tables = MotionTables(
+            motion_of=device.upload(np.array(of_scene, np.int32)),
+            poses=device.upload(poses),
+            chosen=device.upload(chosen),
+            gains=device.upload(gains) if lit else None,
+            times=np.int32(times),
+            parts=np.int32(self._parts),
         )
         held = count * self._parts
         self._now = PartsDevice(
@@ -113,9 +114,9 @@ class MotionDevice:
         return self._now if self._parts else None
 
     @property
-    def targets(self) -> tuple[DeviceArray, DeviceArray, DeviceArray | None, DeviceArray]:
+    def targets(self) -> MotionTargets:
         """What `place_parts` fills: poses, numbers, gains, and the steps that it read."""
-        return self._now.poses, self._now.chosen, self._now.gains, self.steps
+        return MotionTargets(self._now.poses, self._now.chosen, self._now.gains, self.steps)
 
     def parts_at(self, scene_id: str, step: int) -> tuple[Instance, ...]:
         """The same of one agent, for who knows its step."""

@@ -8,7 +8,7 @@ device: what the host must know of it, it reads some steps later.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,15 @@ from gn0.sim.device_layout import (
     pack_struct,
 )
 from gn0.sim.device_queue import EpisodeQueue
+from gn0.sim.device_records import (
+    CopyBytes,
+    CopyWords,
+    FillQueue,
+    PlaceAgents,
+    ReadActions,
+    ReadRanges,
+    StepAgents,
+)
 from gn0.sim.device_store import EpisodeStore, MapPictures
 from gn0.sim.env import STEP_COST, SUCCESS_REWARD
 from gn0.sim.sensors import SensorConfig
@@ -116,8 +125,8 @@ class SimulatorDevice:
         self._words = device.upload(np.array([0] * count + [CLEAR] * 3, np.int32))
         self._pinned = device.pinned(count + 3, np.int32)
         self._codes = device.zeros(count, np.uint8)
-        wanted = [f for f in OUTPUT_FIELDS if "goal_vector" in config.active
-                  or not f[0].endswith("goal_vector")]  # fmt: skip
+        vectors = "goal_vector" in config.active
+        wanted = [f for f in OUTPUT_FIELDS if vectors or not f[0].endswith("goal_vector")]
         self.outputs = {name: device.zeros((count, *shape), kind) for name, kind, shape in wanted}
         self.ranges = self.final_ranges = None
         if rays is not None:
@@ -147,15 +156,21 @@ class SimulatorDevice:
         if self._world is None or self._rows is not self.store.rows:
             self._rows = self.store.rows
             self._world = pack_struct(
-                WORLD, episodes=self._rows, queue=self._ring, filled=self._filled,
-                cursor=self._words, status=self.status, views=self.views,
-                **self.state, **self._settings,
-            )  # fmt: skip
+                WORLD,
+                episodes=self._rows,
+                queue=self._ring,
+                filled=self._filled,
+                cursor=self._words,
+                status=self.status,
+                views=self.views,
+                **self.state,
+                **self._settings,
+            )
         return self._world
 
-    def launch(self, name: str, items: int, *args: Any) -> None:
-        """Run a kernel with a thread for each of `items`, the world its first parameter."""
-        self.kernels[name].launch(blocks_of(items), THREADS, self.world, *args)
+    def launch(self, name: str, items: int, record: NamedTuple) -> None:
+        """Run a kernel with a thread for each of `items`."""
+        self.kernels[name].launch(blocks_of(items), THREADS, record)
 
     def reset(
         self,
@@ -195,7 +210,8 @@ class SimulatorDevice:
         self._begin(orders)
 
     def _begin(self, orders: NDArray[np.int32]) -> None:
-        self.launch("place_agents", self.count, self.device.upload(orders), self._plain)
+        placing = PlaceAgents(self.world, self.device.upload(orders), self._plain)
+        self.launch("place_agents", self.count, placing)
         self._sense()
 
     def limit_steps(self, most: int) -> None:
@@ -230,8 +246,14 @@ class SimulatorDevice:
                 f"actions are {actions.dtype} {actions.shape}",
                 remedy=f"give {self.count} integers: STOP 0, FORWARD 1, LEFT 2, RIGHT 3",
             )
-        width = np.int32(actions.dtype.itemsize)
-        self.launch("read_actions", self.count, actions, width, np.int32(self.steps), codes)
+        reading = ReadActions(
+            w=self.world,
+            actions=actions,
+            width=np.int32(actions.dtype.itemsize),
+            step=np.int32(self.steps),
+            codes=codes,
+        )
+        self.launch("read_actions", self.count, reading)
         return codes
 
     def step(self, codes: DeviceArray, into: Mapping[str, DeviceArray] | None = None) -> None:
@@ -242,13 +264,11 @@ class SimulatorDevice:
         outputs = self._plain
         if into:
             outputs = pack_struct(OUTPUTS, **(self.outputs | dict(into)))
-        self.launch(self._stepper, self.count, codes, outputs)
+        self.launch(self._stepper, self.count, StepAgents(self.world, codes, outputs))
         self.steps += 1
         if self.final_ranges is not None:
-            self._read_ranges(
-                self.outputs["final_slot"], self.outputs["final_pose"],
-                self.outputs["final_turns"], self.final_ranges,
-            )  # fmt: skip
+            slots, poses = self.outputs["final_slot"], self.outputs["final_pose"]
+            self._read_ranges(slots, poses, self.outputs["final_turns"], self.final_ranges)
         self._sense()
 
     def _sense(self) -> None:
@@ -260,10 +280,17 @@ class SimulatorDevice:
     def _read_ranges(
         self, slots: DeviceArray, poses: DeviceArray, turns: DeviceArray, out: DeviceArray
     ) -> None:
-        rays, limit = self.config.range_rays, np.float64(self.config.range_limit)
-        self.launch(
-            "read_ranges", self.count * rays, slots, poses, turns, np.int32(rays), limit, out
+        rays = self.config.range_rays
+        reading = ReadRanges(
+            w=self.world,
+            slots=slots,
+            poses=poses,
+            turns=turns,
+            rays=np.int32(rays),
+            limit=np.float64(self.config.range_limit),
+            out=out,
         )
+        self.launch("read_ranges", self.count * rays, reading)
 
     def prepare_step(self) -> None:
         """See to it that each agent has a next episode, whatever the coming step brings.
@@ -305,9 +332,10 @@ class SimulatorDevice:
             )
         if empty != CLEAR:
             raise DeviceError(
-                "an episode ended and none was ready to follow", where=f"agent {empty}",
+                "an episode ended and none was ready to follow",
+                where=f"agent {empty}",
                 remedy="reset the environment, and report this",
-            )  # fmt: skip
+            )
         self.queue.advance(words[: self.count])
         if fill:
             self._fill()
@@ -317,18 +345,22 @@ class SimulatorDevice:
         filled = self.queue.refill()
         if filled is not None:
             entries, count = filled
-            self.launch(
-                "fill_queue", max(self.count, count), self.device.upload(entries),
-                np.int32(count), self._ring, self._filled,
-            )  # fmt: skip
+            filling = FillQueue(
+                w=self.world,
+                list=self.device.upload(entries),
+                entries=np.int32(count),
+                queue=self._ring,
+                filled=self._filled,
+            )
+            self.launch("fill_queue", max(self.count, count), filling)
 
     def copy(self, source: DeviceArray, target: DeviceArray) -> None:
         """Copy an array on the device into another of the same size."""
         wide = source.nbytes % 4 == 0 and not (source.pointer | target.pointer) & 3
         size = source.nbytes // (4 if wide else 1)
-        self.kernels["copy_words" if wide else "copy_bytes"].launch(
-            blocks_of(size, 256), 256, source, np.uint64(size), target
-        )
+        record = (CopyWords if wide else CopyBytes)(source, np.uint64(size), target)
+        kernel = self.kernels["copy_words" if wide else "copy_bytes"]
+        kernel.launch(blocks_of(size, 256), 256, record)
 
 
 def is_on_card(actions: Any) -> bool:

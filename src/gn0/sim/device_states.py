@@ -15,6 +15,7 @@ from gn0.geometry import F64, wrap_angle
 from gn0.seeds import random_stream
 from gn0.sim.device_layout import blocks_of
 from gn0.sim.device_queue import Draws
+from gn0.sim.device_records import FindPlaces, JudgePlaces, KeepTiles, MoveRows, PutAgents
 from gn0.sim.device_state import is_on_card
 from gn0.sim.ground import list_headings
 from gn0.sim.history import LENGTH
@@ -145,7 +146,8 @@ class StatesDevice:
         slots = simulator.store.pin_turned(ready.numbers, ready.bases)
         points = device.upload(np.ascontiguousarray(poses[:, :2]))
         there, verdicts = device.upload(slots), device.zeros(count, np.uint8)
-        simulator.launch("judge_places", count, there, points, np.int32(count), verdicts)
+        judging = JudgePlaces(simulator.world, there, points, np.int32(count), verdicts)
+        simulator.launch("judge_places", count, judging)
         wrong = verdicts.numpy()
         for k in np.flatnonzero(wrong)[:1].tolist():
             simulator.store.release(slots)
@@ -156,11 +158,16 @@ class StatesDevice:
             rings = self._rings()
             assert rings is not None
             size = math.prod(rings.shape[2:])
-            simulator.kernels["keep_tiles"].launch(
-                *(blocks_of(size * places.views * count, _BYTES), _BYTES, places.tiles),
-                *(device.upload(agents.astype(np.int32)), np.int32(places.views)),
-                *(np.uint64(size), np.int32(count), rings),
+            keeping = KeepTiles(
+                tiles=places.tiles,
+                agents=device.upload(agents.astype(np.int32)),
+                views=np.int32(places.views),
+                size=np.uint64(size),
+                count_=np.int32(count),
+                rings=rings,
             )
+            blocks = blocks_of(size * places.views * count, _BYTES)
+            simulator.kernels["keep_tiles"].launch(blocks, _BYTES, keeping)
         simulator.tell_all()
 
     def read_places(self, count: int, poses: Any, steps: Any, collided: Any, tiles: Any) -> Places:
@@ -241,10 +248,13 @@ class StatesDevice:
         simulator.catch_up()
         slots = simulator.store.pin(numbers)
         there, points = device.upload(slots), device.zeros((count, 2), np.float64)
-        simulator.kernels["find_places"].launch(
-            *(count, _SEARCH, simulator.world, there),
-            *(device.upload(np.ascontiguousarray(chances[:, 2:])), points),
+        finding = FindPlaces(
+            w=simulator.world,
+            slots=there,
+            chances=device.upload(np.ascontiguousarray(chances[:, 2:])),
+            positions=points,
         )
+        simulator.kernels["find_places"].launch(count, _SEARCH, finding)
         fresh = Places(np.zeros((0, 3)), np.zeros(count, np.int32), np.zeros(count, np.bool_))
         self._put(agents, slots, there, points, turns, fresh)
         simulator.tell_all()
@@ -338,11 +348,18 @@ class StatesDevice:
     ) -> None:
         simulator, count = self._simulator, len(agents)
         upload = simulator.device.upload
-        simulator.launch(
-            "put_agents", count, upload(agents.astype(np.int32)), there, points, upload(turns),
-            upload(places.steps), upload(np.full(count, places.views, np.int32)),
-            upload(places.collided), np.int32(count),
-        )  # fmt: skip
+        putting = PutAgents(
+            w=simulator.world,
+            agents=upload(agents.astype(np.int32)),
+            slots=there,
+            positions=points,
+            turns=upload(turns),
+            steps=upload(places.steps),
+            views=upload(np.full(count, places.views, np.int32)),
+            collided=upload(places.collided),
+            count_=np.int32(count),
+        )
+        simulator.launch("put_agents", count, putting)
         simulator.queue.play(agents, slots)
 
     def _read_poses(self, numbers: NDArray[np.int64], poses: F64) -> Ready:
@@ -381,10 +398,15 @@ def _move(
 ) -> None:
     """Rows `chosen` [K] of an array to rows `to` [K] of another; None: row k."""
     size = source.nbytes // len(source)
-    store.kernels["move_rows"].launch(
-        *(blocks_of(size * count, _BYTES), _BYTES, source, chosen, to),
-        *(np.uint64(size), np.int32(count), target),
+    moving = MoveRows(
+        in_=source,
+        from_=chosen,
+        to=to,
+        size=np.uint64(size),
+        count_=np.int32(count),
+        out=target,
     )
+    store.kernels["move_rows"].launch(blocks_of(size * count, _BYTES), _BYTES, moving)
 
 
 def pick_rows(states: AgentStates, rows: Any) -> NDArray[np.int64]:

@@ -27,6 +27,7 @@ from gn0.scenes.scene import Scene
 from gn0.sim.collision import check_places
 from gn0.sim.device_layout import EPISODE, THREADS, blocks_of
 from gn0.sim.device_pool import Block, PoolDevice, store_size
+from gn0.sim.device_records import StoreRows
 from gn0.sim.ground import (
     Destination,
     EpisodeNumbers,
@@ -316,12 +317,14 @@ class EpisodeStore:
         if not slots:
             return
         words = EPISODE.itemsize // _WORD
-        self.kernels["store_rows"].launch(
-            *(blocks_of(len(slots) * words), THREADS),
-            *(self.device.upload(_bytes_of(self._rows[slots])),),
-            *(self.device.upload(np.array(slots, np.int32)), self.rows),
-            *(np.int32(words), np.int32(len(slots))),
+        storing = StoreRows(
+            rows=self.device.upload(_bytes_of(self._rows[slots])),
+            slots=self.device.upload(np.array(slots, np.int32)),
+            table=self.rows,
+            words=np.int32(words),
+            count_=np.int32(len(slots)),
         )
+        self.kernels["store_rows"].launch(blocks_of(len(slots) * words), THREADS, storing)
 
     def _take(self, size: int) -> Block:
         """A block, for which episodes that nobody plays may have to go."""
@@ -336,8 +339,9 @@ class EpisodeStore:
                 return block
             if not self._drop_oldest():
                 break
-        _log.info("maps and fields in use take more than the %d bytes meant for them",
-                  self.pool.limit)  # fmt: skip
+        _log.info(
+            "maps and fields in use take more than the %d bytes meant for them", self.pool.limit
+        )
         try:
             block = self.pool.take(size, beyond=True)
         except DeviceMemoryError as error:

@@ -11,6 +11,7 @@ import numpy as np
 from gn0.device.device import DeviceArray
 from gn0.errors import ConfigError
 from gn0.sim.device_layout import blocks_of
+from gn0.sim.device_records import MoveChannels, TakeRows
 from gn0.sim.words import WordTable
 
 if TYPE_CHECKING:
@@ -102,10 +103,14 @@ class WordsDevice:
         if name not in self._kept:
             self._kept[name] = simulator.device.zeros((simulator.count, length), np.int32)
         out = self._kept[name]
-        simulator.kernels["take_rows"].launch(
-            *(blocks_of(out.size, THREADS), THREADS),
-            *(table, numbers, np.uint64(length), np.uint64(out.size), out),
+        taking = TakeRows(
+            table=table,
+            numbers=numbers,
+            width=np.uint64(length),
+            size=np.uint64(out.size),
+            out=out,
         )
+        simulator.kernels["take_rows"].launch(blocks_of(out.size, THREADS), THREADS, taking)
         return out
 
 
@@ -149,8 +154,12 @@ class LayoutDevice:
         out = simulator.device.empty((count, channels, height, width), pictures.dtype)
         size = pictures.nbytes
         if size:
-            simulator.kernels["move_channels"].launch(
-                *(blocks_of(size, THREADS), THREADS, pictures, np.uint64(height * width)),
-                *(np.uint64(pictures.dtype.itemsize), np.uint64(size), out),
+            moving = MoveChannels(
+                in_=pictures,
+                pixels=np.uint64(height * width),
+                width=np.uint64(pictures.dtype.itemsize),
+                size=np.uint64(size),
+                out=out,
             )
+            simulator.kernels["move_channels"].launch(blocks_of(size, THREADS), THREADS, moving)
         return out

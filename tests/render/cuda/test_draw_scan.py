@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gn0.device.host import DeviceHost
+from gn0.render.cuda.records import PlaceLists, ScanCounts, SumCounts
 from gn0.render.cuda.replay import NO_ROOM
 from gn0.render.cuda.source import kernel_source
 from gn0.render.cuda.tables import NOWHERE, VIEW
@@ -48,23 +49,32 @@ def test_scans_arrange_all_lists(tiles: int, stride: int, over: bool, checked: b
     needed = int(many.sum())
     if stride:
         starts = device.empty(tiles + 1, np.uint64)
-        scan = (blocks, 256, counts, whole, np.uint32(stride))
+        scan = (counts, whole, np.uint32(stride))
         if blocks > 1:
-            kernels["sum_counts"].launch(*scan, None, sums, None)
-        kernels["place_lists"].launch(*scan, sums, starts)
+            adding = SumCounts(*scan, starts=None, sums=sums, classes=None)
+            kernels["sum_counts"].launch(blocks, 256, adding)
+        kernels["place_lists"].launch(blocks, 256, PlaceLists(*scan, sums, starts))
         begin = np.append(0, np.cumsum(room.astype(np.uint64)))
         assert starts.numpy().tolist() == begin.tolist()
         assert counts.numpy()[:tiles].tolist() == begin[:-1].tolist(), "where the first goes"
         device.upload((begin[:-1] + many).astype(np.uint32), counts[:tiles])
         needed = NO_ROOM if over else int(begin[-1])
     if blocks > 1:
-        kernels["sum_counts"].launch(
-            blocks, 256, counts, whole, np.uint32(0), starts, sums, classes
-        )
-    kernels["scan_counts"].launch(
-        *(blocks, 256, counts, whole, starts, sums, classes, order),
-        *(table, np.uint32(len(views)), state, told),
+        adding = SumCounts(counts, whole, np.uint32(0), starts, sums, classes)
+        kernels["sum_counts"].launch(blocks, 256, adding)
+    scanning = ScanCounts(
+        counts=counts,
+        all_tiles=whole,
+        starts=starts,
+        sums=sums,
+        classes=classes,
+        order=order,
+        written=table,
+        views=np.uint32(len(views)),
+        state=state,
+        told=told,
     )
+    kernels["scan_counts"].launch(blocks, 256, scanning)
     expected = [needed, int(many.max()), 17 << 2 | 1, int(many.sum())]
     assert told.numpy().tolist() == state.numpy().tolist() == expected
     drawn = order.numpy()

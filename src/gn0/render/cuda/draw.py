@@ -26,6 +26,17 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.instances import Instances, build_parts, mark_firsts
 from gn0.render.cuda.labels import LabelDrawer
+from gn0.render.cuda.lists import Blend, Lists
+from gn0.render.cuda.records import (
+    CountEntries,
+    EmitEntries,
+    MarkTarget,
+    PaintTarget,
+    PartTables,
+    PlaceLists,
+    SentWords,
+    SumCounts,
+)
 from gn0.render.cuda.replay import (
     NO_ROOM,
     Heard,
@@ -48,8 +59,8 @@ from gn0.render.cuda.tables import (
     share_work,
 )
 from gn0.render.cuda.tune import MANY, Tuning, choose_tuning
-from gn0.render.cuda.work import Blend, Lists, Work, WorkDevice
-from gn0.render.renderer import LABELS, VIEW_TOLERANCE, Output
+from gn0.render.cuda.work import Work, WorkDevice
+from gn0.render.renderer import LABELS, Output
 
 _FLOAT = np.dtype(np.float32)
 STAGES = ("upload", "count", "scan", "emit", "blend")
@@ -65,6 +76,7 @@ _CLASSES = 18  # words behind the counts: classes of lists by length
 _MEMORY_SHARE = 0.25  # of what is free, for lists
 _ROW = 256  # bytes that pictures sharing memory are laid out by
 _TOGETHER = 2**26  # bytes of pictures up to which they share memory
+_NOTHING_SENT = SentWords(None, None, np.uint32(0))  # but by a call that is replayed
 
 _log = logging.getLogger(__name__)
 
@@ -193,7 +205,6 @@ class Drawer:
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
         """
-        last = (None, build_target(pictures, background))
         work: Work
         if instances is not None and not len(instances):
             instances = None
@@ -208,9 +219,9 @@ class Drawer:
                 instances=instances,
             )
         labels = self._labels.prepare(work, clouds, pictures)
-        kernel = "paint_tiles" if instances is None else "paint_parts"
+        target = PaintTarget(None, build_target(pictures, background))
         alone = labels is not None and labels.alone
-        self._run(work, Blend("" if alone else kernel, last, labels), antialiased)
+        self._run(work, Blend(None if alone else target, labels), antialiased)
 
     def mark(
         self,
@@ -242,9 +253,9 @@ class Drawer:
             DeviceMemoryError: not even one view has room.
             DeviceError: the device is lost.
         """
-        last = (np.float32(threshold), marks, np.uint64(marks.shape[1]))
+        target = MarkTarget(np.float32(threshold), marks, np.uint64(marks.shape[1]))
         work = Work(camera, matrices, list(clouds), cloud_of, None, len(clouds), rows)
-        self._run(work, Blend("mark_tiles", last), antialiased)
+        self._run(work, Blend(target), antialiased)
 
     def _run(self, work: Work, blend: Blend, antialiased: bool) -> None:
         """List and blend all views, in batches that have room."""
@@ -372,7 +383,9 @@ class Drawer:
         split = min(self.tuning.split, all_tiles) if room else 0
         aside = self._need("aside", 4 * split * room, np.uint64) if split else None
         shares, (clouds, groups, members), group_count, view_table = self._tables(work, views, own)
-        behind = None if work.instances is None else view_table[count * _VIEW_WORDS :]
+        parts = None
+        if work.instances is not None:
+            parts = PartTables(view_table[count * _VIEW_WORDS :], self._held["parts"])
         return Lists(
             first=views.start,
             count=count,
@@ -397,10 +410,12 @@ class Drawer:
             entries=entries,
             aside=aside,
             split=split,
-            tiles=(np.uint32(work.tiles_x), np.uint32(tiles)),
-            shape=(np.int32(work.camera.width), np.int32(work.camera.height), np.uint32(flags)),
-            part_views=behind,
-            parts=None if behind is None else self._held["parts"],
+            tiles_x=np.uint32(work.tiles_x),
+            tiles=np.uint32(tiles),
+            width=np.int32(work.camera.width),
+            height=np.int32(work.camera.height),
+            flags=np.uint32(flags),
+            parts=parts,
         )
 
     def _launch(
@@ -425,36 +440,34 @@ class Drawer:
             self.device.fill(lists.counts[:zeros], 0)
         starts = None if lists.room else lists.starts
         needed = None if lists.room else lists.starts[lists.all_tiles :]
-        stride, many = np.uint32(lists.stride), lists.scan_blocks > 1
+        stride, scan_blocks = np.uint32(lists.stride), lists.scan_blocks
+        counts, sums, tables = lists.counts, lists.sums, lists.listing
         if not lists.room:
             self._tell("count")
-            kernels[f"count_{listing}"].launch(lists.listing_blocks, CHUNK, *lists.listing, stride)
+            counting = CountEntries(tables, stride)
+            kernels[f"count_{listing}"].launch(lists.listing_blocks, CHUNK, counting)
             self._tell("scan")
-            scan = (lists.scan_blocks, 256, lists.counts, whole, stride)
-            if many:
-                kernels["sum_counts"].launch(*scan, None, lists.sums, None)
-            kernels["place_lists"].launch(*scan, lists.sums, lists.starts)
+            if scan_blocks > 1:
+                adding = SumCounts(counts, whole, stride, starts=None, sums=sums, classes=None)
+                kernels["sum_counts"].launch(scan_blocks, 256, adding)
+            placing = PlaceLists(counts, whole, stride, sums, lists.starts)
+            kernels["place_lists"].launch(scan_blocks, 256, placing)
         self._tell("emit")
-        kernels[f"emit_{listing}"].launch(
-            *(lists.listing_blocks, CHUNK, *lists.listing, needed, lists.entries),
-            *(np.uint64(lists.capacity), np.uint32(lists.room)),
+        emitting = EmitEntries(
+            tables, needed, lists.entries, np.uint64(lists.capacity), np.uint32(lists.room)
         )
+        kernels[f"emit_{listing}"].launch(lists.listing_blocks, CHUNK, emitting)
         self._tell("scan")
-        if many:
-            kernels["sum_counts"].launch(
-                *(lists.scan_blocks, 256, lists.counts, whole, np.uint32(0), starts),
-                *(lists.sums, lists.classes),
-            )
-        kernels["scan_counts"].launch(
-            *(lists.scan_blocks, 256, lists.counts, whole, starts, lists.sums, lists.classes),
-            *(lists.order, lists.views, np.uint32(checked), lists.state, heard.words),
-        )
+        if scan_blocks > 1:
+            adding = SumCounts(counts, whole, np.uint32(0), starts, sums, lists.classes)
+            kernels["sum_counts"].launch(scan_blocks, 256, adding)
+        scanning = lists.to_scan(checked, heard.words)
+        kernels["scan_counts"].launch(scan_blocks, 256, scanning)
         self._tell("blend")
-        if blend.kernel:
-            kernels[blend.kernel].launch(
-                *(lists.blocks, self.tuning.threads, *lists.blending(lists.clouds), *blend.last),
-                *(() if lists.parts is None else (lists.part_views, lists.parts)),
-            )
+        blending = blend.find_kernel(lists)
+        if blending is not None:
+            kernel, record = blending
+            kernels[kernel].launch(lists.blocks, self.tuning.threads, record)
         if label is not None:
             label()
 
@@ -504,10 +517,11 @@ class Drawer:
             shares, tables = self._share(work, nothing, nothing - 1, own)
             return shares.sizes, tables, len(shares.groups), view_table
         self._need("shown", known, np.uint32)
-        tables = [self._clouds(work, own), *(
-            self._need(name, words, np.uint32) for name, words in (
-                ("groups", known * GROUP.itemsize // 4), ("members", count + many))
-        )]  # fmt: skip
+        tables = [
+            self._clouds(work, own),
+            self._need("groups", known * GROUP.itemsize // 4, np.uint32),
+            self._need("members", count + many, np.uint32),
+        ]
         shown = [(work.chunks[: work.base], count), (work.chunks[work.base :], many)]
         return choose_shares(shown, *self.tuning.shares), tables, known, view_table
 
@@ -516,36 +530,23 @@ class Drawer:
     ) -> None:
         """Let the device make the tables of views, and zeros of the counts."""
         count, known = lists.count, len(work.table)
-        sent = (None, None, np.uint32(0)) if header is None else header.sent
-        self._kernels["write_views"].launch(
-            *(max(-(-count // 128), -(-zeros // 1024)), 128),
-            *(work.poses, work.chosen, lists.clouds, np.uint32(work.named), work.floors),
-            *(np.float64(VIEW_TOLERANCE), np.uint32(lists.first), np.uint32(count)),
-            *(work.like, lists.views, lists.counts, np.uint32(zeros), *sent),
-        )
+        views = lists.to_write_views(work, zeros, _NOTHING_SENT if header is None else header.sent)
+        blocks = max(-(-count // 128), -(-zeros // 1024))
+        self._kernels["write_views"].launch(blocks, 128, views)
         every = count
         if work.instances is not None:
             self._write_parts(work, lists, work.instances)
             every += len(work.instances)
         if work.grouped:
             shown = self._need("shown", known, np.uint32)
-            self._kernels["group_views"].launch(
-                *(1, 256, lists.views, lists.clouds, np.uint32(every), np.uint32(known)),
-                *(np.uint32(lists.each), shown, lists.groups, lists.members),
-            )
+            groups = lists.to_group_views(every, known, shown)
+            self._kernels["group_views"].launch(1, 256, groups)
 
     def _write_parts(self, work: WorkDevice, lists: Lists, instances: Instances) -> None:
         """Let the device write the views of instances behind the others."""
-        count, firsts = len(instances), instances.firsts
-        given = (None, np.uint32(firsts)) if isinstance(firsts, int) else (firsts, np.uint32(0))
-        self._kernels_for(work)["write_parts"].launch(
-            *(-(-max(count, lists.count) // 128), 128),
-            *(work.poses, instances.poses, instances.gains, instances.chosen),
-            *(*given, lists.clouds, np.uint32(work.base), np.uint32(len(instances.clouds))),
-            *(self._normals(instances), np.float64(VIEW_TOLERANCE), np.uint32(lists.first)),
-            *(np.uint32(lists.count), np.uint32(work.count), np.uint32(count)),
-            *(work.like, lists.views, lists.parts),
-        )
+        parts = lists.to_write_parts(work, instances, self._normals(instances))
+        blocks = -(-max(len(instances), lists.count) // 128)
+        self._kernels_for(work)["write_parts"].launch(blocks, 128, parts)
 
     def record(
         self,
@@ -593,10 +594,9 @@ class Drawer:
         _ = self._kernels_for(work)  # compiled before it records
         if placed is not None:
             self._normals(placed)
-        last = (header.target, np.zeros(1, TARGET)[0])
+        target = PaintTarget(header.target, np.zeros(1, TARGET)[0])
         with self.device.capture() as graph:
-            painting = "paint_tiles" if placed is None else "paint_parts"
-            self._launch(work, lists, header.heard, Blend(painting, last), header)
+            self._launch(work, lists, header.heard, Blend(target), header)
         replay = Replay(header, graph, lists, (clouds, floors, placed, which))
         self._replays.add(replay)
         return replay

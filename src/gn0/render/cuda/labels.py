@@ -13,10 +13,12 @@ import numpy as np
 from gn0.device.device import Device, DeviceArray, Kernel
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.instances import PART
+from gn0.render.cuda.lists import LabelTarget, Lists
+from gn0.render.cuda.records import FindParts, LabelParts, LabelPictures, LabelTiles, PartTables
 from gn0.render.cuda.replay import PicturesDevice
 from gn0.render.cuda.source import CODES, label_source
 from gn0.render.cuda.tune import Tuning
-from gn0.render.cuda.work import LabelTarget, Lists, Work, WorkDevice
+from gn0.render.cuda.work import Work, WorkDevice
 from gn0.render.labels import check_labelled
 from gn0.render.renderer import LABELS, OUTPUTS
 
@@ -77,20 +79,23 @@ class LabelDrawer:
             DeviceMemoryError: there is no room for a table of instances.
         """
         kernels = self._load(tuning, work.instances is not None)
-        plain = (lists.blocks, tuning.threads, *lists.blending(target.clouds))
-        ends = (target.semantic, target.instance)
+        given = lists.to_draw(target.clouds)
+        pictures = LabelPictures(target.semantic, target.instance)
         if work.instances is None:
-            return lambda: kernels["label_tiles"].launch(*plain, *ends)
-        count = len(work.instances)
+            return lambda: kernels["label_tiles"].launch(
+                lists.blocks, tuning.threads, LabelTiles(given, pictures)
+            )
+        assert lists.parts is not None
+        views, count = lists.parts.part_views, len(work.instances)
         if not isinstance(work, WorkDevice):  # those of the batch alone
             count = int(work.instances.counts(work.count)[lists.views_of].sum())
         parts = self._device.empty(max(count, 1) * PART.itemsize // 4, np.uint32)
 
         def launch() -> None:
-            grid = -(-max(count, 1) // 128)
-            there = (lists.part_views, np.uint32(count), target.clouds, parts)
-            kernels["find_parts"].launch(grid, 128, *there)
-            kernels["label_parts"].launch(*plain, *ends, lists.part_views, parts)
+            found = FindParts(views, np.uint32(count), target.clouds, parts)
+            kernels["find_parts"].launch(-(-max(count, 1) // 128), 128, found)
+            record = LabelParts(given, pictures, PartTables(views, parts))
+            kernels["label_parts"].launch(lists.blocks, tuning.threads, record)
 
         return launch
 

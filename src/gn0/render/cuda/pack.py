@@ -27,6 +27,7 @@ from gn0.gaussians.morton import morton_order
 from gn0.geometry import F32
 from gn0.render.cuda.cloud import CloudDevice, CloudLabels
 from gn0.render.cuda.instances import pack_normals
+from gn0.render.cuda.records import BoxChunks, ClearRows, PackSplats
 from gn0.render.cuda.tables import CHUNK, NOWHERE, SPLATS_MAX
 from gn0.render.instance import PART_SPLATS_MAX, find_normals
 from gn0.render.renderer import ALPHA_MIN
@@ -210,10 +211,10 @@ def _upload_alike(device: Device, ready: Sequence[CloudReady], degree: int) -> l
     order = device.empty(row, np.uint32)
     boxes = device.empty((row // CHUNK, _BOX), np.float32)
     sh = device.zeros((row, SH_ROW[degree]), np.uint16) if degree else None
-    every = all(layout.ordered for layout in layouts)
-    kept = None if every else device.upload(places)
+    ordered = all(layout.ordered for layout in layouts)
+    kept = None if ordered else device.upload(places)
     kernels = cloud_kernels(device)
-    kernels["clear_rows"].launch(row // CHUNK, CHUNK, splats, order)
+    kernels["clear_rows"].launch(row // CHUNK, CHUNK, ClearRows(splats, order))
     pack = _Packer(device, kernels["pack_splats"], min(size, _PIECE), (degree + 1) ** 2)
     many = len(clouds) > 1
     for begin in range(0, size, _PIECE):
@@ -230,7 +231,8 @@ def _upload_alike(device: Device, ready: Sequence[CloudReady], degree: int) -> l
             )
             rows = np.where(rows == NOWHERE, np.uint32(NOWHERE), rows + shift)
         pack.run([(cloud, at) for cloud, at, _ in pieces], rows, splats, order, sh)
-    kernels["box_chunks"].launch(row // CHUNK, CHUNK, splats, None, np.uint32(row), boxes)
+    every = BoxChunks(splats, slots=None, rows=np.uint32(row), boxes=boxes)
+    kernels["box_chunks"].launch(row // CHUNK, CHUNK, every)
     found = []
     for lay, one in zip(layouts, ready, strict=True):
         here = slice(lay.row, lay.row + lay.chunks * CHUNK)
@@ -285,18 +287,31 @@ class _Packer:
     ) -> None:
         """Pack parts of clouds, one after another; `rows` says where each splat goes."""
         count = len(rows)
-        self._send([[c.means[at], c.quats[at], c.scales[at], _log_opacity(c.opacities[at]),
-                     c.sh[at]] for c, at in pieces], count)  # fmt: skip
+        own = [
+            [c.means[at], c.quats[at], c.scales[at], _log_opacity(c.opacities[at]), c.sh[at]]
+            for c, at in pieces
+        ]
+        self._send(own, count)
         index = [np.arange(at.start, at.stop, dtype=np.uint32) for _, at in pieces]
         self._device.upload(rows, self._places[:count])
         self._device.upload(np.concatenate(index), self._index[:count])
-        self._kernel.launch(
-            -(-count // 256),
-            256,
-            *self._arrays,
-            *(np.uint32(self._coefficients), np.uint32(count), self._places, self._index),
-            *(splats, order, sh, np.uint32(0 if sh is None else sh.shape[1])),
+        means, quats, scales, log_opacity, colours = self._arrays
+        packing = PackSplats(
+            means=means,
+            quats=quats,
+            scales=scales,
+            log_opacity=log_opacity,
+            sh=colours,
+            coefficients=np.uint32(self._coefficients),
+            count_=np.uint32(count),
+            places=self._places,
+            index_=self._index,
+            splats=splats,
+            order=order,
+            sh_rows=sh,
+            sh_row=np.uint32(0 if sh is None else sh.shape[1]),
         )
+        self._kernel.launch(-(-count // 256), 256, packing)
 
     def _send(self, pieces: list[list[F32]], count: int) -> None:
         for target, parts in zip(self._arrays, zip(*pieces, strict=True), strict=True):

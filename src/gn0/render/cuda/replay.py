@@ -17,8 +17,9 @@ from gn0.device.device import Device, DeviceArray, Graph
 from gn0.errors import RenderError
 from gn0.geometry import F32
 from gn0.render.cuda.instances import WRONG_PART
+from gn0.render.cuda.lists import Lists
+from gn0.render.cuda.records import SentWords
 from gn0.render.cuda.tables import NOWHERE, TARGET
-from gn0.render.cuda.work import Lists
 from gn0.render.renderer import ALL_OUTPUTS, RenderResult
 
 _NOT_HELD = 3
@@ -163,7 +164,7 @@ class ReplayHeader:
         words = DeviceArray(
             device, block.ctypes.data, (len(self.target),), np.dtype(np.uint32), block
         )
-        self.sent = (words, self.target, np.uint32(len(self.target)))
+        self.sent = SentWords(words, self.target, np.uint32(len(self.target)))
         self._places = block[:32].view(np.uint64)
         self._background = block[32:44].view(np.float32)
         self._poses = block[TARGET.itemsize : behind].view(np.float64).reshape(count, 4, 4)

@@ -26,6 +26,7 @@ from gn0.render.camera import Camera
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.draw import Drawer
 from gn0.render.cuda.pack import cloud_kernels
+from gn0.render.cuda.records import BoxChunks, CountSlots, FillSlots, MarkNear, ScanSlots
 from gn0.render.cuda.tables import CHUNK, NO_PLACE, NO_SET, find_eyes
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_places import MEMORY, VisibleOptions, key_of_sets
@@ -305,13 +306,17 @@ class VisibleSets:
             for row, cell in enumerate(cells)
             for x, y in self._places[cell]
         ]  # a picture's near may have cut these off: a cube's corner is at √3 near
-        self._kernels["mark_near"].launch(
-            cloud.chunks,
-            CHUNK,
-            *(cloud.splats, cloud.order, cloud.boxes),
-            *(device.upload(np.array(near, np.float32)), np.int32(len(near))),
-            *(np.float32(3 * settings.near**2), bits, np.uint32(words)),
+        beside = MarkNear(
+            splats=cloud.splats,
+            order=cloud.order,
+            boxes=cloud.boxes,
+            places=device.upload(np.array(near, np.float32)),
+            count_=np.int32(len(near)),
+            reach2=np.float32(3 * settings.near**2),
+            bits=bits,
+            words=np.uint32(words),
         )
+        self._kernels["mark_near"].launch(cloud.chunks, CHUNK, beside)
         self.built += len(cells)
         return bits
 
@@ -346,9 +351,10 @@ class VisibleSets:
         totals = device.zeros(sets, np.uint32)
         kernels = self._kernels
         if chunks:
-            grid = (chunks, sets)
-            kernels["count_slots"].launch(grid, CHUNK, marks, words, cloud.order, alive, counts)
-            kernels["scan_slots"].launch(sets, CHUNK, counts, np.uint32(chunks), totals)
+            marked = CountSlots(marks, words, cloud.order, alive, counts)
+            kernels["count_slots"].launch((chunks, sets), CHUNK, marked)
+            each = ScanSlots(counts, np.uint32(chunks), totals)
+            kernels["scan_slots"].launch(sets, CHUNK, each)
         found = []
         for row, total in enumerate(totals.numpy().tolist()):
             mine = -(-total // CHUNK)
@@ -357,13 +363,17 @@ class VisibleSets:
             boxes = memory[mine * CHUNK :].view(np.float32).reshape(mine, _BOX)
             device.fill(slots, 0xFF)
             if mine:
-                kernels["fill_slots"].launch(
-                    chunks,
-                    CHUNK,
-                    *(marks[row], cloud.order, alive, counts[row], slots, np.uint32(total)),
+                filling = FillSlots(
+                    row=marks[row],
+                    order=cloud.order,
+                    alive=alive,
+                    starts=counts[row],
+                    slots=slots,
+                    total=np.uint32(total),
                 )
-                rows = np.uint32(len(cloud.splats))
-                kernels["box_chunks"].launch(mine, CHUNK, cloud.splats, slots, rows, boxes)
+                kernels["fill_slots"].launch(chunks, CHUNK, filling)
+                boxing = BoxChunks(cloud.splats, slots, np.uint32(len(cloud.splats)), boxes)
+                kernels["box_chunks"].launch(mine, CHUNK, boxing)
             found.append(VisibleSetDevice(slots, boxes, total))
         return found
 

@@ -1,10 +1,8 @@
-"""What a drawing call is to do, and how a batch of it lies on the device."""
+"""What a drawing call is to do."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,117 +15,6 @@ from gn0.render.cuda.cloud import CloudDevice, build_clouds
 from gn0.render.cuda.instances import BEFORE_TAILS, NO_PART, Instances, find_whose
 from gn0.render.cuda.tables import CHUNK, TILE, build_view
 from gn0.render.instance import PART_SPLATS_MAX
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Lists:
-    """A batch on the device: sizes, tables and buffers, as kernels take them.
-
-    Attributes:
-        first, count: views of the call that it draws.
-        all_tiles: lists.
-        scan_blocks: of the scan.
-        listing_blocks, each: blocks that list, and the chunks that one of them lists.
-        capacity: entries that all lists together can hold.
-        room: entries that each can hold; 0 where they are counted first.
-        stride: then, one splat of so many is counted.
-        views, clouds, groups, members: see `gn0.render.cuda.tables`.
-        starts, counts, sums, classes, order, state: of the lists, see `list.cu`.
-        entries: [2 * capacity], of which the second half is spare.
-        aside: spare entries of the quarters of tiles that are split, `room` each.
-        split: tiles, of which four blocks draw a quarter each.
-        tiles: across a picture, and of it.
-        shape: width, height and flags.
-        part_views, parts: views of instances, which lie behind the others, and what painting
-            needs to know of each; None without.
-    """
-
-    first: int
-    count: int
-    all_tiles: int
-    scan_blocks: int
-    listing_blocks: int
-    each: int
-    capacity: int
-    room: int
-    stride: int
-    views: DeviceArray
-    clouds: DeviceArray
-    groups: DeviceArray
-    group_count: int
-    members: DeviceArray
-    starts: DeviceArray
-    counts: DeviceArray
-    sums: DeviceArray
-    classes: DeviceArray
-    order: DeviceArray
-    state: DeviceArray
-    entries: DeviceArray
-    aside: DeviceArray | None
-    split: int
-    tiles: tuple[np.uint32, np.uint32]
-    shape: tuple[np.int32, np.int32, np.uint32]
-    part_views: DeviceArray | None = None
-    parts: DeviceArray | None = None
-
-    @property
-    def views_of(self) -> slice:
-        """Views of the call that it draws."""
-        return slice(self.first, self.first + self.count)
-
-    @property
-    def blocks(self) -> int:
-        """That draw tiles."""
-        return self.all_tiles + 3 * self.split
-
-    def blending(self, clouds: DeviceArray) -> tuple[Any, ...]:
-        """What kernels that draw tiles take first, with `clouds` or others of the same numbers."""
-        return (
-            *(self.views, clouds, self.starts, self.counts, self.entries),
-            *(np.uint64(self.capacity), np.uint32(self.room), self.aside),
-            *(np.uint32(self.split), self.order, self.state, *self.tiles, *self.shape),
-        )
-
-    @property
-    def listing(self) -> tuple[Any, ...]:
-        """What both listing kernels take first."""
-        return (
-            *(self.views, self.clouds, self.groups, np.uint32(self.group_count), self.members),
-            *(*self.tiles, self.shape[2], np.uint32(self.each), self.counts),
-        )
-
-    def holds(self, needed: int, longest: int) -> bool:
-        """Whether lists that need room for so many entries, the longest for so many, had it."""
-        return longest <= self.room if self.room else needed <= self.capacity
-
-
-class LabelTarget(NamedTuple):
-    """Where labels go, and what they are made of.
-
-    Attributes:
-        semantic, instance: uint32 [V, H, W]; None where nobody asked.
-        clouds: the call's table of clouds, with codes where else spherical harmonics are.
-        alone: whether nothing but labels is wanted.
-    """
-
-    semantic: DeviceArray | None
-    instance: DeviceArray | None
-    clouds: DeviceArray
-    alone: bool
-
-
-class Blend(NamedTuple):
-    """What is made of lists.
-
-    Attributes:
-        kernel: that makes pictures, or marks; "": nothing but labels are wanted.
-        last: what it takes last.
-        labels: where labels go; None where nobody asked.
-    """
-
-    kernel: str
-    last: tuple[Any, ...]
-    labels: LabelTarget | None = None
 
 
 class Work:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,14 @@ _KIND = np.dtype(
     ],
     align=True,
 )  # fmt: skip
+
+
+class DigestPictures(NamedTuple):
+    """`digest_pictures`: of pictures of several kinds, by a row of `_KIND` each."""
+
+    kinds: DeviceArray
+    kind_count: np.int32
+    digests: DeviceArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +94,8 @@ def digest_on_device(device: Device, kinds: Sequence[DeviceArray | Mosaics]) -> 
         row["head"][: len(head)] = np.frombuffer(head, np.uint8)
         first += _count(kind)
         begin += -(-_count(kind) // each)
-    device.load(SOURCE)["digest_pictures"].launch(
-        begin, _LANES * each, device.upload(rows), np.int32(len(rows)), found
-    )
+    record = DigestPictures(device.upload(rows), np.int32(len(rows)), found)
+    device.load(SOURCE)["digest_pictures"].launch(begin, _LANES * each, record)
     return found
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,73 @@ from gn0.errors import DeviceError, RenderError
 SOURCE = KernelSource("jpeg", (Path(__file__).parent / "kernels" / "jpeg.cu",))
 _THREADS = 128
 _END = b"\xff\xd9"
+
+
+class JpegTransform(NamedTuple):
+    """`jpeg_transform`: quantised coefficients of pictures, or of mosaics of tiles."""
+
+    pixels: DeviceArray | None
+    table: DeviceArray | None
+    width: np.int32
+    height: np.int32
+    tile_width: np.int32
+    tile_height: np.int32
+    columns: np.int32
+    cells: np.int32
+    steps: DeviceArray
+    views: np.int32
+    coefficients: DeviceArray
+
+
+class JpegCount(NamedTuple):
+    """`jpeg_count`: bits of each block."""
+
+    coefficients: DeviceArray
+    codes: DeviceArray
+    blocks: np.int32
+    bits: DeviceArray
+
+
+class JpegScan(NamedTuple):
+    """`jpeg_scan`: where each block's bits begin, and how many a picture has."""
+
+    blocks: np.int32
+    bits: DeviceArray
+    totals: DeviceArray
+
+
+class JpegWrite(NamedTuple):
+    """`jpeg_write`: the bits."""
+
+    coefficients: DeviceArray
+    codes: DeviceArray
+    blocks: np.int32
+    starts: DeviceArray
+    room: np.int32
+    words: DeviceArray
+
+
+class JpegStuff(NamedTuple):
+    """`jpeg_stuff`: how many bytes they are with those that a file needs between; and those."""
+
+    words: DeviceArray
+    totals: DeviceArray
+    room: np.int32
+    starts: DeviceArray | None
+    sizes: DeviceArray
+    out: DeviceArray | None
+
+
+class ReduceTiles(NamedTuple):
+    """`reduce_tiles`: smaller pictures."""
+
+    pictures: DeviceArray
+    views: np.int32
+    width: np.int32
+    height: np.int32
+    by_x: np.int32
+    by_y: np.int32
+    tiles: DeviceArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,10 +225,16 @@ class JpegEncoder:
         if wide % width or high % height:
             raise RenderError(f"{wide}x{high} is not a multiple of {width}x{height}")
         tiles = self.device.empty((count, height, width, 3), np.uint8)
-        self._kernels["reduce_tiles"].launch(
-            -(-tiles.size // _THREADS), _THREADS, pictures, np.int32(count), np.int32(wide),
-            np.int32(high), np.int32(wide // width), np.int32(high // height), tiles,
-        )  # fmt: skip
+        reducing = ReduceTiles(
+            pictures=pictures,
+            views=np.int32(count),
+            width=np.int32(wide),
+            height=np.int32(high),
+            by_x=np.int32(wide // width),
+            by_y=np.int32(high // height),
+            tiles=tiles,
+        )
+        self._kernels["reduce_tiles"].launch(-(-tiles.size // _THREADS), _THREADS, reducing)
         return tiles
 
     def _encode(
@@ -185,26 +259,43 @@ class JpegEncoder:
         blocks = units * 6
         cells = 1 if table is None else table.shape[1]
         coefficients = device.empty((count, blocks, 64), np.uint16)
-        kernels["jpeg_transform"].launch(
-            -(-count * units // 4), 128, pixels, table, np.int32(width), np.int32(height),
-            np.int32(tile[0]), np.int32(tile[1]), np.int32(columns), np.int32(cells), steps,
-            np.int32(count), coefficients,
-        )  # fmt: skip
+        transform = JpegTransform(
+            pixels=pixels,
+            table=table,
+            width=np.int32(width),
+            height=np.int32(height),
+            tile_width=np.int32(tile[0]),
+            tile_height=np.int32(tile[1]),
+            columns=np.int32(columns),
+            cells=np.int32(cells),
+            steps=steps,
+            views=np.int32(count),
+            coefficients=coefficients,
+        )
+        kernels["jpeg_transform"].launch(-(-count * units // 4), 128, transform)
         grid = (-(-blocks // _THREADS), count)
         bits, totals = device.empty((count, blocks), np.uint32), device.empty(count, np.uint32)
-        kernels["jpeg_count"].launch(grid, _THREADS, coefficients, codes, np.int32(blocks), bits)
-        kernels["jpeg_scan"].launch(count, 256, np.int32(blocks), bits, totals)
+        sizing = JpegCount(coefficients, codes, np.int32(blocks), bits)
+        kernels["jpeg_count"].launch(grid, _THREADS, sizing)
+        kernels["jpeg_scan"].launch(count, 256, JpegScan(np.int32(blocks), bits, totals))
         room = int(totals.numpy().max()) // 32 + 2
         words = device.zeros((count, room), np.uint32)
-        kernels["jpeg_write"].launch(
-            grid, _THREADS, coefficients, codes, np.int32(blocks), bits, np.int32(room), words
+        writing = JpegWrite(
+            coefficients=coefficients,
+            codes=codes,
+            blocks=np.int32(blocks),
+            starts=bits,
+            room=np.int32(room),
+            words=words,
         )
+        kernels["jpeg_write"].launch(grid, _THREADS, writing)
         sizes = device.empty(count, np.uint32)
-        stuff = kernels["jpeg_stuff"]
-        stuff.launch(count, 256, words, totals, np.int32(room), None, sizes, None)
+        stuffing = JpegStuff(words, totals, np.int32(room), starts=None, sizes=sizes, out=None)
+        kernels["jpeg_stuff"].launch(count, 256, stuffing)
         starts = np.zeros(count + 1, np.int64)
         np.cumsum(sizes.numpy(), out=starts[1:])
         data = device.empty(int(starts[-1]), np.uint8)
         places = device.upload(starts[:-1].astype(np.uint64))
-        stuff.launch(count, 256, words, totals, np.int32(room), places, sizes, data)
+        stuffing = stuffing._replace(starts=places, out=data)
+        kernels["jpeg_stuff"].launch(count, 256, stuffing)
         return JpegDevice(tables.head, data, starts)

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,15 @@ KEPT = 2**28  # bytes of maps on the device, beyond those that are being painted
 _THREADS = 256
 _RUN = 4096  # pixels a block, as in the kernel
 _SHOWN = np.dtype([("grey", "u8"), ("at", "i4", (2, 2)), ("radius", "i4")], align=True)
+
+
+class PaintMaps(NamedTuple):
+    """`paint_maps`: maps with dots, by a row of `_SHOWN` each."""
+
+    shown: DeviceArray
+    rows: np.int32
+    cols: np.int32
+    pictures: DeviceArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +79,14 @@ class MapPainter:
                 at += dots.count
             pictures = self._device.empty((at, *shape, 3), np.uint8)
             if pictures.size:
-                self._device.load(SOURCE)["paint_maps"].launch(
-                    (at, -(-shape[0] * shape[1] // _RUN)), _THREADS,
-                    self._device.upload(np.concatenate(parts)), np.int32(shape[0]),
-                    np.int32(shape[1]), pictures,
-                )  # fmt: skip
+                painting = PaintMaps(
+                    shown=self._device.upload(np.concatenate(parts)),
+                    rows=np.int32(shape[0]),
+                    cols=np.int32(shape[1]),
+                    pictures=pictures,
+                )
+                grid = (at, -(-shape[0] * shape[1] // _RUN))
+                self._device.load(SOURCE)["paint_maps"].launch(grid, _THREADS, painting)
             found.append(Painted(pictures, encode, rows))
         while sum(array.nbytes for array in self._maps.values()) > KEPT:
             self._maps.popitem(last=False)

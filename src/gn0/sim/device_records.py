@@ -1,0 +1,261 @@
+"""What the kernels of batched simulation are given, by name; see `gn0.device.records`.
+
+Names and meanings are those of `kernels/step.cu`, `pictures.cu` and `place.cu`; `w` is the struct
+`World` of `device_layout`, `out` the struct `Outputs` where it is no array.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gn0.device.device import DeviceArray
+
+
+class ReadActions(NamedTuple):
+    """`read_actions`: actions of any width as codes, checked."""
+
+    w: np.void
+    actions: DeviceArray
+    width: np.int32
+    step: np.int32
+    codes: DeviceArray
+
+
+class StepAgents(NamedTuple):
+    """`step_agents`, `slide_agents`: an action each."""
+
+    w: np.void
+    codes: DeviceArray
+    out: np.void
+
+
+class PlaceAgents(NamedTuple):
+    """`place_agents`: who begins which episode."""
+
+    w: np.void
+    slots: DeviceArray
+    out: np.void
+
+
+class ReadRanges(NamedTuple):
+    """`read_ranges`: how far rays go."""
+
+    w: np.void
+    slots: DeviceArray
+    poses: DeviceArray
+    turns: DeviceArray
+    rays: np.int32
+    limit: np.float64
+    out: DeviceArray
+
+
+class FillQueue(NamedTuple):
+    """`fill_queue`: episodes to come."""
+
+    w: np.void
+    list: DeviceArray
+    entries: np.int32
+    queue: DeviceArray
+    filled: DeviceArray
+
+
+class CopyWords(NamedTuple):
+    """`copy_words`: so many, of 4 bytes."""
+
+    in_: DeviceArray
+    words: np.uint64
+    out: DeviceArray
+
+
+class CopyBytes(NamedTuple):
+    """`copy_bytes`: so many."""
+
+    in_: DeviceArray
+    size: np.uint64
+    out: DeviceArray
+
+
+class StoreRows(NamedTuple):
+    """`store_rows`: rows of episodes, each into its slot."""
+
+    rows: DeviceArray
+    slots: DeviceArray
+    table: DeviceArray
+    words: np.int32
+    count_: np.int32
+
+
+class BuildViews(NamedTuple):
+    """`build_views`: what agents look at, and of which look."""
+
+    w: np.void
+    height: np.float64
+    cos_pitch: np.float64
+    sin_pitch: np.float64
+    views: DeviceArray
+    looks: DeviceArray | None
+
+
+class MotionTables(NamedTuple):
+    """Where parts stand at each step, by motion; motions by scene."""
+
+    motion_of: DeviceArray
+    poses: DeviceArray
+    chosen: DeviceArray
+    gains: DeviceArray | None
+    times: np.int32
+    parts: np.int32
+
+
+class MotionTargets(NamedTuple):
+    """Where parts stand before each agent, and the steps that this was read for."""
+
+    out_poses: DeviceArray
+    out_chosen: DeviceArray
+    out_gains: DeviceArray | None
+    steps: DeviceArray
+
+
+class PlaceParts(NamedTuple):
+    """`place_parts`: rows of the one, written to the other."""
+
+    w: np.void
+    tables: MotionTables
+    targets: MotionTargets
+
+
+class ClipDepth(NamedTuple):
+    """`clip_depth`: depth [m] held within what a sensor measures."""
+
+    depth: DeviceArray
+    low: np.float32
+    high: np.float32
+    size: np.uint64
+    out: DeviceArray
+
+
+class PaintMaps(NamedTuple):
+    """`paint_maps`: map pictures; None are left out."""
+
+    w: np.void
+    slots: DeviceArray
+    poses: DeviceArray
+    rows: np.int32
+    cols: np.int32
+    radius: np.int32
+    bev: DeviceArray | None
+    occupancy: DeviceArray | None
+
+
+class ReducePictures(NamedTuple):
+    """`reduce_pictures`: smaller pictures, by weights along each axis."""
+
+    in_: DeviceArray
+    rows: np.int32
+    cols: np.int32
+    across: DeviceArray
+    across_taps: np.int32
+    down: DeviceArray
+    down_taps: np.int32
+    out_rows: np.int32
+    out_cols: np.int32
+    views: DeviceArray | None
+    status: DeviceArray
+    out: DeviceArray
+
+
+class LayMosaics(NamedTuple):
+    """`lay_mosaics`, `lay_mosaics_4`, `lay_mosaics_1`: tiles of the last views, side by side."""
+
+    tiles: DeviceArray
+    views: DeviceArray | None
+    rows: np.int32
+    words: np.int32
+    out: DeviceArray
+
+
+class PlaceRows(NamedTuple):
+    """`place_rows`: pictures of some agents, among those of all."""
+
+    in_: DeviceArray
+    to: DeviceArray
+    size: np.uint64
+    entries: np.int32
+    out: DeviceArray
+
+
+class MoveChannels(NamedTuple):
+    """`move_channels`: pictures with channels first."""
+
+    in_: DeviceArray
+    pixels: np.uint64
+    width: np.uint64
+    size: np.uint64
+    out: DeviceArray
+
+
+class TakeRows(NamedTuple):
+    """`take_rows`: a row of a table for each agent."""
+
+    table: DeviceArray
+    numbers: DeviceArray
+    width: np.uint64
+    size: np.uint64
+    out: DeviceArray
+
+
+class JudgePlaces(NamedTuple):
+    """`judge_places`: what the ground is like."""
+
+    w: np.void
+    slots: DeviceArray
+    positions: DeviceArray
+    count_: np.int32
+    verdicts: DeviceArray
+
+
+class FindPlaces(NamedTuple):
+    """`find_places`: a place from which the goal can be reached."""
+
+    w: np.void
+    slots: DeviceArray
+    chances: DeviceArray
+    positions: DeviceArray
+
+
+class PutAgents(NamedTuple):
+    """`put_agents`: where some agents stand from now on."""
+
+    w: np.void
+    agents: DeviceArray
+    slots: DeviceArray
+    positions: DeviceArray
+    turns: DeviceArray
+    steps: DeviceArray
+    views: DeviceArray
+    collided: DeviceArray
+    count_: np.int32
+
+
+class MoveRows(NamedTuple):
+    """`move_rows`: rows of one array to rows of another; None: in order."""
+
+    in_: DeviceArray
+    from_: DeviceArray | None
+    to: DeviceArray | None
+    size: np.uint64
+    count_: np.int32
+    out: DeviceArray
+
+
+class KeepTiles(NamedTuple):
+    """`keep_tiles`: tiles of views that some agents have seen."""
+
+    tiles: DeviceArray
+    agents: DeviceArray
+    views: np.int32
+    size: np.uint64
+    count_: np.int32
+    rings: DeviceArray

@@ -251,6 +251,12 @@ def test_a_folder_of_your_own_works_by_path(tmp_path: Path) -> None:
         load_prompt("mine", tmp_path / "nowhere")
     with pytest.raises(StorageError):
         load_prompt(str(tmp_path / "none.txt"))
+    os.mkfifo(mine / "pipe.txt")
+    (mine / "folder.txt").mkdir()
+    for other in ("pipe.txt", "folder.txt"):
+        with pytest.raises(StorageError, match="not a file"):
+            load_prompt(str(mine / other))
+    assert prompt_names(mine) == ("mine",)
     (mine / "big.txt").write_bytes(b"x" * 100_000)
     with pytest.raises(StorageError):
         load_prompt("big", mine)

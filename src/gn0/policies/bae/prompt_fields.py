@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class PromptState:
     last_action: int | None = None
     collided: bool = False
 
-    @property
+    @cached_property
     def current(self) -> tuple[int, int] | None:
         """CURRENT_PIXEL: map tokens (x, y) of where the agent stands; None if that is not known."""
         if self.frame is None or (self.pose is None and not isinstance(self.frame, EgoFrame)):

@@ -23,7 +23,7 @@ from typing import Literal, get_args
 
 from gn0.data.answer_form import AnswerForm
 from gn0.data.codec import AnswerLayout, AnswerOrder
-from gn0.errors import ConfigError, FormatError
+from gn0.errors import ConfigError, FormatError, StorageError
 from gn0.storage import content_hash, read_bytes
 
 FOLDER = Path(__file__).parent / "prompts"
@@ -211,6 +211,8 @@ def load_prompt(
                 remedy=f"known: {', '.join(known) or 'none'}; or the path of a {ENDING} file",
             )
         file = (FOLDER if folder is None else Path(folder)) / f"{name}{ENDING}"
+    if file.exists() and not file.is_file():  # a pipe would never end
+        raise StorageError("not a file", where=file, remedy="give the path of a text file")
     data = read_bytes(file, LIMIT)
     chosen = {
         "task": task,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gn0.errors import ConfigError, FormatError
+from gn0.errors import ConfigError, FormatError, StorageError
 from gn0.storage import read_bytes
 
 LIMIT = 256 * 2**20  # bytes of a tokenizer.json
@@ -65,6 +65,8 @@ def load_tokenizer(path: Path | str) -> TokenizerFile:
             where=file,
             remedy="pip install tokenizers",
         ) from None
+    if file.exists() and not file.is_file():  # a pipe would never end
+        raise StorageError("not a file", where=file, remedy="give the path of a tokenizer.json")
     data = read_bytes(file, LIMIT)
     try:
         return TokenizerFile(Tokenizer.from_buffer(data))

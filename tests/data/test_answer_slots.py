@@ -250,6 +250,28 @@ def test_any_walk_through_the_decoder_is_an_answer(form: AnswerForm, data: st.Da
         decoder.accept(0)
 
 
+@pytest.mark.parametrize("form", FORMS, ids=lambda f: f"{f.points}-{f.order}-{f.layout}")
+def test_the_ids_beside_the_allowed_ones_are_refused_everywhere(form: AnswerForm) -> None:
+    slots, rng = COMPILED[form], np.random.default_rng(0)
+    way = rng.integers(1, 999, (1, form.points, 2))
+    current = tuple(way[0, 0].tolist()) if form.points else None
+    ids = slots.encode(rng.integers(0, 4, (1, 6)), way)
+    decoder = slots.decoder(current)
+    place = None if current is None else np.array([current])
+    for slot, own in enumerate(ids[0].tolist()):
+        allowed = decoder.allowed()
+        beside = {0, ROWS, int(allowed[0]) - 1, int(allowed[-1]) + 1} - set(allowed.tolist())
+        for wrong in beside:
+            with pytest.raises(FormatError, match=f"place {slot} of"):
+                decoder.accept(wrong)
+            changed = ids.copy()
+            changed[0, slot] = wrong
+            with pytest.raises(FormatError, match=f"slot {slot} of"):
+                slots.decode(changed, place)
+        decoder.accept(own)
+    assert decoder.done
+
+
 def test_batches_that_do_not_fit_are_refused() -> None:
     slots = COMPILED[AnswerForm()]
     good = np.ones((2, 6), int), np.ones((2, 13, 2), int)

@@ -88,7 +88,7 @@ def stock_logits(checkpoint: Checkpoint, ids, pictures, grad: bool = False):
 def test_logits_and_gradients_are_those_of_transformers(nano) -> None:
     made, _ = nano
     layout, ids, pictures = prompts(made, 3)
-    answer = np.random.default_rng(2).integers(0, made.ids.size, (3, 7))
+    answer = np.random.default_rng(2).integers(0, made.ids.vocabulary.size, (3, 7))
     ours = ForwardConstant(made.model, layout, 7)
     names = ("model.visual.patch_embed.proj.weight", "model.language_model.embed_tokens.weight",
              "model.language_model.layers.1.self_attn.q_proj.weight")  # fmt: skip
@@ -116,7 +116,7 @@ def test_logits_and_gradients_are_those_of_transformers(nano) -> None:
 def test_256_greedy_answers_are_those_of_transformers(nano) -> None:
     made, _ = nano
     layout, ids, pictures = prompts(made, 256)
-    slots = [made.ids.first_bin + FREE] * 4 + [np.array([made.ids.end])]
+    slots = [made.ids.vocabulary.number + FREE] * 4 + [np.array([made.ids.end])]
     ours = ForwardConstant(made.model, layout, len(slots))
     features = ours.encode([torch.from_numpy(some) for some in pictures])
     rows = torch.from_numpy(ids)
@@ -132,7 +132,7 @@ def test_256_greedy_answers_are_those_of_transformers(nano) -> None:
 def test_the_twin_gives_the_same_answers(nano) -> None:
     made, folder = nano
     layout, ids, pictures = prompts(made, 24)
-    slots = [made.ids.first_bin + FREE] * 6 + [np.array([made.ids.end])] * 2
+    slots = [made.ids.vocabulary.number + FREE] * 6 + [np.array([made.ids.end])] * 2
     ours = ForwardConstant(made.model, layout, len(slots))
     features = ours.encode([torch.from_numpy(some) for some in pictures])
     want = ours.sample(features, torch.from_numpy(ids), [torch.from_numpy(s) for s in slots])
@@ -156,7 +156,7 @@ def test_eight_answers_share_their_pictures(nano) -> None:
 def test_sampled_chances_are_those_of_the_logits(nano) -> None:
     made, _ = nano
     layout, ids, pictures = prompts(made, 4)
-    slots = [torch.from_numpy(made.ids.first_bin + FREE), torch.tensor([made.ids.end])] * 2
+    slots = [torch.from_numpy(made.ids.vocabulary.number + FREE), torch.tensor([made.ids.end])] * 2
     ours = ForwardConstant(made.model, layout, len(slots))
     features, rows = ours.encode([torch.from_numpy(s) for s in pictures]), torch.from_numpy(ids)
 
@@ -214,7 +214,7 @@ def test_a_vocabulary_grows_by_the_mean(nano, tmp_path: Path) -> None:
     plain = json.loads((bare / "tokenizer.json").read_text())
     kept = [one for one in plain["added_tokens"] if one["content"] not in NAVIGATION_TOKENS]
     (bare / "tokenizer.json").write_text(json.dumps(plain | {"added_tokens": kept}))
-    with pytest.raises(CheckpointError, match=r"no <0>.*grow=True"):
+    with pytest.raises(CheckpointError, match=r"1006 of 1006 navigation.*grow=True"):
         load_checkpoint(bare)
     grown = load_checkpoint(bare, grow=True)
     rows = grown.model.get_input_embeddings().weight

@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 from transformers import AutoTokenizer, PreTrainedTokenizerBase, Qwen3VLForConditionalGeneration
 
 from gn0.errors import CheckpointError, brief
-from gn0.policies.bae.tokenizer import add_navigation_tokens, read_token_ids
+from gn0.policies.bae.tokenizer import add_missing_tokens, read_token_ids
 from gn0.policies.bae.tokens import PAD_ROWS, TokenIds
 from gn0.policies.qwen.architecture import load_architecture
 from gn0.policies.qwen.model import check_shapes
@@ -60,17 +60,17 @@ def load_checkpoint(
     except Exception as error:  # transformers has no error of its own
         what = f"transformers cannot load it: {brief(str(error))}"
         raise CheckpointError(what, where=folder) from error
-    if grow and add_navigation_tokens(tokenizer):
+    if grow and add_missing_tokens(tokenizer):
         with torch.no_grad():
             grow_vocabulary(model, len(tokenizer))
     try:
         ids = read_token_ids(tokenizer)
     except CheckpointError as error:
         raise CheckpointError(error.what, where=folder, remedy=error.remedy) from None
-    if ids.size > model.get_input_embeddings().weight.shape[0]:
+    rows = model.get_input_embeddings().weight.shape[0]
+    if ids.vocabulary.size > rows:
         raise CheckpointError(
-            f"the tokenizer has {ids.size} tokens, the model rows for "
-            f"{model.get_input_embeddings().weight.shape[0]}",
+            f"the tokenizer has {ids.vocabulary.size} tokens, the model rows for {rows}",
             where=folder,
             remedy="the tokenizer is that of another checkpoint",
         )

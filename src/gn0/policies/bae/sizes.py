@@ -59,7 +59,7 @@ def list_config(size: ModelSize, tokens: TokenIds) -> dict[str, Any]:
     third = half // 3
     return {
         "text_config": {
-            "vocab_size": tokens.rows,
+            "vocab_size": tokens.vocabulary.rows,
             "hidden_size": size.hidden,
             "intermediate_size": size.intermediate,
             "num_hidden_layers": size.layers,
@@ -119,7 +119,8 @@ def build_model(size: str, tokens: TokenIds, seed: int = 0) -> Qwen3VLForConditi
         model = Qwen3VLForConditionalGeneration(Qwen3VLConfig(**list_config(SIZES[size], tokens)))
         with torch.no_grad():
             rows = model.get_input_embeddings().weight
-            rows[tokens.first_bin : tokens.first_bin + MAP_BINS] = _bins_on_a_line(rows.shape[1])
+            first = tokens.vocabulary.number
+            rows[first : first + MAP_BINS] = _bins_on_a_line(rows.shape[1])
     return model.eval()
 
 

@@ -13,8 +13,8 @@ from transformers import PreTrainedTokenizerBase
 from transformers.models.qwen2.tokenization_qwen2 import PRETOKENIZE_REGEX, Qwen2Tokenizer
 
 from gn0.data.codec import NAVIGATION_TOKENS, without_control_tokens
-from gn0.errors import CheckpointError, DataError
-from gn0.paper import MAP_BINS
+from gn0.errors import DataError
+from gn0.policies.bae.tokenizer_file import TokenizerFile
 from gn0.policies.bae.tokens import SPECIALS, TokenIds, find_token_ids
 
 MERGES = 1500  # enough for the language of generated missions
@@ -66,7 +66,7 @@ def train_tokenizer(texts: Iterable[str], merges: int = MERGES) -> Qwen2Tokenize
     )
     tokenizer.add_tokens([AddedToken(one, special=True, normalized=False) for one in SPECIALS])
     tokenizer.chat_template = CHAT
-    add_navigation_tokens(tokenizer)
+    add_missing_tokens(tokenizer)
     return tokenizer
 
 
@@ -74,7 +74,7 @@ def _read_model(model: Tokenizer) -> dict[str, Any]:
     return json.loads(model.to_str())["model"]
 
 
-def add_navigation_tokens(tokenizer: PreTrainedTokenizerBase) -> int:
+def add_missing_tokens(tokenizer: PreTrainedTokenizerBase) -> int:
     """Add those of the 1006 navigation tokens that are missing; returns how many were.
 
     They are no special tokens: `decode(skip_special_tokens=True)` would drop special ones.
@@ -84,21 +84,9 @@ def add_navigation_tokens(tokenizer: PreTrainedTokenizerBase) -> int:
 
 
 def read_token_ids(tokenizer: PreTrainedTokenizerBase) -> TokenIds:
-    """Ids of a tokenizer that has the navigation tokens.
+    """Ids of transformers' tokenizer; see `find_token_ids`.
 
     Raises:
-        CheckpointError: tokens are missing, <0> to <999> have gaps, or one is cut into several.
+        CheckpointError: as there.
     """
-    table = tokenizer.get_vocab()
-    ids = find_token_ids(table.get, len(tokenizer))
-    bins = [table.get(f"<{k}>") for k in range(MAP_BINS)]
-    gap = next((k for k, one in enumerate(bins) if one != ids.first_bin + k), None)
-    if gap is not None:
-        raise CheckpointError(
-            f"the ids of <0> to <999> have a gap at <{gap}>",
-            remedy="add the navigation tokens to a tokenizer without any, all at once",
-        )
-    split = [one for one in NAVIGATION_TOKENS if tokenizer.encode(one) != [table.get(one)]]
-    if split:
-        raise CheckpointError(f"the tokenizer cuts {split[0]} into several tokens")
-    return ids
+    return find_token_ids(TokenizerFile(tokenizer.backend_tokenizer))

@@ -1,11 +1,11 @@
-"""Ids that a model's configuration needs of its tokenizer."""
+"""Ids that a model's configuration and prompts need of its tokenizer."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from gn0.errors import CheckpointError
+from gn0.data.navigation_vocabulary import NavigationVocabulary, TextTokenizer, load_vocabulary
+from gn0.errors import CheckpointError, FormatError
 
 PAD_ROWS = 64  # the embedding's rows are a multiple of this
 SPECIALS = (
@@ -23,7 +23,6 @@ _NAMES = {
     "vision_end": "<|vision_end|>",
     "image": "<|image_pad|>",
     "video": "<|video_pad|>",
-    "first_bin": "<0>",
 }
 
 
@@ -34,8 +33,7 @@ class TokenIds:
     Attributes:
         pad, start, end: of padding, and of a turn's begin and end.
         vision_start, vision_end, image, video: around pictures, and in their places.
-        first_bin: of <0>; <1> to <999> follow.
-        size: tokens of the tokenizer.
+        vocabulary: of the tokens of answers, and how many rows the embedding has.
     """
 
     pad: int
@@ -45,31 +43,29 @@ class TokenIds:
     vision_end: int
     image: int
     video: int
-    first_bin: int
-    size: int
-
-    @property
-    def rows(self) -> int:
-        """Rows of the embedding."""
-        return -(-self.size // PAD_ROWS) * PAD_ROWS
+    vocabulary: NavigationVocabulary
 
 
-def find_token_ids(find_id: Callable[[str], int | None], size: int) -> TokenIds:
-    """Ids by a tokenizer's own table.
-
-    Args:
-        find_id: id of a token, None where there is none.
-        size: tokens of the tokenizer.
+def find_token_ids(tokenizer: TextTokenizer) -> TokenIds:
+    """Ids of a tokenizer that has the navigation tokens.
 
     Raises:
-        CheckpointError: a token is missing.
+        CheckpointError: tokens are missing, <0> to <999> have gaps, or one is cut into several.
     """
-    found = {name: find_id(token) for name, token in _NAMES.items()}
+    found = {name: tokenizer.find_id(token) for name, token in _NAMES.items()}
     missing = [_NAMES[name] for name, one in found.items() if one is None]
     if missing:
         raise CheckpointError(
-            f"the tokenizer has no {', '.join(missing)}",
-            remedy="use a tokenizer of Qwen3-VL; load_checkpoint(grow=True) adds navigation tokens",
+            f"the tokenizer has no {', '.join(missing)}", remedy="use a tokenizer of Qwen3-VL"
         )
-    assert {field.name for field in fields(TokenIds)} == {*found, "size"}
-    return TokenIds(size=size, **{name: one for name, one in found.items() if one is not None})
+    rows = -(-len(tokenizer) // PAD_ROWS) * PAD_ROWS
+    try:
+        vocabulary = load_vocabulary(tokenizer, rows=rows)
+    except FormatError as error:
+        raise CheckpointError(
+            error.what,
+            where=error.field,
+            remedy="load_checkpoint(grow=True) adds them to a tokenizer without any",
+        ) from None
+    ids = {name: one for name, one in found.items() if one is not None}
+    return TokenIds(vocabulary=vocabulary, **ids)

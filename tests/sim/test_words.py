@@ -171,10 +171,13 @@ def test_tokenisers_that_fail_are_refused_by_the_episode(told) -> None:
         with pytest.raises(EpisodeError, match=why) as caught:
             WordTable(told, Vocabulary(encode, size=9))
         assert "'e0'" in str(caught.value)
-    assert WordTable(told, Vocabulary(lambda text: [], size=9)).rows.tolist() == [[0]] * 4
+    empty = WordTable(told, Vocabulary(lambda text: [], size=9))
+    assert [empty.row(episode).tolist() for episode in told] == [[0]] * 4
     for wrong in ({"size": 0}, {"size": 4, "pad": 4}, {"size": 4, "length": 0}):
         with pytest.raises(ConfigError, match="a vocabulary of"):
             Vocabulary(len, **wrong)
-    assert WordTable(told, {"encode": lambda text: [3], "size": 9}).rows.tolist() == [[3]] * 4
+    threes = WordTable(told, {"encode": lambda text: [3], "size": 9})
+    assert threes.extend(told) and not threes.extend(told)
+    assert threes.rows.tolist() == [[3]] * 4
     with pytest.raises(ConfigError, match="no vocabulary has these fields"):
         WordTable(told, {"encode": len, "words": 9})

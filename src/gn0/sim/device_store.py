@@ -198,22 +198,28 @@ class EpisodeStore:
     ) -> NDArray[np.int32]:
         """`pin`, with headings counted from `bases` [K] rad; NaN: from the start's, as ever.
 
+        Headings of earlier calls that nobody plays any more are dropped.
+
         Raises: see `pin`; then nothing is pinned.
         """
-        slots = np.empty(len(numbers), np.int32)
-        plain = np.isnan(bases)
-        slots[plain] = self.pin(numbers[plain])
-        done, fresh = plain.copy(), []
+        keys = list(zip(numbers.tolist(), bases.tolist(), strict=True))
+        kept = set(keys)
+        for key, slot in list(self._turned.items()):
+            if not self._references[slot] and key not in kept:
+                self._drop(slot)
+        slots = self.pin(numbers)  # of turned ones, too: maps and fields stay when these go
+        turned = np.flatnonzero(~np.isnan(bases))
+        fresh: list[int] = []
         try:
-            for k in np.flatnonzero(~plain).tolist():
-                key = int(numbers[k]), float(bases[k])
-                if key not in self._turned:
-                    fresh.append(self._bring(*key))
-                slots[k] = self._turned[key]
-                self._references[slots[k]] += 1
-                done[k] = True
+            for k in turned.tolist():
+                if keys[k] not in self._turned:
+                    fresh.append(self._bring(*keys[k]))
+                slot = self._turned[keys[k]]
+                self._references[slot] += 1
+                self.release(slots[k : k + 1])
+                slots[k] = slot
         except BaseException:
-            self.release(slots[done])
+            self.release(slots)
             raise
         finally:
             self._in_play = None
@@ -358,7 +364,12 @@ class EpisodeStore:
         idle = np.flatnonzero((self._number_of >= 0) & (self._references == 0))
         if not len(idle):
             return False
-        slot = int(idle[np.argmin(self._used[idle])])
+        self._drop(int(idle[np.argmin(self._used[idle])]))
+        self.dropped += 1
+        return True
+
+    def _drop(self, slot: int) -> None:
+        """Let go of an episode that nobody plays."""
         number = int(self._number_of[slot])
         episode = self.episodes[number]
         if slot in self._base_of:
@@ -372,8 +383,6 @@ class EpisodeStore:
         if self._pictures is not None:
             self._looks[name_look(episode)].users -= 1
         self._sweep(episode)
-        self.dropped += 1
-        return True
 
     def _sweep(self, episode: Episode | None = None) -> None:
         """Give back fields, looks and scenes that nothing needs; of one episode, or any."""

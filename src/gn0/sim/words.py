@@ -102,7 +102,7 @@ class WordTable:
     Attributes:
         length: tokens of an instruction.
         size: of the vocabulary.
-        rows: int32 [E, length], by number of the episode.
+        rows: int32 [E, length], by number of the episode, as far as `extend` was told.
 
     Raises:
         EpisodeError: a text that cannot be tokenised, or is longer than `Vocabulary.length`.
@@ -123,7 +123,8 @@ class WordTable:
         else:
             self.length = max(1, *(len(self._encode(episode)) for episode in episodes))
         self.rows = np.zeros((0, self.length), np.int32)
-        self.extend(episodes)
+        for episode in () if vocabulary is None else episodes:
+            self.row(episode)  # it may be refused
 
     def extend(self, episodes: Sequence[Episode]) -> bool:
         """Add rows until there is one for each of `episodes`; whether there were any to add.

@@ -154,6 +154,63 @@ def test_everything_that_agents_see(rooms, tmp_path, monkeypatch) -> None:
     env.close()
 
 
+SQUARES = {
+    "squares": [
+        {"size": 40},
+        {"size": 24, "metres_per_pixel": 0.31, "content": "bev", "marker": -1},
+        {"size": 17, "metres_per_pixel": 0.02, "ahead": 0.5, "content": "occupancy", "marker": 3},
+        {"size": 9, "metres_per_pixel": 3.0},
+    ],
+    "arrow": True,
+}
+
+
+@pytest.mark.parametrize("first", [False, True], ids=["last", "first"])
+def test_ego_maps_and_arrows_are_those_of_vector_env(rooms, tmp_path, monkeypatch, first) -> None:
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+    scenes, episodes = rooms
+    settings = {"sensors": ("ego_map", "occupancy"), "episodes": episodes, "max_steps": 11,
+                "preset": "vlnce", "map_view": SQUARES, "channels_first": first}  # fmt: skip
+    device = DeviceHost(2)
+    env = VectorEnvDevice(3, scenes, device=device, renderer=RendererBatchCpu(device),
+                          final_pictures=True, **settings)  # fmt: skip
+    twin = VectorEnv(3, scenes, backend="cpu", **settings)
+    mine, theirs = env.reset(seed=3)[0], twin.reset(seed=3)[0]
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(14):
+        for name in ("ego_map", "occupancy"):
+            assert mine[name].shape == env.observation_space[name].shape
+            np.testing.assert_array_equal(mine[name].numpy(), theirs[name], err_msg=name)
+        actions = rng.choice(4, 3, p=[0.02, 0.48, 0.25, 0.25])
+        mine, _, _, _, told = env.step(actions)
+        theirs, _, _, _, infos = twin.step(actions)
+        for agent in told["final_obs"]["agents"].tolist():
+            ends += 1
+            for name in ("ego_map", "occupancy"):
+                final = told["final_obs"][name][agent].numpy()
+                np.testing.assert_array_equal(final, infos["final_obs"][agent][name])
+    assert ends >= 3
+    env.close()
+
+
+def test_ego_maps_take_the_same_memory_whatever_the_map_and_need_no_colours(rooms) -> None:
+    scene = rooms[0][0]
+    wide = replace(scene.grid, cells=np.pad(scene.grid.cells, 60, constant_values=1))
+    view = {"squares": [{"size": 20, "content": "occupancy"}]}
+    taken = []
+    for plan in (scene, replace(scene, id="hall", grid=wide)):
+        episodes = build_point_episodes(plan, NavigationMap(plan.grid, 0.2), 2, seed=5)
+        settings = {"episodes": episodes, "sensors": ("ego_map",), "map_view": view}
+        env = VectorEnvDevice(3, plan, device=DeviceHost(), **settings)
+        twin = VectorEnv(3, plan, **settings)
+        seen, theirs = env.reset(seed=1)[0], twin.reset(seed=1)[0]
+        np.testing.assert_array_equal(seen["ego_map"].numpy(), theirs["ego_map"])
+        taken.append(env.memory["pictures"])
+        env.close()
+    assert taken == [3 * 20 * 20 * 3] * 2
+
+
 def test_one_call_draws_all_agents_of_all_scenes(rooms) -> None:
     scenes, episodes = rooms
     device = DeviceHost()

@@ -38,6 +38,7 @@ from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
 from gn0.sim.device_walkers import WalkersDevice
 from gn0.sim.device_words import LayoutDevice, ObservationsDevice, WordsDevice, rename_words
+from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.env import build_spaces, picture_names, shape_of_maps
 from gn0.sim.motion import Motion
 from gn0.sim.presets import find_preset
@@ -84,6 +85,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             steps; fewer draws keep fewer distance fields there.
         visible_sets: draw from the splats visible near each place, not from all.
         map_mode: what bev and occupancy show, prior or none; the suite's, else prior.
+        map_view: squares of the sensor ego_map, and the arrow of the occupancy picture; see
+            `gn0.sim.ego_map.MapView`, whose fields it may also be.
         motions: what moves in each scene, by its id, see `gn0.sim.motion`.
         strict: wait after each step with actions from the device, and raise at once if one is
             none; else some steps later, and nobody has moved in the meantime.
@@ -130,6 +133,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         ahead: int = AHEAD,
         visible_sets: bool = False,
         map_mode: str | None = None,
+        map_view: MapView | Mapping[str, Any] | None = None,
         motions: Mapping[str, Motion] | None = None,
         strict: bool = False,
         final_pictures: bool = False,
@@ -155,7 +159,10 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         )
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         camera = find_preset(self.tasks.preset, history_tile=history_tile)
-        config = SensorConfig(active=frozenset(self.sensors), preset=camera, map_mode=self.map_mode)
+        view = read_map_view(map_view)
+        config = SensorConfig(
+            active=frozenset(self.sensors), preset=camera, map_view=view, map_mode=self.map_mode
+        )
         carried = config.carried
         refuse_host_sensors(carried.sensors)
         self._at_once = tuple(
@@ -210,7 +217,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self._last = AgentsThere(self.simulator, self._eyes, final=True)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.single_observation_space = spaces.Dict(
-            build_spaces(self.sensors, camera, map_shape, channels_first)
+            build_spaces(self.sensors, camera, map_shape, channels_first, view)
             | word_spaces(self.words, self.tasks.episodes, table)
             | {"collided": spaces.Discrete(2)}
         )

@@ -30,6 +30,7 @@ from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_records import (
     BuildViews,
     ClipDepth,
+    DrawEgoMaps,
     LayMosaics,
     PaintMaps,
     PlaceParts,
@@ -37,6 +38,7 @@ from gn0.sim.device_records import (
     ReducePictures,
 )
 from gn0.sim.device_store import MapPictures
+from gn0.sim.ego_map import CONTENTS, find_front
 from gn0.sim.history import LENGTH, mosaic_size
 from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
 from gn0.sim.open import look_hash, name_look, split_look
@@ -110,6 +112,12 @@ class AgentsThere:
             self._maps = self._eyes.map_pictures(self._simulator, self._prefix, slots, poses)
         return self._maps[name]
 
+    def ego_maps(self) -> DeviceArray:
+        """Maps around the agents, their headings up, side by side [N, H, W, 3]."""
+        assert self._eyes is not None
+        slots = self.output("slot") if self._final else self._simulator.state["slot"]
+        return self._eyes.ego_maps(self._simulator, self._prefix, slots, self.output("pose"))
+
 
 class EyesDevice:
     """The picture sensors of N agents on a device.
@@ -160,6 +168,7 @@ class EyesDevice:
         self.config = config
         self._outputs = carried.outputs
         self._carried = carried
+        self._painted = sorted(carried.maps & {"bev", "occupancy"})
         self._sensors = tuple(
             (s.name, bool(s.draws), device_reader(s, config))
             for s in carried.sensors
@@ -279,7 +288,10 @@ class EyesDevice:
             each += down * across * 3
             tiles = each  # all of them are in it
         if self._map_shape is not None:
-            each += len(self._carried.maps) * self._map_shape[0] * self._map_shape[1] * 3
+            each += len(self._painted) * self._map_shape[0] * self._map_shape[1] * 3
+        if "ego_map" in self._carried.maps:
+            width, height = self.config.map_view.picture_size
+            each += width * height * 3
         if self._carried.goal_view:
             width, height = self.config.preset.picture_size
             each += width * height * 3
@@ -457,7 +469,7 @@ class EyesDevice:
         rows, cols = self._map_shape
         found = {
             name: self._array(simulator, prefix + name, (rows, cols, 3), np.uint8)
-            for name in sorted(self._carried.maps)
+            for name in self._painted
         }
         painting = PaintMaps(
             w=simulator.world,
@@ -466,12 +478,41 @@ class EyesDevice:
             rows=np.int32(rows),
             cols=np.int32(cols),
             radius=np.int32(self.config.disc_radius),
+            arrow=np.int32(self.config.map_view.arrow),
             bev=found.get("bev"),
             occupancy=found.get("occupancy"),
         )
         grid = (simulator.count, blocks_of(rows * cols, _PIXELS))
         simulator.kernels["paint_maps"].launch(grid, _PIXELS, painting)
         return found
+
+    def ego_maps(
+        self, simulator: SimulatorDevice, prefix: str, slots: DeviceArray, poses: DeviceArray
+    ) -> DeviceArray:
+        """Ego maps, see `gn0.sim.ego_map`, of maps in these slots, with agents at these poses."""
+        view = self.config.map_view
+        width, height = view.picture_size
+        out = self._array(simulator, prefix + "ego_map", (height, width, 3), np.uint8)
+        offset = 0
+        for square in view.squares:
+            drawing = DrawEgoMaps(
+                w=simulator.world,
+                slots=slots,
+                poses=poses,
+                size=np.int32(square.size),
+                metres=np.float64(square.metres_per_pixel),
+                front=np.int64(find_front(square)),
+                content=np.int32(CONTENTS.index(square.content)),
+                marker=np.int32(square.marker),
+                offset=np.int32(offset),
+                high=np.int32(height),
+                wide=np.int32(width),
+                out=out,
+            )
+            grid = (simulator.count, blocks_of(square.size**2, _PIXELS))
+            simulator.kernels["draw_ego_maps"].launch(grid, _PIXELS, drawing)
+            offset += square.size
+        return out
 
     def last_goal_pictures(self, simulator: SimulatorDevice) -> DeviceArray:
         """A copy of the goal pictures as they were before the next `draw`."""

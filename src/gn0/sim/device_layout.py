@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gn0.device.device import DeviceArray, KernelSource
+from gn0.sim.ego_map import QUARTER, SAMPLES, SERIES, TINT
 from gn0.sim.history import COLUMNS, LENGTH
 from gn0.sim.sensor.goal_vector import VECTOR_LIMIT
 
@@ -71,7 +72,7 @@ OUTPUTS = np.dtype([(name, np.uint64) for name, _, _ in OUTPUT_FIELDS], align=Tr
 
 SOURCE = KernelSource(
     "simulation",
-    tuple(KERNELS / f"{part}.cu" for part in ("world", "step", "pictures", "place")),
+    tuple(KERNELS / f"{part}.cu" for part in ("world", "step", "ego", "pictures", "place")),
     (
         ("EPISODE_BYTES", EPISODE.itemsize),
         ("WORLD_BYTES", WORLD.itemsize),
@@ -79,6 +80,10 @@ SOURCE = KernelSource(
         ("VECTOR_LIMIT", VECTOR_LIMIT),
         ("TILES", LENGTH),
         ("COLUMNS", COLUMNS),
+        ("EGO_QUARTER", QUARTER),
+        ("EGO_SAMPLES", SAMPLES),
+        ("EGO_TINT", TINT),
+        *((f"EGO_C{k}", value) for k, value in enumerate(SERIES)),
     ),
 )
 

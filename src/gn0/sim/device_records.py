@@ -1,7 +1,7 @@
 """What the kernels of batched simulation are given, by name; see `gn0.device.records`.
 
-Names and meanings are those of `kernels/step.cu`, `pictures.cu` and `place.cu`; `w` is the struct
-`World` of `device_layout`, `out` the struct `Outputs` where it is no array.
+Names and meanings are those of `kernels/step.cu`, `ego.cu`, `pictures.cu` and `place.cu`; `w` is
+the struct `World` of `device_layout`, `out` the struct `Outputs` where it is no array.
 """
 
 from __future__ import annotations
@@ -145,8 +145,26 @@ class PaintMaps(NamedTuple):
     rows: np.int32
     cols: np.int32
     radius: np.int32
+    arrow: np.int32
     bev: DeviceArray | None
     occupancy: DeviceArray | None
+
+
+class DrawEgoMaps(NamedTuple):
+    """`draw_ego_maps`: a square of all agents' ego maps."""
+
+    w: np.void
+    slots: DeviceArray
+    poses: DeviceArray
+    size: np.int32
+    metres: np.float64
+    front: np.int64
+    content: np.int32
+    marker: np.int32
+    offset: np.int32
+    high: np.int32
+    wide: np.int32
+    out: DeviceArray
 
 
 class ReducePictures(NamedTuple):

@@ -47,16 +47,25 @@ KERNEL(clip_depth)(const float *depth, float low, float high, u64 size, float *o
 }
 
 // Map pictures [N, rows, cols, 3], black where a scene's own is smaller; null ones are left out.
-// In the occupancy picture the start is a green disc and the agent, over it, a red one.
+// In the occupancy picture the start is a green disc and the agent, over it, a red one, or an arrow.
 KERNEL(paint_maps)(World w, const int *slots, const double *poses, int rows, int cols, int radius,
-                   u8 *bev, u8 *occupancy) {
+                   int arrow, u8 *bev, u8 *occupancy) {
   __shared__ int discs[4];
+  __shared__ Turn turn;
+  __shared__ i64 place[2];  // of the agent: column and row in 2^-16 px
   int i = blockIdx.x, slot = slots[i];
   if (slot >= 0 && threadIdx.x < 2) {
     const Episode &e = w.episodes[slot];
     double x = threadIdx.x ? poses[3 * i] : e.start_x, y = threadIdx.x ? poses[3 * i + 1] : e.start_y;
     discs[2 * threadIdx.x] = e.map_rows - 1 - (int)floor((y - e.map_y) / e.map_scale);
     discs[2 * threadIdx.x + 1] = (int)floor((x - e.map_x) / e.map_scale);
+  }
+  if (arrow && slot >= 0 && threadIdx.x == 0) {
+    const Episode &e = w.episodes[slot];
+    turn = find_turn(poses[3 * i + 2]);
+    place[0] = whole((poses[3 * i] - e.map_x) / e.map_scale * 65536.0);
+    place[1] =
+        ((i64)e.map_rows << 16) - whole((poses[3 * i + 1] - e.map_y) / e.map_scale * 65536.0);
   }
   __syncthreads();
   int k = blockIdx.y * blockDim.x + threadIdx.x;
@@ -71,13 +80,23 @@ KERNEL(paint_maps)(World w, const int *slots, const double *poses, int rows, int
         for (int c = 0; c < 3; c++) colour[c] = e.bev[3 * at + c];
       if (occupancy) {
         for (int c = 0; c < 3; c++) cell[c] = e.grey[at];
-        for (int d = 0; d < 2; d++) {
+        for (int d = 0; d < (arrow ? 1 : 2); d++) {
           int down = row - discs[2 * d], across = col - discs[2 * d + 1];
           if (abs(down) > radius || abs(across) > radius) continue;
           if (down * down + across * across > radius * radius) continue;
           cell[0] = d ? 255 : 0;
           cell[1] = d ? 0 : 255;
           cell[2] = 0;
+        }
+        if (arrow) {
+          i64 right = ((i64)col << 16) + 32768 - place[0], up = place[1] - ((i64)row << 16) - 32768;
+          i64 ahead = (right * turn.cosine + up * turn.sine) >> 30;
+          i64 left = (up * turn.cosine - right * turn.sine) >> 30;
+          if (in_arrow(ahead, left, radius)) {
+            cell[0] = 255;
+            cell[1] = 0;
+            cell[2] = 0;
+          }
         }
       }
     }

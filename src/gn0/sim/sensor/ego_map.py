@@ -23,4 +23,5 @@ SENSOR = Sensor(
     explores=frozenset({"depth", "rgb"}),
     settle=_settle,
     read=lambda here: here.ego_map(),
+    device=lambda agents: agents.ego_maps(),
 )

@@ -249,6 +249,10 @@ class AgentsDevice(Protocol):
         """Pictures bev or occupancy [N, Hb, Wb, 3]."""
         ...
 
+    def ego_maps(self) -> DeviceArray:
+        """Maps around the agents, their headings up, side by side [N, H, W, 3]."""
+        ...
+
 
 @dataclass(frozen=True)
 class Wire:

@@ -212,7 +212,8 @@ def launches(path: Path) -> Iterator[ast.Call]:
 def test_launches_are_given_one_record() -> None:
     """No positions: two numbers of one type that change places are nobody's error."""
     found = 0
-    for path in sorted((ROOT / "src").rglob("*.py")):
+    files = [path for room in ("src", "benchmarks") for path in (ROOT / room).rglob("*.py")]
+    for path in sorted(files):
         for call in launches(path):
             found += 1
             place = f"{path.relative_to(ROOT)}:{call.lineno}"

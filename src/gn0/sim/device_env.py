@@ -180,9 +180,13 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             motion = None
             if motions:
                 motion = MotionDevice(
-                    self.device, motions, sorted(self.tasks.scenes), num_envs,
-                    STEP_SECONDS, self.tasks.max_steps,
-                )  # fmt: skip
+                    self.device,
+                    motions,
+                    sorted(self.tasks.scenes),
+                    num_envs,
+                    STEP_SECONDS,
+                    self.tasks.max_steps,
+                )
             self._eyes = EyesDevice(
                 config,
                 self.tasks.scenes,

@@ -134,10 +134,15 @@ class SimulatorDevice:
             self.ranges = device.zeros(shape, np.float32)
             self.final_ranges = device.zeros(shape, np.float32)
         self._settings = {
-            "forward": agent.forward_step, "success_distance": success_distance,
-            "step_cost": STEP_COST, "success_reward": SUCCESS_REWARD,
-            "count": count, "ahead": ahead, "circle": self.store.circle, "max_steps": max_steps,
-        }  # fmt: skip
+            "forward": agent.forward_step,
+            "success_distance": success_distance,
+            "step_cost": STEP_COST,
+            "success_reward": SUCCESS_REWARD,
+            "count": count,
+            "ahead": ahead,
+            "circle": self.store.circle,
+            "max_steps": max_steps,
+        }
         self._rows: DeviceArray | None = None
         self._world: np.void | None = None
         self._plain = pack_struct(OUTPUTS, **self.outputs)

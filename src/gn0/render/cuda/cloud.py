@@ -98,8 +98,15 @@ class CloudDevice:
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
-        arrays = (self.splats, self.order, self.places, self.sh, self.boxes, self.slots,
-                  self.normals)  # fmt: skip
+        arrays = (
+            self.splats,
+            self.order,
+            self.places,
+            self.sh,
+            self.boxes,
+            self.slots,
+            self.normals,
+        )
         codes = 0 if self.labels is None else self.labels.nbytes
         return codes + sum(array.nbytes for array in arrays if array is not None)
 

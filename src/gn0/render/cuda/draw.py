@@ -610,8 +610,8 @@ class Drawer:
         part_of: NDArray[np.integer] | None = None,
     ) -> tuple[Shares, list[DeviceArray]]:
         """Who lists what, and its tables on the device; kept while calls show the same clouds."""
-        key = (work.table.tobytes(), cloud_of.tobytes(), tail_of.tobytes(), self.tuning.shares,
-               None if part_of is None else part_of.tobytes())  # fmt: skip
+        shown = (cloud_of, tail_of, *(() if part_of is None else (part_of,)))
+        key = (work.table.tobytes(), self.tuning.shares, *(of.tobytes() for of in shown))
         if own or self._plan is None or self._plan[0] != key:
             shares = share_work(work.table, cloud_of, tail_of, *self.tuning.shares, part_of)
             words, where = join_tables(work.table, shares.groups, shares.members)

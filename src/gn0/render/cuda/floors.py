@@ -100,8 +100,15 @@ def arrange_floors(
         cells += [(sets, cell) for cell in sets.held]
         at = sum(table.nbytes for table in tables[:-1]) + 1  # 0 is none
         options = sets.options
-        floors[n] = (at, options.cell, sets.eye_height, options.height_tolerance,
-                     column, row, *numbers.shape[::-1])  # fmt: skip
+        floors[n] = (
+            at,
+            options.cell,
+            sets.eye_height,
+            options.height_tolerance,
+            column,
+            row,
+            *numbers.shape[::-1],
+        )
     joined = np.concatenate([table.ravel() for table in tables])
     there, placed = device.upload(joined), floors.copy()
     placed["numbers"][floors["numbers"] > 0] += np.uint64(there.pointer - 1)

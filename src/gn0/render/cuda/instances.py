@@ -134,9 +134,10 @@ class Instances:
                 )
             if self.gains is not None and cloud.normals is None:
                 raise RenderError(
-                    "a cloud without normals cannot be lit", where=f"cloud {n}",
+                    "a cloud without normals cannot be lit",
+                    where=f"cloud {n}",
                     remedy="bring it to the device as a part",
-                )  # fmt: skip
+                )
         count = len(self)
         firsts = self.firsts
         if isinstance(firsts, int):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -255,12 +256,17 @@ def test_the_same_seed_gives_the_same_weights(tokenizer) -> None:
     assert not all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_the_documents_block_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    page = Path(__file__).parents[3] / "docs" / "model.md"
-    block = page.read_text("utf-8").split("```python gpu\n")[1].split("```")[0]
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "out").mkdir()
-    exec(compile(block, str(page), "exec"), {})
-    told = np.array(capsys.readouterr().out.replace("[", " ").replace("]", " ").split(), int)
-    assert told.shape == (2,)
-    assert ((told >= 0) & (told < 1000)).all()
+def test_from_texts_to_a_point_without_torch(tokenizer, tmp_path: Path) -> None:
+    ids = read_token_ids(tokenizer)
+    save_checkpoint(tmp_path / "nano", Checkpoint(build_model("nano", ids), tokenizer, ids))
+    model = load_numpy_model(tmp_path / "nano")  # bfloat16, as checkpoints are by default
+    words = tokenizer.encode("Go to the sofa.")
+    layout = build_layout(
+        model.architecture,
+        [ids.start, ids.vision_start, PictureSize(64, 64), ids.vision_end, *words, ids.end],
+    )
+    picture = np.zeros((1, 64, 64, 3), np.uint8)
+    slots = [ids.vocabulary.number + FREE] * 2  # a point: two numbers
+    answer = answer_greedily(model, layout, layout.ids[None], [picture], slots)
+    text = tokenizer.decode(answer[0])
+    assert re.fullmatch("<[0-9]{1,3}><[0-9]{1,3}>", text), text

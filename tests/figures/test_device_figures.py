@@ -28,6 +28,7 @@ from gn0_figures import (
     device_sanitizers,
     device_suite,
     device_table,
+    ego,
     rival,
 )
 from gn0_figures.agreement import tail_before
@@ -41,7 +42,7 @@ from gn0_figures.floor import count_work
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the emulation needs g++")
 MODULES = (
     *(device_checks, device_table, device_parts, device_labels, device_rates, device_suite),
-    device_sanitizers,
+    *(device_sanitizers, ego),
 )
 FIGURES = [figure for module in MODULES for figure in module.FIGURES]
 

@@ -12,6 +12,7 @@ from PIL import Image
 
 from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, RenderError, SimError
+from gn0.gaussians.cloud import GaussianCloud
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import GoalPicture, MissionGoal
 from gn0.render.camera import Camera
@@ -19,6 +20,8 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.cuda.batch import RendererBatch
 from gn0.render.light import LightCondition
 from gn0.render.renderer import RenderResult, Traits
+from gn0.scenes.occupancy import build_occupancy
+from gn0.scenes.procedural.kinds import KINDS
 from gn0.sim import presets
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_eyes import box_weights
@@ -30,7 +33,12 @@ from gn0.sim.history import reduce_picture
 from gn0.sim.open import name_look
 from gn0.sim.presets import CameraPreset
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_labelled_scene, build_point_episodes, build_room_scene
+from gn0.testing.scenes import (
+    build_labelled_scene,
+    build_map_scene,
+    build_point_episodes,
+    build_room_scene,
+)
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
 ALL = ("rgb", "depth", "bev", "occupancy", "history", "goal_picture", "goal_vector")
@@ -209,6 +217,42 @@ def test_ego_maps_take_the_same_memory_whatever_the_map_and_need_no_colours(room
         taken.append(env.memory["pictures"])
         env.close()
     assert taken == [3 * 20 * 20 * 3] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_ego_maps_of_all_kinds_of_buildings_are_the_same_in_all_simulators(
+    kind, tmp_path, monkeypatch
+) -> None:
+    """The building's own map, and splats strewn over it."""
+    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
+    scene = build_map_scene(build_occupancy(KINDS[kind].draft(3, size="small").mesh), kind)
+    rng = np.random.default_rng(4)
+    low, high = scene.bounds
+    cloud = GaussianCloud(
+        means=rng.uniform(low, high, (3000, 3)).astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (3000, 1)),
+        scales=np.full((3000, 3), 0.2, np.float32),
+        opacities=np.full(3000, 0.9, np.float32),
+        sh=rng.uniform(-1.5, 1.5, (3000, 1, 3)).astype(np.float32),
+    )
+    scene = replace(scene, load_cloud=lambda: cloud, cloud_hash=cloud.content_hash)
+    episodes = build_point_episodes(scene, NavigationMap(scene.grid, 0.2), 3, seed=5)
+    settings = {"sensors": ("ego_map",), "episodes": episodes, "max_steps": 7}
+    device = DeviceHost(2)
+    env = VectorEnvDevice(2, scene, device=device, renderer=RendererBatchCpu(device), **settings)
+    many = VectorEnv(2, scene, backend="cpu", **settings)
+    one = GoalNavEnv(scene, backend="cpu", **settings)
+    mine, theirs, alone = env.reset(seed=3)[0], many.reset(seed=3)[0], one.reset(seed=3)[0]
+    for action in (1, 2, 1, 1, 3, 1, 1, 1, 2):
+        np.testing.assert_array_equal(mine["ego_map"].numpy(), theirs["ego_map"])
+        np.testing.assert_array_equal(alone["ego_map"], theirs["ego_map"][0])
+        assert len(np.unique(theirs["ego_map"])) > 20
+        mine, theirs = env.step([action, 1])[0], many.step([action, 1])[0]
+        alone, _, terminated, truncated, _ = one.step(action)
+        if terminated or truncated:
+            alone, _ = one.reset()
+    env.close()
 
 
 def test_one_call_draws_all_agents_of_all_scenes(rooms) -> None:

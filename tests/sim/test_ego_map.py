@@ -12,8 +12,6 @@ from gn0.data.codec import EgoFrame, waypoint_pixels
 from gn0.errors import ConfigError
 from gn0.maps.navigation import NavigationMap
 from gn0.render.light import LightCondition
-from gn0.scenes.procedural.generate import GenerateSettings, build_generated
-from gn0.scenes.procedural.kinds import KINDS
 from gn0.sim.ego_map import EgoSquare, MapView, draw_ego_map, find_turn, read_map_view
 from gn0.sim.env import GoalNavEnv
 from gn0.sim.open import open_simulator
@@ -265,18 +263,3 @@ def test_the_occupancy_picture_has_an_arrow_if_asked_for(room_scene, make_episod
         spread = red[1] - red[1].mean(axis=0)
         tip = spread[np.hypot(*spread.T).argmax()]
         assert np.cos(math.atan2(-tip[0], tip[1]) - yaw) > 0.9  # it points where the agent looks
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", sorted(KINDS))
-def test_all_kinds_of_scenes(kind, tmp_path, monkeypatch) -> None:
-    monkeypatch.setenv("GN0_CACHE", str(tmp_path))
-    scene = build_kind(kind)
-    episodes = build_point_episodes(scene, NavigationMap(scene.grid, 0.2), 3, seed=5)
-    check_engines(scene, episodes, backend="cpu", preset="vlnce_r2r")
-
-
-def build_kind(kind: str):
-    """A small building of a kind, of few splats."""
-    settings = GenerateSettings(kind=kind, seed=3, size="small", density=1000, light="draft")
-    return build_generated(settings, kind)

@@ -144,17 +144,18 @@ class KernelCuda:
             return
         if shared > self._shared:
             self._allow(shared)
-        if device.recording is not None:
-            device.recording.keep(args)
+        recording, stream = device.recording, None
+        if recording is not None:
+            recording.keep(args)
+            stream = device.stream
         device.last_kernel = self.name
         with self._lock:
             if self._packer is None:
                 self._packer = self._prepare(args)
             self._packer.pack_into(self._buffer, 0, *values)
-            sizes = (x, y, z, *threads, shared)
-            given = (self._function, *sizes, device.stream, self._pointers, None)
+            given = (self._function, x, y, z, *threads, shared, stream, self._pointers, None)
             code = device.in_context(self._launch, *given)
-            if code == OUT_OF_MEMORY and device.recording is None:
+            if code == OUT_OF_MEMORY and recording is None:
                 device.trim()  # local memory is the card's, not the pool's
                 code = device.in_context(self._launch, *given)
         if code:

@@ -33,6 +33,7 @@ from gn0.data.waypoints import sample_way_points
 from gn0.errors import PlanError
 from gn0.geometry import F32, F64, wrap_angle
 from gn0.maps.distance import GeodesicField
+from gn0.maps.field_expert import ROUNDING, STOP_DISTANCE
 from gn0.maps.goal_places import GoalSet
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.pose_astar import plan_actions
@@ -44,7 +45,6 @@ from gn0.sim.kinematics import Heading, heading_cycle, step_forward
 from gn0.sim.state import Action
 
 LabelVariant = Literal["exact", "mpc", "gn0-release", "field"]
-ROUNDING = 1e-3  # m within the limit, so that no rounding in a metric can put a STOP outside it
 # plans from arbitrary states: at most 2 % dearer than the best, found four times as quickly
 STATE_WEIGHT, STATE_SUBCELLS = 1.02, 1
 ESCAPE_STEPS = 6  # steps, cut short or not, that may lead out of a nook
@@ -64,7 +64,7 @@ class LabelSettings(Config, frozen=True):
     """
 
     variant: LabelVariant = "exact"
-    stop_distance: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.25
+    stop_distance: Annotated[float, msgspec.Meta(gt=0, le=10)] = STOP_DISTANCE
     turn_cost: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.02
     horizon: Annotated[int, msgspec.Meta(ge=6, le=14)] = 8
     discount: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.95

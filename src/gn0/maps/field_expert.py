@@ -20,6 +20,8 @@ from gn0.maps.distance import GeodesicField
 from gn0.maps.field_kernels import follow_field, label_field_states
 from gn0.paper import ACTIONS_AHEAD, POINTS, SPACING
 
+STOP_DISTANCE = 0.25  # m on foot
+ROUNDING = 1e-3  # m within the limit, so that no rounding in a metric can put a STOP outside it
 I8 = NDArray[np.int8]
 
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
 from gn0.errors import ConfigError, EpisodeError
+from gn0.maps.field_expert import STOP_DISTANCE
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
 from gn0.render.open import open_renderer
@@ -33,6 +34,7 @@ from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.continuous import build_action_space
 from gn0.sim.device_eyes import AgentsThere, EyesDevice, device_reader, refuse_host_sensors
+from gn0.sim.device_labels import ExpertDevice, LabelsDevice
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.device_states import AgentStates, StatesDevice, pick_agents, pick_rows
@@ -229,6 +231,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self._everyone = np.arange(num_envs)
         self._nobody = self.device.zeros(num_envs, np.bool_)
         self._seen: Observations = {}
+        self._expert: ExpertDevice | None = None
         self._begun = False
 
     @cached_property
@@ -446,6 +449,27 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         return ObservationsDevice(self._layout.hand_out(self._seen))
 
+    def labels(self, stop_distance: float = STOP_DISTANCE) -> LabelsDevice:
+        """What the expert would do where each agent stands: labels of variant `field`.
+
+        To the bit what `gn0.maps.field_expert.label_field` says of the same places and headings.
+        The first call brings what labels need of each goal to the device; from then on a goal's
+        comes with its first episode. Waits for nothing else.
+
+        Args:
+            stop_distance: STOP within this walking distance of the goal, in line of sight [m].
+
+        Raises:
+            ResetNeeded: the environment was never reset.
+            SimError: the distance is out of range.
+            DeviceMemoryError: maps, fields and what labels need do not fit the device.
+        """
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("call reset() before labels()")
+        if self._expert is None:
+            self._expert = ExpertDevice(self.simulator)
+        return LabelsDevice(*map(self._layout.own, self._expert.label(stop_distance)))
+
     def _advance(
         self, actions: Any, codes: DeviceArray | None, into: Mapping[str, DeviceArray] | None
     ) -> None:
@@ -480,7 +504,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release scenes, renderer and device memory."""
-        self._seen, self._eyes, self._begun = {}, None, False
+        self._seen, self._eyes, self._expert, self._begun = {}, None, None, False
         del self.simulator, self._now, self._last, self._told, self._layout, self._states
 
     def _masked(self, mask: Any) -> NDArray[np.int64]:

@@ -1,7 +1,8 @@
 """What the kernels of batched simulation are given, by name; see `gn0.device.records`.
 
-Names and meanings are those of `kernels/step.cu`, `ego.cu`, `pictures.cu` and `place.cu`; `w` is
-the struct `World` of `device_layout`, `out` the struct `Outputs` where it is no array.
+Names and meanings are those of `kernels/step.cu`, `ego.cu`, `pictures.cu`, `place.cu` and
+`expert.cu`; `w` is the struct `World` of `device_layout`, `out` the struct `Outputs` where it is
+no array.
 """
 
 from __future__ import annotations
@@ -277,3 +278,25 @@ class KeepTiles(NamedTuple):
     size: np.uint64
     count_: np.int32
     rings: DeviceArray
+
+
+class LabelActions(NamedTuple):
+    """`label_actions`, `label_sliding`: what the field expert does next."""
+
+    w: np.void
+    ways: DeviceArray
+    near: np.float64
+    ahead: np.int32
+    actions: DeviceArray
+    distance: DeviceArray
+
+
+class LabelWays(NamedTuple):
+    """`label_ways`: where its way leads."""
+
+    w: np.void
+    ways: DeviceArray
+    spacing: np.float64
+    slots: np.int32
+    waypoints: DeviceArray
+    valid: DeviceArray

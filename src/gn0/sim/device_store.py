@@ -155,6 +155,20 @@ class EpisodeStore:
         row = self._rows[self._slot_of[number]]
         return int(row["map_rows"]), int(row["map_cols"]), float(row["map_scale"])
 
+    @property
+    def seats(self) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """The episode in each slot [S], −1 in an empty one, and whether it is pinned."""
+        return self._number_of, self._references > 0
+
+    def hold(self, *arrays: NDArray[Any]) -> tuple[Block, list[int]]:
+        """Arrays in a block of the same memory, until `pool.give`, and where each lies.
+
+        Raises:
+            DeviceMemoryError: what is pinned does not fit the device.
+        """
+        held = self._put(*arrays)
+        return held.block, held.pointers
+
     def looks_in_play(self) -> list[str | None]:
         """Looks by number, as rows of episodes name them; None: of no pinned episode."""
         if self._in_play is None:

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError, SceneError, SimError
 from gn0.geometry import F64, U8, wrap_angle
+from gn0.maps.bends import find_bends
 from gn0.maps.distance import GeodesicField
+from gn0.maps.field_expert import stop_places
 from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
@@ -109,6 +111,57 @@ def pack_field(field: GeodesicField, blocked: NDArray[np.bool_]) -> PackedField:
     return PackedField((np.cumsum(used) - 1)[label + 1].astype(kind), roots)
 
 
+BEND = np.dtype(
+    [("x", np.float64), ("y", np.float64),
+     *((name, np.int32) for name in ("parent", "via_begin", "via_end", "unused"))],
+    align=True,
+)  # fmt: skip
+
+
+class PackedWays(NamedTuple):
+    """What labels need of a field beside its packed labels and roots.
+
+    Attributes:
+        bends: [R and more] `BEND`, by root of the packed field: where an agent passes it [m], the
+            next one towards the goal or −1, and the points on the way there.
+        vias: [V, 2] m.
+        stops: [K, 2] m, where the expert stops; none of an area.
+    """
+
+    bends: NDArray[np.void]
+    vias: F64
+    stops: F64
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes."""
+        return self.bends.nbytes + self.vias.nbytes + self.stops.nbytes
+
+
+def pack_ways(field: GeodesicField, blocked: NDArray[np.bool_]) -> PackedWays:
+    """The ways of a field as its packed labels number the roots; other bends come behind."""
+    found = find_bends(field)
+    used = np.zeros(len(field.roots) + 1, np.bool_)
+    used[field.label[~blocked] + 1] = True
+    order = np.flatnonzero(used[1:])
+    here, ahead = used[1:].copy(), order
+    while len(ahead := np.unique(field.parents[ahead])):
+        ahead = ahead[ahead >= 0]
+        ahead = ahead[~here[ahead]]
+        here[ahead] = True
+        order = np.append(order, ahead)
+    number = np.full(len(field.roots) + 1, -1, np.int32)  # the last of them is parent −1
+    number[order] = np.arange(1, len(order) + 1)
+    bends = np.zeros(len(order) + 1, BEND)
+    bends["parent"][0] = -1  # root 0 is "unreachable"
+    bends["x"][1:], bends["y"][1:] = found.places[order].T
+    bends["parent"][1:] = number[field.parents[order]]
+    counts = found.via_start[order + 1] - found.via_start[order]
+    bends["via_begin"][1:] = found.via_start[order]
+    bends["via_end"][1:] = found.via_start[order] + counts
+    return PackedWays(bends, found.vias, stop_places(field))
+
+
 class _Bits(NamedTuple):
     """An inflated map, one bit a cell."""
 
@@ -135,6 +188,9 @@ class GroundStore:
         radius: the agents' radius [m].
         memory: bytes of packed fields kept here; the least recently used make room.
         lent: maps that somebody else keeps, too: fields built for them are left with them.
+
+    Attributes:
+        with_ways: fields that are built from now on are packed with their ways, see `ways`.
     """
 
     def __init__(
@@ -152,7 +208,9 @@ class GroundStore:
         self._kept: OrderedDict[str, NavigationMap] = OrderedDict()
         self._bits: dict[str, _Bits] = {}
         self._fields: OrderedDict[Destination, PackedField] = OrderedDict()
+        self._ways: dict[Destination, PackedWays] = {}  # of fields that are kept, and the last
         self._room = memory
+        self.with_ways = False
 
     def lend(self, navigation: Mapping[str, NavigationMap]) -> None:
         """Take maps that somebody else keeps, too, for scenes that are not open yet."""
@@ -214,14 +272,36 @@ class GroundStore:
         if destination in self._fields:
             self._fields.move_to_end(destination)
             return self._fields[destination]
-        scene_id, goal = destination
-        navigation = self.open(scene_id)
-        built = navigation.geodesic(goal, keep=scene_id in self._lent)
-        self.fields_built += 1
+        navigation, built = self._build(destination)
         packed = pack_field(built, navigation.blocked)
         while self._fields and packed.nbytes > self._room:
             self._room += self._fields.popitem(last=False)[1].nbytes
         if packed.nbytes <= self._room:
             self._fields[destination] = packed
             self._room -= packed.nbytes
+        if self.with_ways:
+            self._keep_ways(destination, pack_ways(built, navigation.blocked))
         return packed
+
+    def ways(self, destination: Destination) -> PackedWays:
+        """The ways of a destination's field, packed; built where they are not here any more.
+
+        Raises:
+            EpisodeError, SceneError, PlanError: see `field`.
+        """
+        if destination not in self._ways:
+            navigation, built = self._build(destination)
+            self._keep_ways(destination, pack_ways(built, navigation.blocked))
+        return self._ways[destination]
+
+    def _keep_ways(self, destination: Destination, ways: PackedWays) -> None:
+        """Keep ways, and those of fields that are kept: a hundredth of what the fields take."""
+        self._ways = {name: own for name, own in self._ways.items() if name in self._fields}
+        self._ways[destination] = ways
+
+    def _build(self, destination: Destination) -> tuple[NavigationMap, GeodesicField]:
+        scene_id, goal = destination
+        navigation = self.open(scene_id)
+        built = navigation.geodesic(goal, keep=scene_id in self._lent)
+        self.fields_built += 1
+        return navigation, built

@@ -267,8 +267,8 @@ def measure_card(ctx: FigureContext) -> list[FigureRow]:
         times = interleave(env.device, {"labels": label, "both": walk}, 3 if tiny else 24)
         detail = f"{count:,} agents in {len(scenes)} generated buildings, {len(episodes)} goals"
         for name, what in (
-            ("labels", "states labelled a second on the card"),
-            ("both", "the same with a step between, autoresets included"),
+            ("labels", f"states labelled a second on the card, {count:,} agents"),
+            ("both", f"the same with a step between, autoresets included, {count:,} agents"),
         ):
             rate = count / median(times[name]) * 1e3
             if tiny or name == "both":
@@ -280,7 +280,8 @@ def measure_card(ctx: FigureContext) -> list[FigureRow]:
         looked = min(count, 4 if tiny else 2_000)
         rows.append(
             row_at_most(
-                "labels that differ from the CPU's", _differences(env, looked), 0, "",
+                f"labels that differ from the CPU's, {count:,} agents",
+                _differences(env, looked), 0, "",
                 f"{looked:,} of {detail}; to the bit: actions, waypoints, distance",
             )
         )  # fmt: skip

@@ -53,8 +53,8 @@ HISTORY = 16
 """Earlier views that an agent remembers (l. 706)."""
 
 START_RADIUS, GOAL_RADIUS, FRECHET = 1.0, 1.0, 0.75
-"""m: paths whose starts and goals are nearer are compared, and one below that discrete Fréchet
-distance [m] is a duplicate; the rule is the paper's (l. 1481, 1499), the metres are ours."""
+"""m: paths whose starts and goals are no farther apart are compared, and one below that discrete
+Fréchet distance [m] is a duplicate; the rule is the paper's (l. 1481, 1499), the metres ours."""
 
 HALT_STEPS = 10
 """Steps near the goal after which a walk without STOP is ended (l. 596)."""

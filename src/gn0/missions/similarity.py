@@ -1,5 +1,8 @@
 """Near-duplicate paths: gates on start and goal, then "is the discrete Fréchet distance below d?".
 
+By default paths are compared whose starts and whose goals lie within 1 m of each other, and d is
+0.75 m (`gn0.paper`).
+
 The question needs no distance. A pair of points counts only while it lies closer than d, so whole
 rows fall away and most comparisons end after a few of them. The answer is the one that the full
 distance would give, bit for bit: it is always the distance of some pair of points.

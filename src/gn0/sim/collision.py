@@ -1,6 +1,8 @@
 """Motion clipped at obstacles (paper, Eq. collision): the one place where poses meet the map.
 
-A move ends before the first blocked cell on its way; maps/ray.py finds it, cell by cell.
+A move ends at the centre of the last free cell before the first blocked one on its way, or where it
+began if that is the first; nor does it pass between two blocked cells that touch at a corner. The
+cells on the way are found by maps/ray.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Algorithm 2, lines 5 to 11: where paths begin."""
+"""Algorithm 2, lines 5 to 11: where paths begin.
+
+How long a path from there to its goal must and may be is in `MissionSettings` (settings.py) and is
+applied by judge.py; where goals are, in reachable_goals.py.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The wire format: msgpack with arrays, read as if written by an attacker.
 
-A message is msgpack and nothing else: no magic and no length come before the map's type byte. An
-array is a map with the byte-string keys `__ndarray__`, `data`, `dtype` (NumPy's type string) and
+A message is msgpack and nothing else, in one binary WebSocket frame: no magic and no length come
+before the map's type byte. `PolicyRemote._ask` has a question's keys, answers.py an answer's.
+An array is a map with the byte-string keys `__ndarray__`, `data`, `dtype` (NumPy's type string) and
 `shape`; a NumPy scalar has `__npgeneric__`, `data` and `dtype`. Writing gives the same bytes as the
 `msgpack` package. Reading checks each count against the bytes that are left before anything is made
 of it, knows the types by an allow-list, and takes no extension types.

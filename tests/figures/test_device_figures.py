@@ -98,7 +98,16 @@ def _rows(figure: Figure, ctx: FigureContext) -> dict[str, Any]:
     return {row.name: row for row in rows}
 
 
-@pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.id)
+LONG = {"render.cuda.suite", "render.cuda.sim"}  # which others' tests go through as well
+
+
+@pytest.mark.parametrize(
+    "figure",
+    [
+        pytest.param(figure, id=figure.id, marks=[pytest.mark.slow] * (figure.id in LONG))
+        for figure in FIGURES
+    ],
+)
 def test_every_figure_runs(figure: Figure, ctx: FigureContext, fake_rival: None) -> None:
     if figure.id == "render.cuda.sanitizers":
         with pytest.raises(FigureSkipped, match="compute-sanitizer"):

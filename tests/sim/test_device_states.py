@@ -122,6 +122,7 @@ def test_some_agents_are_restored_and_the_others_stay(plans) -> None:
         assert late.rows[name].numpy()[others].tobytes() == values.numpy()[others].tobytes(), name
 
 
+@pytest.mark.slow
 def test_copies_of_a_state_end_alike(plans) -> None:
     """Eight answers to one state; with draws of their own they part after the end."""
     env = open_env(plans, 8, device=DeviceHost(2, checked=True))

@@ -90,7 +90,7 @@ def test_quarters_of_tiles_cannot_show(width: int) -> None:
         assert "aside" in drawer._held
 
 
-@pytest.mark.parametrize("sample", [2, 4])
+@pytest.mark.parametrize("sample", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_sample_of_the_count_cannot_show(
     want: list[bytes], sample: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

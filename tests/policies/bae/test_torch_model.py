@@ -86,11 +86,12 @@ def stock_logits(checkpoint: Checkpoint, ids, pictures, grad: bool = False):
         ).logits
 
 
-def test_logits_and_gradients_are_those_of_transformers(nano) -> None:
+@pytest.mark.parametrize("checkpointed", [False, True])
+def test_logits_and_gradients_are_those_of_transformers(nano, checkpointed: bool) -> None:
     made, _ = nano
     layout, ids, pictures = prompts(made, 3)
     answer = np.random.default_rng(2).integers(0, made.ids.vocabulary.size, (3, 7))
-    ours = ForwardConstant(made.model, layout, 7)
+    ours = ForwardConstant(made.model, layout, 7, checkpointed=checkpointed)
     names = ("model.visual.patch_embed.proj.weight", "model.language_model.embed_tokens.weight",
              "model.language_model.layers.1.self_attn.q_proj.weight")  # fmt: skip
     weights = dict(made.model.named_parameters())

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.utils.checkpoint import checkpoint
 from transformers import Qwen3VLForConditionalGeneration
 
 from gn0.errors import CheckpointError
@@ -72,6 +74,7 @@ class ForwardConstant(nn.Module):
         layout: of all prompts.
         answer: tokens of an answer, at most.
         compiled: compile the blocks (`torch.compile`, static shapes).
+        checkpointed: compute blocks again on the way back instead of keeping what is inside them.
     """
 
     def __init__(
@@ -81,6 +84,7 @@ class ForwardConstant(nn.Module):
         answer: int,
         *,
         compiled: bool = False,
+        checkpointed: bool = False,
     ) -> None:
         super().__init__()
         self.model, self.layout, self.answer = model, layout, answer
@@ -101,6 +105,9 @@ class ForwardConstant(nn.Module):
         if compiled:
             self._patch_block = torch.compile(_patch_block, dynamic=False)
             self._text_block = torch.compile(_text_block, dynamic=False)
+        if checkpointed:
+            self._patch_block = partial(checkpoint, self._patch_block, use_reentrant=False)
+            self._text_block = partial(checkpoint, self._text_block, use_reentrant=False)
 
     def _keep(self, name: str, cos: Any, sin: Any) -> None:
         self.register_buffer(f"{name}_cos", torch.from_numpy(cos), persistent=False)

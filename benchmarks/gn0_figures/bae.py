@@ -1,0 +1,164 @@
+"""Figures of the policy's model on a card: what training and deciding take, the learner alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+from transformers import Qwen3VLConfig, Qwen3VLForConditionalGeneration
+
+from gn0.data.navigation_vocabulary import NavigationVocabulary
+from gn0.policies.bae.forward import ForwardConstant
+from gn0.policies.bae.sizes import build_model
+from gn0.policies.bae.tokens import TokenIds
+from gn0.policies.qwen.architecture import parse_architecture
+from gn0.policies.qwen.layout import PictureSize, PromptLayout, build_layout
+from gn0_figures.board import Figure, FigureContext, FigureRow, FigureSkipped
+
+BATCH, WORDS, ANSWER = 512, 40, 34
+LARGE_BATCH, LARGE_ANSWER = 8, 106
+_FIRST = 1800  # id of <0>: any will do
+_VOCABULARY = NavigationVocabulary(
+    number=_FIRST, actions=(2805, 2802, 2803, 2804), begin=2800, close=2801, end=1702, size=2806,
+    rows=2816,
+)  # fmt: skip
+_IDS = TokenIds(
+    pad=1700, start=1701, end=1702, vision_start=1709, vision_end=1710, image=1712, video=1713,
+    vocabulary=_VOCABULARY,
+)  # fmt: skip
+
+
+def build_4b() -> Qwen3VLForConditionalGeneration:
+    """Qwen3-VL-4B's geometry with random weights, on the default device."""
+    text = {
+        "vocab_size": 152_704, "hidden_size": 2560, "intermediate_size": 9728,
+        "num_hidden_layers": 36, "num_attention_heads": 32, "num_key_value_heads": 8,
+        "head_dim": 128, "max_position_embeddings": 32_768, "tie_word_embeddings": True,
+        "bos_token_id": None, "eos_token_id": None, "pad_token_id": 0,
+        "rope_parameters": {
+            "rope_type": "default", "rope_theta": 5e6, "mrope_interleaved": True,
+            "mrope_section": [24, 20, 20],
+        },
+    }  # fmt: skip
+    vision = {
+        "depth": 24, "hidden_size": 1024, "intermediate_size": 4096, "num_heads": 16,
+        "patch_size": 16, "spatial_merge_size": 2, "temporal_patch_size": 2,
+        "out_hidden_size": 2560, "num_position_embeddings": 2304,
+        "deepstack_visual_indexes": [5, 11, 17],
+    }  # fmt: skip
+    config = Qwen3VLConfig(
+        text_config=text, vision_config=vision, image_token_id=151_655, video_token_id=151_656,
+        vision_start_token_id=151_652, vision_end_token_id=151_653, tie_word_embeddings=True,
+    )  # fmt: skip
+    return Qwen3VLForConditionalGeneration(config)
+
+
+def _lay_out(model: Any, sizes: list[PictureSize], words: int) -> PromptLayout:
+    parts: list[int | PictureSize] = [1]
+    for size in sizes:
+        parts += [2, size, 3]
+    return build_layout(parse_architecture(model.config.to_dict()), [*parts, *[5] * words, 4])
+
+
+def _draw(layout: PromptLayout, batch: int, answer: int) -> tuple[list[Tensor], Tensor, Tensor]:
+    """Pictures, prompts and answers at random, on the card."""
+    pictures = [
+        torch.randint(0, 256, (batch, size.height, size.width, 3), dtype=torch.uint8).cuda()
+        for size in layout.sizes
+    ]
+    ids = torch.from_numpy(np.tile(layout.ids, (batch, 1))).cuda()
+    return pictures, ids, torch.randint(_FIRST, _FIRST + 1000, (batch, answer)).cuda()
+
+
+def _learn(model: Any, forward: ForwardConstant, batch: int, answer: int) -> Callable[[], None]:
+    """A step of SFT: forward, backward, AdamW, in bfloat16 but for weights and states."""
+    pictures, ids, said = _draw(forward.layout, batch, answer)
+    optimiser = torch.optim.AdamW(model.parameters(), 1e-5, fused=True)
+
+    def step() -> None:
+        with torch.autocast("cuda", torch.bfloat16):
+            logits = forward.logits(forward.encode(pictures), ids, said)
+        loss = functional.cross_entropy(logits.float().flatten(0, 1), said.flatten())
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+
+    return step
+
+
+def _time(call: Callable[[], object], warm: int, times: int) -> float:
+    """Seconds of a call, the mean of some after the warm ones."""
+    for _ in range(warm):
+        call()
+    torch.cuda.synchronize()
+    begin = time.perf_counter()
+    for _ in range(times):
+        call()
+    torch.cuda.synchronize()
+    return (time.perf_counter() - begin) / times
+
+
+def measure_model(ctx: FigureContext) -> list[FigureRow]:
+    """Samples and decisions a second of size tiny, and one step of training of 4B."""
+    if not torch.cuda.is_available():
+        raise FigureSkipped("needs a GPU: torch sees none")
+    rows: list[FigureRow] = []
+
+    def add(name: str, value: float, unit: str, detail: str) -> None:
+        rows.append(FigureRow(name=name, value=value, unit=unit, detail=detail))
+        ctx.report(rows[-1])
+
+    free = torch.arange(_FIRST, _FIRST + 1000).cuda()
+    slots = [free] * 24 + [free[:1]] + [free[:4]] * 6 + [free[:1]] * 2
+    for count in (1, 2, 4):
+        model = build_model("tiny", _IDS).cuda().train()
+        layout = _lay_out(model, [PictureSize(128, 128)] * count, WORDS)
+        forward = ForwardConstant(model, layout, ANSWER, compiled=True).cuda()
+        torch.cuda.reset_peak_memory_stats()
+        seconds = _time(_learn(model, forward, BATCH, ANSWER - 1), 4, 20)
+        gigabytes = torch.cuda.max_memory_allocated() / 1e9
+        detail = f"tiny, {count} pictures of 128 px, {len(layout)} + {ANSWER - 1} tokens, batch "
+        detail += f"{BATCH}, bfloat16, compiled; pictures at random lie on the card; "
+        rate = BATCH / seconds
+        add(f"SFT samples a second, {count} pictures", rate, "1/s", f"{detail}{gigabytes:.3g} GB")
+        plain = ForwardConstant(model.eval(), layout, ANSWER).cuda()
+        pictures, ids, _ = _draw(layout, BATCH, 1)
+
+        def decide(
+            plain: ForwardConstant = plain, pictures: list[Tensor] = pictures, ids: Tensor = ids
+        ) -> None:
+            with torch.no_grad(), torch.autocast("cuda", torch.bfloat16):
+                plain.sample(plain.encode(pictures), ids, slots)
+
+        detail = f"tiny, {count} pictures of 128 px, {BATCH} at once, 30 free slots of 33, bfloat16"
+        rate = BATCH / _time(decide, 2, 5)
+        add(f"decisions a second, {count} pictures", rate, "1/s", f"{detail}, not compiled")
+        del model, forward, plain, decide, pictures, ids
+        torch.cuda.empty_cache()
+    with torch.device("cuda"):
+        model = build_4b().train()
+    layout = _lay_out(model, [PictureSize(640, 480)] * 2 + [PictureSize(768, 768)] * 2, 420)
+    forward = ForwardConstant(model, layout, LARGE_ANSWER, checkpointed=True).cuda()
+    torch.cuda.reset_peak_memory_stats()
+    seconds = _time(_learn(model, forward, LARGE_BATCH, LARGE_ANSWER - 1), 1, 2)
+    millions = sum(weight.numel() for weight in model.parameters()) / 1e6
+    detail = (
+        f"4B's geometry, {millions:,.0f} M weights of float32 and AdamW's states, all trained, "
+    )
+    detail += (
+        f"checkpointed, bfloat16 within; batch {LARGE_BATCH}, two views of 640×480, two maps of "
+    )
+    detail += f"768×768, {len(layout)} + {LARGE_ANSWER - 1} tokens"
+    add("a step of SFT of 4B", seconds, "s", detail)
+    add("memory that it takes", torch.cuda.max_memory_allocated() / 1e9, "GB", detail)
+    return rows
+
+
+FIGURES = [
+    Figure("train.model", "The policy's model on a card", measure_model, 2.0, backend="cuda")
+]

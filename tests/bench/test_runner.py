@@ -337,6 +337,7 @@ def test_a_hanging_policy_is_ended_soon_after_its_limit_and_shows_where_it_hung(
     assert "in misbehave" in about["episodes"][stuck[0].id]["traceback"]
 
 
+@pytest.mark.slow
 def test_a_policy_that_never_lets_go_of_the_interpreter_is_ended_too(
     flats_suite: Suite, tmp_path: Path
 ) -> None:

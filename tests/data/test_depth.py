@@ -205,7 +205,7 @@ def test_a_depth_that_is_drawn_otherwise_is_named(deep, copy_of) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Unix sockets")
-@pytest.mark.parametrize("batch", [0, 3])
+@pytest.mark.parametrize("batch", [0, pytest.param(3, marks=pytest.mark.slow)])
 def test_one_process_that_draws_gives_the_same_bytes(
     suite, deep, tmp_path, files_of, monkeypatch, batch
 ) -> None:

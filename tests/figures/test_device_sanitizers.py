@@ -72,6 +72,7 @@ def _said(ctx: FigureContext) -> list[FigureRow]:
     return said
 
 
+@pytest.mark.slow
 def test_every_tool_covers_all_tests(ctx: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device_sanitizers, "TOOLS", ("memcheck", "racecheck"))
     monkeypatch.setattr(device_sanitizers, "count_workers", lambda cores, memory: 3)

@@ -73,6 +73,7 @@ def test_a_kernel_whose_cache_fails_still_runs(monkeypatch: pytest.MonkeyPatch) 
     assert double(2.0) == 4.0
 
 
+@pytest.mark.slow
 @needs_proc
 def test_many_resets_cost_no_memory_and_no_files(suite: Suite) -> None:
     soak = soak_simulators(suite, 3000)

@@ -69,13 +69,19 @@ TUNINGS = [
 ]
 
 
-@pytest.mark.parametrize("tuning", TUNINGS, ids=range(len(TUNINGS)))
+@pytest.mark.parametrize(
+    "tuning",
+    [
+        pytest.param(tuning, id=str(k), marks=[pytest.mark.slow] * (k % 4 != 0))
+        for k, tuning in enumerate(TUNINGS)
+    ],
+)
 def test_the_sizes_of_the_kernels_cannot_show(want: list[bytes], tuning: Tuning) -> None:
     device = DeviceHost(seed=7)
     assert bytes_of(device, Drawer(device, replace(tuning, spread=4))) == want
 
 
-@pytest.mark.parametrize("width", [52, 50, 37])
+@pytest.mark.parametrize("width", [52, 50, pytest.param(37, marks=pytest.mark.slow)])
 def test_quarters_of_tiles_cannot_show(width: int) -> None:
     """Once lists have equal room, the longest tiles are drawn by four blocks each."""
     scenes = ((flat_camera(width, 43), flat_views(2)), (flat_bev(72)[0], flat_bev(72)[1][None]))

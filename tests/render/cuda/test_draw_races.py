@@ -27,7 +27,10 @@ pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulat
 SMALL = Tuning(capacity=128, buckets=128, stage=32, views=2, large=2)
 
 
-@pytest.mark.parametrize("tuning, degree", [(SMALL, 3), (Tuning(threads=256, group=False), 0)])
+@pytest.mark.parametrize(
+    "tuning, degree",
+    [(SMALL, 3), pytest.param(Tuning(threads=256, group=False), 0, marks=pytest.mark.slow)],
+)
 def test_pictures(tuning: Tuning, degree: int) -> None:
     device = DeviceHost(seed=degree + 1, checked=True)
     drawer = Drawer(device, tuning)

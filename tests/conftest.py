@@ -25,7 +25,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import gn0
+from gn0.cache import trust_folder
 from gn0.device.open import find_device
+from gn0.storage import cache_dir
 
 if TYPE_CHECKING:
     from gn0.suites.suite import Suite
@@ -76,6 +78,19 @@ def load_beside(name: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache that goes away with the tests, but for the kernels of the emulation.
+
+    The fixtures that set it last until a session ends; compiled anew in each, kernels would cost
+    every run of the tests a minute.
+    """
+    made, kept = tmp_path_factory.mktemp("cache"), cache_dir() / "emulation"
+    if os.name == "posix" and trust_folder(kept):
+        (made / "emulation").symlink_to(kept)
+    return made
 
 
 @pytest.fixture(scope="session")

@@ -46,14 +46,15 @@ def _rate(env: VectorEnvDevice, steps: int) -> float:
     return steps * env.num_envs / median(times[""]) * 1e3
 
 
-def _plans(count: int, size: float) -> tuple[list[Scene], list[Episode]]:
+def build_plans(count: int, size: float, goals: int) -> tuple[list[Scene], list[Episode]]:
+    """Square floor plans of `size` [m], and episodes in each."""
     scenes = [
         build_map_scene(build_floor_plan(k, width=size, depth=size), f"plan-{k}")
         for k in range(count)
     ]
     maps = [NavigationMap(scene.grid, 0.2) for scene in scenes]
     pairs = zip(scenes, maps, strict=True)
-    return scenes, [e for scene, plan in pairs for e in build_point_episodes(scene, plan, 25)]
+    return scenes, [e for scene, plan in pairs for e in build_point_episodes(scene, plan, goals)]
 
 
 def measure_sim(ctx: FigureContext) -> list[FigureRow]:
@@ -69,7 +70,7 @@ def measure_sim(ctx: FigureContext) -> list[FigureRow]:
         ctx.report(rows[-1])
 
     count, steps = (8, 3) if tiny else (4096, 200)
-    scenes, episodes = _plans(1, 6.0) if tiny else _plans(8, 20.0)
+    scenes, episodes = build_plans(1, 6.0, 25) if tiny else build_plans(8, 20.0, 25)
     env = VectorEnvDevice(count, scenes, episodes=episodes, device=ctx.device)
     detail = f"{len(scenes)} floor plans, {len(episodes)} episodes, {count} agents, goal_vector"
     detail += "; random walk with 1 % STOP, actions on the device, autoresets included"

@@ -7,29 +7,15 @@ import time
 import numpy as np
 
 from gn0.device.device import DeviceArray
-from gn0.maps.navigation import NavigationMap
-from gn0.missions.episode import Episode
-from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_eyes import AgentsThere
 from gn0.sim.vector import VectorEnv
-from gn0.testing.scenes import build_floor_plan, build_map_scene, build_point_episodes
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0_figures.device import interleave, is_emulation, median
+from gn0_figures.device_rates import WALK, build_plans
 
 PAIRS = 200e3  # a second, at least: 128 px of 0.06 m and 128 px of 0.15 m
-WALK = [0.01, 0.59, 0.2, 0.2]
-
-
-def _plans(count: int, size: float) -> tuple[list[Scene], list[Episode]]:
-    scenes = [
-        build_map_scene(build_floor_plan(k, width=size, depth=size), f"plan-{k}")
-        for k in range(count)
-    ]
-    maps = [NavigationMap(scene.grid, 0.2) for scene in scenes]
-    pairs = zip(scenes, maps, strict=True)
-    return scenes, [e for scene, plan in pairs for e in build_point_episodes(scene, plan, 10)]
 
 
 def measure_ego(ctx: FigureContext) -> list[FigureRow]:
@@ -39,7 +25,7 @@ def measure_ego(ctx: FigureContext) -> list[FigureRow]:
     rows: list[FigureRow] = []
     taken = []
     for size in (6.0, 9.0) if tiny else (13.0, 60.0):
-        scenes, episodes = _plans(2 if tiny else 8, size)
+        scenes, episodes = build_plans(2 if tiny else 8, size, 10)
         env = VectorEnvDevice(
             count, scenes, episodes=episodes, device=ctx.device, sensors=("ego_map",)
         )
@@ -73,7 +59,7 @@ def measure_ego(ctx: FigureContext) -> list[FigureRow]:
 
 def _compare(ctx: FigureContext, tiny: bool) -> FigureRow:
     """Pixels of a walk that are not those of `VectorEnv`."""
-    scenes, episodes = _plans(2, 9.0)
+    scenes, episodes = build_plans(2, 9.0, 10)
     count, steps = (2, 2) if tiny else (32, 60)
     env = VectorEnvDevice(count, scenes, episodes=episodes, device=ctx.device, sensors=("ego_map",))
     twin = VectorEnv(count, scenes, episodes=episodes, sensors=("ego_map",), backend="cpu")
@@ -88,7 +74,7 @@ def _compare(ctx: FigureContext, tiny: bool) -> FigureRow:
 
 def _time_core() -> FigureRow:
     """Pairs a second on one core."""
-    scenes, episodes = _plans(1, 9.0)
+    scenes, episodes = build_plans(1, 9.0, 10)
     env = VectorEnv(1, scenes, episodes=episodes, sensors=("ego_map",), backend="cpu")
     env.reset(seed=0)
     eyes, episode = env._open_suite(scenes[0].id), episodes[0]

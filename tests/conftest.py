@@ -184,6 +184,23 @@ def cut_after_writes(
     return record
 
 
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The emulation is the device, and this hears of each episode that begins on it."""
+    from gn0.sim.device_walkers import WalkersDevice
+
+    monkeypatch.setenv("GN0_DEVICE", "host")
+    heard: list[str] = []
+    begin = WalkersDevice.begin
+
+    def note(self: WalkersDevice, which, episodes) -> None:  # type: ignore[no-untyped-def]
+        begin(self, which, episodes)
+        heard.extend(episode.id for episode in episodes)
+
+    monkeypatch.setattr(WalkersDevice, "begin", note)
+    return heard
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Side by side: a file stays in one process, for its fixtures; documents go one by one."""
     if not config.pluginmanager.hasplugin("xdist"):

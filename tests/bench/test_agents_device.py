@@ -13,7 +13,6 @@ import pytest
 
 from gn0.bench import runner
 from gn0.bench.runner import run_suite
-from gn0.sim.device_walkers import WalkersDevice
 from gn0.suites.scene_drawing import find_agents_card
 from gn0.suites.suite import Suite, load_suite
 
@@ -34,21 +33,6 @@ def still_code() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "code_version", lambda: "1.0+still")
         yield
-
-
-@pytest.fixture
-def begun(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The emulation is the device, and this hears of each episode that begins on it."""
-    monkeypatch.setenv("GN0_DEVICE", "host")
-    heard: list[str] = []
-    begin = WalkersDevice.begin
-
-    def note(self: WalkersDevice, which, episodes) -> None:  # type: ignore[no-untyped-def]
-        begin(self, which, episodes)
-        heard.extend(episode.id for episode in episodes)
-
-    monkeypatch.setattr(WalkersDevice, "begin", note)
-    return heard
 
 
 @pytest.mark.parametrize(

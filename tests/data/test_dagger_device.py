@@ -19,7 +19,6 @@ from gn0.data.collect import build_dagger
 from gn0.data.dataset import open_dataset
 from gn0.data.settings import BuildSettings, DaggerSettings, PictureSettings
 from gn0.errors import DataError
-from gn0.sim.device_walkers import WalkersDevice
 from gn0.suites.suite import Suite
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
@@ -30,21 +29,6 @@ def settings_of(policy: str, pictures: PictureSettings | None = None, **more: ob
     drive: dict[str, object] = {"policy": policy, "beta": 0.3, "max_steps": 40, **more}
     pictures = pictures or PictureSettings(layout="none")
     return BuildSettings(chunk=3, pictures=pictures, dagger=DaggerSettings(**drive))  # type: ignore[arg-type]
-
-
-@pytest.fixture
-def begun(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The emulation is the device, and this hears of each episode that begins on it."""
-    monkeypatch.setenv("GN0_DEVICE", "host")
-    heard: list[str] = []
-    begin = WalkersDevice.begin
-
-    def note(self: WalkersDevice, which, episodes) -> None:  # type: ignore[no-untyped-def]
-        begin(self, which, episodes)
-        heard.extend(episode.id for episode in episodes)
-
-    monkeypatch.setattr(WalkersDevice, "begin", note)
-    return heard
 
 
 @pytest.mark.parametrize(

@@ -92,8 +92,7 @@ class ForwardConstant(nn.Module):
         positions = np.concatenate([layout.positions, layout.positions_behind(answer)], 1)
         self._keep("rotation", *rotate_tokens(positions, self.architecture.text))
         vision = self.architecture.vision
-        self._sizes = {(size.height, size.width) for size in layout.sizes}
-        for height, width in self._sizes:
+        for height, width in {(size.height, size.width) for size in layout.sizes}:
             rows, columns = place_patches(height, width, vision)
             self._keep(f"patches_{height}_{width}", *rotate_patches(rows, columns, vision))
             taps, weights = resample_positions(rows, columns, height, width, vision)

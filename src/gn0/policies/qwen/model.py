@@ -109,8 +109,8 @@ class QwenNumpy:
             x[:, at : at + count] = seen.merged
         text = self.architecture.text
         shape = (len(ids), text.kv_heads, len(layout) + room, text.head_dim)
-        cache = Cache([np.empty(shape, np.float32) for _ in self._layers], [], 0, x[:, -1])
-        cache.values = [np.empty(shape, np.float32) for _ in self._layers]
+        keys, values = ([np.empty(shape, np.float32) for _ in self._layers] for _ in range(2))
+        cache = Cache(keys, values, 0, x[:, -1])
         self._run(x, layout.positions, cache, layout.places, features)
         return cache
 

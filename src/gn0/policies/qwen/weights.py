@@ -33,7 +33,7 @@ _TYPES: dict[str, np.dtype[Any]] = {
 class Weights(Mapping[str, NDArray[np.float32]]):
     """Arrays of a checkpoint by name; each is read, as float32, when it is asked for."""
 
-    def __init__(self, found: Mapping[str, tuple[Path, NDArray[Any], bool]]) -> None:
+    def __init__(self, found: Mapping[str, tuple[NDArray[Any], bool]]) -> None:
         self._found = found
 
     def __getitem__(self, name: str) -> NDArray[np.float32]:
@@ -42,7 +42,7 @@ class Weights(Mapping[str, NDArray[np.float32]]):
                 f"no weights are called {brief(name)}",
                 remedy="the shards are those of another model than config.json describes",
             )
-        _, array, is_bfloat = self._found[name]
+        array, is_bfloat = self._found[name]
         if is_bfloat:
             return (array.astype(np.uint32) << np.uint32(16)).view(np.float32)
         return array.astype(np.float32)
@@ -58,7 +58,7 @@ class Weights(Mapping[str, NDArray[np.float32]]):
 
     def shape_of(self, name: str) -> tuple[int, ...]:
         """Shape of an array; `self[name]` would read it."""
-        return self._found[name][1].shape if name in self._found else self[name].shape
+        return self._found[name][0].shape if name in self._found else self[name].shape
 
 
 def open_weights(folder: Path) -> Weights:
@@ -71,14 +71,14 @@ def open_weights(folder: Path) -> Weights:
         CheckpointError: no weights, only pickled ones, or a shard missing, forged, truncated or of
             another hash.
     """
-    found: dict[str, tuple[Path, NDArray[Any], bool]] = {}
+    found: dict[str, tuple[NDArray[Any], bool]] = {}
     shards = list_shards(folder)
     _check_hashes(folder, shards)
     for path in shards:
         for name, array, is_bfloat in _open_shard(path):
             if name in found:
                 raise CheckpointError(f"{brief(name)} is in two shards", where=path)
-            found[name] = (path, array, is_bfloat)
+            found[name] = (array, is_bfloat)
     return Weights(found)
 
 

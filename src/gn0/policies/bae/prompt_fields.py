@@ -83,12 +83,14 @@ def render_prompt(template: PromptTemplate, state: PromptState) -> Prompt:
             where=template.file,
             remedy="take another prompt, or samples with other map tokens",
         )
-    values = {}
-    for name in template.fields:
-        value = _VALUES[name](template, state)
-        if value is not None:
-            values[name] = value
+    read = {name: read_field(name, template, state) for name in template.fields}
+    values = {name: value for name, value in read.items() if value is not None}
     return Prompt(template.fill(values), template.pictures)
+
+
+def read_field(name: str, template: PromptTemplate, state: PromptState) -> str | None:
+    """What a field of `FIELDS` holds; None if the state does not know it."""
+    return _VALUES[name](template, state)
 
 
 def clean_instruction(text: str) -> str:

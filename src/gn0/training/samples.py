@@ -1,0 +1,200 @@
+"""Samples to train on: labelled states of many episodes, and what a model is given of them.
+
+Every stream gives `LabelledStates`; a `SampleMaker` makes the batch of one prompt out of them, on
+the device where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gn0.data.answer_slots import ACTION, FREE, AnswerSlots, X, Y
+from gn0.data.codec import EgoFrame
+from gn0.errors import ConfigError
+from gn0.paper import MAP_BINS
+from gn0.policies.bae.prompt_table import PromptFiller, PromptTable
+
+
+@dataclass(frozen=True)
+class LabelledStates:
+    """N states with what the expert would do there, all on one device.
+
+    Attributes:
+        episode: int32 [N] numbers, which are the texts of a prompt table.
+        pose: float64 [N, 3] x, y [m], yaw [rad], world frame.
+        last: int8 [N] code of the action before; -1 at the start.
+        collided: bool [N] whether that action was cut short.
+        actions: int8 [N, 6] of the expert.
+        waypoints: float32 [N, 13, 2] m in the agent's frame, x forward and y left.
+        distance: float64 [N] m to the goal on foot.
+        pictures: uint8 [N, H, W, 3] by name: a sensor's, or `near`, `far` … of the squares of
+            `ego_map`.
+    """
+
+    episode: Tensor
+    pose: Tensor
+    last: Tensor
+    collided: Tensor
+    actions: Tensor
+    waypoints: Tensor
+    distance: Tensor
+    pictures: Mapping[str, Tensor]
+
+    def __len__(self) -> int:
+        return len(self.episode)
+
+    def pick(self, rows: Tensor | slice) -> LabelledStates:
+        """Some of them."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "pictures"}
+        pictures = {name: one[rows] for name, one in self.pictures.items()}
+        return replace(self, pictures=pictures, **{k: v[rows] for k, v in arrays.items()})
+
+
+@dataclass(frozen=True)
+class SampleBatch:
+    """What a model is given, and what it should answer.
+
+    Attributes:
+        pictures: uint8 [B, H, W, 3] each, in the prompt's order.
+        ids: int64 [B, P] prompts.
+        answer: int64 [B, S].
+        states: what they were made of.
+    """
+
+    pictures: tuple[Tensor, ...]
+    ids: Tensor
+    answer: Tensor
+    states: LabelledStates
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class Stream(Protocol):
+    """A source of labelled states that goes on where it was left."""
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """Instructions by episode number."""
+        ...
+
+    def draw(self, count: int) -> LabelledStates:
+        """The next states."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Where it stands, as JSON: what `restore` takes."""
+        ...
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from there: the same states follow."""
+        ...
+
+
+class SampleMaker:
+    """Makes batches of one prompt.
+
+    Args:
+        table: prompts of the stream's texts.
+        slots: of the answers.
+        frame: the square that answers' coordinates are on.
+        device: of the states.
+    """
+
+    def __init__(
+        self, table: PromptTable, slots: AnswerSlots, frame: EgoFrame, device: torch.device | str
+    ) -> None:
+        self.table, self.slots, self.frame = table, slots, frame
+        self.device = torch.device(device)
+        self._filler = PromptFiller(table, self._send)
+        self._here = self._send(encode_place(frame))
+        self._answer = self._send(np.where(slots.ids == FREE, 0, slots.ids).astype(np.int64))
+        self._actions = self._send(np.array(slots.vocabulary.actions, np.int64))
+        self._at = {k: self._send(np.flatnonzero(slots.kinds == k)) for k in (X, Y, ACTION)}
+
+    def _send(self, array: Any) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+
+    def make(self, states: LabelledStates) -> SampleBatch:
+        """A batch of these states.
+
+        Raises:
+            ConfigError: the states lack a picture that the prompt shows.
+        """
+        names = self.table.template.pictures
+        missing = [name for name in names if name not in states.pictures]
+        if missing:
+            raise ConfigError(
+                f"prompt {self.table.template.name!r} shows {missing[0]!r}, the samples do not",
+                where=self.table.template.file,
+                remedy=f"they have {', '.join(states.pictures) or 'none'}",
+            )
+        return SampleBatch(
+            tuple(states.pictures[name] for name in names),
+            self.prompts(states.episode, states.pose, states.last, states.collided),
+            self.answers(states.actions, states.waypoints),
+            states,
+        )
+
+    def prompts(self, episode: Tensor, pose: Tensor, last: Tensor, collided: Tensor) -> Tensor:
+        """Prompts int64 [N, P]; see `LabelledStates` for what they are made of."""
+        numbers = torch.empty((len(episode), 3), dtype=torch.int32, device=self.device)
+        numbers[:, :2] = self._here
+        numbers[:, 2] = encode_headings(pose[:, 2])
+        filled = self._filler.fill(episode.long(), last.long(), collided.long(), numbers)
+        return filled.long()
+
+    def answers(self, actions: Tensor, waypoints: Tensor) -> Tensor:
+        """Answers int64 [N, S] of actions [N, 6] and waypoints [N, 13, 2] m."""
+        out = self._answer.expand(len(actions), -1).clone()
+        out[:, self._at[ACTION]] = self._actions[actions.long()]
+        form = self.slots.form
+        if form.points:
+            tokens = encode_squares(self.frame, waypoints[:, form.first_point : form.points])
+            for axis, kind in enumerate((X, Y)):
+                out[:, self._at[kind]] = tokens[..., axis] + self.slots.vocabulary.number
+        return out
+
+    def waypoints(self, answer: Tensor) -> Tensor:
+        """Waypoints float32 [N, K, 2] m that answers name, from `form.first_point` on."""
+        tokens = torch.stack([answer[:, self._at[kind]] for kind in (X, Y)], -1)
+        return decode_squares(self.frame, tokens - self.slots.vocabulary.number)
+
+    def actions(self, answer: Tensor) -> Tensor:
+        """Actions int64 [N, 6] of answers."""
+        said = answer[:, self._at[ACTION]]
+        return (said[..., None] == self._actions).int().argmax(-1)
+
+
+def encode_place(frame: EgoFrame) -> np.ndarray:
+    """Map tokens int32 [2] of the agent's own place."""
+    return encode_squares(frame, torch.zeros((1, 1, 2)))[0, 0].numpy().astype(np.int32)
+
+
+def encode_squares(frame: EgoFrame, waypoints: Tensor) -> Tensor:
+    """`gn0.data.codec.encode_waypoints` on an ego square: int64 [N, K, 2], the same tokens."""
+    places = waypoints.double() / frame.metres_per_pixel
+    right = 0.5 * frame.size - places[..., 1] - 0.5
+    down = frame.ahead * frame.size - places[..., 0] - 0.5
+    scaled = torch.stack([right, down], -1) / float(frame.size) * MAP_BINS
+    return (scaled + 0.5).floor().clamp(0, MAP_BINS - 1).long()
+
+
+def decode_squares(frame: EgoFrame, tokens: Tensor) -> Tensor:
+    """`gn0.data.codec.decode_waypoints` on an ego square: float32 [N, K, 2] m."""
+    pixels = tokens.double() / MAP_BINS * float(frame.size)
+    forward = frame.ahead * frame.size - 0.5 - pixels[..., 1]
+    left = 0.5 * frame.size - 0.5 - pixels[..., 0]
+    return (torch.stack([forward, left], -1) * frame.metres_per_pixel).float()
+
+
+def encode_headings(yaw: Tensor) -> Tensor:
+    """`gn0.data.codec.encode_heading` of headings [N] rad: int64 [N], the same tokens."""
+    share = torch.remainder(0.25 - yaw.double() / (2 * torch.pi), 1.0)
+    return torch.remainder((share * MAP_BINS + 0.5).floor().long(), MAP_BINS)

@@ -147,9 +147,15 @@ class ForwardConstant(nn.Module):
             answer: int64 [B, A].
             rows: only these ids' logits.
         """
-        behind = answer[:, :-1]
-        hidden, _, _ = self._read(features, torch.cat([ids, behind], 1))
-        return self._score(hidden[:, ids.shape[1] - 1 :], rows)
+        return self.score(self.read(features, ids, answer), rows)
+
+    def read(self, features: FeaturesTorch, ids: Tensor, answer: Tensor) -> Tensor:
+        """Hidden states [B, A, hidden] that an answer's tokens are told from; see `logits`.
+
+        The first is that of the prompt's last token, and knows nothing of the answer.
+        """
+        hidden, _, _ = self._read(features, torch.cat([ids, answer[:, :-1]], 1))
+        return hidden[:, ids.shape[1] - 1 :]
 
     @torch.no_grad()
     def sample(
@@ -183,7 +189,7 @@ class ForwardConstant(nn.Module):
             if read < k:
                 last = self._add(out[:, read:k], keys, values, ids.shape[1] + read)
                 read = k
-            score = self._score(last, allowed).float()
+            score = self.score(last, allowed).float()
             chances = (score / temperature if temperature > 0 else score).log_softmax(-1)
             if temperature > 0:
                 picked = torch.multinomial(chances.exp(), 1, generator=generator)
@@ -251,7 +257,8 @@ class ForwardConstant(nn.Module):
             x = _finish(layer, x, looked)
         return language.norm(x[:, -1])
 
-    def _score(self, hidden: Tensor, rows: Tensor | None) -> Tensor:
+    def score(self, hidden: Tensor, rows: Tensor | None = None) -> Tensor:
+        """Logits [..., vocabulary, or as many as `rows`] of hidden states [..., hidden]."""
         head = self.model.lm_head.weight
         return functional.linear(hidden, head if rows is None else head[rows])
 

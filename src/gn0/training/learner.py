@@ -1,0 +1,196 @@
+"""A step of learning from labels: loss, gradient, AdamW, averaged weights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+from transformers import Qwen3VLForConditionalGeneration
+
+from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
+from gn0.policies.bae.forward import ForwardConstant
+from gn0.training.recipe import Recipe
+from gn0.training.samples import SampleBatch
+
+DISTANCE_SCALE = 5.0  # m: the auxiliary head says distances in these
+PROJECTOR = ("visual.merger", "visual.deepstack_merger_list")
+GROUPS = ("points", "first", "actions", "marks")  # of slots whose losses are told apart
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What a batch costs; scalars on the device.
+
+    Attributes:
+        loss: what is minimised.
+        groups: mean cross-entropy of the tokens of `GROUPS`, teacher-forced.
+        first: share of first actions that are right, teacher-forced.
+        distance: the auxiliary loss.
+    """
+
+    loss: Tensor
+    groups: Tensor
+    first: Tensor
+    distance: Tensor
+
+
+class LossForward(nn.Module):
+    """The loss of a batch: cross-entropy, a sample the mean over its tokens (paper, l. 738).
+
+    Args:
+        forward: of the prompts' layout.
+        slots: of the answers.
+        recipe: weights of slots and of the auxiliary head.
+    """
+
+    def __init__(self, forward: ForwardConstant, slots: AnswerSlots, recipe: Recipe) -> None:
+        super().__init__()
+        self.model, self._forward = forward.model, [forward]  # its weights are counted once
+        self.recipe = recipe
+        kinds, index = torch.from_numpy(slots.kinds), torch.from_numpy(slots.index)
+        group = torch.full((len(slots),), GROUPS.index("marks"))
+        group[(kinds == X) | (kinds == Y)] = GROUPS.index("points")
+        group[kinds == ACTION] = GROUPS.index("actions")
+        group[(kinds == ACTION) & (index == 0)] = GROUPS.index("first")
+        shares = functional.one_hot(group, len(GROUPS)).float()
+        self.register_buffer("shares", shares / shares.sum(0).clamp(min=1), persistent=False)
+        self.register_buffer("spoken", torch.nonzero(kinds == ACTION)[:, 0], persistent=False)
+        self.stop = slots.vocabulary.actions[0]
+        self.distance: nn.Linear | None = None
+        if recipe.distance_weight:
+            self.distance = nn.Linear(forward.architecture.text.hidden, 1)
+            nn.init.zeros_(self.distance.weight)
+
+    def forward(self, batch: SampleBatch) -> Losses:
+        """Losses of a batch."""
+        forward = self._forward[0]
+        features = forward.encode(batch.pictures)
+        hidden = forward.read(features, batch.ids, batch.answer)
+        logits = forward.score(hidden)
+        costs = functional.cross_entropy(
+            logits.flatten(0, 1).float(), batch.answer.flatten(), reduction="none"
+        ).view_as(batch.answer)
+        loss = (costs * self._weigh(batch.answer)).mean(1).mean()
+        distance = torch.zeros((), device=costs.device)
+        if self.distance is not None:
+            metres = batch.states.distance
+            known = torch.isfinite(metres)
+            told = self.distance(hidden[:, 0]).float()[:, 0]
+            wanted = torch.where(known, metres, 0.0).float() / DISTANCE_SCALE
+            distance = (functional.smooth_l1_loss(told, wanted, reduction="none") * known).mean()
+            loss = loss + self.recipe.distance_weight * distance
+        with torch.no_grad():
+            at = self.spoken[0]
+            first = (logits[:, at].argmax(-1) == batch.answer[:, at]).float().mean()
+            groups = costs.detach().mean(0) @ self.shares
+        return Losses(loss, groups, first, distance.detach())
+
+    def _weigh(self, answer: Tensor) -> Tensor:
+        """Weights [B, S] of tokens."""
+        weights = torch.ones(answer.shape, device=answer.device)
+        if self.recipe.stop_weight != 1:
+            stops = answer[:, self.spoken] == self.stop
+            first = stops & (stops.cumsum(1) == 1)
+            weights[:, self.spoken] += first * (self.recipe.stop_weight - 1)
+        return weights
+
+
+class Learner:
+    """A model in training.
+
+    Args:
+        loss: of its batches; on its device.
+        recipe: how it learns.
+        autocast: type of what is computed within (bfloat16 on a card); None for float32.
+    """
+
+    def __init__(
+        self, loss: LossForward, recipe: Recipe, *, autocast: torch.dtype | None = None
+    ) -> None:
+        self.loss, self.recipe, self.autocast = loss, recipe, autocast
+        self.model: Qwen3VLForConditionalGeneration = loss.model
+        self.device = next(loss.parameters()).device
+        self.weights = {n: w for n, w in loss.named_parameters() if w.requires_grad}
+        self.optimiser = torch.optim.AdamW(
+            group_weights(self.weights.items(), recipe),
+            betas=recipe.betas,
+            fused=self.device.type == "cuda",
+        )
+        self._rates = [float(group["lr"]) for group in self.optimiser.param_groups]
+        self.averaged: dict[str, Tensor] = {}
+        self.averaged_steps = 0
+        if recipe.mean:
+            self.averaged = {n: w.detach().clone() for n, w in self.weights.items()}
+
+    def step(self, batch: SampleBatch, share: float) -> tuple[Losses, Tensor]:
+        """Learn from a batch at a share of the recipe's rates; waits for nothing.
+
+        Returns:
+            losses before the step, and the norm of the gradient before it was clipped.
+        """
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * share
+        with torch.autocast(
+            self.device.type, self.autocast or torch.bfloat16, enabled=self.autocast is not None
+        ):
+            losses = self.loss(batch)
+        self.optimiser.zero_grad(set_to_none=True)
+        losses.loss.backward()
+        norm = nn.utils.clip_grad_norm_(self.weights.values(), self.recipe.clip)
+        self.optimiser.step()
+        if self.averaged:
+            self.averaged_steps += 1
+            # the first steps are forgotten sooner: an average of them would be of random weights
+            mean = min(self.recipe.mean, (1 + self.averaged_steps) / (10 + self.averaged_steps))
+            with torch.no_grad():
+                torch._foreach_lerp_(
+                    [*self.averaged.values()], [w.data for w in self.weights.values()], 1 - mean
+                )
+        return losses, norm
+
+    @contextmanager
+    def averaged_weights(self) -> Iterator[None]:
+        """The model has its averaged weights within; its own where there are none."""
+        if not self.averaged:
+            yield
+            return
+        own = {name: weight.detach().clone() for name, weight in self.weights.items()}
+        self._write(self.averaged)
+        try:
+            yield
+        finally:
+            self._write(own)
+
+    @torch.no_grad()
+    def _write(self, values: Mapping[str, Tensor]) -> None:
+        for name, weight in self.weights.items():
+            weight.copy_(values[name])
+
+
+def group_weights(
+    weights: Iterable[tuple[str, nn.Parameter]], recipe: Recipe
+) -> list[dict[str, Any]]:
+    """AdamW's groups: the vision tower has a rate of its own, matrices decay.
+
+    The projector lies in the tower (`visual.merger`, `visual.deepstack_merger_list`) and learns at
+    the language model's rate.
+    """
+    groups: dict[tuple[bool, bool], list[nn.Parameter]] = {}
+    for name, weight in weights:
+        projector = any(part in name for part in PROJECTOR)
+        vision = "visual." in name and not projector
+        groups.setdefault((vision, weight.ndim >= 2), []).append(weight)
+    vision_rate = recipe.vision_rate or recipe.rate
+    return [
+        {
+            "params": some,
+            "lr": vision_rate if vision else recipe.rate,
+            "weight_decay": recipe.decay if matrix else 0.0,
+        }
+        for (vision, matrix), some in groups.items()
+    ]

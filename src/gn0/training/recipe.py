@@ -1,0 +1,69 @@
+"""How a model is trained: settings of a stage, and what they start from."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from gn0.config import Config
+from gn0.errors import ConfigError
+
+Rate = Annotated[float, msgspec.Meta(gt=0, le=1)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Kind = Literal["scratch", "pretrained"]
+
+
+class Recipe(Config, frozen=True):
+    """How SFT and DAgger learn from labels.
+
+    Attributes:
+        kind: which starting values these are, `RECIPES`.
+        batch: samples of a step, over all processes.
+        rate: learning rate of language model and projector.
+        vision_rate: of the vision tower; `rate` when None.
+        betas: of AdamW.
+        decay: of matrices.
+        clip: norm of the gradient at most.
+        warm_steps: over which the rate rises from 0.
+        schedule: after them: `stable` until the tail, or `cosine` down to 0 at the end.
+        tail: the last share of a `stable` run, over which the rate falls …
+        floor: … in a straight line to this share of it.
+        mean: of the averaged weights, a step; 0 for none.
+        stop_weight: of the first STOP of an answer, where other tokens weigh 1.
+        distance_weight: of the auxiliary loss, the walking distance to the goal; 0 for none.
+        lora: rank of adapters of the language model; 0 trains all weights.
+        blackout: share of samples whose mosaic is blacked out.
+    """
+
+    kind: Kind = "scratch"
+    batch: Count = 512
+    rate: Rate = 1e-3
+    vision_rate: Rate | None = None
+    betas: tuple[Share, Share] = (0.9, 0.95)
+    decay: Share = 0.05
+    clip: Annotated[float, msgspec.Meta(gt=0)] = 1.0
+    warm_steps: Annotated[int, msgspec.Meta(ge=0)] = 100
+    schedule: Literal["stable", "cosine"] = "stable"
+    tail: Share = 0.2
+    floor: Share = 0.02
+    mean: Share = 0.999
+    stop_weight: Annotated[float, msgspec.Meta(gt=0)] = 4.0
+    distance_weight: Annotated[float, msgspec.Meta(ge=0)] = 0.05
+    lora: Annotated[int, msgspec.Meta(ge=0)] = 0
+    blackout: Share = 0.1
+
+    def __post_init__(self) -> None:
+        if self.mean >= 1:
+            raise ConfigError("averaged weights that never change", where="mean", remedy="give < 1")
+
+
+RECIPES: dict[Kind, Recipe] = {
+    "scratch": Recipe(),
+    # the paper's (section "Training"): one epoch, everything trained; batch and schedule are ours
+    "pretrained": Recipe(
+        kind="pretrained", batch=256, rate=1e-5, vision_rate=2e-6, betas=(0.9, 0.999), decay=0.0,
+        schedule="cosine", mean=0.0, stop_weight=1.0, distance_weight=0.0, blackout=0.0,
+    ),
+}  # fmt: skip

@@ -124,3 +124,24 @@ def test_what_a_user_types_never_becomes_a_navigation_token(words, architecture)
         template, states, {"rgb": PictureSize(32, 32)}, architecture, tokenizer, tokens
     )
     assert int(table.constant.max()) < tokens.vocabulary.first
+
+
+def test_tables_of_other_texts_have_the_same_layout(words, architecture) -> None:
+    tokenizer, tokens = words
+    template = load_prompt("short", pictures=["rgb"])
+    frame = EgoFrame(128, 0.06, 0.65)
+
+    def build(*texts: str, length: int = 64):
+        states = [PromptState(text, frame) for text in texts]
+        return build_prompt_table(
+            template, states, {"rgb": PictureSize(32, 32)}, architecture, tokenizer, tokens,
+            text_length=length,
+        )  # fmt: skip
+
+    many, one = build(*TEXTS), build(TEXTS[1])
+    assert np.array_equal(many.layout.positions, one.layout.positions)
+    told = (np.array([-1]), np.array([0]), np.array([[7, 8, 9]], np.int32))
+    got = PromptFiller(many).fill(np.array([1]), *told)
+    assert np.array_equal(got, PromptFiller(one).fill(np.array([0]), *told))
+    with pytest.raises(ConfigError, match="at most 8 are read"):
+        build(*TEXTS, length=8)

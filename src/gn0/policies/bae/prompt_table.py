@@ -112,6 +112,7 @@ def build_prompt_table(
     tokens: TokenIds,
     *,
     text_limit: int = TEXT_LIMIT,
+    text_length: int | None = None,
 ) -> PromptTable:
     """Tokenise a template for many texts.
 
@@ -123,6 +124,8 @@ def build_prompt_table(
         tokenizer: of the model.
         tokens: its ids.
         text_limit: tokens of a chunk at most.
+        text_length: tokens of a chunk that an episode decides, the same whatever the texts are, so
+            that tables of other texts have the same layout; None: as many as the longest has.
 
     Raises:
         ConfigError: no texts, one that is empty or too long (names its number), a field that the
@@ -137,7 +140,7 @@ def build_prompt_table(
             where=template.file,
             remedy=f"known: {', '.join(sizes) or 'none'}",
         )
-    builder = _Builder(template, states, tokenizer, tokens, text_limit)
+    builder = _Builder(template, states, tokenizer, tokens, text_limit, text_length)
     pictures = [sizes[name] for name in template.pictures]
     builder.put(tokens.start)
     builder.put(*tokenizer.encode(USER))
@@ -182,8 +185,10 @@ class _Builder:
         tokenizer: TextTokenizer,
         tokens: TokenIds,
         text_limit: int,
+        text_length: int | None,
     ) -> None:
         self.template, self.states, self.limit = template, states, text_limit
+        self.length = text_length
         self.tokenizer, self.tokens = tokenizer, tokens
         self.parts: list[int | PictureSize] = []
         self.chunks: list[PromptChunk] = []
@@ -221,7 +226,8 @@ class _Builder:
         if not pieces:
             return
         asked = {text for text, is_field in pieces if is_field}
-        texts = self.states if asked - {_LAST, _BUMPER, "TASK_TYPE"} else self.states[:1]
+        told = bool(asked - {_LAST, _BUMPER, "TASK_TYPE"})
+        texts = self.states if told else self.states[:1]
         actions = _ACTIONS if _LAST in asked else _ACTIONS[:1]
         bumpers = (False, True) if _BUMPER in asked else (False,)
         rows = [
@@ -229,16 +235,19 @@ class _Builder:
             for (number, _), last, hit in itertools.product(enumerate(texts), actions, bumpers)
         ]
         longest = max(map(len, rows))
-        if longest > self.limit:
+        fixed = self.length if told else None
+        limit = self.limit if fixed is None else min(fixed, self.limit)
+        if longest > limit:
             number = int(np.argmax([len(row) for row in rows])) // (len(actions) * len(bumpers))
             raise ConfigError(
-                f"text {number} has {longest} tokens, at most {self.limit} are read",
+                f"text {number} has {longest} tokens, at most {limit} are read",
                 where=self.template.file,
                 remedy="shorten the instruction",
             )
-        if len(rows) == 1:
+        if len(rows) == 1 and fixed is None:
             self.put(*rows[0])
             return
+        longest = fixed or longest
         table = np.full((len(rows), longest), self.tokens.pad, np.int32)
         for row, ids in zip(table, rows, strict=True):
             row[longest - len(ids) :] = ids

@@ -1,0 +1,41 @@
+"""A policy in training is asked in one way, whatever the texts, and is saved with it."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("torch")
+
+from gn0.data.answer_form import AnswerForm
+from gn0.errors import CheckpointError, ConfigError
+from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.sim.ego_map import EgoSquare, MapView
+from gn0.training.pupil import build_pupil, load_pupil
+
+SETTINGS = PolicySettings(
+    prompt="short",
+    pictures=("near", "far"),
+    form=AnswerForm(layout="compact"),
+    view=MapView((EgoSquare(32, 0.24), EgoSquare(32, 0.6))),
+)
+TEXTS = ("go to the sofa", "turn left at the door, then wait by the second chair on the right")
+
+
+def test_the_layout_is_the_same_for_all_texts_that_fit(tmp_path) -> None:
+    pupil = build_pupil("nano", SETTINGS, TEXTS)
+    full, short = pupil.table(TEXTS), pupil.table(TEXTS[:1])
+    assert full.layout.ids.tolist() == short.layout.ids.tolist()
+    with pytest.raises(ConfigError, match="shorten the instruction"):
+        pupil.table(["find a " + "very " * 90 + "large plant"])
+    pupil.save(tmp_path / "policy")
+    again = load_pupil(tmp_path / "policy")
+    assert again.settings.text_length == pupil.settings.text_length
+    assert again.table(TEXTS).layout.ids.tolist() == full.layout.ids.tolist()
+    assert again.template.digest == pupil.template.digest
+
+
+def test_sizes_and_folders_that_are_none_are_refused(tmp_path) -> None:
+    with pytest.raises(ConfigError, match="no size 'huge'"):
+        build_pupil("huge", SETTINGS, TEXTS)
+    with pytest.raises(CheckpointError):
+        load_pupil(tmp_path)

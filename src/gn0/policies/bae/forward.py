@@ -247,13 +247,10 @@ class ForwardConstant(nn.Module):
         x = language.embed_tokens(ids)
         end = at + x.shape[1]
         cos, sin = self.rotation_cos[at:end], self.rotation_sin[at:end]
-        seen = torch.ones((x.shape[1], end), dtype=torch.bool, device=x.device).tril(at)
+        seen = None if x.shape[1] == 1 else _see_back(x.shape[1], end, x.device)
         for layer, key, value in zip(language.layers, keys, values, strict=True):
             query, key[:, :, at:end], value[:, :, at:end] = _project(layer, x, cos, sin)
-            looked = functional.scaled_dot_product_attention(
-                query, key[:, :, :end], value[:, :, :end], attn_mask=seen,
-                enable_gqa=query.shape[1] != key.shape[1],
-            )  # fmt: skip
+            looked = _look_back(query, key[:, :, :end], value[:, :, :end], seen)
             x = _finish(layer, x, looked)
         return language.norm(x[:, -1])
 
@@ -305,6 +302,24 @@ def _project(layer: Any, x: Tensor, cos: Tensor, sin: Tensor) -> tuple[Tensor, T
     key = own.k_norm(own.k_proj(x).view(shape)).transpose(1, 2)
     value = own.v_proj(x).view(shape).transpose(1, 2)
     return _rotate(query, cos, sin).to(value.dtype), _rotate(key, cos, sin).to(value.dtype), value
+
+
+def _see_back(count: int, end: int, device: torch.device) -> Tensor:
+    """Which of `end` tokens each of the last `count` may look at: bool [count, end]."""
+    return torch.ones((count, end), dtype=torch.bool, device=device).tril(end - count)
+
+
+def _look_back(query: Tensor, key: Tensor, value: Tensor, seen: Tensor | None) -> Tensor:
+    """Attention of a few last tokens; heads that share keys are rows of one product.
+
+    So keys and values are read once, by kernels that know nothing of groups of heads.
+    """
+    batch, heads, count, size = query.shape
+    groups = heads // key.shape[1]
+    rows = query.reshape(batch, key.shape[1], groups * count, size)
+    mask = None if seen is None else seen.repeat(groups, 1)
+    looked = functional.scaled_dot_product_attention(rows, key, value, attn_mask=mask)
+    return looked.view(batch, heads, count, size)
 
 
 def _finish(layer: Any, x: Tensor, seen: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from gn0.cache import trust_folder
 from gn0.kernel_key import kernel_key
@@ -24,6 +24,8 @@ from gn0.storage import cache_dir
 _NAME = "kernel"  # of the files in a kernel's folder
 _KEPT_DAYS = 30.0  # code that was not used for so long is removed
 _TIDY_DAYS = 1.0  # how often that is looked for
+_LOCK = f"{_NAME}.lock"
+_WAIT, _POLL = 120.0, 0.02  # s: how long one waits for a kernel that another process compiles
 
 
 def _claim_cache() -> str:
@@ -108,13 +110,16 @@ def _key_of(kernel: Any) -> str:
 def _forgive(kernel: Any) -> Any:
     """The kernel, with a cache by what it is made of, which may fail.
 
-    A full disk or a damaged file costs compile time only.
+    A full disk or a damaged file costs compile time only. Of processes that need a kernel at the
+    same moment one compiles it, and the others wait for its code: on a cold machine sixty workers
+    would else compile everything sixty times.
     """
     cache = getattr(kernel, "_cache", None)
     load, save = getattr(cache, "load_overload", None), getattr(cache, "save_overload", None)
     if cache is None or load is None or save is None:
         return kernel
     placed = False
+    mine: list[IO[bytes]] = []  # the lock, while this process compiles
 
     def place() -> None:  # at the first call: only then are all globals there
         nonlocal placed
@@ -127,7 +132,7 @@ def _forgive(kernel: Any) -> Any:
             with contextlib.suppress(OSError):
                 os.utime(home / f"{_NAME}.nbi")  # used: not to be tidied away
 
-    def load_or_not(*arguments: Any) -> Any:
+    def look_up(*arguments: Any) -> Any:
         try:
             place()
             return load(*arguments)
@@ -136,10 +141,53 @@ def _forgive(kernel: Any) -> Any:
                 cache.flush()
             return None
 
+    def load_or_not(*arguments: Any) -> Any:
+        found = look_up(*arguments)
+        if found is not None or mine:  # ours already: numba asks again, with literal arguments
+            return found
+        with contextlib.suppress(Exception):
+            mine.extend(_lock_kernel(Path(str(cache._cache_path))))
+        found = look_up(*arguments)  # another may have compiled it while we waited
+        if found is not None:
+            let_go()
+        return found
+
     def save_or_not(*arguments: Any) -> None:
         with contextlib.suppress(Exception):
             place()
             save(*arguments)
+        let_go()
+
+    def let_go() -> None:
+        while mine:
+            mine.pop().close()
 
     cache.load_overload, cache.save_overload = load_or_not, save_or_not
     return kernel
+
+
+def _lock_kernel(home: Path) -> list[IO[bytes]]:
+    """The lock of a kernel's folder, once nobody else has it; none after `_WAIT` seconds.
+
+    It goes with the process, however that ends. One whose compilation failed keeps it, hence the
+    limit.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such lock on this system
+        return []
+    home.mkdir(parents=True, exist_ok=True)
+    stream = open(home / _LOCK, "ab")  # noqa: SIM115 (it is closed when the kernel is saved)
+    end = time.monotonic() + _WAIT
+    while True:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return [stream]
+        except BlockingIOError:
+            if time.monotonic() > end:
+                stream.close()
+                return []
+            time.sleep(_POLL)
+        except OSError:  # a file system without locks
+            stream.close()
+            return []

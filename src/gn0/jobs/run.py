@@ -81,7 +81,7 @@ def run_jobs(
     def settle(answer: Answer) -> None:
         nonlocal finished
         if answer.value is None:
-            raise _error_of(answer, labels[answer.index])
+            raise error_of(answer, labels[answer.index])
         done(answer.index, answer.value)
         finished += 1
         progress(what, finished, len(units))
@@ -101,7 +101,7 @@ def run_jobs(
             drive(pool, _Units(units, labels, limit, settle, sums))
 
 
-def _error_of(answer: Answer, label: str) -> Gn0Error:
+def error_of(answer: Answer, label: str) -> Gn0Error:
     """The error that a unit raised, as it would have been without a worker."""
     if answer.code == JobError.code:
         return JobError(

@@ -103,17 +103,25 @@ class SampleMaker:
     Args:
         table: prompts of the stream's texts.
         slots: of the answers.
-        frame: the square that answers' coordinates are on.
+        frame: the square that answers' coordinates are on; not read where there are `maps`.
         device: of the states.
+        maps: float64 [E, 5] width, height, m a pixel, x_min, y_min of each episode's map, where
+            coordinates are on the whole of it, as in the paper.
     """
 
     def __init__(
-        self, table: PromptTable, slots: AnswerSlots, frame: EgoFrame, device: torch.device | str
+        self,
+        table: PromptTable,
+        slots: AnswerSlots,
+        frame: EgoFrame,
+        device: torch.device | str,
+        maps: Any = None,
     ) -> None:
         self.table, self.slots, self.frame = table, slots, frame
         self.device = torch.device(device)
         self._filler = PromptFiller(table, self._send)
         self._here = self._send(encode_place(frame))
+        self._maps = None if maps is None else self._send(np.asarray(maps, np.float64))
         self._answer = self._send(np.where(slots.ids == FREE, 0, slots.ids).astype(np.int64))
         self._actions = self._send(np.array(slots.vocabulary.actions, np.int64))
         self._at = {k: self._send(np.flatnonzero(slots.kinds == k)) for k in (X, Y, ACTION)}
@@ -138,33 +146,67 @@ class SampleMaker:
         return SampleBatch(
             tuple(states.pictures[name] for name in names),
             self.prompts(states.episode, states.pose, states.last, states.collided),
-            self.answers(states.actions, states.waypoints),
+            self.answers(states.actions, states.waypoints, states.episode, states.pose),
             states,
         )
 
     def prompts(self, episode: Tensor, pose: Tensor, last: Tensor, collided: Tensor) -> Tensor:
         """Prompts int64 [N, P]; see `LabelledStates` for what they are made of."""
         numbers = torch.empty((len(episode), 3), dtype=torch.int32, device=self.device)
-        numbers[:, :2] = self._here
+        if self._maps is None:
+            numbers[:, :2] = self._here
+        else:
+            here = torch.zeros((len(episode), 1, 2), device=self.device)
+            numbers[:, :2] = encode_maps(self._maps[episode.long()], here, pose)[:, 0]
         numbers[:, 2] = encode_headings(pose[:, 2])
         filled = self._filler.fill(episode.long(), last.long(), collided.long(), numbers)
         return filled.long()
 
-    def answers(self, actions: Tensor, waypoints: Tensor) -> Tensor:
-        """Answers int64 [N, S] of actions [N, 6] and waypoints [N, 13, 2] m."""
+    def answers(
+        self,
+        actions: Tensor,
+        waypoints: Tensor,
+        episode: Tensor | None = None,
+        pose: Tensor | None = None,
+    ) -> Tensor:
+        """Answers int64 [N, S] of actions [N, 6] and waypoints [N, 13, 2] m.
+
+        Episodes [N] and poses [N, 3] are read where coordinates are on whole maps.
+        """
         out = self._answer.expand(len(actions), -1).clone()
         out[:, self._at[ACTION]] = self._actions[actions.long()]
         form = self.slots.form
         if form.points:
-            tokens = encode_squares(self.frame, waypoints[:, form.first_point : form.points])
+            points = waypoints[:, form.first_point : form.points]
+            if self._maps is None:
+                tokens = encode_squares(self.frame, points)
+            else:
+                tokens = encode_maps(*self._on_map(episode, pose, points))
             for axis, kind in enumerate((X, Y)):
                 out[:, self._at[kind]] = tokens[..., axis] + self.slots.vocabulary.number
         return out
 
-    def waypoints(self, answer: Tensor) -> Tensor:
+    def _on_map(
+        self, episode: Tensor | None, pose: Tensor | None, points: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        assert self._maps is not None
+        if episode is None or pose is None:
+            raise ConfigError(
+                "coordinates on whole maps need episodes and poses",
+                where=self.table.template.file,
+                remedy="give those of the states",
+            )
+        return self._maps[episode.long()], points, pose
+
+    def waypoints(
+        self, answer: Tensor, episode: Tensor | None = None, pose: Tensor | None = None
+    ) -> Tensor:
         """Waypoints float32 [N, K, 2] m that answers name, from `form.first_point` on."""
         tokens = torch.stack([answer[:, self._at[kind]] for kind in (X, Y)], -1)
-        return decode_squares(self.frame, tokens - self.slots.vocabulary.number)
+        tokens = tokens - self.slots.vocabulary.number
+        if self._maps is None:
+            return decode_squares(self.frame, tokens)
+        return decode_maps(*self._on_map(episode, pose, tokens))
 
     def actions(self, answer: Tensor) -> Tensor:
         """Actions int64 [N, 6] of answers."""
@@ -192,6 +234,45 @@ def decode_squares(frame: EgoFrame, tokens: Tensor) -> Tensor:
     forward = frame.ahead * frame.size - 0.5 - pixels[..., 1]
     left = 0.5 * frame.size - 0.5 - pixels[..., 0]
     return (torch.stack([forward, left], -1) * frame.metres_per_pixel).float()
+
+
+def encode_maps(maps: Tensor, waypoints: Tensor, pose: Tensor) -> Tensor:
+    """`gn0.data.codec.encode_waypoints` on whole maps: int64 [N, K, 2].
+
+    The same tokens on the CPU; on a card a sine may differ in its last bit, and with it a token
+    whose waypoint lies on the border of two to 1e-13 m.
+
+    Args:
+        maps: float64 [N, 5], see `SampleMaker`.
+        waypoints: [N, K, 2] m in each agent's frame.
+        pose: float64 [N, 3].
+    """
+    width, height, scale, x_min, y_min = (one[:, None] for one in maps.unbind(-1))
+    cos, sin = _turn(pose)
+    x, y = waypoints[..., 0].double(), waypoints[..., 1].double()
+    right = (pose[:, :1] + cos * x - sin * y - x_min) / scale - 0.5
+    down = height - (pose[:, 1:2] + sin * x + cos * y - y_min) / scale - 0.5
+    scaled = torch.stack([right / width, down / height], -1) * MAP_BINS
+    return (scaled + 0.5).floor().clamp(0, MAP_BINS - 1).long()
+
+
+def decode_maps(maps: Tensor, tokens: Tensor, pose: Tensor) -> Tensor:
+    """`gn0.data.codec.decode_waypoints` on whole maps: float32 [N, K, 2] m; see `encode_maps`."""
+    width, height, scale, x_min, y_min = (one[:, None] for one in maps.unbind(-1))
+    cos, sin = _turn(pose)
+    right, down = tokens[..., 0].double() / MAP_BINS, tokens[..., 1].double() / MAP_BINS
+    x = x_min + (right * width + 0.5) * scale - pose[:, :1]
+    y = y_min + (height - 0.5 - down * height) * scale - pose[:, 1:2]
+    return torch.stack([cos * x + sin * y, -sin * x + cos * y], -1).float()
+
+
+def _turn(pose: Tensor) -> tuple[Tensor, Tensor]:
+    """Cosine and sine [N, 1] of headings; on the CPU those of NumPy, whose bits the codec has."""
+    yaw = pose[:, 2:]
+    if yaw.device.type != "cpu":
+        return yaw.cos(), yaw.sin()
+    numbers = yaw.numpy()
+    return torch.from_numpy(np.cos(numbers)), torch.from_numpy(np.sin(numbers))
 
 
 def encode_headings(yaw: Tensor) -> Tensor:

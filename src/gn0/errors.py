@@ -167,6 +167,12 @@ class CheckpointError(PolicyError):
     code = "CHECKPOINT"
 
 
+class TrainingError(Gn0Error):
+    """A training run cannot begin or go on: a loss is not finite, or its folder holds another."""
+
+    code = "TRAINING"
+
+
 class LanguageError(Gn0Error):
     """No instruction could be written: a language server failed, or its answer cannot be used."""
 

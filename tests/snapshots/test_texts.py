@@ -37,6 +37,7 @@ from gn0.render import RendererCpu
 from gn0.scenes import build_example_scene, import_scene, load_cloud, load_scene, save_scene
 from gn0.sim import find_preset
 from gn0.storage import safe_join
+from gn0.training.loss_guard import check_finite
 from gn0_trials.random_qwen import build_random_checkpoint
 from gn0_trials.routes import build_simple_route
 
@@ -216,6 +217,11 @@ WRONG: dict[str, dict[str, Callable[[Place], Any]]] = {
     "CHECKPOINT": {
         "a folder without a model": lambda p: load_numpy_model(p.folder),
         "weights as a pickle": lambda p: load_numpy_model(_pickled(p.folder)),
+    },
+    "TRAINING": {
+        "a loss that is no number": lambda p: check_finite(
+            {"loss": float("nan")}, step=1200, batch="samples 614400 to 614911"
+        )
     },
     "LANGUAGE": {"a prompt that was never recorded": _ask_what_was_not_recorded},
     "BENCH": {

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
 from transformers import AutoTokenizer, PreTrainedTokenizerBase, Qwen3VLForConditionalGeneration
 
 from gn0.errors import CheckpointError, brief
+from gn0.policies.bae.shard_file import write_shards
 from gn0.policies.bae.tokenizer import add_missing_tokens, read_token_ids
 from gn0.policies.bae.tokens import PAD_ROWS, TokenIds
 from gn0.policies.qwen.architecture import load_architecture
@@ -115,41 +114,24 @@ def save_checkpoint(
         checkpoint.model.config.dtype = dtype
         checkpoint.model.config.save_pretrained(made)
         checkpoint.tokenizer.save_pretrained(made)
-        hashes = _write_shards(made, checkpoint.model, shard_mb * 1_000_000, dtype)
+        hashes = _write_weights(made, checkpoint.model, shard_mb * 1_000_000, dtype)
         write_json(made / MANIFEST, hashes)
         if card:
             (made / "README.md").write_text(card, "utf-8")
 
 
-def _write_shards(
+def _write_weights(
     folder: Path, model: Qwen3VLForConditionalGeneration, limit: int, dtype: torch.dtype
 ) -> dict[str, str]:
     tied = bool(model.config.tie_word_embeddings)
-    shards: list[dict[str, torch.Tensor]] = [{}]
-    size = 0
-    for name, array in model.state_dict().items():
-        if tied and name == "lm_head.weight":
-            continue
-        own = array.numel() * dtype.itemsize
-        if shards[-1] and size + own > limit:
-            shards.append({})
-            size = 0
-        shards[-1][name] = array.detach().to("cpu", dtype).contiguous()
-        size += own
-    many = len(shards) > 1
-    names = [
-        f"model-{k + 1:05d}-of-{len(shards):05d}.safetensors" if many else SINGLE
-        for k in range(len(shards))
-    ]
-    for name, shard in zip(names, shards, strict=True):
-        save_file(shard, folder / name, metadata={"format": "pt"})
-    if many:
-        where = {key: name for name, shard in zip(names, shards, strict=True) for key in shard}
-        total = sum(one.numel() * one.element_size() for shard in shards for one in shard.values())
+    arrays = {
+        name: array
+        for name, array in model.state_dict().items()
+        if not (tied and name == "lm_head.weight")
+    }
+    single = SINGLE.removesuffix(".safetensors")
+    hashes, where = write_shards(folder, single, arrays.items(), limit, dtype)
+    if len(hashes) > 1:
+        total = sum(array.numel() for array in arrays.values()) * dtype.itemsize
         write_json(folder / INDEX, {"metadata": {"total_size": total}, "weight_map": where})
-    return {name: _hash(folder / name) for name in names}
-
-
-def _hash(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return hashes

@@ -209,6 +209,8 @@ def _probe_sides(point, normal, e1, e2, width, boxes, links, order, corners, nor
                 ox, oy, oz = px + 0.4 * reach * dx, py + 0.4 * reach * dy, pz + 0.4 * reach * dz
             else:
                 ox, oy, oz = px, py, pz
+            if covered < k:
+                continue  # it shows from one side: no need to look from the others
             # straight up from the middle, slanting outwards from the sides
             lean = 0.0 if k == 4 else 0.8
             sx, sy, sz = nx + lean * dx, ny + lean * dy, nz + lean * dz

@@ -169,27 +169,22 @@ def _fill_slivers(
     first = np.searchsorted(tiles.chart, np.arange(len(charts)))
     extent, splits = _splits(charts)
 
-    def tile_at(chart: NDArray[np.integer], point: F64) -> NDArray[np.int64]:
-        step = (point - charts.lower[chart]) / extent[chart] * splits[chart]
-        at = np.clip(step.astype(np.int64), 0, splits[chart] - 1)
-        # the first tile stands for a chart of which nothing was met
-        place = np.where(missed[chart], 0, at[:, 1] * splits[chart, 0] + at[:, 0])
-        return np.asarray(first[chart] + place, np.int64)
-
     g = np.flatnonzero(missed[owner] | ~met)
-    edge = np.linalg.norm(np.roll(charts.corners[g], -1, 1) - charts.corners[g], axis=2)
-    middle = charts.corners[g].mean(axis=1)
-    g = g[missed[owner[g]] | (edge.max(axis=1) > tiles.spacing[tile_at(owner[g], middle)])]
+    tile, middle, longest = _look_at(
+        charts.corners[g], owner[g], missed, charts.lower, extent, splits, first, tiles.spacing
+    )
+    g = g[missed[owner[g]] | (longest >= 0)]
     corner = np.broadcast_to(np.eye(3), (len(g), 3, 3))  # weights of the face's corners
-    done: list[tuple[NDArray[np.int64], F64]] = []
+    done: list[tuple[NDArray[Any], ...]] = []
     while len(g):
         point = corner @ charts.corners[g]
-        edge = np.linalg.norm(np.roll(point, -1, 1) - point, axis=2)
-        tile = tile_at(owner[g], point.mean(axis=1))
-        long = edge.max(axis=1) > tiles.spacing[tile]
-        done.append((g[~long], corner[~long]))
+        tile, middle, longest = _look_at(
+            point, owner[g], missed, charts.lower, extent, splits, first, tiles.spacing
+        )
+        short, long = longest < 0, longest >= 0
+        done.append((g[short], corner[short], point[short], tile[short], middle[short]))
         # halve the longest edge of the rest
-        g, corner, k = g[long], corner[long], edge[long].argmax(axis=1)
+        g, corner, k = g[long], corner[long], longest[long]
         row = np.arange(len(g))
         half = (corner[row, k] + corner[row, (k + 1) % 3]) / 2
         one, other = corner.copy(), corner.copy()
@@ -197,13 +192,11 @@ def _fill_slivers(
         g, corner = np.concatenate([g, g]), np.concatenate([one, other])
     if not done:
         return [np.empty(0, np.int64)]
-    g = np.concatenate([a for a, _ in done])
-    corner = np.concatenate([b for _, b in done])
-    point = corner @ charts.corners[g]
-    middle = point.mean(axis=1)
-    tile = tile_at(owner[g], middle)
-    empty = face[_cell_at(tiles, brick, offset, tile, middle)] < 0
-    keep = np.flatnonzero(missed[owner[g]] | empty)
+    g, corner, point, tile, middle = (np.concatenate(part) for part in zip(*done, strict=True))
+    cell = _cell_at(
+        tile, middle, tiles.lower, tiles.size, tiles.cells, np.asarray(brick, np.bool_), offset
+    )
+    keep = np.flatnonzero(missed[owner[g]] | (face[cell] < 0))
     keep = keep[np.argsort(g[keep], kind="stable")]
     g, corner, tile, middle = g[keep], corner[keep], tile[keep], middle[keep]
     d = point[keep] - middle[:, None]  # a triangle's covariance is a twelfth of its corners' sum
@@ -222,21 +215,51 @@ def _fill_slivers(
     ]
 
 
-def _cell_at(
-    tiles: Tiles,
-    brick: NDArray[np.bool_],
-    offset: NDArray[np.int64],
-    tile: NDArray[np.int64],
-    point: F64,
-) -> NDArray[np.int64]:
+@njit(error_model="numpy")
+def _look_at(point, owner, missed, lower, extent, splits, first, spacing):  # type: ignore[no-untyped-def]
+    """Of triangles [N, 3, 2] of charts: tile and middle of each, and its longest edge.
+
+    The edge is −1 where none is longer than the spacing of the tile.
+    """
+    n = len(point)
+    tile, longest = np.empty(n, np.int64), np.empty(n, np.int64)
+    middle = np.empty((n, 2))
+    for i in range(n):
+        c = owner[i]
+        place = np.int64(0)
+        for axis in range(2):
+            m = (point[i, 0, axis] + point[i, 1, axis] + point[i, 2, axis]) / 3.0
+            middle[i, axis] = m
+            at = int((m - lower[c, axis]) / extent[c, axis] * splits[c, axis])
+            at = min(max(at, 0), splits[c, axis] - 1)
+            place += at if axis == 0 else at * splits[c, 0]
+        # the first tile stands for a chart of which nothing was met
+        tile[i] = first[c] + (0 if missed[c] else place)
+        best = spacing[tile[i]]
+        longest[i] = -1
+        for k in range(3):
+            dx = point[i, (k + 1) % 3, 0] - point[i, k, 0]
+            dy = point[i, (k + 1) % 3, 1] - point[i, k, 1]
+            edge = np.sqrt(dx * dx + dy * dy)
+            if edge > best:
+                best, longest[i] = edge, k
+    return tile, middle, longest
+
+
+@njit(error_model="numpy")
+def _cell_at(tile, point, lower, size, cells, brick, offset):  # type: ignore[no-untyped-def]
     """The cell of tile [N] that a point [N, 2] lies in."""
-    nu, nv = tiles.cells[tile].T
-    step = (point - tiles.lower[tile]) / tiles.size[tile] * tiles.cells[tile]
-    row = np.clip(step[:, 1].astype(np.int64), 0, nv - 1)
-    shifted = brick[tile] & (row % 2 == 1)
-    column = np.clip((step[:, 0] + 0.5 * shifted).astype(np.int64), 0, nu - 1 + shifted)
-    before = row * nu + np.where(brick[tile], row // 2, 0)
-    return np.asarray(offset[tile] + before + column, np.int64)
+    out = np.empty(len(tile), np.int64)
+    for i in range(len(tile)):
+        t = tile[i]
+        nu, nv = cells[t, 0], cells[t, 1]
+        row = int((point[i, 1] - lower[t, 1]) / size[t, 1] * nv)
+        row = min(max(row, 0), nv - 1)
+        shift = 1 if brick[t] and row % 2 == 1 else 0
+        column = int((point[i, 0] - lower[t, 0]) / size[t, 0] * nu + 0.5 * shift)
+        column = min(max(column, 0), nu - 1 + shift)
+        out[i] = offset[t] + row * nu + column + (row // 2 if brick[t] else 0)
+    return out
 
 
 @njit

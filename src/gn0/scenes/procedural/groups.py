@@ -140,6 +140,8 @@ def place_dining(layout: RoomLayout, count: int, *, kelvin: float) -> bool:
             spots += [(x, -d / 2 - 0.1, math.pi), (x, d / 2 + 0.1, 0.0)]
         if count >= 6:
             spots += [(-w / 2 - 0.12, 0, math.pi / 2), (w / 2 + 0.12, 0, -math.pi / 2)]
+    # the chairs of a table are alike: one is built, and stands in every place that is tried
+    chair = chairs.build_chair(np.random.Generator(np.random.Philox(key=chair_seed)), palette, kind)
     for _ in range(60):
         turned = bool(rng.random() < 0.5)
         yaw = math.pi / 2 if turned else 0.0
@@ -149,9 +151,6 @@ def place_dining(layout: RoomLayout, count: int, *, kelvin: float) -> bool:
         group: list[tuple[Placed, bool]] = [(Placed(table, x, y, 0.0, yaw), True)]
         chair_rng = np.random.Generator(np.random.Philox(key=chair_seed))
         for dx, dy, turn in spots:
-            chair = chairs.build_chair(
-                np.random.Generator(np.random.Philox(key=chair_seed)), palette, kind
-            )
             jitter = float(chair_rng.uniform(-0.12, 0.12))
             off = float(chair_rng.uniform(-0.02, 0.06))
             length = math.hypot(dx, dy)

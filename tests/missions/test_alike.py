@@ -170,6 +170,27 @@ def test_what_the_map_shows_from_above_is_marked(flat: Scene) -> None:
     assert VISIBLE_FROM_ABOVE == "visible from above"
 
 
+@pytest.mark.parametrize(
+    ("category", "size", "base", "seen"),
+    [  # long, short and high [m], and above the floor, as the generated flats have them
+        ("picture", (1.3, 0.02, 0.9), 1.06, False),
+        ("mirror", (0.7, 0.02, 0.9), 1.2, False),
+        ("towel", (0.59, 0.13, 0.5), 0.86, False),
+        ("curtain", (2.5, 0.14, 2.2), 0.01, False),
+        ("tv", (1.1, 0.16, 0.6), 0.53, True),
+        ("bookshelf", (0.87, 0.26, 1.9), 0.0, True),
+        ("stool", (0.36, 0.36, 0.45), 0.0, False),
+    ],
+)
+def test_what_hangs_flat_on_a_wall_is_not_seen_from_above(
+    flat: Scene, category: str, size: tuple[float, float, float], base: float, seen: bool
+) -> None:
+    box = ObjectBox(centre=(2.0, 2.0, base + size[2] / 2), size=size, yaw=0.7)
+    alone = replace(flat, objects=(SceneObject(id="it", category=category, box=box),))
+    gatherer = GoalGatherer(alone, NavigationMap(flat.grid, 0.2))
+    assert gatherer.is_seen_from_above(0) is seen
+
+
 def test_gaps_between_footprints_are_those_of_another_geometry() -> None:
     """Shapely's, of boxes at any angle, side by side, one within another and without width."""
     rng = np.random.default_rng(0)

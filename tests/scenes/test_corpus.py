@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gn0.errors import ConfigError, FormatError, SceneError, StorageError
+from gn0.scenes import corpus_build
 from gn0.scenes.corpus import CorpusPart, CorpusSpec, load_corpus, load_spec, plan_corpus
 from gn0.scenes.corpus_build import JOURNAL_FILE, generate_corpus
 from gn0.scenes.folder import load_scene, save_scene
+from gn0.scenes.procedural.forms import list_forms
+from gn0.scenes.procedural.generate import GenerateSettings
+from gn0.scenes.scene import Scene
 from gn0.testing.scenes import build_room_scene
 
 
@@ -160,3 +165,69 @@ def test_kinds_with_most_scenes_give_first_and_of_equals_the_first_by_name() -> 
     plan = plan_corpus(CorpusSpec(parts=parts, splits={"train": 0.75, "test": 0.25}))
     dealt = Counter(scene.source for scene, _, _ in plan if scene.split == "test")
     assert dealt == {"office": 7, "apartment": 5}
+
+
+HELD_OUT = """
+parts:
+  - {kind: apartment, count: 30, size: small}
+  - {kind: residence, count: 10, size: small, split: val_unseen}
+splits: {train: 0.8, val_unseen: 0.2}
+held_out: {styles: [classic, dark modern], variants: 0.25}
+"""
+
+
+def test_held_out_styles_are_those_of_unseen_scenes_and_of_no_others(tmp_path: Path) -> None:
+    (tmp_path / "spec.yaml").write_text(HELD_OUT)
+    spec = load_spec(tmp_path / "spec.yaml")
+    styles: dict[str, Counter[str]] = {"train": Counter(), "val_unseen": Counter()}
+    for scene, _, _ in plan_corpus(spec):
+        styles[scene.split][scene.style] += 1
+    assert set(styles["train"]) == {"scandinavian", "warm wood", "colourful"}
+    assert set(styles["val_unseen"]) == {"classic", "dark modern"}
+    assert plan_corpus(spec) == plan_corpus(spec)
+    free = plan_corpus(CorpusSpec(parts=spec.parts, splits=spec.splits))
+    assert {scene.style for scene, _, _ in free} == {""}, "a scene's own seed decides"
+    assert [s for _, _, s in free] == [s for _, _, s in plan_corpus(spec)], "the same buildings"
+
+
+def test_only_scenes_for_training_go_without_variants(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: dict[str, GenerateSettings] = {}
+    room = build_room_scene()
+
+    def note(settings: GenerateSettings, folder: Path, **_: object) -> Scene:
+        asked[folder.name] = settings
+        return save_scene(replace(room, id=folder.name), folder)
+
+    monkeypatch.setattr(corpus_build, "generate_scene", note)
+    (tmp_path / "spec.yaml").write_text(HELD_OUT.replace("30", "3").replace("10", "1"))
+    corpus = generate_corpus(load_spec(tmp_path / "spec.yaml"), tmp_path / "corpus")
+    assert len(corpus.without) >= 0.25 * len(list_forms())
+    for scene in load_corpus(tmp_path / "corpus").scenes:
+        settings = asked[scene.id]
+        assert settings.style == scene.style
+        assert settings.without == (corpus.without if scene.split == "train" else ())
+
+
+@pytest.mark.parametrize(
+    ("held_out", "said"),
+    [
+        ("{styles: [classic], variants: 0.9}", "variants"),
+        ("{styles: [rococo]}", "rococo"),
+        ("{styles: [warm wood]}", "is held out"),
+        (
+            "{styles: [scandinavian, warm wood, dark modern, colourful, classic]}",
+            "is held out",
+        ),
+    ],
+)
+def test_what_cannot_be_held_out_is_told(tmp_path: Path, held_out: str, said: str) -> None:
+    path = tmp_path / "spec.yaml"
+    path.write_text(f"parts: [{{kind: apartment, style: warm wood}}]\nheld_out: {held_out}")
+    with pytest.raises((ConfigError, FormatError), match=said):
+        load_spec(path)
+    path.write_text(path.read_text().replace(", style: warm wood", ""))
+    if "scandinavian" in held_out:
+        with pytest.raises(ConfigError, match="all styles are held out"):
+            load_spec(path)

@@ -7,7 +7,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
@@ -19,7 +19,7 @@ from gn0.bench.pairing import tell_paths
 from gn0.bench.runner import run_suite
 from gn0.errors import BenchError, ConfigError, EpisodeError, SceneError, StorageError
 from gn0.missions.generate.path_pool import load_paths, load_texts
-from gn0.missions.generate.settings import MissionSettings
+from gn0.missions.generate.settings import MissionSettings, Phrasings
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.storage import storage_error
 from gn0.suites import generation
@@ -272,6 +272,23 @@ def test_a_corpus_says_the_split_of_each_scene(homes: Path, tmp_path: Path) -> N
         assert episode.split in (splits[episode.scene_id], "val_seen")
     assert set(manifest.totals.splits) == {"train", "val_seen", "val_unseen"}
     assert manifest.totals.splits["val_unseen"] == 8, "only training scenes hold out paths"
+
+
+def test_one_path_is_told_in_known_and_in_held_out_turns_of_phrase(
+    flat_folder: Path, tmp_path: Path
+) -> None:
+    told: dict[Phrasings, dict[str, str]] = {}
+    for phrasings in get_args(Phrasings):
+        measures = msgspec.structs.replace(SETTINGS, phrasings=phrasings, lights=0)
+        out = tmp_path / phrasings
+        suite, _ = generate_missions([flat_folder], out, measures, seed=1, split="val_unseen")
+        told[phrasings] = {e.id: e.mission.instruction for e in suite.episodes}
+    paths = {p: (tmp_path / p / PATHS).read_bytes() for p in told}
+    assert len(set(paths.values())) == 1
+    assert told["by_split"] == told["held_out"]
+    assert told["known"].keys() == told["held_out"].keys()
+    differ = [k for k, text in told["known"].items() if text != told["held_out"][k]]
+    assert len(differ) == len(told["known"])
 
 
 def test_no_path_at_all_is_an_error_that_says_why(flat_folder: Path, tmp_path: Path) -> None:

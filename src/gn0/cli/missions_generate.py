@@ -36,7 +36,8 @@ def _optional(metavar: str) -> Any:
 
 _Int, _Float = _optional("INT"), _optional("FLOAT")
 OWN = ("per_scene", "goals", "starts", "planner", "minimum_length", "maximum_length", "attempts",
-       "goal_picture", "lights", "val_seen", "language", "safety_margin", "reach")  # fmt: skip
+       "goal_picture", "lights", "val_seen", "language", "phrasings", "safety_margin",
+       "reach")  # fmt: skip
 
 
 class Args(Config, frozen=True):
@@ -70,6 +71,8 @@ class Args(Config, frozen=True):
         val_seen: share of the paths of training scenes held out as split val_seen (0.1).
         against: earlier generations or suites whose paths must not be repeated.
         language: who writes the texts: template, openai or replay (template).
+        phrasings: known ones in training scenes and held-out ones elsewhere (by_split), or known or
+            held_out ones everywhere; the paths stay the same.
         language_options: options of the language provider, as name=value: model=… base_url=… for
             openai, path=… for replay.
         spec: a YAML or JSON file of settings, with the keys of request.settings in manifest.json.
@@ -117,6 +120,9 @@ class Args(Config, frozen=True):
     val_seen: Annotated[float | None, _Float] = None
     against: tuple[str, ...] = ()
     language: Annotated[str | None, _optional("NAME")] = None
+    phrasings: Annotated[
+        Literal["by_split", "known", "held_out"] | None, _optional("{by_split,known,held_out}")
+    ] = None
     language_options: tuple[str, ...] = ()
     spec: str = ""
     agent: Annotated[str, _optional("NAME")] = ""

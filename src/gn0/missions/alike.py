@@ -38,6 +38,7 @@ SIDES = 4  # places at one instance of several
 TWIN_REACH = 2.9  # m: an instance that one cannot walk up to counts from as far as this
 SEEN_SHARE = 0.5  # of a footprint that nothing covers from above
 SEEN_SIZE = 0.4  # m, longest side of what the bird's-eye view shows well enough
+SEEN_DEPTH = 0.15  # m, its other side: pictures, mirrors, towels and curtains are lines from above
 _SAMPLES = 9  # points a side of a footprint
 
 
@@ -257,11 +258,13 @@ class GoalGatherer:
         )
 
     def is_seen_from_above(self, index: int) -> bool:
-        """Whether the bird's-eye view shows an object: 0.4 m, below the cut, half uncovered."""
+        """Whether the bird's-eye view shows an object: large enough, below the cut, half open."""
         objects = self._scene.objects
         box = objects[index].box
         top = box.centre[2] + box.size[2] / 2
         if max(box.size[:2]) < SEEN_SIZE or box.centre[2] > BEV_CUT:
+            return False
+        if min(box.size[:2]) < SEEN_DEPTH:
             return False
         t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
         c, s = np.cos(box.yaw), np.sin(box.yaw)

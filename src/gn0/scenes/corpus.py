@@ -14,13 +14,14 @@ from collections import Counter
 from collections.abc import Sequence
 from heapq import heapify, heapreplace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 
 from gn0.config import Config, load_json
 from gn0.errors import ConfigError, FormatError
 from gn0.scenes.folder import check_scene_id
+from gn0.scenes.procedural.forms import MOST, hold_out_forms
 from gn0.scenes.procedural.kinds import KINDS, SizeName, StyleName
 from gn0.scenes.scene_sources import scene_id_from
 from gn0.seeds import random_stream
@@ -60,6 +61,19 @@ class CorpusPart(Config, frozen=True):
     name: str = ""
 
 
+class CorpusHeldOut(Config, frozen=True):
+    """What scenes of the training split never show.
+
+    Attributes:
+        styles: generated scenes for training have none of these styles, all others only these.
+        variants: share of the forms of furniture that training scenes go without; the others
+            have all. See `gn0.scenes.procedural.forms`.
+    """
+
+    styles: tuple[StyleName, ...] = ()
+    variants: Annotated[float, msgspec.Meta(ge=0, le=MOST)] = 0.0
+
+
 class CorpusSpec(Config, frozen=True):
     """What a corpus holds.
 
@@ -69,6 +83,7 @@ class CorpusSpec(Config, frozen=True):
         seed: seed of everything drawn by chance: buildings and splits.
         splits: share of the scenes in each split.
         val_seen: share of the training scenes of which missions hold out paths.
+        held_out: styles and forms of furniture that training never sees.
     """
 
     parts: Annotated[tuple[CorpusPart, ...], msgspec.Meta(min_length=1)]
@@ -78,6 +93,7 @@ class CorpusSpec(Config, frozen=True):
         default_factory=lambda: {"train": 0.8, "val_unseen": 0.1, "test": 0.1}
     )
     val_seen: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.25
+    held_out: CorpusHeldOut | msgspec.UnsetType = msgspec.UNSET  # unset: digests are what they were
 
 
 class CorpusScene(Config, frozen=True):
@@ -89,6 +105,7 @@ class CorpusScene(Config, frozen=True):
         split: train, val_unseen or test.
         source: kind of building, or "import".
         val_seen: missions hold out paths of it (train only).
+        style: of its furnishing, where the corpus chose it.
         hash: content hash of the scene.
         area: walkable ground before inflation [m²].
         gaussians, objects, rooms: how many.
@@ -99,6 +116,7 @@ class CorpusScene(Config, frozen=True):
     split: SplitName
     source: str
     val_seen: bool = False
+    style: str = ""
     hash: str = ""
     area: float = 0.0
     gaussians: int = 0
@@ -107,7 +125,10 @@ class CorpusScene(Config, frozen=True):
 
 
 class CorpusFile(Config, frozen=True):
-    """The content of `corpus.json`."""
+    """The content of `corpus.json`.
+
+    `without` are the forms of furniture that the scenes for training go without.
+    """
 
     layout: int
     name: str
@@ -115,6 +136,7 @@ class CorpusFile(Config, frozen=True):
     spec: str  # digest of the spec
     scenes: tuple[CorpusScene, ...]
     software: str = ""
+    without: tuple[str, ...] = ()
 
 
 def load_spec(path: Path | str) -> CorpusSpec:
@@ -140,7 +162,8 @@ def check_spec(spec: CorpusSpec, path: Path | str = "") -> CorpusSpec:
     """The spec itself, if it does not contradict itself.
 
     Raises:
-        ConfigError: a part with no or two makes, an unknown kind, shares that do not sum to 1.
+        ConfigError: a part with no or two makes, an unknown kind, shares that do not sum to 1; all
+            styles held out, or one that a part for training asks for.
     """
     for number, part in enumerate(spec.parts, 1):
         where = f"{path}, part {number}".lstrip(", ")
@@ -156,6 +179,15 @@ def check_spec(spec: CorpusSpec, path: Path | str = "") -> CorpusSpec:
             raise ConfigError(
                 f"an import is one scene, count is {part.count}", where=where, remedy="leave it out"
             )
+        if part.style in held_out_styles(spec) and part.split in (None, "train"):
+            raise ConfigError(
+                f"the style {part.style!r} is held out, and asked for where scenes may be trained "
+                "on",
+                where=where,
+                remedy="give the part another style, or `split: val_unseen`",
+            )
+    if len(held_out_styles(spec)) == len(get_args(StyleName)):
+        raise ConfigError("all styles are held out", where=path, remedy="leave one to train on")
     if abs(sum(spec.splits.values()) - 1.0) > 1e-6:
         raise ConfigError(
             f"the shares of the splits sum to {sum(spec.splits.values()):g}",
@@ -163,6 +195,26 @@ def check_spec(spec: CorpusSpec, path: Path | str = "") -> CorpusSpec:
             remedy="make them sum to 1",
         )
     return spec
+
+
+def held_out_styles(spec: CorpusSpec) -> frozenset[str]:
+    """The styles that scenes for training never have."""
+    return frozenset(spec.held_out.styles if spec.held_out else ())
+
+
+def held_out_forms(spec: CorpusSpec) -> tuple[str, ...]:
+    """The forms of furniture that scenes for training go without."""
+    return hold_out_forms(spec.seed, spec.held_out.variants) if spec.held_out else ()
+
+
+def _choose_style(spec: CorpusSpec, id: str, part: CorpusPart, split: SplitName) -> str:
+    """The style of a scene; "" where its own seed decides."""
+    apart = held_out_styles(spec)
+    if part.style or not apart or part.path:
+        return part.style or ""
+    usable = [s for s in get_args(StyleName) if (s in apart) == (split != "train")]
+    rng = random_stream(spec.seed, "corpus", "style", id)
+    return usable[int(rng.integers(len(usable)))]
 
 
 def plan_corpus(spec: CorpusSpec) -> list[tuple[CorpusScene, CorpusPart, int]]:
@@ -202,6 +254,7 @@ def plan_corpus(spec: CorpusSpec) -> list[tuple[CorpusScene, CorpusPart, int]]:
                     split=splits[id],
                     source=part.kind or "import",
                     val_seen=id in seen,
+                    style=_choose_style(spec, id, part, splits[id]),
                 ),
                 part,
                 seed,

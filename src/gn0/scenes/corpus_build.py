@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +24,7 @@ from gn0.scenes.corpus import (
     CorpusPart,
     CorpusScene,
     CorpusSpec,
+    held_out_forms,
     plan_corpus,
 )
 from gn0.scenes.folder import load_scene, save_scene
@@ -77,7 +78,10 @@ def generate_corpus(
         sweep_folder(out)
         done = _read_journal(out, digest)
         todo = [item for item in plan if item[0].id not in done]
-        payloads = [_payload(scene, part, seed, out, Path(base)) for scene, part, seed in todo]
+        without = held_out_forms(spec)
+        payloads = [
+            _payload(scene, part, seed, out, Path(base), without) for scene, part, seed in todo
+        ]
         with Journal(out / JOURNAL_FILE) as journal:
             if not journal.read():
                 journal.append({"corpus": digest})
@@ -105,6 +109,7 @@ def generate_corpus(
             spec=digest,
             scenes=tuple(msgspec.structs.replace(scene, **done[scene.id]) for scene, _, _ in plan),
             software=f"gn0 {__version__}",
+            without=without,
         )
         write_json(out / CORPUS_FILE, msgspec.to_builtins(about))
     return about
@@ -130,7 +135,12 @@ def _read_journal(out: Path, digest: str) -> dict[str, dict[str, Any]]:
 
 
 def _payload(
-    scene: CorpusScene, part: CorpusPart, seed: int, out: Path, base: Path
+    scene: CorpusScene,
+    part: CorpusPart,
+    seed: int,
+    out: Path,
+    base: Path,
+    without: Sequence[str],
 ) -> dict[str, Any]:
     path = ""
     if part.path:
@@ -141,6 +151,8 @@ def _payload(
         "part": msgspec.to_builtins(part),
         "path": path,
         "seed": seed,
+        "style": scene.style or None,
+        "without": list(without) if scene.split == "train" else [],
     }
 
 
@@ -157,11 +169,12 @@ def build_corpus_scene(
                 "kind": part.kind,
                 "seed": payload["seed"],
                 "size": part.size,
-                "style": part.style,
+                "style": payload["style"],
                 "density": part.density,
                 "light": part.light,
                 "refine": part.refine,
                 "cloud_form": "packed" if part.packed else "exact",
+                "without": payload["without"],
             },
             GenerateSettings,
         )

@@ -23,6 +23,7 @@ Planner = Literal["any-angle", "astar"]
 PictureKind = Literal["mixed", "view", "crop"]
 MissionKind = Literal["goal", "instruction"]
 RouteStyle = Literal["detailed", "benchmark"]
+Phrasings = Literal["by_split", "known", "held_out"]
 
 
 class MissionSettings(Config, frozen=True):
@@ -56,6 +57,8 @@ class MissionSettings(Config, frozen=True):
         val_seen: share of the paths held out as split val_seen, in training scenes that a corpus
             has chosen for it, and in all training scenes outside a corpus.
         language: who writes the texts.
+        phrasings: turns of phrase of the grammar: those kept for unseen splits in these and the
+            others elsewhere, or the same everywhere. Paths are the same with any.
     """
 
     per_scene: Count = 50
@@ -80,6 +83,7 @@ class MissionSettings(Config, frozen=True):
     lights: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
     val_seen: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.1
     language: str = "template"
+    phrasings: Phrasings = "by_split"
 
     def __post_init__(self) -> None:
         if not self.missions or len(set(self.missions)) != len(self.missions):

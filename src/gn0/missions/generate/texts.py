@@ -12,7 +12,7 @@ from gn0.missions.alike import describe_target
 from gn0.missions.generate.path_missions import UNSEEN, fixed_text
 from gn0.missions.generate.path_pool import PathRecord, PathText
 from gn0.missions.generate.scene_paths import ScenePaths
-from gn0.missions.generate.settings import MissionSettings
+from gn0.missions.generate.settings import MissionSettings, Phrasings
 from gn0.missions.language.describe import describe_route
 from gn0.missions.language.providers import TextProvider
 from gn0.missions.language.route import RouteDescription, Style
@@ -68,7 +68,11 @@ def write_path_texts(
         styles += settings.styles
     written: dict[str, dict[Style, PathText]] = {}
     for unseen in (False, True):
-        chosen = [r for r in paths.records if r.path_id in routes and (r.split in UNSEEN) == unseen]
+        chosen = [
+            r
+            for r in paths.records
+            if r.path_id in routes and _is_held_out(r.split, settings.phrasings) == unseen
+        ]
         told = _tell(chosen, routes, provider, styles, seed, unseen, fallbacks, progress)
         written.update(told)
     texts: list[PathText] = []
@@ -80,6 +84,11 @@ def write_path_texts(
             mine["base"] = _plain_text(scene, record, target)
         texts += [mine[style] for style in ("base", *settings.styles) if style in mine]
     return texts, dict(sorted(fallbacks.items()))
+
+
+def _is_held_out(split: str, phrasings: Phrasings) -> bool:
+    """Whether a path of a split is told in the turns of phrase that training never sees."""
+    return split in UNSEEN if phrasings == "by_split" else phrasings == "held_out"
 
 
 def _tell(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gn0.scenes.procedural.building import Building, choose_palette
 from gn0.scenes.procedural.draft import SceneDraft
+from gn0.scenes.procedural.palette import Palette
 from gn0.scenes.procedural.plan import plan_apartment
 from gn0.scenes.procedural.room_contents import furnish_room
 
@@ -16,7 +17,9 @@ NEEDED = {
 }
 
 
-def draft_apartment(seed: int, *, size: str = "medium", style: str | None = None) -> SceneDraft:
+def draft_apartment(
+    seed: int, *, size: str = "medium", style: str | Palette | None = None
+) -> SceneDraft:
     """A furnished flat: geometry, materials, objects, rooms and lamps, before light.
 
     Args:

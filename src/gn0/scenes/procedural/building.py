@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +14,7 @@ from gn0.maps.navigation import NavigationMap
 from gn0.scenes.occupancy import build_occupancy
 from gn0.scenes.procedural.assembly import Assembly, Placed
 from gn0.scenes.procedural.draft import SceneDraft, Sun
+from gn0.scenes.procedural.forms import check_forms
 from gn0.scenes.procedural.layout import RoomLayout
 from gn0.scenes.procedural.palette import STYLES, Palette
 from gn0.scenes.procedural.plan import FloorPlan, Room
@@ -63,17 +64,23 @@ def check_reach(draft: SceneDraft, plan: FloorPlan, grid: OccupancyGrid | None =
     return Reach(tuple(cut_off), float((regions == main).mean()))
 
 
-def choose_palette(kind: str, seed: int, style: str | None) -> Palette:
-    """The palette of a named style, or one drawn from the seed.
+def choose_palette(
+    kind: str, seed: int, style: str | Palette | None, without: Iterable[str] = ()
+) -> Palette:
+    """The palette of a named style, or one drawn from the seed; a palette is taken as it is.
 
     Raises:
         SceneError: an unknown style.
+        ConfigError: an unknown form in `without`.
     """
+    if isinstance(style, Palette):
+        return style
     rng = random_stream(seed, kind, "style")
     names = [s.name for s in STYLES]
     if style is not None and style not in names:
         raise SceneError(f"unknown style {style!r}", remedy=f"use one of {', '.join(names)}")
-    return Palette(STYLES[int(rng.integers(len(STYLES))) if style is None else names.index(style)])
+    chosen = int(rng.integers(len(STYLES))) if style is None else names.index(style)
+    return Palette(STYLES[chosen], check_forms(without))
 
 
 @dataclass

@@ -276,7 +276,9 @@ class CorridorFinish:
         return RoomFinish(walls, self.floor, crown=hotel, ceiling=ceiling)
 
 
-def draft_corridor(seed: int, *, size: str = "medium", style: str | None = None) -> SceneDraft:
+def draft_corridor(
+    seed: int, *, size: str = "medium", style: str | Palette | None = None
+) -> SceneDraft:
     """A furnished corridor with its rooms: geometry, materials, objects, rooms, lamps.
 
     Args:

@@ -104,7 +104,9 @@ def plan_yard(seed: int, size: str) -> Yard:
     return Yard(plan, tuple(zones), tuple(quarters), w, d, square, side)
 
 
-def draft_courtyard(seed: int, *, size: str = "medium", style: str | None = None) -> SceneDraft:
+def draft_courtyard(
+    seed: int, *, size: str = "medium", style: str | Palette | None = None
+) -> SceneDraft:
     """A planted yard under the open sky, before light.
 
     Args:

@@ -12,6 +12,7 @@ from gn0.config import Config, check_config
 from gn0.progress import Progress, no_progress
 from gn0.scenes.folder import CloudForm, save_scene
 from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
+from gn0.scenes.procedural.building import choose_palette
 from gn0.scenes.procedural.finish import cover_outlined, floor_area, light_draft
 from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
 from gn0.scenes.procedural.refine_views import refine_draft
@@ -31,6 +32,7 @@ class GenerateSettings(Config, frozen=True):
         light: "normal", or "draft" for a bake that takes a third of the time.
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).
         refine: fit the Gaussians to ray-traced pictures: sharper outlines, minutes of work.
+        without: forms of furniture that it goes without, as "seats/chair/2"; see `forms.FORMS`.
     """
 
     kind: KindName = "apartment"
@@ -41,6 +43,7 @@ class GenerateSettings(Config, frozen=True):
     light: Literal["normal", "draft"] = "normal"
     cloud_form: CloudForm = "exact"
     refine: bool = False
+    without: tuple[str, ...] = ()
 
 
 def build_generated(
@@ -56,7 +59,8 @@ def build_generated(
     kind = KINDS[settings.kind]
     density = kind.density if settings.density is None else settings.density
     progress("furnishing", 0, 1)
-    draft = kind.draft(settings.seed, size=settings.size, style=settings.style)
+    palette = choose_palette(settings.kind, settings.seed, settings.style, settings.without)
+    draft = kind.draft(settings.seed, size=settings.size, style=palette)
     progress("furnishing", 1, 1)
     progress("mapping", 0, 1)
     grid = build_occupancy(draft.mesh)
@@ -87,6 +91,7 @@ def build_generated(
                 "height_band_low": BAND[0],
                 "height_band_high": BAND[1],
                 "resolution": RESOLUTION,
+                **({"without": ", ".join(settings.without)} if settings.without else {}),
             },
             label_source="generated",
         ),

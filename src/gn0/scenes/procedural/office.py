@@ -160,7 +160,9 @@ def office_carpet(palette: Palette) -> Material:
     )  # fmt: skip
 
 
-def draft_office(seed: int, *, size: str = "medium", style: str | None = None) -> SceneDraft:
+def draft_office(
+    seed: int, *, size: str = "medium", style: str | Palette | None = None
+) -> SceneDraft:
     """A furnished office: geometry, materials, objects, rooms and lamps, before light.
 
     Args:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from gn0.scenes.procedural.draft import Colour, Material
+from gn0.scenes.procedural.forms import permit_form
 
 
 def linear_colour(code: str) -> Colour:
@@ -158,9 +160,14 @@ STYLES = (
 
 @dataclass(frozen=True)
 class Palette:
-    """Materials in one style, drawn with a random stream."""
+    """Materials in one style, drawn with a random stream, and the forms that it goes without."""
 
     style: Style
+    without: frozenset[str] = frozenset()
+
+    def form(self, thing: str, drawn: int, among: Iterable[int] | None = None) -> int:
+        """The form of a thing that was drawn, or one in its place; see `permit_form`."""
+        return permit_form(thing, drawn, self.without, among)
 
     def wood(self, rng: np.random.Generator, rank: int | None = None) -> Material:
         """Furniture wood; `rank` 0 is the flat's main wood."""

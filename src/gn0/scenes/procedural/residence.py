@@ -7,6 +7,7 @@ import numpy as np
 from gn0.errors import SceneError
 from gn0.scenes.procedural.building import Building, choose_palette
 from gn0.scenes.procedural.draft import SceneDraft
+from gn0.scenes.procedural.palette import Palette
 from gn0.scenes.procedural.plan import Cell, FloorPlan, Room, Wall
 from gn0.scenes.procedural.plan_cells import (
     NO_JOINT,
@@ -174,7 +175,9 @@ def _windows(rng: np.random.Generator) -> WindowRule:
     return windows
 
 
-def draft_residence(seed: int, *, size: str = "medium", style: str | None = None) -> SceneDraft:
+def draft_residence(
+    seed: int, *, size: str = "medium", style: str | Palette | None = None
+) -> SceneDraft:
     """A furnished large home: geometry, materials, objects, rooms and lamps, before light.
 
     Args:

@@ -135,7 +135,9 @@ def plan_store(seed: int, size: str) -> Store:
     return Store(plan, tuple(zones), gondolas, families, bays, lanes, width, depth)
 
 
-def draft_supermarket(seed: int, *, size: str = "medium", style: str | None = None) -> SceneDraft:
+def draft_supermarket(
+    seed: int, *, size: str = "medium", style: str | Palette | None = None
+) -> SceneDraft:
     """A stocked supermarket, before light.
 
     Args:

@@ -129,7 +129,9 @@ def plan_depot(seed: int, size: str) -> Depot:
     return Depot(plan, tuple(zones), tuple(rows), bays, docks, width, depth)
 
 
-def draft_warehouse(seed: int, *, size: str = "medium", style: str | None = None) -> SceneDraft:
+def draft_warehouse(
+    seed: int, *, size: str = "medium", style: str | Palette | None = None
+) -> SceneDraft:
     """A stocked warehouse, before light.
 
     Args:

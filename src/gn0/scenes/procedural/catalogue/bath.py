@@ -78,7 +78,7 @@ def build_toilet(rng: np.random.Generator) -> Item:
 def build_washbasin(rng: np.random.Generator, palette: Palette) -> Item:
     """A washbasin with a cupboard, a table, or a pedestal, and its tap; back at y = +depth/2."""
     w, d, h = float(rng.uniform(0.58, 0.85)), 0.46, 0.85
-    kind = int(rng.integers(3))
+    kind = palette.form("bath/washbasin", int(rng.integers(3)))
     shapes: list[Shape] = []
     front = palette.wood(rng, 0) if rng.random() < 0.5 else palette.painted(rng)
     if kind == 2:

@@ -227,7 +227,7 @@ def build_pot(rng: np.random.Generator, palette: Palette) -> Item:
 def build_fridge(rng: np.random.Generator, palette: Palette) -> Item:
     """A fridge-freezer: white, steel or lacquered with round edges."""
     w, d, h = 0.62, 0.64, float(rng.uniform(1.75, 1.95))
-    kind = int(rng.integers(3))
+    kind = palette.form("kitchen/fridge", int(rng.integers(3)))
     m = (
         WHITE,
         STEEL,

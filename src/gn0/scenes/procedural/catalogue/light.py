@@ -74,7 +74,7 @@ def build_ceiling_lamp(
     rng: np.random.Generator, palette: Palette, *, kelvin: float, flux: float = CEILING_FLUX
 ) -> Item:
     """A lamp under the ceiling; its base plate is at z = 0, the body hangs below."""
-    kind = int(rng.integers(3))
+    kind = palette.form("light/ceiling_lamp", int(rng.integers(3)))
     metal = palette.metal()
     if kind == 0:
         r = float(rng.uniform(0.17, 0.24))
@@ -115,7 +115,7 @@ def build_pendant(
     rng: np.random.Generator, palette: Palette, drop: float, *, kelvin: float
 ) -> Item:
     """A lamp on a cord of length `drop` [m] below z = 0."""
-    kind = int(rng.integers(4))
+    kind = palette.form("light/pendant", int(rng.integers(4)))
     metal = (
         palette.metal()
         if rng.random() < 0.6
@@ -170,7 +170,7 @@ def build_pendant(
 
 def build_floor_lamp(rng: np.random.Generator, palette: Palette, *, kelvin: float) -> Item:
     """A standing lamp: shade on a pole, tripod, or arc."""
-    kind = int(rng.integers(3))
+    kind = palette.form("light/floor_lamp", int(rng.integers(3)))
     metal, h = palette.metal(), float(rng.uniform(1.4, 1.6))
     shade_code = str(rng.choice(["#f1e6cf", "#eadfcb", "#e3c79a", "#f3efe6"]))
     shapes: list[Shape] = []
@@ -217,7 +217,7 @@ def build_floor_lamp(rng: np.random.Generator, palette: Palette, *, kelvin: floa
 
 def build_table_lamp(rng: np.random.Generator, palette: Palette, *, kelvin: float) -> Item:
     """A lamp with a turned foot and a cloth shade."""
-    kind = int(rng.integers(4))
+    kind = palette.form("light/table_lamp", int(rng.integers(4)))
     h = float(rng.uniform(0.36, 0.5))
     if kind == 0:
         body = [

@@ -74,7 +74,10 @@ def build_plant(rng: np.random.Generator, palette: Palette, height: float) -> It
     pot_h = float(np.clip(height * 0.26, 0.09, 0.34))
     pot_r = pot_h * float(rng.uniform(0.5, 0.62))
     shapes = build_pot(rng, palette, pot_r, pot_h)
-    kind = int(rng.integers(5)) if height > 0.6 else int(rng.choice([3, 4, 5]))
+    if height > 0.6:
+        kind = palette.form("decor/plant", int(rng.integers(5)), range(5))
+    else:
+        kind = palette.form("decor/plant", int(rng.choice([3, 4, 5])), (3, 4, 5))
     crown = height - pot_h
     leaves: list[Shape] = []
     if kind == 0:  # palm: arching fronds of many leaflets
@@ -224,7 +227,7 @@ def build_vase(rng: np.random.Generator, palette: Palette, *, flowers: bool | No
             (r * 0.6, h),
         ],
     )
-    outer = outlines[int(rng.integers(4))]
+    outer = outlines[palette.form("decor/vase", int(rng.integers(4)))]
     t = 0.004
     inner = [(max(a - t, 0.004), z) for a, z in outer[::-1][:-1]]
     shapes = [build_lathe([*outer, *inner, (0, inner[-1][1] + 0.01)], material, segments=22)]

@@ -24,6 +24,7 @@ from gn0.scenes.procedural.shapes_soft import thicken
 def build_chair(rng: np.random.Generator, palette: Palette, kind: int | None = None) -> Item:
     """A dining chair: 0 slatted wood, 1 moulded shell, 2 upholstered, 3 bentwood."""
     kind = int(rng.integers(4)) if kind is None else kind % 4
+    kind = palette.form("seats/chair", kind)
     wood = palette.wood(rng, 0)
     h = 0.45
     if kind == 1:

@@ -38,7 +38,7 @@ def build_dining_table(rng: np.random.Generator, palette: Palette, seats: int) -
     w = {2: 0.9, 4: 1.35, 6: 1.75, 8: 2.1}.get(seats, 1.4) * float(rng.uniform(0.95, 1.05))
     d = float(rng.uniform(0.8, 0.92))
     shapes = [build_box((w, d, 0.034), wood, bevel=0.008, at=(0, 0, h - 0.034))]
-    kind = int(rng.integers(3))
+    kind = palette.form("tables/dining_table", int(rng.integers(3)))
     if kind == 0:
         shapes += build_legs(w - 0.12, d - 0.12, h - 0.03, wood, radius=0.032, square=True)
         shapes += [

@@ -22,7 +22,7 @@ from gn0.scenes.procedural.shapes import (
 
 def build_coffee_table(rng: np.random.Generator, palette: Palette) -> Item:
     """A low table: rectangular, round, oval, or with a glass or marble top."""
-    kind = int(rng.integers(4))
+    kind = palette.form("tables/coffee_table", int(rng.integers(4)))
     wood, h = palette.wood(rng, 0), float(rng.uniform(0.38, 0.45))
     marble = plain(
         "marble", "marble", "#e9e6e1", second="#8f8c88", scale=0.4, contrast=0.5, detail=0.8

@@ -65,6 +65,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "explorer": "gn0.policies.explorer:PolicyExplorer",
         "recorded": "gn0.policies.recorded:PolicyRecorded",
         "remote": "gn0.policies.remote.policy_remote:PolicyRemote",
+        "bae": "gn0.policies.bae.policy_bae:PolicyBae",
     },
     "policy_host": {"own-process": "gn0.policies.remote.isolated:PolicyIsolated"},
     "exporter": {

@@ -153,14 +153,18 @@ class EpisodeGroup:
             backend=settings.backend,
             max_steps=settings.max_steps,
             on_device=settings.on_device,
+            map_view=getattr(self._policy, "map_view", None),
         )
         return RolloutBatch(walkers, self._policy)
 
     def _noted(self, slot: int, result: EpisodeResult) -> EpisodeResult:
         """The result with what the policy has to say about itself."""
-        if not isinstance(self._policy, PolicyBatchEach):
-            return result
-        policy = self._policy.find_policy(slot)
-        if isinstance(policy, PolicyNotes) and (notes := policy.notes()):
+        notes: dict[str, int] = {}
+        if hasattr(self._policy, "notes_of"):
+            notes = self._policy.notes_of(slot)
+        elif isinstance(self._policy, PolicyBatchEach):
+            policy = self._policy.find_policy(slot)
+            notes = policy.notes() if isinstance(policy, PolicyNotes) else {}
+        if notes:
             return msgspec.structs.replace(result, notes=dict(sorted(notes.items())))
         return result

@@ -175,6 +175,7 @@ class EpisodeWorker:
                 light=light,
                 renderer=self._ask_for(carried, Look(str(folder), scene_id, expected_hash, light)),
                 one_step_moves=s.profile in ONE_STEP_PROFILES,
+                map_view=getattr(self.policy, "map_view", None),
             )
             self._honest = NavigationMap(scene.grid, s.agent.radius) if released else None
             self._hash, self._light, self._carried = expected_hash, light, carried

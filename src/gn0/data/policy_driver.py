@@ -160,6 +160,7 @@ class Driver:
             backend=about.settings.pictures.drawn_by,
             max_steps=self._settings.max_steps,
             on_device=self._on_device,
+            map_view=getattr(self._policy, "map_view", None),
         )
         return RolloutBatch(walkers, self._together)
 
@@ -182,6 +183,7 @@ class Driver:
                 navigation=self._dataset.navigation(scene_id),
                 light=light,
                 renderer=self._ask(scene_id, light) if sees else None,
+                map_view=getattr(self._policy, "map_view", None),
             )
             self._look = look
         return self._simulator

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -87,6 +88,10 @@ class PolicyBatch(Protocol):
 
     A slot holds one episode at a time. Slots know nothing of each other: how observations are
     grouped into calls, and in which order they stand in a call, changes no action.
+
+    A batch may have `identity()`, as `PolicyIdentified`; `card_rows` and `notes_of(slot)`, as
+    `PolicyNotes` has them for one agent; and `map_view`, the squares of the sensor ego_map that it
+    wants (`gn0.sim.ego_map.MapView`).
 
     Attributes:
         name: written to results and to the protocol card.
@@ -192,6 +197,11 @@ class PolicyOfBatch:
         self.slot = slot
         self.name = batch.name
         self.sensors: frozenset[str] = frozenset(batch.sensors)
+        for optional in ("identity", "card_rows", "map_view"):
+            if hasattr(batch, optional):
+                setattr(self, optional, getattr(batch, optional))
+        if hasattr(batch, "notes_of"):
+            self.notes = partial(batch.notes_of, slot)
 
     def reset(self, instruction: str, rng: np.random.Generator) -> None:
         """Begin an episode."""

@@ -17,6 +17,7 @@ from gn0.render.open import name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.seeds import random_stream
 from gn0.sim.batch import SimulatorBatch
+from gn0.sim.ego_map import MapView
 from gn0.sim.ground import turns_a_circle
 from gn0.sim.open import split_look
 from gn0.sim.policy import (
@@ -168,6 +169,7 @@ def open_agents(
     backend: str,
     max_steps: int,
     on_device: bool = False,
+    map_view: MapView | None = None,
 ) -> Walkers:
     """Agents of one body in one scene, on the CPU or on a device.
 
@@ -181,6 +183,7 @@ def open_agents(
         backend: draws what they see.
         max_steps: actions until an episode is cut off.
         on_device: on the device that is here, where it can have them: see `why_on_host`.
+        map_view: squares of the sensor ego_map on a device; on the CPU the simulator's own.
 
     Raises:
         DeviceError: the device cannot be used, or is too small.
@@ -200,6 +203,7 @@ def open_agents(
             max_steps=max_steps,
             map_mode=map_mode,
             visible_sets=backend in VISIBLE_BACKENDS,
+            map_view=map_view,
         )
         return env.claim({scene.id: ground.navigation})
     own = open_simulator(first.light, sensors)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gn0.data.answer_slots import FREE, AnswerSlots, compile_slots
 from gn0.data.codec import EgoFrame, encode_heading, encode_waypoints
 from gn0.data.navigation_vocabulary import TextTokenizer
-from gn0.errors import CheckpointError, PolicyError
+from gn0.errors import CheckpointError, ConfigError, FormatError, PolicyError, StorageError
 from gn0.policies.bae.policy_settings import SQUARE_NAMES, PolicySettings, load_policy_settings
 from gn0.policies.bae.prompt_fields import PromptState
 from gn0.policies.bae.prompt_table import PromptFiller, build_prompt_table
@@ -39,10 +39,15 @@ class Questions:
     def __init__(self, folder: Path, tokenizer: TextTokenizer | None = None) -> None:
         self.folder = folder
         self.settings: PolicySettings = load_policy_settings(folder)
-        self.template = self.settings.load_template(folder)
         self.architecture = load_architecture(folder)
-        self.tokenizer = load_tokenizer(folder) if tokenizer is None else tokenizer
-        self.ids = find_token_ids(self.tokenizer)
+        try:
+            self.template = self.settings.load_template(folder)
+            self.tokenizer = load_tokenizer(folder) if tokenizer is None else tokenizer
+            self.ids = find_token_ids(self.tokenizer)
+        except (ConfigError, FormatError, StorageError) as error:
+            raise CheckpointError(
+                error.what, where=error.where or folder, remedy=error.remedy
+            ) from None
         rows = self.architecture.text.vocabulary
         if self.ids.vocabulary.size > rows:
             raise CheckpointError(

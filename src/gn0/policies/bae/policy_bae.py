@@ -1,0 +1,239 @@
+"""GN-BAE as a policy of the benchmark: a checkpoint is asked, and its actions are carried out.
+
+gn0 bench run SUITE --policy bae --policy-option checkpoint=DIR --camera tiny_128
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gn0.errors import CheckpointError, ConfigError, FormatError, PolicyError
+from gn0.policies.bae.engines import open_engine
+from gn0.policies.bae.policy_settings import FILE
+from gn0.policies.bae.questions import Questions
+from gn0.policies.qwen.weights import list_shards
+from gn0.sim.ego_map import MapView
+from gn0.sim.policy import check_slots
+from gn0.sim.state import Action, Observation
+
+UNREADABLE_LIMIT = 3  # in a row: the agent stops
+DECODINGS = ("slots", "free")
+
+
+@dataclass
+class _Agent:
+    """An episode in a slot: what is left of the last answer, and what was done last."""
+
+    text: str
+    plan: deque[int] = field(default_factory=deque)
+    last: int = -1
+    unreadable: int = 0  # in a row
+    notes: dict[str, int] = field(default_factory=dict)
+
+    def note(self, what: str) -> None:
+        self.notes[what] = self.notes.get(what, 0) + 1
+
+
+class PolicyBae:
+    """Asks a checkpoint for six actions, carries some of them out, and asks again.
+
+    Answers are the most probable ones and hang on the observation alone. All batches have one
+    shape, so who is asked beside whom changes no action.
+
+    Args:
+        checkpoint: folder of model, tokenizer and `policy.json`.
+        executed: actions of an answer that are carried out; 0: as the checkpoint says.
+        confirm_stop: a STOP behind the first action of an answer is asked again before it is
+            carried out.
+        decoding: slots: tokens that make a readable answer; free: all, as a model would say it.
+        backend: torch, numpy, or auto: torch where it is installed.
+        device: of torch: cpu, cuda or auto.
+        dtype: of torch: float32 or bfloat16.
+        batch: decisions computed at once; 0: one, and 64 on a card.
+        name: what the policy is called in results.
+
+    Raises:
+        CheckpointError: the folder is not such a checkpoint; says what is wrong.
+        ConfigError: an option has no meaning.
+    """
+
+    def __init__(
+        self,
+        checkpoint: str,
+        *,
+        executed: int = 0,
+        confirm_stop: bool = False,
+        decoding: str = "slots",
+        backend: str = "auto",
+        device: str = "auto",
+        dtype: str = "float32",
+        batch: int = 0,
+        name: str = "bae",
+    ) -> None:
+        folder = Path(checkpoint).expanduser()
+        if not folder.is_dir():
+            raise CheckpointError(
+                "no such checkpoint", where=folder, remedy="give the folder that training wrote"
+            )
+        if decoding not in DECODINGS:
+            raise ConfigError(
+                f"no decoding {decoding!r}", where="decoding", remedy="known: slots, free"
+            )
+        self.name, self.confirm_stop, self.decoding = name, bool(confirm_stop), decoding
+        self._questions = Questions(folder)
+        settings = self._questions.settings
+        if not 0 <= executed <= settings.form.actions:
+            raise ConfigError(
+                f"{executed} actions of an answer cannot be carried out",
+                where="executed",
+                remedy=f"give 1 to {settings.form.actions}, or 0 for {settings.executed}",
+            )
+        self.executed = executed or settings.executed
+        self.sensors: frozenset[str] = frozenset(settings.sensors(self._questions.template))
+        self.map_view: MapView = settings.view
+        self._tells_heading = "pose" in self.sensors
+        self._engine = open_engine(
+            self._questions, backend, device, dtype, int(batch), free=decoding == "free"
+        )
+        self._digest = digest_checkpoint(folder)
+        self._agents: dict[int, _Agent] = {}
+
+    def identity(self) -> Mapping[str, str | int | float]:
+        """Weights, prompt, and whatever else actions hang on."""
+        return {
+            "checkpoint": self._digest[:32],
+            "prompt": self._questions.template.digest,
+            "executed": self.executed,
+            "confirm_stop": str(self.confirm_stop).lower(),
+            "decoding": self.decoding,
+            "arithmetic": f"{self._engine.name}, {self._engine.batch} at once",
+        }
+
+    @property
+    def card_rows(self) -> tuple[tuple[str, str], ...]:
+        """What it is shown and asked, and what is done with its answers."""
+        settings, engine = self._questions.settings, self._engine
+        confirmed = "; a STOP behind the first is asked again" if self.confirm_stop else ""
+        chosen = "the most probable, among readable ones" if self.decoding == "slots" else (
+            "the most probable tokens; an unreadable answer turns left once, "
+            f"{UNREADABLE_LIMIT} in a row stop"
+        )  # fmt: skip
+        return (
+            *self._questions.template.card_rows(),
+            ("camera of training", settings.preset),
+            ("answers", chosen),
+            ("actions carried out", f"{self.executed} of {settings.form.actions}{confirmed}"),
+            ("computed by", engine.name),
+        )
+
+    def notes_of(self, slot: int) -> dict[str, int]:
+        """What was odd in a slot's episode so far, counted."""
+        return dict(self._agents[slot].notes) if slot in self._agents else {}
+
+    def reset_batch(
+        self,
+        slots: Sequence[int],
+        instructions: Sequence[str],
+        rngs: Sequence[np.random.Generator],
+    ) -> None:
+        """Begin an episode in each slot.
+
+        Raises:
+            PolicyError: lengths differ, or a slot is named twice.
+            ConfigError: an instruction is empty, or too long for the checkpoint.
+        """
+        check_slots(slots, instructions, rngs)
+        for slot, text in zip(slots, instructions, strict=True):
+            self._questions.find(text)
+            self._agents[slot] = _Agent(text)
+
+    def act_batch(self, slots: Sequence[int], observations: Sequence[Observation]) -> list[Action]:
+        """The next action of each slot; those whose answer is used up are asked.
+
+        Raises:
+            PolicyError: lengths differ, a slot has no episode, or a picture is missing or of
+                another size than the checkpoint was trained on.
+        """
+        check_slots(slots, observations)
+        try:
+            agents = [self._agents[slot] for slot in slots]
+        except KeyError as error:
+            raise PolicyError(
+                f"slot {error} of policy {self.name!r} has no episode",
+                remedy="call reset_batch for it first",
+            ) from None
+        asked = []
+        for k, agent in enumerate(agents):
+            if self.confirm_stop and agent.plan and agent.plan[0] == Action.STOP:
+                agent.plan.clear()
+                agent.note("stops asked again")
+            if not agent.plan:
+                asked.append(k)
+        for begin in range(0, len(asked), self._engine.batch):
+            some = asked[begin : begin + self._engine.batch]
+            self._ask([agents[k] for k in some], [observations[k] for k in some])
+        actions = []
+        for agent in agents:
+            agent.last = agent.plan.popleft()
+            actions.append(Action(agent.last))
+        return actions
+
+    def _ask(self, agents: Sequence[_Agent], observations: Sequence[Observation]) -> None:
+        """Plans of at most a batch of agents."""
+        questions, batch = self._questions, self._engine.batch
+        prompts = np.tile(questions.layout.ids, (batch, 1))
+        sizes = questions.layout.sizes
+        pictures = [np.zeros((batch, size.height, size.width, 3), np.uint8) for size in sizes]
+        for row, (agent, seen) in enumerate(zip(agents, observations, strict=True)):
+            yaw = None
+            if self._tells_heading:
+                if seen.pose is None:
+                    raise PolicyError(
+                        "the prompt tells the heading, and nobody observes it",
+                        where="pose",
+                        remedy="carry the sensor pose",
+                    )
+                yaw = seen.pose.yaw
+            prompts[row] = questions.fill(agent.text, agent.last, seen.collided, yaw)
+            for own, shown in zip(pictures, questions.show(seen), strict=True):
+                own[row] = shown
+        said = self._engine.answer(pictures, prompts)
+        for agent, ids in zip(agents, said, strict=False):
+            agent.plan = deque(self._read(agent, ids))
+
+    def _read(self, agent: _Agent, ids: np.ndarray) -> list[int]:
+        """The actions that are carried out; nothing that follows a STOP is."""
+        place = np.array([self._questions.place])
+        try:
+            actions, _ = self._questions.slots.decode(ids[None], place)
+        except FormatError:
+            agent.note("unreadable answers")
+            agent.unreadable += 1
+            return [int(Action.STOP if agent.unreadable == UNREADABLE_LIMIT else Action.LEFT)]
+        agent.unreadable = 0
+        plan: list[int] = actions[0, : self.executed].tolist()
+        if Action.STOP in plan:
+            plan = plan[: plan.index(Action.STOP) + 1]
+        return plan
+
+
+def digest_checkpoint(folder: Path) -> str:
+    """SHA-256 of what answers hang on: configuration, tokenizer, settings and weights.
+
+    Raises:
+        CheckpointError: weights are missing.
+    """
+    whole = hashlib.sha256()
+    names = [folder / name for name in ("config.json", "tokenizer.json", FILE)]
+    for path in [*names, *list_shards(folder)]:
+        if path.is_file():
+            with path.open("rb") as file:
+                own = hashlib.file_digest(file, "sha256").hexdigest()
+            whole.update(f"{path.name} {own}\n".encode())
+    return whole.hexdigest()

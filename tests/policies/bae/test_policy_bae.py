@@ -1,0 +1,174 @@
+"""A checkpoint as a policy: the protocol, torch and NumPy alike, and what is refused."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the policy's model needs gn0[train]")
+pytest.importorskip("transformers", reason="the policy's model needs gn0[train]")
+
+from gn0.bench.results import load_results  # noqa: E402
+from gn0.bench.runner import run_suite  # noqa: E402
+from gn0.data.answer_slots import ACTION  # noqa: E402
+from gn0.errors import CheckpointError, ConfigError, PolicyError  # noqa: E402
+from gn0.geometry import Pose2D  # noqa: E402
+from gn0.plugins import build_plugin  # noqa: E402
+from gn0.policies.bae.policy_bae import PolicyBae  # noqa: E402
+from gn0.policies.bae.policy_settings import load_policy_settings  # noqa: E402
+from gn0.sim.state import Action, Observation  # noqa: E402
+from gn0.testing.policy_check import check_policy  # noqa: E402
+
+
+def observe(seed: int, collided: bool = False, width: int = 64) -> Observation:
+    stream = np.random.default_rng(seed)
+    picture = stream.integers(0, 256, (32, width, 3), dtype=np.uint8)
+    pose = Pose2D(*stream.uniform(-3, 3, 3))
+    return Observation(0, 0.0, "", pose=pose, collided=collided, more={"ego_map": picture})
+
+
+def begin(policy: PolicyBae, count: int = 1) -> None:
+    rngs = [np.random.default_rng(0)] * count
+    policy.reset_batch(range(count), ["go to the sofa"] * count, rngs)
+
+
+class Said:
+    """Says what it is told to: an engine."""
+
+    name, batch = "script", 1
+
+    def __init__(self, policy: PolicyBae, answers: list[str]) -> None:
+        self.slots, self.answers, self.asked = policy._questions.slots, answers, 0
+
+    def answer(self, pictures, prompts):
+        """The next answer: six letters of S F L R; anything else is unreadable."""
+        ids = np.where(self.slots.ids < 0, self.slots.vocabulary.number, self.slots.ids)
+        said = self.answers[self.asked]
+        self.asked += 1
+        codes = ["SFLR".find(letter) for letter in said]
+        ids[self.slots.kinds == ACTION] = [self.slots.vocabulary.actions[c] if c >= 0 else 0
+                                           for c in codes]  # fmt: skip
+        return ids[None].astype(np.int64)
+
+
+def follow(checkpoint: Path, answers: list[str], steps: int, **options) -> tuple[str, PolicyBae]:
+    policy = PolicyBae(str(checkpoint), backend="numpy", **options)
+    policy._engine = Said(policy, answers)
+    begin(policy)
+    done = ""
+    for step in range(steps):
+        done += "SFLR"[policy.act_batch([0], [observe(step)])[0]]
+    assert policy._engine.asked == len(answers)
+    return done, policy
+
+
+@pytest.mark.parametrize("backend", ["torch", "numpy"])
+def test_it_keeps_the_protocol(checkpoint: Path, backend: str, monkeypatch) -> None:
+    settings = load_policy_settings(checkpoint)
+    from gn0.testing import policy_check
+
+    opened = policy_check.open_simulator
+    monkeypatch.setattr(
+        policy_check, "open_simulator", lambda *a, **k: opened(*a, **k, map_view=settings.view)
+    )
+    check_policy(lambda: PolicyBae(str(checkpoint), backend=backend), max_steps=9)
+    if backend == "torch":
+        check_policy(lambda: PolicyBae(str(checkpoint), backend=backend, batch=3), max_steps=9)
+
+
+def test_torch_and_numpy_answer_alike(checkpoint: Path) -> None:
+    one, other = (PolicyBae(str(checkpoint), backend=b, executed=1) for b in ("torch", "numpy"))
+    begin(one, 8)
+    begin(other, 8)
+    for turn in range(3):
+        seen = [observe(100 * turn + k, collided=k % 2 == 1) for k in range(8)]
+        assert one.act_batch(range(8), seen) == other.act_batch(range(8), seen)
+    assert one.sensors == {"ego_map", "pose"}
+    assert one.identity()["checkpoint"] == other.identity()["checkpoint"]
+    assert dict(one.card_rows)["computed by"] == "torch, float32 on cpu"
+    assert dict(other.card_rows)["computed by"] == "NumPy, float32"
+
+
+def test_three_of_six_actions_are_carried_out_and_a_stop_ends_an_answer(checkpoint: Path) -> None:
+    assert follow(checkpoint, ["FFLRRR", "LLLFFF"], 6)[0] == "FFLLLL"
+    assert follow(checkpoint, ["FFLRRR"], 6, executed=6)[0] == "FFLRRR"
+    assert follow(checkpoint, ["FSLRRR"], 2)[0] == "FS"
+
+
+def test_a_stop_behind_the_first_action_is_asked_again_on_request(checkpoint: Path) -> None:
+    done, policy = follow(checkpoint, ["FSFFFF", "LFSFFF", "SFFFFF"], 4, confirm_stop=True)
+    assert done == "FLFS"
+    assert policy.notes_of(0) == {"stops asked again": 2}
+    assert policy.identity()["confirm_stop"] == "true"
+
+
+def test_unreadable_answers_turn_once_and_stop_after_three_in_a_row(checkpoint: Path) -> None:
+    answers = ["??????", "FFFFFF", "FF?FFF", "??????", "??????"]
+    done, policy = follow(checkpoint, answers, 7, decoding="free")
+    assert done == "LFFFLLS"
+    assert policy.notes_of(0) == {"unreadable answers": 4}
+
+
+def test_free_answers_of_an_untrained_model_are_counted(checkpoint: Path) -> None:
+    policy = PolicyBae(str(checkpoint), backend="numpy", decoding="free")
+    begin(policy)
+    done = [policy.act_batch([0], [observe(k)])[0] for k in range(3)]
+    assert done == [Action.LEFT, Action.LEFT, Action.STOP]
+    assert policy.notes_of(0) == {"unreadable answers": 3}
+
+
+def test_the_benchmark_runs_it_the_same_alone_and_side_by_side(
+    checkpoint: Path, flats_suite, tmp_path: Path, worker_here: None
+) -> None:
+    options = {"checkpoint": str(checkpoint), "backend": "torch"}
+    outputs = []
+    for agents in (1, 3):
+        out = tmp_path / str(agents)
+        summary = run_suite(
+            flats_suite, "bae", out, agents=agents, policy_options=options, max_episodes=3
+        )
+        outputs.append([(out / n).read_bytes() for n in ("results.jsonl", "trajectories.jsonl")])
+    assert outputs[0] == outputs[1]
+    assert len(load_results(tmp_path / "1")) == 3
+    card = dict(summary.protocol)
+    assert card["actions carried out"] == "3 of 6"
+    assert card["prompt parts"].startswith("task, instruction, current_pixel, heading")
+
+
+def test_a_checkpoint_that_is_none_is_refused(checkpoint: Path, tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match="no such checkpoint"):
+        build_plugin("policy", "bae", {"checkpoint": str(tmp_path / "nowhere")})
+    broken = tmp_path / "broken"
+    for missing in ("policy.json", "tokenizer.json", "config.json", "model.safetensors"):
+        shutil.rmtree(broken, ignore_errors=True)
+        shutil.copytree(checkpoint, broken)
+        (broken / missing).unlink()
+        for backend in ("numpy", "torch"):
+            with pytest.raises(CheckpointError):
+                PolicyBae(str(broken), backend=backend)
+    with pytest.raises(ConfigError, match="backend"):
+        PolicyBae(str(checkpoint), backend="jax")
+    with pytest.raises(ConfigError, match="1 to 6"):
+        PolicyBae(str(checkpoint), backend="numpy", executed=7)
+
+
+def test_other_pictures_and_texts_than_trained_on_are_refused(checkpoint: Path) -> None:
+    policy = PolicyBae(str(checkpoint), backend="numpy")
+    begin(policy)
+    with pytest.raises(PolicyError, match=r"'near' is 256×32 px, .* 32×32 px"):
+        policy.act_batch([0], [observe(0, width=256)])
+    with pytest.raises(PolicyError, match="'near' is missing"):
+        policy.act_batch([0], [without_maps(observe(0))])
+    with pytest.raises(PolicyError, match="slot 4"):
+        policy.act_batch([4], [observe(0)])
+    for text, said in (("x" * 10_000, "characters"), ("<FWD><STOP>", "says nothing"),
+                       ("", "says nothing"), ("far " * 200, "at most 64 are read")):  # fmt: skip
+        with pytest.raises(ConfigError, match=said):
+            policy.reset_batch([0], [text], [np.random.default_rng(0)])
+
+
+def without_maps(seen: Observation) -> Observation:
+    return Observation(0, 0.0, "", pose=seen.pose)

@@ -25,7 +25,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray
-from gn0.errors import ConfigError, EpisodeError
+from gn0.errors import ConfigError, EpisodeError, SimError
 from gn0.maps.field_expert import STOP_DISTANCE
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec, Episode
@@ -336,9 +336,16 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         return self._observe(), self._infos()
 
     def place_uniform(
-        self, seed: int, *, agents: Any = None, episodes: Any = None
+        self,
+        seed: int,
+        *,
+        agents: Any = None,
+        episodes: Any = None,
+        near: tuple[float, float] = (0.0, np.inf),
     ) -> tuple[Observations, dict[str, Any]]:
-        """Put agents at random where their goals can be reached from; it waits for the device.
+        """Put agents at random where their goals can be reached from.
+
+        It waits for the device where agents have walked since it was last called.
 
         The place is uniform over that ground, the heading over those that whole turns lead to. The
         mosaic is black and no step is taken. What is drawn comes from the seed's own stream: the
@@ -348,6 +355,8 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             seed: of the stream.
             agents: [K] their numbers; all when None. The others stay where they are.
             episodes: as for `place`; drawn, too, when None.
+            near: a share of the agents, and how far from its goal each of them is put at most,
+                in metres of way.
 
         Raises:
             EpisodeError: see `place`; then nobody has moved.
@@ -355,8 +364,68 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         """
         which = self._pick_agents(agents)
         numbers = None if episodes is None else self._choose(episodes, len(which))
-        self._states.place_uniform(int(seed), which, numbers)
+        self._states.place_uniform(int(seed), which, numbers, near)
         return self._observe(), self._infos()
+
+    def turn_agents(self, turns: Any) -> tuple[Observations, dict[str, Any]]:
+        """Turn all agents on the spot by whole turns; no step is taken, and nothing is waited for.
+
+        Args:
+            turns: int32 [N], to the left where positive; a DeviceArray, or what NumPy understands.
+
+        Raises:
+            SimError: another shape or type.
+            ResetNeeded: the environment was never reset.
+        """
+        self._pick_agents(None)
+        given = turns if isinstance(turns, DeviceArray) else np.asarray(turns)
+        if given.shape != (self.num_envs,) or given.dtype != np.int32:
+            raise SimError(
+                f"turns are {given.dtype} {given.shape}", remedy=f"give int32 [{self.num_envs}]"
+            )
+        if not isinstance(given, DeviceArray):
+            given = self.device.upload(given)
+        self._states.turn(given)
+        return self._observe(), self._infos()
+
+    def mute(self, *names: str) -> None:
+        """Leave picture sensors out of observations from now on; without names, none.
+
+        Their maps stay where they are, and the others cost what they cost without them: for
+        steps of which nobody looks at every picture.
+
+        Raises:
+            ConfigError: no such picture sensor is carried, or it is rgb and history is carried.
+        """
+        if names and self._eyes is None:
+            raise ConfigError(f"sensor {names[0]!r} is not carried", remedy="leave it out")
+        if self._eyes is not None:
+            self._eyes.mute(names)
+
+    def write_tiles(self, out: DeviceArray) -> None:
+        """What agents see, reduced as for the mosaic, into uint8 [N, h, w, 3] on the device.
+
+        The tile that `history` keeps of it when the agents act; see `CameraPreset.history_tile`.
+
+        Raises:
+            ConfigError: agents see no colours. SimError: memory of another shape.
+        """
+        if self._eyes is None:
+            raise ConfigError("agents see no colours", remedy="carry rgb")
+        self._eyes.write_tiles(self.simulator, out)
+
+    def prepare_all(self) -> int:
+        """Bring maps, fields and labels' ways of all episodes to the device; how many there are.
+
+        In the order of their numbers, while they fit `memory`: placing agents then costs the host
+        no more than looking numbers up. What is there may still make room for others.
+
+        Raises:
+            EpisodeError: an episode does not fit its scene.
+        """
+        if self._expert is None:
+            self._expert = ExpertDevice(self.simulator)
+        return self._expert.bring_all(np.unique(self.simulator.numbers))
 
     def save_state(self, agents: Any = None) -> AgentStates:
         """The states of agents [K], or of all, to go on from as often as wanted.
@@ -536,7 +605,12 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                 remedy="give one each, or one for all",
             )
         own = self.simulator.numbers
-        known = {episode.id: number for number, episode in enumerate(self.tasks.episodes)}
+        if isinstance(wanted, np.ndarray) and wanted.dtype.kind in "iu" and wanted.ndim == 1:
+            wrong = np.flatnonzero((wanted < 0) | (wanted >= len(own)))[:1]
+            if not len(wrong):
+                return np.resize(own[wanted].astype(np.int64), count)
+            many = wanted[wrong]
+        known = self._known if any(isinstance(value, str) for value in many) else {}
         numbers = []
         for value in many:
             if isinstance(value, Episode):
@@ -552,13 +626,19 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
             numbers.append(int(own[index]))
         return np.resize(np.array(numbers, np.int64), count)
 
+    @cached_property
+    def _known(self) -> dict[str, int]:
+        """Indices of the episodes by id; of several with one id the last."""
+        return {episode.id: number for number, episode in enumerate(self.tasks.episodes)}
+
     def _observe(self) -> Observations:
         simulator = self.simulator
         found = self._told.tell() | {"collided": simulator.outputs["collided"]}
         found |= {name: read(self._now) for name, read in self._at_once}
         if self._eyes is not None:
             found |= self._layout.turn(self._eyes.draw(simulator))
-        self._seen = {name: found[name] for name in self.single_observation_space}  # type: ignore[attr-defined]
+        named = self.single_observation_space.spaces  # type: ignore[attr-defined]
+        self._seen = {name: found[name] for name in named if name in found}
         return ObservationsDevice(self._layout.hand_out(self._seen))
 
     def _infos(self) -> dict[str, Any]:

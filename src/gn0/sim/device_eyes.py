@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.device.device import DeviceArray
+from gn0.device.device import DeviceArray, Kernel
 from gn0.errors import ConfigError, SimError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64, U8, view_from_pose
@@ -38,7 +38,7 @@ from gn0.sim.device_records import (
     ReducePictures,
 )
 from gn0.sim.device_store import MapPictures
-from gn0.sim.ego_map import CONTENTS, find_front
+from gn0.sim.ego_map import CONTENTS, EgoSquare, find_front
 from gn0.sim.history import LENGTH, mosaic_size
 from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
 from gn0.sim.open import look_hash, name_look, split_look
@@ -186,6 +186,7 @@ class EyesDevice:
         preset = config.preset
         self._pitch = float(np.radians(preset.pitch_degrees))
         self._rgb: DeviceArray | None = None  # what agents see now
+        self._muted: frozenset[str] = frozenset()
 
     def open_look(self, look: str) -> MapPictures:
         """Name a scene in its light to the renderer; its static map pictures."""
@@ -225,6 +226,36 @@ class EyesDevice:
             return None
         return np.ascontiguousarray(paint_grid(grid, frame)[:, :, 0])
 
+    def mute(self, names: Iterable[str]) -> None:
+        """Leave these sensors out of what is drawn from now on, and no others.
+
+        Raises:
+            ConfigError: one draws nothing here, or is what `history` is made of.
+        """
+        known = {name for name, _, _ in self._sensors}
+        for name in names:
+            if name not in known or (name == "rgb" and self._carried.views):
+                raise ConfigError(
+                    f"sensor {name!r} cannot be left out",
+                    remedy="name picture sensors that are carried; rgb only without history",
+                )
+        self._muted = frozenset(names)
+
+    def write_tiles(self, simulator: SimulatorDevice, out: DeviceArray) -> None:
+        """What each agent sees now, reduced to a tile of the mosaic, into `out` [N, h, w, 3].
+
+        Raises:
+            ConfigError: no sensor looks at colours.
+            SimError: `out` is of another shape or type.
+        """
+        if self._rgb is None:
+            raise ConfigError("agents see no colours", remedy="carry rgb, and do not leave it out")
+        width, height = self.config.preset.history_tile
+        shape = (simulator.count, height, width, 3)
+        if out.shape != shape or out.dtype != np.uint8:
+            raise SimError(f"tiles are {out.dtype} {out.shape}", remedy=f"give uint8 {shape}")
+        self._reduce(simulator, self._rgb, width, height, out, None)
+
     def keep_views(self, simulator: SimulatorDevice) -> None:
         """All agents are about to act: what each sees goes into its history."""
         if not self._carried.views:
@@ -239,13 +270,14 @@ class EyesDevice:
         Colour and depth are other memory with each call, the rest is the same.
         """
         agents = AgentsThere(simulator, self)
-        if self._outputs:
+        shown = [one for one in self._sensors if one[0] not in self._muted]
+        if self._outputs and (self._carried.views or any(draws for _, draws, _ in shown)):
             views, looks, chosen = self._ask(simulator)
             there = isinstance(views, DeviceArray)
             parts = self._place_parts(simulator, there=there)
             agents.pictures = self._look(simulator, views, looks, chosen, parts)
             self._rgb = agents.pictures.get("rgb")
-        out = {name: read(agents) for name, _, read in self._sensors}
+        out = {name: read(agents) for name, _, read in shown}
         assert all(len(value) == simulator.count for value in out.values())
         return out
 
@@ -273,7 +305,7 @@ class EyesDevice:
                 parts = self._motion.parts_of(scenes, self._motion.steps.numpy()[agents] + 1)
             last.pictures = self._look(simulator, views, keys, parts=parts)
         for name, draws, read in self._sensors:
-            if len(agents) or not draws:
+            if name not in self._muted and (len(agents) or not draws):
                 out[name] = read(last)
         return out
 
@@ -495,22 +527,8 @@ class EyesDevice:
         out = self._array(simulator, prefix + "ego_map", (height, width, 3), np.uint8)
         offset = 0
         for square in view.squares:
-            drawing = DrawEgoMaps(
-                w=simulator.world,
-                slots=slots,
-                poses=poses,
-                size=np.int32(square.size),
-                metres=np.float64(square.metres_per_pixel),
-                front=np.int64(find_front(square)),
-                content=np.int32(CONTENTS.index(square.content)),
-                marker=np.int32(square.marker),
-                offset=np.int32(offset),
-                high=np.int32(height),
-                wide=np.int32(width),
-                out=out,
-            )
-            grid = (simulator.count, blocks_of(square.size**2, _PIXELS))
-            simulator.kernels["draw_ego_maps"].launch(grid, _PIXELS, drawing)
+            kernel = simulator.kernels["draw_ego_maps"]
+            draw_squares(kernel, simulator.world, square, slots, poses, out, offset)
             offset += square.size
         return out
 
@@ -564,6 +582,36 @@ class EyesDevice:
             simulator.kernels["place_rows"].launch(blocks, _PIXELS, placing)
         self._goal_numbers = numbers
         return out
+
+
+def draw_squares(
+    kernel: Kernel,
+    world: np.void,
+    square: EgoSquare,
+    slots: DeviceArray,
+    poses: DeviceArray,
+    out: DeviceArray,
+    offset: int = 0,
+) -> None:
+    """Draw a square of ego maps from column `offset` on into `out` [K, H, W, 3].
+
+    `slots` [K] are rows of the world's episodes, negative ones black; `poses` [K, 3].
+    """
+    drawing = DrawEgoMaps(
+        w=world,
+        slots=slots,
+        poses=poses,
+        size=np.int32(square.size),
+        metres=np.float64(square.metres_per_pixel),
+        front=np.int64(find_front(square)),
+        content=np.int32(CONTENTS.index(square.content)),
+        marker=np.int32(square.marker),
+        offset=np.int32(offset),
+        high=np.int32(out.shape[1]),
+        wide=np.int32(out.shape[2]),
+        out=out,
+    )
+    kernel.launch((len(out), blocks_of(square.size**2, _PIXELS)), _PIXELS, drawing)
 
 
 def refuse_host_sensors(sensors: Iterable[Sensor]) -> None:

@@ -19,6 +19,7 @@ from gn0.sim.device_state import SimulatorDevice
 from gn0.sim.ground import BEND, Destination, destination_of
 
 WARP = 32  # threads an agent
+TOGETHER = 256  # episodes that are brought before one looks whether more fit
 THREADS = 4 * WARP  # a block; LABEL_WARPS of `expert.cu`
 
 WAYS = np.dtype(
@@ -101,7 +102,7 @@ class ExpertDevice:
             raise SimError(
                 f"labels that stop {stop_distance} m from the goal", remedy="give up to 10 m"
             )
-        self._bring()
+        self.bring()
         simulator, out = self._simulator, self._out
         name = "label_sliding" if simulator.store.agent.sliding else "label_actions"
         blocks = blocks_of(simulator.count * WARP, THREADS)
@@ -125,7 +126,25 @@ class ExpertDevice:
         self._kernels["label_ways"].launch(blocks, THREADS, ways)
         return out
 
-    def _bring(self) -> None:
+    def bring_all(self, numbers: NDArray[np.integer]) -> int:
+        """Bring these episodes with their ways, as many as fit the memory together; their count.
+
+        Raises: see `EpisodeStore.pin`.
+        """
+        store, count = self._simulator.store, 0
+        for part in np.array_split(numbers, -(-len(numbers) // TOGETHER)):
+            before = store.dropped
+            slots = store.pin(part)
+            try:
+                self.bring()
+            finally:
+                store.release(slots)
+            if store.dropped > before or store.pool.held > store.pool.limit:
+                break
+            count += len(part)
+        return count
+
+    def bring(self) -> None:
         """See to it that the ways of all episodes that are played are on the device."""
         seated, pinned = self._simulator.store.seats
         grown = len(seated) - len(self._numbers)

@@ -61,6 +61,7 @@ class EpisodeQueue:
         self._end = np.zeros(count, np.int64)
         self._window = np.full((count, ahead), -1, np.int32)  # slots, by position modulo `ahead`
         self._playing = np.full(count, -1, np.int32)  # slots, as far as is known
+        self._seeded = np.zeros(count, np.int32)  # `known` when the generators began
 
     def seed(self, which: NDArray[np.int64], seeds: Sequence[int | None] | None) -> None:
         """Begin new generators where there is a seed, or none yet; `known` must be exact."""
@@ -71,6 +72,27 @@ class EpisodeQueue:
                 self._streams[i], _ = seeding.np_random(given)
                 fresh.append(i)
         self._forget(np.array(fresh, np.int64))
+        self._seeded[fresh] = self.known[fresh]
+
+    @property
+    def begun(self) -> NDArray[np.int32]:
+        """Draws [N] begun since each was seeded; `known` must be exact, and nothing restored."""
+        found: NDArray[np.int32] = self.known - self._seeded
+        return found
+
+    def begin_at(self, seeds: Sequence[int], begun: NDArray[np.int32]) -> None:
+        """Begin new generators, and be where `begun` [N] of their draws have begun.
+
+        `known` must be exact. The draws before are passed over.
+        """
+        self.seed(np.arange(len(begun)), seeds)
+        for i, left in enumerate(begun.tolist()):
+            while left > self._end[i] - self._at[i]:
+                left -= int(self._end[i] - self._at[i])
+                self._at[i] = self._end[i] = 0
+                self._draw(i)
+            self._at[i] += left
+        self._seeded -= begun
 
     def _forget(self, which: NDArray[np.int64]) -> None:
         """Take back what the queues of `which` hold."""

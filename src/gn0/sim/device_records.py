@@ -241,7 +241,15 @@ class FindPlaces(NamedTuple):
     w: np.void
     slots: DeviceArray
     chances: DeviceArray
+    reaches: DeviceArray
     positions: DeviceArray
+
+
+class TurnAgents(NamedTuple):
+    """`turn_agents`: all agents turn on the spot."""
+
+    w: np.void
+    turns: DeviceArray
 
 
 class PutAgents(NamedTuple):

@@ -148,6 +148,7 @@ class SimulatorDevice:
         self._plain = pack_struct(OUTPUTS, **self.outputs)
         self._stepper = "slide_agents" if agent.sliding else "step_agents"
         self._asked: tuple[int, Download] | None = None
+        self._exact = -1  # steps after which the host knew all that had happened
         self._safe = 0  # steps after which the queues may be empty, as far as is known
 
     @property
@@ -199,6 +200,7 @@ class SimulatorDevice:
             orders[which] = self.store.pin(chosen)
             self.queue.play(which, orders[which])
         self._begin(orders)
+        self._exact = -1
         self._safe = self.steps + self.ahead - (chosen is None)
 
     def place(self, which: NDArray[np.int64], chosen: NDArray[np.int64]) -> None:
@@ -224,10 +226,14 @@ class SimulatorDevice:
         if most != self._settings["max_steps"]:
             self._settings["max_steps"], self._world = most, None
 
+    def say_all(self) -> None:
+        """Write anew what all sense where they stand; waits for nothing."""
+        self._begin(np.full(self.count, _STAY, np.int32))
+
     def tell_all(self) -> None:
         """After agents were put elsewhere: fill queues, and say what all sense where they stand."""
         self._fill()
-        self._begin(np.full(self.count, _STAY, np.int32))
+        self.say_all()
         self._safe = self.steps + self.ahead
 
     def read_actions(self, actions: Any, codes: DeviceArray | None = None) -> DeviceArray:
@@ -322,6 +328,11 @@ class SimulatorDevice:
         self._asked = (self.steps, self.device.download_async(self._words, self._pinned))
         self._learn(*self._asked, fill=fill)
 
+    def settle(self) -> None:
+        """`catch_up`, unless nobody has moved since the last one: then it waits for nothing."""
+        if self._exact != self.steps:
+            self.catch_up()
+
     def _learn(self, at: int, download: Download, fill: bool = True) -> None:
         words = download.numpy()
         self._asked = None
@@ -342,6 +353,8 @@ class SimulatorDevice:
                 remedy="reset the environment, and report this",
             )
         self.queue.advance(words[: self.count])
+        if at == self.steps:
+            self._exact = at
         if fill:
             self._fill()
             self._safe = at + self.ahead

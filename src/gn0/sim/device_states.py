@@ -15,7 +15,14 @@ from gn0.geometry import F64, wrap_angle
 from gn0.seeds import random_stream
 from gn0.sim.device_layout import blocks_of
 from gn0.sim.device_queue import Draws
-from gn0.sim.device_records import FindPlaces, JudgePlaces, KeepTiles, MoveRows, PutAgents
+from gn0.sim.device_records import (
+    FindPlaces,
+    JudgePlaces,
+    KeepTiles,
+    MoveRows,
+    PutAgents,
+    TurnAgents,
+)
 from gn0.sim.device_state import is_on_card
 from gn0.sim.ground import list_headings
 from gn0.sim.history import LENGTH
@@ -229,12 +236,17 @@ class StatesDevice:
         return given if isinstance(given, DeviceArray) else device.upload(given)
 
     def place_uniform(
-        self, seed: int, agents: NDArray[np.int64], numbers: NDArray[np.int64] | None
+        self,
+        seed: int,
+        agents: NDArray[np.int64],
+        numbers: NDArray[np.int64] | None,
+        near: tuple[float, float] = (0.0, math.inf),
     ) -> None:
         """Put `agents` [K] at free places, uniform over where their goals can be reached from.
 
-        The episode, unless `numbers` [K] names it, the place and one of the headings that whole
-        turns lead to come from stream "uniform states" of the seed; row k depends on k alone.
+        A share of them, `near`, is within so many metres of way. The episode, unless `numbers`
+        [K] names it, the place and one of the headings that whole turns lead to come from stream
+        "uniform states" of the seed, who is near from "near the goal"; row k depends on k alone.
 
         Raises:
             EpisodeError: an episode does not fit its scene; then nobody has moved.
@@ -245,19 +257,28 @@ class StatesDevice:
         if numbers is None:
             numbers = own[(chances[:, 0] * len(own)).astype(np.int64)]
         turns = (chances[:, 1] * simulator.store.circle).astype(np.int32)
-        simulator.catch_up()
+        reaches = np.full(count, math.inf)
+        reaches[random_stream(seed, "near the goal").random(count) < near[0]] = near[1]
+        simulator.settle()
         slots = simulator.store.pin(numbers)
         there, points = device.upload(slots), device.zeros((count, 2), np.float64)
         finding = FindPlaces(
             w=simulator.world,
             slots=there,
             chances=device.upload(np.ascontiguousarray(chances[:, 2:])),
+            reaches=device.upload(reaches),
             positions=points,
         )
         simulator.kernels["find_places"].launch(count, _SEARCH, finding)
         fresh = Places(np.zeros((0, 3)), np.zeros(count, np.int32), np.zeros(count, np.bool_))
         self._put(agents, slots, there, points, turns, fresh)
         simulator.tell_all()
+
+    def turn(self, turns: DeviceArray) -> None:
+        """Turn all agents by so many whole turns int32 [N]; waits for nothing."""
+        simulator = self._simulator
+        simulator.launch("turn_agents", simulator.count, TurnAgents(simulator.world, turns))
+        simulator.say_all()
 
     def save(self, agents: NDArray[np.int64]) -> AgentStates:
         """The states of `agents` [K], in memory of their own."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.device.device import Device, DeviceArray, Kernel
-from gn0.errors import DeviceMemoryError
+from gn0.errors import ConfigError, DeviceMemoryError
 from gn0.geometry import F64, U8
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import AgentSpec, Episode, check_episode
@@ -68,6 +68,7 @@ class _Held:
     frame: tuple[float, ...] = ()
     shape: tuple[int, int] = (0, 0)
     number: int = 0  # of a look
+    sizes: tuple[int, int] = (0, 0)  # bytes of its pictures
 
 
 class EpisodeStore:
@@ -168,6 +169,30 @@ class EpisodeStore:
         """
         held = self._put(*arrays)
         return held.block, held.pointers
+
+    def hold_look(self, name: str) -> tuple[list[int], tuple[float, ...], tuple[int, int]]:
+        """Static pictures of a look, kept from now on until `free_look`.
+
+        Where the grey and the coloured one lie; x, y [m] of their corner and m a pixel; (H, W).
+
+        Raises:
+            DeviceMemoryError: what is held does not fit the device.
+            ConfigError: no sensor looks at maps.
+        """
+        if self._pictures is None:
+            raise ConfigError("no sensor here shows a map", remedy="carry the sensor ego_map")
+        look = self._looks.get(name) or self._bring_look(name)
+        look.users += 1
+        return look.pointers, look.frame, look.shape
+
+    def picture_bytes(self, name: str) -> tuple[int, int]:
+        """Bytes of the grey and of the coloured picture of a look that is held; 0 without it."""
+        return self._looks[name].sizes
+
+    def free_look(self, name: str) -> None:
+        """Take back one `hold_look`."""
+        self._looks[name].users -= 1
+        self._sweep()
 
     def looks_in_play(self) -> list[str | None]:
         """Looks by number, as rows of episodes name them; None: of no pinned episode."""
@@ -427,7 +452,9 @@ class EpisodeStore:
         frame, grey, bev = self._pictures(name)
         shape = (frame.height, frame.width)
         empty = np.zeros(0, np.uint8)
-        held = self._put(empty if grey is None else grey, empty if bev is None else bev)
+        grey, bev = empty if grey is None else grey, empty if bev is None else bev
+        held = self._put(grey, bev)
+        held.sizes = (grey.nbytes, bev.nbytes)
         held.frame = (frame.x_min, frame.y_min, frame.metres_per_pixel)
         held.shape = shape
         if None not in self._look_names:

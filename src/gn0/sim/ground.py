@@ -209,6 +209,7 @@ class GroundStore:
         self._bits: dict[str, _Bits] = {}
         self._fields: OrderedDict[Destination, PackedField] = OrderedDict()
         self._ways: dict[Destination, PackedWays] = {}  # of fields that are kept, and the last
+        self._loose: Destination | None = None  # the last of them, whose field may not be kept
         self._room = memory
         self.with_ways = False
 
@@ -275,7 +276,9 @@ class GroundStore:
         navigation, built = self._build(destination)
         packed = pack_field(built, navigation.blocked)
         while self._fields and packed.nbytes > self._room:
-            self._room += self._fields.popitem(last=False)[1].nbytes
+            gone, field = self._fields.popitem(last=False)
+            self._room += field.nbytes
+            self._ways.pop(gone, None)
         if packed.nbytes <= self._room:
             self._fields[destination] = packed
             self._room -= packed.nbytes
@@ -296,7 +299,9 @@ class GroundStore:
 
     def _keep_ways(self, destination: Destination, ways: PackedWays) -> None:
         """Keep ways, and those of fields that are kept: a hundredth of what the fields take."""
-        self._ways = {name: own for name, own in self._ways.items() if name in self._fields}
+        if self._loose is not None and self._loose not in self._fields:
+            self._ways.pop(self._loose, None)
+        self._loose = destination
         self._ways[destination] = ways
 
     def _build(self, destination: Destination) -> tuple[NavigationMap, GeodesicField]:

@@ -22,17 +22,29 @@ KERNEL(judge_places)(World w, const int *slots, const double *positions, int cou
   verdicts[k] = (u8)judge_cell(e, row, col);
 }
 
+// Whether the goal can be reached from a cell, and the way from its middle is not `reach` [m] long.
+__device__ __forceinline__ bool is_place(const Episode &e, i64 at, double reach) {
+  if (judge_cell(e, at / e.cols, at % e.cols) != GROUND_FREE) return false;
+  if (reach == (double)INFINITY) return true;
+  double x = e.x + ((double)(at % e.cols) + 0.5) * e.resolution;
+  double y = e.y + ((double)(at / e.cols) + 0.5) * e.resolution;
+  return measure(e, x, y) < reach;
+}
+
 // A place [K, 2] m for each of `slots` [K], uniform over all ground from which the goal can be
-// reached. `chances` [K, 3] in [0, 1): which cell, and where in it. A block an entry.
-KERNEL(find_places)(World w, const int *slots, const double *chances, double *positions) {
+// reached, within `reaches` [K] m of way. `chances` [K, 3] in [0, 1): which cell, and where in it.
+// A block an entry.
+KERNEL(find_places)(World w, const int *slots, const double *chances, const double *reaches,
+                    double *positions) {
   __shared__ int counts[1024];
   __shared__ int wanted;
   int k = blockIdx.x, t = threadIdx.x, threads = blockDim.x;
   const Episode &e = w.episodes[slots[k]];
+  double reach = reaches[k];
   i64 cells = (i64)e.rows * e.cols, strip = (cells + threads - 1) / threads;
   i64 begin = t * strip, end = begin + strip < cells ? begin + strip : cells;
   int own = 0;
-  for (i64 at = begin; at < end; at++) own += judge_cell(e, at / e.cols, at % e.cols) == GROUND_FREE;
+  for (i64 at = begin; at < end; at++) own += is_place(e, at, reach);
   counts[t] = own;
   __syncthreads();
   if (t == 0) {
@@ -48,7 +60,7 @@ KERNEL(find_places)(World w, const int *slots, const double *chances, double *po
   int left = wanted - counts[t];
   if (left < 0 || left >= own) return;
   for (i64 at = begin; at < end; at++) {
-    if (judge_cell(e, at / e.cols, at % e.cols) != GROUND_FREE || left--) continue;
+    if (!is_place(e, at, reach) || left--) continue;
     i64 row = at / e.cols, col = at % e.cols;
     double x = e.x + ((double)col + chances[3 * k + 1]) * e.resolution;
     double y = e.y + ((double)row + chances[3 * k + 2]) * e.resolution;
@@ -75,6 +87,14 @@ KERNEL(put_agents)(World w, const int *agents, const int *slots, const double *p
   w.collided[i] = collided[k];
   w.distance[i] = measure(w.episodes[slots[k]], x, y);
   if (w.views) w.views[i] = views[k];
+}
+
+// All agents turn on the spot by so many whole turns [N], to the left where positive.
+KERNEL(turn_agents)(World w, const int *turns) {
+  int i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i >= w.count) return;
+  i64 turned = ((i64)w.turns[i] + turns[i]) % w.circle;
+  w.turns[i] = (int)(turned < 0 ? turned + w.circle : turned);
 }
 
 // Rows `from` [K] of an array to rows `to` [K] of another, `size` bytes each; null: row k.

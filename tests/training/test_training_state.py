@@ -9,113 +9,37 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 torch = pytest.importorskip("torch", reason="training needs gn0[train]")
 pytest.importorskip("transformers", reason="training needs gn0[train]")
 
-from gn0.config import Config  # noqa: E402
 from gn0.errors import CheckpointError, StorageError  # noqa: E402
-from gn0.policies.bae.checkpoint import Checkpoint, load_checkpoint  # noqa: E402
-from gn0.policies.bae.sizes import build_model  # noqa: E402
-from gn0.policies.bae.tokenizer import read_token_ids, train_tokenizer  # noqa: E402
-from gn0.seeds import random_stream  # noqa: E402
-from gn0.training.generators import capture_generators, restore_generators  # noqa: E402
+from gn0.policies.bae.checkpoint import load_checkpoint  # noqa: E402
+from gn0.training.generators import restore_generators  # noqa: E402
 from gn0.training.optimiser_state import capture_optimiser, restore_optimiser  # noqa: E402
 from gn0.training.recipe_text import describe_recipe  # noqa: E402
 from gn0.training.resume_checks import check_resume  # noqa: E402
-from gn0.training.state_file import TrainingCounters  # noqa: E402
 from gn0.training.state_folder import discard_states_after, find_latest, list_states  # noqa: E402
 from gn0.training.training_state import (  # noqa: E402
-    TrainingState,
     load_state,
     measure_state,
-    name_device,
     save_state,
+)
+from gn0_trials.training_kills import (  # noqa: E402
+    CORPUS,
+    LearnerOfWords,
+    WordsRecipe,
+    kill_training,
 )
 
 
-class Recipe(Config, frozen=True):
-    rate: float = 1e-3
-    steps: int = 8
-    shape: tuple[int, ...] = (2, 3)
-    hub_token: str = ""
-
-
 @pytest.fixture(scope="module")
-def tokenizer():
-    return train_tokenizer(["go to the red sofa", "find the lamp"])
-
-
-class Learner:
-    """A model that is taught words at random; all that it draws comes from saved generators."""
-
-    def __init__(self, tokenizer, state: TrainingState | None = None) -> None:
-        ids = read_token_ids(tokenizer)
-        model = state.checkpoint.model if state else build_model("nano", ids)
-        self.checkpoint = Checkpoint(model, tokenizer, ids)
-        self.model = model.train()
-        matrices = [(n, w) for n, w in model.named_parameters() if w.ndim > 1]
-        others = [(n, w) for n, w in model.named_parameters() if w.ndim <= 1]
-        self.named = [*matrices, *others]
-        groups = [
-            {"params": [w for _, w in matrices], "weight_decay": 0.05},
-            {"params": [w for _, w in others], "weight_decay": 0.0},
-        ]
-        self.optimiser = torch.optim.AdamW(groups, 1e-3, betas=(0.9, 0.95))
-        self.own = torch.Generator().manual_seed(7)
-        self.step = 0
-        self.averaged = {name: weight.detach().clone() for name, weight in self.named}
-        self.stream = random_stream(3, "draw")
-        if state:
-            self.step = state.counters.step
-            self.averaged, self.stream = dict(state.averaged), state.streams["draw"]
-            restore_optimiser(self.optimiser, state.optimiser, self.named)
-            assert restore_generators(state.generators, {"own": self.own}) == ()
-        else:
-            torch.manual_seed(5)
-
-    def learn(self, steps: int) -> list[float]:
-        losses = []
-        for _ in range(steps):
-            self.step += 1
-            for group in self.optimiser.param_groups:
-                group["lr"] = 1e-3 / self.step
-            words = torch.from_numpy(self.stream.integers(0, 250, (2, 6)))
-            words[0, 0] = torch.randint(0, 250, (1,))[0]
-            words[1, 0] = torch.randint(0, 250, (1,), generator=self.own)[0]
-            loss = self.model(input_ids=words, labels=words).loss
-            self.optimiser.zero_grad()
-            loss.backward()
-            self.optimiser.step()
-            for name, weight in self.named:
-                self.averaged[name].lerp_(weight.detach(), 0.01)
-            losses.append(loss.item())
-        return losses
-
-    def state(self) -> TrainingState:
-        return TrainingState(
-            checkpoint=self.checkpoint,
-            counters=TrainingCounters(step=self.step, samples=2 * self.step, seconds=0.5),
-            recipe=describe_recipe(Recipe()),
-            corpus="c0ffee",
-            device=name_device("cpu"),
-            averaged=self.averaged,
-            optimiser=capture_optimiser(self.optimiser, self.named),
-            generators=capture_generators({"own": self.own}),
-            streams={"draw": self.stream},
-            source={"part": 3, "row": 17},
-            arrays={"head.weight": torch.arange(6, dtype=torch.int64).reshape(2, 3)},
-        )
-
-
-@pytest.fixture(scope="module")
-def saved(tokenizer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """States of steps 2 and 4."""
     folder = tmp_path_factory.mktemp("run") / "checkpoints"
-    learner = Learner(tokenizer)
+    learner = LearnerOfWords()
     for _ in range(2):
         learner.learn(2)
         save_state(folder, learner.state())
@@ -128,17 +52,17 @@ def folder(saved: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(saved, tmp_path / "checkpoints"))
 
 
-def test_a_resumed_run_goes_on_to_the_bit(tokenizer, tmp_path: Path) -> None:
+def test_a_resumed_run_goes_on_to_the_bit(tmp_path: Path) -> None:
     """Losses, weights, averages and optimiser are those of a run that never stopped."""
-    whole = Learner(tokenizer)
+    whole = LearnerOfWords()
     whole.learn(3)
     save_state(tmp_path / "run", whole.state(), shard_mb=3)
     theirs = whole.learn(4)
     state = load_state(tmp_path / "run")
     assert (state.counters.step, state.counters.samples) == (3, 6)
-    assert state.source == {"part": 3, "row": 17} and state.corpus == "c0ffee"
+    assert state.source == {"part": 3, "row": 17} and state.corpus == CORPUS
     assert torch.equal(state.arrays["head.weight"], torch.arange(6).reshape(2, 3))
-    again = Learner(tokenizer, state)
+    again = LearnerOfWords(state)
     assert again.learn(4) == theirs
     for (name, mine), (_, other) in zip(again.named, whole.named, strict=True):
         assert torch.equal(mine, other), name
@@ -157,33 +81,34 @@ def test_the_model_of_a_state_is_a_checkpoint_of_its_own(saved: Path) -> None:
     assert kinds <= {".json", ".safetensors", ".txt", ".jinja"}
 
 
-def test_files_are_of_the_size_asked_for(tokenizer, tmp_path: Path) -> None:
-    path = save_state(tmp_path, Learner(tokenizer).state(), shard_mb=1)
+def test_files_are_of_the_size_asked_for(tmp_path: Path) -> None:
+    learner = LearnerOfWords()
+    path = save_state(tmp_path, learner.state(), shard_mb=1)
     shards = [file for file in path.rglob("*.safetensors") if file.stat().st_size > 1_100_000]
-    widest = build_model("nano", read_token_ids(tokenizer)).get_input_embeddings().weight
+    widest = learner.model.get_input_embeddings().weight
     assert all(file.stat().st_size < 4 * widest.numel() + 10_000 for file in shards)
     assert len(list(path.glob("averaged-*.safetensors"))) > 3
     assert load_state(path).averaged
 
 
-def test_the_last_two_are_kept(saved: Path, folder: Path, tokenizer) -> None:
+def test_the_last_two_are_kept(saved: Path, folder: Path) -> None:
     assert [path.name for path in list_states(folder)] == ["step-000000002", "step-000000004"]
-    learner = Learner(tokenizer, load_state(folder))
+    learner = LearnerOfWords(load_state(folder))
     learner.learn(1)
     save_state(folder, learner.state())
     assert [path.name for path in list_states(folder)] == ["step-000000004", "step-000000005"]
     assert sorted(path.name for path in folder.iterdir()) == ["step-000000004", "step-000000005"]
 
 
-def test_a_state_of_the_same_step_is_written_over(folder: Path, tokenizer) -> None:
-    save_state(folder, Learner(tokenizer, load_state(folder)).state())
+def test_a_state_of_the_same_step_is_written_over(folder: Path) -> None:
+    save_state(folder, LearnerOfWords(load_state(folder)).state())
     assert len(list_states(folder)) == 2
     load_state(folder)
 
 
-def test_later_steps_are_given_up_by_name_alone(folder: Path, tokenizer) -> None:
+def test_later_steps_are_given_up_by_name_alone(folder: Path) -> None:
     """Who resumes from an earlier state says so before another may take the later one's place."""
-    learner = Learner(tokenizer, load_state(folder / "step-000000002"))
+    learner = LearnerOfWords(load_state(folder / "step-000000002"))
     learner.learn(1)
     with pytest.raises(StorageError, match="step-000000004 is there, a state of a later step"):
         save_state(folder, learner.state())
@@ -192,14 +117,14 @@ def test_later_steps_are_given_up_by_name_alone(folder: Path, tokenizer) -> None
     assert [path.name for path in list_states(folder)] == ["step-000000002", "step-000000003"]
 
 
-def test_the_optimiser_may_stay_behind(folder: Path, tokenizer) -> None:
+def test_the_optimiser_may_stay_behind(folder: Path) -> None:
     whole = find_latest(folder)
     state = load_state(folder)
     path = save_state(folder, state, without_optimiser=True, dtype=torch.bfloat16)
     assert path == whole
     light = load_state(folder)
     assert light.optimiser is None
-    facts = {"recipe": state.recipe, "corpus": "c0ffee", "device": state.device}
+    facts = {"recipe": state.recipe, "corpus": CORPUS, "device": state.device}
     (note,) = check_resume(light, **facts)
     assert "optimiser was left behind" in note
     with pytest.raises(CheckpointError, match="not to be resumed exactly"):
@@ -225,7 +150,7 @@ def test_what_is_not_whole_is_refused(folder: Path, name: str, how: str) -> None
     elif how == "missing":
         path.unlink()
     else:
-        place = data.index(b"c0ffee") if name == "state.json" else len(data) // 2
+        place = data.index(CORPUS.encode()) if name == "state.json" else len(data) // 2
         data[place] ^= 1
         path.write_bytes(data)
     with pytest.raises((CheckpointError, StorageError)) as caught:
@@ -251,12 +176,12 @@ def test_other_recipes_corpora_and_cards(saved: Path) -> None:
     state = load_state(saved)
     facts = {"recipe": state.recipe, "corpus": state.corpus, "device": state.device}
     assert check_resume(state, **facts, exact=True) == ()
-    with pytest.raises(CheckpointError, match=r"learned from c0ffee, this is bad"):
+    with pytest.raises(CheckpointError, match=r"learned from words at random, this is bad"):
         check_resume(state, **(facts | {"corpus": "bad"}))
-    other = describe_recipe(Recipe(rate=2e-3))
+    other = describe_recipe(WordsRecipe(rate=2e-3))
     with pytest.raises(CheckpointError, match=r"rate was 0\.001, is 0\.002"):
         check_resume(state, **(facts | {"recipe": other}))
-    longer = describe_recipe(Recipe(steps=16))
+    longer = describe_recipe(WordsRecipe(steps=16))
     assert check_resume(state, **(facts | {"recipe": longer}), free={"steps"}) == (
         "recipe: steps was 8, is 16",
     )
@@ -269,9 +194,9 @@ def test_other_recipes_corpora_and_cards(saved: Path) -> None:
     assert "torch 1.0" in note
 
 
-def test_another_optimiser_is_refused(saved: Path, tokenizer) -> None:
+def test_another_optimiser_is_refused(saved: Path) -> None:
     state = load_state(saved)
-    learner = Learner(tokenizer)
+    learner = LearnerOfWords()
     sgd = torch.optim.SGD([w for _, w in learner.named], 0.1)
     with pytest.raises(CheckpointError, match="that of AdamW, the optimiser is SGD"):
         restore_optimiser(sgd, state.optimiser, learner.named)
@@ -293,8 +218,8 @@ def test_generators_of_another_number_are_refused(saved: Path) -> None:
     assert torch.cuda.is_available() or "no card 0 here" in lost[0]
 
 
-def test_what_json_does_not_hold_is_refused(tokenizer, tmp_path: Path) -> None:
-    state = replace(Learner(tokenizer).state(), source={"at": object()})
+def test_what_json_does_not_hold_is_refused(tmp_path: Path) -> None:
+    state = replace(LearnerOfWords().state(), source={"at": object()})
     with pytest.raises(CheckpointError, match="not to be written as JSON"):
         save_state(tmp_path, state)
     assert list(tmp_path.iterdir()) == []
@@ -355,9 +280,28 @@ def test_bytes_are_those_of_the_tensors(saved: Path) -> None:
     assert 4 * numbers < measure_state(find_latest(saved)) < 4 * numbers + 500_000
 
 
-def test_secrets_are_never_written(tokenizer, tmp_path: Path) -> None:
-    recipe = describe_recipe(Recipe(hub_token="hf_secret"))
-    save_state(tmp_path, replace(Learner(tokenizer).state(), recipe=recipe))
+def test_secrets_are_never_written(tmp_path: Path) -> None:
+    recipe = describe_recipe(WordsRecipe(hub_token="hf_secret"))
+    save_state(tmp_path, replace(LearnerOfWords().state(), recipe=recipe))
     for path in tmp_path.rglob("*"):
         assert path.is_dir() or b"hf_secret" not in path.read_bytes(), path
-    assert np.array_equal(recipe["shape"], [2, 3])
+    assert recipe["shape"] == [2, 6]
+
+
+@pytest.mark.slow
+def test_ten_kills_change_nothing(tmp_path: Path) -> None:
+    """kill −9 while it trains and saves: the last state or the one before, and the same bits."""
+    tally = kill_training(tmp_path, 10)
+    assert tally.broken == () and tally.last == 10
+    assert tally.equal and tally.step >= 2
+
+
+def test_what_lies_beside_a_model_is_kept_with_it(saved: Path, tmp_path: Path) -> None:
+    def write(folder: Path) -> None:
+        (folder / "prompt.txt").write_text("go", "utf-8")
+
+    path = save_state(tmp_path, load_state(saved), beside=write)
+    load_state(path)
+    (path / "model" / "prompt.txt").write_text("stop", "utf-8")
+    with pytest.raises(CheckpointError, match="2 were written"):
+        load_state(path)

@@ -28,6 +28,7 @@ class TrainingCounters(Config, frozen=True):
         seconds: of training, those of earlier sessions included.
         decisions: answers that the policy gave while it learned.
         epoch: passes over the data that are finished.
+        averaged_steps: updates that the averaged weights have seen.
     """
 
     step: int = 0
@@ -35,6 +36,7 @@ class TrainingCounters(Config, frozen=True):
     seconds: float = 0.0
     decisions: int = 0
     epoch: int = 0
+    averaged_steps: int = 0
 
 
 class FileFacts(Config, frozen=True):

@@ -8,7 +8,7 @@ averaged weights, the optimiser's states, generators and other tensors as safete
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -50,7 +50,7 @@ from gn0.training.state_folder import (
 )
 
 SHARD_MB = 2000
-_MODEL = "model"
+MODEL = "model"
 _AVERAGED, _OPTIMISER, _GENERATORS, _ARRAYS = "averaged", "optimiser", "generators", "arrays"
 _SPARE = 16 << 20  # bytes beside the tensors: tokenizer, JSON, the file system's own
 
@@ -104,6 +104,7 @@ def save_state(
     shard_mb: int = SHARD_MB,
     without_optimiser: bool = False,
     dtype: torch.dtype = torch.float32,
+    beside: Callable[[Path], None] | None = None,
 ) -> Path:
     """Write a state as FOLDER/step-NNNNNNNNN, all of it or nothing; then remove the oldest.
 
@@ -116,6 +117,7 @@ def save_state(
         shard_mb: bytes of a file at most, in 10⁶; a single array may be larger.
         without_optimiser: leave the optimiser's states behind, two thirds of the bytes or more.
         dtype: of model and averaged weights; another than float32 is not exact.
+        beside: writes more files into the folder of the model, such as its prompt.
 
     Returns:
         The folder of the state.
@@ -140,9 +142,11 @@ def save_state(
     limit = shard_mb * 1_000_000
     try:
         with folder_atomic(out, overwrite=True, marker=STATE) as made:
-            save_checkpoint(made / _MODEL, state.checkpoint, shard_mb=shard_mb, dtype=dtype)
-            stated = load_json(made / _MODEL / MANIFEST, dict[str, str])
-            hashes = {f"{_MODEL}/{name}": value for name, value in stated.items()}
+            save_checkpoint(made / MODEL, state.checkpoint, shard_mb=shard_mb, dtype=dtype)
+            if beside is not None:
+                beside(made / MODEL)
+            stated = load_json(made / MODEL / MANIFEST, dict[str, str])
+            hashes = {f"{MODEL}/{name}": value for name, value in stated.items()}
             for name, arrays, kind in (
                 (_AVERAGED, state.averaged, dtype),
                 (_OPTIMISER, optimiser.arrays if optimiser else {}, None),
@@ -153,7 +157,7 @@ def save_state(
                     hashes |= write_shards(made, name, arrays.items(), limit, kind)[0]
             facts = {name: sync_file(made, name, hashes.get(name)) for name in list_files(made)}
             write_state_file(made, _describe(state, optimiser, dtype, facts))
-            sync_folder(made / _MODEL)
+            sync_folder(made / MODEL)
             sync_folder(made)
     except OSError as error:
         raise storage_error(error, out, "write") from error
@@ -277,7 +281,7 @@ def _build_state(folder: Path, file: StateFile) -> TrainingState:
         groups = tuple(file.optimiser.groups)
         optimiser = OptimiserState(file.optimiser.kind, groups, found[_OPTIMISER])
     return TrainingState(
-        checkpoint=load_checkpoint(folder / _MODEL, dtype=dtype),
+        checkpoint=load_checkpoint(folder / MODEL, dtype=dtype),
         counters=file.counters,
         recipe=file.recipe,
         corpus=file.corpus,

@@ -65,6 +65,7 @@ $(RL)/.installed: pyproject.toml constraints.txt
 
 bae: $(BAE)/.installed ## the policy's model by torch, with the newest and the oldest transformers that it takes
 	$(BAE)/bin/python -m pytest -p no:cacheprovider -ra tests/policies/bae tests/policies/qwen tests/training $(PYTEST_FLAGS)
+	$(BAE)/bin/python -m pytest -p no:cacheprovider -ra tests/docs/test_documents.py -k training.md $(PYTEST_FLAGS)
 	PYTHONPATH=$(BAE)/oldest $(BAE)/bin/python -m pytest -p no:cacheprovider -ra tests/policies/bae tests/training $(PYTEST_FLAGS)
 
 $(BAE)/.installed: pyproject.toml

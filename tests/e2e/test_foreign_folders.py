@@ -59,6 +59,7 @@ SUITES = {
     "missions import": ["{it}", "--scenes", "{scene}", "--out", "{new}"],
     "bench suite": ["{it}/scenes/example-flat", "--episodes", "1", "--out", "{new}"],
     "data repair --suite": ["{data}", "--suite", "{it}"],
+    "train tokenizer": ["{it}", "--out", "{new}"],
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
 }
 DATASETS = {
@@ -72,6 +73,7 @@ DATASETS = {
     "export": ["vlnce-r2r", "{it}", "--out", "{new}"],
     "data build into it": ["{suite}", "--layout", "none", "--out", "{it}"],
     "copy": ["{it}", "{new}"],
+    "train tokenizer": ["{it}", "--out", "{new}"],
 }
 SHARDS = {
     "data merge": ["{it}", "--balance", "weights", "--out", "{new}"],

@@ -51,6 +51,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data repair": ("data_repair", "rebuild what is damaged, byte for byte"),
     "data balance": ("data_balance", "balance the actions of a dataset to the paper's shares"),
     "data dagger": ("data_dagger", "states that a policy visits, labelled by the expert"),
+    "train tokenizer": ("train_tokenizer", "words of suites and datasets as tokens of a policy"),
     "copy": ("copy_folder", "a folder to or from an object store: s3://, gs://, hf://"),
     "export": ("export", "a dataset for VLN-CE, LeRobot, NaVid, StreamVLN, NavDP and others"),
     "export check": ("export_check", "check an export for everything its reader assumes"),
@@ -63,6 +64,7 @@ GROUPS = {
     "missions": "generate, import and look at episodes",
     "data": "make samples for training, balance and check them",
     "bench": "run policies, compare and report",
+    "train": "train policies; needs the extra `train`",
 }
 EXAMPLES = """examples:
   gn0 demo --out out/demo

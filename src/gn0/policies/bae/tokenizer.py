@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from tokenizers import AddedToken, Regex, Tokenizer, decoders, normalizers, pre_tokenizers
@@ -16,6 +17,7 @@ from gn0.data.codec import NAVIGATION_TOKENS, without_control_tokens
 from gn0.errors import DataError
 from gn0.policies.bae.tokenizer_file import TokenizerFile
 from gn0.policies.bae.tokens import SPECIALS, TokenIds, find_token_ids
+from gn0.storage import folder_atomic
 
 MERGES = 1500  # enough for the language of generated missions
 # turns of text and pictures, as Qwen3-VL's own template writes them; no tools, no videos
@@ -68,6 +70,18 @@ def train_tokenizer(texts: Iterable[str], merges: int = MERGES) -> Qwen2Tokenize
     tokenizer.chat_template = CHAT
     add_missing_tokens(tokenizer)
     return tokenizer
+
+
+def save_tokenizer(
+    folder: Path | str, tokenizer: PreTrainedTokenizerBase, *, overwrite: bool = False
+) -> None:
+    """Write a tokenizer's folder, which stock transformers loads; all of it or nothing.
+
+    Raises:
+        StorageError: the folder cannot be written, or holds something else.
+    """
+    with folder_atomic(folder, overwrite=overwrite, marker="tokenizer.json") as made:
+        tokenizer.save_pretrained(made)
 
 
 def _read_model(model: Tokenizer) -> dict[str, Any]:

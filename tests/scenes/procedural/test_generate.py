@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from gn0.scenes.folder import load_scene
 from gn0.scenes.procedural import finish, generate
 from gn0.scenes.procedural.draft import Sky
 from gn0.scenes.procedural.generate import GenerateSettings, build_generated, generate_scene
+from gn0.scenes.procedural.palette import Palette
 
 QUICK = GenerateSettings(seed=5, size="small", density=2000, light="draft")
 
@@ -75,6 +77,12 @@ def test_all_that_is_chosen_reaches_the_furnisher(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(ConfigError, match="asked"):
         build_generated(settings, "office")
     assert asked == {"seed": 8, "size": "large", "style": "classic"}
+    thin = msgspec.structs.replace(settings, without=("seats/chair/2",))
+    with pytest.raises(ConfigError, match="asked"):
+        build_generated(thin, "office")
+    style = asked["style"]
+    assert isinstance(style, Palette)
+    assert (style.style.name, style.without) == ("classic", {"seats/chair/2"})
 
 
 @pytest.mark.parametrize("outdoors", [False, True])

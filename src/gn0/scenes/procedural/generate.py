@@ -15,6 +15,7 @@ from gn0.scenes.occupancy import BAND, RESOLUTION, build_occupancy
 from gn0.scenes.procedural.building import choose_palette
 from gn0.scenes.procedural.finish import cover_outlined, floor_area, light_draft
 from gn0.scenes.procedural.kinds import KINDS, KindName, SizeName, StyleName
+from gn0.scenes.procedural.palette import Palette
 from gn0.scenes.procedural.refine_views import refine_draft
 from gn0.scenes.scene import Scene, SceneSourceInfo, name_categories
 from gn0.storage import check_replaceable
@@ -59,8 +60,10 @@ def build_generated(
     kind = KINDS[settings.kind]
     density = kind.density if settings.density is None else settings.density
     progress("furnishing", 0, 1)
-    palette = choose_palette(settings.kind, settings.seed, settings.style, settings.without)
-    draft = kind.draft(settings.seed, size=settings.size, style=palette)
+    style: str | Palette | None = settings.style
+    if settings.without:
+        style = choose_palette(settings.kind, settings.seed, style, settings.without)
+    draft = kind.draft(settings.seed, size=settings.size, style=style)
     progress("furnishing", 1, 1)
     progress("mapping", 0, 1)
     grid = build_occupancy(draft.mesh)

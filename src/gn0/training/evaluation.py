@@ -1,0 +1,367 @@
+"""How good a policy is: its free answers on labelled states, and whole episodes on a device.
+
+Teacher-forced figures prove nothing: here the model reads what it said itself, and walks where its
+own actions lead.
+
+    loop = ClosedLoop(env, pupil, dtype=torch.bfloat16)
+    walks = loop.play()                       # every episode of env once
+    print(summarise_walks(walks)["all"]["SR"])
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gn0.errors import ConfigError
+from gn0.missions.episode import Episode, mission_name
+from gn0.paper import SUCCESS_RADIUS
+from gn0.policies.bae.actor import Actor
+from gn0.policies.bae.policy_settings import SQUARE_NAMES
+from gn0.seeds import random_stream
+from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.state import Action
+from gn0.training.pupil import Pupil
+from gn0.training.samples import LabelledStates, SampleMaker
+
+NEAR = 1.0  # m on foot: the stricter radius
+GO = "go"  # what is said where words are taken away
+Control = Literal["none", "no_words", "shuffled", "no_pictures"]
+CONTROLS: tuple[Control, ...] = ("none", "no_words", "shuffled", "no_pictures")
+
+
+@dataclass(frozen=True)
+class StateScores:
+    """Free answers against the expert's, on N states.
+
+    Attributes:
+        states: how many.
+        actions: share of right actions by place in the answer; the first is what counts.
+        last_median, last_mean: distance of the last waypoint to the expert's [m]; NaN without any.
+        stop_recall: share of states where the expert stops at once in which the policy does.
+        stop_precision: share of states where the policy stops at once in which the expert does.
+        entropy: mean over the slots that are chosen, at temperature 1 [nat].
+    """
+
+    states: int
+    actions: tuple[float, ...]
+    last_median: float
+    last_mean: float
+    stop_recall: float
+    stop_precision: float
+    entropy: float
+
+
+def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> StateScores:
+    """Ask about labelled states, batch by batch.
+
+    Raises:
+        ConfigError: there are none, or they lack a picture that the prompt shows.
+    """
+    if not len(states):
+        raise ConfigError("no states to ask about", where="evaluation", remedy="give some")
+    said, wanted, off, entropy = [], [], [], []
+    way = actor.slots.form.points > 0
+    for begin in range(0, len(states), actor.count):
+        some = states.pick(slice(begin, begin + actor.count))
+        batch = maker.make(some)
+        told = actor.decide(batch.pictures, batch.ids)
+        said.append(told.actions)
+        wanted.append(some.actions[:, : told.actions.shape[1]].long())
+        chosen = (told.entropy > 0).sum(1).clamp(min=1)
+        entropy.append(told.entropy.sum(1) / chosen)
+        if way:
+            last = actor.slots.form.points - 1
+            found = maker.waypoints(told.ids)[:, -1]
+            off.append(torch.linalg.vector_norm(found - some.waypoints[:, last], dim=-1))
+    mine, theirs = torch.cat(said), torch.cat(wanted)
+    stops, right = mine[:, 0] == Action.STOP, theirs[:, 0] == Action.STOP
+    both = float((stops & right).sum())
+    distance = torch.cat(off).double() if way else torch.full((1,), torch.nan)
+    return StateScores(
+        states=len(states),
+        actions=tuple((mine == theirs).double().mean(0).tolist()),
+        last_median=float(distance.quantile(0.5)) if way else float("nan"),
+        last_mean=float(distance.mean()),
+        stop_recall=both / max(int(right.sum()), 1),
+        stop_precision=both / max(int(stops.sum()), 1),
+        entropy=float(torch.cat(entropy).double().mean()),
+    )
+
+
+@dataclass(frozen=True)
+class Walk:
+    """An episode as it was walked.
+
+    Attributes:
+        episode: its id.
+        scene: of it.
+        kind: of the mission, see `gn0.missions.episode.mission_name`.
+        steps: actions, STOP included.
+        stopped: the policy said STOP.
+        length: metres walked.
+        shortest: walking distance to the goal at the start [m].
+        left: the same at the end [m].
+        least: the least on the way [m].
+        success, success_near, oracle: STOP within 3 m and 1 m on foot; ever within 3 m.
+        spl: of `success`.
+        forwards, cut_short: FORWARDs, and those that an obstacle cut short.
+    """
+
+    episode: str
+    scene: str
+    kind: str
+    steps: int
+    stopped: bool
+    length: float
+    shortest: float
+    left: float
+    least: float
+    success: bool
+    success_near: bool
+    oracle: bool
+    spl: float
+    forwards: int
+    cut_short: int
+
+
+class ClosedLoop:
+    """Plays episodes of an environment with a model, as many at once as it has agents.
+
+    A model that learns between two calls plays with what it has then.
+
+    Args:
+        env: its agents; they are reset.
+        pupil: the model and how it is asked; on the device of `env`.
+        dtype: of what is computed, see `Actor`.
+        compiled: see `Actor`.
+        executed: actions of an answer that are carried out; 0: as the settings say.
+        confirm_stop: a STOP behind the first action is asked again.
+
+    Raises:
+        ConfigError: the agents do not see what the prompt shows.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnvDevice,
+        pupil: Pupil,
+        *,
+        dtype: torch.dtype | None = None,
+        compiled: bool = False,
+        executed: int = 0,
+        confirm_stop: bool = False,
+    ) -> None:
+        self.env, self.settings = env, pupil.settings
+        self.executed, self.confirm_stop = executed or self.settings.executed, confirm_stop
+        missing = set(self.settings.sensors(pupil.template)) - {"pose"} - set(env.sensors)
+        if missing:
+            raise ConfigError(
+                f"agents do not see {', '.join(sorted(missing))}",
+                where="evaluation",
+                remedy="open the environment with the sensors of the policy's settings",
+            )
+        self.device: torch.device = pupil.model.device
+        texts = [episode.instruction for episode in env.episodes]
+        self.maker = pupil.maker([*texts, GO], self.device)
+        self.actor = Actor(
+            pupil.model, self.maker.table.layout, pupil.slots, self.settings.frame, env.num_envs,
+            dtype=dtype, compiled=compiled,
+        )  # fmt: skip
+        self.decisions = 0
+
+    def play(
+        self,
+        episodes: Sequence[int] | None = None,
+        *,
+        control: Control = "none",
+        seed: int = 0,
+    ) -> list[Walk]:
+        """Play episodes once each.
+
+        Args:
+            episodes: numbers among `env.tasks.episodes`; all when None.
+            control: what is taken away: the text for another one of the same scene (shuffled), or
+                for `go` (no_words); pictures are black (no_pictures).
+            seed: of the shuffling.
+
+        Returns:
+            walks in the order of `episodes`.
+
+        Raises:
+            ConfigError: no such control.
+            EpisodeError: no such episode.
+        """
+        if control not in CONTROLS:
+            raise ConfigError(
+                f"no control {control!r}", where="control", remedy=f"known: {', '.join(CONTROLS)}"
+            )
+        wanted = list(range(len(self.env.tasks.episodes))) if episodes is None else list(episodes)
+        texts = torch.from_numpy(choose_texts(self.env.episodes, control, seed)).to(self.device)
+        count, walks = self.env.num_envs, []
+        for begin in range(0, len(wanted), count):
+            some = wanted[begin : begin + count]
+            filled = some + [some[-1]] * (count - len(some))  # who has none plays one for nobody
+            walks += self._round(filled, len(some), texts, dark=control == "no_pictures")
+        return walks
+
+    def _round(self, numbers: list[int], real: int, texts: Tensor, *, dark: bool) -> list[Walk]:
+        env = self.env
+        seen, infos = env.reset(seed=0, options={"episode": numbers})
+        own = _take(infos["episode"]).long().clone()
+        pose, distance = _take(infos["pose"]).clone(), _take(infos["distance_to_goal"]).clone()
+        count = len(numbers)
+        zeros = torch.zeros(count, dtype=torch.int64, device=self.device)
+        done = torch.arange(count, device=self.device) >= real
+        book = {
+            "shortest": distance.clone(), "least": distance.clone(), "left": distance.clone(),
+            "length": torch.zeros_like(distance), "steps": zeros.clone(),
+            "forwards": zeros.clone(), "cut_short": zeros.clone(),
+            "stopped": zeros.bool(),
+        }  # fmt: skip
+        last, hit, at = zeros - 1, zeros.bool(), zeros + self.executed
+        plan = torch.zeros((count, self.actor.slots.form.actions), dtype=torch.int64).to(last)
+        steps = 0
+        while not (steps % self.executed == 0 and bool(done.all())):
+            next_up = plan.gather(1, at.clamp(max=plan.shape[1] - 1)[:, None])[:, 0]
+            asked = at >= self.executed
+            if self.confirm_stop:
+                asked |= (at > 0) & (next_up == Action.STOP)
+            # without confirming, all agents are asked at once: the host need not look
+            if bool((asked & ~done).any()) if self.confirm_stop else steps % self.executed == 0:
+                ids = self.maker.prompts(texts[own], pose, last, hit)
+                said = self.actor.decide(self._show(seen, dark), ids).actions
+                plan = torch.where(asked[:, None], said, plan)
+                at = torch.where(asked, 0, at)
+                self.decisions += real
+            action = plan.gather(1, at[:, None])[:, 0]
+            at, steps = at + 1, steps + 1
+            seen, _, terminated, _, infos = env.step(action.to(torch.uint8))
+            final, ended = infos["final_info"], _take(infos["_final_info"]).bool()
+            there = torch.where(ended[:, None], _take(final["pose"]), _take(infos["pose"]))
+            left = torch.where(
+                ended, _take(final["distance_to_goal"]), _take(infos["distance_to_goal"])
+            )
+            cut = torch.where(
+                ended, _take(infos["final_obs"]["collided"]), _take(seen["collided"])
+            ).bool()
+            live = ~done
+            book["steps"] += live
+            book["length"] += live * torch.linalg.vector_norm(there[:, :2] - pose[:, :2], dim=-1)
+            book["least"] = torch.where(live, torch.minimum(book["least"], left), book["least"])
+            book["left"] = torch.where(live, left, book["left"])
+            book["forwards"] += live & (action == Action.FORWARD)
+            book["cut_short"] += live & (action == Action.FORWARD) & cut
+            book["stopped"] |= live & _take(terminated).bool()
+            done = done | ended
+            # whoever ended is in another episode, which nobody counts
+            own = _take(infos["episode"]).long().clone()
+            pose = _take(infos["pose"]).clone()
+            last = torch.where(ended, -1, action)
+            hit = cut & ~ended
+        env.synchronize()
+        found = {name: values.cpu().numpy() for name, values in book.items()}
+        return [
+            _score(env.tasks.episodes[numbers[k]], {n: v[k] for n, v in found.items()})
+            for k in range(real)
+        ]
+
+    def _show(self, seen: Any, dark: bool) -> list[Tensor]:
+        """Pictures of the prompt, in its order."""
+        squares = dict(
+            zip(SQUARE_NAMES, self.settings.view.split(_take(seen["ego_map"])), strict=False)
+            if "ego_map" in seen
+            else ()
+        )
+        shown = [squares[n] if n in squares else _take(seen[n]) for n in self.settings.pictures]
+        return [torch.zeros_like(one) for one in shown] if dark else shown
+
+
+def _take(array: Any) -> Tensor:
+    found: Tensor = torch.from_dlpack(array)
+    return found
+
+
+def _score(episode: Episode, found: dict[str, Any]) -> Walk:
+    left, least, shortest = (float(found[name]) for name in ("left", "least", "shortest"))
+    length, stopped = float(found["length"]), bool(found["stopped"])
+    within = episode.success_within(SUCCESS_RADIUS)
+    success = stopped and left < within
+    longer = max(shortest, length)
+    return Walk(
+        episode=episode.id,
+        scene=episode.scene_id,
+        kind=mission_name(episode.mission),
+        steps=int(found["steps"]),
+        stopped=stopped,
+        length=length,
+        shortest=shortest,
+        left=left,
+        least=least,
+        success=success,
+        success_near=stopped and left < min(within, NEAR),
+        oracle=least < within,
+        spl=(shortest / longer if longer > 0 else 1.0) if success else 0.0,
+        forwards=int(found["forwards"]),
+        cut_short=int(found["cut_short"]),
+    )
+
+
+def choose_texts(episodes: Sequence[Episode], control: Control, seed: int) -> NDArray[np.int64]:
+    """Which text each episode is told, int64 [E]; E itself stands for `go`.
+
+    Shuffled, each text is another episode's of the same scene, and another text where there is one.
+    """
+    own = np.arange(len(episodes))
+    if control == "no_words":
+        return np.full(len(episodes), len(episodes))
+    if control != "shuffled":
+        return own
+    by_scene: dict[str, list[int]] = {}
+    for number, episode in enumerate(episodes):
+        by_scene.setdefault(episode.scene_id, []).append(number)
+    for scene, numbers in by_scene.items():
+        for number in numbers:
+            text, others = episodes[number].instruction, [n for n in numbers if n != number]
+            unlike = [n for n in others if episodes[n].instruction != text] or others
+            if unlike:
+                stream = random_stream(seed, "shuffled texts", scene, episodes[number].id)
+                own[number] = unlike[int(stream.integers(len(unlike)))]
+    return own
+
+
+def summarise_walks(walks: Iterable[Walk]) -> dict[str, dict[str, float]]:
+    """Means by mission kind, and of `all`: shares from 0 to 1, lengths in m.
+
+    `cut_short` is the share of FORWARDs, `STOP` the share of episodes that ended with one.
+    """
+    groups: dict[str, list[Walk]] = {"all": []}
+    for walk in walks:
+        groups["all"].append(walk)
+        groups.setdefault(walk.kind, []).append(walk)
+    return {kind: _summarise(some) for kind, some in groups.items() if some}
+
+
+def _summarise(walks: Sequence[Walk]) -> dict[str, float]:
+    def mean(name: str) -> float:
+        return float(np.mean([float(getattr(walk, name)) for walk in walks]))
+
+    forwards = sum(walk.forwards for walk in walks)
+    return {
+        "episodes": float(len(walks)),
+        "SR": mean("success"),
+        "SR_1m": mean("success_near"),
+        "SPL": mean("spl"),
+        "OS": mean("oracle"),
+        "TL": mean("length"),
+        "NE": mean("left"),
+        "STOP": mean("stopped"),
+        "steps": mean("steps"),
+        "cut_short": sum(walk.cut_short for walk in walks) / max(forwards, 1),
+    }

@@ -1,0 +1,157 @@
+"""Evaluation on a device plays what the benchmark plays, and its figures are what they say."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+from gn0.bench.results import load_results  # noqa: E402
+from gn0.bench.runner import run_suite  # noqa: E402
+from gn0.data.answer_form import AnswerForm  # noqa: E402
+from gn0.device.host import DeviceHost  # noqa: E402
+from gn0.errors import ConfigError  # noqa: E402
+from gn0.policies.bae.actor import Actor  # noqa: E402
+from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
+from gn0.sim.device_env import VectorEnvDevice  # noqa: E402
+from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
+from gn0.training.evaluation import (  # noqa: E402
+    ClosedLoop,
+    choose_texts,
+    score_states,
+    summarise_walks,
+)
+from gn0.training.pupil import Pupil, build_pupil, load_pupil  # noqa: E402
+
+VIEW = MapView(squares=(EgoSquare(32, 0.24, content="occupancy"),))
+SETTINGS = PolicySettings(
+    prompt="short", pictures=("near",), form=AnswerForm(layout="compact"), view=VIEW
+)
+
+
+@pytest.fixture(scope="module")
+def walker(flats_suite, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pupil, Path]:
+    """A pupil of random weights, and its checkpoint."""
+    texts = [episode.instruction for episode in flats_suite.episodes]
+    pupil = build_pupil("nano", SETTINGS, texts, seed=3)
+    with torch.no_grad(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        for weight in pupil.model.parameters():
+            weight.add_(0.1 * torch.randn_like(weight))
+    folder = tmp_path_factory.mktemp("walker") / "checkpoint"
+    pupil.save(folder)  # bfloat16: what is played is what was saved
+    return load_pupil(folder), folder
+
+
+@pytest.fixture(scope="module")
+def env(flats_suite) -> VectorEnvDevice:
+    if not shutil.which("g++"):
+        pytest.skip("the host emulation needs g++")
+    return VectorEnvDevice(
+        4, suite=flats_suite.folder, device=DeviceHost(), sensors=("ego_map",), map_view=VIEW
+    )
+
+
+def test_it_plays_what_the_benchmark_plays(
+    walker, env, flats_suite, tmp_path: Path, worker_here: None
+) -> None:
+    pupil, folder = walker
+    options = {"checkpoint": str(folder), "backend": "torch"}
+    run_suite(flats_suite, "bae", tmp_path / "run", policy_options=options)
+    theirs = {one.episode: one.metrics for one in load_results(tmp_path / "run")}
+    walks = ClosedLoop(env, pupil).play()
+    assert [walk.episode for walk in walks] == [e.id for e in flats_suite.episodes]
+    assert len({walk.steps for walk in walks}) > 1
+    for walk in walks:
+        metrics = theirs[walk.episode]
+        assert metrics is not None
+        assert (walk.steps, walk.success) == (metrics.steps, metrics.success)
+        assert walk.oracle == metrics.oracle_success
+        np.testing.assert_allclose(
+            (walk.length, walk.left, walk.spl, walk.shortest),
+            (metrics.trajectory_length, metrics.navigation_error_geodesic, metrics.spl,
+             metrics.shortest_length), atol=1e-6,
+        )  # fmt: skip
+        assert walk.cut_short == metrics.collisions
+    told = summarise_walks(walks)
+    assert told["all"]["episodes"] == 12
+    assert told["all"]["SR"] == np.mean([one.success for one in theirs.values()])
+    assert set(told) == {"all", "goal"}
+
+
+def test_controls_take_away_what_they_say(walker, env) -> None:
+    loop = ClosedLoop(env, walker[0])
+    shown: list[int] = []
+    asked: list[list[int]] = []
+    decide = loop.actor.decide
+
+    def watch(pictures, prompts):
+        shown.append(int(pictures[0].max()))
+        asked.append(prompts.tolist())
+        return decide(pictures, prompts)
+
+    loop.actor.decide = watch  # type: ignore[method-assign]
+    loop.play([0, 1])
+    told = asked[0][0]
+    assert min(shown) > 0
+    shown.clear()
+    asked.clear()
+    loop.play([0, 1], control="no_pictures")
+    assert max(shown) == 0
+    assert asked[0][0] == told
+    asked.clear()
+    loop.play([0, 1], control="no_words")
+    assert asked[0][0] != told
+    with pytest.raises(ConfigError, match="no control"):
+        loop.play([0], control="silence")  # type: ignore[arg-type]
+
+
+def test_shuffled_texts_are_of_the_same_scene_and_unlike(flats_suite) -> None:
+    episodes = list(flats_suite.episodes)
+    own = choose_texts(episodes, "shuffled", 0)
+    assert np.array_equal(own, choose_texts(episodes, "shuffled", 0))
+    for number, other in enumerate(own):
+        assert episodes[other].scene_id == episodes[number].scene_id
+        unlike = {e.instruction for e in episodes if e.scene_id == episodes[number].scene_id}
+        if len(unlike) > 1:
+            assert episodes[other].instruction != episodes[number].instruction
+    assert choose_texts(episodes, "none", 0).tolist() == list(range(12))
+    assert choose_texts(episodes, "no_words", 0).tolist() == [12] * 12
+
+
+def test_a_stop_is_asked_again_and_three_actions_are_carried_out(walker, env) -> None:
+    pupil = walker[0]
+    plain, sure = ClosedLoop(env, pupil), ClosedLoop(env, pupil, confirm_stop=True)
+    walks = plain.play([0, 1, 2, 3])
+    most = max(walk.steps for walk in walks)
+    assert plain.decisions == 4 * -(-most // 3)
+    assert [w.episode for w in sure.play([0, 1, 2, 3])] == [w.episode for w in walks]
+
+
+def test_states_are_scored_by_free_answers(pupil, draw_states) -> None:
+    states = draw_states(10)
+    actor = Actor(pupil.model.eval(), pupil.table.layout, pupil.slots, pupil.maker.frame, 4)
+    batch = pupil.maker.make(states)
+    said = [
+        actor.decide([one[k : k + 4] for one in batch.pictures], batch.ids[k : k + 4])
+        for k in (0, 4, 8)
+    ]
+    actions = torch.cat([one.actions for one in said])
+    scores = score_states(actor, pupil.maker, states)
+    assert scores.states == 10
+    right = (actions[:, 0] == states.actions[:, 0]).double().mean()
+    assert scores.actions[0] == pytest.approx(float(right))
+    last = torch.cat([pupil.maker.waypoints(one.ids) for one in said])[:, -1]
+    off = (last - states.waypoints[:, 12]).norm(dim=-1)
+    assert scores.last_mean == pytest.approx(float(off.mean()), abs=1e-6)
+    taught = replace(states, actions=actions.to(torch.int8))
+    assert score_states(actor, pupil.maker, taught).actions == (1.0,) * 6
+    assert score_states(actor, pupil.maker, taught).stop_recall in (0.0, 1.0)
+    with pytest.raises(ConfigError, match="no states"):
+        score_states(actor, pupil.maker, states.pick(slice(0, 0)))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import os
 import shutil
+import signal
 from collections import Counter
 from pathlib import Path
 
@@ -25,7 +28,8 @@ from gn0.data.codec import decode_waypoints, write_answer
 from gn0.data.dataset import Dataset, open_dataset
 from gn0.data.episode_frames import read_frames
 from gn0.data.settings import BuildSettings, PictureSettings
-from gn0.errors import ConfigError, DataError, FormatError, StorageError
+from gn0.errors import ConfigError, DataError, FormatError, JobError, StorageError
+from gn0.maps.grid import UNKNOWN, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.bae.prompt_fields import render_prompt, sample_answer, sample_state
@@ -38,7 +42,7 @@ from gn0.render.light import LightCondition
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.ego_map import EgoSquare, MapView
-from gn0.suites.suite import save_suite
+from gn0.suites.suite import build_suite, save_suite
 from gn0.training.picture_jitter import PictureJitter
 from gn0.training.samples import LabelledStates, SampleMaker
 from gn0.training.stream_dataset import StreamDataset
@@ -262,6 +266,46 @@ def test_papers_prompts_and_answers_come_of_a_dataset(cached: Dataset) -> None:
         assert asked.replace("<image>", "") in words.decode(batch.ids[k].tolist())
     with pytest.raises(ConfigError, match="episodes and poses"):
         maker.answers(states.actions, states.waypoints)
+
+
+def test_maps_of_several_scenes_are_brought_to_one_size(tmp_path: Path) -> None:
+    folders = []
+    for name, more in (("small", 6), ("large", 9)):
+        scene = build_example_scene(spacing=0.5)
+        grid = scene.grid
+        wide = np.pad(grid.cells, ((0, 0), (0, more)), constant_values=UNKNOWN)
+        scene = dataclasses.replace(
+            scene, id=name, grid=OccupancyGrid(wide, grid.resolution, grid.origin)
+        )
+        save_scene(scene, tmp_path / name)
+        folders.append(tmp_path / name)
+    found = build_suite(folders, tmp_path / "suite", 2, max_steps=40, camera="tiny_128")
+    dataset = build(found, tmp_path / "data", "none")
+    with pytest.raises(DataError, match="give a map_size"):
+        StreamDataset(dataset, ("bev",)).draw(total(dataset))
+    stream = StreamDataset(dataset, ("bev", "occupancy"), map_size=(96, 80))
+    assert stream.sizes() == {"bev": (96, 80), "occupancy": (96, 80)}
+    assert stream.draw(total(dataset)).pictures["occupancy"].shape[1:] == (80, 96, 3)
+    assert len({width for width, *_ in stream.maps.tolist()}) == 2
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
+def test_a_worker_that_is_killed_is_named(cached: Dataset) -> None:
+    whole = StreamDataset(cached, (), seed=4).draw(24)
+    with StreamDataset(cached, (), workers=2, seed=4) as stream:
+        assert same(stream.draw(8), whole.pick(slice(0, 8)))
+        assert stream._workers is not None
+        for process in stream._workers._hosts._processes.values():
+            os.kill(process.pid, signal.SIGKILL)
+        with pytest.raises(JobError, match="was killed by SIGKILL"):
+            for _ in range(4):
+                place = stream.state()
+                stream.draw(8)
+        stream.restore(place)  # with new workers, from where it stopped
+        begin = place["place"]
+        assert same(
+            stream.draw(8), StreamDataset(cached, (), seed=4).draw(64).pick(slice(begin, begin + 8))
+        )
 
 
 def test_bad_input_says_what_to_do(cached: Dataset, tmp_path: Path) -> None:

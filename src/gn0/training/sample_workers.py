@@ -10,6 +10,7 @@ import contextlib
 import mmap
 import os
 import tempfile
+import weakref
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -151,6 +152,7 @@ class SampleWorkers:
         self._size = measure_batch(layout, count)[1]
         self._workers, self._waits = workers, [0] * slabs
         self._hosts = HostsProcess("gn0.jobs.worker", workers)
+        self._end = weakref.finalize(self, self._hosts.close)  # nobody has to think of it
         self._area, self._memory = _make_area(self._size * slabs)
         try:
             for number in range(workers):
@@ -219,4 +221,4 @@ class SampleWorkers:
 
     def close(self) -> None:
         """End the workers."""
-        self._hosts.close()
+        self._end()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import io
 
+import msgspec
 import pytest
 
-from gn0.bench.breakdown import BINS, CATEGORIES, split_categories, split_lengths
+from gn0.bench.breakdown import BINS, CATEGORIES, split_categories, split_lengths, split_tiers
 from gn0.bench.metrics import EpisodeMetrics
 from gn0.bench.results import EpisodeResult
 from gn0.bench.spreadsheet import COLUMNS, render_csv
@@ -60,6 +61,21 @@ def test_rare_categories_stand_together_and_nobody_is_lost() -> None:
     assert len(bars) == CATEGORIES and bars[0].label == "sofa" and bars[0].shares[0].count == 2
     assert bars[-1].label.endswith("others")
     assert sum(bar.shares[0].count for bar in bars) == len(names)
+
+
+def test_a_table_is_cut_by_the_tier_of_goals() -> None:
+    """With tiers by two bars that hold every scored episode, without any by none."""
+    tiers = {"a": "visible from above", "b": "", "c": "visible from above", "d": ""}
+    episodes = {k: msgspec.structs.replace(episode(k, "sofa"), tier=t) for k, t in tiers.items()}
+    run = [result("a", 3.0), result("b", 3.0, False), result("c", 3.0, False), result("d", None)]
+    bars = split_tiers([run], episodes)
+    assert [(bar.label, bar.shares[0].count, bar.shares[0].success) for bar in bars] == [
+        ("visible from above", 2, 0.5),
+        ("others", 1, 0.0),
+    ]
+    rows = list(csv.DictReader(io.StringIO(render_csv([("x", run)], episodes).decode())))
+    assert [row["tier"] for row in rows] == list(tiers.values())
+    assert split_tiers([run[1:2]], episodes) == []
 
 
 def test_the_csv_gives_numbers_in_full_and_no_formula() -> None:

@@ -118,7 +118,9 @@ def test_it_offers_the_table_as_csv_and_says_how_to_open_an_episode(
     assert [(page.parent / way).resolve() for way in folders] == [run.resolve() for run in runs]
     classes = [a.get("class") for t, a in tags if t == "button"]
     assert classes.count("view") == 12
-    assert [a.get("class") for t, a in tags if t == "table"].count("breakdown") == 2
+    assert [a.get("class") for t, a in tags if t == "table"].count(
+        "breakdown"
+    ) == 3  # length, category, tier
 
 
 def test_it_lands_beside_the_run_and_says_what_is_missing(

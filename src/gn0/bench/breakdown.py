@@ -1,4 +1,4 @@
-"""Success and SPL of runs by path length and by goal category, for the report's histograms."""
+"""Success and SPL of runs by path length, goal category and tier, for the report's histograms."""
 
 from __future__ import annotations
 
@@ -72,6 +72,17 @@ def split_categories(
         together = [[r for own in rest for r in found[own][i]] for i in range(len(runs))]
         bars.append(Bar(f"{len(rest)} others", _shares(together, runs)))
     return bars
+
+
+def split_tiers(
+    runs: Sequence[Sequence[EpisodeResult]], episodes: Mapping[str, Episode]
+) -> list[Bar]:
+    """Scores of goals that the bird's-eye view shows, and of the others; none without tiers."""
+    if not any(episodes[r.episode].tier for run in runs for r in run):
+        return []
+    found = _split(runs, lambda result: episodes[result.episode].tier or "others")
+    order = sorted(found, key=lambda name: (name == "others", name))
+    return [Bar(name, _shares(found[name], runs)) for name in order]
 
 
 def category_of(episode: Episode) -> str:

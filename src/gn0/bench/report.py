@@ -23,7 +23,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from gn0.bench.breakdown import Bar, split_categories, split_lengths
+from gn0.bench.breakdown import Bar, split_categories, split_lengths, split_tiers
 from gn0.bench.episode_clip import ClipScene, render_clip
 from gn0.bench.intervals import Interval
 from gn0.bench.metrics import METRICS
@@ -430,6 +430,7 @@ def _histograms(
     found = [
         ("By path length", "shortest way", split_lengths(results)),
         ("By goal category", "category", split_categories(results, episodes)),
+        ("By tier of goals", "tier", split_tiers(results, episodes)),
     ]
     return [entry for entry in found if entry[2]]
 

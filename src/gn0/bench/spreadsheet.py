@@ -13,7 +13,7 @@ from gn0.missions.episode import Episode, mission_name
 
 _FIELDS = EpisodeMetrics.__struct_fields__
 COLUMNS = (
-    *("policy", "episode", "scene", "mission", "category", "instruction"),
+    *("policy", "episode", "scene", "mission", "category", "tier", "instruction"),
     *("status", "stopped", "reason", *_FIELDS),
 )
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")  # what a spreadsheet takes for a formula
@@ -39,6 +39,7 @@ def render_csv(
                 result.scene,
                 mission_name(episode.mission),
                 category_of(episode),
+                episode.tier,
                 episode.instruction,
                 result.status,
             )

@@ -1,4 +1,4 @@
-"""A model, a tokenizer and samples that are small enough for a CPU; two flats on an emulated GPU."""
+"""A small model, tokenizer and samples; and two flats on the emulation of a GPU."""
 
 from __future__ import annotations
 

@@ -7,10 +7,16 @@ import json
 import numpy as np
 import pytest
 
+from gn0.data.build import build_dataset
+from gn0.data.episode_frames import read_frames
 from gn0.data.field_labels import label_poses
+from gn0.data.settings import BuildSettings, LabelSettings, PictureSettings
+from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, FormatError, SimError
 from gn0.maps.field_expert import ROUNDING
 from gn0.maps.navigation import NavigationMap
+from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.ego_map import read_map_view
 
 torch = pytest.importorskip("torch")
 live = pytest.importorskip("gn0.training.stream_live")
@@ -189,3 +195,44 @@ def test_actions_are_packed_without_loss() -> None:
     assert packed.nbytes == 9
     again = live.unpack_array(live.pack_array(packed, np.uint8), np.uint8, None)
     assert (live.unpack_actions(again, (7, 5)) == actions).all()
+
+
+def test_live_samples_are_a_datasets_of_the_same_states(
+    flats_suite, own_cache, monkeypatch, tmp_path
+):
+    """Labels, distances and ego maps, to the bit; maps without colours, which renderers round."""
+    monkeypatch.setenv("GN0_CACHE", str(own_cache))
+    labels = LabelSettings(variant="field")
+    pictures = PictureSettings(layout="none")
+    dataset = build_dataset(
+        flats_suite, tmp_path / "data", BuildSettings(labels=labels, pictures=pictures)
+    )
+    squares = [{"size": 20, "metres_per_pixel": scale, "content": "occupancy"}
+               for scale in (0.1, 0.27)]  # fmt: skip
+    view = read_map_view({"squares": squares})
+    env = VectorEnvDevice(12, suite=flats_suite.folder, device=DeviceHost(2), map_view=view,
+                          sensors=("ego_map",))  # fmt: skip
+    stream = live.StreamLive(env, StepRing(env, 70), seed=0, fill=1,
+                             stop_distance=labels.stop_distance)  # fmt: skip
+    env.reset(options={"episode": list(range(12))})
+    for _ in range(60):
+        stream.step()
+    states = stream.ring.draw(np.arange(*stream.ring.window))
+    at = {(n, p.tobytes()): k for k, (n, p) in enumerate(
+        zip(states.episode.tolist(), states.pose.numpy(), strict=True))}  # fmt: skip
+    compared = 0
+    for number, episode in enumerate(env.episodes):
+        rows = dataset.rows(episode.id)
+        frames = read_frames(dataset, episode.id, ("ego_map",), map_view=view)
+        for t, (pose, frame) in enumerate(zip(rows.poses, frames, strict=True)):
+            k = at.get((number, np.asarray(pose, np.float64).tobytes()))
+            if k is None:  # it was walked for longer than we looked
+                assert t > 40
+                continue
+            assert states.actions[k].tolist() == rows.actions[t].tolist()
+            assert states.waypoints[k].numpy().tobytes() == rows.waypoints[t].tobytes()
+            assert states.distance[k].item() == rows.distance[t]
+            for name, square in zip(("near", "far"), view.split(frame["ego_map"]), strict=True):
+                np.testing.assert_array_equal(states.pictures[name][k].numpy(), square)
+            compared += 1
+    assert compared > 150

@@ -132,8 +132,10 @@ class ExpertDevice:
         Raises: see `EpisodeStore.pin`.
         """
         store, count = self._simulator.store, 0
-        for part in np.array_split(numbers, -(-len(numbers) // TOGETHER)):
+        by_scene = np.array(sorted(numbers.tolist(), key=lambda n: store.episodes[n].scene_id))
+        for part in np.array_split(by_scene, -(-len(numbers) // TOGETHER)):
             before = store.dropped
+            store.build_fields(part)
             slots = store.pin(part)
             try:
                 self.bring()

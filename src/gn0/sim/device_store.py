@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -41,6 +42,8 @@ from gn0.sim.sensors import MapFrame
 
 _log = logging.getLogger(__name__)
 _WORD = 16  # bytes that a thread of `store_rows` copies
+_BUILDERS = 16  # threads that build fields at most
+_WORTH = 2**26  # bytes on the host that keep as many fields as are built side by side
 
 
 class MapPictures(NamedTuple):
@@ -107,6 +110,7 @@ class EpisodeStore:
         self.dropped = 0
         self.pool = PoolDevice(device, memory)
         self.kernels = kernels
+        self._host_memory = host_memory
         self.ground = GroundStore(scenes, agent.radius, memory=host_memory)
         self._scene_number = {name: k for k, name in enumerate(self.scene_ids)}
         self._rays, self._pictures = rays, pictures
@@ -231,6 +235,17 @@ class EpisodeStore:
         finally:
             self._send_rows(fresh)
         return self._slot_of[numbers]
+
+    def build_fields(self, numbers: NDArray[np.integer]) -> None:
+        """Build those fields of episodes that are not here, side by side, where memory keeps them.
+
+        Raises:
+            EpisodeError, SceneError: see `pin`.
+        """
+        goals = [destination_of(self.episodes[number]) for number in numbers.tolist()]
+        missing = [goal for goal in goals if goal not in self._fields]
+        if self._host_memory >= _WORTH and missing:
+            self.ground.build_all(missing, min(os.cpu_count() or 1, _BUILDERS))
 
     def pin_turned(
         self, numbers: NDArray[np.integer], bases: NDArray[np.float64]

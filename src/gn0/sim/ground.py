@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.errors import EpisodeError, SceneError, SimError
+from gn0.errors import EpisodeError, PlanError, SceneError, SimError
 from gn0.geometry import F64, U8, wrap_angle
 from gn0.maps.bends import find_bends
 from gn0.maps.distance import GeodesicField
@@ -275,6 +276,42 @@ class GroundStore:
             return self._fields[destination]
         navigation, built = self._build(destination)
         packed = pack_field(built, navigation.blocked)
+        self._keep_field(destination, packed)
+        if self.with_ways:
+            self._keep_ways(destination, pack_ways(built, navigation.blocked))
+        return packed
+
+    def build_all(self, destinations: Iterable[Destination], threads: int) -> None:
+        """Build the fields of many destinations side by side, in so many threads.
+
+        Those that memory keeps are found by `field` afterwards. A destination that has none is
+        passed over; `field` says why.
+
+        Raises:
+            EpisodeError, SceneError: see `open`.
+        """
+        missing = [name for name in dict.fromkeys(destinations) if name not in self._fields]
+        grounds = {scene_id: self.open(scene_id) for scene_id in {name[0] for name in missing}}
+
+        def build(destination: Destination) -> tuple[PackedField, PackedWays | None] | None:
+            navigation = grounds[destination[0]]
+            try:
+                field = navigation.geodesic(destination[1], keep=False)
+            except PlanError:
+                return None
+            packed = pack_field(field, navigation.blocked)
+            return packed, pack_ways(field, navigation.blocked) if self.with_ways else None
+
+        with ThreadPoolExecutor(threads) as pool:
+            for name, built in zip(missing, pool.map(build, missing), strict=True):
+                if built is not None:
+                    self.fields_built += 1
+                    self._keep_field(name, built[0])
+                    if built[1] is not None:
+                        self._keep_ways(name, built[1])
+
+    def _keep_field(self, destination: Destination, packed: PackedField) -> None:
+        """Keep a field, for which the least recently used make room."""
         while self._fields and packed.nbytes > self._room:
             gone, field = self._fields.popitem(last=False)
             self._room += field.nbytes
@@ -282,9 +319,6 @@ class GroundStore:
         if packed.nbytes <= self._room:
             self._fields[destination] = packed
             self._room -= packed.nbytes
-        if self.with_ways:
-            self._keep_ways(destination, pack_ways(built, navigation.blocked))
-        return packed
 
     def ways(self, destination: Destination) -> PackedWays:
         """The ways of a destination's field, packed; built where they are not here any more.

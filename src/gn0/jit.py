@@ -116,7 +116,7 @@ def _forgive(kernel: Any) -> Any:
     """
     cache = getattr(kernel, "_cache", None)
     load, save = getattr(cache, "load_overload", None), getattr(cache, "save_overload", None)
-    if cache is None or load is None or save is None:
+    if load is None or save is None or not hasattr(cache, "_impl"):  # none, or nothing is kept
         return kernel
     placed = False
     mine: list[IO[bytes]] = []  # the lock, while this process compiles

@@ -17,11 +17,11 @@ from gn0.jit import njit
 
 @njit
 def inner(x):
-    return np.sort(x)[::-1].cumsum()
+    return x + 1
 
 @njit
 def outer(x):
-    return inner(x) + np.empty(x.shape) * 0.0
+    return inner(x) * 2
 
 @njit
 def faulty(x):
@@ -62,6 +62,7 @@ def start(home: Path, program: str) -> subprocess.Popen[str]:
         env={**kept, "GN0_CACHE": str(home / "cache"), "PYTHONPATH": paths},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
+        cwd=home,
         text=True,
     )
 
@@ -92,3 +93,13 @@ def test_a_kernel_that_cannot_be_compiled_holds_up_no_other(home: Path) -> None:
     assert start(home, USE).communicate("\n", timeout=60)[0] == "2\n"
     broken.communicate("\n")
     assert broken.returncode == 0
+
+
+def test_without_a_cache_no_lock_is_left_behind(home: Path) -> None:
+    source = KERNELS.replace("@njit\ndef inner", "@njit(cache=False)\ndef inner")
+    assert source != KERNELS
+    (home / "shared_kernels.py").write_text(source)
+    user = start(home, USE.replace("(outer, inner)", "(inner,)"))
+    user.communicate("\n", timeout=60)
+    assert user.returncode == 0
+    assert not list(home.rglob("*.lock"))

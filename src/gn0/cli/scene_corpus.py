@@ -24,7 +24,8 @@ a spec (YAML or JSON):
     - {kind: office, count: 2, light: draft}
     - {path: worlds/small_house, split: test}
   splits: {train: 0.7, val_unseen: 0.15, test: 0.15}
-  val_seen: 0.25   # of the training scenes, missions hold out paths"""
+  val_seen: 0.25   # of the training scenes, missions hold out paths
+  held_out: {styles: [classic], variants: 0.25}   # never in training scenes"""
 
 
 class Args(Config, frozen=True):

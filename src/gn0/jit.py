@@ -116,8 +116,8 @@ def _forgive(kernel: Any) -> Any:
     """
     cache = getattr(kernel, "_cache", None)
     load, save = getattr(cache, "load_overload", None), getattr(cache, "save_overload", None)
-    if load is None or save is None or not hasattr(cache, "_impl"):  # none, or nothing is kept
-        return kernel
+    if cache is None or load is None or save is None or not hasattr(cache, "_impl"):
+        return kernel  # there is no cache, or one that keeps nothing
     placed = False
     mine: list[IO[bytes]] = []  # the lock, while this process compiles
 

@@ -18,12 +18,12 @@ from gn0.config import Config
 from gn0.geometry import F32
 from gn0.jit import njit, prange
 from gn0.progress import Progress, no_progress, told_parts
-from gn0.scenes.charts import Charts, build_charts
+from gn0.scenes.charts import Charts, charts_of
 from gn0.scenes.light_field import LightField
 from gn0.scenes.lumels import Lumels, build_lumels
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.procedural.draft import Lamp, Sky, Sun
-from gn0.scenes.rays import STACK, RayCaster, closest_hit
+from gn0.scenes.rays import STACK, RayCaster, caster_of, closest_hit
 from gn0.scenes.shading import Surface
 from gn0.scenes.sky import gather_sky
 from gn0.seeds import derive_seed
@@ -46,6 +46,7 @@ class BakeSettings(Config, frozen=True):
         bounces: how often light is reflected.
         two_sided: light whichever side of a face is open; for meshes of unknown orientation.
         glow: let emission of surfaces light the scene (off where lamps stand for it).
+        across: cells of the search for samples along their reach, see `build_lumels`.
     """
 
     coarse: float = 0.11
@@ -55,9 +56,10 @@ class BakeSettings(Config, frozen=True):
     bounces: int = 4
     two_sided: bool = False
     glow: bool = False
+    across: int = 1
 
 
-DRAFT = BakeSettings(coarse=0.22, fine=0.14, rays=32, samples=4, bounces=3)
+DRAFT = BakeSettings(coarse=0.22, fine=0.14, rays=16, samples=4, bounces=3, across=2)
 
 
 def bake_light(
@@ -89,15 +91,24 @@ def bake_light(
     """
     options = settings or BakeSettings()
     progress("light", 0, 7)
-    charts = charts or build_charts(mesh)
-    caster = RayCaster(mesh)
+    charts = charts or charts_of(mesh)
+    caster = caster_of(mesh)
     blocker = caster
     if opaque is not None and not opaque.all() and opaque.any():
         blocker = RayCaster(_faces_of(mesh, opaque))
     progress("light", 1, 7)
-    coarse = build_lumels(mesh, charts, options.coarse, two_sided=options.two_sided, caster=caster)
+
+    def sample(spacing: float) -> Lumels:
+        return build_lumels(
+            *(mesh, charts, spacing),
+            two_sided=options.two_sided,
+            across=options.across,
+            caster=caster,
+        )
+
+    coarse = sample(options.coarse)
     progress("light", 2, 7)
-    fine = build_lumels(mesh, charts, options.fine, two_sided=options.two_sided, caster=caster)
+    fine = sample(options.fine)
     if options.two_sided:
         coarse, fine = _turn_outward(coarse, caster, seed), _turn_outward(fine, caster, seed)
     progress("light", 3, 7)

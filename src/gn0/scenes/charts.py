@@ -8,6 +8,7 @@ stay close together, seen along their mean normal.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +82,17 @@ def build_charts(mesh: SceneMesh, max_angle: float = 25.0) -> Charts:
     faces = faces[chart[faces] >= 0].astype(np.int32)
     start = np.searchsorted(chart[faces], np.arange(count + 1)).astype(np.int64)
     return _frames(mesh, faces, start, chart, areas, normals, welded)
+
+
+_known: WeakKeyDictionary[SceneMesh, Charts] = WeakKeyDictionary()
+
+
+def charts_of(mesh: SceneMesh) -> Charts:
+    """The charts of a mesh, built once for as long as somebody holds the mesh."""
+    found = _known.get(mesh)
+    if found is None:
+        found = _known[mesh] = build_charts(mesh)
+    return found
 
 
 def _weld(vertices: F64) -> NDArray[np.int64]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.geometry import F64
 from gn0.jit import njit, prange
 from gn0.progress import Progress, no_progress, told_parts
+from gn0.scenes.charts import Charts
 from gn0.scenes.mesh import SceneMesh
-from gn0.scenes.rays import STACK, RayCaster, closest_hit
+from gn0.scenes.rays import STACK, RayCaster, caster_of, closest_hit
 from gn0.seeds import random_stream
 
 _EYES = (0.5, 1.6)  # heights of cameras [m]
@@ -24,6 +26,7 @@ def weigh_views(
     cameras: int = 160,
     sight: float = 8.0,
     seed: int = 0,
+    charts: Charts | None = None,
     progress: Progress = no_progress,
 ) -> F64:
     """Weight of each face for the fineness of its sampling [F], about 1 in the mean.
@@ -31,10 +34,12 @@ def weigh_views(
     Cameras stand at random free places. A face weighs by the cube root of the mean of
     cos / distance² over the cameras that see it: the share of a picture that it fills. (The cube
     root, because that is how the best spacing of surfels depends on the weight of an error.)
-    Cameras see `sight` [m] far. Progress is of the looks at a face.
+    Cameras see `sight` [m] far. Progress is of the looks at a face. With `charts`, of the same
+    mesh, whole pieces of surface are looked at and the faces of each weigh the same.
     """
-    progress("looking round", 0, _LOOKS * len(mesh))
-    caster = RayCaster(mesh)
+    things = len(mesh if charts is None else charts)
+    progress("looking round", 0, _LOOKS * things)
+    caster = caster_of(mesh)
     eyes = _free_places(mesh, caster, cameras, seed)
     areas = mesh.areas()
     if not len(eyes):
@@ -43,25 +48,41 @@ def weigh_views(
     corners = mesh.corners()
     # a large face is judged by several of its points
     rng = random_stream(seed, "exposure")
-    share = np.zeros(len(mesh))
+    share = np.zeros(things)
     normals = mesh.normals()
     for k in range(_LOOKS):
-        bary = rng.dirichlet((1.0, 1.0, 1.0), len(mesh)) if k else np.full((len(mesh), 3), 1 / 3)
-        point = np.einsum("fk,fki->fi", bary, corners) if k else middle
+        if charts is None:
+            bary = rng.dirichlet((1.0, 1.0, 1.0), things) if k else np.full((things, 3), 1 / 3)
+            point, normal = np.einsum("fk,fki->fi", bary, corners) if k else middle, normals
+        else:
+            face = _pick_faces(charts, areas, rng)
+            bary = rng.dirichlet((1.0, 1.0, 1.0), things)
+            point, normal = np.einsum("fk,fki->fi", bary, corners[face]), normals[face]
         own = eyes[k::_LOOKS].copy()
-        for part in told_parts("looking round", len(mesh), _PART, _after(k, progress)):
+        for part in told_parts("looking round", things, _PART, _after(k, things, progress)):
             share[part] += _seen_share(
-                point[part], normals[part], own, caster.boxes, caster.links, caster.corners,
+                point[part], normal[part], own, caster.boxes, caster.links, caster.corners,
                 float(sight) ** 2,
             )  # fmt: skip
+    if charts is not None:
+        of_charts, share = share, np.zeros(len(mesh))
+        share[charts.faces] = np.repeat(of_charts, np.diff(charts.start))
     weight = np.cbrt(share / _LOOKS)
     mean = np.average(weight, weights=areas)
     return np.maximum(weight / max(mean, 1e-9), LEAST)
 
 
-def _after(looks: int, progress: Progress) -> Progress:
-    """A sink for one look at each face, of all."""
-    return lambda stage, done, faces: progress(stage, looks * faces + done, _LOOKS * faces)
+def _pick_faces(charts: Charts, areas: F64, rng: np.random.Generator) -> NDArray[np.int32]:
+    """A face of each chart [C], by chance, the large ones more often."""
+    end = np.cumsum(areas[charts.faces])
+    low = np.concatenate([[0.0], end])[charts.start]
+    at = np.searchsorted(end, low[:-1] + rng.random(len(charts)) * np.diff(low), side="right")
+    return np.asarray(charts.faces[np.clip(at, charts.start[:-1], charts.start[1:] - 1)])
+
+
+def _after(looks: int, things: int, progress: Progress) -> Progress:
+    """A sink for one look at each face or chart, of all."""
+    return lambda stage, done, _: progress(stage, looks * things + done, _LOOKS * things)
 
 
 def _free_places(mesh: SceneMesh, caster: RayCaster, count: int, seed: int) -> F64:

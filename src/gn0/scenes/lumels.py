@@ -34,7 +34,8 @@ class Lumels:
         area: surface that each stands for [L] m².
         radius: reach of a lumel [m].
         origin: corner of the search grid [3] m.
-        shape: cells of the search grid [3]; their size is `radius`.
+        shape: cells of the search grid [3].
+        across: cells along one radius.
         first: first lumel of each cell, and the end [cells + 1].
         two_sided: whether a lumel speaks for both sides of its surface.
     """
@@ -49,6 +50,7 @@ class Lumels:
     shape: NDArray[np.int64]
     first: NDArray[np.int64]
     two_sided: bool = False
+    across: int = 1
 
     def __len__(self) -> int:
         return len(self.point)
@@ -56,16 +58,16 @@ class Lumels:
     def lookup(self, values: F32, point: F32, normal: F32) -> F32:
         """The field of `values` [L, C] at surface points [M, 3] with normals [M, 3]."""
         return _lookup(
-            self.point, self.normal, self.radius, self.origin, self.shape, self.first,
-            self.two_sided, np.ascontiguousarray(values, np.float32),
+            self.point, self.normal, self.radius, self.across, self.origin, self.shape,
+            self.first, self.two_sided, np.ascontiguousarray(values, np.float32),
             np.ascontiguousarray(point, np.float32), np.ascontiguousarray(normal, np.float32),
         )  # fmt: skip
 
     def nearest(self, point: F32, normal: F32) -> NDArray[np.int32]:
         """The lumel that speaks most for each surface point [M]; −1 where none is near."""
         return _nearest(
-            self.point, self.normal, self.radius, self.origin, self.shape, self.first,
-            self.two_sided, np.ascontiguousarray(point, np.float32),
+            self.point, self.normal, self.radius, self.across, self.origin, self.shape,
+            self.first, self.two_sided, np.ascontiguousarray(point, np.float32),
             np.ascontiguousarray(normal, np.float32),
         )  # fmt: skip
 
@@ -76,9 +78,13 @@ def build_lumels(
     spacing: float,
     *,
     two_sided: bool = False,
+    across: int = 1,
     caster: RayCaster | None = None,
 ) -> Lumels:
     """Lumels about `spacing` [m] apart; small faces share theirs with their neighbours.
+
+    They are sorted by cells of which `across` lie along their radius: with two, fewer are looked
+    at in vain, and sums are made in another order.
 
     Surfaces that lie under another one (a lid under a lid, a floor under a rug) get none, lest
     they lend their darkness to what lies on them. `caster`, of the same mesh, saves building it.
@@ -110,7 +116,7 @@ def build_lumels(
     points = cells.point[keep]
     origin = points.min(axis=0) - 1e-3
     extent = points.max(axis=0) + 1e-3 - origin
-    cell = radius
+    cell = radius / across
     while np.prod(np.floor(extent / cell) + 1) > _MAX_CELLS:
         cell *= 1.25
     shape = (np.floor(extent / cell) + 1).astype(np.int64)
@@ -125,11 +131,12 @@ def build_lumels(
         face=cells.face[keep],
         bary=_barycentric(corners, cells.point[keep]),
         area=area[order].astype(np.float32),
-        radius=float(cell),
+        radius=float(cell * across),
         origin=origin,
         shape=shape,
         first=np.searchsorted(index[order], np.arange(int(np.prod(shape)) + 1)).astype(np.int64),
         two_sided=two_sided,
+        across=across,
     )
 
 
@@ -148,13 +155,16 @@ def _barycentric(corners: F64, point: F64) -> F32:
 def _weight(point, normal, i, px, py, pz, nx, ny, nz, reach, two_sided):  # type: ignore[no-untyped-def]
     """How much lumel i says about a point; 0 for none."""
     dx, dy, dz = px - point[i, 0], py - point[i, 1], pz - point[i, 2]
-    d2 = (dx * dx + dy * dy + dz * dz) / (reach * reach)
-    if d2 >= 1.0:
+    square = dx * dx + dy * dy + dz * dz
+    if square > 1.00001 * reach * reach:  # most of them, and a division takes long
         return 0.0
     facing = nx * normal[i, 0] + ny * normal[i, 1] + nz * normal[i, 2]
     if two_sided:
         facing = abs(facing)
     if facing < 0.15:
+        return 0.0
+    d2 = square / (reach * reach)
+    if d2 >= 1.0:
         return 0.0
     off = abs(dx * normal[i, 0] + dy * normal[i, 1] + dz * normal[i, 2])
     off = max(off, abs(dx * nx + dy * ny + dz * nz)) / _PLANE
@@ -163,22 +173,34 @@ def _weight(point, normal, i, px, py, pz, nx, ny, nz, reach, two_sided):  # type
     return near * near * facing * facing * facing * gate * gate + 1e-9 * near
 
 
+@njit(inline="always")
+def _reached(x, y, z, ix, iy, cell, reach, top):  # type: ignore[no-untyped-def]
+    """First cell and end of those of a column that a sphere round a point reaches into."""
+    dx = max(max(ix * cell - x, x - (ix + 1) * cell), 0.0)
+    dy = max(max(iy * cell - y, y - (iy + 1) * cell), 0.0)
+    left = 1.00001 * reach * reach - dx * dx - dy * dy  # rounded up: none is lost
+    if left <= 0.0:
+        return 0, 0
+    far = np.sqrt(left)
+    return max(0, int(np.floor((z - far) / cell))), min(top, int(np.floor((z + far) / cell)) + 1)
+
+
 @njit(parallel=True, error_model="numpy")
-def _lookup(point, normal, reach, origin, shape, first, two_sided, values, query, facing):  # type: ignore[no-untyped-def]
+def _lookup(point, normal, reach, across, origin, shape, first, two_sided, values, query, facing):  # type: ignore[no-untyped-def]
     channels = values.shape[1]
     out = np.zeros((len(query), channels), np.float32)
     for q in prange(len(query)):
         px, py, pz = query[q, 0], query[q, 1], query[q, 2]
         nx, ny, nz = facing[q, 0], facing[q, 1], facing[q, 2]
-        cx = int(np.floor((px - origin[0]) / reach))
-        cy = int(np.floor((py - origin[1]) / reach))
-        cz = int(np.floor((pz - origin[2]) / reach))
+        cell = reach / across
+        x, y, z = px - origin[0], py - origin[1], pz - origin[2]
+        cx, cy = int(np.floor(x / cell)), int(np.floor(y / cell))
         total = 0.0
         red = green = blue = 0.0
-        for ix in range(max(0, cx - 1), min(shape[0], cx + 2)):
-            for iy in range(max(0, cy - 1), min(shape[1], cy + 2)):
+        for ix in range(max(0, cx - across), min(shape[0], cx + across + 1)):
+            for iy in range(max(0, cy - across), min(shape[1], cy + across + 1)):
                 row = (ix * shape[1] + iy) * shape[2]
-                lo, hi = max(0, cz - 1), min(shape[2], cz + 2)
+                lo, hi = _reached(x, y, z, ix, iy, cell, reach, shape[2])
                 if lo >= hi:
                     continue
                 for i in range(first[row + lo], first[row + hi]):
@@ -194,19 +216,19 @@ def _lookup(point, normal, reach, origin, shape, first, two_sided, values, query
 
 
 @njit(parallel=True, error_model="numpy")
-def _nearest(point, normal, reach, origin, shape, first, two_sided, query, facing):  # type: ignore[no-untyped-def]
+def _nearest(point, normal, reach, across, origin, shape, first, two_sided, query, facing):  # type: ignore[no-untyped-def]
     out = np.full(len(query), -1, np.int32)
     for q in prange(len(query)):
         px, py, pz = query[q, 0], query[q, 1], query[q, 2]
         nx, ny, nz = facing[q, 0], facing[q, 1], facing[q, 2]
-        cx = int(np.floor((px - origin[0]) / reach))
-        cy = int(np.floor((py - origin[1]) / reach))
-        cz = int(np.floor((pz - origin[2]) / reach))
+        cell = reach / across
+        x, y, z = px - origin[0], py - origin[1], pz - origin[2]
+        cx, cy = int(np.floor(x / cell)), int(np.floor(y / cell))
         best = 0.0
-        for ix in range(max(0, cx - 1), min(shape[0], cx + 2)):
-            for iy in range(max(0, cy - 1), min(shape[1], cy + 2)):
+        for ix in range(max(0, cx - across), min(shape[0], cx + across + 1)):
+            for iy in range(max(0, cy - across), min(shape[1], cy + across + 1)):
                 row = (ix * shape[1] + iy) * shape[2]
-                lo, hi = max(0, cz - 1), min(shape[2], cz + 2)
+                lo, hi = _reached(x, y, z, ix, iy, cell, reach, shape[2])
                 if lo >= hi:
                     continue
                 for i in range(first[row + lo], first[row + hi]):

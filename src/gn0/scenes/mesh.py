@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,11 @@ class SceneMesh:
         return np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) / 2
 
     def normals(self) -> F64:
-        """Unit face normals [F, 3]; zeros for degenerate faces."""
+        """Unit face normals [F, 3]; zeros for degenerate ones. Computed once, not to be changed."""
+        return self._normals
+
+    @cached_property
+    def _normals(self) -> F64:
         p = self.corners()
         n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
         return n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-30)

@@ -7,6 +7,8 @@ slips through a shared edge.
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,6 +82,21 @@ class RayCaster:
         """Whether anything lies between each origin and `t_max` along its direction [N]."""
         origin, direction, limit = _ray_arrays(origins, directions, t_max)
         return _occlude_rays(self.boxes, self.links, self.corners, origin, direction, limit)
+
+
+_known: WeakKeyDictionary[SceneMesh, RayCaster] = WeakKeyDictionary()
+
+
+def caster_of(mesh: SceneMesh) -> RayCaster:
+    """The ray caster of a mesh, built once for as long as somebody holds the mesh.
+
+    Raises:
+        SceneError: the mesh has no faces, or vertices that are not finite.
+    """
+    found = _known.get(mesh)
+    if found is None:
+        found = _known[mesh] = RayCaster(mesh)
+    return found
 
 
 def _ray_arrays(

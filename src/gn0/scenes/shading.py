@@ -39,6 +39,31 @@ class Shader(Protocol):
         ...
 
 
+class ShaderGrouped(Shader, Protocol):
+    """A shader that can also light neighbouring points together, for a draft."""
+
+    def shade_groups(
+        self, face: NDArray[np.integer], bary: NDArray[np.floating], size: int
+    ) -> SurfaceSample:
+        """As `shade`, but each `size` points that follow each other are lit as their middle.
+
+        They lie close together, on one piece of surface; each has its own albedo.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ShaderOfGroups:
+    """A shader of points that come in groups of `size`, each group whole: lit together."""
+
+    shader: ShaderGrouped
+    size: int
+
+    def shade(self, face: NDArray[np.integer], bary: NDArray[np.floating]) -> SurfaceSample:
+        """Appearance of whole groups of points; see `ShaderGrouped.shade_groups`."""
+        return self.shader.shade_groups(face, bary, self.size)
+
+
 class Surface(Protocol):
     """What a mesh's surface does with light, before any light: reflect and glow."""
 

@@ -112,7 +112,13 @@ class OpenAirShader:
 
     def shade(self, face: NDArray[np.integer], bary: NDArray[np.floating]) -> SurfaceSample:
         """See `Shader.shade`."""
-        sample = self.baked.shade(face, bary)
+        return self.shade_groups(face, bary, 1)
+
+    def shade_groups(
+        self, face: NDArray[np.integer], bary: NDArray[np.floating], size: int
+    ) -> SurfaceSample:
+        """See `ShaderGrouped.shade_groups`."""
+        sample = self.baked.shade_groups(face, bary, size)
         above = np.flatnonzero(self.vault[face])
         if not len(above):
             return sample

@@ -18,10 +18,10 @@ from gn0.errors import SceneError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.geometry import F32, F64
 from gn0.progress import Progress, no_progress, told_parts
-from gn0.scenes.charts import Charts, build_charts
+from gn0.scenes.charts import Charts, charts_of
 from gn0.scenes.discs import THICKNESS, Discs, shape_discs
 from gn0.scenes.mesh import SceneMesh
-from gn0.scenes.rays import RayCaster
+from gn0.scenes.rays import caster_of
 from gn0.scenes.reach import Outlines
 from gn0.scenes.shading import Shader
 from gn0.scenes.tiles import PICKS, Cells, Tiles, fill_tiles, plan_tiles
@@ -101,18 +101,22 @@ def place_surfels(
     seed: int = 0,
     oriented: bool = False,
     unseen: NDArray[np.bool_] | None = None,
+    first: float = 1.0,
     progress: Progress = no_progress,
 ) -> Placement:
     """The discs of a mesh before their colours; see `build_surfels`.
+
+    `first` is the share of `count` that is planned at first: along edges discs become more than
+    planned, and with too many of them all are placed again.
 
     Raises:
         SceneError: the mesh has no area.
     """
     progress("surfels", 0, 6)
-    charts = build_charts(mesh)
+    charts = charts_of(mesh)
     if not len(charts):
         raise SceneError("the mesh has no surface to cover", remedy="check its scale and faces")
-    caster = RayCaster(mesh)
+    caster = caster_of(mesh)
 
     def place(target: int, fineness: F64 | None) -> tuple[Tiles, Cells, Discs]:
         progress("shaping surfels", 0, 4)
@@ -137,7 +141,7 @@ def place_surfels(
         progress=progress,
     )  # fmt: skip
     progress("surfels", 3, 6)
-    target, before = count, np.inf
+    target, before = max(int(first * count), 1), np.inf
     while True:
         tiles, cells, discs = place(target, fineness)
         kept = int(discs.keep.sum())

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from gn0.gaussians.film import develop_film
 from gn0.geometry import F32
-from gn0.scenes.light_field import LightField
+from gn0.scenes.light_field import LightField, LightMerged
 from gn0.scenes.mesh import SceneMesh
 from gn0.scenes.shading import Surface, SurfaceSample
 
@@ -92,11 +92,17 @@ class BakedShader:
 
     mesh: SceneMesh
     surface: Surface
-    light: LightField
+    light: LightField | LightMerged
     tone: ToneCurve
 
     def shade(self, face: NDArray[np.integer], bary: NDArray[np.floating]) -> SurfaceSample:
         """See `Shader.shade`."""
+        return self.shade_groups(face, bary, 1)
+
+    def shade_groups(
+        self, face: NDArray[np.integer], bary: NDArray[np.floating], size: int
+    ) -> SurfaceSample:
+        """See `ShaderGrouped.shade_groups`."""
         weight = np.asarray(bary, np.float64)
         corners = self.mesh.faces[face]
         point = sum(weight[:, k : k + 1] * self.mesh.vertices[corners[:, k]] for k in range(3))
@@ -104,10 +110,13 @@ class BakedShader:
         normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         albedo, emission = self.surface.reflect(face, bary)
-        exposure = self.tone.exposure(point)
-        irradiance = exposure * self.light.irradiance(
-            np.asarray(point, np.float32), np.asarray(normal, np.float32)
-        )
+        lit, facing = np.asarray(point, np.float32), np.asarray(normal, np.float32)
+        if size > 1:
+            lit, facing = lit.reshape(-1, size, 3).mean(axis=1), facing[::size]
+        exposure = self.tone.exposure(point if size == 1 else lit)
+        irradiance = exposure * self.light.irradiance(lit, facing)
+        if size > 1:
+            exposure, irradiance = (np.repeat(v, size, axis=0) for v in (exposure, irradiance))
         albedo = np.asarray(albedo, np.float32)
         return SurfaceSample(
             albedo=albedo,

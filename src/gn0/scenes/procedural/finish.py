@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,13 +12,15 @@ from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.progress import Progress, no_progress
 from gn0.scenes.bake import DRAFT, BakeSettings, bake_light
+from gn0.scenes.charts import charts_of
 from gn0.scenes.exposure import LEAST, weigh_views
 from gn0.scenes.procedural.draft import SceneDraft
 from gn0.scenes.procedural.surface import ProceduralSurface
 from gn0.scenes.reach import Outlines
-from gn0.scenes.shading import Shader
+from gn0.scenes.shading import Shader, ShaderGrouped, ShaderOfGroups
 from gn0.scenes.sky import OpenAirShader, find_vault
 from gn0.scenes.surfels import Placement, outlines_of, place_surfels, shade_surfels
+from gn0.scenes.tiles import PICKS
 from gn0.scenes.tone import BakedShader, choose_exposure
 
 DARK = 0.01  # of the median irradiance: less is not seen
@@ -23,7 +28,34 @@ CAMERAS = 160  # that judge what is seen closely, up to 140 m² of floor
 CAMERAS_PER_M2 = 1.15  # in larger halls: each sees `SIGHT` far
 SIGHT = 8.0  # m
 SIGHT_OUTDOORS = 45.0  # m: walls all round a yard are in the pictures
-QUALITIES = {"normal": BakeSettings(), "draft": DRAFT}
+
+
+@dataclass(frozen=True)
+class Quality:
+    """The care taken over a scene's looks.
+
+    Attributes:
+        bake: of the light.
+        cameras: share of the cameras that judge what is seen closely.
+        charts: judge whole pieces of surface instead of faces.
+        first: see `place_surfels`.
+        together: light the points of a cell together.
+        merged: look up direct and bounced light at once; indoors, for the dark feet of house
+            fronts would widen.
+    """
+
+    bake: BakeSettings
+    cameras: float = 1.0
+    charts: bool = False
+    first: float = 1.0
+    together: bool = False
+    merged: bool = False
+
+
+QUALITIES = {
+    "normal": Quality(BakeSettings()),
+    "draft": Quality(DRAFT, cameras=0.6, charts=True, first=0.66, together=True, merged=True),
+}
 
 
 def floor_area(draft: SceneDraft) -> float:
@@ -49,8 +81,7 @@ def light_draft(
     Raises:
         ConfigError: no such quality.
     """
-    if quality not in QUALITIES:
-        raise ConfigError(f"no bake quality {quality!r}", remedy="known: " + ", ".join(QUALITIES))
+    care = _quality(quality)
     vault = find_vault(draft.mesh, draft.materials)
     mesh = draft.mesh.select(~vault) if draft.sky is not None else draft.mesh
     surface = ProceduralSurface(mesh, draft.materials)
@@ -60,7 +91,7 @@ def light_draft(
         draft.lamps,
         draft.sun,
         sky=draft.sky,
-        settings=QUALITIES[quality],
+        settings=care.bake,
         opaque=surface.opaque(),
         seed=seed,
         progress=progress,
@@ -68,7 +99,7 @@ def light_draft(
     baked = BakedShader(
         draft.mesh,
         ProceduralSurface(draft.mesh, draft.materials),
-        light,
+        light.merged() if care.merged and draft.sky is None else light,
         choose_exposure(light),
     )
     if draft.sky is None:
@@ -76,19 +107,38 @@ def light_draft(
     return OpenAirShader(baked, vault, max(draft.sky.horizon) * draft.sky.shown)
 
 
+def _quality(name: str) -> Quality:
+    if name not in QUALITIES:
+        raise ConfigError(f"no bake quality {name!r}", remedy="known: " + ", ".join(QUALITIES))
+    return QUALITIES[name]
+
+
 def place_draft(
     draft: SceneDraft,
     shader: Shader,
     count: int,
     *,
+    quality: str = "normal",
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> Placement:
-    """At most `count` discs on the surfaces of a draft, finer where one looks closely."""
+    """At most `count` discs on the surfaces of a draft, finer where one looks closely.
+
+    Raises:
+        ConfigError: no such quality.
+    """
+    care = _quality(quality)
     cameras, sight = max(CAMERAS, int(CAMERAS_PER_M2 * floor_area(draft))), SIGHT
     if draft.sky is not None:
         cameras, sight = CAMERAS, SIGHT_OUTDOORS
-    weight = weigh_views(draft.mesh, cameras=cameras, sight=sight, seed=seed, progress=progress)
+    weight = weigh_views(
+        draft.mesh,
+        cameras=int(care.cameras * cameras),
+        sight=sight,
+        seed=seed,
+        charts=charts_of(draft.mesh) if care.charts else None,
+        progress=progress,
+    )
     return place_surfels(
         draft.mesh,
         shader,
@@ -97,34 +147,39 @@ def place_draft(
         seed=seed,
         oriented=True,
         unseen=weight <= LEAST,
+        first=care.first,
         progress=progress,
     )
 
 
 def cover_draft(
     draft: SceneDraft,
-    shader: Shader,
+    shader: ShaderGrouped,
     count: int,
     *,
+    quality: str = "normal",
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> GaussianCloud:
     """At most `count` Gaussians that show a lit draft, labelled by object index."""
-    return cover_outlined(draft, shader, count, seed=seed, progress=progress)[0]
+    options: dict[str, Any] = {"quality": quality, "seed": seed, "progress": progress}
+    return cover_outlined(draft, shader, count, **options)[0]
 
 
 def cover_outlined(
     draft: SceneDraft,
-    shader: Shader,
+    shader: ShaderGrouped,
     count: int,
     *,
+    quality: str = "normal",
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> tuple[GaussianCloud, Outlines]:
     """`cover_draft`, and how far each of its splats may reach."""
-    placement = place_draft(draft, shader, count, seed=seed, progress=progress)
+    sight: Shader = ShaderOfGroups(shader, PICKS) if _quality(quality).together else shader
+    placement = place_draft(draft, sight, count, quality=quality, seed=seed, progress=progress)
     progress("surfels", 5, 6)
-    cloud = shade_surfels(placement, shader, np.arange(max(len(draft.objects), 1)), progress)
+    cloud = shade_surfels(placement, sight, np.arange(max(len(draft.objects), 1)), progress)
     progress("surfels", 6, 6)
     lit = _find_lit(cloud)
     return cloud.select(lit), outlines_of(placement).select(lit)

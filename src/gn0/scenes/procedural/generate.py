@@ -30,7 +30,8 @@ class GenerateSettings(Config, frozen=True):
         size: of the kind's three; `KINDS[kind].areas` says how many m² of floor.
         style: style of the furnishing; drawn from the seed when None.
         density: Gaussians per square metre of floor; the kind's own when None.
-        light: "normal", or "draft" for a bake that takes a third of the time.
+        light: "normal", or "draft" for coarser light and up to a tenth fewer Gaussians, in less
+            than half of the time.
         cloud_form: "exact" (`point_cloud.ply`) or "packed" (`3dgs_compressed.ply`).
         refine: fit the Gaussians to ray-traced pictures: sharper outlines, minutes of work.
         without: forms of furniture that it goes without, as "seats/chair/2"; see `forms.FORMS`.
@@ -71,7 +72,9 @@ def build_generated(
     shader = light_draft(draft, quality=settings.light, seed=settings.seed, progress=progress)
     area = floor_area(draft)
     count = int(density * area)
-    cloud, outlines = cover_outlined(draft, shader, count, seed=settings.seed, progress=progress)
+    cloud, outlines = cover_outlined(
+        draft, shader, count, quality=settings.light, seed=settings.seed, progress=progress
+    )
     if settings.refine:
         cloud = refine_draft(
             draft, shader, cloud, outlines, area=area, seed=settings.seed, progress=progress

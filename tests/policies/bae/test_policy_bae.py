@@ -17,8 +17,12 @@ from gn0.data.answer_slots import ACTION  # noqa: E402
 from gn0.errors import CheckpointError, ConfigError, PolicyError  # noqa: E402
 from gn0.geometry import Pose2D  # noqa: E402
 from gn0.plugins import build_plugin  # noqa: E402
+from gn0.policies.bae.checkpoint import load_checkpoint  # noqa: E402
+from gn0.policies.bae.engines import open_engine  # noqa: E402
+from gn0.policies.bae.forward import ForwardConstant  # noqa: E402
 from gn0.policies.bae.policy_bae import PolicyBae  # noqa: E402
 from gn0.policies.bae.policy_settings import load_policy_settings  # noqa: E402
+from gn0.policies.bae.questions import Questions, list_allowed  # noqa: E402
 from gn0.sim.state import Action, Observation  # noqa: E402
 from gn0.testing.policy_check import check_policy  # noqa: E402
 
@@ -172,3 +176,40 @@ def test_other_pictures_and_texts_than_trained_on_are_refused(checkpoint: Path) 
 
 def without_maps(seen: Observation) -> Observation:
     return Observation(0, 0.0, "", pose=seen.pose)
+
+
+@pytest.mark.slow
+def test_2000_greedy_answers_of_numpy_are_those_of_torch(checkpoint: Path) -> None:
+    """Where they differ, torch holds both of the first tokens that do for equally probable."""
+    count, batch = 2000, 100
+    questions = Questions(checkpoint)
+    numpy, plain = (
+        open_engine(questions, backend, "cpu", "float32", batch) for backend in ("numpy", "torch")
+    )
+    allowed = list_allowed(questions.slots, questions.settings.frame)
+    model = load_checkpoint(checkpoint).model
+    forward = ForwardConstant(model, questions.layout, len(allowed))
+    stream = np.random.default_rng(0)
+    equal, distinct = 0, set()
+    for _ in range(count // batch):
+        pictures = [
+            stream.integers(0, 256, (batch, size.height, size.width, 3), dtype=np.uint8)
+            for size in questions.layout.sizes
+        ]
+        ids = np.stack([
+            questions.fill("go to the sofa", int(stream.integers(-1, 4)), stream.random() < 0.3,
+                           float(stream.uniform(-3, 3))) for _ in range(batch)
+        ])  # fmt: skip
+        one, other = numpy.answer(pictures, ids), plain.answer(pictures, ids)
+        same = (one == other).all(1)
+        equal += int(same.sum())
+        distinct |= set(map(bytes, other))
+        for row in np.flatnonzero(~same):
+            slot = int(np.argmax(one[row] != other[row]))
+            with torch.no_grad():
+                features = forward.encode([torch.from_numpy(p[row : row + 1]) for p in pictures])
+                told = torch.from_numpy(ids[row : row + 1]), torch.from_numpy(other[row : row + 1])
+                logits = forward.logits(features, *told)[0, slot]
+            assert abs(float(logits[one[row, slot]] - logits[other[row, slot]])) < 1e-4
+    assert len(distinct) > count / 4  # they hang on what is shown
+    assert equal >= 0.999 * count

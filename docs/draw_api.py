@@ -29,11 +29,14 @@ INDEX = [
 ]
 WIDTH = 96  # of a signature's line
 
+EXTRA = {"training"}  # needs the extra of its name; docs/training.md tells of it
+
 
 def namespaces() -> list[str]:
-    """The root, then the namespaces below it."""
+    """The root, then the namespaces below it that the core installs."""
     stubs = (ROOT / "src/gn0").glob("*/__init__.pyi")
-    return ["gn0", *sorted(f"gn0.{stub.parent.name}" for stub in stubs)]
+    rooms = (stub.parent.name for stub in stubs)
+    return ["gn0", *sorted(f"gn0.{room}" for room in rooms if room not in EXTRA)]
 
 
 def tell_annotation(annotation: Any) -> str:

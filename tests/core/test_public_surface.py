@@ -59,8 +59,13 @@ reveal_type(walk(Path("flat")).success)
 """
 
 
+EXTRA = {"gn0.training": "torch"}  # rooms whose names need an extra, and how it shows
+
+
 @pytest.mark.parametrize("name", NAMESPACES)
 def test_every_public_name_is_there(name: str) -> None:
+    if name in EXTRA:
+        pytest.importorskip(EXTRA[name])
     module = import_module(name)
     assert module.__all__ == sorted(module.__all__)
     for key in module.__all__:
@@ -74,9 +79,11 @@ def test_every_public_name_is_there(name: str) -> None:
 
 
 def test_the_surface_is_shallow() -> None:
-    assert len(NAMESPACES) <= 13, NAMESPACES
-    public = {key for name in NAMESPACES for key in import_module(name).__all__}
+    core = [name for name in NAMESPACES if name not in EXTRA]
+    assert len(core) <= 13, core
+    public = {key for name in core for key in import_module(name).__all__}
     assert len(public) < 250  # each is a promise
+    assert all(len(import_module(name).__all__) < 30 for name in EXTRA)
     assert gn0.load_scene is gn0.scenes.load_scene
 
 

@@ -60,6 +60,7 @@ SUITES = {
     "bench suite": ["{it}/scenes/example-flat", "--episodes", "1", "--out", "{new}"],
     "data repair --suite": ["{data}", "--suite", "{it}"],
     "train tokenizer": ["{it}", "--out", "{new}"],
+    "train sft": ["{it}", "--samples", "4", "--out", "{new}"],
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
 }
 DATASETS = {

@@ -64,7 +64,8 @@ class LossForward(nn.Module):
         self.distance: nn.Linear | None = None
         if recipe.distance_weight:
             self.distance = nn.Linear(forward.architecture.text.hidden, 1)
-            nn.init.zeros_(self.distance.weight)
+            nn.init.zeros_(self.distance.weight)  # no draw: runs of a seed are alike
+            nn.init.zeros_(self.distance.bias)
 
     def forward(self, batch: SampleBatch) -> Losses:
         """Losses of a batch."""

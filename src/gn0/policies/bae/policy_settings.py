@@ -25,7 +25,7 @@ from gn0.storage import read_bytes, write_bytes, write_json
 
 FILE = "policy.json"
 LIMIT = 2**20  # bytes of it
-SQUARE_NAMES = ("near", "far", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
+SQUARE_NAMES = ("near", "far", *(f"square_{number}" for number in range(2, 8)))
 """Names that prompts give the squares of `ego_map`, in their order."""
 
 _VIEWS = ("rgb", "history", "goal_picture")

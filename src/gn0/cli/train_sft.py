@@ -1,0 +1,158 @@
+"""Train a policy on what the expert would do: supervised fine-tuning, the paper's first stage.
+
+States come from the expert's own walks through a suite (walks), from anywhere in its scenes
+(uniform), or from a dataset; pictures and labels are made beside the learner, on its card. A run
+that was stopped goes on when the same command is given again. The trained policy is in OUT/policy,
+and `gn0 bench run SUITE --policy bae --policy-option checkpoint=OUT/policy` examines it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 train sft out/suite --out out/sft
+  gn0 train sft out/suite --source uniform --pictures near,far --minutes 8 --out out/sft
+  gn0 train sft out/suite --pictures rgb,history --points 0 --samples 4000000 --out out/views
+  gn0 train sft out/dataset --source dataset --recipe pretrained --start Qwen3-VL-4B-Instruct \\
+      --prompt paper_planning --lora 16 --out out/sft-4b
+  gn0 train sft out/suite --size nano --samples 2000 --device host --out out/tried"""
+
+
+class Args(Config, frozen=True):
+    """What to train, on what, and how.
+
+    Attributes:
+        suite: a suite folder, as `gn0 missions generate` writes; a dataset's with --source dataset.
+        out: the folder of the run; an interrupted one there goes on.
+        source: where states come from: walks of the expert, uniform over the scenes, or a dataset.
+        split: splits of the suite to learn from, with commas between; all for all.
+        held_out: splits to be examined in, with commas between; empty for none.
+        recipe: how it learns: scratch, from random weights; pretrained, the paper's rates.
+        size: of a model from random weights: nano (2 M) or tiny (17 M).
+        start: a folder to start from instead: a policy, or any Qwen3-VL as safetensors.
+        prompt: a prompt of `gn0 list prompts`, or the path of one.
+        pictures: what the prompt shows, with commas between: rgb, history, and near, far of the
+            ego map.
+        without: parts of the prompt that are left out, with commas between.
+        points: waypoints of an answer; 0 for actions alone.
+        layout: of answers: compact or json.
+        preset: of the cameras, as in `gn0 list presets`.
+        samples: to learn from.
+        minutes: of training at most; the rate falls in time for it.
+        batch: samples of a step; the recipe's when 0.
+        rate: the learning rate; the recipe's when 0.
+        stop_weight: of an answer's first STOP; the recipe's when 0.
+        lora: rank of adapters, instead of training the whole language model.
+        agents: that gather states side by side.
+        kept: states of walks that batches are drawn from.
+        ratio: new states of walks a sample.
+        workers: processes that read a dataset.
+        examined: episodes of an examination.
+        report: steps from report to report.
+        save: steps from checkpoint to checkpoint; 0 for one at the end.
+        examine: steps from examination to examination; 0 for one at the end.
+        shard_mb: megabytes of a checkpoint's file at most.
+        drop_optimiser: leave the optimiser's states out of checkpoints: a third of the bytes, and
+            whoever goes on warms the rate again.
+        seed: of weights, states and order.
+        device: auto, cuda, or host (the emulation: slow, for trials).
+        fresh: forget what an earlier command left in the output folder, instead of going on.
+    """
+
+    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
+    out: str
+    source: Literal["walks", "uniform", "dataset"] = "walks"
+    split: str = "train"
+    held_out: str = "val_unseen"
+    recipe: Literal["scratch", "pretrained"] = "scratch"
+    size: str = "tiny"
+    start: str = ""
+    prompt: str = "short"
+    pictures: str = "near,far"
+    without: str = ""
+    points: Annotated[int, msgspec.Meta(ge=0, le=64)] = 13
+    layout: Literal["compact", "json"] = "compact"
+    preset: str = "tiny_128"
+    samples: Annotated[int, msgspec.Meta(ge=1)] = 8_000_000
+    minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
+    batch: Annotated[int, msgspec.Meta(ge=0)] = 0
+    rate: Annotated[float, msgspec.Meta(ge=0)] = 0
+    stop_weight: Annotated[float, msgspec.Meta(ge=0)] = 0
+    lora: Annotated[int, msgspec.Meta(ge=0)] = 0
+    agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
+    kept: Annotated[int, msgspec.Meta(ge=1)] = 200_000
+    ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
+    workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
+    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
+    report: Annotated[int, msgspec.Meta(ge=1)] = 50
+    save: Annotated[int, msgspec.Meta(ge=0)] = 1000
+    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
+    shard_mb: Annotated[int, msgspec.Meta(ge=1)] = 2000
+    drop_optimiser: bool = False
+    seed: int = 0
+    device: str = "auto"
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
+
+
+def run(args: Args) -> int:
+    """Train, and say where the policy lies."""
+    import sys
+
+    from gn0.cli.train_packages import check_packages
+    from gn0.config import check_config
+    from gn0.data.answer_form import AnswerForm
+    from gn0.policies.bae.policy_settings import PolicySettings
+
+    check_packages()
+    from gn0.training.recipe import RECIPES
+    from gn0.training.sft import SftJob, train_sft
+    from gn0.training.stage import StagePlan
+
+    given = {"batch": args.batch, "rate": args.rate, "stop_weight": args.stop_weight}
+    chosen = {name: value for name, value in given.items() if value}
+    job = SftJob(
+        suite=args.suite,
+        source=args.source,
+        splits=() if args.split == "all" else _split(args.split),
+        held_out=_split(args.held_out),
+        size=args.size,
+        start=args.start,
+        settings=PolicySettings(
+            prompt=args.prompt,
+            pictures=_split(args.pictures),
+            form=AnswerForm(points=args.points, layout=args.layout),
+            without=_split(args.without),
+            preset=args.preset,
+        ),
+        recipe=msgspec.structs.replace(RECIPES[args.recipe], lora=args.lora, **chosen),
+        plan=StagePlan(
+            samples=args.samples,
+            minutes=args.minutes or None,
+            report=args.report,
+            save=args.save,
+            examine=args.examine,
+            shard_mb=args.shard_mb,
+            keep_optimiser=not args.drop_optimiser,
+        ),
+        agents=args.agents,
+        kept=args.kept,
+        ratio=args.ratio,
+        workers=args.workers,
+        examined=args.examined,
+        seed=args.seed,
+    )
+    policy = train_sft(
+        check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
+    )
+    print(f"written to {policy}")
+    print(f"next: gn0 bench run {args.suite} --policy bae --policy-option checkpoint={policy}")
+    return 0
+
+
+def _split(text: str) -> tuple[str, ...]:
+    return tuple(one.strip() for one in text.split(",") if one.strip())

@@ -1,0 +1,14 @@
+from gn0.errors import CheckpointError as CheckpointError
+from gn0.errors import TrainingError as TrainingError
+from gn0.policies.bae.policy_settings import PolicySettings as PolicySettings
+from gn0.training.picture_jitter import PictureJitter as PictureJitter
+from gn0.training.recipe import Recipe as Recipe
+from gn0.training.samples import LabelledStates as LabelledStates
+from gn0.training.samples import SampleMaker as SampleMaker
+from gn0.training.samples import Stream as Stream
+from gn0.training.sft import SftJob as SftJob
+from gn0.training.sft import train_sft as train_sft
+from gn0.training.stage import StagePlan as StagePlan
+from gn0.training.stream_dataset import StreamDataset as StreamDataset
+from gn0.training.stream_live import StreamLive as StreamLive
+from gn0.training.stream_uniform import StreamUniform as StreamUniform

@@ -1,0 +1,117 @@
+"""How a policy in training does where it never learned: free answers, and whole walks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+from gn0.device.device import Device
+from gn0.policies.bae.actor import Actor
+from gn0.training.evaluation import ClosedLoop, score_states, summarise_walks
+from gn0.training.learner import Learner
+from gn0.training.pupil import Pupil
+from gn0.training.samples import LabelledStates, SampleMaker
+from gn0.training.step_ring import StepRing
+from gn0.training.stream_live import StreamLive
+from gn0.training.worlds import Lessons, list_squares, load_lessons, open_world
+
+STATES, ASKED = 4096, 512  # fixed states of the expert's walks, and how many are asked at once
+AGENTS = 64  # that walk to them
+
+
+class Examination:
+    """Examines a policy with its averaged weights; the next step of training knows nothing of it.
+
+    Worlds, states and graphs are made at the first examination and kept.
+
+    Args:
+        pupil: what is examined.
+        learner: whose weights it has.
+        suite: where.
+        splits: of the suite.
+        card: the device of the agents.
+        episodes: that are walked; 0 for none.
+        states: of the expert's walks, that are asked about.
+        seed: of the states.
+    """
+
+    def __init__(
+        self,
+        pupil: Pupil,
+        learner: Learner,
+        suite: str,
+        splits: Sequence[str],
+        card: Device,
+        *,
+        episodes: int,
+        states: int = STATES,
+        seed: int = 0,
+    ) -> None:
+        self.pupil, self.learner, self.card = pupil, learner, card
+        self.suite, self.splits = suite, tuple(splits)
+        self.episodes, self.count, self.seed = episodes, states, seed
+        self._dtype = learner.autocast
+
+    def __call__(self) -> dict[str, float]:
+        """What was measured, by name; shares from 0 to 1, lengths in m."""
+        pupil = self.pupil
+        training = pupil.model.training
+        pupil.model.eval()
+        try:
+            with self.learner.averaged_weights():
+                found = self._ask()
+                if self.episodes:
+                    found |= self._walk()
+        finally:
+            pupil.model.train(training)
+        return found
+
+    @cached_property
+    def _lessons(self) -> Lessons:
+        return load_lessons(self.suite, self.splits)
+
+    @cached_property
+    def _states(self) -> tuple[SampleMaker, Actor, LabelledStates]:
+        pupil, lessons = self.pupil, self._lessons
+        agents = min(AGENTS, self.count)
+        world = open_world(lessons, pupil.settings, agents, device=self.card)
+        steps = max(17, -(-self.count // agents))
+        ring = StepRing(world, steps, names=list_squares(pupil.settings))
+        stream = StreamLive(world, ring, seed=self.seed, fill=steps, dark=0.0)
+        states = stream.draw(self.count)
+        maker = pupil.maker(stream.texts, pupil.model.device)
+        asked = min(ASKED, self.count)
+        layout, frame = maker.table.layout, pupil.settings.frame
+        actor = Actor(pupil.model, layout, pupil.slots, frame, asked, dtype=self._dtype)
+        world.close()
+        return maker, actor, states
+
+    @cached_property
+    def _loop(self) -> ClosedLoop:
+        lessons = self._lessons
+        agents = min(self.episodes, len(lessons.episodes))
+        world = open_world(lessons, self.pupil.settings, agents, device=self.card)
+        return ClosedLoop(world, self.pupil, dtype=self._dtype)
+
+    def _ask(self) -> dict[str, float]:
+        maker, actor, states = self._states
+        scores = score_states(actor, maker, states)
+        return {
+            "first_action": scores.actions[0],
+            "all_actions": sum(scores.actions) / len(scores.actions),
+            "waypoint_12_median": scores.last_median,
+            "waypoint_12_mean": scores.last_mean,
+            "stop_recall": scores.stop_recall,
+            "stop_precision": scores.stop_precision,
+            "entropy": scores.entropy,
+        }
+
+    def _walk(self) -> dict[str, float]:
+        loop, episodes = self._loop, self._lessons.episodes
+        stride = max(1, len(episodes) // self.episodes)
+        picked = list(range(0, len(episodes), stride))[: self.episodes]
+        found: dict[str, float] = {}
+        for kind, means in summarise_walks(loop.play(picked)).items():
+            end = "" if kind == "all" else f"_{kind}"
+            found |= {f"{name}{end}": value for name, value in means.items()}
+        return found

@@ -1,0 +1,228 @@
+"""The loop that all stages of learning from labels share: draw, learn, report, save, examine.
+
+A stage goes on to the bit where its stream does: what decides the next step is in its state.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+
+from gn0.config import Config
+from gn0.training.generators import capture_generators, restore_generators
+from gn0.training.learner import GROUPS, Learner
+from gn0.training.loss_guard import LossGuard
+from gn0.training.optimiser_state import capture_optimiser, restore_optimiser
+from gn0.training.progress_line import ProgressLine, TrainingReport
+from gn0.training.pupil import Pupil
+from gn0.training.run_folder import RunFolder
+from gn0.training.samples import SampleMaker, Stream
+from gn0.training.schedule import Schedule
+from gn0.training.tally import Tally
+from gn0.training.training_state import TrainingCounters, TrainingState, name_device
+
+Steps = Annotated[int, msgspec.Meta(ge=1)]
+Examine = Callable[[], Mapping[str, float]]
+AUXILIARY = "distance."  # weights that are dropped when a policy is saved
+
+
+class StagePlan(Config, frozen=True):
+    """How long a stage lasts, and what it says on the way.
+
+    Attributes:
+        samples: to learn from at most, those of before a resume included.
+        minutes: of training at most, likewise; the rate falls in time for it. None: no limit.
+        report: steps from report to report.
+        save: steps from checkpoint to checkpoint; 0 saves at the end alone.
+        examine: steps from examination to examination; 0 examines at the end alone.
+        shard_mb: megabytes of a checkpoint's file at most.
+        keep_optimiser: whether checkpoints hold the optimiser's states, two thirds of their bytes.
+    """
+
+    samples: Steps = 8_000_000
+    minutes: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    report: Steps = 50
+    save: Annotated[int, msgspec.Meta(ge=0)] = 1000
+    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
+    shard_mb: Steps = 2000
+    keep_optimiser: bool = True
+
+
+@dataclass(eq=False)
+class Stage:
+    """A stage of training, between two steps.
+
+    Attributes:
+        pupil: what learns.
+        learner: how.
+        stream: from what.
+        maker: its batches.
+        plan: how long.
+        recipe: of the whole run, as `describe_recipe` gives it.
+        corpus: hash of what the stream draws from.
+        counters: how far it is.
+        schedule: its rates.
+    """
+
+    pupil: Pupil
+    learner: Learner
+    stream: Stream
+    maker: SampleMaker
+    plan: StagePlan
+    recipe: Mapping[str, Any]
+    corpus: str
+    counters: TrainingCounters = field(default_factory=TrainingCounters)
+    schedule: Schedule = field(default_factory=Schedule)
+
+    def restore(self, state: TrainingState) -> tuple[str, ...]:
+        """Go on from a state; the pupil's model must be the state's own.
+
+        Returns:
+            What is not as it was, in words.
+        """
+        learner, said = self.learner, []
+        own = learner.loss.state_dict()
+        learner.loss.load_state_dict({**own, **state.arrays}, strict=True)
+        if learner.averaged and state.averaged:
+            for name, array in learner.averaged.items():
+                array.copy_(state.averaged[name])
+        source = state.source
+        self.counters = state.counters
+        self.schedule = Schedule(**source["schedule"])
+        if source["samples"] != self.plan.samples:  # a longer run, or a shorter one
+            self.schedule = Schedule(warm=self.schedule.warm)
+        learner.averaged_steps = int(source["averaged_steps"])
+        if state.optimiser is None:
+            self.schedule = self.schedule.warm_again(state.counters.step)
+            said.append("the optimiser was left behind: its rate rises anew")
+        else:
+            restore_optimiser(learner.optimiser, state.optimiser, learner.weights.items())
+        said += restore_generators(state.generators)
+        self.stream.restore(source["stream"])
+        return tuple(said)
+
+    def state(self) -> TrainingState:
+        """All that the next step hangs on."""
+        learner = self.learner
+        auxiliary = {
+            name: weight.detach()
+            for name, weight in learner.weights.items()
+            if name.startswith(AUXILIARY)
+        }
+        return TrainingState(
+            checkpoint=self.pupil.checkpoint,
+            counters=self.counters,
+            recipe=self.recipe,
+            corpus=self.corpus,
+            device=name_device(learner.device),
+            averaged=learner.averaged,
+            optimiser=capture_optimiser(learner.optimiser, learner.weights.items()),
+            generators=capture_generators(),
+            source={
+                "stream": self.stream.state(),
+                "schedule": {
+                    "end": self.schedule.end,
+                    "tail": self.schedule.tail,
+                    "warm": self.schedule.warm,
+                },
+                "averaged_steps": learner.averaged_steps,
+                "samples": self.plan.samples,
+            },
+            arrays=auxiliary,
+        )
+
+    def run(
+        self, folder: RunFolder, say: Callable[[str], None], examine: Examine | None = None
+    ) -> dict[str, float]:
+        """Learn to the end of the plan; reports and checkpoints go to the folder.
+
+        Args:
+            folder: of the run.
+            say: is told how it goes, a line every few seconds.
+            examine: what is measured from time to time, and at the end.
+
+        Returns:
+            what the last examination measured.
+
+        Raises:
+            TrainingError: a loss is not finite; the last checkpoint is of before that.
+            StorageError: a checkpoint cannot be written.
+        """
+        recipe, plan = self.learner.recipe, self.plan
+        if self.schedule.end is None:
+            self.schedule = self.schedule.end_at(-(-plan.samples // recipe.batch), recipe)
+        tally, guard = Tally(self.learner.device), LossGuard(folder.resumed)
+        line = ProgressLine(say)
+        begun, before = time.monotonic(), self.counters.seconds
+        mark, marked = begun, self.counters.samples
+        found: dict[str, float] = {}
+        for step in itertools.count(self.counters.step + 1):
+            end = self.schedule.end
+            assert end is not None
+            if step > end:
+                break
+            share = self.schedule.share(step - 1, recipe)
+            batch = self.maker.make(self.stream.draw(recipe.batch))
+            losses, norm = self.learner.step(batch, share)
+            tally.add(losses, norm)
+            first = self.counters.samples
+            guard.watch(step, f"of samples {first} and on", loss=losses.loss, gradient=norm)
+            seconds = before + time.monotonic() - begun
+            self.counters = msgspec.structs.replace(
+                self.counters, step=step, samples=first + len(batch), seconds=seconds
+            )
+            over = step == end
+            looks = examine is not None and (over or (plan.examine and step % plan.examine == 0))
+            if looks or over or step % plan.report == 0:
+                values = tally.read()
+                now = time.monotonic()
+                values["samples_per_second"] = (self.counters.samples - marked) / (now - mark)
+                values |= {"share_of_rate": share, "samples": self.counters.samples}
+                values["seconds"] = seconds
+                if looks and examine is not None:
+                    guard.settle()
+                    found = dict(examine())
+                    begun += time.monotonic() - now  # an examination is no training
+                    values |= found
+                mark, marked = time.monotonic(), self.counters.samples
+                folder.report(step, values)
+                line.update(self._describe(values, end))
+                self._shorten(seconds)
+            if over or (plan.save and step % plan.save == 0):
+                guard.settle()
+                guard.last_good = self.save(folder)
+        return found
+
+    def save(self, folder: RunFolder) -> Path:
+        """Write a checkpoint."""
+        return folder.save(
+            self.state(),
+            shard_mb=self.plan.shard_mb,
+            without_optimiser=not self.plan.keep_optimiser,
+        )
+
+    def _describe(self, values: Mapping[str, float], end: int) -> TrainingReport:
+        return TrainingReport(
+            self.counters.step,
+            end,
+            self.counters.samples,
+            values["loss"],
+            {name: values[f"loss_{name}"] for name in GROUPS},
+            values["first_taught"],
+            values.get("waypoint_12_median"),
+        )
+
+    def _shorten(self, seconds: float) -> None:
+        """Let the rate fall from now on if time is running out."""
+        minutes, recipe = self.plan.minutes, self.learner.recipe
+        tail = self.schedule.tail
+        if minutes is None or tail is None or self.counters.step >= tail:
+            return
+        if seconds >= minutes * 60 * (1 - recipe.tail):
+            self.schedule = self.schedule.end_soon(self.counters.step, recipe)

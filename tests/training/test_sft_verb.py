@@ -1,0 +1,71 @@
+"""`gn0 train sft` from a suite to a policy that the benchmark runs, and again where it was stopped."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from gn0.cli.main import main
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.goal import sample_goal_episodes
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import load_scene, save_scene
+from gn0.suites.suite import save_suite
+
+pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("suite")
+    save_scene(build_example_scene(), root / "flat")
+    scene = load_scene(root / "flat")
+    episodes = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 6, 0)
+    return save_suite(root / "suite", [scene], episodes, name="lessons").folder
+
+
+def _train(suite: Path, out: Path, *more: str) -> int:
+    return main(
+        ["train", "sft", str(suite), "--split", "all", "--held-out", "", "--size", "nano",
+         "--batch", "4", "--agents", "4", "--kept", "80", "--report", "1", "--save", "1",
+         "--device", "host", "--out", str(out), *more]
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", ["walks", "uniform"])
+def test_a_stopped_run_ends_in_the_same_policy(
+    source, suite, tmp_path, own_cache, monkeypatch, capsys
+) -> None:
+    if not shutil.which("g++"):
+        pytest.skip("the host emulation needs g++")
+    monkeypatch.setenv("GN0_CACHE", str(own_cache))
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert _train(suite, whole, "--source", source, "--samples", "12") == 0
+    assert f"checkpoint={whole}/policy" in capsys.readouterr().out
+    assert _train(suite, parts, "--source", source, "--samples", "12") == 0
+    shutil.rmtree(parts / "checkpoints" / "step-000000003")
+    shutil.rmtree(parts / "policy")
+    assert _train(suite, parts, "--source", source, "--samples", "12") == 0
+    for name in ("model.safetensors", "tokenizer.json", "policy.json"):
+        assert (whole / "policy" / name).read_bytes() == (parts / "policy" / name).read_bytes()
+    lines = (parts / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(line)["step"] for line in lines] == [1, 2, 3]
+    assert main(
+        ["bench", "run", str(suite), "--policy", "bae", "--policy-option",
+         f"checkpoint={whole / 'policy'}", "--episodes", "1", "--max-steps", "6",
+         "--out", str(tmp_path / "bench")]
+    ) == 0  # fmt: skip
+
+
+def test_another_run_in_the_folder_is_refused(suite, tmp_path, capsys) -> None:
+    out = tmp_path / "run"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    assert _train(suite, out, "--samples", "4") == 2
+    assert "TRAINING" in capsys.readouterr().err
+    assert (out / "notes.txt").read_text() == "mine"

@@ -1,4 +1,4 @@
-"""`gn0 train sft` from a suite to a policy that the benchmark runs, and again where it was stopped."""
+"""`gn0 train sft`: from a suite to a policy that the benchmark runs, and on where it stopped."""
 
 from __future__ import annotations
 

@@ -106,8 +106,12 @@ def run(args: Args) -> int:
     from gn0.cli.train_packages import check_packages
     from gn0.config import check_config
     from gn0.data.answer_form import AnswerForm
+    from gn0.data.dataset import open_dataset
     from gn0.policies.bae.policy_settings import PolicySettings
+    from gn0.suites.suite import load_suite
 
+    # what is learned from is looked at first: packages are of no help against a broken folder
+    open_dataset(args.suite) if args.source == "dataset" else load_suite(args.suite)
     check_packages()
     from gn0.training.recipe import RECIPES
     from gn0.training.sft import SftJob, train_sft

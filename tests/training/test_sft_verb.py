@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,20 +20,23 @@ pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 
+def _make_suite(root: Path, name: str, seed: int) -> Path:
+    save_scene(replace(build_example_scene(), id=name), root / name)
+    scene = load_scene(root / name)
+    episodes = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 6, seed)
+    return save_suite(root / f"suite-{name}", [scene], episodes, name=name, max_steps=12).folder
+
+
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory) -> Path:
-    root = tmp_path_factory.mktemp("suite")
-    save_scene(build_example_scene(), root / "flat")
-    scene = load_scene(root / "flat")
-    episodes = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 6, 0)
-    return save_suite(root / "suite", [scene], episodes, name="lessons").folder
+    return _make_suite(tmp_path_factory.mktemp("suite"), "flat", 0)
 
 
-def _train(suite: Path, out: Path, *more: str) -> int:
+def _train(suite: Path, out: Path, *more: str, also: tuple[Path, ...] = ()) -> int:
     return main(
-        ["train", "sft", str(suite), "--split", "all", "--held-out", "", "--size", "nano",
-         "--batch", "4", "--agents", "4", "--kept", "80", "--report", "1", "--save", "1",
-         "--device", "host", "--out", str(out), *more]
+        ["train", "sft", *map(str, (suite, *also)), "--split", "all", "--held-out", "",
+         "--size", "nano", "--batch", "4", "--agents", "4", "--kept", "80", "--report", "1",
+         "--save", "1", "--device", "host", "--out", str(out), *more]
     )  # fmt: skip
 
 
@@ -57,9 +61,31 @@ def test_a_stopped_run_ends_in_the_same_policy(
     assert [json.loads(line)["step"] for line in lines] == [1, 2, 3]
     assert main(
         ["bench", "run", str(suite), "--policy", "bae", "--policy-option",
-         f"checkpoint={whole / 'policy'}", "--episodes", "1", "--max-steps", "6",
+         f"checkpoint={whole / 'policy'}", "--episodes", "1",
          "--out", str(tmp_path / "bench")]
     ) == 0  # fmt: skip
+
+
+@pytest.mark.slow
+def test_scenes_join_at_their_number_of_samples(
+    suite, tmp_path, own_cache, monkeypatch, capsys
+) -> None:
+    if not shutil.which("g++"):
+        pytest.skip("the host emulation needs g++")
+    monkeypatch.setenv("GN0_CACHE", str(own_cache))
+    second = _make_suite(tmp_path, "other-flat", 1)
+    growing = ["--joins", "0,8", "--samples", "16", "--text-length", "40"]
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert _train(suite, whole, *growing, also=(second,)) == 0
+    shutil.copytree(whole, parts)
+    for step in (3, 4):  # of one the scenes have joined, of the other they have not
+        shutil.rmtree(parts / "checkpoints" / f"step-00000000{step}", ignore_errors=True)
+        shutil.rmtree(parts / "policy", ignore_errors=True)
+        assert _train(suite, parts, *growing, also=(second,)) == 0
+        one, two = (run / "policy" / "model.safetensors" for run in (whole, parts))
+        assert one.read_bytes() == two.read_bytes()
+    assert _train(suite, tmp_path / "twice", "--joins", "0,8", also=(suite,)) == 2
+    assert "is in two suites" in capsys.readouterr().err
 
 
 def test_another_run_in_the_folder_is_refused(suite, tmp_path, capsys) -> None:

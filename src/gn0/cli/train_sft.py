@@ -14,12 +14,15 @@ import msgspec
 import tyro
 
 from gn0.config import Config
+from gn0.errors import ConfigError
 
 EXAMPLES = """  gn0 train sft out/suite --out out/sft
   gn0 train sft out/suite --source uniform --pictures near,far --minutes 8 --out out/sft
   gn0 train sft out/suite --pictures rgb,history --points 0 --samples 4000000 --out out/views
   gn0 train sft out/dataset --source dataset --recipe pretrained --start Qwen3-VL-4B-Instruct \\
-      --prompt paper_planning --lora 16 --out out/sft-4b
+      --layout json --out out/sft-4b
+  gn0 train sft out/first out/second out/third --joins 0,500000,1500000 --text-length 120 \\
+      --out out/growing
   gn0 train sft out/suite --size nano --samples 2000 --device host --out out/tried"""
 
 
@@ -27,8 +30,13 @@ class Args(Config, frozen=True):
     """What to train, on what, and how.
 
     Attributes:
-        suite: a suite folder, as `gn0 missions generate` writes; a dataset's with --source dataset.
+        suite: suite folders, as `gn0 missions generate` writes; a dataset's with --source dataset.
         out: the folder of the run; an interrupted one there goes on.
+        joins: samples drawn when each suite joins, with commas between; a suite that is not there
+            yet is waited for. By default all are there from the first sample on.
+        exam: the suite to be examined in; the first by default.
+        text_length: tokens of instructions, where suites that join may have longer ones than the
+            first; still longer ones are left out.
         source: where states come from: walks of the expert, uniform over the scenes, or a dataset.
         split: splits of the suite to learn from, with commas between; all for all.
         held_out: splits to be examined in, with commas between; empty for none.
@@ -47,7 +55,6 @@ class Args(Config, frozen=True):
         batch: samples of a step; the recipe's when 0.
         rate: the learning rate; the recipe's when 0.
         stop_weight: of an answer's first STOP; the recipe's when 0.
-        lora: rank of adapters, instead of training the whole language model.
         agents: that gather states side by side.
         kept: states of walks that batches are drawn from.
         ratio: new states of walks a sample.
@@ -64,8 +71,16 @@ class Args(Config, frozen=True):
         fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")]
+    suite: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
+        msgspec.Meta(min_length=1),
+    ]
     out: str
+    joins: str = "0"
+    exam: str = ""
+    text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     source: Literal["walks", "uniform", "dataset"] = "walks"
     split: str = "train"
     held_out: str = "val_unseen"
@@ -83,7 +98,6 @@ class Args(Config, frozen=True):
     batch: Annotated[int, msgspec.Meta(ge=0)] = 0
     rate: Annotated[float, msgspec.Meta(ge=0)] = 0
     stop_weight: Annotated[float, msgspec.Meta(ge=0)] = 0
-    lora: Annotated[int, msgspec.Meta(ge=0)] = 0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     kept: Annotated[int, msgspec.Meta(ge=1)] = 200_000
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
@@ -111,7 +125,8 @@ def run(args: Args) -> int:
     from gn0.suites.suite import load_suite
 
     # what is learned from is looked at first: packages are of no help against a broken folder
-    open_dataset(args.suite) if args.source == "dataset" else load_suite(args.suite)
+    first = args.suite[0]
+    open_dataset(first) if args.source == "dataset" else load_suite(first)
     check_packages()
     from gn0.training.recipe import RECIPES
     from gn0.training.sft import SftJob, train_sft
@@ -120,7 +135,10 @@ def run(args: Args) -> int:
     given = {"batch": args.batch, "rate": args.rate, "stop_weight": args.stop_weight}
     chosen = {name: value for name, value in given.items() if value}
     job = SftJob(
-        suite=args.suite,
+        suites=args.suite,
+        joins=_read_numbers(args.joins),
+        exam=args.exam,
+        text_length=args.text_length,
         source=args.source,
         splits=() if args.split == "all" else _split(args.split),
         held_out=_split(args.held_out),
@@ -133,7 +151,7 @@ def run(args: Args) -> int:
             without=_split(args.without),
             preset=args.preset,
         ),
-        recipe=msgspec.structs.replace(RECIPES[args.recipe], lora=args.lora, **chosen),
+        recipe=msgspec.structs.replace(RECIPES[args.recipe], **chosen),
         plan=StagePlan(
             samples=args.samples,
             minutes=args.minutes or None,
@@ -154,9 +172,20 @@ def run(args: Args) -> int:
         check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
     )
     print(f"written to {policy}")
-    print(f"next: gn0 bench run {args.suite} --policy bae --policy-option checkpoint={policy}")
+    print(
+        f"next: gn0 bench run {args.exam or first} --policy bae --policy-option checkpoint={policy}"
+    )
     return 0
 
 
 def _split(text: str) -> tuple[str, ...]:
     return tuple(one.strip() for one in text.split(",") if one.strip())
+
+
+def _read_numbers(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(one) for one in _split(text))
+    except ValueError:
+        raise ConfigError(
+            f"not whole numbers: {text!r}", where="--joins", remedy="give 0,500000 or the like"
+        ) from None

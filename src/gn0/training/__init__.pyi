@@ -10,5 +10,6 @@ from gn0.training.sft import SftJob as SftJob
 from gn0.training.sft import train_sft as train_sft
 from gn0.training.stage import StagePlan as StagePlan
 from gn0.training.stream_dataset import StreamDataset as StreamDataset
+from gn0.training.stream_growing import StreamGrowing as StreamGrowing
 from gn0.training.stream_live import StreamLive as StreamLive
 from gn0.training.stream_uniform import StreamUniform as StreamUniform

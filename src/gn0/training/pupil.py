@@ -67,6 +67,15 @@ class Pupil:
         """Of its answers."""
         return compile_slots(self.settings.form, self.checkpoint.ids.vocabulary, self.words)
 
+    @cached_property
+    def longest_text(self) -> int:
+        """Tokens that an instruction may have; the rest of `settings.text_length` is the prompt's.
+
+        Two are kept for where words of both meet, which the tokenizer may cut in another way.
+        """
+        own = _count_text(self, [CONTROL_TEXT]) - len(self.words.encode(CONTROL_TEXT))
+        return self.settings.text_length - own - 2
+
     def table(self, texts: Sequence[str]) -> PromptTable:
         """Prompts of these instructions; the layout is the same whatever they are.
 
@@ -164,7 +173,14 @@ def fit_texts(pupil: Pupil, texts: Sequence[str]) -> Pupil:
     Raises:
         ConfigError: one is empty or too long.
     """
-    open_table = build_prompt_table(
+    length = -(-_count_text(pupil, texts) // _ROUND) * _ROUND
+    settings = msgspec.structs.replace(pupil.settings, text_length=length)
+    return Pupil(pupil.checkpoint, settings, pupil.template)
+
+
+def _count_text(pupil: Pupil, texts: Sequence[str]) -> int:
+    """Tokens of the longest stretch of prompt that an episode decides."""
+    table = build_prompt_table(
         pupil.template,
         [PromptState(text, pupil.settings.frame) for text in (CONTROL_TEXT, *texts)],
         pupil.settings.sizes,
@@ -172,7 +188,4 @@ def fit_texts(pupil: Pupil, texts: Sequence[str]) -> Pupil:
         pupil.words,
         pupil.checkpoint.ids,
     )
-    longest = max((c.table.shape[-1] for c in open_table.chunks if len(c.table) > 1), default=1)
-    length = -(-longest // _ROUND) * _ROUND
-    settings = msgspec.structs.replace(pupil.settings, text_length=length)
-    return Pupil(pupil.checkpoint, settings, pupil.template)
+    return max((c.table.shape[-1] for c in table.chunks if len(c.table) > 1), default=1)

@@ -33,7 +33,6 @@ class Recipe(Config, frozen=True):
         mean: of the averaged weights, a step; 0 for none.
         stop_weight: of the first STOP of an answer, where other tokens weigh 1.
         distance_weight: of the auxiliary loss, the walking distance to the goal; 0 for none.
-        lora: rank of adapters of the language model; 0 trains all weights.
         blackout: share of samples whose mosaic is blacked out.
     """
 
@@ -51,7 +50,6 @@ class Recipe(Config, frozen=True):
     mean: Share = 0.999
     stop_weight: Annotated[float, msgspec.Meta(gt=0)] = 4.0
     distance_weight: Annotated[float, msgspec.Meta(ge=0)] = 0.05
-    lora: Annotated[int, msgspec.Meta(ge=0)] = 0
     blackout: Share = 0.1
 
     def __post_init__(self) -> None:

@@ -81,7 +81,7 @@ class Stream(Protocol):
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Instructions by episode number."""
+        """Instructions by episode number; another object only once they are others."""
         ...
 
     def draw(self, count: int) -> LabelledStates:

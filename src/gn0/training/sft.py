@@ -18,14 +18,15 @@ import torch
 from gn0.config import Config
 from gn0.device.device import Device
 from gn0.device.open import open_device
+from gn0.errors import ConfigError
 from gn0.policies.bae.checkpoint import load_checkpoint
 from gn0.policies.bae.policy_settings import (
     PolicySettings,
     load_policy_settings,
     save_policy_settings,
 )
+from gn0.seeds import derive_seed
 from gn0.sim.history import LENGTH as MOSAIC
-from gn0.storage import content_hash
 from gn0.training.examination import Examination
 from gn0.training.learner import Learner, LossForward
 from gn0.training.pupil import Pupil, build_pupil, fit_texts
@@ -37,10 +38,17 @@ from gn0.training.samples import Stream
 from gn0.training.stage import Stage, StagePlan
 from gn0.training.step_ring import StepRing
 from gn0.training.stream_dataset import StreamDataset
+from gn0.training.stream_growing import StreamGrowing
 from gn0.training.stream_live import StreamLive
 from gn0.training.stream_uniform import StreamUniform
 from gn0.training.training_state import TrainingState, list_versions, load_state, name_device
-from gn0.training.worlds import Lessons, list_squares, load_lessons, open_world
+from gn0.training.worlds import (
+    leave_out_long,
+    list_squares,
+    load_lessons,
+    open_world,
+    wait_for_suites,
+)
 
 POLICY = "policy"  # folder of the trained policy in a run's
 Source = Literal["walks", "uniform", "dataset"]
@@ -50,7 +58,10 @@ class SftJob(Config, frozen=True, kw_only=True):
     """What is trained, on what, and how.
 
     Attributes:
-        suite: a suite folder; of a dataset, its folder.
+        suites: suite folders; of a dataset, its folder alone.
+        joins: samples drawn when each suite joins; those that are not there yet are waited for. One
+            number: all from the first sample on.
+        exam: the suite to be examined in; the first of `suites` when empty.
         source: where states come from.
         splits: of the suite, to learn from.
         held_out: of the suite, to be examined in.
@@ -64,10 +75,14 @@ class SftJob(Config, frozen=True, kw_only=True):
         ratio: new states of walks a sample.
         workers: processes that read a dataset.
         examined: episodes of an examination.
+        text_length: tokens of what an episode says, where later suites may say more than the first;
+            longer ones are left out. 0: as many as the longest of all.
         seed: of weights, states and order.
     """
 
-    suite: str
+    suites: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+    joins: tuple[int, ...] = (0,)
+    exam: str = ""
     source: Source = "walks"
     splits: tuple[str, ...] = ("train",)
     held_out: tuple[str, ...] = ("val_unseen",)
@@ -81,7 +96,27 @@ class SftJob(Config, frozen=True, kw_only=True):
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
     examined: Annotated[int, msgspec.Meta(ge=0)] = 512
+    text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.source == "dataset" and len(self.suites) > 1:
+            raise ConfigError(
+                f"{len(self.suites)} datasets", where="suites", remedy="give one, or merge them"
+            )
+        if len(self.joins) not in (1, len(self.suites)):
+            raise ConfigError(
+                f"{len(self.joins)} numbers of samples for {len(self.suites)} suites",
+                where="joins",
+                remedy="give one number a suite, or 0",
+            )
+
+    @property
+    def lots(self) -> tuple[tuple[str, ...], ...]:
+        """Suites by lot: what is there from the first sample on, and what joins."""
+        if len(self.joins) == 1:
+            return (self.suites,)
+        return tuple((suite,) for suite in self.suites)
 
 
 def train_sft(
@@ -113,9 +148,9 @@ def train_sft(
     """
     card = open_device(device) if isinstance(device, str) else device
     where = torch.device("cuda" if card.kind == "cuda" else "cpu")
-    lessons = None if job.source == "dataset" else load_lessons(job.suite, job.splits)
-    dataset = StreamDataset(job.suite, job.settings.pictures) if lessons is None else None
-    corpus = _hash_corpus(job, lessons, dataset)
+    if job.source != "dataset":
+        wait_for_suites([*job.lots[0], job.exam or job.suites[0]], say)
+    corpus = _hash_corpus(job)
     recipe = describe_recipe(job)
     with open_run(
         out,
@@ -131,7 +166,7 @@ def train_sft(
         state = load_state(folder.resumed) if folder.resumed else None
         pupil = _open_pupil(job, folder.folder, state)
         pupil.model.to(where).train()
-        stream = _open_stream(job, pupil, card, lessons)
+        stream = _open_stream(job, pupil, card, say)
         maker = pupil.maker(stream.texts, where)
         on_card = where.type == "cuda"
         loss = LossForward(
@@ -150,9 +185,10 @@ def train_sft(
                 say(note)
                 folder.log(note)
         examine = None
-        if job.held_out and lessons is not None:
+        if job.held_out and job.source != "dataset":
+            suite = job.exam or job.suites[0]
             examine = Examination(
-                pupil, learner, job.suite, job.held_out, card, episodes=job.examined, seed=job.seed
+                pupil, learner, suite, job.held_out, card, episodes=job.examined, seed=job.seed
             )
         found = stage.run(folder, say, examine)
         with learner.averaged_weights():
@@ -161,11 +197,11 @@ def train_sft(
     return Path(out) / POLICY
 
 
-def _hash_corpus(job: SftJob, lessons: Lessons | None, dataset: StreamDataset | None) -> str:
-    if dataset is not None:
-        return dataset.hash
-    assert lessons is not None
-    return content_hash(lessons.suite.hash, *lessons.splits)
+def _hash_corpus(job: SftJob) -> str:
+    """Of what is there at the first sample; the others' hashes are in the stream's state."""
+    if job.source == "dataset":
+        return StreamDataset(job.suites[0], job.settings.pictures).hash
+    return load_lessons(job.lots[0], job.splits).hash
 
 
 def _open_pupil(job: SftJob, folder: Path, state: TrainingState | None) -> Pupil:
@@ -174,22 +210,25 @@ def _open_pupil(job: SftJob, folder: Path, state: TrainingState | None) -> Pupil
         settings = load_policy_settings(folder)
         return Pupil(state.checkpoint, settings, settings.load_template(folder))
     if job.source == "dataset":
-        texts: Sequence[str] = StreamDataset(job.suite, job.settings.pictures).texts
+        texts: Sequence[str] = StreamDataset(job.suites[0], job.settings.pictures).texts
     else:  # held-out ones, too, so that they fit
-        texts = load_lessons(job.suite).texts
+        texts = load_lessons(list(dict.fromkeys([*job.lots[0], job.exam or job.suites[0]]))).texts
     if job.start:
         base = load_checkpoint(job.start, grow=True)
         pupil = fit_texts(Pupil(base, job.settings, job.settings.load_template()), texts)
     else:
         pupil = build_pupil(job.size, job.settings, texts, seed=job.seed)
+    if job.text_length:
+        settings = msgspec.structs.replace(pupil.settings, text_length=job.text_length)
+        pupil = Pupil(pupil.checkpoint, settings, pupil.template)
     save_policy_settings(folder, pupil.settings)
     return pupil
 
 
-def _open_stream(job: SftJob, pupil: Pupil, card: Device, lessons: Lessons | None) -> Stream:
-    if lessons is None:
+def _open_stream(job: SftJob, pupil: Pupil, card: Device, say: Callable[[str], None]) -> Stream:
+    if job.source == "dataset":
         return StreamDataset(
-            job.suite,
+            job.suites[0],
             job.settings.pictures,
             map_view=job.settings.view,
             seed=job.seed,
@@ -197,9 +236,17 @@ def _open_stream(job: SftJob, pupil: Pupil, card: Device, lessons: Lessons | Non
             workers=job.workers,
             device=pupil.model.device,
         )
-    world = open_world(lessons, pupil.settings, job.agents, device=card)
-    if job.source == "uniform":
-        return StreamUniform(world, seed=job.seed, names=list_squares(pupil.settings))
-    steps = max(MOSAIC + 1, -(-job.kept // job.agents))
-    ring = StepRing(world, steps, names=list_squares(pupil.settings))
-    return StreamLive(world, ring, seed=job.seed, ratio=job.ratio, dark=job.recipe.blackout)
+
+    def open_part(number: int) -> Stream:
+        paths = [path for lot in job.lots[: number + 1] for path in lot]
+        wait_for_suites(paths, say)
+        lessons = leave_out_long(load_lessons(paths, job.splits), pupil, say)
+        world = open_world(lessons, pupil.settings, job.agents, device=card)
+        squares, seed = list_squares(pupil.settings), derive_seed(job.seed, "lot", number)
+        if job.source == "uniform":
+            return StreamUniform(world, seed=seed, names=squares)
+        steps = max(MOSAIC + 1, -(-job.kept // job.agents))
+        ring = StepRing(world, steps, names=squares)
+        return StreamLive(world, ring, seed=seed, ratio=job.ratio, dark=job.recipe.blackout)
+
+    return StreamGrowing(open_part, job.joins)

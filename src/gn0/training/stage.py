@@ -162,13 +162,18 @@ class Stage:
         begun, before = time.monotonic(), self.counters.seconds
         mark, marked = begun, self.counters.samples
         found: dict[str, float] = {}
+        texts = self.stream.texts
         for step in itertools.count(self.counters.step + 1):
             end = self.schedule.end
             assert end is not None
             if step > end:
                 break
             share = self.schedule.share(step - 1, recipe)
-            batch = self.maker.make(self.stream.draw(recipe.batch))
+            states = self.stream.draw(recipe.batch)
+            if self.stream.texts is not texts:  # scenes joined
+                texts = self.stream.texts
+                self.maker = self.pupil.maker(texts, self.learner.device)
+            batch = self.maker.make(states)
             losses, norm = self.learner.step(batch, share)
             tally.add(losses, norm)
             first = self.counters.samples

@@ -17,6 +17,7 @@ import base64
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -134,7 +135,7 @@ class StreamLive:
         self._views = "rgb" in env.sensors
         self._begin()
 
-    @property
+    @cached_property
     def texts(self) -> tuple[str, ...]:
         """Instructions by episode number."""
         return tuple(episode.mission.instruction for episode in self.env.episodes)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -86,7 +87,7 @@ class StreamUniform:
     def _silent(self) -> tuple[str, ...]:
         return () if "history" in self.env.sensors else self._drawing
 
-    @property
+    @cached_property
     def texts(self) -> tuple[str, ...]:
         """Instructions by episode number."""
         return tuple(episode.mission.instruction for episode in self.env.episodes)

@@ -1,31 +1,36 @@
-"""Agents in the scenes of a suite, on a device: where live streams and evaluations take place."""
+"""Agents in the scenes of suites, on a device: where live streams and evaluations take place."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from gn0.device.device import Device
-from gn0.errors import ConfigError
+from gn0.errors import ConfigError, TrainingError
 from gn0.missions.episode import Episode
 from gn0.policies.bae.policy_settings import SQUARE_NAMES, PolicySettings
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.suites.suite import Suite, load_suite
+from gn0.storage import content_hash
+from gn0.suites.suite import SUITE_FILE, Suite, load_suite
+from gn0.training.pupil import Pupil
+
+_POLL = 0.5  # s
 
 
 @dataclass(frozen=True, eq=False)
 class Lessons:
-    """Episodes of a suite to learn from, or to be examined in.
+    """Episodes of suites to learn from, or to be examined in.
 
     Attributes:
-        suite: the suite.
+        suites: where they are from; one body, one map mode.
         splits: those that count; all when empty.
-        episodes: of these splits, in the suite's order.
+        episodes: of these splits, suite by suite.
     """
 
-    suite: Suite
+    suites: tuple[Suite, ...]
     splits: tuple[str, ...]
     episodes: tuple[Episode, ...]
 
@@ -35,29 +40,83 @@ class Lessons:
         return tuple(episode.instruction for episode in self.episodes)
 
     @property
-    def scene_ids(self) -> tuple[str, ...]:
-        """Scenes in which something takes place, sorted."""
-        return tuple(sorted({episode.scene_id for episode in self.episodes}))
+    def scene_folders(self) -> tuple[Path, ...]:
+        """Folders of the scenes in which something takes place, by the scenes' ids."""
+        wanted = {episode.scene_id for episode in self.episodes}
+        found = {
+            scene.id: suite.scene_folder(scene.id)
+            for suite in self.suites
+            for scene in suite.about.scenes
+            if scene.id in wanted
+        }
+        return tuple(found[name] for name in sorted(found))
+
+    @property
+    def hash(self) -> str:
+        """Digest of suites and splits."""
+        return content_hash(*(suite.hash for suite in self.suites), *self.splits)
 
 
-def load_lessons(suite: Suite | Path | str, splits: Sequence[str] = ()) -> Lessons:
-    """The episodes of a suite's splits.
+def load_lessons(suites: Path | str | Sequence[Path | str], splits: Sequence[str] = ()) -> Lessons:
+    """The episodes of one suite or several.
 
     Raises:
-        ConfigError: it has no such split, or no episodes in it.
-        BenchError, FormatError, StorageError: it is no suite, or cannot be read.
+        ConfigError: no suite has such a split, two have a scene of the same name, or they differ
+            in body or map mode.
+        BenchError, FormatError, StorageError: one is no suite, or cannot be read.
     """
-    opened = suite if isinstance(suite, Suite) else load_suite(suite)
-    known = sorted({episode.split for episode in opened.episodes})
+    paths = [suites] if isinstance(suites, Path | str) else list(suites)
+    opened = tuple(load_suite(path) for path in paths)
+    known = sorted({episode.split for suite in opened for episode in suite.episodes})
     for name in splits:
         if name not in known:
             raise ConfigError(
-                f"no split {name!r}",
-                where=opened.folder,
-                remedy=f"it has {', '.join(known)}",
+                f"no split {name!r}", where=opened[0].folder, remedy=f"known: {', '.join(known)}"
             )
-    chosen = tuple(e for e in opened.episodes if not splits or e.split in splits)
-    return Lessons(opened, tuple(splits), chosen)
+    names = [scene.id for suite in opened for scene in suite.about.scenes]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigError(
+            f"scene {twice[0]!r} is in two suites",
+            where=opened[-1].folder,
+            remedy="name the parts of corpora differently",
+        )
+    for suite in opened[1:]:
+        if (suite.about.agent, suite.map_mode) != (opened[0].about.agent, opened[0].map_mode):
+            raise ConfigError(
+                f"another body or map mode than in {opened[0].folder}",
+                where=suite.folder,
+                remedy="train on suites that were made alike",
+            )
+    episodes = (e for suite in opened for e in suite.episodes if not splits or e.split in splits)
+    return Lessons(opened, tuple(splits), tuple(episodes))
+
+
+def wait_for_suites(
+    paths: Sequence[Path | str], say: Callable[[str], None], patience: float = 3600.0
+) -> None:
+    """Wait until suites that are being made beside us are whole.
+
+    Args:
+        paths: their folders; a suite is whole once its folder is there.
+        say: is told once what is waited for.
+        patience: s without any of them becoming whole.
+
+    Raises:
+        TrainingError: nothing came for so long.
+    """
+    told, begun = False, time.monotonic()
+    missing = [path for path in paths if not (Path(path) / SUITE_FILE).is_file()]
+    while missing:
+        if not told:
+            say(f"waiting for {', '.join(map(str, missing))}")
+            told = True
+        if time.monotonic() - begun > patience:
+            raise TrainingError(
+                f"no suite after {patience:.0f} s", where=missing[0], remedy="make it, and go on"
+            )
+        time.sleep(_POLL)
+        missing = [path for path in missing if not (Path(path) / SUITE_FILE).is_file()]
 
 
 def open_world(
@@ -87,10 +146,10 @@ def open_world(
     sensors = dict.fromkeys(
         "ego_map" if name in SQUARE_NAMES else name for name in settings.pictures
     )
-    suite = lessons.suite
+    suite = lessons.suites[0]
     return VectorEnvDevice(
         count,
-        [suite.scene_folder(name) for name in lessons.scene_ids],
+        lessons.scene_folders,
         episodes=lessons.episodes,
         device=device,
         sensors=tuple(sensors) or ("goal_vector",),
@@ -111,3 +170,12 @@ def list_squares(settings: PolicySettings) -> list[str]:
     """Names of the squares of a policy's ego maps; none if it is shown none."""
     shown = any(name in SQUARE_NAMES for name in settings.pictures)
     return list(SQUARE_NAMES[: len(settings.view.squares)]) if shown else []
+
+
+def leave_out_long(lessons: Lessons, pupil: Pupil, say: Callable[[str], None]) -> Lessons:
+    """The lessons without those whose text is too long for the policy's prompt; `say` is told."""
+    longest, words = pupil.longest_text, pupil.words
+    kept = tuple(e for e in lessons.episodes if len(words.encode(e.instruction)) <= longest)
+    if len(kept) < len(lessons.episodes):
+        say(f"left out {len(lessons.episodes) - len(kept)} episodes of more than {longest} tokens")
+    return replace(lessons, episodes=kept)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import torch
 from transformers import AutoTokenizer, PreTrainedTokenizerBase, Qwen3VLForConditionalGeneration
+from transformers.utils import logging
 
 from gn0.errors import CheckpointError, brief
 from gn0.policies.bae.shard_file import write_shards
@@ -51,6 +52,7 @@ def load_checkpoint(
     folder = Path(folder)
     architecture = load_architecture(folder)
     check_shapes(architecture, open_weights(folder))
+    logging.disable_progress_bar()  # seconds at most, and lines that nobody asked for
     try:
         tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True)
         model = Qwen3VLForConditionalGeneration.from_pretrained(

@@ -1,0 +1,76 @@
+"""`StreamGrowing`: a stream whose scenes become more while it is drawn from.
+
+Scenes are made beside the learner, so training begins with the first of them and takes up the
+others at fixed numbers of samples. Whoever comes to such a number before its scenes are there
+waits; so the samples are the same wherever they are drawn, however long the scenes take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+from gn0.errors import ConfigError, FormatError
+from gn0.training.samples import LabelledStates, Stream
+
+
+class StreamGrowing:
+    """One stream after the other, each of more scenes than the one before.
+
+    Args:
+        open_part: opens the k-th stream, with the first k + 1 lots of scenes; waits until they are
+            there, and lets go of what the stream before held.
+        joins: samples drawn when each lot joins; the first is 0, and they rise.
+
+    Raises:
+        ConfigError: joins that do not begin at 0 or do not rise.
+    """
+
+    def __init__(self, open_part: Callable[[int], Stream], joins: Sequence[int]) -> None:
+        rising = all(a < b for a, b in pairwise(joins))
+        if not joins or joins[0] != 0 or not rising:
+            raise ConfigError(
+                f"scenes that join at {', '.join(map(str, joins)) or 'nothing'} samples",
+                where="joins",
+                remedy="give numbers that begin with 0 and rise",
+            )
+        self._open, self.joins = open_part, tuple(joins)
+        self.part, self.drawn = 0, 0
+        self._stream = open_part(0)
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """Instructions by episode number; another object once scenes have joined."""
+        return self._stream.texts
+
+    def draw(self, count: int) -> LabelledStates:
+        """The next states; first the scenes that are due join."""
+        due = sum(join <= self.drawn for join in self.joins) - 1
+        if due > self.part:
+            self._enter(due)
+        self.drawn += count
+        return self._stream.draw(count)
+
+    def _enter(self, part: int) -> None:
+        del self._stream  # its maps and pictures make room on the device
+        self.part = part
+        self._stream = self._open(part)
+
+    def state(self) -> dict[str, Any]:
+        """Where it stands, as JSON: what `restore` takes."""
+        return {"part": self.part, "drawn": self.drawn, "stream": self._stream.state()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from there: the same states follow.
+
+        Raises:
+            FormatError: it is no such state.
+        """
+        part, drawn = state.get("part"), state.get("drawn")
+        if not (isinstance(part, int) and isinstance(drawn, int) and 0 <= part < len(self.joins)):
+            raise FormatError(f"part {part!r} of {len(self.joins)} lots of scenes", where="stream")
+        if part != self.part:
+            self._enter(part)
+        self.drawn = drawn
+        self._stream.restore(state["stream"])

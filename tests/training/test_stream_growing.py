@@ -1,0 +1,59 @@
+"""Scenes join a stream at their numbers of samples, wherever it was stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+pytest.importorskip("torch")
+
+from gn0.errors import ConfigError, FormatError
+from gn0.training.stream_growing import StreamGrowing
+
+
+class Numbers:
+    """Gives (part, how many were drawn before)."""
+
+    def __init__(self, part: int) -> None:
+        self.part, self.drawn = part, 0
+        self.texts = (f"part {part}",)
+
+    def draw(self, count: int) -> Any:
+        self.drawn += count
+        return self.part, self.drawn - count
+
+    def state(self) -> dict[str, Any]:
+        return {"drawn": self.drawn}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.drawn = state["drawn"]
+
+
+def _draw_all(stream: StreamGrowing, times: int) -> list[Any]:
+    return [stream.draw(4) for _ in range(times)]
+
+
+def test_each_lot_joins_at_its_number() -> None:
+    stream = StreamGrowing(Numbers, [0, 8, 13])
+    assert _draw_all(stream, 6) == [(0, 0), (0, 4), (1, 0), (1, 4), (2, 0), (2, 4)]
+    assert stream.texts == ("part 2",)
+
+
+@pytest.mark.parametrize("stop", range(6))
+def test_it_goes_on_where_it_was_left(stop: int) -> None:
+    whole = _draw_all(StreamGrowing(Numbers, [0, 8, 13]), 6)
+    first = StreamGrowing(Numbers, [0, 8, 13])
+    begun = _draw_all(first, stop)
+    second = StreamGrowing(Numbers, [0, 8, 13])
+    second.restore(first.state())
+    assert begun + _draw_all(second, 6 - stop) == whole
+
+
+def test_joins_that_make_no_sense_and_foreign_states_are_refused() -> None:
+    for joins in ((), (4,), (0, 8, 8), (0, 8, 4)):
+        with pytest.raises(ConfigError, match="join at"):
+            StreamGrowing(Numbers, joins)
+    with pytest.raises(FormatError, match="lots of scenes"):
+        StreamGrowing(Numbers, [0]).restore({"part": 1, "drawn": 0, "stream": {}})

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The training half of the paper in miniature, on a CPU: scenes, missions, samples and a tokenizer of their language, for a model
+# The training half of the paper in miniature, on a CPU: scenes, missions, samples, a tokenizer of their language and SFT of a model
 # of 2 M weights. Needs the extra `train`; about two minutes on two cores, `tiny-bae.sh OUT ci` one.
 set -euo pipefail
 
@@ -30,3 +30,10 @@ gn0 data balance "$OUT/data" || echo "too few samples to balance exactly"
 
 say "tokenizer"
 gn0 train tokenizer "$OUT/data" --merges 600 --out "$OUT/words"
+
+say "SFT"
+SAMPLES=1600
+[ "$SIZE" = ci ] && SAMPLES=32
+gn0 train sft "$OUT/missions" --split all --held-out "" --size nano --batch 16 --agents 16 --kept 320 --samples "$SAMPLES" \
+  --report 5 --device host --seed "$SEED" --out "$OUT/sft"
+gn0 train sft "$OUT/data" --source dataset --held-out "" --size nano --batch 16 --samples 32 --seed "$SEED" --out "$OUT/sft-data"

@@ -60,6 +60,7 @@ class Args(Config, frozen=True):
         ratio: new states of walks a sample.
         workers: processes that read a dataset.
         examined: episodes of an examination.
+        asked: states of an examination.
         report: steps from report to report.
         save: steps from checkpoint to checkpoint; 0 for one at the end.
         examine: steps from examination to examination; 0 for one at the end.
@@ -103,6 +104,7 @@ class Args(Config, frozen=True):
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
     examined: Annotated[int, msgspec.Meta(ge=0)] = 512
+    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096
     report: Annotated[int, msgspec.Meta(ge=1)] = 50
     save: Annotated[int, msgspec.Meta(ge=0)] = 1000
     examine: Annotated[int, msgspec.Meta(ge=0)] = 0
@@ -166,6 +168,7 @@ def run(args: Args) -> int:
         ratio=args.ratio,
         workers=args.workers,
         examined=args.examined,
+        asked=args.asked,
         seed=args.seed,
     )
     policy = train_sft(

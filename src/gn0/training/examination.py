@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 from gn0.device.device import Device
@@ -13,7 +13,13 @@ from gn0.training.pupil import Pupil
 from gn0.training.samples import LabelledStates, SampleMaker
 from gn0.training.step_ring import StepRing
 from gn0.training.stream_live import StreamLive
-from gn0.training.worlds import Lessons, list_squares, load_lessons, open_world
+from gn0.training.worlds import (
+    Lessons,
+    list_squares,
+    load_lessons,
+    open_world,
+    wait_for_suites,
+)
 
 STATES, ASKED = 4096, 512  # fixed states of the expert's walks, and how many are asked at once
 AGENTS = 64  # that walk to them
@@ -27,9 +33,10 @@ class Examination:
     Args:
         pupil: what is examined.
         learner: whose weights it has.
-        suite: where.
+        suite: where; waited for if it is still being made.
         splits: of the suite.
         card: the device of the agents.
+        say: is told what is waited for.
         episodes: that are walked; 0 for none.
         states: of the expert's walks, that are asked about.
         seed: of the states.
@@ -43,11 +50,12 @@ class Examination:
         splits: Sequence[str],
         card: Device,
         *,
+        say: Callable[[str], None],
         episodes: int,
         states: int = STATES,
         seed: int = 0,
     ) -> None:
-        self.pupil, self.learner, self.card = pupil, learner, card
+        self.pupil, self.learner, self.card, self._say = pupil, learner, card, say
         self.suite, self.splits = suite, tuple(splits)
         self.episodes, self.count, self.seed = episodes, states, seed
         self._dtype = learner.autocast
@@ -68,6 +76,7 @@ class Examination:
 
     @cached_property
     def _lessons(self) -> Lessons:
+        wait_for_suites([self.suite], self._say)
         return load_lessons(self.suite, self.splits)
 
     @cached_property

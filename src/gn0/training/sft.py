@@ -27,7 +27,7 @@ from gn0.policies.bae.policy_settings import (
 )
 from gn0.seeds import derive_seed
 from gn0.sim.history import LENGTH as MOSAIC
-from gn0.training.examination import Examination
+from gn0.training.examination import STATES, Examination
 from gn0.training.learner import Learner, LossForward
 from gn0.training.pupil import Pupil, build_pupil, fit_texts
 from gn0.training.recipe import RECIPES, Recipe
@@ -50,6 +50,7 @@ from gn0.training.worlds import (
     wait_for_suites,
 )
 
+FREE = ("plan", "examined", "asked")  # of a job: what may differ where a run goes on
 POLICY = "policy"  # folder of the trained policy in a run's
 Source = Literal["walks", "uniform", "dataset"]
 
@@ -75,6 +76,7 @@ class SftJob(Config, frozen=True, kw_only=True):
         ratio: new states of walks a sample.
         workers: processes that read a dataset.
         examined: episodes of an examination.
+        asked: states of an examination.
         text_length: tokens of what an episode says, where later suites may say more than the first;
             longer ones are left out. 0: as many as the longest of all.
         seed: of weights, states and order.
@@ -96,6 +98,7 @@ class SftJob(Config, frozen=True, kw_only=True):
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
     examined: Annotated[int, msgspec.Meta(ge=0)] = 512
+    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = STATES
     text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     seed: int = 0
 
@@ -133,7 +136,8 @@ def train_sft(
     Args:
         job: what is trained, on what and how.
         out: the folder of the run.
-        device: a card; or `host`, the emulation, where the model learns on the CPU.
+        device: a card; or `host`, the emulation, where the model learns on the CPU. Samples of a
+            dataset are learned on a card where torch finds one, else on the CPU.
         fresh: forget what an earlier call left there.
         command: words of the command line, for `run.json`.
         say: is told how it goes.
@@ -146,10 +150,14 @@ def train_sft(
         TrainingError: a loss is not finite, or the folder holds another run.
         DeviceError, DeviceMemoryError, StorageError: see their texts.
     """
-    card = open_device(device) if isinstance(device, str) else device
-    where = torch.device("cuda" if card.kind == "cuda" else "cpu")
-    if job.source != "dataset":
-        wait_for_suites([*job.lots[0], job.exam or job.suites[0]], say)
+    card = None
+    if job.source == "dataset":  # nobody walks
+        here = torch.cuda.is_available() and device != "host"
+    else:
+        card = open_device(device) if isinstance(device, str) else device
+        here = card.kind == "cuda"
+        wait_for_suites(job.lots[0], say)
+    where = torch.device("cuda" if here else "cpu")
     corpus = _hash_corpus(job)
     recipe = describe_recipe(job)
     with open_run(
@@ -160,11 +168,15 @@ def train_sft(
         command=describe_command(command),
         device=name_device(where),
         versions=list_versions(),
-        free=("plan", "examined"),
+        free=FREE,
         fresh=fresh,
     ) as folder:
+        policy = folder.folder / POLICY
+        if folder.finished is not None and not folder.notes and policy.is_dir():
+            say(f"done before, at step {folder.finished}")
+            return policy
         state = load_state(folder.resumed) if folder.resumed else None
-        pupil = _open_pupil(job, folder.folder, state)
+        pupil = _open_pupil(job, folder.folder, state, say)
         pupil.model.to(where).train()
         stream = _open_stream(job, pupil, card, say)
         maker = pupil.maker(stream.texts, where)
@@ -178,23 +190,22 @@ def train_sft(
             say(note)
         if state is not None:
             device_name = name_device(where)
-            notes = check_resume(
-                state, recipe=recipe, corpus=corpus, device=device_name, free=("plan", "examined")
-            )
+            notes = check_resume(state, recipe=recipe, corpus=corpus, device=device_name, free=FREE)
             for note in dict.fromkeys((*notes, *stage.restore(state))):
                 say(note)
                 folder.log(note)
         examine = None
-        if job.held_out and job.source != "dataset":
+        if job.held_out and card is not None:
             suite = job.exam or job.suites[0]
             examine = Examination(
-                pupil, learner, suite, job.held_out, card, episodes=job.examined, seed=job.seed
-            )
+                pupil, learner, suite, job.held_out, card, say=say, episodes=job.examined,
+                states=job.asked, seed=job.seed,
+            )  # fmt: skip
         found = stage.run(folder, say, examine)
         with learner.averaged_weights():
-            pupil.save(folder.folder / POLICY, shard_mb=job.plan.shard_mb, overwrite=True)
+            pupil.save(policy, shard_mb=job.plan.shard_mb, overwrite=True)
         folder.finish(stage.counters.step, found)
-    return Path(out) / POLICY
+    return policy
 
 
 def _hash_corpus(job: SftJob) -> str:
@@ -204,15 +215,21 @@ def _hash_corpus(job: SftJob) -> str:
     return load_lessons(job.lots[0], job.splits).hash
 
 
-def _open_pupil(job: SftJob, folder: Path, state: TrainingState | None) -> Pupil:
+def _open_pupil(
+    job: SftJob, folder: Path, state: TrainingState | None, say: Callable[[str], None]
+) -> Pupil:
     """The policy that goes on, or a new one; its settings are kept beside the states."""
     if state is not None:
         settings = load_policy_settings(folder)
         return Pupil(state.checkpoint, settings, settings.load_template(folder))
     if job.source == "dataset":
         texts: Sequence[str] = StreamDataset(job.suites[0], job.settings.pictures).texts
-    else:  # held-out ones, too, so that they fit
-        texts = load_lessons(list(dict.fromkeys([*job.lots[0], job.exam or job.suites[0]]))).texts
+    else:
+        suites = list(job.lots[0])
+        if not job.text_length:  # prompts have room for the examination's texts, too
+            suites = list(dict.fromkeys([*suites, job.exam or suites[0]]))
+            wait_for_suites(suites, say)
+        texts = load_lessons(suites).texts
     if job.start:
         base = load_checkpoint(job.start, grow=True)
         pupil = fit_texts(Pupil(base, job.settings, job.settings.load_template()), texts)
@@ -225,8 +242,10 @@ def _open_pupil(job: SftJob, folder: Path, state: TrainingState | None) -> Pupil
     return pupil
 
 
-def _open_stream(job: SftJob, pupil: Pupil, card: Device, say: Callable[[str], None]) -> Stream:
-    if job.source == "dataset":
+def _open_stream(
+    job: SftJob, pupil: Pupil, card: Device | None, say: Callable[[str], None]
+) -> Stream:
+    if card is None:
         return StreamDataset(
             job.suites[0],
             job.settings.pictures,

@@ -80,6 +80,9 @@ class Stage:
     counters: TrainingCounters = field(default_factory=TrainingCounters)
     schedule: Schedule = field(default_factory=Schedule)
 
+    def __post_init__(self) -> None:
+        self._texts = self.stream.texts  # those that the maker was made of
+
     def restore(self, state: TrainingState) -> tuple[str, ...]:
         """Go on from a state; the pupil's model must be the state's own.
 
@@ -162,7 +165,6 @@ class Stage:
         begun, before = time.monotonic(), self.counters.seconds
         mark, marked = begun, self.counters.samples
         found: dict[str, float] = {}
-        texts = self.stream.texts
         for step in itertools.count(self.counters.step + 1):
             end = self.schedule.end
             assert end is not None
@@ -170,9 +172,9 @@ class Stage:
                 break
             share = self.schedule.share(step - 1, recipe)
             states = self.stream.draw(recipe.batch)
-            if self.stream.texts is not texts:  # scenes joined
-                texts = self.stream.texts
-                self.maker = self.pupil.maker(texts, self.learner.device)
+            if self.stream.texts is not self._texts:  # scenes joined
+                self._texts = self.stream.texts
+                self.maker = self.pupil.maker(self._texts, self.learner.device)
             batch = self.maker.make(states)
             losses, norm = self.learner.step(batch, share)
             tally.add(losses, norm)

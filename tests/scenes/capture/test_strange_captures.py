@@ -230,9 +230,7 @@ def test_walls_enclose_what_most_directions_from_it_end_at():
 @pytest.mark.parametrize(("seed", "scale", "suffix"), [(1, 0.37, ".splat"), (4, 1.31, ".ply")])
 def test_generated_flats_of_unknown_size_come_out_as_they_were(seed, scale, suffix, tmp_path):
     """As `scene generate --as-capture` writes them, and with a lawn round the walls."""
-    truth = build_generated(
-        GenerateSettings(seed=seed, size="small", density=5000, light="draft"), "flat"
-    )
+    truth = build_generated(GenerateSettings(seed=seed, size="small", density=5000), "flat")
     ceiling = max(wall.height for wall in truth.walls)
     scan = tmp_path / f"scan{suffix}"
     save_bare_capture(truth.gaussians, scan, BareSettings(scale=scale, tilt=11.0, seed=seed))

@@ -13,6 +13,7 @@
 #   SEED      of weights, states and order (0)
 #   SAMPLES   of the trunk (8000000), MINUTES of it at most (none)
 #   SOURCE    walks or uniform (walks)
+#   PATHS     walks a home (40), each told in three ways
 set -euo pipefail
 
 OUT=${1:?usage: runs/ablation.sh OUT [tiny|full] [homes|trunk ...]}
@@ -52,7 +53,7 @@ lot() { # NAME SPLIT FLATS HOMES HOUSES
   NUMBA_NUM_THREADS=1 gn0 scene corpus --spec "$spec" --out "$OUT/homes/$1" --workers "$WORKERS" --no-sheet > "$OUT/log/homes-$1" 2>&1
   say "lot $1: missions"
   NUMBA_NUM_THREADS=1 gn0 missions generate "$OUT/homes/$1" --spec "$HERE/ablation/missions.yaml" --camera tiny_128 --seed 21 \
-    --workers "$WORKERS" --out "$OUT/suites/$1" > "$OUT/log/missions-$1" 2>&1
+    --per-scene "${PATHS:-40}" --workers "$WORKERS" --out "$OUT/suites/$1" > "$OUT/log/missions-$1" 2>&1
   say "lot $1: done"
 }
 

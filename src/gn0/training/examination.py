@@ -15,6 +15,7 @@ from gn0.training.step_ring import StepRing
 from gn0.training.stream_live import StreamLive
 from gn0.training.worlds import (
     Lessons,
+    leave_out_long,
     list_squares,
     load_lessons,
     open_world,
@@ -77,7 +78,7 @@ class Examination:
     @cached_property
     def _lessons(self) -> Lessons:
         wait_for_suites([self.suite], self._say)
-        return load_lessons(self.suite, self.splits)
+        return leave_out_long(load_lessons(self.suite, self.splits), self.pupil, self._say)
 
     @cached_property
     def _states(self) -> tuple[SampleMaker, Actor, LabelledStates]:

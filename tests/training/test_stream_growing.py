@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("torch")
 
-from gn0.errors import ConfigError, FormatError
+from gn0.errors import CheckpointError, ConfigError, FormatError
 from gn0.training.stream_growing import StreamGrowing
 
 
@@ -31,22 +31,26 @@ class Numbers:
         self.drawn = state["drawn"]
 
 
+def _open(part: int) -> tuple[Numbers, str]:
+    return Numbers(part), f"hash {part}"
+
+
 def _draw_all(stream: StreamGrowing, times: int) -> list[Any]:
     return [stream.draw(4) for _ in range(times)]
 
 
 def test_each_lot_joins_at_its_number() -> None:
-    stream = StreamGrowing(Numbers, [0, 8, 13])
+    stream = StreamGrowing(_open, [0, 8, 13])
     assert _draw_all(stream, 6) == [(0, 0), (0, 4), (1, 0), (1, 4), (2, 0), (2, 4)]
     assert stream.texts == ("part 2",)
 
 
 @pytest.mark.parametrize("stop", range(6))
 def test_it_goes_on_where_it_was_left(stop: int) -> None:
-    whole = _draw_all(StreamGrowing(Numbers, [0, 8, 13]), 6)
-    first = StreamGrowing(Numbers, [0, 8, 13])
+    whole = _draw_all(StreamGrowing(_open, [0, 8, 13]), 6)
+    first = StreamGrowing(_open, [0, 8, 13])
     begun = _draw_all(first, stop)
-    second = StreamGrowing(Numbers, [0, 8, 13])
+    second = StreamGrowing(_open, [0, 8, 13])
     second.restore(first.state())
     assert begun + _draw_all(second, 6 - stop) == whole
 
@@ -54,6 +58,14 @@ def test_it_goes_on_where_it_was_left(stop: int) -> None:
 def test_joins_that_make_no_sense_and_foreign_states_are_refused() -> None:
     for joins in ((), (4,), (0, 8, 8), (0, 8, 4)):
         with pytest.raises(ConfigError, match="join at"):
-            StreamGrowing(Numbers, joins)
+            StreamGrowing(_open, joins)
     with pytest.raises(FormatError, match="lots of scenes"):
-        StreamGrowing(Numbers, [0]).restore({"part": 1, "drawn": 0, "stream": {}})
+        StreamGrowing(_open, [0]).restore({"part": 1, "drawn": 0, "stream": {}})
+
+
+def test_scenes_that_changed_meanwhile_are_refused() -> None:
+    first = StreamGrowing(_open, [0, 8])
+    _draw_all(first, 3)
+    other = StreamGrowing(lambda part: (Numbers(part), "another"), [0, 8])
+    with pytest.raises(CheckpointError, match="learned from scenes hash 1, these are another"):
+        other.restore(first.state())

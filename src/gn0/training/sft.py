@@ -256,16 +256,18 @@ def _open_stream(
             device=pupil.model.device,
         )
 
-    def open_part(number: int) -> Stream:
+    def open_part(number: int) -> tuple[Stream, str]:
         paths = [path for lot in job.lots[: number + 1] for path in lot]
         wait_for_suites(paths, say)
-        lessons = leave_out_long(load_lessons(paths, job.splits), pupil, say)
+        every = load_lessons(paths, job.splits)
+        lessons = leave_out_long(every, pupil, say)
         world = open_world(lessons, pupil.settings, job.agents, device=card)
         squares, seed = list_squares(pupil.settings), derive_seed(job.seed, "lot", number)
         if job.source == "uniform":
-            return StreamUniform(world, seed=seed, names=squares)
+            return StreamUniform(world, seed=seed, names=squares), every.hash
         steps = max(MOSAIC + 1, -(-job.kept // job.agents))
         ring = StepRing(world, steps, names=squares)
-        return StreamLive(world, ring, seed=seed, ratio=job.ratio, dark=job.recipe.blackout)
+        dark = job.recipe.blackout
+        return StreamLive(world, ring, seed=seed, ratio=job.ratio, dark=dark), every.hash
 
     return StreamGrowing(open_part, job.joins)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from gn0.errors import ConfigError, FormatError
+from gn0.errors import CheckpointError, ConfigError, FormatError
 from gn0.training.samples import LabelledStates, Stream
 
 
@@ -19,15 +19,17 @@ class StreamGrowing:
     """One stream after the other, each of more scenes than the one before.
 
     Args:
-        open_part: opens the k-th stream, with the first k + 1 lots of scenes; waits until they are
-            there, and lets go of what the stream before held.
+        open_part: opens the k-th stream, with the first k + 1 lots of scenes, and says their hash;
+            waits until they are there.
         joins: samples drawn when each lot joins; the first is 0, and they rise.
 
     Raises:
         ConfigError: joins that do not begin at 0 or do not rise.
     """
 
-    def __init__(self, open_part: Callable[[int], Stream], joins: Sequence[int]) -> None:
+    def __init__(
+        self, open_part: Callable[[int], tuple[Stream, str]], joins: Sequence[int]
+    ) -> None:
         rising = all(a < b for a, b in pairwise(joins))
         if not joins or joins[0] != 0 or not rising:
             raise ConfigError(
@@ -37,7 +39,7 @@ class StreamGrowing:
             )
         self._open, self.joins = open_part, tuple(joins)
         self.part, self.drawn = 0, 0
-        self._stream = open_part(0)
+        self._stream, self.hash = open_part(0)
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -55,22 +57,34 @@ class StreamGrowing:
     def _enter(self, part: int) -> None:
         del self._stream  # its maps and pictures make room on the device
         self.part = part
-        self._stream = self._open(part)
+        self._stream, self.hash = self._open(part)
 
     def state(self) -> dict[str, Any]:
         """Where it stands, as JSON: what `restore` takes."""
-        return {"part": self.part, "drawn": self.drawn, "stream": self._stream.state()}
+        return {
+            "part": self.part,
+            "drawn": self.drawn,
+            "hash": self.hash,
+            "stream": self._stream.state(),
+        }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from there: the same states follow.
 
         Raises:
             FormatError: it is no such state.
+            CheckpointError: it was taken with other scenes.
         """
         part, drawn = state.get("part"), state.get("drawn")
         if not (isinstance(part, int) and isinstance(drawn, int) and 0 <= part < len(self.joins)):
             raise FormatError(f"part {part!r} of {len(self.joins)} lots of scenes", where="stream")
         if part != self.part:
             self._enter(part)
+        if state.get("hash") != self.hash:
+            raise CheckpointError(
+                f"the state learned from scenes {state.get('hash')}, these are {self.hash}",
+                where="stream",
+                remedy="give the suites of the run, or start a new run from its weights",
+            )
         self.drawn = drawn
         self._stream.restore(state["stream"])

@@ -65,7 +65,7 @@ class Args(Config, frozen=True):
         save: steps from checkpoint to checkpoint; 0 for one at the end.
         examine: steps from examination to examination; 0 for one at the end.
         shard_mb: megabytes of a checkpoint's file at most.
-        drop_optimiser: leave the optimiser's states out of checkpoints: a third of the bytes, and
+        drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes, and
             whoever goes on warms the rate again.
         seed: of weights, states and order.
         device: auto, cuda, or host (the emulation: slow, for trials).

@@ -42,7 +42,7 @@ class StagePlan(Config, frozen=True):
         save: steps from checkpoint to checkpoint; 0 saves at the end alone.
         examine: steps from examination to examination; 0 examines at the end alone.
         shard_mb: megabytes of a checkpoint's file at most.
-        keep_optimiser: whether checkpoints hold the optimiser's states, two thirds of their bytes.
+        keep_optimiser: whether checkpoints hold the optimiser's states, half of their bytes.
     """
 
     samples: Steps = 8_000_000

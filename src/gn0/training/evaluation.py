@@ -27,11 +27,10 @@ from gn0.policies.bae.policy_settings import SQUARE_NAMES
 from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.state import Action
-from gn0.training.pupil import Pupil
+from gn0.training.pupil import CONTROL_TEXT, Pupil
 from gn0.training.samples import LabelledStates, SampleMaker
 
 NEAR = 1.0  # m on foot: the stricter radius
-GO = "go"  # what is said where words are taken away
 Control = Literal["none", "no_words", "shuffled", "no_pictures"]
 CONTROLS: tuple[Control, ...] = ("none", "no_words", "shuffled", "no_pictures")
 
@@ -169,7 +168,7 @@ class ClosedLoop:
             )
         self.device: torch.device = pupil.model.device
         texts = [episode.instruction for episode in env.episodes]
-        self.maker = pupil.maker([*texts, GO], self.device)
+        self.maker = pupil.maker([*texts, CONTROL_TEXT], self.device)
         self.actor = Actor(
             pupil.model, self.maker.table.layout, pupil.slots, self.settings.frame, env.num_envs,
             dtype=dtype, compiled=compiled,

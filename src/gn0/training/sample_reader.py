@@ -26,6 +26,7 @@ from gn0.errors import ConfigError, DataError, FormatError
 from gn0.geometry import U8, Pose2D
 from gn0.missions.episode import Episode, MissionGoal
 from gn0.paper import ACTIONS_AHEAD, POINTS
+from gn0.policies.bae.policy_settings import SQUARE_NAMES
 from gn0.seeds import derive_seed
 from gn0.sim.ego_map import MapView, draw_arrow, draw_ego_map
 from gn0.sim.history import LENGTH, build_mosaic, reduce_picture
@@ -37,7 +38,6 @@ from gn0.training.sample_order import Rows, SampleOrder
 
 CAMERA = ("rgb", "history", "goal_picture")  # what jitter is for
 MAPS = ("bev", "occupancy")
-SQUARES = ("near", "far")  # names of an ego map's squares; more are square_2, square_3, …
 LABELS: Mapping[str, tuple[tuple[int, ...], str]] = {
     "episode": ((), "i4"),
     "pose": ((3,), "f8"),
@@ -55,9 +55,7 @@ T = TypeVar("T")
 
 def square_names(view: MapView) -> tuple[str, ...]:
     """Names of the squares of an ego map, from the left."""
-    return tuple(
-        SQUARES[k] if k < len(SQUARES) else f"square_{k}" for k in range(len(view.squares))
-    )
+    return SQUARE_NAMES[: len(view.squares)]
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,13 @@ from torch import Tensor
 
 from gn0.device.dlpack import wrap_array
 from gn0.errors import ConfigError, DeviceMemoryError, SimError
+from gn0.policies.bae.policy_settings import SQUARE_NAMES
 from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
 from gn0.sim.history import COLUMNS, LENGTH, ROWS
 from gn0.training.samples import LabelledStates
 
-SQUARES = ("near", "far")  # names of the first squares of an ego map
 _FIELDS: tuple[tuple[str, torch.dtype, tuple[int, ...]], ...] = (
     ("episode", torch.int32, ()),
     ("pose", torch.float64, (3,)),
@@ -103,7 +103,7 @@ class StepRing:
         if atlas is None and "ego_map" in env.sensors:
             atlas = EgoAtlas(env)
         squares = () if atlas is None else atlas.view.squares
-        given = [*SQUARES, *(f"square_{k}" for k in range(2, len(squares)))][: len(squares)]
+        given = list(SQUARE_NAMES[: len(squares)])
         if names is not None:
             given = list(names)
         if len(set(given)) != len(squares) or len(given) != len(squares):

@@ -20,11 +20,12 @@ from torch import Tensor
 
 from gn0.device.dlpack import wrap_array
 from gn0.errors import ConfigError, FormatError
+from gn0.policies.bae.policy_settings import SQUARE_NAMES
 from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.history import mosaic_size
 from gn0.training.samples import LabelledStates
-from gn0.training.step_ring import SQUARES, find_torch_device
+from gn0.training.step_ring import find_torch_device
 from gn0.training.stream_live import STOP_DISTANCE, check_stream
 
 
@@ -69,7 +70,7 @@ class StreamUniform:
         self._device = find_torch_device(env)
         self._squares = env.simulator.config.map_view.squares if "ego_map" in env.sensors else ()
         count = len(self._squares)
-        given = [*SQUARES, *(f"square_{k}" for k in range(2, count))][:count]
+        given = list(SQUARE_NAMES[:count])
         self.names = given if names is None else list(names)
         if len(set(self.names)) != count or len(self.names) != count:
             raise ConfigError(f"names {self.names} of {count} squares", remedy="name each once")

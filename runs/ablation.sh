@@ -12,6 +12,8 @@
 #   INPUT     what the policy is shown: maps (near and far ego map), views (view and mosaic), or all
 #   SEED      of weights, states and order (0)
 #   SAMPLES   of the trunk (8000000), MINUTES of it at most (none)
+#   JOINS     samples at which lots a, b and c join (0,500000,3000000)
+#   EXAMINE   steps from examination to examination (0: at the end alone)
 #   SOURCE    walks or uniform (walks)
 #   PATHS     walks a home (40), each told in three ways
 set -euo pipefail
@@ -72,8 +74,8 @@ trunk() {
     all) pictures=rgb,history,near,far points=13 ;;
     *) echo "INPUT is maps, views or all" >&2; return 2 ;;
   esac
-  local more=(--samples "${SAMPLES:-8000000}" --minutes "${MINUTES:-0}" --save 500 --shard-mb 15)
-  local suites=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c") joins=0,500000,1500000
+  local more=(--samples "${SAMPLES:-8000000}" --minutes "${MINUTES:-0}" --examine "${EXAMINE:-0}" --save 500 --shard-mb 15)
+  local suites=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c") joins=${JOINS:-0,500000,3000000}
   if [ "$SIZE" = tiny ]; then
     suites=("$OUT/suites/a" "$OUT/suites/b") joins=0,64
     more=(--samples "${SAMPLES:-160}" --size nano --batch 16 --agents 16 --kept 320 --report 2 --save 4 --examined 2 --asked 64 --device host)

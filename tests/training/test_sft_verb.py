@@ -40,6 +40,18 @@ def _train(suite: Path, out: Path, *more: str, also: tuple[Path, ...] = ()) -> i
     )  # fmt: skip
 
 
+def test_a_split_of_the_examination_that_is_not_there_is_told_at_once(
+    suite, tmp_path, own_cache, monkeypatch, capsys
+) -> None:
+    if not shutil.which("g++"):
+        pytest.skip("the host emulation needs g++")
+    monkeypatch.setenv("GN0_CACHE", str(own_cache))
+    out = tmp_path / "out"
+    assert _train(suite, out, "--held-out", "nowhere") == 2
+    assert "no split 'nowhere'" in capsys.readouterr().err
+    assert not out.exists()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["walks", "uniform"])
 def test_a_stopped_run_ends_in_the_same_policy(

@@ -27,6 +27,7 @@ from gn0.policies.bae.policy_settings import (
 )
 from gn0.seeds import derive_seed
 from gn0.sim.history import LENGTH as MOSAIC
+from gn0.suites.suite import SUITE_FILE
 from gn0.training.examination import STATES, Examination
 from gn0.training.learner import Learner, LossForward
 from gn0.training.pupil import Pupil, build_pupil, fit_texts
@@ -157,6 +158,9 @@ def train_sft(
         card = open_device(device) if isinstance(device, str) else device
         here = card.kind == "cuda"
         wait_for_suites(job.lots[0], say)
+        exam = job.exam or job.suites[0]
+        if job.held_out and (Path(exam) / SUITE_FILE).is_file():
+            load_lessons(exam, job.held_out)  # a split that is not there is told now
     where = torch.device("cuda" if here else "cpu")
     corpus = _hash_corpus(job)
     recipe = describe_recipe(job)

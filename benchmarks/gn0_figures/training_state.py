@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 
-from gn0.training.training_state import load_state, measure_state, save_state
+from gn0.training.runs.training_state import load_state, measure_state, save_state
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
 from gn0_trials.training_kills import LearnerOfWords, WordsRecipe, kill_training
 

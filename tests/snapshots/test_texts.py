@@ -37,7 +37,7 @@ from gn0.render import RendererCpu
 from gn0.scenes import build_example_scene, import_scene, load_cloud, load_scene, save_scene
 from gn0.sim import find_preset
 from gn0.storage import safe_join
-from gn0.training.loss_guard import check_finite
+from gn0.training.runs.loss_guard import check_finite
 from gn0_trials.random_qwen import build_random_checkpoint
 from gn0_trials.routes import build_simple_route
 

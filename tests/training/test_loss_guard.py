@@ -9,7 +9,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="training needs gn0[train]")
 
 from gn0.errors import TrainingError  # noqa: E402
-from gn0.training.loss_guard import LossGuard, check_finite  # noqa: E402
+from gn0.training.runs.loss_guard import LossGuard, check_finite  # noqa: E402
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])

@@ -13,16 +13,16 @@ pytest.importorskip("torch", reason="training needs gn0[train]")
 
 from gn0.config import Config
 from gn0.errors import StorageError, TrainingError
-from gn0.training.metrics_file import MetricsFile, read_metrics
-from gn0.training.progress_line import (
+from gn0.training.runs.metrics_file import MetricsFile, read_metrics
+from gn0.training.runs.progress_line import (
     ProgressLine,
     TrainingReport,
     format_report,
     format_seconds,
 )
-from gn0.training.recipe_text import describe_command, describe_recipe
-from gn0.training.run_folder import CHECKPOINTS, EVENTS, LOG, METRICS, open_run, read_run
-from gn0.training.state_folder import STATE, name_state
+from gn0.training.runs.recipe_text import describe_command, describe_recipe
+from gn0.training.runs.run_folder import CHECKPOINTS, EVENTS, LOG, METRICS, open_run, read_run
+from gn0.training.runs.state_folder import STATE, name_state
 
 FACTS = {
     "stage": "sft", "recipe": {"rate": 0.001, "steps": 8}, "hashes": {"corpus": "c0ffee"},

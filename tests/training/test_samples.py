@@ -11,7 +11,7 @@ from gn0.data.codec import EgoFrame, decode_waypoints, encode_heading, encode_wa
 from gn0.sim.sensors import MapFrame
 
 torch = pytest.importorskip("torch")
-samples = pytest.importorskip("gn0.training.samples")
+samples = pytest.importorskip("gn0.training.streams.samples")
 
 FRAME = EgoFrame(128, 0.06, 0.65)
 

@@ -16,9 +16,9 @@ from gn0.errors import TrainingError
 from gn0.policies.bae.checkpoint import Checkpoint
 from gn0.training.learner import Learner, LossForward
 from gn0.training.recipe import Recipe
-from gn0.training.run_folder import open_run
+from gn0.training.runs.run_folder import open_run
+from gn0.training.runs.training_state import load_state
 from gn0.training.stage import Stage, StagePlan
-from gn0.training.training_state import load_state
 
 RECIPE = Recipe(batch=4, warm_steps=2, mean=0.9)
 

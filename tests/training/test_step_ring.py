@@ -8,7 +8,7 @@ import pytest
 from gn0.errors import ConfigError, DeviceMemoryError, SimError
 
 torch = pytest.importorskip("torch")
-step_ring = pytest.importorskip("gn0.training.step_ring")
+step_ring = pytest.importorskip("gn0.training.streams.step_ring")
 
 SENSORS = ("rgb", "history", "ego_map")
 

@@ -43,9 +43,9 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.suites.suite import build_suite, save_suite
-from gn0.training.picture_jitter import PictureJitter
-from gn0.training.samples import LabelledStates, SampleMaker
-from gn0.training.stream_dataset import StreamDataset
+from gn0.training.streams.picture_jitter import PictureJitter
+from gn0.training.streams.samples import LabelledStates, SampleMaker
+from gn0.training.streams.stream_dataset import StreamDataset
 
 VIEW = MapView((EgoSquare(48), EgoSquare(40, metres_per_pixel=0.15, content="occupancy")))
 NAMES = ("rgb", "history", "bev", "occupancy", "near", "far", "goal_picture")

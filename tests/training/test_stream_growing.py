@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("torch")
 
 from gn0.errors import CheckpointError, ConfigError, FormatError
-from gn0.training.stream_growing import StreamGrowing
+from gn0.training.streams.stream_growing import StreamGrowing
 
 
 class Numbers:

@@ -19,8 +19,8 @@ from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import read_map_view
 
 torch = pytest.importorskip("torch")
-live = pytest.importorskip("gn0.training.stream_live")
-from gn0.training.step_ring import StepRing  # noqa: E402 (needs torch)
+live = pytest.importorskip("gn0.training.streams.stream_live")
+from gn0.training.streams.step_ring import StepRing  # noqa: E402 (needs torch)
 
 FIELDS = ("episode", "pose", "last", "collided", "actions", "waypoints", "distance")
 

@@ -13,7 +13,7 @@ from gn0.maps.field_expert import ROUNDING
 from gn0.maps.navigation import NavigationMap
 
 torch = pytest.importorskip("torch")
-uniform = pytest.importorskip("gn0.training.stream_uniform")
+uniform = pytest.importorskip("gn0.training.streams.stream_uniform")
 
 
 def tell(states) -> bytes:

@@ -17,12 +17,12 @@ pytest.importorskip("transformers", reason="training needs gn0[train]")
 
 from gn0.errors import CheckpointError, StorageError  # noqa: E402
 from gn0.policies.bae.checkpoint import load_checkpoint  # noqa: E402
-from gn0.training.generators import restore_generators  # noqa: E402
-from gn0.training.optimiser_state import capture_optimiser, restore_optimiser  # noqa: E402
-from gn0.training.recipe_text import describe_recipe  # noqa: E402
-from gn0.training.resume_checks import check_resume  # noqa: E402
-from gn0.training.state_folder import discard_states_after, find_latest, list_states  # noqa: E402
-from gn0.training.training_state import (  # noqa: E402
+from gn0.training.runs.generators import restore_generators  # noqa: E402
+from gn0.training.runs.optimiser_state import capture_optimiser, restore_optimiser  # noqa: E402
+from gn0.training.runs.recipe_text import describe_recipe  # noqa: E402
+from gn0.training.runs.resume_checks import check_resume  # noqa: E402
+from gn0.training.runs.state_folder import discard_states_after, find_latest, list_states  # noqa: E402
+from gn0.training.runs.training_state import (  # noqa: E402
     load_state,
     measure_state,
     save_state,
@@ -230,7 +230,7 @@ import resource, signal, sys, torch
 from dataclasses import replace
 from pathlib import Path
 from gn0.errors import StorageError
-from gn0.training.training_state import load_state, save_state
+from gn0.training.runs.training_state import load_state, save_state
 folder = Path(sys.argv[1])
 state = load_state(folder)
 counters = type(state.counters)(step=5)

@@ -42,7 +42,7 @@ def run(args: Args) -> int:
     from gn0.cli.train_packages import check_packages
     from gn0.errors import ConfigError
     from gn0.storage import check_replaceable
-    from gn0.training.source_texts import prompt_texts, read_instructions
+    from gn0.training.streams.source_texts import prompt_texts, read_instructions
 
     if not args.sources:
         raise ConfigError(

@@ -28,7 +28,7 @@ from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.state import Action
 from gn0.training.pupil import CONTROL_TEXT, Pupil
-from gn0.training.samples import LabelledStates, SampleMaker
+from gn0.training.streams.samples import LabelledStates, SampleMaker
 
 NEAR = 1.0  # m on foot: the stricter radius
 Control = Literal["none", "no_words", "shuffled", "no_pictures"]

@@ -10,9 +10,9 @@ from gn0.policies.bae.actor import Actor
 from gn0.training.evaluation import ClosedLoop, score_states, summarise_walks
 from gn0.training.learner import Learner
 from gn0.training.pupil import Pupil
-from gn0.training.samples import LabelledStates, SampleMaker
-from gn0.training.step_ring import StepRing
-from gn0.training.stream_live import StreamLive
+from gn0.training.streams.samples import LabelledStates, SampleMaker
+from gn0.training.streams.step_ring import StepRing
+from gn0.training.streams.stream_live import StreamLive
 from gn0.training.worlds import (
     Lessons,
     leave_out_long,

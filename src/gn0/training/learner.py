@@ -15,7 +15,7 @@ from transformers import Qwen3VLForConditionalGeneration
 from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
 from gn0.policies.bae.forward import ForwardConstant
 from gn0.training.recipe import Recipe
-from gn0.training.samples import SampleBatch
+from gn0.training.streams.samples import SampleBatch
 
 DISTANCE_SCALE = 5.0  # m: the auxiliary head says distances in these
 PROJECTOR = ("visual.merger", "visual.deepstack_merger_list")

@@ -27,7 +27,7 @@ from gn0.policies.bae.sizes import build_model
 from gn0.policies.bae.tokenizer import MERGES, read_token_ids, train_tokenizer
 from gn0.policies.bae.tokenizer_file import TokenizerFile
 from gn0.policies.qwen.architecture import Architecture, parse_architecture
-from gn0.training.samples import SampleMaker
+from gn0.training.streams.samples import SampleMaker
 
 CONTROL_TEXT = "go"  # what the control without words is told
 _ROUND = 8  # texts' tokens are rounded up to a multiple of this

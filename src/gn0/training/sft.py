@@ -32,17 +32,17 @@ from gn0.training.examination import STATES, Examination
 from gn0.training.learner import Learner, LossForward
 from gn0.training.pupil import Pupil, build_pupil, fit_texts
 from gn0.training.recipe import RECIPES, Recipe
-from gn0.training.recipe_text import describe_command, describe_recipe
-from gn0.training.resume_checks import check_resume
-from gn0.training.run_folder import open_run
-from gn0.training.samples import Stream
+from gn0.training.runs.recipe_text import describe_command, describe_recipe
+from gn0.training.runs.resume_checks import check_resume
+from gn0.training.runs.run_folder import open_run
+from gn0.training.runs.training_state import TrainingState, list_versions, load_state, name_device
 from gn0.training.stage import Stage, StagePlan
-from gn0.training.step_ring import StepRing
-from gn0.training.stream_dataset import StreamDataset
-from gn0.training.stream_growing import StreamGrowing
-from gn0.training.stream_live import StreamLive
-from gn0.training.stream_uniform import StreamUniform
-from gn0.training.training_state import TrainingState, list_versions, load_state, name_device
+from gn0.training.streams.samples import Stream
+from gn0.training.streams.step_ring import StepRing
+from gn0.training.streams.stream_dataset import StreamDataset
+from gn0.training.streams.stream_growing import StreamGrowing
+from gn0.training.streams.stream_live import StreamLive
+from gn0.training.streams.stream_uniform import StreamUniform
 from gn0.training.worlds import (
     leave_out_long,
     list_squares,

@@ -15,17 +15,17 @@ from typing import Annotated, Any
 import msgspec
 
 from gn0.config import Config
-from gn0.training.generators import capture_generators, restore_generators
 from gn0.training.learner import GROUPS, Learner
-from gn0.training.loss_guard import LossGuard
-from gn0.training.optimiser_state import capture_optimiser, restore_optimiser
-from gn0.training.progress_line import ProgressLine, TrainingReport
 from gn0.training.pupil import Pupil
-from gn0.training.run_folder import RunFolder
-from gn0.training.samples import SampleMaker, Stream
+from gn0.training.runs.generators import capture_generators, restore_generators
+from gn0.training.runs.loss_guard import LossGuard
+from gn0.training.runs.optimiser_state import capture_optimiser, restore_optimiser
+from gn0.training.runs.progress_line import ProgressLine, TrainingReport
+from gn0.training.runs.run_folder import RunFolder
+from gn0.training.runs.training_state import TrainingCounters, TrainingState, name_device
 from gn0.training.schedule import Schedule
+from gn0.training.streams.samples import SampleMaker, Stream
 from gn0.training.tally import Tally
-from gn0.training.training_state import TrainingCounters, TrainingState, name_device
 
 Steps = Annotated[int, msgspec.Meta(ge=1)]
 Examine = Callable[[], Mapping[str, float]]

@@ -20,7 +20,7 @@ from gn0.policies.bae.tokenizer_file import TokenizerFile
 from gn0.policies.bae.tokens import TokenIds
 from gn0.policies.qwen.architecture import parse_architecture
 from gn0.policies.qwen.layout import PictureSize
-from gn0.training.samples import LabelledStates, SampleMaker
+from gn0.training.streams.samples import LabelledStates, SampleMaker
 
 torch.set_num_threads(1)  # tests run beside each other; threads that wait for cores take them
 FRAME = EgoFrame(32, 0.24, 0.65)

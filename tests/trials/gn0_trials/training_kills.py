@@ -23,15 +23,15 @@ from gn0.policies.bae.checkpoint import Checkpoint
 from gn0.policies.bae.sizes import build_model
 from gn0.policies.bae.tokenizer import read_token_ids, train_tokenizer
 from gn0.seeds import random_stream
-from gn0.training.generators import capture_generators, restore_generators
-from gn0.training.metrics_file import read_metrics
-from gn0.training.optimiser_state import capture_optimiser, restore_optimiser
-from gn0.training.recipe_text import describe_recipe
-from gn0.training.resume_checks import check_resume
-from gn0.training.run_folder import CHECKPOINTS, METRICS, RunFolder, open_run
-from gn0.training.state_file import TrainingCounters
-from gn0.training.state_folder import find_latest
-from gn0.training.training_state import (
+from gn0.training.runs.generators import capture_generators, restore_generators
+from gn0.training.runs.metrics_file import read_metrics
+from gn0.training.runs.optimiser_state import capture_optimiser, restore_optimiser
+from gn0.training.runs.recipe_text import describe_recipe
+from gn0.training.runs.resume_checks import check_resume
+from gn0.training.runs.run_folder import CHECKPOINTS, METRICS, RunFolder, open_run
+from gn0.training.runs.state_file import TrainingCounters
+from gn0.training.runs.state_folder import find_latest
+from gn0.training.runs.training_state import (
     TrainingState,
     list_versions,
     load_state,

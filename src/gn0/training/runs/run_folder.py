@@ -19,10 +19,10 @@ from gn0.config import Config, load_json
 from gn0.errors import TrainingError
 from gn0.locked_folder import LOCK, check_room, holds_leftovers_only, lock_folder, sweep_folder
 from gn0.storage import storage_error, write_json
-from gn0.training.event_log import open_event_log
-from gn0.training.metrics_file import MetricsFile
-from gn0.training.recipe_text import list_recipe_differences
-from gn0.training.state_folder import (
+from gn0.training.runs.event_log import open_event_log
+from gn0.training.runs.metrics_file import MetricsFile
+from gn0.training.runs.recipe_text import list_recipe_differences
+from gn0.training.runs.state_folder import (
     STATE,
     discard_states_after,
     find_latest,
@@ -32,7 +32,7 @@ from gn0.training.state_folder import (
 )
 
 if TYPE_CHECKING:
-    from gn0.training.training_state import TrainingState
+    from gn0.training.runs.training_state import TrainingState
 
 RUN, METRICS, EVENTS, CHECKPOINTS, LOG = "run.json", "metrics.jsonl", "events", "checkpoints", "log"
 _ROOM = 64 << 20  # bytes, before any work; a state's own are asked for when it is saved
@@ -148,7 +148,7 @@ class RunFolder:
         Raises:
             StorageError: the disk is full or refuses.
         """
-        from gn0.training.training_state import save_state
+        from gn0.training.runs.training_state import save_state
 
         self._metrics.sync()
         return save_state(self.checkpoints, state, **options)

@@ -23,7 +23,7 @@ from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
 from gn0.sim.history import COLUMNS, LENGTH, ROWS
-from gn0.training.samples import LabelledStates
+from gn0.training.streams.samples import LabelledStates
 
 _FIELDS: tuple[tuple[str, torch.dtype, tuple[int, ...]], ...] = (
     ("episode", torch.int32, ()),

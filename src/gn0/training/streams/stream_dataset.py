@@ -21,11 +21,11 @@ from gn0.policies.bae.prompt_fields import PromptState
 from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.sensors import MapFrame
 from gn0.storage import content_hash
-from gn0.training.picture_jitter import PictureJitter
-from gn0.training.sample_order import Place, Rows, SampleOrder
-from gn0.training.sample_reader import LABELS, PictureWish, SampleReader
-from gn0.training.sample_workers import SampleWorkers
-from gn0.training.samples import LabelledStates
+from gn0.training.streams.picture_jitter import PictureJitter
+from gn0.training.streams.sample_order import Place, Rows, SampleOrder
+from gn0.training.streams.sample_reader import LABELS, PictureWish, SampleReader
+from gn0.training.streams.sample_workers import SampleWorkers
+from gn0.training.streams.samples import LabelledStates
 
 BLACKOUT = 0.1  # of mosaics, so that black carries no meaning
 AHEAD = 2  # batches that workers read before they are asked for
@@ -35,9 +35,9 @@ class StreamDataset:
     """Labelled states of a dataset, in an order that its seed decides.
 
     Every sample of an epoch is given once over all ranks, or as often as its weight says (see
-    `gn0.training.sample_order`); an epoch follows the other without end. The order and every pixel
-    are the same for any number of workers, and a stream goes on exactly where its `state` was
-    taken, on any number of ranks.
+    `sample_order.py`); an epoch follows the other without end. The order and every pixel are the
+    same for any number of workers, and a stream goes on exactly where its `state` was taken, on
+    any number of ranks.
 
     Args:
         dataset: a dataset, or its folder.

@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 from gn0.errors import CheckpointError, ConfigError, FormatError
-from gn0.training.samples import LabelledStates, Stream
+from gn0.training.streams.samples import LabelledStates, Stream
 
 
 class StreamGrowing:

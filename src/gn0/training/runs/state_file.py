@@ -14,7 +14,7 @@ import msgspec
 from gn0.config import Config, load_json
 from gn0.errors import CheckpointError, FormatError, brief
 from gn0.storage import safe_join, write_json
-from gn0.training.state_folder import STATE
+from gn0.training.runs.state_folder import STATE
 
 FORMAT = 1
 

@@ -30,8 +30,8 @@ from gn0.paper import FORWARD, STOP
 from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
-from gn0.training.samples import LabelledStates
-from gn0.training.step_ring import StepRing
+from gn0.training.streams.samples import LabelledStates
+from gn0.training.streams.step_ring import StepRing
 
 STOP_DISTANCE = 1.0  # m, of the labels that policies are trained on
 _BASE: tuple[tuple[str, DTypeLike, tuple[int, ...]], ...] = (

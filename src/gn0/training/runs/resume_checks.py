@@ -6,8 +6,8 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from gn0.errors import CheckpointError
-from gn0.training.recipe_text import list_recipe_differences
-from gn0.training.training_state import TrainingState, list_versions
+from gn0.training.runs.recipe_text import list_recipe_differences
+from gn0.training.runs.training_state import TrainingState, list_versions
 
 
 def check_resume(

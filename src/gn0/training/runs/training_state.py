@@ -27,8 +27,8 @@ from gn0.policies.bae.shard_file import count_bytes, write_shards
 from gn0.policies.qwen.weights import MANIFEST
 from gn0.seeds import load_stream, save_stream
 from gn0.storage import folder_atomic, storage_error
-from gn0.training.optimiser_state import OptimiserState
-from gn0.training.state_file import (
+from gn0.training.runs.optimiser_state import OptimiserState
+from gn0.training.runs.state_file import (
     FileFacts,
     OptimiserFacts,
     StateFile,
@@ -40,7 +40,7 @@ from gn0.training.state_file import (
     sync_folder,
     write_state_file,
 )
-from gn0.training.state_folder import (
+from gn0.training.runs.state_folder import (
     STATE,
     find_latest,
     keep_last_states,

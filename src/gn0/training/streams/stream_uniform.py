@@ -5,7 +5,7 @@
 
 Uniform headings are FORWARD in one of twelve cases; so about half of the agents look where the
 expert would go, and some stand near the goal, where STOP is learned. Nobody has walked: mosaics are
-black. For order on a card see `gn0.training.stream_live`.
+black. For order on a card see `gn0.training.streams.stream_live`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from gn0.policies.bae.policy_settings import SQUARE_NAMES
 from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.history import mosaic_size
-from gn0.training.samples import LabelledStates
-from gn0.training.step_ring import find_torch_device
-from gn0.training.stream_live import STOP_DISTANCE, check_stream
+from gn0.training.streams.samples import LabelledStates
+from gn0.training.streams.step_ring import find_torch_device
+from gn0.training.streams.stream_live import STOP_DISTANCE, check_stream
 
 
 class StreamUniform:

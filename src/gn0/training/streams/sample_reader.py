@@ -33,8 +33,8 @@ from gn0.sim.history import LENGTH, build_mosaic, reduce_picture
 from gn0.sim.presets import find_preset
 from gn0.sim.sensors import GREEN, RED, MapFrame, SensorConfig, draw_disc, paint_grid
 from gn0.storage import read_bytes, safe_join
-from gn0.training.picture_jitter import DRAWS, PictureJitter
-from gn0.training.sample_order import Rows, SampleOrder
+from gn0.training.streams.picture_jitter import DRAWS, PictureJitter
+from gn0.training.streams.sample_order import Rows, SampleOrder
 
 CAMERA = ("rgb", "history", "goal_picture")  # what jitter is for
 MAPS = ("bev", "occupancy")

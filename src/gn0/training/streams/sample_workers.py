@@ -26,8 +26,8 @@ from gn0.jobs.hosts import HostsProcess
 from gn0.jobs.run import error_of
 from gn0.jobs.worker import Answer, Told, Unit
 from gn0.storage import storage_error
-from gn0.training.sample_order import Rows, SampleOrder
-from gn0.training.sample_reader import PictureWish, SampleReader
+from gn0.training.streams.sample_order import Rows, SampleOrder
+from gn0.training.streams.sample_reader import PictureWish, SampleReader
 
 Layout = Mapping[str, tuple[tuple[int, ...], str]]
 _ALIGNED = 64  # bytes

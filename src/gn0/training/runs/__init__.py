@@ -1,0 +1,1 @@
+"""Folders of training runs: states that resume exactly, metrics, what a run says."""

@@ -23,7 +23,6 @@ from gn0.sim.device_env import VectorEnvDevice  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
 from gn0.training.evaluation import (  # noqa: E402
     ClosedLoop,
-    choose_texts,
     score_states,
     summarise_walks,
 )
@@ -110,19 +109,6 @@ def test_controls_take_away_what_they_say(walker, env) -> None:
     assert asked[0][0] != told
     with pytest.raises(ConfigError, match="no control"):
         loop.play([0], control="silence")  # type: ignore[arg-type]
-
-
-def test_shuffled_texts_are_of_the_same_scene_and_unlike(flats_suite) -> None:
-    episodes = list(flats_suite.episodes)
-    own = choose_texts(episodes, "shuffled", 0)
-    assert np.array_equal(own, choose_texts(episodes, "shuffled", 0))
-    for number, other in enumerate(own):
-        assert episodes[other].scene_id == episodes[number].scene_id
-        unlike = {e.instruction for e in episodes if e.scene_id == episodes[number].scene_id}
-        if len(unlike) > 1:
-            assert episodes[other].instruction != episodes[number].instruction
-    assert choose_texts(episodes, "none", 0).tolist() == list(range(12))
-    assert choose_texts(episodes, "no_words", 0).tolist() == [12] * 12
 
 
 def test_a_stop_is_asked_again_and_three_actions_are_carried_out(walker, env) -> None:

@@ -215,6 +215,11 @@ def name_difference(a: Path | str, b: Path | str) -> str:
             f"not the same task: A ran with map mode {first.map_mode!r}, B with "
             f"{second.map_mode!r}; the difference is that of policy and maps together",
         )
+    if first.control != second.control:
+        lines.append(
+            f"a control: A ran with {first.control!r}, B with {second.control!r}; the difference "
+            "is what was taken away"
+        )
     return "; ".join(line for line in lines if line)
 
 

@@ -155,7 +155,7 @@ class EpisodeGroup:
             on_device=settings.on_device,
             map_view=getattr(self._policy, "map_view", None),
         )
-        return RolloutBatch(walkers, self._policy)
+        return RolloutBatch(walkers, self._policy, dark=settings.control == "no_pictures")
 
     def _noted(self, slot: int, result: EpisodeResult) -> EpisodeResult:
         """The result with what the policy has to say about itself."""

@@ -75,6 +75,7 @@ class EpisodeWorker:
 
     def __init__(self, settings: Open, policy: Policy | None = None) -> None:
         self.settings = settings
+        self._dark = settings.control == "no_pictures"  # texts are in the leases
         self._source = ""
         self._isolated = 0  # processes of policies so far
         self._batch: PolicyBatch | None = None
@@ -199,7 +200,7 @@ class EpisodeWorker:
             result, trace = self._run_release(simulator, episode, self._release, self._honest)
         else:
             try:
-                trajectory = run_episode(simulator, self.policy, episode)
+                trajectory = run_episode(simulator, self.policy, episode, dark=self._dark)
             except EpisodeError as error:
                 return _invalid(episode, error), EpisodeTrace(episode=episode.id)
             result, trace = self.score_walk(trajectory, episode, simulator.navigation)
@@ -223,7 +224,7 @@ class EpisodeWorker:
         """Run under the official harness; score its way, and ours on the same trajectory."""
         driver = PolicyUnderRelease(self.policy, release.release)
         try:
-            trajectory = run_episode(simulator, driver, episode)
+            trajectory = run_episode(simulator, driver, episode, dark=self._dark)
         except EpisodeError as error:
             return _invalid(episode, error), EpisodeTrace(episode=episode.id)
         theirs = score_release(

@@ -164,7 +164,7 @@ def _have_paths(a: Path | str, b: Path | str) -> bool:
 def _differing(first: RunSummary, second: RunSummary) -> str:
     """Rows of two protocol cards that differ, by name; the task, not the policy."""
     of_policy = {"suite", "policy", "the policy sees", "code", "policy identity",
-                 "policy and track", "isolation"}  # fmt: skip
+                 "policy and track", "isolation", "control"}  # fmt: skip
     a, b = dict(first.protocol), dict(second.protocol)
     names = [k for k in {**a, **b} if k not in of_policy and a.get(k) != b.get(k)]
     return ", ".join(names) or "scenes or episodes"

@@ -10,6 +10,7 @@ import msgspec
 
 from gn0.bench.identity import tell_identity
 from gn0.bench.results import Isolation, Moves, PolicyCard
+from gn0.missions.controls import CONTROL_WORDS, Control
 from gn0.missions.episode import PathSource
 from gn0.render.open import name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS
@@ -41,6 +42,7 @@ def config_hash(
     backend: str,
     episodes: int,
     isolated: bool = False,
+    control: Control = "none",
 ) -> str:
     """Digest of what decides a result beside suite and code; workers and order do not.
 
@@ -53,6 +55,7 @@ def config_hash(
         backend,
         episodes,
         *(["isolated"] if isolated else []),
+        *([f"control {control}"] if control != "none" else []),
     )
 
 
@@ -132,10 +135,12 @@ def protocol_card(
     code: str,
     backend: str = "auto",
     moves: Moves | None = None,
+    control: Control = "none",
 ) -> tuple[tuple[str, str], ...]:
     """(what, how) rows of a run; nothing here depends on workers, order or host.
 
-    `moves` are the Teleports and Displacements of the run, once it has been run.
+    `moves` are the Teleports and Displacements of the run, once it has been run; `control` is what
+    was taken away from the policy.
     """
     about, agent = suite.about, suite.about.agent
     preset = find_preset(about.camera)
@@ -153,6 +158,7 @@ def protocol_card(
         ("policy", card.name),
         *_identity_rows(card),
         ("the policy sees", sees),
+        *((("control", CONTROL_WORDS[control]),) if control != "none" else ()),
         ("track", tell_track(suite.track, suite.map_mode)),
         *_standing_rows(suite, card),
         ("isolation", ISOLATION_WORDS[card.isolation]),

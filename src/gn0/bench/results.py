@@ -22,6 +22,7 @@ from gn0.bench.release_score import ReleaseReport, ReleaseScore
 from gn0.config import decode_json, load_json
 from gn0.errors import BenchError, StorageError
 from gn0.geometry import Pose2D
+from gn0.missions.controls import Control
 from gn0.sim.rollout import TELEPORT_CODE
 from gn0.sim.state import MapMode, Trajectory
 from gn0.storage import check_contained, read_bytes, safe_join, storage_error, write_atomic
@@ -194,6 +195,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         standing: how the policy stands to it; "" in runs of before there were tracks.
         beyond: sensors of the policy that the track does not allow.
         isolation: where the policy ran; "" in runs of before that was told.
+        control: what was taken away from the policy.
     """
 
     policy: str
@@ -215,11 +217,13 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     standing: Standing | Literal[""] = ""
     beyond: tuple[str, ...] = ()
     isolation: Isolation | Literal[""] = ""
+    control: Control = "none"
 
     @property
     def label(self) -> str:
-        """What tables and reports call it."""
-        return self.name or self.policy
+        """What tables and reports call it; a control is always told."""
+        own = self.name or self.policy
+        return own if self.control == "none" else f"{own} ({self.control.replace('_', ' ')})"
 
     @property
     def ok(self) -> bool:

@@ -43,8 +43,9 @@ def describe_settings(settings: Open) -> dict[str, Any]:
     for name in ("drawing", "on_device"):  # where work is done
         known.pop(name)
     known["isolated"] = bool(known["isolated"])
-    if known["agents"] == 1:
-        del known["agents"]
+    for name, usual in (("agents", 1), ("control", "none")):
+        if known[name] == usual:
+            del known[name]
     known["options"] = {
         name: HIDDEN if any(word in name.lower() for word in SECRETS) else value
         for name, value in known["options"].items()

@@ -266,7 +266,7 @@ class RunState:
             failed=failed,
             metrics=aggregate(iterate_results(self.out)),
             protocol=protocol_card(
-                self.suite, card, self.identity["code"], settings.backend, moves
+                self.suite, card, self.identity["code"], settings.backend, moves, settings.control
             ),
             profile=self.suite.about.profile,
             release=report_release(iterate_results(self.out)),
@@ -274,6 +274,7 @@ class RunState:
             standing=standing,
             beyond=beyond,
             isolation=card.isolation,
+            control=settings.control,
         )
         run = {
             "sessions": self.sessions,

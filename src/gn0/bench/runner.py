@@ -31,6 +31,7 @@ from gn0.errors import BenchError, ConfigError
 from gn0.jobs import ExecutorName
 from gn0.jobs.pool import drive
 from gn0.locked_folder import check_room, lock_folder
+from gn0.missions.controls import Control, check_control, replace_texts
 from gn0.missions.episode import Episode
 from gn0.plugins import import_plugins
 from gn0.progress import Progress, no_progress
@@ -68,6 +69,7 @@ def run_suite(
     name: str = "",
     isolate: bool = False,
     agents: int = 1,
+    control: str = "none",
     tell: Callable[[str], None] = _no_words,
 ) -> RunSummary:
     """Run a policy over a suite and write results, trajectories, summary and times to `out`.
@@ -99,6 +101,8 @@ def run_suite(
             drawn in one call, and a policy that takes many agents is asked once a step. Changes no
             result. With one worker they are on the card that draws, see `VectorEnvDevice`. A policy
             that looks at the simulator itself runs one at a time all the same.
+        control: what is taken away from the policy: no_words, shuffled or no_pictures, see
+            `gn0.missions.controls`. Part of the run's identity.
         tell: told in a sentence what was there already, and what is done about it.
 
     Returns:
@@ -107,7 +111,7 @@ def run_suite(
     Raises:
         BenchError: the folder holds another run (another suite, setting, code, or another policy
             behind the same name), is in use, or the policy cannot be built.
-        ConfigError: no such policy, or an invalid name.
+        ConfigError: no such policy or control, or an invalid name.
         StorageError: `out` cannot be written, or the disk is full.
         KeyboardInterrupt: after all workers have ended; the same command resumes.
     """
@@ -122,14 +126,15 @@ def run_suite(
         )
     plugin_modules = import_plugins(plugin_modules, only_locate=isolate)
     source = digest_policy(policy_name, plugin_modules, isolated=isolate)
-    episodes = choose_episodes(suite, max_episodes)
+    known = check_control(control)
+    episodes = choose_episodes(suite, max_episodes, known)
     out = Path(out)
     check_room(out, len(episodes) * BYTES_PER_EPISODE)
     options = dict(policy_options or {})
     asked = backend
     backend = choose_run_backend(backend, policy_name, suite.map_mode, isolated=isolate)
     settings = build_settings(suite, policy_name, options, plugin_modules, backend)
-    settings = msgspec.structs.replace(settings, agents=agents)
+    settings = msgspec.structs.replace(settings, agents=agents, control=known)
     with lock_folder(out, refuse=BenchError), contextlib.ExitStack() as stack:
         if isolate:
             empty = stack.enter_context(
@@ -145,7 +150,9 @@ def run_suite(
             episodes,
             identity={
                 "suite": suite.hash,
-                "config": config_hash(suite, policy_name, options, backend, len(episodes), isolate),
+                "config": config_hash(
+                    suite, policy_name, options, backend, len(episodes), isolate, known
+                ),
                 "code": code_version(),
                 "policy": policy_name,
                 "source": source,
@@ -184,15 +191,17 @@ def run_suite(
                 run.journal.close()
 
 
-def choose_episodes(suite: Suite, max_episodes: int | None) -> tuple[Episode, ...]:
-    """The first so many episodes by id; all without a number.
+def choose_episodes(
+    suite: Suite, max_episodes: int | None, control: Control = "none"
+) -> tuple[Episode, ...]:
+    """The first so many episodes by id, told what the control tells; all without a number.
 
     Raises:
         BenchError: fewer than one.
     """
     if max_episodes is not None and max_episodes < 1:
         raise BenchError(f"max_episodes is {max_episodes}", remedy="give at least 1")
-    return suite.episodes[:max_episodes]
+    return replace_texts(suite.episodes, control)[:max_episodes]
 
 
 def _check_scenes(suite: Suite, episodes: Sequence[Episode], progress: Progress) -> None:

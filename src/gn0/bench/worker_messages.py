@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from gn0.bench.results import EpisodeResult, EpisodeTrace, PolicyCard
+from gn0.missions.controls import Control
 from gn0.missions.episode import AgentSpec, Episode
 
 
@@ -22,6 +23,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
         on_device: whether these are on the device that is here, where it can have them.
         isolated: folder below which the policy's own process runs; "" where it runs in the worker.
         drawing: address of the drawing process for all workers; "" where each does itself.
+        control: what is taken away from the policy; texts are replaced in the leases.
         camera, backend, agent, map_mode, max_steps, success_radius, profile: see `SuiteFile`.
     """
 
@@ -40,6 +42,7 @@ class Open(msgspec.Struct, frozen=True, kw_only=True, tag="open"):
     isolated: str = ""
     agents: int = 1
     on_device: bool = False
+    control: Control = "none"
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True, tag="lease"):

@@ -24,6 +24,8 @@ EXAMPLES = """  gn0 bench run out/house --policy oracle --out out/house-oracle
   gn0 bench run out/suite --policy explorer --agents 32 --out out/together
   gn0 bench run out/suite --policy random --limit 5 --no-report --out out/try
   gn0 bench run out/suite --executor ray --ray-address auto --workers 16 --out out/many
+  gn0 bench run out/suite --policy bae --policy-option checkpoint=out/sft/policy \\
+      --control shuffled --out out/shuffled
   gn0 bench run out/suite --policy straight --profile gn0-release --out out/official
   gn0 bench run out/suite --policy remote --policy-option url=ws://127.0.0.1:8000 --out out/remote
   gn0 bench run out/suite --policy mine --plugin my_policies.py --name "mine, v2" --out out/v2"""
@@ -54,6 +56,9 @@ class Args(Config, frozen=True):
             no path to suite or scene, and starts in an empty folder.
         profile: default, paper, gn0-release (the official harness beside ours), or vlnce (the body
             of VLN-CE's own task); by default what the suite says.
+        control: take something away from the policy: its words (no_words: every text is "go"), its
+            own words (shuffled: another episode's of the scene), or its pictures (no_pictures:
+            black); part of the run's identity.
         limit: run only the first so many episodes; 0 means all.
         visible_sets: draw only splats that can be seen near each place: quicker, nearly the same
             pictures. Off for scored runs; part of the run's identity and protocol card.
@@ -83,6 +88,7 @@ class Args(Config, frozen=True):
     track: str = ""
     isolate: bool = False
     profile: Literal["", "default", "paper", "gn0-release", "vlnce"] = ""
+    control: Literal["none", "no_words", "shuffled", "no_pictures"] = "none"
     limit: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--episodes",))] = 0
     visible_sets: bool = False
     backend: Literal["auto", "cpu", "cuda"] = "auto"
@@ -130,6 +136,7 @@ def run(args: Args) -> int:
             name=args.name,
             isolate=args.isolate,
             agents=args.agents,
+            control=args.control,
             tell=lambda text: print(plain_text(text)),
         )
         report = None

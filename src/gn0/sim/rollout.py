@@ -45,12 +45,14 @@ def run_episode(
     episode: Episode,
     *,
     watch: Callable[[Observation, StepResult | None], None] | None = None,
+    dark: bool = False,
 ) -> Trajectory:
     """Let a policy act until it stops or runs out of steps.
 
     The policy sees exactly the sensors it declares, also when the simulator carries more. Its
     randomness is a stream named by the episode and the policy, so results do not depend on the
     order of episodes. `watch` is called after reset (result None) and after every action.
+    `dark` shows the policy black pictures: a control.
 
     Raises:
         PolicyError: the policy wants a sensor that is not carried, or returns no action.
@@ -63,7 +65,7 @@ def run_episode(
     if watch is not None:
         watch(observation, None)
     while True:
-        action = policy.act(observation)
+        action = policy.act(observation.darken() if dark else observation)
         try:
             result = simulator.step(action)
         except SimError as error:

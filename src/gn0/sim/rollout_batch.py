@@ -71,12 +71,13 @@ class RolloutBatch:
     Args:
         walkers: the agents; nobody else moves them.
         policy: agent i is its slot i.
+        dark: the policy is shown black pictures.
 
     Raises:
         PolicyError: the policy wants a sensor that is not carried.
     """
 
-    def __init__(self, walkers: Walkers, policy: PolicyBatch) -> None:
+    def __init__(self, walkers: Walkers, policy: PolicyBatch, *, dark: bool = False) -> None:
         self._wanted = frozenset(policy.sensors)
         if self._wanted - walkers.sensors:
             raise PolicyError(
@@ -84,7 +85,7 @@ class RolloutBatch:
                 "agents do not carry",
                 remedy="open the VectorEnv with sensors=policy.sensors",
             )
-        self.walkers, self.policy = walkers, policy
+        self.walkers, self.policy, self._dark = walkers, policy, dark
         self.walks: dict[int, Walk] = {}
 
     @property
@@ -130,6 +131,8 @@ class RolloutBatch:
         """
         slots = sorted(self.walks)
         seen = self.walkers.observe(np.array(slots), self._wanted)
+        if self._dark:
+            seen = [one.darken() for one in seen]
         name = self.policy.name
         answers = check_answers(name, self.policy.act_batch(slots, seen), len(slots))
         return {

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from gn0 import paper
 from gn0.geometry import F32, U8, Pose2D
@@ -123,6 +125,16 @@ class Observation:
     def read(self, sensor: str) -> Any:
         """What a sensor gave, by its name; None if it is not carried."""
         return self.more[sensor] if sensor in self.more else self.__dict__.get(sensor)
+
+    def darken(self) -> Observation:
+        """The same with all pictures black: whatever is an array of rows and columns."""
+        dark = {name: _black(value) for name, value in vars(self).items() if name != "more"}
+        more = {name: _black(value) for name, value in self.more.items()}
+        return replace(self, **dark, more=more or _NOTHING)
+
+
+def _black(value: Any) -> Any:
+    return np.zeros_like(value) if isinstance(value, np.ndarray) and value.ndim >= 2 else value
 
 
 # sensors that have a field of their own

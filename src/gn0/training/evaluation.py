@@ -12,27 +12,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from gn0.errors import ConfigError
+from gn0.missions.controls import CONTROL_TEXT, Control, check_control, choose_texts
 from gn0.missions.episode import Episode, mission_name
 from gn0.paper import SUCCESS_RADIUS
 from gn0.policies.bae.actor import Actor
 from gn0.policies.bae.policy_settings import SQUARE_NAMES
-from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.state import Action
-from gn0.training.pupil import CONTROL_TEXT, Pupil
+from gn0.training.pupil import Pupil
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 
 NEAR = 1.0  # m on foot: the stricter radius
-Control = Literal["none", "no_words", "shuffled", "no_pictures"]
-CONTROLS: tuple[Control, ...] = ("none", "no_words", "shuffled", "no_pictures")
 
 
 @dataclass(frozen=True)
@@ -197,10 +194,7 @@ class ClosedLoop:
             ConfigError: no such control.
             EpisodeError: no such episode.
         """
-        if control not in CONTROLS:
-            raise ConfigError(
-                f"no control {control!r}", where="control", remedy=f"known: {', '.join(CONTROLS)}"
-            )
+        check_control(control)
         wanted = list(range(len(self.env.tasks.episodes))) if episodes is None else list(episodes)
         texts = torch.from_numpy(choose_texts(self.env.episodes, control, seed)).to(self.device)
         count, walks = self.env.num_envs, []
@@ -310,29 +304,6 @@ def _score(episode: Episode, found: dict[str, Any]) -> Walk:
         forwards=int(found["forwards"]),
         cut_short=int(found["cut_short"]),
     )
-
-
-def choose_texts(episodes: Sequence[Episode], control: Control, seed: int) -> NDArray[np.int64]:
-    """Which text each episode is told, int64 [E]; E itself stands for `go`.
-
-    Shuffled, each text is another episode's of the same scene, and another text where there is one.
-    """
-    own = np.arange(len(episodes))
-    if control == "no_words":
-        return np.full(len(episodes), len(episodes))
-    if control != "shuffled":
-        return own
-    by_scene: dict[str, list[int]] = {}
-    for number, episode in enumerate(episodes):
-        by_scene.setdefault(episode.scene_id, []).append(number)
-    for scene, numbers in by_scene.items():
-        for number in numbers:
-            text, others = episodes[number].instruction, [n for n in numbers if n != number]
-            unlike = [n for n in others if episodes[n].instruction != text] or others
-            if unlike:
-                stream = random_stream(seed, "shuffled texts", scene, episodes[number].id)
-                own[number] = unlike[int(stream.integers(len(unlike)))]
-    return own
 
 
 def summarise_walks(walks: Iterable[Walk]) -> dict[str, dict[str, float]]:

@@ -13,6 +13,7 @@ from transformers import PreTrainedTokenizerBase, Qwen3VLForConditionalGeneratio
 
 from gn0.data.answer_slots import AnswerSlots, compile_slots
 from gn0.geometry import Pose2D
+from gn0.missions.controls import CONTROL_TEXT
 from gn0.policies.bae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gn0.policies.bae.forward import ForwardConstant
 from gn0.policies.bae.policy_settings import (
@@ -29,7 +30,6 @@ from gn0.policies.bae.tokenizer_file import TokenizerFile
 from gn0.policies.qwen.architecture import Architecture, parse_architecture
 from gn0.training.streams.samples import SampleMaker
 
-CONTROL_TEXT = "go"  # what the control without words is told
 _ROUND = 8  # texts' tokens are rounded up to a multiple of this
 
 

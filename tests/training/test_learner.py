@@ -9,7 +9,9 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from PIL import Image  # noqa: E402
+from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
+from gn0.policies.bae.forward import ForwardConstant  # noqa: E402
 from gn0.policies.bae.processor import build_processor  # noqa: E402
 from gn0.training.learner import Learner, LossForward, group_weights  # noqa: E402
 from gn0.training.recipe import RECIPES, Recipe  # noqa: E402
@@ -50,6 +52,49 @@ def test_the_first_stop_of_an_answer_weighs_as_the_recipe_says(pupil, draw_state
     assert weights[1:].eq(1).all()
     assert batch.answer[weights > 1].tolist() == [pupil.slots.vocabulary.actions[0]]
     assert heavy(batch).loss > plain(batch).loss
+
+
+@pytest.mark.parametrize("speed", [{"joined": True}, {"narrow": True}, {"compiled": True}])
+def test_speeds_give_the_same_loss_and_gradient(speed, pupil, draw_states) -> None:
+    """In float32; under autocast a narrow one is only near, and is checked to be."""
+    batch, recipe = pupil.maker.make(draw_states(3)), Recipe()
+    layout, count = pupil.table.layout, len(pupil.slots)
+
+    def learn(autocast: bool, compiled: bool = False, **options):
+        forward = ForwardConstant(pupil.model, layout, count, **options)
+        loss = LossForward(forward, pupil.slots, recipe)
+        if compiled:  # traced as a whole, without a compiler
+            loss._judge = torch.compile(loss._compute, backend="eager", fullgraph=True)
+        pupil.model.zero_grad()
+        with torch.autocast("cpu", torch.bfloat16, enabled=autocast):
+            found = loss(batch).loss
+        found.backward()
+        return found.detach(), [w.grad.clone() for w in pupil.model.parameters()]
+
+    (plain, wanted), (fast, got) = learn(False), learn(False, **speed)
+    torch.testing.assert_close(fast, plain, atol=1e-5, rtol=0)
+    for one, other in zip(got, wanted, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-3)
+    near, far = learn(True)[0], learn(True, **speed)[0]
+    assert far.item() == pytest.approx(near.item(), abs=0.02)
+
+
+def test_neither_batch_nor_gradient_waits_for_a_card(pupil, draw_states) -> None:
+    """Operations whose result the host must read before it goes on."""
+    waiting = ("_local_scalar_dense", "nonzero", "masked_select", "unique", "is_nonzero", "equal")
+    seen: list[str] = []
+
+    class Watch(TorchDispatchMode):
+        def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+            seen.append(func._schema.name.removeprefix("aten::"))
+            return func(*args, **(kwargs or {}))
+
+    states = draw_states(3)
+    learner = Learner(LossForward(pupil.forward, pupil.slots, Recipe()), Recipe())
+    with Watch():
+        learner.descend(learner.judge(pupil.maker.make(states)))
+    assert "mm" in seen
+    assert not [name for name in seen if name.startswith(waiting)]
 
 
 def test_a_model_learns_its_samples_by_heart(pupil, draw_states) -> None:

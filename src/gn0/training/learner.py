@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
@@ -14,12 +14,31 @@ from transformers import Qwen3VLForConditionalGeneration
 
 from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
 from gn0.policies.bae.forward import ForwardConstant
+from gn0.policies.bae.prompt_table import PromptTable
+from gn0.training.pupil import Pupil
 from gn0.training.recipe import Recipe
 from gn0.training.streams.samples import SampleBatch
 
 DISTANCE_SCALE = 5.0  # m: the auxiliary head says distances in these
 PROJECTOR = ("visual.merger", "visual.deepstack_merger_list")
 GROUPS = ("points", "first", "actions", "marks")  # of slots whose losses are told apart
+
+
+@dataclass(frozen=True)
+class Speed:
+    """How a step is computed on a card; the mathematics are the same but for rounding.
+
+    Attributes:
+        graph: what is compiled: `blocks`; the `whole` loss; or that with products `tuned`.
+        joined, narrow: see `ForwardConstant`.
+        beside: steps have a CUDA stream of their own, so that the next samples are made meanwhile;
+            not where the policy in training drives.
+    """
+
+    graph: Literal["blocks", "whole", "tuned"] = "blocks"
+    joined: bool = False
+    narrow: bool = False
+    beside: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,9 +65,17 @@ class LossForward(nn.Module):
         forward: of the prompts' layout.
         slots: of the answers.
         recipe: weights of slots and of the auxiliary head.
+        compiled: the whole of it; `tuned`: with products tried out.
     """
 
-    def __init__(self, forward: ForwardConstant, slots: AnswerSlots, recipe: Recipe) -> None:
+    def __init__(
+        self,
+        forward: ForwardConstant,
+        slots: AnswerSlots,
+        recipe: Recipe,
+        *,
+        compiled: bool | Literal["tuned"] = False,
+    ) -> None:
         super().__init__()
         self.model, self._forward = forward.model, [forward]  # its weights are counted once
         self.recipe = recipe
@@ -60,36 +87,45 @@ class LossForward(nn.Module):
         shares = functional.one_hot(group, len(GROUPS)).float()
         self.register_buffer("shares", shares / shares.sum(0).clamp(min=1), persistent=False)
         self.register_buffer("spoken", torch.nonzero(kinds == ACTION)[:, 0], persistent=False)
+        self.first = int(self.spoken[0])
         self.stop = slots.vocabulary.actions[0]
         self.distance: nn.Linear | None = None
         if recipe.distance_weight:
             self.distance = nn.Linear(forward.architecture.text.hidden, 1)
             nn.init.zeros_(self.distance.weight)  # no draw: runs of a seed are alike
             nn.init.zeros_(self.distance.bias)
+        self._judge: Callable[..., tuple[Tensor, ...]] = self._compute
+        if compiled:
+            mode = "max-autotune-no-cudagraphs" if compiled == "tuned" else None
+            self._judge = torch.compile(self._compute, dynamic=False, mode=mode)
 
     def forward(self, batch: SampleBatch) -> Losses:
         """Losses of a batch."""
+        return Losses(*self._judge(batch.pictures, batch.ids, batch.answer, batch.states.distance))
+
+    def _compute(
+        self, pictures: tuple[Tensor, ...], ids: Tensor, answer: Tensor, metres: Tensor
+    ) -> tuple[Tensor, ...]:
+        """The fields of `Losses`."""
         forward = self._forward[0]
-        features = forward.encode(batch.pictures)
-        hidden = forward.read(features, batch.ids, batch.answer)
+        hidden = forward.read(forward.encode(pictures), ids, answer)
         logits = forward.score(hidden)
         costs = functional.cross_entropy(
-            logits.flatten(0, 1).float(), batch.answer.flatten(), reduction="none"
-        ).view_as(batch.answer)
-        loss = (costs * self._weigh(batch.answer)).mean(1).mean()
+            logits.flatten(0, 1).float(), answer.flatten(), reduction="none"
+        ).view_as(answer)
+        loss = (costs * self._weigh(answer)).mean(1).mean()
         distance = torch.zeros((), device=costs.device)
         if self.distance is not None:
-            metres = batch.states.distance
             known = torch.isfinite(metres)
             told = self.distance(hidden[:, 0]).float()[:, 0]
             wanted = torch.where(known, metres, 0.0).float() / DISTANCE_SCALE
             distance = (functional.smooth_l1_loss(told, wanted, reduction="none") * known).mean()
             loss = loss + self.recipe.distance_weight * distance
         with torch.no_grad():
-            at = self.spoken[0]
-            first = (logits[:, at].argmax(-1) == batch.answer[:, at]).float().mean()
+            at = self.first  # a number: a tensor as an index would be waited for
+            first = (logits[:, at].argmax(-1) == answer[:, at]).float().mean()
             groups = costs.detach().mean(0) @ self.shares
-        return Losses(loss, groups, first, distance.detach())
+        return loss, groups, first, distance.detach()
 
     def _weigh(self, answer: Tensor) -> Tensor:
         """Weights [B, S] of tokens."""
@@ -108,10 +144,16 @@ class Learner:
         loss: of its batches; on its device.
         recipe: how it learns.
         autocast: type of what is computed within (bfloat16 on a card); None for float32.
+        beside: on a card, steps have a stream of their own; see `queue`.
     """
 
     def __init__(
-        self, loss: LossForward, recipe: Recipe, *, autocast: torch.dtype | None = None
+        self,
+        loss: LossForward,
+        recipe: Recipe,
+        *,
+        autocast: torch.dtype | None = None,
+        beside: bool = False,
     ) -> None:
         self.loss, self.recipe, self.autocast = loss, recipe, autocast
         self.model: Qwen3VLForConditionalGeneration = loss.model
@@ -122,6 +164,9 @@ class Learner:
             betas=recipe.betas,
             fused=self.device.type == "cuda",
         )
+        self._stream: torch.cuda.Stream | None = None
+        if beside and self.device.type == "cuda":
+            self._stream = torch.cuda.Stream(self.device)
         self._rates = [float(group["lr"]) for group in self.optimiser.param_groups]
         self.averaged: dict[str, Tensor] = {}
         self.averaged_steps = 0
@@ -134,14 +179,30 @@ class Learner:
         Returns:
             losses before the step, and the norm of the gradient before it was clipped.
         """
-        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
-            group["lr"] = rate * share
+        losses = self.judge(batch)
+        self.descend(losses)
+        return losses, self.update(share)
+
+    def judge(self, batch: SampleBatch) -> Losses:
+        """Losses of a batch, with all that their gradient needs."""
+        if self._stream is not None:
+            for made in (*batch.pictures, batch.ids, batch.answer, batch.states.distance):
+                made.record_stream(self._stream)
         with torch.autocast(
             self.device.type, self.autocast or torch.bfloat16, enabled=self.autocast is not None
         ):
-            losses = self.loss(batch)
+            losses: Losses = self.loss(batch)
+        return losses
+
+    def descend(self, losses: Losses) -> None:
+        """The gradient of these losses."""
         self.optimiser.zero_grad(set_to_none=True)
         losses.loss.backward()
+
+    def update(self, share: float) -> Tensor:
+        """Weights and averaged weights, along the gradient; gives its norm."""
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * share
         norm = nn.utils.clip_grad_norm_(self.weights.values(), self.recipe.clip)
         self.optimiser.step()
         if self.averaged:
@@ -152,7 +213,25 @@ class Learner:
                 torch._foreach_lerp_(
                     [*self.averaged.values()], [w.data for w in self.weights.values()], 1 - mean
                 )
-        return losses, norm
+        return norm
+
+    @contextmanager
+    def queue(self) -> Iterator[None]:
+        """Steps, and what reads their losses: behind all so far, and beside what is told later.
+
+        Whoever reads weights or losses outside must `join` first.
+        """
+        if self._stream is None:
+            yield
+            return
+        self._stream.wait_stream(torch.cuda.current_stream(self.device))
+        with torch.cuda.stream(self._stream):
+            yield
+
+    def join(self) -> None:
+        """What is told the card from now on comes behind all steps; waits for nothing."""
+        if self._stream is not None:
+            torch.cuda.current_stream(self.device).wait_stream(self._stream)
 
     @contextmanager
     def averaged_weights(self) -> Iterator[None]:
@@ -171,6 +250,28 @@ class Learner:
     def _write(self, values: Mapping[str, Tensor]) -> None:
         for name, weight in self.weights.items():
             weight.copy_(values[name])
+
+
+def open_learner(
+    pupil: Pupil, table: PromptTable, recipe: Recipe, speed: Speed | None = None
+) -> Learner:
+    """A learner of a pupil's model, on the device where it is.
+
+    Args:
+        pupil: what learns.
+        table: prompts of its samples.
+        recipe: how it learns.
+        speed: how steps are computed where that is a card; `Speed()` when None.
+    """
+    card, speed = pupil.model.device.type == "cuda", speed or Speed()
+    blocks = card and speed.graph == "blocks"
+    forward = pupil.forward(table, compiled=blocks, joined=speed.joined, narrow=speed.narrow)
+    compiled: bool | Literal["tuned"] = card and not blocks
+    if compiled and speed.graph == "tuned":
+        compiled = "tuned"
+    loss = LossForward(forward, pupil.slots, recipe, compiled=compiled).to(pupil.model.device)
+    autocast = torch.bfloat16 if card else None
+    return Learner(loss, recipe, autocast=autocast, beside=speed.beside)
 
 
 def group_weights(

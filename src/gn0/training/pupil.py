@@ -96,13 +96,9 @@ class Pupil:
         """Makes batches of states whose episodes have these instructions."""
         return SampleMaker(self.table(texts), self.slots, self.settings.frame, device)
 
-    def forward(
-        self, table: PromptTable, *, compiled: bool = False, checkpointed: bool = False
-    ) -> ForwardConstant:
-        """Its forward for these prompts, on the device where the model is."""
-        forward = ForwardConstant(
-            self.model, table.layout, len(self.slots), compiled=compiled, checkpointed=checkpointed
-        )
+    def forward(self, table: PromptTable, **options: bool) -> ForwardConstant:
+        """Its forward for these prompts, on the device where the model is; with its options."""
+        forward = ForwardConstant(self.model, table.layout, len(self.slots), **options)
         return forward.to(self.model.device)
 
     def save(

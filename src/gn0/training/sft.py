@@ -29,7 +29,7 @@ from gn0.seeds import derive_seed
 from gn0.sim.history import LENGTH as MOSAIC
 from gn0.suites.suite import SUITE_FILE
 from gn0.training.examination import STATES, Examination
-from gn0.training.learner import Learner, LossForward
+from gn0.training.learner import open_learner
 from gn0.training.pupil import Pupil, build_pupil, fit_texts
 from gn0.training.recipe import RECIPES, Recipe
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
@@ -184,11 +184,7 @@ def train_sft(
         pupil.model.to(where).train()
         stream = _open_stream(job, pupil, card, say)
         maker = pupil.maker(stream.texts, where)
-        on_card = where.type == "cuda"
-        loss = LossForward(
-            pupil.forward(maker.table, compiled=on_card), pupil.slots, job.recipe
-        ).to(where)
-        learner = Learner(loss, job.recipe, autocast=torch.bfloat16 if on_card else None)
+        learner = open_learner(pupil, maker.table, job.recipe)
         stage = Stage(pupil, learner, stream, maker, job.plan, recipe, corpus)
         for note in folder.notes:
             say(note)

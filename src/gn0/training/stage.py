@@ -176,16 +176,20 @@ class Stage:
                 self._texts = self.stream.texts
                 self.maker = self.pupil.maker(self._texts, self.learner.device)
             batch = self.maker.make(states)
-            losses, norm = self.learner.step(batch, share)
-            tally.add(losses, norm)
             first = self.counters.samples
-            guard.watch(step, f"of samples {first} and on", loss=losses.loss, gradient=norm)
+            with self.learner.queue():
+                losses, norm = self.learner.step(batch, share)
+                tally.add(losses, norm)
+                guard.watch(step, f"of samples {first} and on", loss=losses.loss, gradient=norm)
             seconds = before + time.monotonic() - begun
             self.counters = msgspec.structs.replace(
                 self.counters, step=step, samples=first + len(batch), seconds=seconds
             )
             over = step == end
             looks = examine is not None and (over or (plan.examine and step % plan.examine == 0))
+            saves = over or (plan.save and step % plan.save == 0)
+            if looks or saves or step % plan.report == 0:
+                self.learner.join()
             if looks or over or step % plan.report == 0:
                 values = tally.read()
                 now = time.monotonic()
@@ -201,7 +205,7 @@ class Stage:
                 folder.report(step, values)
                 line.update(self._describe(values, end))
                 self._shorten(seconds)
-            if over or (plan.save and step % plan.save == 0):
+            if saves:
                 guard.settle()
                 guard.last_good = self.save(folder)
         return found

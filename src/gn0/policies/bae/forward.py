@@ -75,6 +75,9 @@ class ForwardConstant(nn.Module):
         answer: tokens of an answer, at most.
         compiled: compile the blocks (`torch.compile`, static shapes).
         checkpointed: compute blocks again on the way back instead of keeping what is inside them.
+        joined: one product for query, key and value, and one for gate and up: inputs are read once.
+            The same numbers; for layers without adapters.
+        narrow: under autocast, what runs from layer to layer has its type, too; else float32.
     """
 
     def __init__(
@@ -85,9 +88,12 @@ class ForwardConstant(nn.Module):
         *,
         compiled: bool = False,
         checkpointed: bool = False,
+        joined: bool = False,
+        narrow: bool = False,
     ) -> None:
         super().__init__()
         self.model, self.layout, self.answer = model, layout, answer
+        self.joined, self.narrow = joined, narrow
         self.architecture: Architecture = parse_architecture(model.config.to_dict())
         positions = np.concatenate([layout.positions, layout.positions_behind(answer)], 1)
         self._keep("rotation", *rotate_tokens(positions, self.architecture.text))
@@ -101,12 +107,12 @@ class ForwardConstant(nn.Module):
                 self.register_buffer(f"{name}_{height}_{width}", table, persistent=False)
         self._patch_block: Callable[..., Tensor] = _patch_block
         self._text_block: Callable[..., tuple[Tensor, Tensor, Tensor]] = _text_block
-        if compiled:
-            self._patch_block = torch.compile(_patch_block, dynamic=False)
-            self._text_block = torch.compile(_text_block, dynamic=False)
-        if checkpointed:
-            self._patch_block = partial(checkpoint, self._patch_block, use_reentrant=False)
-            self._text_block = partial(checkpoint, self._text_block, use_reentrant=False)
+        self._tail_block: Callable[..., tuple[Tensor, Tensor, Tensor]] = _tail_block
+        blocks = ("_patch_block", "_text_block", "_tail_block")
+        for name in blocks if compiled else ():
+            setattr(self, name, torch.compile(getattr(self, name), dynamic=False))
+        for name in blocks if checkpointed else ():
+            setattr(self, name, partial(checkpoint, getattr(self, name), use_reentrant=False))
 
     def _keep(self, name: str, cos: Any, sin: Any) -> None:
         self.register_buffer(f"{name}_cos", torch.from_numpy(cos), persistent=False)
@@ -154,8 +160,8 @@ class ForwardConstant(nn.Module):
 
         The first is that of the prompt's last token, and knows nothing of the answer.
         """
-        hidden, _, _ = self._read(features, torch.cat([ids, answer[:, :-1]], 1))
-        return hidden[:, ids.shape[1] - 1 :]
+        said = torch.cat([ids, answer[:, :-1]], 1)
+        return self._read(features, said, answer.shape[1])[0]
 
     @torch.no_grad()
     def sample(
@@ -177,7 +183,7 @@ class ForwardConstant(nn.Module):
             generator: of the draws.
         """
         batch, device = len(ids), ids.device
-        hidden, keys, values = self._read(features, ids, room=len(slots))
+        hidden, keys, values = self._read(features, ids, 1, room=len(slots))
         out = torch.empty((batch, len(slots)), dtype=torch.int64, device=device)
         chance = torch.zeros((batch, len(slots)), device=device)
         entropy = torch.zeros((batch, len(slots)), device=device)
@@ -218,21 +224,28 @@ class ForwardConstant(nn.Module):
         return _merge(tower.merger, x, shape.merge), [deep[k] for k in sorted(deep)]
 
     def _read(
-        self, features: FeaturesTorch, ids: Tensor, room: int = 0
+        self, features: FeaturesTorch, ids: Tensor, last: int, room: int = 0
     ) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+        """Hidden states of the last tokens, so many; of those before, only what these look at."""
         language = self.model.model.language_model
         x = language.embed_tokens(ids)
+        if self.narrow and torch.is_autocast_enabled(x.device.type):
+            x = x.to(torch.get_autocast_dtype(x.device.type))
         x = self._put(x, features.merged, add=False)
         cos, sin = self.rotation_cos[: x.shape[1]], self.rotation_sin[: x.shape[1]]
         keys, values = [], []
         for k, layer in enumerate(language.layers):
-            x, key, value = self._text_block(layer, x, cos, sin)
+            if k + 1 == len(language.layers) and k >= len(features.levels):
+                # nobody looks at its other tokens
+                x, key, value = self._tail_block(layer, x, cos, sin, self.joined, last)
+            else:
+                x, key, value = self._text_block(layer, x, cos, sin, self.joined)
             if k < len(features.levels):
                 x = self._put(x, features.levels[k], add=True)
             if room:
                 keys.append(functional.pad(key, (0, 0, 0, room)))
                 values.append(functional.pad(value, (0, 0, 0, room)))
-        return language.norm(x), keys, values
+        return language.norm(x[:, -last:]), keys, values
 
     def _put(self, x: Tensor, pictures: tuple[Tensor, ...], *, add: bool) -> Tensor:
         parts, begin = [], 0
@@ -294,14 +307,28 @@ def _merge(merger: Any, x: Tensor, merge: int) -> Tensor:
     return merger(x).view(count, patches // merge**2, -1)
 
 
-def _project(layer: Any, x: Tensor, cos: Tensor, sin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    own = layer.self_attn
-    shape = (*x.shape[:2], -1, own.head_dim)
+def _project(
+    layer: Any, x: Tensor, cos: Tensor, sin: Tensor, tail: int | None = None, joined: bool = False
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Queries of the last `tail` tokens, keys and values of all."""
+    own, tail = layer.self_attn, x.shape[1] if tail is None else tail
     x = layer.input_layernorm(x)
-    query = own.q_norm(own.q_proj(x).view(shape)).transpose(1, 2)
-    key = own.k_norm(own.k_proj(x).view(shape)).transpose(1, 2)
-    value = own.v_proj(x).view(shape).transpose(1, 2)
-    return _rotate(query, cos, sin).to(value.dtype), _rotate(key, cos, sin).to(value.dtype), value
+    heads = (*x.shape[:2], -1, own.head_dim)
+    if joined:
+        query, key, value = _join(x, own.q_proj, own.k_proj, own.v_proj)
+    else:
+        query, key, value = own.q_proj(x[:, -tail:]), own.k_proj(x), own.v_proj(x)
+    query = own.q_norm(query.view(len(x), tail, -1, own.head_dim)).transpose(1, 2)
+    key = own.k_norm(key.view(heads)).transpose(1, 2)
+    value = value.view(heads).transpose(1, 2)
+    query = _rotate(query, cos[-tail:], sin[-tail:])
+    return query.to(value.dtype), _rotate(key, cos, sin).to(value.dtype), value
+
+
+def _join(x: Tensor, *layers: Any) -> tuple[Tensor, ...]:
+    """What linear layers without bias say of x, by one product."""
+    weights = [layer.weight for layer in layers]
+    return functional.linear(x, torch.cat(weights)).split([len(w) for w in weights], -1)
 
 
 def _see_back(count: int, end: int, device: torch.device) -> Tensor:
@@ -322,14 +349,30 @@ def _look_back(query: Tensor, key: Tensor, value: Tensor, seen: Tensor | None) -
     return looked.view(batch, heads, count, size)
 
 
-def _finish(layer: Any, x: Tensor, seen: Tensor) -> Tensor:
+def _finish(layer: Any, x: Tensor, seen: Tensor, joined: bool = False) -> Tensor:
     x = x + layer.self_attn.o_proj(seen.transpose(1, 2).reshape(*x.shape[:2], -1))
-    return x + layer.mlp(layer.post_attention_layernorm(x))
+    inner, mlp = layer.post_attention_layernorm(x), layer.mlp
+    if not joined:
+        return x + mlp(inner)
+    gate, up = _join(inner, mlp.gate_proj, mlp.up_proj)
+    return x + mlp.down_proj(mlp.act_fn(gate) * up)
 
 
-def _text_block(layer: Any, x: Tensor, cos: Tensor, sin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    query, key, value = _project(layer, x, cos, sin)
+def _text_block(
+    layer: Any, x: Tensor, cos: Tensor, sin: Tensor, joined: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    query, key, value = _project(layer, x, cos, sin, joined=joined)
     seen = functional.scaled_dot_product_attention(
         query, key, value, is_causal=True, enable_gqa=query.shape[1] != key.shape[1]
     )
-    return _finish(layer, x, seen), key, value
+    return _finish(layer, x, seen, joined), key, value
+
+
+def _tail_block(
+    layer: Any, x: Tensor, cos: Tensor, sin: Tensor, joined: bool, tail: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A layer's last `tail` tokens, and its keys and values of all."""
+    query, key, value = _project(layer, x, cos, sin, tail)
+    seen = None if tail == 1 else _see_back(tail, x.shape[1], x.device)
+    looked = _look_back(query, key, value, seen)
+    return _finish(layer, x[:, -tail:], looked, joined), key, value

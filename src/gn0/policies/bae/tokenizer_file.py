@@ -1,4 +1,4 @@
-"""A `tokenizer.json` read by the `tokenizers` package, which GN0's core does not install."""
+"""A `tokenizer.json`: Qwen's kind is read by GN0 itself, others by the `tokenizers` package."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gn0.errors import ConfigError, FormatError, StorageError
+from gn0.data.navigation_vocabulary import TextTokenizer
+from gn0.errors import FormatError, StorageError
+from gn0.policies.qwen.byte_pairs import read_byte_pairs
 from gn0.storage import read_bytes
 
 LIMIT = 256 * 2**20  # bytes of a tokenizer.json
@@ -47,27 +49,27 @@ class TokenizerFile:
         )
 
 
-def load_tokenizer(path: Path | str) -> TokenizerFile:
+def load_tokenizer(path: Path | str) -> TextTokenizer:
     """Read a `tokenizer.json`, or the one of a checkpoint's folder.
 
     Raises:
-        ConfigError: the `tokenizers` package is not installed.
         StorageError: the file is missing or unreadable.
-        FormatError: it is no tokenizer.
+        FormatError: it is no tokenizer; or of another kind than Qwen's, and the `tokenizers`
+            package is not installed.
     """
     file = Path(path)
     file = file / "tokenizer.json" if file.is_dir() else file
-    try:
-        from tokenizers import Tokenizer
-    except ImportError:
-        raise ConfigError(
-            "reading a tokenizer needs the package tokenizers",
-            where=file,
-            remedy="pip install tokenizers",
-        ) from None
     if file.exists() and not file.is_file():  # a pipe would never end
         raise StorageError("not a file", where=file, remedy="give the path of a tokenizer.json")
     data = read_bytes(file, LIMIT)
+    try:
+        return read_byte_pairs(data, file)
+    except FormatError as error:
+        other = error
+    try:
+        from tokenizers import Tokenizer
+    except ImportError:
+        raise other from None
     try:
         return TokenizerFile(Tokenizer.from_buffer(data))
     except Exception as error:  # the package raises bare Exception

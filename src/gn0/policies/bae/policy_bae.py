@@ -1,6 +1,7 @@
 """GN-BAE as a policy of the benchmark: a checkpoint is asked, and its actions are carried out.
 
-gn0 bench run SUITE --policy bae --policy-option checkpoint=DIR --camera tiny_128
+gn0 bench run SUITE --policy bae                                    the policy in the box
+gn0 bench run SUITE --policy bae --policy-option checkpoint=DIR     another one
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gn0.errors import CheckpointError, ConfigError, FormatError, PolicyError
+from gn0.errors import ConfigError, FormatError, PolicyError
 from gn0.policies.bae.engines import open_engine
 from gn0.policies.bae.policy_settings import FILE
 from gn0.policies.bae.questions import Questions
+from gn0.policies.bae.shipped import find_checkpoint
 from gn0.policies.qwen.weights import list_shards
 from gn0.sim.ego_map import MapView
 from gn0.sim.policy import check_slots
@@ -24,6 +27,19 @@ from gn0.sim.state import Action, Observation
 
 UNREADABLE_LIMIT = 3  # in a row: the agent stops
 DECODINGS = ("slots", "free")
+
+
+@dataclass(frozen=True, eq=False)
+class Said:
+    """A question and its answer.
+
+    Attributes:
+        prompt: int64 [P] ids.
+        answer: int64 [S] ids.
+    """
+
+    prompt: NDArray[np.int64]
+    answer: NDArray[np.int64]
 
 
 @dataclass
@@ -35,6 +51,7 @@ class _Agent:
     last: int = -1
     unreadable: int = 0  # in a row
     notes: dict[str, int] = field(default_factory=dict)
+    said: Said | None = None
 
     def note(self, what: str) -> None:
         self.notes[what] = self.notes.get(what, 0) + 1
@@ -47,7 +64,7 @@ class PolicyBae:
     shape, so who is asked beside whom changes no action.
 
     Args:
-        checkpoint: folder of model, tokenizer and `policy.json`.
+        checkpoint: folder of model, tokenizer and `policy.json`; "" is the policy in the box.
         executed: actions of an answer that are carried out; 0: as the checkpoint says.
         confirm_stop: a STOP behind the first action of an answer is asked again before it is
             carried out.
@@ -58,6 +75,9 @@ class PolicyBae:
         batch: decisions computed at once; 0: one, and 64 on a card.
         name: what the policy is called in results.
 
+    Attributes:
+        questions: of the checkpoint: settings, prompts, slots of answers.
+
     Raises:
         CheckpointError: the folder is not such a checkpoint; says what is wrong.
         ConfigError: an option has no meaning.
@@ -65,7 +85,7 @@ class PolicyBae:
 
     def __init__(
         self,
-        checkpoint: str,
+        checkpoint: str = "",
         *,
         executed: int = 0,
         confirm_stop: bool = False,
@@ -76,18 +96,14 @@ class PolicyBae:
         batch: int = 0,
         name: str = "bae",
     ) -> None:
-        folder = Path(checkpoint).expanduser()
-        if not folder.is_dir():
-            raise CheckpointError(
-                "no such checkpoint", where=folder, remedy="give the folder that training wrote"
-            )
+        folder = find_checkpoint(checkpoint)
         if decoding not in DECODINGS:
             raise ConfigError(
                 f"no decoding {decoding!r}", where="decoding", remedy="known: slots, free"
             )
         self.name, self.confirm_stop, self.decoding = name, bool(confirm_stop), decoding
-        self._questions = Questions(folder)
-        settings = self._questions.settings
+        self.questions = Questions(folder)
+        settings = self.questions.settings
         if not 0 <= executed <= settings.form.actions:
             raise ConfigError(
                 f"{executed} actions of an answer cannot be carried out",
@@ -95,11 +111,11 @@ class PolicyBae:
                 remedy=f"give 1 to {settings.form.actions}, or 0 for {settings.executed}",
             )
         self.executed = executed or settings.executed
-        self.sensors: frozenset[str] = frozenset(settings.sensors(self._questions.template))
+        self.sensors: frozenset[str] = frozenset(settings.sensors(self.questions.template))
         self.map_view: MapView = settings.view
         self._tells_heading = "pose" in self.sensors
         self._engine = open_engine(
-            self._questions, backend, device, dtype, int(batch), free=decoding == "free"
+            self.questions, backend, device, dtype, int(batch), free=decoding == "free"
         )
         self._digest = digest_checkpoint(folder)
         self._agents: dict[int, _Agent] = {}
@@ -108,7 +124,7 @@ class PolicyBae:
         """Weights, prompt, and whatever else actions hang on."""
         return {
             "checkpoint": self._digest[:32],
-            "prompt": self._questions.template.digest,
+            "prompt": self.questions.template.digest,
             "executed": self.executed,
             "confirm_stop": str(self.confirm_stop).lower(),
             "decoding": self.decoding,
@@ -118,14 +134,14 @@ class PolicyBae:
     @property
     def card_rows(self) -> tuple[tuple[str, str], ...]:
         """What it is shown and asked, and what is done with its answers."""
-        settings, engine = self._questions.settings, self._engine
+        settings, engine = self.questions.settings, self._engine
         confirmed = "; a STOP behind the first is asked again" if self.confirm_stop else ""
         chosen = "the most probable, among readable ones" if self.decoding == "slots" else (
             "the most probable tokens; an unreadable answer turns left once, "
             f"{UNREADABLE_LIMIT} in a row stop"
         )  # fmt: skip
         return (
-            *self._questions.template.card_rows(),
+            *self.questions.template.card_rows(),
             ("camera of training", settings.preset),
             ("answers", chosen),
             ("actions carried out", f"{self.executed} of {settings.form.actions}{confirmed}"),
@@ -135,6 +151,10 @@ class PolicyBae:
     def notes_of(self, slot: int) -> dict[str, int]:
         """What was odd in a slot's episode so far, counted."""
         return dict(self._agents[slot].notes) if slot in self._agents else {}
+
+    def last_said(self, slot: int) -> Said | None:
+        """The last question of a slot's episode, and its answer; None before the first."""
+        return self._agents[slot].said if slot in self._agents else None
 
     def reset_batch(
         self,
@@ -150,7 +170,7 @@ class PolicyBae:
         """
         check_slots(slots, instructions, rngs)
         for slot, text in zip(slots, instructions, strict=True):
-            self._questions.find(text)
+            self.questions.find(text)
             self._agents[slot] = _Agent(text)
 
     def act_batch(self, slots: Sequence[int], observations: Sequence[Observation]) -> list[Action]:
@@ -186,7 +206,7 @@ class PolicyBae:
 
     def _ask(self, agents: Sequence[_Agent], observations: Sequence[Observation]) -> None:
         """Plans of at most a batch of agents."""
-        questions, batch = self._questions, self._engine.batch
+        questions, batch = self.questions, self._engine.batch
         prompts = np.tile(questions.layout.ids, (batch, 1))
         sizes = questions.layout.sizes
         pictures = [np.zeros((batch, size.height, size.width, 3), np.uint8) for size in sizes]
@@ -204,14 +224,15 @@ class PolicyBae:
             for own, shown in zip(pictures, questions.show(seen), strict=True):
                 own[row] = shown
         said = self._engine.answer(pictures, prompts)
-        for agent, ids in zip(agents, said, strict=False):
+        for agent, prompt, ids in zip(agents, prompts, said, strict=False):
+            agent.said = Said(prompt, ids)
             agent.plan = deque(self._read(agent, ids))
 
     def _read(self, agent: _Agent, ids: np.ndarray) -> list[int]:
         """The actions that are carried out; nothing that follows a STOP is."""
-        place = np.array([self._questions.place])
+        place = np.array([self.questions.place])
         try:
-            actions, _ = self._questions.slots.decode(ids[None], place)
+            actions, _ = self.questions.slots.decode(ids[None], place)
         except FormatError:
             agent.note("unreadable answers")
             agent.unreadable += 1

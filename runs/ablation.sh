@@ -87,16 +87,22 @@ trunk() {
   say "trunk: done"
 }
 
-beside=
-case " $JOBS " in *" homes "*) homes & beside=$! ;; esac
-trap '[ -z "$beside" ] || kill $beside 2>/dev/null || true' EXIT
-for job in $JOBS; do
-  case $job in
-    homes) ;;
-    trunk) trunk ;;
-    *) echo "jobs are homes and trunk, not $job" >&2; exit 2 ;;
-  esac
+in_turn() {
+  for job in $JOBS; do
+    case $job in
+      homes) ;;
+      trunk) trunk ;;
+      *) echo "jobs are homes and trunk, not $job" >&2; return 2 ;;
+    esac
+  done
+}
+
+set -m  # either in a process group of its own: if one fails, the other has nothing to wait for
+trap 'for group in $(jobs -pr); do kill -- "-$group" 2>/dev/null || true; done' EXIT
+running=1
+case " $JOBS " in *" homes "*) homes & running=2 ;; esac
+in_turn &
+for ((; running > 0; running--)); do
+  wait -n || { status=$?; say "failed; see $OUT/log"; exit $status; }
 done
-[ -z "$beside" ] || wait "$beside"
-beside=
 say "all done"

@@ -76,6 +76,23 @@ def test_open_leaves_have_room_beside_their_door(kind: str) -> None:
     assert leaves >= 5
 
 
+def test_no_open_leaf_bars_another_door_of_its_room() -> None:
+    """In one small residence of twelve the only way into a room was barred."""
+    beside = 0
+    for seed in (*range(40), 1763197608):
+        doors = [o for o in plan_residence(seed, "small").openings if o.kind != "window"]
+        for door in doors:
+            if door.leaf is None:
+                continue
+            a, b = leaf_span(door)
+            for other in doors:
+                along = other.axis == door.axis and abs(other.at - door.at) < 0.1
+                if other is not door and along and door.leaf in other.rooms:
+                    beside += 1
+                    assert other.high <= a or b <= other.low, (seed, door, other)
+    assert beside >= 5
+
+
 @pytest.mark.parametrize("kind", PLANS)
 def test_windows_light_rooms_where_people_stay(kind: str) -> None:
     for plan in plans(kind):

@@ -244,7 +244,34 @@ def _close_plan(rng: np.random.Generator, cells: list[Cell]) -> FloorPlan | None
     if doors is None:
         return None
     windows = _cut_windows(rng, plan)
-    return replace(plan, openings=tuple(fit_opening(plan, o) for o in (*doors, *windows)))
+    return fit_openings(plan, (*doors, *windows))
+
+
+def fit_openings(plan: FloorPlan, openings: Sequence[Opening]) -> FloorPlan:
+    """The plan with openings as deep as its walls; a leaf that would bar another door is gone."""
+    fitted = tuple(fit_opening(plan, opening) for opening in openings)
+    return replace(
+        plan, openings=tuple(replace(o, leaf=None) if _bars(o, fitted) else o for o in fitted)
+    )
+
+
+def _bars(opening: Opening, others: Sequence[Opening]) -> bool:
+    """Whether the open leaf lies across another way out of the room that it lies in."""
+    if opening.leaf is None:
+        return False
+    low, high = opening.low - opening.width, opening.low
+    if opening.hinge == "high":
+        low, high = opening.high, opening.high + opening.width
+    return any(
+        other is not opening
+        and other.kind != "window"
+        and opening.leaf in other.rooms
+        and other.axis == opening.axis
+        and abs(other.at - opening.at) < opening.thickness
+        and other.low < high
+        and low < other.high
+        for other in others
+    )
 
 
 def fit_opening(plan: FloorPlan, opening: Opening) -> Opening:

@@ -21,7 +21,7 @@ from gn0.scenes.procedural.plan import (
     build_walls,
     clear_room,
     clear_span,
-    fit_opening,
+    fit_openings,
 )
 
 LEAST_DOOR = 1.2  # m of bare wall without which no door is cut
@@ -150,7 +150,7 @@ def close_cells(
                     wall.thickness, wall.rooms,
                 )
             )  # fmt: skip
-    return replace(plan, openings=tuple(fit_opening(plan, o) for o in openings))
+    return fit_openings(plan, openings)
 
 
 def _cut_joint(

@@ -117,6 +117,7 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Train, and say where the policy lies."""
+    import os
     import sys
 
     from gn0.cli.train_packages import check_packages
@@ -174,6 +175,8 @@ def run(args: Args) -> int:
     policy = train_sft(
         check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
     )
+    if os.environ.get("RANK", "0") != "0":  # one of several processes; the first one speaks
+        return 0
     print(f"written to {policy}")
     print(
         f"next: gn0 bench run {args.exam or first} --policy bae --policy-option checkpoint={policy}"

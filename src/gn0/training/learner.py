@@ -15,6 +15,7 @@ from transformers import Qwen3VLForConditionalGeneration
 from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
 from gn0.policies.bae.forward import ForwardConstant
 from gn0.policies.bae.prompt_table import PromptTable
+from gn0.training.processes import ALONE, Processes
 from gn0.training.pupil import Pupil
 from gn0.training.recipe import Recipe
 from gn0.training.streams.samples import SampleBatch
@@ -78,6 +79,7 @@ class LossForward(nn.Module):
     ) -> None:
         super().__init__()
         self.model, self._forward = forward.model, [forward]  # its weights are counted once
+        self.shows_pictures = bool(forward.layout.sizes)
         self.recipe = recipe
         kinds, index = torch.from_numpy(slots.kinds), torch.from_numpy(slots.index)
         group = torch.full((len(slots),), GROUPS.index("marks"))
@@ -145,6 +147,7 @@ class Learner:
         recipe: how it learns.
         autocast: type of what is computed within (bfloat16 on a card); None for float32.
         beside: on a card, steps have a stream of their own; see `queue`.
+        processes: over which gradients are averaged; each learns from its share of a batch.
     """
 
     def __init__(
@@ -154,7 +157,10 @@ class Learner:
         *,
         autocast: torch.dtype | None = None,
         beside: bool = False,
+        processes: Processes = ALONE,
     ) -> None:
+        self.processes = processes
+        self._called = processes.average(loss, whole=loss.shows_pictures)
         self.loss, self.recipe, self.autocast = loss, recipe, autocast
         self.model: Qwen3VLForConditionalGeneration = loss.model
         self.device = next(loss.parameters()).device
@@ -191,13 +197,13 @@ class Learner:
         with torch.autocast(
             self.device.type, self.autocast or torch.bfloat16, enabled=self.autocast is not None
         ):
-            losses: Losses = self.loss(batch)
+            losses: Losses = self._called(batch)
         return losses
 
     def descend(self, losses: Losses) -> None:
         """The gradient of these losses."""
         self.optimiser.zero_grad(set_to_none=True)
-        losses.loss.backward()
+        self.processes.ask(losses.loss.backward)
 
     def update(self, share: float) -> Tensor:
         """Weights and averaged weights, along the gradient; gives its norm."""
@@ -253,7 +259,11 @@ class Learner:
 
 
 def open_learner(
-    pupil: Pupil, table: PromptTable, recipe: Recipe, speed: Speed | None = None
+    pupil: Pupil,
+    table: PromptTable,
+    recipe: Recipe,
+    speed: Speed | None = None,
+    processes: Processes = ALONE,
 ) -> Learner:
     """A learner of a pupil's model, on the device where it is.
 
@@ -262,6 +272,7 @@ def open_learner(
         table: prompts of its samples.
         recipe: how it learns.
         speed: how steps are computed where that is a card; `Speed()` when None.
+        processes: that learn together.
     """
     card, speed = pupil.model.device.type == "cuda", speed or Speed()
     blocks = card and speed.graph == "blocks"
@@ -271,7 +282,7 @@ def open_learner(
         compiled = "tuned"
     loss = LossForward(forward, pupil.slots, recipe, compiled=compiled).to(pupil.model.device)
     autocast = torch.bfloat16 if card else None
-    return Learner(loss, recipe, autocast=autocast, beside=speed.beside)
+    return Learner(loss, recipe, autocast=autocast, beside=speed.beside, processes=processes)
 
 
 def group_weights(

@@ -30,11 +30,11 @@ from gn0.sim.history import LENGTH as MOSAIC
 from gn0.suites.suite import SUITE_FILE
 from gn0.training.examination import STATES, Examination
 from gn0.training.learner import open_learner
+from gn0.training.processes import Processes, join_processes, open_run_together
 from gn0.training.pupil import Pupil, build_pupil, fit_texts
 from gn0.training.recipe import RECIPES, Recipe
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
-from gn0.training.runs.run_folder import open_run
 from gn0.training.runs.training_state import TrainingState, list_versions, load_state, name_device
 from gn0.training.stage import Stage, StagePlan
 from gn0.training.streams.samples import Stream
@@ -151,6 +151,22 @@ def train_sft(
         TrainingError: a loss is not finite, or the folder holds another run.
         DeviceError, DeviceMemoryError, StorageError: see their texts.
     """
+    with join_processes(device) as processes:
+        return _train(
+            job, Path(out), processes, processes.name_card(device), fresh, command,
+            say if processes.leads else lambda _: None,
+        )  # fmt: skip
+
+
+def _train(
+    job: SftJob,
+    out: Path,
+    processes: Processes,
+    device: Device | str,
+    fresh: bool,
+    command: Sequence[str],
+    say: Callable[[str], None],
+) -> Path:
     card = None
     if job.source == "dataset":  # nobody walks
         here = torch.cuda.is_available() and device != "host"
@@ -164,7 +180,9 @@ def train_sft(
     where = torch.device("cuda" if here else "cpu")
     corpus = _hash_corpus(job)
     recipe = describe_recipe(job)
-    with open_run(
+    with open_run_together(
+        processes,
+        where,
         out,
         stage="sft",
         recipe=recipe,
@@ -180,11 +198,11 @@ def train_sft(
             say(f"done before, at step {folder.finished}")
             return policy
         state = load_state(folder.resumed) if folder.resumed else None
-        pupil = _open_pupil(job, folder.folder, state, say)
+        pupil = _open_pupil(job, folder.folder, state, say, processes)
         pupil.model.to(where).train()
-        stream = _open_stream(job, pupil, card, say)
+        stream = _open_stream(job, pupil, card, say, processes)
         maker = pupil.maker(stream.texts, where)
-        learner = open_learner(pupil, maker.table, job.recipe)
+        learner = open_learner(pupil, maker.table, job.recipe, processes=processes)
         stage = Stage(pupil, learner, stream, maker, job.plan, recipe, corpus)
         for note in folder.notes:
             say(note)
@@ -195,7 +213,7 @@ def train_sft(
                 say(note)
                 folder.log(note)
         examine = None
-        if job.held_out and card is not None:
+        if job.held_out and card is not None and processes.leads:
             suite = job.exam or job.suites[0]
             examine = Examination(
                 pupil, learner, suite, job.held_out, card, say=say, episodes=job.examined,
@@ -203,7 +221,8 @@ def train_sft(
             )  # fmt: skip
         found = stage.run(folder, say, examine)
         with learner.averaged_weights():
-            pupil.save(policy, shard_mb=job.plan.shard_mb, overwrite=True)
+            if processes.leads:
+                pupil.save(policy, shard_mb=job.plan.shard_mb, overwrite=True)
         folder.finish(stage.counters.step, found)
     return policy
 
@@ -216,7 +235,11 @@ def _hash_corpus(job: SftJob) -> str:
 
 
 def _open_pupil(
-    job: SftJob, folder: Path, state: TrainingState | None, say: Callable[[str], None]
+    job: SftJob,
+    folder: Path,
+    state: TrainingState | None,
+    say: Callable[[str], None],
+    processes: Processes,
 ) -> Pupil:
     """The policy that goes on, or a new one; its settings are kept beside the states."""
     if state is not None:
@@ -238,12 +261,17 @@ def _open_pupil(
     if job.text_length:
         settings = msgspec.structs.replace(pupil.settings, text_length=job.text_length)
         pupil = Pupil(pupil.checkpoint, settings, pupil.template)
-    save_policy_settings(folder, pupil.settings)
+    if processes.leads:
+        save_policy_settings(folder, pupil.settings)
     return pupil
 
 
 def _open_stream(
-    job: SftJob, pupil: Pupil, card: Device | None, say: Callable[[str], None]
+    job: SftJob,
+    pupil: Pupil,
+    card: Device | None,
+    say: Callable[[str], None],
+    processes: Processes,
 ) -> Stream:
     if card is None:
         return StreamDataset(
@@ -253,6 +281,8 @@ def _open_stream(
             seed=job.seed,
             blackout=job.recipe.blackout,
             workers=job.workers,
+            rank=processes.rank,
+            ranks=processes.count,
             device=pupil.model.device,
         )
 
@@ -262,7 +292,9 @@ def _open_stream(
         every = load_lessons(paths, job.splits)
         lessons = leave_out_long(every, pupil, say)
         world = open_world(lessons, pupil.settings, job.agents, device=card)
-        squares, seed = list_squares(pupil.settings), derive_seed(job.seed, "lot", number)
+        squares = list_squares(pupil.settings)
+        seed = derive_seed(job.seed, "lot", number)
+        seed = processes.seed(seed)
         if job.source == "uniform":
             return StreamUniform(world, seed=seed, names=squares), every.hash
         steps = max(MOSAIC + 1, -(-job.kept // job.agents))
@@ -270,4 +302,4 @@ def _open_stream(
         dark = job.recipe.blackout
         return StreamLive(world, ring, seed=seed, ratio=job.ratio, dark=dark), every.hash
 
-    return StreamGrowing(open_part, job.joins)
+    return StreamGrowing(open_part, [join // processes.count for join in job.joins])

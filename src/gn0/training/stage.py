@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import msgspec
 
 from gn0.config import Config
+from gn0.errors import CheckpointError
 from gn0.training.learner import GROUPS, Learner
 from gn0.training.pupil import Pupil
 from gn0.training.runs.generators import capture_generators, restore_generators
@@ -107,7 +108,14 @@ class Stage:
         else:
             restore_optimiser(learner.optimiser, state.optimiser, learner.weights.items())
         said += restore_generators(state.generators)
-        self.stream.restore(source["stream"])
+        processes, streams = learner.processes, source["streams"]
+        if len(streams) != processes.count and any(one != streams[0] for one in streams):
+            raise CheckpointError(
+                f"the state is of {len(streams)} processes, here are {processes.count}",
+                where="streams",
+                remedy="go on with as many; only samples of a dataset can be shared out anew",
+            )
+        self.stream.restore(streams[processes.rank % len(streams)])
         return tuple(said)
 
     def state(self) -> TrainingState:
@@ -128,7 +136,7 @@ class Stage:
             optimiser=capture_optimiser(learner.optimiser, learner.weights.items()),
             generators=capture_generators(),
             source={
-                "stream": self.stream.state(),
+                "streams": learner.processes.gather(self.stream.state(), learner.device),
                 "schedule": {
                     "end": self.schedule.end,
                     "tail": self.schedule.tail,
@@ -157,7 +165,8 @@ class Stage:
             TrainingError: a loss is not finite; the last checkpoint is of before that.
             StorageError: a checkpoint cannot be written.
         """
-        recipe, plan = self.learner.recipe, self.plan
+        recipe, plan, processes = self.learner.recipe, self.plan, self.learner.processes
+        share_of_batch = processes.share(recipe.batch)
         if self.schedule.end is None:
             self.schedule = self.schedule.end_at(-(-plan.samples // recipe.batch), recipe)
         tally, guard = Tally(self.learner.device), LossGuard(folder.resumed)
@@ -171,7 +180,7 @@ class Stage:
             if step > end:
                 break
             share = self.schedule.share(step - 1, recipe)
-            states = self.stream.draw(recipe.batch)
+            states = self.stream.draw(share_of_batch)
             if self.stream.texts is not self._texts:  # scenes joined
                 self._texts = self.stream.texts
                 self.maker = self.pupil.maker(self._texts, self.learner.device)
@@ -183,15 +192,17 @@ class Stage:
                 guard.watch(step, f"of samples {first} and on", loss=losses.loss, gradient=norm)
             seconds = before + time.monotonic() - begun
             self.counters = msgspec.structs.replace(
-                self.counters, step=step, samples=first + len(batch), seconds=seconds
+                self.counters, step=step, samples=first + recipe.batch, seconds=seconds
             )
             over = step == end
-            looks = examine is not None and (over or (plan.examine and step % plan.examine == 0))
+            looks = over or (plan.examine and step % plan.examine == 0)
             saves = over or (plan.save and step % plan.save == 0)
-            if looks or saves or step % plan.report == 0:
+            tells = looks or step % plan.report == 0  # the same in all processes
+            if tells or saves:
                 self.learner.join()
-            if looks or over or step % plan.report == 0:
-                values = tally.read()
+            if tells:
+                values = processes.mean(tally.read(), self.learner.device)
+                seconds = processes.gather(seconds, self.learner.device)[0]
                 now = time.monotonic()
                 values["samples_per_second"] = (self.counters.samples - marked) / (now - mark)
                 values |= {"share_of_rate": share, "samples": self.counters.samples}

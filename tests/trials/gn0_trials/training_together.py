@@ -1,0 +1,79 @@
+"""A short run of a small model that one process or several learn: `python -m …` or by torchrun."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+from gn0.policies.bae.checkpoint import Checkpoint
+from gn0.training.learner import Learner, LossForward
+from gn0.training.processes import Processes, join_processes, open_run_together
+from gn0.training.recipe import Recipe
+from gn0.training.runs.training_state import load_state
+from gn0.training.stage import Stage, StagePlan
+from gn0_trials.pupil_small import PupilSmall, draw_states, make_words
+
+RECIPE = Recipe(batch=4, warm_steps=2, mean=0.9)
+
+
+class SharedOut:
+    """Batches at random by their number; each process is given its rows of every one."""
+
+    texts = ("", "", "")
+
+    def __init__(self, processes: Processes, dies_at: int) -> None:
+        self.processes, self.drawn, self.dies_at = processes, 0, dies_at
+
+    def draw(self, count: int) -> Any:
+        """This process' rows of the next batch."""
+        own = self.processes
+        if self.drawn == self.dies_at and own.rank == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        states = draw_states(count * own.count, seed=self.drawn)
+        self.drawn += count * own.count
+        return states.pick(slice(own.rank * count, (own.rank + 1) * count))
+
+    def state(self) -> dict[str, int]:
+        """How many were drawn."""
+        return {"drawn": self.drawn}
+
+    def restore(self, state: Any) -> None:
+        """Go on from there."""
+        self.drawn = state["drawn"]
+
+
+class Kept:
+    """What a stage needs of a pupil."""
+
+    def __init__(self, pupil: PupilSmall, model: Any) -> None:
+        self.checkpoint = Checkpoint(model, pupil.tokenizer, pupil.ids)
+
+
+def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
+    """Learn from so many samples, in whatever processes the environment speaks of."""
+    pupil = PupilSmall(make_words())
+    with (
+        join_processes("host") as processes,
+        open_run_together(
+            processes, next(pupil.model.parameters()).device, folder, stage="sft", recipe={},
+            hashes={"corpus": "c"}, command=["gn0"], device="cpu", versions={},
+        ) as run,
+    ):  # fmt: skip
+        state = load_state(run.resumed) if run.resumed else None
+        model = state.checkpoint.model.train() if state else pupil.model
+        loss = LossForward(pupil.forward_of(model), pupil.slots, RECIPE)
+        learner = Learner(loss, RECIPE, processes=processes)
+        plan = StagePlan(samples=samples, report=1, save=2)
+        stream = SharedOut(processes, dies_at)
+        kept: Any = Kept(pupil, model)
+        stage = Stage(kept, learner, stream, pupil.maker, plan, {}, "c")
+        if state is not None:
+            stage.restore(state)
+        stage.run(run, print)
+
+
+if __name__ == "__main__":
+    learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

@@ -58,6 +58,7 @@ class Args(Config, frozen=True):
         agents: that gather states side by side.
         kept: states of walks that batches are drawn from.
         ratio: new states of walks a sample.
+        jitter: vary colour and light of the camera's pictures.
         workers: processes that read a dataset.
         examined: episodes of an examination.
         asked: states of an examination.
@@ -102,6 +103,7 @@ class Args(Config, frozen=True):
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     kept: Annotated[int, msgspec.Meta(ge=1)] = 200_000
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
+    jitter: bool = False
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
     examined: Annotated[int, msgspec.Meta(ge=0)] = 512
     asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096
@@ -167,6 +169,7 @@ def run(args: Args) -> int:
         agents=args.agents,
         kept=args.kept,
         ratio=args.ratio,
+        jitter=args.jitter,
         workers=args.workers,
         examined=args.examined,
         asked=args.asked,

@@ -11,5 +11,6 @@ from gn0.training.streams.samples import SampleMaker as SampleMaker
 from gn0.training.streams.samples import Stream as Stream
 from gn0.training.streams.stream_dataset import StreamDataset as StreamDataset
 from gn0.training.streams.stream_growing import StreamGrowing as StreamGrowing
+from gn0.training.streams.stream_jittered import StreamJittered as StreamJittered
 from gn0.training.streams.stream_live import StreamLive as StreamLive
 from gn0.training.streams.stream_uniform import StreamUniform as StreamUniform

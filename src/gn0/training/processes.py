@@ -82,9 +82,8 @@ class Processes:
         if self.count == 1:
             return loss
         return DistributedDataParallel(
-            loss, broadcast_buffers=False, gradient_as_bucket_view=True,
-            find_unused_parameters=not whole,
-        )  # fmt: skip
+            loss, gradient_as_bucket_view=True, find_unused_parameters=not whole
+        )
 
     def mean(self, values: Mapping[str, float], device: torch.device) -> dict[str, float]:
         """Means over all processes, the same in each."""

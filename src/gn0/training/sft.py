@@ -37,10 +37,12 @@ from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
 from gn0.training.runs.training_state import TrainingState, list_versions, load_state, name_device
 from gn0.training.stage import Stage, StagePlan
+from gn0.training.streams.picture_jitter import PictureJitter
 from gn0.training.streams.samples import Stream
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_dataset import StreamDataset
 from gn0.training.streams.stream_growing import StreamGrowing
+from gn0.training.streams.stream_jittered import StreamJittered
 from gn0.training.streams.stream_live import StreamLive
 from gn0.training.streams.stream_uniform import StreamUniform
 from gn0.training.worlds import (
@@ -80,6 +82,7 @@ class SftJob(Config, frozen=True, kw_only=True):
         asked: states of an examination.
         text_length: tokens of what an episode says, where later suites may say more than the first;
             longer ones are left out. 0: as many as the longest of all.
+        jitter: whether colour and light of the camera's pictures vary (`PictureJitter`).
         seed: of weights, states and order.
     """
 
@@ -101,6 +104,7 @@ class SftJob(Config, frozen=True, kw_only=True):
     examined: Annotated[int, msgspec.Meta(ge=0)] = 512
     asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = STATES
     text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
+    jitter: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -280,6 +284,7 @@ def _open_stream(
             map_view=job.settings.view,
             seed=job.seed,
             blackout=job.recipe.blackout,
+            jitter=PictureJitter() if job.jitter else None,
             workers=job.workers,
             rank=processes.rank,
             ranks=processes.count,
@@ -302,4 +307,7 @@ def _open_stream(
         dark = job.recipe.blackout
         return StreamLive(world, ring, seed=seed, ratio=job.ratio, dark=dark), every.hash
 
-    return StreamGrowing(open_part, [join // processes.count for join in job.joins])
+    stream = StreamGrowing(open_part, [join // processes.count for join in job.joins])
+    if job.jitter:
+        return StreamJittered(stream, PictureJitter(), processes.seed(job.seed))
+    return stream

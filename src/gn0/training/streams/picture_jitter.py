@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gn0.errors import ConfigError
-from gn0.geometry import F64, U8
+from gn0.geometry import F32, F64, U8
 
 DRAWS = 6  # random numbers of a jitter
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601
@@ -38,15 +38,22 @@ class PictureJitter:
                 remedy="give 0 to 4 stops, and shares of 0 to less than 1",
             )
 
+    def solve(self, draws: F64) -> tuple[F32, F32]:
+        """A matrix [B, 3, 3] and an offset [B] for the channels of each of B pictures.
+
+        Channel gains, then saturation, then contrast about mid grey; and half, to round.
+        """
+        away = 2.0 * draws - 1.0
+        contrast, saturation = 1 + self.contrast * away[:, 1], 1 + self.saturation * away[:, 2]
+        gains = 2.0 ** (self.exposure * away[:, :1]) * (1 + self.balance * away[:, 3:6])
+        colour = saturation[:, None, None]
+        mixed = colour * np.eye(3) + (1 - colour) * np.array(LUMA)[None]
+        matrix = contrast[:, None, None] * mixed * gains[:, None]
+        return matrix.astype(np.float32), (127.5 * (1 - contrast) + 0.5).astype(np.float32)
+
     def apply(self, picture: U8, draws: F64) -> U8:
         """The picture [H, W, 3] as `draws` [6] in [0, 1) have it; 0.5 of all changes nothing."""
-        away = 2.0 * draws - 1.0
-        contrast, saturation = 1 + self.contrast * away[1], 1 + self.saturation * away[2]
-        gains = 2.0 ** (self.exposure * away[0]) * (1 + self.balance * away[3:6])
-        # one 3×3 matrix and an offset: channel gains, then saturation, then contrast about mid grey
-        mixed = saturation * np.eye(3) + (1 - saturation) * np.array(LUMA)[None]
-        matrix = (contrast * mixed * gains[None]).astype(np.float32)
-        offset = np.float32(127.5 * (1 - contrast) + 0.5)
+        (matrix,), (offset,) = self.solve(draws[None])
         red, green, blue = (picture[..., k].astype(np.float32) for k in range(3))
         out = np.empty_like(picture)
         for k, (a, b, c) in enumerate(matrix):

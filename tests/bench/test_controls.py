@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,7 +22,7 @@ def own_policies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(Path(__file__).parent / "plugin"))
 
 
-def run(suite: Suite, out: Path, control: str = "none", **more: int) -> Path:
+def run(suite: Suite, out: Path, control: str = "none", **more: Any) -> Path:
     modules = ("listening_policies",)
     run_suite(suite, "listening", out, control=control, plugin_modules=modules, **more)
     return out
@@ -78,3 +79,16 @@ def test_a_control_is_in_name_card_and_identity(flats_suite: Suite, tmp_path: Pa
     assert "'none', B with 'no_words'" in name_difference(plain, out)
     with pytest.raises(ConfigError, match="no control 'silence'"):
         run(flats_suite, tmp_path / "b", "silence")
+
+
+def test_who_is_shown_painted_maps_is_said_to_be_told_labels(
+    flats_suite: Suite, tmp_path: Path
+) -> None:
+    told = [
+        load_summary(run(flats_suite, tmp_path / str(on), policy_options={"painted": on}))
+        for on in (False, True)
+    ]
+    assert "labels" not in dict(told[0].protocol)["the policy sees"]
+    assert dict(told[1].protocol)["the policy sees"] == "ego_map, labels of the scene"
+    assert told[0].standing == "on the track"
+    assert told[1].standing == "off the track" and told[1].beyond == ("labels of the scene",)

@@ -285,8 +285,10 @@ def test_png_and_maps_in_every_sample_are_the_very_pixels(data_suite, settings_o
             np.testing.assert_array_equal(one[kind], other[kind])
 
 
-def test_frames_have_the_ego_maps_and_arrows_of_the_simulator(webdataset) -> None:
-    view = MapView(squares=(EgoSquare(), EgoSquare(size=64, metres_per_pixel=0.2)), arrow=True)
+@pytest.mark.parametrize("paint", ["scene", "categories"])
+def test_frames_have_the_ego_maps_and_arrows_of_the_simulator(webdataset, paint) -> None:
+    squares = (EgoSquare(), EgoSquare(size=64, metres_per_pixel=0.2))
+    view = MapView(squares=squares, arrow=True, paint=paint)
     for name in webdataset.sampled[:2]:  # the second one in evening light
         episode, rows = webdataset.episode(name), webdataset.rows(name)
         simulator = open_simulator(

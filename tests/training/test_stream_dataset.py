@@ -101,16 +101,17 @@ def same(one: LabelledStates, other: LabelledStates) -> bool:
     )
 
 
-@pytest.mark.parametrize("kind", ["cached", "bare"])
-def test_samples_are_the_datasets_row_by_row(kind: str, request) -> None:
+@pytest.mark.parametrize(("kind", "paint"), [("cached", "scene"), ("bare", "categories")])
+def test_samples_are_the_datasets_row_by_row(kind: str, paint: str, request) -> None:
     dataset: Dataset = request.getfixturevalue(kind)
-    stream = StreamDataset(dataset, NAMES, map_view=VIEW, blackout=0, buffer=30)
+    view = msgspec.structs.replace(VIEW, paint=paint)
+    stream = StreamDataset(dataset, NAMES, map_view=view, blackout=0, buffer=30)
     states = stream.draw(total(dataset))
     seen = {}
     sensors = ("rgb", "history", "bev", "occupancy", "ego_map", "goal_picture")
     for number, name in enumerate(dataset.sampled):
         rows = dataset.rows(name)
-        for step, frame in enumerate(read_frames(dataset, name, sensors, map_view=VIEW)):
+        for step, frame in enumerate(read_frames(dataset, name, sensors, map_view=view)):
             frame["near"], frame["far"] = VIEW.split(frame.pop("ego_map"))
             seen[(number, *rows.poses[step].tolist(), step == 0)] = rows, step, frame
         assert stream.texts[number] == dataset.episode(name).instruction

@@ -70,6 +70,9 @@ if TYPE_CHECKING:
     from gn0.sim.state import Trajectory
 
 
+LABELS_TOLD = "labels of the scene"  # beside the sensors of who is shown painted maps
+
+
 class EpisodeWorker:
     """Runs episodes of one policy; a scene is loaded once and kept until another is needed."""
 
@@ -122,9 +125,11 @@ class EpisodeWorker:
     @property
     def card(self) -> PolicyCard:
         """What the policy says about itself."""
+        view = getattr(self.policy, "map_view", None)
+        painted = "ego_map" in self.policy.sensors and view is not None and view.painted
         return PolicyCard(
             name=str(self.policy.name),
-            sensors=tuple(sorted(self.policy.sensors)),
+            sensors=tuple(sorted({*self.policy.sensors, *([LABELS_TOLD] if painted else [])})),
             privileged=isinstance(self.policy, PolicyPrivileged),
             rows=self.policy.card_rows if isinstance(self.policy, PolicyNotes) else (),
             identity=read_identity(self.policy),

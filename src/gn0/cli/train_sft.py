@@ -46,7 +46,10 @@ class Args(Config, frozen=True):
         prompt: a prompt of `gn0 list prompts`, or the path of one.
         pictures: what the prompt shows, with commas between: rgb, history, and near, far of the
             ego map.
-        without: parts of the prompt that are left out, with commas between.
+        map_paint: what near and far show as BEV: the scene, or the categories of its objects, an
+            oracle map: a control.
+        without: parts of the prompt that are left out, with commas between; paper for what the
+            paper's prompts do not tell: heading, last_action and bumper.
         points: waypoints of an answer; 0 for actions alone.
         layout: of answers: compact or json.
         preset: of the cameras, as in `gn0 list presets`.
@@ -91,6 +94,7 @@ class Args(Config, frozen=True):
     start: str = ""
     prompt: str = "short"
     pictures: str = "near,far"
+    map_paint: Literal["scene", "categories"] = "scene"
     without: str = ""
     points: Annotated[int, msgspec.Meta(ge=0, le=64)] = 13
     layout: Literal["compact", "json"] = "compact"
@@ -127,6 +131,7 @@ def run(args: Args) -> int:
     from gn0.data.answer_form import AnswerForm
     from gn0.data.dataset import open_dataset
     from gn0.policies.bae.policy_settings import PolicySettings
+    from gn0.sim.ego_map import MapView
     from gn0.suites.suite import load_suite
 
     # what is learned from is looked at first: packages are of no help against a broken folder
@@ -155,6 +160,7 @@ def run(args: Args) -> int:
             form=AnswerForm(points=args.points, layout=args.layout),
             without=_split(args.without),
             preset=args.preset,
+            view=MapView(paint=args.map_paint),
         ),
         recipe=msgspec.structs.replace(RECIPES[args.recipe], **chosen),
         plan=StagePlan(

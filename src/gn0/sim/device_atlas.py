@@ -46,7 +46,15 @@ class EgoAtlas:
         self, env: VectorEnvDevice, view: MapView | None = None, *, memory: int = MEMORY
     ) -> None:
         self._device, self._store = env.device, env.simulator.store
-        self.view = view or env.simulator.config.map_view
+        config = env.simulator.config
+        self.view = view or config.map_view
+        if self.view.looks_at_bev and self.view.paint != config.map_view.paint:
+            raise ConfigError(
+                f"squares painted by {self.view.paint!r} of an environment whose maps are painted "
+                f"by {config.map_view.paint!r}",
+                where="paint",
+                remedy="give both the same map view",
+            )
         self.nbytes, self._memory = 0, memory
         self._looks: dict[str, tuple[list[int], tuple[float, ...], tuple[int, int]]] = {}
         self._rows = np.zeros(0, EPISODE)

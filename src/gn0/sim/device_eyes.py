@@ -25,6 +25,7 @@ from gn0.render.instance import Parts, PartsDevice
 from gn0.render.light import relight_cloud
 from gn0.render.renderer import DrawnScene, Renderer
 from gn0.scenes.scene import Scene
+from gn0.sim.category_map import paint_categories
 from gn0.sim.device_layout import blocks_of
 from gn0.sim.device_motion import MotionDevice
 from gn0.sim.device_records import (
@@ -158,6 +159,11 @@ class EyesDevice:
                 f"renderer {renderer.name!r} draws in host memory, not on a device",
                 remedy="use renderer 'cuda', or VectorEnv",
             )
+        if config.painted and "bev" in config.active:
+            raise ConfigError(
+                "a device keeps one BEV of a scene: as it looks, or painted by categories",
+                remedy="leave out sensor 'bev', or use VectorEnv",
+            )
         if config.explores:
             raise ConfigError(
                 "maps that agents make for themselves are not kept on a device",
@@ -219,6 +225,9 @@ class EyesDevice:
                 background=self.config.preset.background,
             )
             frame, bev = MapFrame.of_bev(picture), picture.rgb
+        elif self.config.painted:
+            cut = self.config.cut_height
+            bev = paint_categories(scene.objects, scene.grid, cut, scene.path or scene.id)
         return MapPictures(frame, self._paint(scene.grid, frame), bev)
 
     def _paint(self, grid: OccupancyGrid, frame: MapFrame) -> U8 | None:

@@ -75,10 +75,13 @@ class MapView(Config, frozen=True):
     Attributes:
         squares: of the sensor `ego_map`, side by side from the left.
         arrow: in the occupancy picture the agent is an arrow along its heading, not a disc.
+        paint: what squares show as BEV: the `scene`, or the scene painted by the `categories` of
+            its labelled objects (`gn0.sim.category_map`), which no robot knows: a control.
     """
 
     squares: tuple[EgoSquare, ...] = (EgoSquare(), EgoSquare(metres_per_pixel=0.15))
     arrow: bool = False
+    paint: Literal["scene", "categories"] = "scene"
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.squares) <= SQUARES_LIMIT:
@@ -96,6 +99,11 @@ class MapView(Config, frozen=True):
         """Whether a square shows colours."""
         return any(s.content != "occupancy" for s in self.squares)
 
+    @property
+    def painted(self) -> bool:
+        """Whether a square shows the colours of categories."""
+        return self.looks_at_bev and self.paint == "categories"
+
     def split(self, picture: U8) -> tuple[U8, ...]:
         """The squares [..., S, S, 3] of what `ego_map` reads [..., H, W, 3]; views, not copies."""
         found, left = [], 0
@@ -105,7 +113,7 @@ class MapView(Config, frozen=True):
         return tuple(found)
 
 
-_FIELDS = f"squares ({', '.join(EgoSquare.__struct_fields__)} each) and arrow"
+_FIELDS = f"squares ({', '.join(EgoSquare.__struct_fields__)} each), arrow and paint"
 
 
 def read_map_view(view: MapView | Mapping[str, Any] | None) -> MapView:

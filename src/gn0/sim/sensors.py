@@ -17,6 +17,7 @@ from gn0.maps.grid import GREY_OF_CELL, OCCUPIED, OccupancyGrid
 from gn0.maps.ray import cast_rays
 from gn0.missions.episode import GoalPicture
 from gn0.paper import BEV_CUT
+from gn0.sim.category_map import paint_categories
 from gn0.sim.ego_map import MapView, draw_arrow, draw_ego_map
 from gn0.sim.look_plan import Shot, aim_at_goal, plan_look, render_plan
 from gn0.sim.motion import STILL, Moment, Motion, take_moment
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.render.bev import BevPicture
     from gn0.render.renderer import DrawnScene
+    from gn0.scenes.scene import SceneObject
     from gn0.sim.mapping import Mapper
 
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
@@ -73,6 +75,12 @@ class SensorConfig(Config, frozen=True):
         if not 0 <= self.disc_radius <= 100:
             raise ConfigError(f"disc_radius is {self.disc_radius} px", remedy="give 0 to 100")
         check_map_mode(self.map_mode, self.active)
+        if self.map_mode == "explored" and self.painted:
+            raise ConfigError(
+                "an ego map painted by categories is of the whole scene, and agents in map mode "
+                "'explored' know only what they have seen",
+                remedy="use map mode 'prior', or paint=\"scene\"",
+            )
         if not 0 < self.cut_height <= 100:
             raise ConfigError(
                 f"cut_height is {self.cut_height} m", remedy="give a height in metres"
@@ -82,6 +90,11 @@ class SensorConfig(Config, frozen=True):
     def explores(self) -> bool:
         """Whether the agent draws its own map."""
         return self.map_mode == "explored" and bool(self.carried.maps)
+
+    @property
+    def painted(self) -> bool:
+        """Whether the ego map is painted by categories."""
+        return "ego_map" in self.active and self.map_view.painted
 
     @property
     def carried(self) -> Carried:
@@ -194,9 +207,11 @@ class SensorSuite:
         renderer: needed for rgb, depth and history.
         bev: needed for bev; also sets the frame of the occupancy picture.
         motion: what moves in the scene; nothing when None. Maps and goal pictures show none of it.
+        objects: needed for ego maps painted by categories.
 
     Raises:
         SimError: a picture is asked for and nothing was handed in to make it.
+        SceneError: categories are to be painted, and there are no objects.
     """
 
     def __init__(
@@ -207,6 +222,7 @@ class SensorSuite:
         renderer: DrawnScene | None = None,
         bev: BevPicture | None = None,
         motion: Motion | None = None,
+        objects: Sequence[SceneObject] = (),
     ) -> None:
         carried = config.carried
         drawn = carried.eyes | (carried.maps if config.explores else frozenset())
@@ -226,6 +242,9 @@ class SensorSuite:
         self._camera_height = camera_height
         self.renderer = renderer
         self._bev = bev
+        self._objects = objects
+        if config.painted:
+            self.painted_picture  # noqa: B018 (a scene without objects is refused here)
         self.motion = motion
         if motion is not None and renderer is not None:
             for name, cloud in motion.clouds.items():
@@ -267,6 +286,15 @@ class SensorSuite:
         rgb = np.array(self._bev.rgb, np.uint8)
         rgb.setflags(write=False)
         return rgb
+
+    @cached_property
+    def painted_picture(self) -> U8:
+        """The scene from above, painted by categories [Hb, Wb, 3].
+
+        Raises:
+            SceneError: it has no objects.
+        """
+        return paint_categories(self._objects, self.grid, self.config.cut_height)
 
     def moment_at(self, time: float) -> Moment:
         """Where everything in the scene stands at a time since the episode began [s]."""
@@ -349,7 +377,9 @@ class SensorSuite:
         if mapper is not None:
             bev, grey = mapper.layers
         else:
-            bev = self.bev_picture if view.looks_at_bev else NO_BEV
+            bev = NO_BEV
+            if view.looks_at_bev:
+                bev = self.painted_picture if view.painted else self.bev_picture
             grey = self._grey
         frame = self.map_frame
         place = pose.x, pose.y, pose.yaw

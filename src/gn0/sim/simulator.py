@@ -95,6 +95,7 @@ class Simulator:
     Raises:
         SimError: a sensor lacks its renderer or picture, the map was inflated for another
             radius, or max_steps < 1.
+        SceneError: ego maps are to be painted by categories, and nothing is labelled.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class Simulator:
                 remedy="build the NavigationMap with the agent's radius",
             )
         self._suite = SensorSuite(
-            config, navigation, self.agent.camera_height, renderer, bev, motion
+            config, navigation, self.agent.camera_height, renderer, bev, motion, scene.objects
         )
         own = weakref.proxy(self)  # no circle: renderers go when simulators do
         self._here = Standpoint(

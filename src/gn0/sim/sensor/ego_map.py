@@ -8,8 +8,8 @@ from gn0.sim.sensor.sensor import Sensor, SensorSettings, picture_space
 
 
 def _settle(settings: SensorSettings) -> Sensor:
-    """The same; without colours nothing has to be drawn for it."""
-    if settings.map_view.looks_at_bev:
+    """The same; without colours, or painted from labels, nothing has to be drawn for it."""
+    if settings.map_view.looks_at_bev and not settings.map_view.painted:
         return SENSOR
     return replace(SENSOR, bev=False, explores=frozenset({"depth"}))
 

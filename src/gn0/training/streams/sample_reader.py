@@ -115,11 +115,12 @@ class _Kept(OrderedDict[Any, T]):
 
 @dataclass(frozen=True, eq=False)
 class _SceneMaps:
-    """The BEV and the bare occupancy picture of a scene in a light."""
+    """The BEV and the bare occupancy picture of a scene in a light, and what squares show."""
 
     frame: MapFrame
     bev: U8
     bare: U8
+    ground: U8
 
     @cached_property
     def grey(self) -> U8:
@@ -303,7 +304,7 @@ class SampleReader:
             square = view.squares[self._squares.index(name)]
             alone = MapView((square,))
             scale = frame.metres_per_pixel
-            return draw_ego_map(alone, maps.bev, maps.grey, corner, scale, place, start[:2])
+            return draw_ego_map(alone, maps.ground, maps.grey, corner, scale, place, start[:2])
         picture, radius = maps.bare.copy(), SensorConfig(preset=self._preset).disc_radius
         draw_disc(picture, *frame.pixel_of(*start[:2]), radius, GREEN)
         if view.arrow:
@@ -315,7 +316,9 @@ class SampleReader:
     def _draw_maps(self, episode: Episode) -> _SceneMaps:
         eyes = eyes_of(self.dataset).of(episode)
         bare = paint_grid(eyes.grid, eyes.map_frame)
-        return _SceneMaps(eyes.map_frame, np.array(map_picture(eyes)), bare)
+        bev = np.array(map_picture(eyes))
+        ground = eyes.painted_picture if self.wish.view.painted else bev
+        return _SceneMaps(eyes.map_frame, bev, bare, ground)
 
     def _draw_views(self, episode: Episode) -> _Views:
         eyes, rows = eyes_of(self.dataset).of(episode), self.dataset.rows(episode.id)

@@ -59,6 +59,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
     },
     "policy": {
         "oracle": "gn0.policies.oracle:PolicyOracle",
+        "parse_then_astar": "gn0.policies.parse_then_astar:PolicyParseThenAstar",
         "straight": "gn0.policies.simple:PolicyStraight",
         "wall_follower": "gn0.policies.simple:PolicyWallFollower",
         "random": "gn0.policies.simple:PolicyRandom",

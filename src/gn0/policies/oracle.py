@@ -20,6 +20,7 @@ from gn0.sim.kinematics import heading_cycle, step_forward
 from gn0.sim.state import Action, Observation
 
 if TYPE_CHECKING:
+    from gn0.maps.goal_places import GoalSet
     from gn0.sim.simulator import Simulator
 
 REPLAN_ERROR = 1e-6  # m or rad between where the plan is and where the agent is
@@ -81,7 +82,7 @@ class PolicyOracle:
         simulator = self._simulator
         assert simulator is not None
         pose = simulator.pose
-        field = simulator.navigation.geodesic(simulator.episode.destination)
+        field = simulator.navigation.geodesic(self._destination())
         try:
             plan = plan_actions(
                 field,
@@ -99,6 +100,10 @@ class PolicyOracle:
             plan = plan_from(field, np.array(pose), settings, simulator.agent)
         self._plan = deque(Action(int(code)) for code in plan)
         self._expected = pose
+
+    def _destination(self) -> tuple[float, float] | GoalSet:
+        assert self._simulator is not None
+        return self._simulator.episode.destination
 
     def _after(self, action: Action) -> Pose2D:
         """Where the agent will stand after an action of the plan."""

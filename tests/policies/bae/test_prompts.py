@@ -128,6 +128,19 @@ def test_parts_are_switched_off_and_the_card_names_the_others() -> None:
         load_prompt("short", without=("compass",))
 
 
+def test_the_papers_inputs_are_a_choice_by_name() -> None:
+    paper = load_prompt("short", without=("paper",))
+    assert paper.on == {"task", "instruction", "current_pixel"}
+    assert paper.digest == load_prompt("short", without=("bumper", "heading", "last_action")).digest
+    assert not {"HEADING", "LAST_ACTION", "BUMPER"} & set(paper.fields)
+    ego = EgoFrame()
+    told = PromptState("go", ego, Pose2D(0, 0, 0)), PromptState("go", ego, Pose2D(0, 0, 2), 1, True)
+    assert len({render_prompt(paper, state).text for state in told}) == 1
+    assert len({render_prompt(load_prompt("short"), state).text for state in told}) == 2
+    assert "heading" not in load_prompt("planning_maps", without=("paper",)).on
+    assert load_prompt("vlnce", without=("paper",)).digest == load_prompt("vlnce").digest
+
+
 def test_what_a_prompt_does_not_leave_open_is_not_changed() -> None:
     wrong = ({"points": 7}, {"pictures": ("rgb",)}, {"layout": "compact"}, {"task": "TRACKING"})
     for change in wrong:

@@ -29,6 +29,8 @@ from gn0.storage import content_hash, read_bytes
 FOLDER = Path(__file__).parent / "prompts"
 ENDING = ".txt"
 LIMIT = 64 * 2**10  # bytes of a template
+PAPER, PAPER_LACKS = "paper", ("heading", "last_action", "bumper")
+"""What `without` may be told, and the parts that it stands for: the paper's prompts lack them."""
 Task = Literal["PLANNING", "TRACKING"]
 Frame = Literal["any", "global", "ego"]
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -193,7 +195,7 @@ def load_prompt(
         points: waypoints to ask for.
         layout: of the answer: json or compact.
         frame: what coordinates are on: any, global or ego.
-        without: parts to switch off.
+        without: parts to switch off; `paper` stands for those of `PAPER_LACKS` that there are.
 
     Raises:
         ConfigError: no such template or part, or the file does not leave open what is given.
@@ -223,7 +225,8 @@ def load_prompt(
     }
     given = {key: value for key, value in chosen.items() if value is not None}
     template = parse_template(data, file, given)
-    off = tuple(without)
+    silent = [part for part in PAPER_LACKS if part in template.parts]
+    off = [part for one in without for part in (silent if one == PAPER else [one])]
     for part in off:
         if part not in template.parts:
             raise ConfigError(

@@ -10,6 +10,7 @@ import colorsys
 import hashlib
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def colour_of(category: str) -> tuple[int, int, int]:
 
 
 def paint_categories(
-    objects: Sequence[SceneObject], grid: OccupancyGrid, cut_height: float, where: object = ""
+    objects: Sequence[SceneObject], grid: OccupancyGrid, cut_height: float, where: str | Path = ""
 ) -> U8:
     """A map picture [H, W, 3] of the grid, north up, objects in their colours, higher ones on top.
 

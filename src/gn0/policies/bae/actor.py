@@ -66,6 +66,7 @@ class Actor:
         recorded: as one CUDA graph; None: where the model is on a card.
         compiled: compile what reads the prompt.
         free: tokens are chosen among all that the model knows, so that answers may be unreadable.
+        answers: to each prompt, in a row; they share its pictures.
     """
 
     def __init__(
@@ -82,9 +83,13 @@ class Actor:
         recorded: bool | None = None,
         compiled: bool = False,
         free: bool = False,
+        answers: int = 1,
     ) -> None:
-        if count < 1:
-            raise ConfigError(f"{count} agents", where="count", remedy="give at least 1")
+        if count < 1 or answers < 1:
+            raise ConfigError(
+                f"{answers} answers to {count} agents", where="count", remedy="give at least 1"
+            )
+        self.answers = answers
         self.slots, self.count, self.temperature, self._dtype = slots, count, temperature, dtype
         self.device: torch.device = next(model.parameters()).device
         self.forward = ForwardConstant(model, layout, len(slots), compiled=compiled)
@@ -101,7 +106,7 @@ class Actor:
         ]
         self._ids = self._send(np.tile(layout.ids, (count, 1)).astype(np.int64))
         self._generator = torch.Generator(self.device)
-        self._generator.manual_seed(derive_seed(seed, "actor") % 2**63)
+        self.reseed(derive_seed(seed, "actor"))
         self._recorded = self.device.type == "cuda" if recorded is None else recorded
         self._graph: torch.cuda.CUDAGraph | None = None
         self._said: Answers | None = None
@@ -109,8 +114,12 @@ class Actor:
     def _send(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(array).to(self.device)
 
+    def reseed(self, seed: int) -> None:
+        """Draw from here on what this seed says."""
+        self._generator.manual_seed(seed % 2**63)
+
     def decide(self, pictures: Sequence[Tensor], prompts: Tensor) -> Decisions:
-        """Decisions of N agents, at most `count`; waits for nothing.
+        """Decisions of N agents, at most `count`; N · `answers` rows; waits for nothing.
 
         Args:
             pictures: uint8 [N, H, W, 3] each, in the prompt's order.
@@ -131,7 +140,7 @@ class Actor:
                     f"agents, this one of {own.dtype} [N, {', '.join(map(str, own.shape[1:]))}]",
                 )
             own[:many].copy_(one)
-        return self._read(self._answer(), many)
+        return self._read(self._answer(), many * self.answers)
 
     def _answer(self) -> Answers:
         if not self._recorded:
@@ -167,6 +176,7 @@ class Actor:
                 self._allowed,
                 temperature=self.temperature,
                 generator=self._generator,
+                times=self.answers,
             )
 
     def _read(self, said: Answers, many: int) -> Decisions:

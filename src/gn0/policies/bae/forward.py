@@ -172,6 +172,7 @@ class ForwardConstant(nn.Module):
         *,
         temperature: float = 0.0,
         generator: torch.Generator | None = None,
+        times: int = 1,
     ) -> Answers:
         """Answers, each token out of its slot's ids; forced runs are read at once.
 
@@ -181,13 +182,18 @@ class ForwardConstant(nn.Module):
             slots: int64 ids that each token may have.
             temperature: 0 takes the most probable, the first of equals.
             generator: of the draws.
+            times: answers to each prompt, in a row: [B · times, slots]; it is read once.
         """
-        batch, device = len(ids), ids.device
+        batch, device = len(ids) * times, ids.device
         hidden, keys, values = self._read(features, ids, 1, room=len(slots))
         out = torch.empty((batch, len(slots)), dtype=torch.int64, device=device)
         chance = torch.zeros((batch, len(slots)), device=device)
         entropy = torch.zeros((batch, len(slots)), device=device)
         last, read = hidden[:, -1], 0
+        if times > 1:
+            last = last.repeat_interleave(times, 0)
+            keys = [one.repeat_interleave(times, 0) for one in keys]
+            values = [one.repeat_interleave(times, 0) for one in values]
         for k, allowed in enumerate(slots):
             if len(allowed) == 1:
                 out[:, k] = allowed

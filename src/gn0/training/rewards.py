@@ -131,7 +131,7 @@ def score_answers(
     refused = (~readable).double()
     total = trajectory + weights.first * first - weights.collision * collision
     total = total - weights.length * length - weights.format * refused
-    return Rewards(total, *terms, refused)
+    return Rewards(total, trajectory, first, collision, length, refused)
 
 
 def compare_poses(said: Tensor, wanted: Tensor, scale: float) -> Tensor:

@@ -157,6 +157,7 @@ class AnswerScorer(nn.Module):
     ) -> None:
         super().__init__()
         self.model, self._forward = forward.model, [forward]  # its weights are counted once
+        self.shows_pictures = bool(forward.layout.sizes)
         self.temperature = temperature
         alike: dict[bytes, list[int]] = {}  # slots that allow the same are scored together
         for slot, own in enumerate(allowed):

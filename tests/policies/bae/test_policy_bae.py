@@ -45,7 +45,7 @@ class Said:
     name, batch = "script", 1
 
     def __init__(self, policy: PolicyBae, answers: list[str]) -> None:
-        self.slots, self.answers, self.asked = policy._questions.slots, answers, 0
+        self.slots, self.answers, self.asked = policy.questions.slots, answers, 0
 
     def answer(self, pictures, prompts):
         """The next answer: six letters of S F L R; anything else is unreadable."""

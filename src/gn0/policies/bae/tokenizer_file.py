@@ -69,7 +69,11 @@ def load_tokenizer(path: Path | str) -> TextTokenizer:
     try:
         from tokenizers import Tokenizer
     except ImportError:
-        raise other from None
+        raise FormatError(
+            other.what,
+            file=file,
+            remedy="pip install tokenizers, which reads other kinds, or restore the file",
+        ) from None
     try:
         return TokenizerFile(Tokenizer.from_buffer(data))
     except Exception as error:  # the package raises bare Exception

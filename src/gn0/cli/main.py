@@ -52,6 +52,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data balance": ("data_balance", "balance the actions of a dataset to the paper's shares"),
     "data dagger": ("data_dagger", "states that a policy visits, labelled by the expert"),
     "train sft": ("train_sft", "a policy that does what the expert would do"),
+    "train dagger": ("train_dagger", "a policy that learns where its own walks lead"),
     "train tokenizer": ("train_tokenizer", "words of suites and datasets as tokens of a policy"),
     "copy": ("copy_folder", "a folder to or from an object store: s3://, gs://, hf://"),
     "export": ("export", "a dataset for VLN-CE, LeRobot, NaVid, StreamVLN, NavDP and others"),

@@ -27,7 +27,9 @@ from gn0.policies.bae.policy_settings import SQUARE_NAMES
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.state import Action
 from gn0.training.pupil import Pupil
+from gn0.training.streams.live_counts import COUNTED, LiveCounts
 from gn0.training.streams.samples import LabelledStates, SampleMaker
+from gn0.training.streams.stream_live import STOP_DISTANCE
 
 NEAR = 1.0  # m on foot: the stricter radius
 
@@ -139,6 +141,11 @@ class ClosedLoop:
         compiled: see `Actor`.
         executed: actions of an answer that are carried out; 0: as the settings say.
         confirm_stop: a STOP behind the first action is asked again.
+        labelled: hold what the policy does against the expert, wherever it gets to.
+
+    Attributes:
+        decisions: answers so far.
+        counts: of the last `play`, where `labelled`; episodes that nobody counts are left out.
 
     Raises:
         ConfigError: the agents do not see what the prompt shows.
@@ -153,8 +160,9 @@ class ClosedLoop:
         compiled: bool = False,
         executed: int = 0,
         confirm_stop: bool = False,
+        labelled: bool = False,
     ) -> None:
-        self.env, self.settings = env, pupil.settings
+        self.env, self.settings, self.labelled = env, pupil.settings, labelled
         self.executed, self.confirm_stop = executed or self.settings.executed, confirm_stop
         missing = set(self.settings.sensors(pupil.template)) - {"pose"} - set(env.sensors)
         if missing:
@@ -170,7 +178,7 @@ class ClosedLoop:
             pupil.model, self.maker.table.layout, pupil.slots, self.settings.frame, env.num_envs,
             dtype=dtype, compiled=compiled,
         )  # fmt: skip
-        self.decisions = 0
+        self.decisions, self.counts = 0, LiveCounts()
 
     def play(
         self,
@@ -198,6 +206,7 @@ class ClosedLoop:
         wanted = list(range(len(self.env.tasks.episodes))) if episodes is None else list(episodes)
         texts = torch.from_numpy(choose_texts(self.env.episodes, control, seed)).to(self.device)
         count, walks = self.env.num_envs, []
+        self.counts = LiveCounts()
         for begin in range(0, len(wanted), count):
             some = wanted[begin : begin + count]
             filled = some + [some[-1]] * (count - len(some))  # who has none plays one for nobody
@@ -217,6 +226,7 @@ class ClosedLoop:
             "length": torch.zeros_like(distance), "steps": zeros.clone(),
             "forwards": zeros.clone(), "cut_short": zeros.clone(),
             "stopped": zeros.bool(),
+            **{name: zeros.clone() for name in ("agreed", "due", "stopped_right")},
         }  # fmt: skip
         last, hit, at = zeros - 1, zeros.bool(), zeros + self.executed
         plan = torch.zeros((count, self.actor.slots.form.actions), dtype=torch.int64).to(last)
@@ -234,6 +244,12 @@ class ClosedLoop:
                 at = torch.where(asked, 0, at)
                 self.decisions += real
             action = plan.gather(1, at[:, None])[:, 0]
+            if self.labelled:
+                expert = _take(env.labels(STOP_DISTANCE).actions)[:, 0]
+                stopped, due = ~done & (action == Action.STOP), ~done & (expert == Action.STOP)
+                book["agreed"] += ~done & (action == expert)
+                book["due"] += due
+                book["stopped_right"] += stopped & due
             at, steps = at + 1, steps + 1
             seen, _, terminated, _, infos = env.step(action.to(torch.uint8))
             final, ended = infos["final_info"], _take(infos["_final_info"]).bool()
@@ -260,10 +276,17 @@ class ClosedLoop:
             hit = cut & ~ended
         env.synchronize()
         found = {name: values.cpu().numpy() for name, values in book.items()}
-        return [
+        walks = [
             _score(env.tasks.episodes[numbers[k]], {n: v[k] for n, v in found.items()})
             for k in range(real)
         ]
+        if self.labelled:
+            sums = {name: int(found[name][:real].sum()) for name in set(COUNTED) & set(found)}
+            steps = int(found["steps"][:real].sum())
+            arrived = sum(walk.success for walk in walks)
+            sums |= {"steps": steps, "asked": steps, "ended": real, "arrived": arrived}
+            self.counts += LiveCounts(**sums)
+        return walks
 
     def _show(self, seen: Any, dark: bool) -> list[Tensor]:
         """Pictures of the prompt, in its order."""

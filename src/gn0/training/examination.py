@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import cached_property
 
 from gn0.device.device import Device
@@ -10,6 +11,7 @@ from gn0.policies.bae.actor import Actor
 from gn0.training.evaluation import ClosedLoop, score_states, summarise_walks
 from gn0.training.learner import Learner
 from gn0.training.pupil import Pupil
+from gn0.training.streams.live_counts import share_counts
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_live import StreamLive
@@ -101,7 +103,7 @@ class Examination:
         lessons = self._lessons
         agents = min(self.episodes, len(lessons.episodes))
         world = open_world(lessons, self.pupil.settings, agents, device=self.card)
-        return ClosedLoop(world, self.pupil, dtype=self._dtype)
+        return ClosedLoop(world, self.pupil, dtype=self._dtype, labelled=True)
 
     def _ask(self) -> dict[str, float]:
         maker, actor, states = self._states
@@ -124,4 +126,9 @@ class Examination:
         for kind, means in summarise_walks(loop.play(picked)).items():
             end = "" if kind == "all" else f"_{kind}"
             found |= {f"{name}{end}": value for name, value in means.items()}
-        return found
+        own = share_counts(asdict(loop.counts))
+        return found | {
+            "own_agreement": own["agreement"],
+            "own_stop_recall": own["walks_stop_recall"],
+            "own_stop_precision": own["walks_stop_precision"],
+        }

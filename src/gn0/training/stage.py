@@ -30,6 +30,9 @@ from gn0.training.tally import Tally
 
 Steps = Annotated[int, msgspec.Meta(ge=1)]
 Examine = Callable[[], Mapping[str, float]]
+Watch = Callable[[], Mapping[str, float]]
+SAID = {"agreement": "agrees", "walks_cut_short": "cut short", "walks_arrived": "arrives"}
+"""What a report may have of walks, and how the progress line calls it."""
 AUXILIARY = "distance."  # weights that are dropped when a policy is saved
 
 
@@ -148,8 +151,21 @@ class Stage:
             arrays=auxiliary,
         )
 
+    def begin(self, folder: RunFolder, found: Mapping[str, float]) -> None:
+        """Report what was measured before the first step, and save the state of step 0.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        folder.report(0, {"samples": 0.0, "seconds": 0.0, **found})
+        self.save(folder)
+
     def run(
-        self, folder: RunFolder, say: Callable[[str], None], examine: Examine | None = None
+        self,
+        folder: RunFolder,
+        say: Callable[[str], None],
+        examine: Examine | None = None,
+        watch: Watch | None = None,
     ) -> dict[str, float]:
         """Learn to the end of the plan; reports and checkpoints go to the folder.
 
@@ -157,6 +173,7 @@ class Stage:
             folder: of the run.
             say: is told how it goes, a line every few seconds.
             examine: what is measured from time to time, and at the end.
+            watch: what reports have besides, of the stream; called in all processes alike.
 
         Returns:
             what the last examination measured.
@@ -206,6 +223,7 @@ class Stage:
                 now = time.monotonic()
                 values["samples_per_second"] = (self.counters.samples - marked) / (now - mark)
                 values |= {"share_of_rate": share, "samples": self.counters.samples}
+                values |= watch() if watch is not None else {}
                 values["seconds"] = seconds
                 if looks and examine is not None:
                     guard.settle()
@@ -238,6 +256,7 @@ class Stage:
             {name: values[f"loss_{name}"] for name in GROUPS},
             values["first_taught"],
             values.get("waypoint_12_median"),
+            {word: values[name] for name, word in SAID.items() if name in values},
         )
 
     def _shorten(self, seconds: float) -> None:

@@ -19,13 +19,13 @@ class MetricsFile:
     Args:
         path: made where it is not there.
         step: of the state that is gone on from; lines of later steps, and one that was cut, are
-            cut off.
+            cut off. Below 0 all are: step 0 is before the first.
 
     Raises:
         StorageError: the system refuses, or the file is that of something else.
     """
 
-    def __init__(self, path: Path, step: int = 0) -> None:
+    def __init__(self, path: Path, step: int = -1) -> None:
         self.path = path
         self.last, end = _find_end(path, step)
         try:
@@ -82,7 +82,7 @@ def read_metrics(path: Path) -> list[dict[str, Any]]:
 
 def _find_end(path: Path, step: int) -> tuple[int, int]:
     """The last step that stays, and the byte behind its line."""
-    last = end = 0
+    last, end = -1, 0
     for found, size in _scan(path):
         if found["step"] > step:
             break

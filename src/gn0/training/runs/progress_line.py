@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 
 
@@ -19,6 +19,7 @@ class TrainingReport:
         groups: losses by group of slots.
         first: share of first actions that are right.
         waypoint: median error of the twelfth waypoint of free answers [m]; None: not measured.
+        walks: shares of what walks beside the learner came to, by word; NaN ones are not said.
     """
 
     step: int
@@ -28,6 +29,7 @@ class TrainingReport:
     groups: Mapping[str, float]
     first: float
     waypoint: float | None = None
+    walks: Mapping[str, float] = field(default_factory=dict)
 
 
 def format_report(report: TrainingReport, rate: float, left: float | None) -> str:
@@ -40,6 +42,7 @@ def format_report(report: TrainingReport, rate: float, left: float | None) -> st
     """
     steps = f"/{report.steps:,}" if report.steps else ""
     groups = " ".join(f"{name} {loss:.3f}" for name, loss in report.groups.items())
+    walks = [f"{word} {share:.0%}" for word, share in report.walks.items() if share == share]
     parts = [
         f"step {report.step:,}{steps}",
         f"{report.samples:,} samples",
@@ -47,6 +50,7 @@ def format_report(report: TrainingReport, rate: float, left: float | None) -> st
         f"loss {report.loss:.4f}" + (f" ({groups})" if groups else ""),
         f"first action {report.first:.1%}",
         "" if report.waypoint is None else f"12th waypoint {report.waypoint:.2f} m",
+        ", ".join(walks),
         "" if left is None else f"{format_seconds(left)} left",
     ]
     return " · ".join(part for part in parts if part)

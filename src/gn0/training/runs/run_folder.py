@@ -92,7 +92,7 @@ class RunFolder:
         self._record = record
         step = read_step(resumed) if resumed else 0
         write_json(folder / RUN, msgspec.to_builtins(record))  # first: by it a run is known
-        self._metrics = MetricsFile(folder / METRICS, step)
+        self._metrics = MetricsFile(folder / METRICS, step if resumed else -1)
         try:
             self._events = open_event_log(folder / EVENTS, step)
             self._log = (folder / LOG).open("a", encoding="utf-8")

@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 from gn0.errors import CheckpointError, ConfigError, FormatError
+from gn0.training.streams.live_counts import LiveCounts
 from gn0.training.streams.samples import LabelledStates, Stream
 
 
@@ -53,6 +54,15 @@ class StreamGrowing:
             self._enter(due)
         self.drawn += count
         return self._stream.draw(count)
+
+    def tell(self) -> LiveCounts:
+        """What the walks of these scenes came to since they joined or since it was last told.
+
+        All are 0 where nobody walks. Waits for the device.
+        """
+        tell = getattr(self._stream, "tell", LiveCounts)
+        found: LiveCounts = tell()
+        return found
 
     def _enter(self, part: int) -> None:
         del self._stream  # its maps and pictures make room on the device

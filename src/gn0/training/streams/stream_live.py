@@ -16,7 +16,6 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -30,6 +29,7 @@ from gn0.paper import FORWARD, STOP
 from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
+from gn0.training.streams.live_counts import COUNTED, LiveCounts
 from gn0.training.streams.samples import LabelledStates
 from gn0.training.streams.step_ring import StepRing
 
@@ -43,27 +43,6 @@ _BASE: tuple[tuple[str, DTypeLike, tuple[int, ...]], ...] = (
     ("last", np.int8, ()),
 )
 Driver = Callable[[LabelledStates], Tensor]
-
-
-@dataclass(frozen=True)
-class LiveCounts:
-    """What happened on the way, since the stream was made or `StreamLive.tell` reset it.
-
-    Attributes:
-        steps: of all agents.
-        asked: actions of the policy that might have been carried out.
-        agreed: of these, the same as the expert's.
-        forwards, cut_short: FORWARDs carried out, and those that hit something.
-        ended, arrived: episodes, and those that ended with STOP near the goal.
-    """
-
-    steps: int
-    asked: int
-    agreed: int
-    forwards: int
-    cut_short: int
-    ended: int
-    arrived: int
 
 
 class StreamLive:
@@ -88,6 +67,10 @@ class StreamLive:
             decision; 0 when None.
         stop_share: chance that a STOP which is not the expert's is carried out; else the expert's
             action is.
+        confirm: like `driver`, asked again about STOPs behind the first action of an answer before
+            they are carried out, [M] or [M, K] actions of M agents; None: nobody is.
+        confirmed: M, of which further ones at the same step follow the expert for that step; an
+            eighth of the agents when None.
         stop_distance: where labels say STOP [m].
         dark: share of samples whose mosaic is black.
 
@@ -106,6 +89,8 @@ class StreamLive:
         driver: Driver | None = None,
         beta: Callable[[int], float] | None = None,
         stop_share: float = 0.2,
+        confirm: Driver | None = None,
+        confirmed: int | None = None,
         stop_distance: float = STOP_DISTANCE,
         dark: float = 0.1,
     ) -> None:
@@ -124,12 +109,15 @@ class StreamLive:
         self.stop_share, self.stop_distance, self.dark = stop_share, stop_distance, dark
         self.drawn = 0
         count, self._device = env.num_envs, ring.device
+        self.confirm, self.confirmed = confirm, count_confirmed(count)
+        if confirmed is not None:
+            self.confirmed = confirmed
         self._last = torch.full((count,), -1, dtype=torch.int8, device=self._device)
         self._plan: Tensor | None = None  # of the policy [N, K], −1 where the expert drives
         self._at = 0  # in the plan
         self._log = torch.zeros((2 * ring.steps, count), dtype=torch.uint8, device=self._device)
         self._bases: list[tuple[int, dict[str, NDArray[Any]]]] = []
-        self._tally = torch.zeros(6, dtype=torch.int64, device=self._device)
+        self._tally = torch.zeros(len(COUNTED) - 1, dtype=torch.int64, device=self._device)
         self._steps = 0
         self._mute()
         self._views = "rgb" in env.sensors
@@ -179,14 +167,17 @@ class StreamLive:
             self._decide()
         if self._plan is None:
             return expert.to(torch.uint8)
+        if self.confirm is not None and self._at:
+            self._ask_again()
         said = self._plan[:, self._at]
         self._at += 1
         asked = said >= 0
         stops = random_stream(self.seed, "live stops", self.ring.count).random(len(said))
         kept = self.ring._send(stops < self.stop_share)
         vetoed = (said == STOP) & (expert != STOP) & ~kept
-        self._tally[0] += asked.sum()
-        self._tally[1] += (asked & (said == expert)).sum()
+        due, stopped = asked & (expert == STOP), said == STOP
+        self._count("asked", asked, asked & (said == expert))
+        self._count("due", due, stopped, due & stopped)
         return torch.where(asked & ~vetoed, said, expert).to(torch.uint8)
 
     def _decide(self) -> None:
@@ -195,19 +186,33 @@ class StreamLive:
         beta = 0.0 if self.beta is None else self.beta(self.drawn)
         if self.driver is None or beta >= 1:
             return
-        with torch.no_grad():
-            plan = self.driver(self.ring.latest()).to(torch.int8)
-        plan = plan[:, None] if plan.ndim == 1 else plan
-        if plan.ndim != 2 or len(plan) != self.env.num_envs or not plan.shape[1]:
-            raise SimError(
-                f"the policy gave actions {tuple(plan.shape)}",
-                remedy=f"give [{self.env.num_envs}] or [{self.env.num_envs}, K] actions",
-            )
+        plan = _ask(self.driver, self.ring.latest())
         if beta > 0:
             coins = random_stream(self.seed, "live drivers", self.ring.count)
             expert = self.ring._send(coins.random(len(plan)) < beta)
             plan = plan.masked_fill(expert[:, None], -1)
         self._plan = plan.clone()
+
+    def _ask_again(self) -> None:
+        """Ask anew who is about to stop by an answer of steps ago; waits for nothing."""
+        assert self._plan is not None and self.confirm is not None
+        plan, at = self._plan, self._at
+        wanted = plan[:, at] == STOP
+        rows = torch.argsort(wanted.to(torch.int8), descending=True, stable=True)[: self.confirmed]
+        answers = _ask(self.confirm, self.ring.latest().pick(rows))
+        left = min(plan.shape[1] - at, answers.shape[1])
+        chosen, own = wanted[rows], plan[rows]
+        own[:, at : at + left] = torch.where(
+            chosen[:, None], answers[:, :left], own[:, at : at + left]
+        )
+        without_room = wanted.index_fill(0, rows, False)
+        plan[:, at].masked_fill_(without_room, -1)
+        plan[rows] = own
+
+    def _count(self, name: str, *masks: Tensor) -> None:
+        """Add to a count and those behind it."""
+        at = COUNTED.index(name) - 1
+        self._tally[at : at + len(masks)] += torch.stack([mask.sum() for mask in masks])
 
     def _move(self, actions: Tensor) -> None:
         """All take a step; `ring.count` counts it already."""
@@ -221,8 +226,7 @@ class StreamLive:
         hit = torch.from_dlpack(seen["collided"]).bool()
         hit = torch.where(ended, torch.from_dlpack(infos["final_obs"]["collided"]).bool(), hit)
         arrived = torch.from_dlpack(infos["final_info"]["success"])
-        found = (forward, forward & hit, ended, ended & arrived)
-        self._tally[2:] += torch.stack([mask.sum() for mask in found])
+        self._count("forwards", forward, forward & hit, ended, ended & arrived)
         self._steps += 1
 
     def tell(self, *, reset: bool = True) -> LiveCounts:
@@ -277,6 +281,7 @@ class StreamLive:
             "actions": pack_array(pack_actions(log), np.uint8),
             "plan": None if plan is None else pack_array(plan, np.int8),
             "at": self._at,
+            "told": [self._steps, *self._tally.tolist()],
         }
 
     def _base_of(self, count: int) -> tuple[int, dict[str, NDArray[Any]]]:
@@ -310,6 +315,9 @@ class StreamLive:
                 if state["there"]
             }
             plan, at, drawn = state["plan"], int(state["at"]), int(state["drawn"])
+            steps, *told = map(int, state.get("told", [0] * len(COUNTED)))  # older ones have none
+            if len(told) != len(COUNTED) - 1:
+                raise ValueError(f"{len(told)} counts")
             later = None
             if plan is not None:
                 later = unpack_array(plan, np.int8, None).reshape(env.num_envs, -1)
@@ -335,9 +343,8 @@ class StreamLive:
             self._last.copy_(torch.from_numpy(there["last"].copy()))
         self._again(log, count)
         self._plan = None if later is None else torch.from_numpy(later.copy()).to(self._device)
-        self._at, self.drawn = at, drawn
-        self._tally.zero_()
-        self._steps = 0
+        self._at, self.drawn, self._steps = at, drawn, steps
+        self._tally.copy_(torch.tensor(told))
 
     def _again(self, log: NDArray[np.uint8], count: int) -> None:
         """Take steps anew; pictures are drawn of those that the ring is to hold."""
@@ -356,6 +363,24 @@ class StreamLive:
             else:
                 self._look()
             self._move(actions)
+
+
+def count_confirmed(agents: int) -> int:
+    """How many of so many agents are asked again about a STOP at once, at most."""
+    return max(1, agents // 8)
+
+
+def _ask(driver: Driver, states: LabelledStates) -> Tensor:
+    """A policy's actions int8 [N, K]."""
+    with torch.no_grad():
+        plan = driver(states).to(torch.int8)
+    plan = plan[:, None] if plan.ndim == 1 else plan
+    if plan.ndim != 2 or len(plan) != len(states) or not plan.shape[1]:
+        raise SimError(
+            f"the policy gave actions {tuple(plan.shape)}",
+            remedy=f"give [{len(states)}] or [{len(states)}, K] actions",
+        )
+    return plan
 
 
 def check_stream(device: torch.device) -> None:

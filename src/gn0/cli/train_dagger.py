@@ -1,0 +1,318 @@
+"""Let a trained policy walk, and teach it what the expert would do where it gets to: DAgger.
+
+By default as in the paper: the policy of --start gathers --states once, and then goes on from its
+weights over --epochs of them. With --live, a stage of its own, the policy in training walks all the
+time and learns from where it gets to now; the expert drives at first. What was stopped goes on when
+the same command is given again, in mid-collection, too. The trained policy is in OUT/policy, and
+`gn0 bench run SUITE --policy bae --policy-option checkpoint=OUT/policy` examines it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+from gn0.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gn0.training.dagger import DaggerJob
+    from gn0.training.dagger_live import DaggerLiveJob
+
+EXAMPLES = """  gn0 train dagger out/suite --start out/sft/policy --out out/dagger
+  gn0 train dagger out/suite --start out/sft/policy --driver expert --out out/longer
+  gn0 train dagger out/suite --start out/sft/policy --beta 0.5 --stop-share 1 --out out/half
+  gn0 train dagger out/collected --source dataset --start out/sft-4b/policy --recipe pretrained \\
+      --out out/dagger-4b
+  gn0 train dagger out/suite --live --start out/sft/policy --samples 1500000 --beta-from 0 \\
+      --beta-to 500000 --out out/live
+  gn0 train dagger out/suite --live --pictures near,far --samples 50000000 --out out/from-nothing
+  gn0 train dagger out/suite --start out/sft/policy --states 4000 --agents 16 --device host \\
+      --out out/tried"""
+
+
+class Args(Config, frozen=True):
+    """What to walk in, who walks, and how to learn.
+
+    Attributes:
+        suite: suite folders, as `gn0 missions generate` writes; a dataset's with --source dataset.
+        out: the folder of the run; an interrupted one there goes on.
+        start: folder of the policy to go on from, such as out/sft/policy; may be left out with
+            --live, which then begins with random weights.
+        live: gather states while learning, with the policy in training: stage dagger_live.
+        source: where states come from: walks of agents in the suites, or a dataset that
+            `gn0 data dagger` collected (not with --live).
+        states: to gather, rounded up to whole batches; 300,000, or the paper's 284,000 for
+            pretrained (not with --live).
+        epochs: over all states, by default 5 (not with --live).
+        driver: who walks: the policy, or the expert, which is the control: as many samples of its
+            own walks (not with --live).
+        beta: chance that the expert drives an agent until the next decision, by default 0 (not with
+            --live).
+        samples: to learn from (--live; by default 8,000,000).
+        minutes: of training at most; the rate falls in time for it (--live).
+        beta_from: samples up to which the expert drives all agents (--live; by default 250,000).
+        beta_to: samples from which the policy does, beta falling in between (--live; by default
+            2,500,000).
+        acts: with which weights the policy walks: current, or averaged (--live).
+        confirm_stop: ask again about a STOP behind the first action of an answer (--live).
+        joins: samples drawn when each suite joins, with commas between; a suite that is not there
+            yet is waited for (--live).
+        kept: states that batches are drawn from (--live; by default 200,000).
+        ratio: new states a sample (--live; by default 0.5).
+        size: of a model from random weights: nano or tiny (--live without --start, as all below
+            down to --preset).
+        prompt: a prompt of `gn0 list prompts`, or the path of one; by default short.
+        pictures: what the prompt shows, with commas between; by default near,far.
+        without: parts of the prompt that are left out, with commas between.
+        points: waypoints of an answer; by default 13.
+        layout: of answers: compact or json.
+        preset: of the cameras, as in `gn0 list presets`.
+        executed: actions of an answer that are carried out; 0 for what the policy's settings say.
+        stop_share: chance that a wrong STOP ends the episode; else the expert's action is carried
+            out.
+        exam: the suite to be examined in; the first by default.
+        text_length: tokens of instructions, where suites that join may have longer ones than the
+            first; still longer ones are left out.
+        split: splits of the suite to learn from, with commas between; all for all.
+        held_out: splits to be examined in, with commas between; empty for none.
+        recipe: how it learns: scratch, a tenth of SFT's rate with --start and else all of it;
+            pretrained, the paper's.
+        batch: samples of a step; the recipe's when 0.
+        rate: the learning rate; the recipe's when 0.
+        stop_weight: of an answer's first STOP; the recipe's when 0.
+        agents: that walk side by side.
+        jitter: vary colour and light of the camera's pictures.
+        workers: processes that read a dataset.
+        examined: episodes of an examination.
+        asked: states of an examination.
+        report: steps from report to report.
+        save: steps from checkpoint to checkpoint; 0 for one at the end.
+        examine: steps from examination to examination; 0 for one before the first and one at the
+            end.
+        shard_mb: megabytes of a checkpoint's file at most.
+        drop_optimiser: leave the optimiser's states out of checkpoints.
+        seed: of weights, states and order.
+        device: auto, cuda, or host (the emulation: slow, for trials).
+        fresh: forget what an earlier command left in the output folder, instead of going on.
+    """
+
+    suite: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
+        msgspec.Meta(min_length=1),
+    ]
+    out: str
+    start: str = ""
+    live: bool = False
+    source: Literal["walks", "dataset"] | None = None
+    states: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    epochs: Annotated[int, msgspec.Meta(ge=1, le=1000)] | None = None
+    driver: Literal["policy", "expert"] | None = None
+    beta: Annotated[float, msgspec.Meta(ge=0, le=1)] | None = None
+    samples: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    minutes: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    beta_from: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    beta_to: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    acts: Literal["current", "averaged"] | None = None
+    confirm_stop: bool = False
+    joins: str | None = None
+    kept: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] | None = None
+    size: str | None = None
+    prompt: str | None = None
+    pictures: str | None = None
+    without: str | None = None
+    points: Annotated[int, msgspec.Meta(ge=0, le=64)] | None = None
+    layout: Literal["compact", "json"] | None = None
+    preset: str | None = None
+    executed: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
+    stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
+    exam: str = ""
+    text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
+    split: str = "train"
+    held_out: str = "val_unseen"
+    recipe: Literal["scratch", "pretrained"] = "scratch"
+    batch: Annotated[int, msgspec.Meta(ge=0)] = 0
+    rate: Annotated[float, msgspec.Meta(ge=0)] = 0
+    stop_weight: Annotated[float, msgspec.Meta(ge=0)] = 0
+    agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
+    jitter: bool = False
+    workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
+    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
+    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096
+    report: Annotated[int, msgspec.Meta(ge=1)] = 50
+    save: Annotated[int, msgspec.Meta(ge=0)] = 1000
+    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
+    shard_mb: Annotated[int, msgspec.Meta(ge=1)] = 2000
+    drop_optimiser: bool = False
+    seed: int = 0
+    device: str = "auto"
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
+
+
+ONCE = ("source", "states", "epochs", "driver", "beta")
+LIVE = (
+    "samples", "minutes", "beta_from", "beta_to", "acts", "confirm_stop", "joins", "kept", "ratio",
+)  # fmt: skip
+ANEW = ("size", "prompt", "pictures", "without", "points", "layout", "preset")
+
+
+def run(args: Args) -> int:
+    """Gather states and learn, and say where the policy lies."""
+    import os
+    import sys
+
+    from gn0.cli.train_packages import check_packages
+    from gn0.config import check_config
+    from gn0.data.dataset import open_dataset
+    from gn0.policies.bae.policy_settings import load_policy_settings
+    from gn0.suites.suite import load_suite
+
+    _check_flags(args)
+    # what is learned from is looked at first: packages are of no help against a broken folder
+    first = args.suite[0]
+    open_dataset(first) if args.source == "dataset" else load_suite(first)
+    if args.start:
+        load_policy_settings(args.start)
+    check_packages()
+    from gn0.training.dagger import train_dagger
+    from gn0.training.dagger_live import train_dagger_live
+
+    options: dict[str, Any] = {
+        "device": args.device, "fresh": args.fresh, "command": sys.argv[1:],
+    }  # fmt: skip
+    if args.live:
+        policy = train_dagger_live(check_config(_read_live(args)), args.out, **options)
+    else:
+        policy = train_dagger(check_config(_read_once(args)), args.out, **options)
+    if os.environ.get("RANK", "0") != "0":  # one of several processes; the first one speaks
+        return 0
+    print(f"written to {policy}")
+    print(
+        f"next: gn0 bench run {args.exam or first} --policy bae --policy-option checkpoint={policy}"
+    )
+    return 0
+
+
+def _check_flags(args: Args) -> None:
+    """Refuse flags of the other stage."""
+    if args.live:
+        _refuse(args, ONCE, "--live", "leave it out, or leave out --live")
+        if args.start:
+            _refuse(args, ANEW, "--start", "the policy has its own; leave it out")
+        return
+    _refuse(args, (*LIVE, *ANEW), "states that are gathered once", "leave it out, or give --live")
+    if not args.start:
+        raise ConfigError(
+            "nobody to walk: no policy to go on from",
+            where="--start",
+            remedy="give the policy of an earlier stage, such as out/sft/policy; "
+            "--live begins with random weights",
+        )
+    if args.source == "dataset":
+        walked = ("states", "driver", "beta")
+        _refuse(args, walked, "--source dataset", "the dataset has its states; leave it out")
+
+
+def _refuse(args: Args, names: Sequence[str], beside: str, remedy: str) -> None:
+    for name in names:
+        value = getattr(args, name)
+        if value is not None and value is not False:
+            flag = f"--{name.replace('_', '-')}"
+            raise ConfigError(f"{flag} beside {beside}", where=flag, remedy=remedy)
+
+
+def _read_once(args: Args) -> DaggerJob:
+    from gn0.training.dagger import DAGGER_RECIPES, STATES, DaggerJob
+
+    return DaggerJob(
+        **_read_both(args, DAGGER_RECIPES[args.recipe]),
+        **_given(args, ("source", "epochs", "driver", "beta")),
+        states=args.states or STATES[args.recipe],
+    )
+
+
+def _read_live(args: Args) -> DaggerLiveJob:
+    from gn0.data.answer_form import AnswerForm
+    from gn0.policies.bae.policy_settings import PolicySettings
+    from gn0.training.dagger import DAGGER_RECIPES
+    from gn0.training.dagger_live import DaggerLiveJob
+    from gn0.training.recipe import RECIPES
+
+    settings = None
+    if not args.start:
+        settings = PolicySettings(
+            prompt=args.prompt or "short",
+            pictures=_split("near,far" if args.pictures is None else args.pictures),
+            form=AnswerForm(
+                points=13 if args.points is None else args.points, layout=args.layout or "compact"
+            ),
+            without=_split(args.without or ""),
+            preset=args.preset or "tiny_128",
+        )
+    recipes = DAGGER_RECIPES if args.start else RECIPES
+    names = ("size", "kept", "ratio", "acts", "beta_from", "beta_to")
+    return DaggerLiveJob(
+        **_read_both(args, recipes[args.recipe]),
+        **_given(args, names),
+        joins=_read_numbers(args.joins or "0"),
+        settings=settings,
+        confirm_stop=args.confirm_stop,
+    )
+
+
+def _given(args: Args, names: Sequence[str]) -> dict[str, Any]:
+    found = {name: getattr(args, name) for name in names}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _read_both(args: Args, recipe: Any) -> dict[str, Any]:
+    """What both stages are told."""
+    from gn0.training.stage import StagePlan
+
+    given = {"batch": args.batch, "rate": args.rate, "stop_weight": args.stop_weight}
+    chosen = {name: value for name, value in given.items() if value}
+    if args.rate and recipe.vision_rate is not None:
+        chosen["vision_rate"] = args.rate  # one rate for the whole model
+    return {
+        "suites": args.suite,
+        "start": args.start,
+        "exam": args.exam,
+        "text_length": args.text_length,
+        "splits": () if args.split == "all" else _split(args.split),
+        "held_out": _split(args.held_out),
+        "recipe": msgspec.structs.replace(recipe, **chosen),
+        "plan": StagePlan(
+            samples=args.samples or StagePlan().samples,
+            minutes=args.minutes,
+            report=args.report,
+            save=args.save,
+            examine=args.examine,
+            shard_mb=args.shard_mb,
+            keep_optimiser=not args.drop_optimiser,
+        ),
+        **{
+            name: getattr(args, name)
+            for name in (
+                "executed", "stop_share", "agents", "jitter", "workers", "examined", "asked", "seed"
+            )
+        },
+    }  # fmt: skip
+
+
+def _split(text: str) -> tuple[str, ...]:
+    return tuple(one.strip() for one in text.split(",") if one.strip())
+
+
+def _read_numbers(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(one) for one in _split(text))
+    except ValueError:
+        raise ConfigError(
+            f"not whole numbers: {text!r}", where="--joins", remedy="give 0,500000 or the like"
+        ) from None

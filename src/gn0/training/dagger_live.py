@@ -1,0 +1,185 @@
+"""DAgger at scale: the policy in training drives the agents whose states it learns from.
+
+    suites ─ agents, driven by the policy or, less and less, by the expert ─ ring ─ loss ─ AdamW
+       ╰──────────────── the same model, one step further ────────────────╯
+
+The ring of states is refilled while the model learns, so what it learns from is where it gets to
+now. The paper collects once (`dagger.py`); this stage has a name of its own, and neither goes on
+from a state of the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from gn0.device.device import Device
+from gn0.errors import ConfigError
+from gn0.missions.controls import CONTROL_TEXT
+from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.sim.history import LENGTH as MOSAIC
+from gn0.training.dagger import begin_examined, compare_entropy, load_start
+from gn0.training.imitation import Imitation, ImitationJob, open_imitation
+from gn0.training.learner import Learner, open_learner
+from gn0.training.policy_driver import open_driver
+from gn0.training.pupil import Pupil, build_pupil
+from gn0.training.stage import Stage
+from gn0.training.streams.live_counts import share_counts
+from gn0.training.streams.samples import Stream
+from gn0.training.streams.step_ring import StepRing
+from gn0.training.streams.stream_growing import StreamGrowing
+from gn0.training.streams.stream_live import StreamLive, count_confirmed
+from gn0.training.worlds import Lessons, list_squares, load_lessons, open_world
+
+Samples = Annotated[int, msgspec.Meta(ge=0)]
+
+
+class DaggerLiveJob(ImitationJob, frozen=True, kw_only=True):
+    """What is learned from states that the policy in training visits; see `ImitationJob`.
+
+    Attributes:
+        stage: its name.
+        start: folder of a policy to go on from; a model of random weights when empty, of
+        size: its size, and
+        settings: what it is shown and asked; of the policy that goes on when None.
+        kept: states that batches are drawn from.
+        ratio: new states a sample.
+        executed: actions of an answer that are carried out; 0: as the settings say.
+        acts: with the weights as they are now, or with the averaged ones.
+        beta_from, beta_to: samples at which the expert, who drives all agents at first, begins to
+            give them up, and at which the policy drives all.
+        stop_share: chance that a wrong STOP is carried out; else the expert's action is.
+        confirm_stop: a STOP behind the first action of an answer is asked again.
+    """
+
+    stage: Literal["dagger_live"] = "dagger_live"
+    start: str = ""
+    size: str = "tiny"
+    settings: PolicySettings | None = None
+    kept: Annotated[int, msgspec.Meta(ge=1)] = 200_000
+    ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
+    executed: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
+    acts: Literal["current", "averaged"] = "current"
+    beta_from: Samples = 250_000
+    beta_to: Samples = 2_500_000
+    stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
+    confirm_stop: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.beta_to < self.beta_from:
+            raise ConfigError(
+                f"beta falls from {self.beta_from} to {self.beta_to} samples",
+                where="beta_to",
+                remedy="give as many as beta_from, or more",
+            )
+        if bool(self.start) == (self.settings is not None):
+            raise ConfigError(
+                "a policy goes on with its own settings, and random weights need some",
+                where="settings",
+                remedy="give either `start` or `settings`",
+            )
+
+    def beta(self, samples: int) -> float:
+        """Chance that the expert drives an agent, after so many samples of all processes."""
+        if samples < self.beta_from:
+            return 1.0
+        if samples >= self.beta_to:
+            return 0.0
+        return (self.beta_to - samples) / (self.beta_to - self.beta_from)
+
+
+def train_dagger_live(
+    job: DaggerLiveJob,
+    out: Path | str,
+    *,
+    device: Device | str = "auto",
+    fresh: bool = False,
+    command: Sequence[str] = (),
+    say: Callable[[str], None] = print,
+) -> Path:
+    """Walk and learn, or go on where an earlier call stopped.
+
+    Args:
+        job: what is trained, on what and how.
+        out: the folder of the run.
+        device: a card; or `host`, the emulation, where the model learns on the CPU.
+        fresh: forget what an earlier call left there.
+        command: words of the command line, for `run.json`.
+        say: is told how it goes.
+
+    Returns:
+        OUT/policy, as `gn0 bench run --policy bae` loads it.
+
+    Raises:
+        ConfigError, CheckpointError: the job makes no sense, or a policy or state is damaged.
+        TrainingError: a loss is not finite, or the folder holds another run.
+        DeviceError, DeviceMemoryError, StorageError: see their texts.
+    """
+    with open_imitation(
+        job, job.stage, out, device=device, fresh=fresh, command=command, say=say,
+        hash_corpus=lambda: load_lessons(job.lots[0], job.splits).hash,
+    ) as run:  # fmt: skip
+        if run.finished is not None:
+            return run.policy
+        pupil = run.open_pupil(lambda: _make_pupil(job, run))
+        table = pupil.table([CONTROL_TEXT])  # laid out as those of all episodes
+        learner = open_learner(pupil, table, job.recipe, processes=run.processes)
+        walks = _open_walks(job, pupil, learner, run)
+        stream = run.jitter(walks)
+        maker = pupil.maker(stream.texts, run.where)
+        stage = Stage(pupil, learner, stream, maker, job.plan, run.recipe, run.corpus)
+        run.restore(stage)
+        examine = run.open_examination(pupil, learner)
+        if run.state is None:
+            begin_examined(stage, run, examine, {})
+
+        def watch() -> dict[str, float]:
+            counts = run.processes.mean(asdict(walks.tell()), run.where)
+            return {**share_counts(counts), "beta": job.beta(walks.drawn * run.processes.count)}
+
+        found = stage.run(run.folder, run.say, examine, watch)
+        return run.finish(stage, compare_entropy(run, found))
+
+
+def _make_pupil(job: DaggerLiveJob, run: Imitation) -> Pupil:
+    if job.start:
+        return load_start(job.start, run.load_texts())
+    assert job.settings is not None  # checked by the job
+    return build_pupil(job.size, job.settings, run.load_texts(), seed=job.seed)
+
+
+def _open_walks(
+    job: DaggerLiveJob, pupil: Pupil, learner: Learner, run: Imitation
+) -> StreamGrowing:
+    """Agents that the model drives as it is when they decide; joined by scenes, by the same one."""
+    processes = run.processes
+    batch, dtype = processes.share(job.recipe.batch), learner.autocast
+    weights = learner.averaged_weights if job.acts == "averaged" else nullcontext
+    driver = open_driver(pupil, job.agents, executed=job.executed, dtype=dtype, weights=weights)
+    again = None
+    if job.confirm_stop:
+        many = count_confirmed(job.agents)
+        again = open_driver(pupil, many, executed=job.executed, dtype=dtype, weights=weights)
+
+    def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
+        world = open_world(lessons, pupil.settings, job.agents, device=run.card or "auto")
+        texts = [episode.mission.instruction for episode in world.episodes]
+        maker = pupil.maker(texts, run.where)
+        steps = max(MOSAIC + 1, -(-job.kept // job.agents))
+        ring = StepRing(world, steps, names=list_squares(pupil.settings))
+        join = job.joins[number] if number else 0
+        begun = -(-(join // processes.count) // batch) * batch  # a batch's first sample
+        return StreamLive(
+            world, ring, seed=seed, ratio=job.ratio, driver=driver.enter(maker),
+            beta=lambda drawn: job.beta((begun + drawn) * processes.count),
+            stop_share=job.stop_share, confirm=None if again is None else again.enter(maker),
+            dark=job.recipe.blackout,
+        )  # fmt: skip
+
+    return run.open_growing(pupil, open_part)

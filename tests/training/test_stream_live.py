@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict, astuple
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ from gn0.sim.ego_map import read_map_view
 
 torch = pytest.importorskip("torch")
 live = pytest.importorskip("gn0.training.streams.stream_live")
-from gn0.training.streams.step_ring import StepRing  # noqa: E402 (needs torch)
+from gn0.training.streams.live_counts import LiveCounts, share_counts  # noqa: E402 (needs torch)
+from gn0.training.streams.step_ring import StepRing  # noqa: E402
 
 FIELDS = ("episode", "pose", "last", "collided", "actions", "waypoints", "distance")
 
@@ -169,6 +171,57 @@ def test_agents_that_begin_in_mid_plan_follow_the_expert(make_env) -> None:
             elif kept["step"][step, agent] and kept["step"][step, agent] <= since:
                 assert kept["last"][step, agent] == kept["actions"][step - 1, agent, 0]
     assert turns > 20
+
+
+def test_a_stop_of_steps_ago_is_asked_again(make_env) -> None:
+    """The answer is LEFT, STOP, STOP, and RIGHT when it is asked again."""
+    settings = {"seed": 0, "fill": 9, "stop_share": 1.0}
+
+    def open_live(confirmed: int | None) -> tuple[live.StreamLive, list[int]]:
+        env, asked = make_env(4, ("ego_map",), max_steps=500), []
+        first = lambda states: torch.tensor([[2, 0, 0]]).repeat(len(states), 1)  # noqa: E731
+
+        def again(states):
+            asked.append(len(states))
+            return torch.tensor([[3, 3, 2]]).repeat(len(states), 1)
+
+        ring = StepRing(env, 20)
+        return live.StreamLive(env, ring, driver=first, confirm=again, confirmed=confirmed,
+                               **settings), asked  # fmt: skip
+
+    stream, asked = open_live(4)
+    stream.draw(1)
+    assert asked == [4] * 6  # at each step but the first of an answer: the host does not look
+    assert stream._log[:9].tolist() == [[code] * 4 for code in (2, 3, 3) * 3]
+    assert stream.tell().ended == 0
+    stream, asked = open_live(1)
+    stream.draw(1)
+    assert set(asked) == {1}
+    expert = stream.ring["actions"][:9, :, 0]
+    log = stream._log[:9].to(torch.int8)
+    for step in range(9):  # one at a time is asked again, the others follow the expert
+        mine = [code for code in log[step].tolist() if code == (2, 3, 3)[step % 3]]
+        assert len(mine) >= 1
+    assert torch.equal(log[1, 1:], expert[1, 1:])
+
+
+def test_stops_of_the_policy_are_held_against_the_experts(make_env) -> None:
+    """A policy that always stops finds all that are due; its precision is their share."""
+    env = make_env(4, ("ego_map",), max_steps=500)
+    stops = lambda states: torch.zeros(len(states), dtype=torch.long)  # noqa: E731
+    stream = live.StreamLive(env, StepRing(env, 40), seed=0, driver=stops, stop_share=0.0, fill=40)
+    stream.draw(1)
+    due = int((stream.ring["actions"][:40, :, 0] == 0).sum())
+    counts = stream.tell(reset=False)
+    assert counts.due == counts.stopped_right == counts.agreed == due > 0
+    assert counts.stopped == counts.asked == 160
+    shares = share_counts(asdict(counts))
+    assert shares["walks_stop_recall"] == 1 and shares["walks_stop_precision"] == due / 160
+    assert shares["driven"] == 1 and shares["agreement"] == due / 160
+    assert counts + counts == LiveCounts(*(2 * one for one in astuple(counts)))
+    other = live.StreamLive(env, StepRing(env, 40), seed=0, driver=stops, stop_share=0.0, fill=40)
+    other.restore(json.loads(json.dumps(stream.state())))
+    assert other.tell() == counts  # and the counts go on, too
 
 
 def test_what_does_not_fit_is_refused(make_env) -> None:

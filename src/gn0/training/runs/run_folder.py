@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import math
 import shutil
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -156,13 +157,17 @@ class RunFolder:
     def finish(self, step: int, results: Mapping[str, Any] | None = None) -> None:
         """Write down that the run is done, and what came out; after its last state is saved.
 
+        What is no number (NaN, infinite) is written as null.
+
         Raises:
             StorageError: the disk is full or refuses.
         """
         self._metrics.sync()
-        self._record = msgspec.structs.replace(
-            self._record, finished=step, results=dict(results or {})
-        )
+        plain = {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in (results or {}).items()
+        }
+        self._record = msgspec.structs.replace(self._record, finished=step, results=plain)
         write_json(self.folder / RUN, msgspec.to_builtins(self._record))
         self.log(f"finished at step {step}")
 

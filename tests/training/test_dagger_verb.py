@@ -1,0 +1,223 @@
+"""`gn0 train dagger`: two stages that go on where they were stopped, and are never mixed up."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gn0.cli.main import main
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.goal import sample_goal_episodes
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import load_scene, save_scene
+from gn0.suites.suite import save_suite
+
+pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+from gn0.data.answer_form import AnswerForm
+from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.sim.ego_map import EgoSquare, MapView
+from gn0.training.pupil import build_pupil
+from gn0.training.streams.step_ring import StepRing
+from gn0.training.worlds import load_lessons
+
+# python -c: a collection that is killed once so many steps are there
+KILLED = """
+import os, signal, sys
+from gn0.training.streams.stream_live import StreamLive
+plain = StreamLive.step
+def step(self):
+    if self.ring.count == int(sys.argv[1]):
+        os.kill(os.getpid(), signal.SIGKILL)
+    plain(self)
+StreamLive.step = step
+from gn0.cli.main import main
+main(sys.argv[2:])
+"""
+
+
+def _make_suite(root: Path, name: str, seed: int) -> Path:
+    save_scene(replace(build_example_scene(), id=name), root / name)
+    scene = load_scene(root / name)
+    episodes = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 6, seed)
+    return save_suite(root / f"suite-{name}", [scene], episodes, name=name, max_steps=12).folder
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory) -> Path:
+    return _make_suite(tmp_path_factory.mktemp("suite"), "flat", 0)
+
+
+@pytest.fixture(scope="module")
+def start(suite, tmp_path_factory) -> Path:
+    """A policy of random weights with small pictures."""
+    view = MapView(squares=(EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
+    form = AnswerForm(layout="compact")
+    settings = PolicySettings(prompt="short", pictures=("near", "far"), form=form, view=view)
+    folder = tmp_path_factory.mktemp("start") / "policy"
+    build_pupil("nano", settings, load_lessons(suite).texts).save(folder)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _emulated(own_cache, monkeypatch) -> None:
+    if not shutil.which("g++"):
+        pytest.skip("the host emulation needs g++")
+    monkeypatch.setenv("GN0_CACHE", str(own_cache))
+
+
+def _words(suites: tuple[Path, ...] | Path, out: Path, *more: object) -> list[str]:
+    listed = suites if isinstance(suites, tuple) else (suites,)
+    return [
+        "train", "dagger", *map(str, listed), "--split", "all", "--held-out", "", "--batch", "4",
+        "--report", "1", "--save", "2", "--device", "host", "--out", str(out), *map(str, more),
+    ]  # fmt: skip
+
+
+def _read(folder: Path) -> list[dict]:
+    """Lines of metrics without what the clock says."""
+    lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    clock = ("seconds", "samples_per_second")
+    return [{k: v for k, v in line.items() if k not in clock} for line in lines]
+
+
+def _forget(run: Path, step: int) -> None:
+    """As if the run had been killed after the state of a step."""
+    for state in (run / "checkpoints").iterdir():
+        if int(state.name.removeprefix("step-")) > step:
+            shutil.rmtree(state)
+    shutil.rmtree(run / "policy")
+
+
+def _same(one: Path, other: Path) -> None:
+    for name in ("model.safetensors", "tokenizer.json", "policy.json"):
+        assert (one / "policy" / name).read_bytes() == (other / "policy" / name).read_bytes()
+    assert _read(one) == _read(other)
+
+
+@pytest.mark.slow
+def test_dagger_goes_on_in_mid_collection_and_in_mid_epoch(
+    suite, start, tmp_path, capsys, monkeypatch
+) -> None:
+    """Twenty states of one agent, killed after 18 of them; two epochs, stopped in the first."""
+    own = ["--start", start, "--states", 19, "--epochs", 2, "--agents", 1]
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    drawn: list[int] = []
+    plain = StepRing.draw
+
+    def draw(self, numbers, dark=None, **options):
+        if not options:
+            drawn.extend(numbers.tolist())
+        return plain(self, numbers, dark, **options)
+
+    monkeypatch.setattr(StepRing, "draw", draw)
+    assert main(_words(suite, whole, *own)) == 0
+    told = capsys.readouterr().out
+    assert "collecting: step 16 of 20" in told and "collected 20 states of the policy's" in told
+    assert Counter(drawn) == dict.fromkeys(range(20), 2)
+    assert Counter(drawn[:20]) == dict.fromkeys(range(20), 1)
+    first, *others = _read(whole)
+    assert first["step"] == 0 and first["driven"] > 0.5 and first["collected"] == 20
+    assert [line["samples"] for line in others] == list(range(4, 41, 4))
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, "18", *_words(suite, parts, *own)],
+        env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, timeout=300,
+    )  # fmt: skip
+    assert killed.returncode == -9, killed.stderr
+    assert not list((parts / "checkpoints").glob("*")) and (parts / "walks.json").is_file()
+    capsys.readouterr()
+    assert main(_words(suite, parts, *own)) == 0
+    assert "goes on collecting at step 16 of 20" in capsys.readouterr().out
+    assert not (parts / "walks.json").exists()
+    _same(whole, parts)
+    _forget(parts, 8)
+    assert main(_words(suite, parts, *own)) == 0
+    _same(whole, parts)
+    record = json.loads((parts / "run.json").read_text())
+    assert record["stage"] == record["recipe"]["stage"] == "dagger"
+    assert main(_words(suite, parts, *own, "--driver", "expert")) == 2
+    assert "driver was 'policy', is 'expert'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_control_has_as_many_samples_of_the_experts_walks(suite, start, tmp_path) -> None:
+    own = ["--start", start, "--states", 16, "--epochs", 2, "--agents", 4]
+    mine, theirs = tmp_path / "mine", tmp_path / "theirs"
+    assert main(_words(suite, mine, *own)) == 0
+    assert main(_words(suite, theirs, *own, "--driver", "expert")) == 0
+    one, other = _read(mine), _read(theirs)
+    assert [line.get("samples") for line in one] == [line.get("samples") for line in other]
+    assert one[0]["driven"] > 0.5 and other[0]["driven"] == 0
+    assert not other[0]["walks_cut_short"] and other[0]["agreement"] is None
+    recipes = [json.loads((run / "run.json").read_text())["recipe"] for run in (mine, theirs)]
+    assert {k for k in recipes[0] if recipes[0][k] != recipes[1][k]} == {"driver"}
+
+
+@pytest.mark.slow
+def test_dagger_live_goes_on_and_carries_its_driver_to_scenes_that_join(
+    suite, start, tmp_path, capsys
+) -> None:
+    second = _make_suite(tmp_path, "other-flat", 1)
+    suites = (suite, second)
+    own = ["--live", "--start", start, "--samples", 24, "--agents", 4, "--kept", 80, "--joins",
+           "0,12", "--beta-from", 4, "--beta-to", 12, "--acts", "averaged", "--confirm-stop",
+           "--text-length", 40, "--held-out", "test", "--examined", 2, "--asked", 8]  # fmt: skip
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert main(_words(suites, whole, *own)) == 0
+    told = capsys.readouterr().out
+    assert "before the first step: entropy" in told and "after" in told
+    lines = _read(whole)
+    assert lines[0]["step"] == 0 and lines[0]["entropy"] > 0
+    assert [line["beta"] for line in lines[1:]] == [1, 0.5, 0, 0, 0, 0]
+    assert lines[1]["driven"] == 0 and lines[4]["driven"] > 0.5  # the second scene has joined
+    assert {"own_stop_recall", "own_stop_precision", "own_agreement"} <= set(lines[-1])
+    results = json.loads((whole / "run.json").read_text())["results"]
+    assert results["entropy_before"] == lines[0]["entropy"]
+    shutil.copytree(whole, parts)
+    _forget(parts, 4)
+    assert main(_words(suites, parts, *own)) == 0
+    _same(whole, parts)
+
+
+@pytest.mark.slow
+def test_a_state_of_another_stage_is_refused(suite, start, tmp_path, capsys) -> None:
+    once, live = tmp_path / "once", tmp_path / "live"
+    short = ["--agents", 4]
+    assert main(_words(suite, once, "--start", start, "--states", 4, "--epochs", 1, *short)) == 0
+    assert main(_words(suite, live, "--live", "--start", start, "--samples", 4, *short,
+                       "--kept", 80)) == 0  # fmt: skip
+    capsys.readouterr()
+    assert main(_words(suite, once, "--live", "--start", start, "--samples", 4, *short)) == 2
+    assert "it is dagger, this is dagger_live" in capsys.readouterr().err
+    assert main(_words(suite, live, "--start", start, "--states", 4, *short)) == 2
+    assert "it is dagger_live, this is dagger" in capsys.readouterr().err
+    shutil.rmtree(live / "checkpoints")
+    shutil.copytree(once / "checkpoints", live / "checkpoints")
+    more = ["--live", "--start", start, "--samples", 8, *short, "--kept", 80]
+    assert main(_words(suite, live, *more)) == 2
+    assert "the state is that of another recipe" in capsys.readouterr().err
+
+
+def test_flags_of_the_other_stage_are_refused(suite, start, tmp_path, capsys) -> None:
+    out = tmp_path / "out"
+    for words, said in (
+        ([], "nobody to walk"),
+        (["--start", suite], "no policy.json"),
+        (["--start", start, "--kept", "80"], "--kept beside states that are gathered once"),
+        (["--start", start, "--live", "--beta", "0"], "--beta beside --live"),
+        (["--start", start, "--live", "--pictures", "near"], "--pictures beside --start"),
+        (["--live", "--joins", "one"], "not whole numbers"),
+        (["--live", "--start", start, "--beta-from", "9", "--beta-to", "3"], "beta falls from 9"),
+    ):
+        assert main(_words(suite, out, *words)) == 2
+        assert said in capsys.readouterr().err
+    assert not out.exists()

@@ -1,0 +1,144 @@
+"""The policy in training drives a stream: what is carried out is what the benchmark would do."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+from gn0.data.answer_form import AnswerForm  # noqa: E402
+from gn0.data.answer_slots import ACTION  # noqa: E402
+from gn0.errors import ConfigError  # noqa: E402
+from gn0.policies.bae.engines import open_engine  # noqa: E402
+from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
+from gn0.policies.bae.questions import Questions  # noqa: E402
+from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
+from gn0.training.policy_driver import open_driver  # noqa: E402
+from gn0.training.pupil import Pupil, build_pupil, load_pupil  # noqa: E402
+from gn0.training.streams.step_ring import StepRing  # noqa: E402
+from gn0.training.streams.stream_live import StreamLive  # noqa: E402
+
+VIEW = MapView(squares=(EgoSquare(32, 0.24), EgoSquare(16, 0.5)))
+SETTINGS = PolicySettings(
+    prompt="short", pictures=("near",), form=AnswerForm(layout="compact"), view=VIEW
+)
+
+
+@pytest.fixture(scope="module")
+def walker(rooms, tmp_path_factory) -> tuple[Pupil, Path]:
+    """A pupil of random weights in training, and its checkpoint."""
+    if not shutil.which("g++"):
+        pytest.skip("the host emulation needs g++")
+    texts = [episode.instruction for episode in rooms[1]]
+    pupil = build_pupil("nano", SETTINGS, texts, seed=3)
+    with torch.no_grad(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        for weight in pupil.model.parameters():
+            weight.add_(0.1 * torch.randn_like(weight))
+    folder = tmp_path_factory.mktemp("walker") / "checkpoint"
+    pupil.save(folder)  # bfloat16: what drives is what was saved
+    loaded = load_pupil(folder)
+    loaded.model.train()
+    return loaded, folder
+
+
+def _open(make_env, pupil: Pupil, agents: int = 3, **settings) -> StreamLive:
+    env = make_env(agents, ("ego_map",), map_view=VIEW)
+    texts = [episode.mission.instruction for episode in env.episodes]
+    driver = open_driver(pupil, agents).enter(pupil.maker(texts, "cpu"))
+    ring = StepRing(env, 20, names=["near", "far"])
+    return StreamLive(env, ring, seed=1, driver=driver, **settings)
+
+
+def test_agents_do_what_the_policy_answers(make_env, walker) -> None:
+    """Three actions of each answer that the torch-free twin gives to the same pictures and words.
+
+    A wrong STOP is always carried out here, so the log is the policy's own but where an episode
+    began after a decision.
+    """
+    pupil, folder = walker
+    stream = _open(make_env, pupil, stop_share=1.0)
+    questions = Questions(folder)
+    engine = open_engine(questions, "numpy", "cpu", "float32", 3)
+    spoken = np.flatnonzero(questions.slots.kinds == ACTION)
+    codes = {token: code for code, token in enumerate(questions.slots.vocabulary.actions)}
+    shown = []
+    plain = stream.driver
+
+    def watch(states):
+        shown.append(states)
+        return plain(states)
+
+    stream.driver = watch
+    for _ in range(6):
+        stream.step()
+    assert len(shown) == 2 and pupil.model.training
+    log = stream._log[:6].numpy()
+    kept = {name: stream.ring[name].numpy() for name in ("step", "actions")}
+    compared, seen = 0, set()
+    for decision, states in enumerate(shown):
+        ids = np.stack([
+            questions.fill(
+                stream.texts[states.episode[k]], int(states.last[k]), bool(states.collided[k]),
+                float(states.pose[k, 2]),
+            )
+            for k in range(3)
+        ])  # fmt: skip
+        said = engine.answer([states.pictures["near"].numpy()], ids)[:, spoken]
+        for k in range(3):
+            for since in range(3):
+                step = 3 * decision + since
+                if kept["step"][step, k] < since:  # its episode began after the decision
+                    assert log[step, k] == kept["actions"][step, k, 0]
+                    continue
+                assert log[step, k] == codes[int(said[k, since])]
+                compared += 1
+                seen.add(int(log[step, k]))
+    assert compared >= 12 and len(seen) > 1
+
+
+def test_it_acts_with_the_weights_of_the_moment(make_env, walker) -> None:
+    pupil = load_pupil(walker[1])
+    stream = _open(make_env, pupil)
+    stream.step()
+    states = stream.ring.latest()
+    before = stream.driver(states)
+    with torch.no_grad():
+        kept = [weight.clone() for weight in pupil.model.parameters()]
+        for weight in pupil.model.parameters():
+            weight.add_(0.5 * torch.sin(torch.arange(weight.numel()).view_as(weight)))
+    assert not torch.equal(stream.driver(states), before)
+
+    class Lent:
+        """The weights of before, within."""
+
+        def __enter__(self) -> None:
+            own = zip(pupil.model.parameters(), kept, strict=True)
+            with torch.no_grad():
+                self.own = [(w, w.clone(), w.copy_(k))[:2] for w, k in own]
+
+        def __exit__(self, *_) -> None:
+            with torch.no_grad():
+                for weight, value in self.own:
+                    weight.copy_(value)
+
+    lent = open_driver(pupil, 3, weights=Lent).enter(stream.driver.maker)
+    assert torch.equal(lent(states), before)
+    assert not torch.equal(stream.driver(states), before)
+
+
+def test_fewer_agents_are_told_the_same_and_too_many_actions_are_refused(make_env, walker) -> None:
+    pupil = walker[0]
+    stream = _open(make_env, pupil)
+    stream.step()
+    states = stream.ring.latest()
+    told = stream.driver(states)
+    assert told.shape == (3, 3)
+    assert torch.equal(stream.driver(states.pick(slice(1, 2))), told[1:2])
+    with pytest.raises(ConfigError, match="9 of 6 actions"):
+        open_driver(pupil, 3, executed=9)

@@ -206,7 +206,7 @@ def _measure_input(bench: Bench, pictures: tuple[str, ...]) -> None:
         if first or bench.tiny:
             _split_step(bench, learner, maker, stream, source)
         del stream
-        _free()
+        free_memory()
 
 
 def _beside(learner: Learner) -> Learner:
@@ -233,11 +233,11 @@ def _split_step(bench: Bench, learner: Learner, maker: Any, stream: Stream, sour
 
     clocks: list[list[Callable[[], float]]] = []
     begin = time.perf_counter()
-    with _count_waits() as waits:
+    with count_waits() as waits:
         for _ in range(bench.rounds):
-            clocks.append([_clock()])
+            clocks.append([mark_time()])
             for _ in walk():
-                clocks[-1].append(_clock())
+                clocks[-1].append(mark_time())
     issued = time.perf_counter() - begin
     bench.wait()
     for marks in clocks:
@@ -257,7 +257,7 @@ def _split_step(bench: Bench, learner: Learner, maker: Any, stream: Stream, sour
     )
 
 
-def _clock() -> Callable[[], float]:
+def mark_time() -> Callable[[], float]:
     """Milliseconds of this moment on the card, or by the clock; ask once all is done."""
     if not torch.cuda.is_available():
         now = time.perf_counter() * 1e3
@@ -271,7 +271,7 @@ _ORIGIN: list[Any] = []
 
 
 @contextmanager
-def _count_waits() -> Iterator[list[float]]:
+def count_waits() -> Iterator[list[float]]:
     """How often torch waits for the card within; nought on a CPU."""
     found = [0.0]
     if not torch.cuda.is_available():
@@ -298,7 +298,7 @@ def _compare_speeds(bench: Bench, pictures: tuple[str, ...], names: Sequence[str
     stream = bench.open_stream(pupil, "uniform")
     made = maker.make(stream.draw(batch))
     del stream
-    _free()
+    free_memory()
     kept = {name: weight.clone() for name, weight in pupil.model.state_dict().items()}
     for name in names:
         if bench.late:
@@ -322,7 +322,8 @@ def _compare_speeds(bench: Bench, pictures: tuple[str, ...], names: Sequence[str
         )
 
 
-def _free() -> None:
+def free_memory() -> None:
+    """Give the card back what torch keeps for later."""
     if torch.cuda.is_available():
         torch.cuda.synchronize()
         torch.cuda.empty_cache()

@@ -1,6 +1,10 @@
 from gn0.errors import CheckpointError as CheckpointError
 from gn0.errors import TrainingError as TrainingError
 from gn0.policies.bae.policy_settings import PolicySettings as PolicySettings
+from gn0.training.dagger import DaggerJob as DaggerJob
+from gn0.training.dagger import train_dagger as train_dagger
+from gn0.training.dagger_live import DaggerLiveJob as DaggerLiveJob
+from gn0.training.dagger_live import train_dagger_live as train_dagger_live
 from gn0.training.recipe import Recipe as Recipe
 from gn0.training.sft import SftJob as SftJob
 from gn0.training.sft import train_sft as train_sft

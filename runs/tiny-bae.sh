@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The training half of the paper in miniature, on a CPU: scenes, missions, samples, a tokenizer of their language and SFT of a model
-# of 2 M weights. Needs the extra `train`; about two minutes on two cores, `tiny-bae.sh OUT ci` one.
+# The training half of the paper in miniature, on a CPU: scenes, missions, samples, a tokenizer of their language, SFT of a model of
+# 2 M weights and DAgger, once and live. Needs the extra `train`; about two minutes on two cores, `tiny-bae.sh OUT ci` one.
 set -euo pipefail
 
 OUT=${1:-out/tiny-bae}
@@ -37,3 +37,11 @@ SAMPLES=1600
 gn0 train sft "$OUT/missions" --split all --held-out "" --size nano --batch 16 --agents 16 --kept 320 --samples "$SAMPLES" \
   --report 5 --device host --seed "$SEED" --out "$OUT/sft"
 gn0 train sft "$OUT/data" --source dataset --held-out "" --size nano --batch 16 --samples 32 --seed "$SEED" --out "$OUT/sft-data"
+
+say "DAgger"
+STATES=160
+[ "$SIZE" = ci ] && STATES=32
+gn0 train dagger "$OUT/missions" --start "$OUT/sft/policy" --split all --held-out "" --states "$STATES" --epochs 2 --batch 16 --agents 16 \
+  --report 5 --device host --seed "$SEED" --out "$OUT/dagger"
+gn0 train dagger "$OUT/missions" --live --start "$OUT/sft/policy" --split all --held-out "" --samples "$STATES" --batch 16 --agents 16 --kept 320 \
+  --beta-from 0 --beta-to 64 --report 5 --device host --seed "$SEED" --out "$OUT/dagger-live"

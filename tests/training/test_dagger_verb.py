@@ -189,6 +189,27 @@ def test_dagger_live_goes_on_and_carries_its_driver_to_scenes_that_join(
 
 
 @pytest.mark.slow
+def test_two_processes_gather_a_share_each_and_go_on(suite, start, tmp_path) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+
+    def together(out: Path) -> str:
+        words = _words(suite, out, "--start", start, "--states", 8, "--epochs", 2, "--agents", 2)
+        run = ["torch.distributed.run", "--standalone", "--nproc-per-node=2", "-m", "--", "gn0"]
+        done = subprocess.run(
+            [sys.executable, "-m", *run, *words], env=os.environ | {"OMP_NUM_THREADS": "1"},
+            capture_output=True, text=True, timeout=300,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert "collected 8 states" in together(whole)
+    shutil.copytree(whole, parts)
+    _forget(parts, 2)
+    together(parts)
+    _same(whole, parts)
+
+
+@pytest.mark.slow
 def test_a_state_of_another_stage_is_refused(suite, start, tmp_path, capsys) -> None:
     once, live = tmp_path / "once", tmp_path / "live"
     short = ["--agents", 4]

@@ -111,6 +111,33 @@ def test_controls_take_away_what_they_say(walker, env) -> None:
         loop.play([0], control="silence")  # type: ignore[arg-type]
 
 
+def test_every_step_is_held_against_the_expert(walker, env) -> None:
+    """By the labels of the places where the walks led, looked up beside the loop."""
+    loop = ClosedLoop(env, walker[0], labelled=True)
+    said, right = [], []
+    step = env.step
+
+    def watch(actions):
+        said.append(torch.from_dlpack(actions).clone())
+        right.append(torch.from_dlpack(env.labels(1.0).actions)[:, 0].clone())
+        return step(actions)
+
+    env.step = watch
+    try:
+        walks = loop.play([0, 1, 2, 3])
+    finally:
+        del env.step
+    mine, theirs = torch.stack(said), torch.stack(right)
+    live = torch.arange(len(mine))[:, None] < torch.tensor([walk.steps for walk in walks])
+    counts = loop.counts
+    assert counts.steps == counts.asked == int(live.sum())
+    assert counts.agreed == int((live & (mine == theirs)).sum())
+    assert counts.due == int((live & (theirs == 0)).sum())
+    assert counts.stopped == int((live & (mine == 0)).sum()) == sum(w.stopped for w in walks)
+    assert counts.stopped_right == int((live & (mine == 0) & (theirs == 0)).sum())
+    assert counts.forwards == sum(w.forwards for w in walks) and counts.ended == 4
+
+
 def test_a_stop_is_asked_again_and_three_actions_are_carried_out(walker, env) -> None:
     pupil = walker[0]
     plain, sure = ClosedLoop(env, pupil), ClosedLoop(env, pupil, confirm_stop=True)

@@ -149,6 +149,22 @@ def test_a_finished_run_says_so(tmp_path: Path) -> None:
         assert run.finished is None
 
 
+def test_step_0_is_what_was_before_the_first(tmp_path: Path) -> None:
+    """It stays once a state is of it; a result that is no number is null."""
+    for _ in range(2):  # killed before a state of step 0
+        with opened(tmp_path) as run:
+            run.report(0, {"entropy": 1.5})
+            run.report(1, {"loss": 2.0})
+    assert steps_of(tmp_path) == [0, 1]
+    put_state(tmp_path, 0)
+    with opened(tmp_path) as run:
+        assert run.resumed == tmp_path / CHECKPOINTS / name_state(0)
+        run.report(1, {"loss": 2.0})
+        run.finish(1, {"entropy": 1.25, "waypoint": float("nan")})
+    assert steps_of(tmp_path) == [0, 1]
+    assert read_run(tmp_path).results == {"entropy": 1.25, "waypoint": None}
+
+
 def test_metrics_are_plain_json_in_order(tmp_path: Path) -> None:
     """What is no number is null, as JSON has no NaN; a step is never told twice."""
     file = MetricsFile(tmp_path / METRICS)
@@ -226,4 +242,7 @@ def test_the_line_says_rate_losses_and_time_left() -> None:
     assert format_report(report, 0.0, None) == (
         "step 1 · 60 samples · loss 1.0000 · first action 0.0%"
     )
+    shares = {"agrees": 0.5, "arrives": float("nan")}
+    report = TrainingReport(1, 0, 60, 1.0, {}, 0.0, walks=shares)
+    assert format_report(report, 0.0, None).endswith("first action 0.0% · agrees 50%")
     assert [format_seconds(s) for s in (7, 725, 11045)] == ["0:07", "12:05", "3:04:05"]

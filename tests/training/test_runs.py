@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 
 @pytest.mark.slow
 def test_tiny_bae_comes_through_every_stage(tmp_path: Path) -> None:
-    """Scenes, missions, samples, a tokenizer of their language, SFT on walks and samples, and DAgger."""
+    """Scenes, missions, samples, a tokenizer of their language, SFT and DAgger."""
     done = subprocess.run(
         ["bash", str(ROOT / "runs" / "tiny-bae.sh"), str(tmp_path / "out"), "ci"],
         env={

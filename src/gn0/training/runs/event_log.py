@@ -18,7 +18,8 @@ class EventLog:
 
     Args:
         folder: made where it is not there; TensorBoard is pointed at it or above.
-        step: where the session begins; events of later steps, of sessions before, are void.
+        step: where the session begins; events of later steps, of sessions before, are void. Below
+            0 all are.
 
     Raises:
         ModuleNotFoundError: the package tensorboard is not installed.

@@ -92,10 +92,11 @@ class RunFolder:
         self.folder, self.resumed, self.notes = folder, resumed, notes
         self._record = record
         step = read_step(resumed) if resumed else 0
+        told = step if resumed else -1  # step 0 is told anew where no state is of it
         write_json(folder / RUN, msgspec.to_builtins(record))  # first: by it a run is known
-        self._metrics = MetricsFile(folder / METRICS, step if resumed else -1)
+        self._metrics = MetricsFile(folder / METRICS, told)
         try:
-            self._events = open_event_log(folder / EVENTS, step)
+            self._events = open_event_log(folder / EVENTS, told)
             self._log = (folder / LOG).open("a", encoding="utf-8")
         except OSError as error:
             raise storage_error(error, folder, "write") from error

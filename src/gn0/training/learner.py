@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -40,6 +40,47 @@ class Speed:
     joined: bool = False
     narrow: bool = False
     beside: bool = False
+
+
+class Costs(Protocol):
+    """What a batch costs, and whatever else is told of it."""
+
+    @property
+    def loss(self) -> Tensor:
+        """What is minimised, a scalar on the device."""
+        ...
+
+
+class LossModule(Protocol):
+    """A torch module as a `Learner` takes it: called with a batch, it gives `Costs`.
+
+    Attributes:
+        model: what learns, a part of it.
+        shows_pictures: whether every weight has a gradient in each step.
+    """
+
+    model: Qwen3VLForConditionalGeneration
+    shows_pictures: bool
+
+    def __call__(self, batch: Any) -> Any:
+        """`Costs` of a batch."""
+        ...
+
+    def parameters(self) -> Iterator[nn.Parameter]:
+        """As of any module."""
+        ...
+
+    def named_parameters(self) -> Iterator[tuple[str, nn.Parameter]]:
+        """As of any module."""
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """As of any module."""
+        ...
+
+    def load_state_dict(self, state_dict: Mapping[str, Any], strict: bool = ...) -> Any:
+        """As of any module."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -139,7 +180,11 @@ class LossForward(nn.Module):
         return weights
 
 
-class Learner:
+Batch = TypeVar("Batch")
+Told = TypeVar("Told", bound=Costs)
+
+
+class Learner(Generic[Batch, Told]):
     """A model in training.
 
     Args:
@@ -152,7 +197,7 @@ class Learner:
 
     def __init__(
         self,
-        loss: LossForward,
+        loss: LossModule,
         recipe: Recipe,
         *,
         autocast: torch.dtype | None = None,
@@ -160,7 +205,7 @@ class Learner:
         processes: Processes = ALONE,
     ) -> None:
         self.processes = processes
-        self._called = processes.average(loss, whole=loss.shows_pictures)
+        self._called = processes.average(cast(nn.Module, loss), whole=loss.shows_pictures)
         self.loss, self.recipe, self.autocast = loss, recipe, autocast
         self.model: Qwen3VLForConditionalGeneration = loss.model
         self.device = next(loss.parameters()).device
@@ -179,7 +224,7 @@ class Learner:
         if recipe.mean:
             self.averaged = {n: w.detach().clone() for n, w in self.weights.items()}
 
-    def step(self, batch: SampleBatch, share: float) -> tuple[Losses, Tensor]:
+    def step(self, batch: Batch, share: float) -> tuple[Told, Tensor]:
         """Learn from a batch at a share of the recipe's rates; waits for nothing.
 
         Returns:
@@ -189,18 +234,18 @@ class Learner:
         self.descend(losses)
         return losses, self.update(share)
 
-    def judge(self, batch: SampleBatch) -> Losses:
+    def judge(self, batch: Batch) -> Told:
         """Losses of a batch, with all that their gradient needs."""
-        if self._stream is not None:
+        if self._stream is not None and isinstance(batch, SampleBatch):
             for made in (*batch.pictures, batch.ids, batch.answer, batch.states.distance):
                 made.record_stream(self._stream)
         with torch.autocast(
             self.device.type, self.autocast or torch.bfloat16, enabled=self.autocast is not None
         ):
-            losses: Losses = self._called(batch)
+            losses: Told = self._called(batch)
         return losses
 
-    def descend(self, losses: Losses) -> None:
+    def descend(self, losses: Costs) -> None:
         """The gradient of these losses."""
         self.optimiser.zero_grad(set_to_none=True)
         self.processes.ask(losses.loss.backward)

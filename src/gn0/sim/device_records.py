@@ -266,6 +266,21 @@ class PutAgents(NamedTuple):
     count_: np.int32
 
 
+class WalkPlans(NamedTuple):
+    """`walk_plans`, `slide_plans`: where plans of actions lead from kept places."""
+
+    w: np.void
+    rows: DeviceArray
+    slots: DeviceArray
+    positions: DeviceArray
+    turns: DeviceArray
+    actions: DeviceArray
+    length: np.int32
+    count_: np.int32
+    poses: DeviceArray
+    cut: DeviceArray
+
+
 class MoveRows(NamedTuple):
     """`move_rows`: rows of one array to rows of another; None: in order."""
 

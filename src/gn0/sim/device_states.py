@@ -52,6 +52,22 @@ class Ready(NamedTuple):
     turns: NDArray[np.int32]
 
 
+class PlacesKept(NamedTuple):
+    """Places of episodes that stay on the device.
+
+    Attributes:
+        slots: [K] where the episodes are, one reference for each.
+        there: the same on the device.
+        points: float64 [K, 2] m on the device.
+        turns: [K] whole turns since what their headings count from.
+    """
+
+    slots: NDArray[np.int32]
+    there: DeviceArray
+    points: DeviceArray
+    turns: NDArray[np.int32]
+
+
 class Places(NamedTuple):
     """Where agents are to stand.
 
@@ -144,23 +160,11 @@ class StatesDevice:
                 then nobody has moved.
             EpisodeError: an episode does not fit its scene.
         """
-        poses, count = places.poses, len(agents)
-        for k in np.flatnonzero(~np.isfinite(poses).all(1))[:1].tolist():
-            raise self._refusal(agents[k], numbers[k], poses[k], "holds NaN or infinity")
-        simulator, device = self._simulator, self._simulator.device
-        simulator.catch_up()
-        ready = self._read_poses(numbers, poses)
-        slots = simulator.store.pin_turned(ready.numbers, ready.bases)
-        points = device.upload(np.ascontiguousarray(poses[:, :2]))
-        there, verdicts = device.upload(slots), device.zeros(count, np.uint8)
-        judging = JudgePlaces(simulator.world, there, points, np.int32(count), verdicts)
-        simulator.launch("judge_places", count, judging)
-        wrong = verdicts.numpy()
-        for k in np.flatnonzero(wrong)[:1].tolist():
-            simulator.store.release(slots)
-            fault = _FAULTS[int(wrong[k])].format(simulator.store.agent.radius)
-            raise self._refusal(agents[k], numbers[k], poses[k], fault)
-        self._put(agents, slots, there, points, ready.turns, places)
+        self._simulator.catch_up()
+        kept = self.keep(numbers, places.poses, agents)
+        simulator, device, count = self._simulator, self._simulator.device, len(agents)
+        slots, there, points = kept.slots, kept.there, kept.points
+        self._put(agents, slots, there, points, kept.turns, places)
         if places.tiles is not None:
             rings = self._rings()
             assert rings is not None
@@ -176,6 +180,38 @@ class StatesDevice:
             blocks = blocks_of(size * places.views * count, _BYTES)
             simulator.kernels["keep_tiles"].launch(blocks, _BYTES, keeping)
         simulator.tell_all()
+
+    def keep(
+        self,
+        numbers: NDArray[np.int64],
+        poses: F64,
+        agents: NDArray[np.int64] | None = None,
+    ) -> PlacesKept:
+        """Places [K] of episodes, whose slots stay until they are released; waits for the device.
+
+        Raises:
+            SimError: as for `place`, naming row k where `agents` [K] are not given.
+            EpisodeError: an episode does not fit its scene.
+        """
+        count = len(numbers)
+        names = [f"agent {k}" for k in agents.tolist()] if agents is not None else []
+        for k in np.flatnonzero(~np.isfinite(poses).all(1))[:1].tolist():
+            who = names[k] if names else f"place {k}"
+            raise self._refusal(who, numbers[k], poses[k], "holds NaN or infinity")
+        simulator, device = self._simulator, self._simulator.device
+        ready = self._read_poses(numbers, poses)
+        slots = simulator.store.pin_turned(ready.numbers, ready.bases)
+        points = device.upload(np.ascontiguousarray(poses[:, :2]))
+        there, verdicts = device.upload(slots), device.zeros(count, np.uint8)
+        judging = JudgePlaces(simulator.world, there, points, np.int32(count), verdicts)
+        simulator.launch("judge_places", count, judging)
+        wrong = verdicts.numpy()
+        for k in np.flatnonzero(wrong)[:1].tolist():
+            simulator.store.release(slots)
+            fault = _FAULTS[int(wrong[k])].format(simulator.store.agent.radius)
+            who = names[k] if names else f"place {k}"
+            raise self._refusal(who, numbers[k], poses[k], fault)
+        return PlacesKept(slots, there, points, ready.turns)
 
     def read_places(self, count: int, poses: Any, steps: Any, collided: Any, tiles: Any) -> Places:
         """What a caller gives for so many agents.
@@ -399,12 +435,12 @@ class StatesDevice:
                 bases[k] = yaw
         return Ready(numbers, bases, turns)
 
-    def _refusal(self, agent: int, number: int, pose: F64, fault: str) -> SimError:
+    def _refusal(self, who: str, number: int, pose: F64, fault: str) -> SimError:
         x, y, yaw = pose.tolist()
         episode = self._simulator.store.episodes[number]
         return SimError(
             f"pose ({x:.3f}, {y:.3f}) m, {yaw:.3f} rad {fault}",
-            where=f"agent {agent}, episode {episode.id!r}",
+            where=f"{who}, episode {episode.id!r}",
             remedy="give a place from which the goal can be reached; nobody has moved",
         )
 

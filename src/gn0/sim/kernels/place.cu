@@ -112,3 +112,51 @@ KERNEL(keep_tiles)(const u8 *tiles, const int *agents, int views, u64 size, int 
   u64 row = at / size, k = row / views, back = row % views;
   rings[((u64)agents[k] * TILES + (views - 1 - back)) * size + at % size] = tiles[at];
 }
+
+// Plans [K, length] of actions from the places at `rows` [K] of all places (`slots`, `positions` m,
+// `turns`): x, y, yaw [K, length, 3] behind each action, and whether it was cut short. Behind a STOP
+// nothing moves. No agent is touched.
+template <bool SLIDES>
+__device__ __forceinline__ void walk_plan(const World &w, const i64 *rows, const int *slots,
+                                          const double *positions, const int *turns,
+                                          const u8 *actions, int length, int count, double *poses,
+                                          u8 *cut) {
+  int k = blockIdx.x * blockDim.x + threadIdx.x;
+  if (k >= count) return;
+  i64 row = rows[k];
+  const Episode &e = w.episodes[slots[row]];
+  double x = positions[2 * row], y = positions[2 * row + 1];
+  int turned = turns[row];
+  bool over = false;
+  for (int step = 0; step < length; step++) {
+    i64 at = (i64)k * length + step;
+    int action = actions[at];
+    bool hit = false;
+    over = over || action == STOP;
+    if (!over && action == FORWARD) {
+      const double *heading = e.headings + turned * 3;
+      double x1 = x + w.forward * heading[1], y1 = y + w.forward * heading[2];
+      hit = SLIDES ? slide(e, x, y, x1, y1) : trace(e, x, y, x1, y1);
+    } else if (!over && action == LEFT) {
+      turned = (turned + 1) % w.circle;
+    } else if (!over && action == RIGHT) {
+      turned = (turned + w.circle - 1) % w.circle;
+    }
+    poses[3 * at] = x;
+    poses[3 * at + 1] = y;
+    poses[3 * at + 2] = e.headings[turned * 3];
+    cut[at] = hit;
+  }
+}
+
+KERNEL(walk_plans)(World w, const i64 *rows, const int *slots, const double *positions,
+                   const int *turns, const u8 *actions, int length, int count, double *poses,
+                   u8 *cut) {
+  walk_plan<false>(w, rows, slots, positions, turns, actions, length, count, poses, cut);
+}
+
+KERNEL(slide_plans)(World w, const i64 *rows, const int *slots, const double *positions,
+                    const int *turns, const u8 *actions, int length, int count, double *poses,
+                    u8 *cut) {
+  walk_plan<true>(w, rows, slots, positions, turns, actions, length, count, poses, cut);
+}

@@ -53,6 +53,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data dagger": ("data_dagger", "states that a policy visits, labelled by the expert"),
     "train sft": ("train_sft", "a policy that does what the expert would do"),
     "train dagger": ("train_dagger", "a policy that learns where its own walks lead"),
+    "train dapo": ("train_dapo", "a policy that learns from where its answers lead"),
     "train tokenizer": ("train_tokenizer", "words of suites and datasets as tokens of a policy"),
     "copy": ("copy_folder", "a folder to or from an object store: s3://, gs://, hf://"),
     "export": ("export", "a dataset for VLN-CE, LeRobot, NaVid, StreamVLN, NavDP and others"),

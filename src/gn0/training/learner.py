@@ -290,8 +290,14 @@ class Learner(Generic[Batch, Told]):
         if not self.averaged:
             yield
             return
+        with self.other_weights(self.averaged):
+            yield
+
+    @contextmanager
+    def other_weights(self, values: Mapping[str, Tensor]) -> Iterator[None]:
+        """The model has these weights within, by name, in place of those that learn."""
         own = {name: weight.detach().clone() for name, weight in self.weights.items()}
-        self._write(self.averaged)
+        self._write(values)
         try:
             yield
         finally:

@@ -165,13 +165,38 @@ def share_cut_short(actions: Tensor, cut: Tensor) -> Tensor:
     return (cut & done).sum(1).double() / walked.clamp(min=1)
 
 
-def find_readable(slots: AnswerSlots, frame: EgoFrame, ids: Tensor) -> Tensor:
-    """Whether `AnswerSlots.decode` reads answers int64 [N, S]: bool [N]; point 0 must be right."""
-    readable = torch.ones(len(ids), dtype=torch.bool, device=ids.device)
+def tabulate_readable(slots: AnswerSlots, frame: EgoFrame) -> Tensor:
+    """Which tokens may stand in each slot of an answer that is read: bool [S, vocabulary]."""
+    table = torch.zeros((len(slots), slots.vocabulary.size), dtype=torch.bool)
     for slot, allowed in enumerate(list_allowed(slots, frame)):
-        own = torch.from_numpy(allowed).to(ids.device)
-        readable &= torch.isin(ids[:, slot], own)
-    return readable
+        table[slot, torch.from_numpy(allowed)] = True
+    return table
+
+
+def find_readable(
+    slots: AnswerSlots, frame: EgoFrame, ids: Tensor, table: Tensor | None = None
+) -> Tensor:
+    """Whether `AnswerSlots.decode` reads answers int64 [N, S]: bool [N]; point 0 must be right.
+
+    Args:
+        slots: of the answers.
+        frame: the square that their coordinates are on.
+        ids: with room behind the slots or without.
+        table: of `tabulate_readable`, on the device of the ids; made when None.
+    """
+    if table is None:
+        table = tabulate_readable(slots, frame).to(ids.device)
+    at = torch.arange(len(slots), device=ids.device)
+    return table[at, ids[:, : len(slots)]].all(1)
+
+
+def punish_length(mask: Tensor, wanted: int, room: int) -> Tensor:
+    """DAPO's soft punishment of answers [N, S] longer than `wanted` tokens: float64 [N], 0 to 1.
+
+    It grows evenly over the `room` behind; no room, no punishment.
+    """
+    over = (mask.sum(1) - wanted).clamp(min=0).double()
+    return over / room if room else over * 0
 
 
 def find_spoken(slots: AnswerSlots, ids: Tensor) -> Tensor:

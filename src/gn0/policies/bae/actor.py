@@ -37,7 +37,7 @@ class Decisions:
     """What N agents are told to do; on the device, the caller's own until it lets go.
 
     Attributes:
-        ids: int64 [N, S], answers.
+        ids: int64 [N, S], answers; [N, S + room] where they have room.
         actions: int64 [N, A], codes 0 to 3.
         tokens: int64 [N, K, 2], map tokens of waypoints from `form.first_point` on.
         logprobs: float32 [N, S], each token's among those that its slot allows; 0 if forced.
@@ -67,6 +67,7 @@ class Actor:
         compiled: compile what reads the prompt.
         free: tokens are chosen among all that the model knows, so that answers may be unreadable.
         answers: to each prompt, in a row; they share its pictures.
+        room: tokens that free answers may be longer than readable ones.
     """
 
     def __init__(
@@ -84,6 +85,7 @@ class Actor:
         compiled: bool = False,
         free: bool = False,
         answers: int = 1,
+        room: int = 0,
     ) -> None:
         if count < 1 or answers < 1:
             raise ConfigError(
@@ -92,10 +94,11 @@ class Actor:
         self.answers = answers
         self.slots, self.count, self.temperature, self._dtype = slots, count, temperature, dtype
         self.device: torch.device = next(model.parameters()).device
-        self.forward = ForwardConstant(model, layout, len(slots), compiled=compiled)
+        self.forward = ForwardConstant(model, layout, len(slots) + room, compiled=compiled)
         self.forward.to(self.device)
         self._allowed = [
-            torch.from_numpy(own).to(self.device) for own in list_allowed(slots, frame, free=free)
+            torch.from_numpy(own).to(self.device)
+            for own in list_allowed(slots, frame, free=free, room=room)
         ]
         self._actions = self._send(np.array(slots.vocabulary.actions, np.int64))
         self._spoken = self._send(np.flatnonzero(slots.kinds == ACTION))

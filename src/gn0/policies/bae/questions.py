@@ -123,13 +123,15 @@ class Questions:
         return shown
 
 
-def list_allowed(slots: AnswerSlots, frame: EgoFrame, *, free: bool = False) -> list[I64]:
+def list_allowed(
+    slots: AnswerSlots, frame: EgoFrame, *, free: bool = False, room: int = 0
+) -> list[I64]:
     """The ids int64 that each slot may have, point 0 forced to the agent's own place.
 
-    With `free` every slot may have any token of the vocabulary.
+    With `free` every slot may have any token of the vocabulary, and so may `room` more behind them.
     """
     if free:
-        return [np.arange(slots.vocabulary.size)] * len(slots)
+        return [np.arange(slots.vocabulary.size)] * (len(slots) + room)
     forced = slots.forced(find_place(frame))[0]
     return [
         np.array([own], np.int64) if own != FREE else slots.allowed(k).astype(np.int64)

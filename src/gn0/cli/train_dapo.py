@@ -1,0 +1,212 @@
+"""Train a policy on where its own answers lead: DAPO, the paper's last stage.
+
+The policy walks through the suite and its states are kept, each with what the expert would do. Then
+it answers each several times; the plans are carried out on the simulator's device and scored
+against the expert's, and it learns from which answers were better than their fellows. A run that
+was stopped goes on when the same command is given again. The trained policy is in OUT/policy.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 train dapo out/suite --start out/dagger/policy --out out/dapo
+  gn0 train dapo out/suite --start out/sft/policy --states 4000 --epochs 1 --out out/dapo-sft
+  gn0 train dapo out/suite --start out/json/policy --sampling free --overlong 16 --out out/free
+  gn0 train dapo out/suite --start out/dagger/policy --aggregation token --drop-uniform \\
+      --resample 3 --out out/dapo-token
+  gn0 train dapo out/suite --start out/sft/policy --states 64 --prompts 8 --device host \
+      --out out/tried"""
+
+Weight = Annotated[float, msgspec.Meta(ge=0)]
+Scale = Annotated[float, msgspec.Meta(gt=0)]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+
+
+class Args(Config, frozen=True):
+    """What to train, on what, and how.
+
+    Attributes:
+        suite: suite folders, as `gn0 missions generate` writes.
+        start: the folder of the policy to go on from.
+        out: the folder of the run; an interrupted one there goes on.
+        exam: the suite to be examined in; the first by default.
+        split: splits of the suite to learn from, with commas between; all for all.
+        held_out: splits to be examined in, with commas between; empty for none.
+        recipe: rates: scratch, for models from random weights (2e-5); pretrained, the paper's
+            (1e-6).
+        rate: the learning rate; the recipe's when 0.
+        walks: whose walks the states are of: the policy's own, or the expert's.
+        states: to be kept and answered.
+        stop_share: chance that a wrong STOP ends an episode while states are collected.
+        agents: that collect states side by side.
+        epochs: passes over the states.
+        prompts: of a rollout.
+        answers: to each prompt.
+        minibatches: of a rollout, an update each.
+        sampling: free, any token of the vocabulary, so that answers may be unreadable; slots, what
+            may stand in each place; auto, free where answers are JSON.
+        temperature: of the sampling.
+        low: ratios are clipped at 1 - low ...
+        high: ... and at 1 + high.
+        aggregation: response, the paper's: the mean of an answer's tokens, then of answers; token:
+            the mean of all tokens.
+        drop_uniform: leave groups out whose task rewards are all alike.
+        resample: rounds of further prompts to replace such groups by.
+        overlong: tokens that free answers may be longer than readable ones, punished evenly.
+        entropy_bonus: weight of the entropy in the loss.
+        reward_first: weight of a right first action.
+        reward_collision: of FORWARDs that are cut short.
+        reward_length: of plans that stop too early or too late.
+        reward_format: of an answer that cannot be read.
+        position_scale: metres at which the reward for executed poses falls to 1/e.
+        waypoint_scale: the same of waypoints.
+        minutes: of training at most.
+        examined: episodes of an examination.
+        asked: states of an examination.
+        report: steps from report to report; a step is a rollout.
+        save: steps from checkpoint to checkpoint; 0 for one at the end.
+        examine: steps from examination to examination; 0 for one before the first and one at the
+            end.
+        shard_mb: megabytes of a checkpoint's file at most.
+        drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes.
+        seed: of states, their order, and answers.
+        device: auto, cuda, or host (the emulation: slow, for trials).
+        fresh: forget what an earlier command left in the output folder, instead of going on.
+    """
+
+    suite: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
+        msgspec.Meta(min_length=1),
+    ]
+    start: str
+    out: str
+    exam: str = ""
+    split: str = "train"
+    held_out: str = "val_unseen"
+    recipe: Literal["scratch", "pretrained"] = "scratch"
+    rate: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0
+    walks: Literal["policy", "expert"] = "policy"
+    states: Count = 22_000
+    stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 1.0
+    agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
+    epochs: Count = 2
+    prompts: Count = 64
+    answers: Annotated[int, msgspec.Meta(ge=2, le=1024)] = 8
+    minibatches: Count = 4
+    sampling: Literal["auto", "free", "slots"] = "auto"
+    temperature: Annotated[float, msgspec.Meta(gt=0, le=10)] = 1.0
+    low: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.2
+    high: Scale = 0.28
+    aggregation: Literal["response", "token"] = "response"
+    drop_uniform: bool = False
+    resample: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
+    overlong: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
+    entropy_bonus: Weight = 0.0
+    reward_first: Weight = 0.5
+    reward_collision: Weight = 0.5
+    reward_length: Weight = 0.2
+    reward_format: Weight = 2.0
+    position_scale: Scale = 0.5
+    waypoint_scale: Scale = 0.3
+    minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
+    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
+    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096
+    report: Count = 10
+    save: Annotated[int, msgspec.Meta(ge=0)] = 200
+    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
+    shard_mb: Count = 2000
+    drop_optimiser: bool = False
+    seed: int = 0
+    device: str = "auto"
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
+
+
+def run(args: Args) -> int:
+    """Train, and say where the policy lies."""
+    import os
+    import sys
+
+    from gn0.cli.train_packages import check_packages
+    from gn0.config import check_config
+    from gn0.policies.bae.policy_settings import load_policy_settings
+    from gn0.suites.suite import load_suite
+
+    # what is learned from is looked at first: packages are of no help against a broken folder
+    load_suite(args.suite[0])
+    load_policy_settings(args.start)
+    check_packages()
+    from gn0.training.dapo import RECIPES_DAPO, DapoJob, train_dapo
+    from gn0.training.dapo_stage import DapoPlan
+    from gn0.training.rewards import RewardWeights
+    from gn0.training.rollouts import RolloutSettings
+
+    recipe = RECIPES_DAPO[args.recipe]
+    if args.rate:
+        recipe = msgspec.structs.replace(recipe, rate=args.rate)
+    job = DapoJob(
+        suites=args.suite,
+        start=args.start,
+        exam=args.exam,
+        splits=() if args.split == "all" else _split(args.split),
+        held_out=_split(args.held_out),
+        walks=args.walks,
+        stop_share=args.stop_share,
+        states=args.states,
+        agents=args.agents,
+        epochs=args.epochs,
+        prompts=args.prompts,
+        minibatches=args.minibatches,
+        rollout=RolloutSettings(
+            answers=args.answers,
+            sampling=args.sampling,
+            temperature=args.temperature,
+            reward=RewardWeights(
+                first=args.reward_first,
+                collision=args.reward_collision,
+                length=args.reward_length,
+                format=args.reward_format,
+                position_scale=args.position_scale,
+                waypoint_scale=args.waypoint_scale,
+            ),
+            drop_uniform=args.drop_uniform,
+            overlong=args.overlong,
+        ),
+        low=args.low,
+        high=args.high,
+        aggregation=args.aggregation,
+        resample=args.resample,
+        entropy_bonus=args.entropy_bonus,
+        recipe=recipe,
+        plan=DapoPlan(
+            minutes=args.minutes or None,
+            report=args.report,
+            save=args.save,
+            examine=args.examine,
+            shard_mb=args.shard_mb,
+            keep_optimiser=not args.drop_optimiser,
+        ),
+        examined=args.examined,
+        asked=args.asked,
+        seed=args.seed,
+    )
+    policy = train_dapo(
+        check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
+    )
+    if os.environ.get("RANK", "0") != "0":  # one of several processes; the first one speaks
+        return 0
+    exam = args.exam or args.suite[0]
+    print(f"written to {policy}")
+    print(f"next: gn0 bench run {exam} --policy bae --policy-option checkpoint={policy}")
+    return 0
+
+
+def _split(text: str) -> tuple[str, ...]:
+    return tuple(one.strip() for one in text.split(",") if one.strip())

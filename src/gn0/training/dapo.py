@@ -1,0 +1,303 @@
+"""DAPO: a policy learns from where its own answers lead (paper, l. 788–878).
+
+    policy ─ walks ─ stored states ─ 8 answers each ─ plans carried out ─ rewards ─ clipped loss
+
+As printed: advantages are normalised in the group, tokens averaged by answer, no KL anywhere, the
+vision tower frozen and the projector trained. Answers of a rollout come from the weights at its
+start, and several minibatches learn from them, so that clipping can act.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import torch
+
+from gn0.config import Config
+from gn0.device.device import Device
+from gn0.device.open import open_device
+from gn0.errors import ConfigError
+from gn0.policies.bae.forward import ForwardConstant
+from gn0.policies.bae.policy_settings import FILE
+from gn0.policies.qwen.weights import list_shards
+from gn0.seeds import derive_seed
+from gn0.storage import content_hash, read_bytes
+from gn0.training.dapo_card import describe_policy
+from gn0.training.dapo_stage import DapoPlan, DapoStage
+from gn0.training.examination import STATES, Examination
+from gn0.training.learner import PROJECTOR, Learner
+from gn0.training.policy_gradient import Aggregation, PolicyLoss
+from gn0.training.processes import Processes, join_processes, open_run_together
+from gn0.training.pupil import Pupil, load_pupil
+from gn0.training.recipe import Kind, Recipe
+from gn0.training.rollouts import RolloutMaker, RolloutSettings
+from gn0.training.runs.recipe_text import describe_command, describe_recipe
+from gn0.training.runs.resume_checks import check_resume
+from gn0.training.runs.training_state import TrainingState, list_versions, load_state, name_device
+from gn0.training.visited_states import WalksOf, collect_states
+from gn0.training.worlds import leave_out_long, load_lessons, open_world, wait_for_suites
+
+FREE = ("plan", "examined", "asked")  # of a job: what may differ where a run goes on
+POLICY = "policy"  # folder of the trained policy in a run's
+
+_COMMON = {"stop_weight": 1.0, "distance_weight": 0.0, "blackout": 0.0, "decay": 0.0, "tail": 0.0}
+RECIPES_DAPO: dict[Kind, Recipe] = {
+    "scratch": Recipe(rate=2e-5, warm_steps=10, mean=0.99, **_COMMON),
+    # the paper's rate (l. 837), constant
+    "pretrained": Recipe(
+        kind="pretrained", rate=1e-6, betas=(0.9, 0.999), warm_steps=0, mean=0.0, **_COMMON
+    ),
+}
+
+
+class DapoJob(Config, frozen=True, kw_only=True):
+    """What is trained, on what, and how.
+
+    Attributes:
+        suites: suite folders, of one body.
+        start: folder of the policy to go on from.
+        exam: the suite to be examined in; the first of `suites` when empty.
+        splits: of the suites, to learn from.
+        held_out: of the suite, to be examined in.
+        walks: whose walks the states are of: the policy's own, or the expert's.
+        stop_share: chance that a wrong STOP ends an episode while states are collected.
+        states: kept, over all processes.
+        agents: that collect them side by side.
+        epochs: passes over the states.
+        prompts: of a rollout, over all processes.
+        minibatches: of a rollout, an update each.
+        rollout: how prompts are answered, and answers scored.
+        low: see `clip_objective`, as the next two.
+        high: of ratios.
+        aggregation: of tokens: `response`, the paper's, or `token`, DAPO's own.
+        resample: rounds of further prompts that may replace groups without variance, DAPO's
+            dynamic sampling; 0: none. Their number is looked at, so it waits for the device.
+        entropy_bonus: weight of the mean entropy in the loss, which it raises.
+        recipe: rates and optimiser; its batch is the answers of a rollout.
+        plan: how long, and what is said on the way.
+        examined: episodes of an examination.
+        asked: states of an examination.
+        seed: of states, their order, and answers.
+    """
+
+    suites: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+    start: str
+    exam: str = ""
+    splits: tuple[str, ...] = ("train",)
+    held_out: tuple[str, ...] = ("val_unseen",)
+    walks: WalksOf = "policy"
+    stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 1.0
+    states: Annotated[int, msgspec.Meta(ge=1)] = 22_000
+    agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
+    epochs: Annotated[int, msgspec.Meta(ge=1)] = 2
+    prompts: Annotated[int, msgspec.Meta(ge=1)] = 64
+    minibatches: Annotated[int, msgspec.Meta(ge=1)] = 4
+    rollout: RolloutSettings = RolloutSettings()
+    low: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.2
+    high: Annotated[float, msgspec.Meta(gt=0)] = 0.28
+    aggregation: Aggregation = "response"
+    resample: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
+    entropy_bonus: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    recipe: Recipe = RECIPES_DAPO["scratch"]
+    plan: DapoPlan = DapoPlan()
+    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
+    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = STATES
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        answers = self.prompts * self.rollout.answers
+        if self.recipe.batch != answers:
+            recipe = msgspec.structs.replace(self.recipe, batch=answers)
+            msgspec.structs.force_setattr(self, "recipe", recipe)
+        if self.states * self.epochs < self.prompts:
+            raise ConfigError(
+                f"{self.states} states in {self.epochs} epochs for rollouts of {self.prompts}",
+                where="states",
+                remedy=f"give {-(-self.prompts // self.epochs)} states or more, or fewer prompts",
+            )
+        if self.minibatches > self.prompts:
+            raise ConfigError(
+                f"{self.minibatches} minibatches of {self.prompts} prompts",
+                where="minibatches",
+                remedy="give at most one a prompt",
+            )
+        if self.resample and not self.rollout.drop_uniform:
+            raise ConfigError(
+                "further prompts for groups that are kept",
+                where="resample",
+                remedy="drop groups without variance, too",
+            )
+
+
+def train_dapo(
+    job: DapoJob,
+    out: Path | str,
+    *,
+    device: Device | str = "auto",
+    fresh: bool = False,
+    command: Sequence[str] = (),
+    say: Callable[[str], None] = print,
+) -> Path:
+    """Train, or go on where an earlier call stopped.
+
+    Args:
+        job: what is trained, on what and how.
+        out: the folder of the run.
+        device: a card; or `host`, the emulation, where the model learns on the CPU.
+        fresh: forget what an earlier call left there.
+        command: words of the command line, for `run.json`.
+        say: is told how it goes.
+
+    Returns:
+        OUT/policy, as `gn0 bench run --policy bae` loads it.
+
+    Raises:
+        ConfigError, CheckpointError: the job makes no sense, or a state or the start is damaged.
+        TrainingError: a loss is not finite, or the folder holds another run.
+        DeviceError, DeviceMemoryError, StorageError: see their texts.
+    """
+    with join_processes(device) as processes:
+        return _train(
+            job, Path(out), processes, processes.name_card(device), fresh, command,
+            say if processes.leads else lambda _: None,
+        )  # fmt: skip
+
+
+def _train(
+    job: DapoJob,
+    out: Path,
+    processes: Processes,
+    device: Device | str,
+    fresh: bool,
+    command: Sequence[str],
+    say: Callable[[str], None],
+) -> Path:
+    begun = load_pupil(job.start)
+    card = open_device(device) if isinstance(device, str) else device
+    wait_for_suites(job.suites, say)
+    exam = job.exam or job.suites[0]
+    if job.held_out and Path(exam) not in map(Path, job.suites):
+        wait_for_suites([exam], say)
+    if job.held_out:
+        load_lessons(exam, job.held_out)  # a split that is not there is told now
+    where = torch.device("cuda" if card.kind == "cuda" else "cpu")
+    every = load_lessons(job.suites, job.splits)
+    hashes = {"corpus": every.hash, "start": hash_policy(job.start)}
+    corpus = content_hash(*hashes.values())
+    recipe = describe_recipe(job)
+    with open_run_together(
+        processes,
+        where,
+        out,
+        stage="dapo",
+        recipe=recipe,
+        hashes=hashes,
+        command=describe_command(command),
+        device=name_device(where),
+        versions=list_versions(),
+        free=FREE,
+        fresh=fresh,
+    ) as folder:
+        policy = folder.folder / POLICY
+        if folder.finished is not None and not folder.notes and policy.is_dir():
+            say(f"done before, at step {folder.finished}")
+            return policy
+        for note in folder.notes:
+            say(note)
+        state = load_state(folder.resumed) if folder.resumed else None
+        if state is not None:
+            name = name_device(where)
+            for note in check_resume(state, recipe=recipe, corpus=corpus, device=name, free=FREE):
+                say(note)
+                folder.log(note)
+        stage = _build_stage(job, begun, state, card, where, processes, recipe, corpus, say)
+        examine = None
+        if job.held_out and processes.leads:
+            examine = Examination(
+                stage.pupil, stage.learner, exam, job.held_out, card, say=say,
+                episodes=job.examined, states=job.asked, seed=job.seed,
+            )  # fmt: skip
+        found = stage.run(folder, say, examine)
+        with stage.learner.averaged_weights():
+            if processes.leads:
+                text = describe_policy(recipe, hashes, stage.before, found)
+                stage.pupil.save(policy, card=text, shard_mb=job.plan.shard_mb, overwrite=True)
+        folder.finish(stage.counters.step, found)
+    return policy
+
+
+def _build_stage(
+    job: DapoJob,
+    begun: Pupil,
+    state: TrainingState | None,
+    card: Device,
+    where: torch.device,
+    processes: Processes,
+    recipe: dict[str, object],
+    corpus: str,
+    say: Callable[[str], None],
+) -> DapoStage:
+    """Everything that a step needs, where the state has it."""
+    on_card = where.type == "cuda"
+    pupil = begun
+    if state is not None:
+        pupil = Pupil(state.checkpoint, begun.settings, begun.template)
+    start = {f"model.{name}": w.detach().to(where) for name, w in begun.model.named_parameters()}
+    if pupil is begun:
+        start = {name: weight.clone() for name, weight in start.items()}
+    freeze_tower(pupil)
+    pupil.model.to(where).train()
+    lessons = leave_out_long(load_lessons(job.suites, job.splits), pupil, say)
+    world = open_world(lessons, pupil.settings, job.agents, device=card)
+    seed = processes.seed(derive_seed(job.seed, "dapo"))
+    dtype = torch.bfloat16 if on_card else None
+    visited = collect_states(
+        world, pupil, processes.share(job.states), seed=seed, walks=job.walks,
+        stop_share=job.stop_share, dtype=dtype, say=say,
+        log=None if state is None else DapoStage.read_log(state, processes),
+    )  # fmt: skip
+    maker = RolloutMaker(
+        pupil, visited, job.rollout, processes.share(job.prompts), dtype=dtype
+    )  # fmt: skip
+    forward = ForwardConstant(
+        pupil.model, visited.maker.table.layout, len(maker.allowed), compiled=on_card
+    )
+    loss = PolicyLoss(
+        forward.to(where), maker.allowed, job.rollout.temperature, low=job.low, high=job.high,
+        aggregation=job.aggregation, entropy_bonus=job.entropy_bonus,
+    ).to(where)  # fmt: skip
+    learner = Learner(loss, job.recipe, autocast=dtype, processes=processes)
+    stage = DapoStage(
+        pupil=pupil, learner=learner, maker=maker, plan=job.plan, recipe=recipe, corpus=corpus,
+        start={name: start[name] for name in learner.weights}, epochs=job.epochs,
+        prompts=processes.share(job.prompts), minibatches=job.minibatches,
+        resample=job.resample, seed=seed,
+    )  # fmt: skip
+    if state is not None:
+        for note in stage.restore(state):
+            say(note)
+    return stage
+
+
+def freeze_tower(pupil: Pupil) -> None:
+    """The vision tower learns nothing any more; its projector goes on (paper, l. 843)."""
+    for name, weight in pupil.model.named_parameters():
+        projector = any(part in name for part in PROJECTOR)
+        weight.requires_grad_(projector or "visual." not in name)
+
+
+def hash_policy(folder: Path | str) -> str:
+    """Digest of a policy's weights and settings.
+
+    Raises:
+        CheckpointError: it has no weights. StorageError: they cannot be read.
+    """
+    digests = []
+    for path in list_shards(Path(folder)):
+        with path.open("rb") as file:
+            digests.append(hashlib.file_digest(file, "sha256").hexdigest())
+    return content_hash(*digests, read_bytes(Path(folder) / FILE))

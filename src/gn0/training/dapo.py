@@ -30,7 +30,7 @@ from gn0.training.dapo_card import describe_policy
 from gn0.training.dapo_stage import DapoPlan, DapoStage
 from gn0.training.examination import STATES, Examination
 from gn0.training.learner import PROJECTOR, Learner
-from gn0.training.policy_gradient import Aggregation, PolicyLoss
+from gn0.training.policy_gradient import Aggregation, AnswerBatch, PolicyLoss, PolicyLosses
 from gn0.training.processes import Processes, join_processes, open_run_together
 from gn0.training.pupil import Pupil, load_pupil
 from gn0.training.recipe import Kind, Recipe
@@ -44,12 +44,13 @@ from gn0.training.worlds import leave_out_long, load_lessons, open_world, wait_f
 FREE = ("plan", "examined", "asked")  # of a job: what may differ where a run goes on
 POLICY = "policy"  # folder of the trained policy in a run's
 
-_COMMON = {"stop_weight": 1.0, "distance_weight": 0.0, "blackout": 0.0, "decay": 0.0, "tail": 0.0}
+# constant rates; nothing of what SFT does to labels
+_PLAIN = Recipe(stop_weight=1.0, distance_weight=0.0, blackout=0.0, decay=0.0, tail=0.0)
 RECIPES_DAPO: dict[Kind, Recipe] = {
-    "scratch": Recipe(rate=2e-5, warm_steps=10, mean=0.99, **_COMMON),
-    # the paper's rate (l. 837), constant
-    "pretrained": Recipe(
-        kind="pretrained", rate=1e-6, betas=(0.9, 0.999), warm_steps=0, mean=0.0, **_COMMON
+    "scratch": msgspec.structs.replace(_PLAIN, rate=2e-5, warm_steps=10, mean=0.99),
+    # the paper's rate (l. 837)
+    "pretrained": msgspec.structs.replace(
+        _PLAIN, kind="pretrained", rate=1e-6, betas=(0.9, 0.999), warm_steps=0, mean=0.0
     ),
 }
 
@@ -270,7 +271,9 @@ def _build_stage(
         forward.to(where), maker.allowed, job.rollout.temperature, low=job.low, high=job.high,
         aggregation=job.aggregation, entropy_bonus=job.entropy_bonus,
     ).to(where)  # fmt: skip
-    learner = Learner(loss, job.recipe, autocast=dtype, processes=processes)
+    learner: Learner[AnswerBatch, PolicyLosses] = Learner(
+        loss, job.recipe, autocast=dtype, processes=processes
+    )
     stage = DapoStage(
         pupil=pupil, learner=learner, maker=maker, plan=job.plan, recipe=recipe, corpus=corpus,
         start={name: start[name] for name in learner.weights}, epochs=job.epochs,

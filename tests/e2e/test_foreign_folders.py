@@ -61,6 +61,7 @@ SUITES = {
     "data repair --suite": ["{data}", "--suite", "{it}"],
     "train tokenizer": ["{it}", "--out", "{new}"],
     "train sft": ["{it}", "--samples", "4", "--out", "{new}"],
+    "train dapo": ["{it}", "--start", "{it}", "--out", "{new}"],
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
 }
 DATASETS = {

@@ -76,6 +76,21 @@ def test_kl_is_nought_at_the_start_and_positive_elsewhere() -> None:
     assert measure_kl(chances, other, mask).item() == pytest.approx(expected)
 
 
+def test_kl_in_the_loss_pulls_towards_the_start(pupil, draw_states) -> None:
+    """Without advantages the gradient is KL's alone; none of it where the policy is the start."""
+    batch, said = sample(pupil, draw_states(2))
+    mask = torch.from_numpy(pupil.slots.chosen)[None].expand(len(said.ids), -1)
+    loss = PolicyLoss(pupil.forward, allowed_of(pupil), kl_weight=0.5)
+    plain = [batch.pictures, batch.ids, said.ids, said.logprobs, torch.zeros(len(said.ids)), mask]
+    assert loss(AnswerBatch(*plain, said.logprobs)).loss.item() == pytest.approx(0, abs=1e-9)
+    far = said.logprobs + 0.4 * mask
+    found = loss(AnswerBatch(*plain, far)).loss
+    assert found.item() == pytest.approx(0.5 * (math.exp(0.4) - 1.4), rel=1e-4)
+    found.backward()
+    assert pupil.model.lm_head.weight.grad.abs().max() > 0
+    assert loss(AnswerBatch(*plain)).loss.item() == 0
+
+
 @pytest.mark.parametrize("free", [False, True])
 def test_chances_are_those_that_answers_were_sampled_with(pupil, draw_states, free) -> None:
     batch, said = sample(pupil, draw_states(2), free=free)

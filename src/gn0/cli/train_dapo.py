@@ -20,7 +20,7 @@ EXAMPLES = """  gn0 train dapo out/suite --start out/dagger/policy --out out/dap
   gn0 train dapo out/suite --start out/json/policy --sampling free --overlong 16 --out out/free
   gn0 train dapo out/suite --start out/dagger/policy --aggregation token --drop-uniform \\
       --resample 3 --out out/dapo-token
-  gn0 train dapo out/suite --start out/sft/policy --states 64 --prompts 8 --device host \
+  gn0 train dapo out/suite --start out/sft/policy --states 64 --prompts 8 --device host \\
       --out out/tried"""
 
 Weight = Annotated[float, msgspec.Meta(ge=0)]
@@ -59,7 +59,9 @@ class Args(Config, frozen=True):
         drop_uniform: leave groups out whose task rewards are all alike.
         resample: rounds of further prompts to replace such groups by.
         overlong: tokens that free answers may be longer than readable ones, punished evenly.
+        overlong_weight: of that punishment.
         entropy_bonus: weight of the entropy in the loss.
+        kl_weight: weight of KL to the start in the loss, which the paper leaves out.
         reward_first: weight of a right first action.
         reward_collision: of FORWARDs that are cut short.
         reward_length: of plans that stop too early or too late.
@@ -109,7 +111,9 @@ class Args(Config, frozen=True):
     drop_uniform: bool = False
     resample: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
     overlong: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
+    overlong_weight: Weight = 1.0
     entropy_bonus: Weight = 0.0
+    kl_weight: Weight = 0.0
     reward_first: Weight = 0.5
     reward_collision: Weight = 0.5
     reward_length: Weight = 0.2
@@ -178,12 +182,14 @@ def run(args: Args) -> int:
             ),
             drop_uniform=args.drop_uniform,
             overlong=args.overlong,
+            overlong_weight=args.overlong_weight,
         ),
         low=args.low,
         high=args.high,
         aggregation=args.aggregation,
         resample=args.resample,
         entropy_bonus=args.entropy_bonus,
+        kl_weight=args.kl_weight,
         recipe=recipe,
         plan=DapoPlan(
             minutes=args.minutes or None,

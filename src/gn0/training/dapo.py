@@ -2,8 +2,8 @@
 
     policy ─ walks ─ stored states ─ 8 answers each ─ plans carried out ─ rewards ─ clipped loss
 
-As printed: advantages are normalised in the group, tokens averaged by answer, no KL anywhere, the
-vision tower frozen and the projector trained. Answers of a rollout come from the weights at its
+As printed: advantages are normalised in the group, tokens averaged by answer, no KL in the loss,
+the vision tower frozen and the projector trained. Answers of a rollout come from the weights at its
 start, and several minibatches learn from them, so that clipping can act.
 """
 
@@ -31,7 +31,7 @@ from gn0.training.dapo_stage import DapoPlan, DapoStage
 from gn0.training.examination import STATES, Examination
 from gn0.training.learner import PROJECTOR, Learner
 from gn0.training.policy_gradient import Aggregation, AnswerBatch, PolicyLoss, PolicyLosses
-from gn0.training.processes import Processes, join_processes, open_run_together
+from gn0.training.processes import ALONE, Processes, join_processes, open_run_together
 from gn0.training.pupil import Pupil, load_pupil
 from gn0.training.recipe import Kind, Recipe
 from gn0.training.rollouts import RolloutMaker, RolloutSettings
@@ -78,6 +78,7 @@ class DapoJob(Config, frozen=True, kw_only=True):
         resample: rounds of further prompts that may replace groups without variance, DAPO's
             dynamic sampling; 0: none. Their number is looked at, so it waits for the device.
         entropy_bonus: weight of the mean entropy in the loss, which it raises.
+        kl_weight: weight of KL to the start in the loss; 0, the paper's: it is measured alone.
         recipe: rates and optimiser; its batch is the answers of a rollout.
         plan: how long, and what is said on the way.
         examined: episodes of an examination.
@@ -103,6 +104,7 @@ class DapoJob(Config, frozen=True, kw_only=True):
     aggregation: Aggregation = "response"
     resample: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
     entropy_bonus: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    kl_weight: Annotated[float, msgspec.Meta(ge=0)] = 0.0
     recipe: Recipe = RECIPES_DAPO["scratch"]
     plan: DapoPlan = DapoPlan()
     examined: Annotated[int, msgspec.Meta(ge=0)] = 512
@@ -264,16 +266,7 @@ def _build_stage(
     maker = RolloutMaker(
         pupil, visited, job.rollout, processes.share(job.prompts), dtype=dtype
     )  # fmt: skip
-    forward = ForwardConstant(
-        pupil.model, visited.maker.table.layout, len(maker.allowed), compiled=on_card
-    )
-    loss = PolicyLoss(
-        forward.to(where), maker.allowed, job.rollout.temperature, low=job.low, high=job.high,
-        aggregation=job.aggregation, entropy_bonus=job.entropy_bonus,
-    ).to(where)  # fmt: skip
-    learner: Learner[AnswerBatch, PolicyLosses] = Learner(
-        loss, job.recipe, autocast=dtype, processes=processes
-    )
+    learner = open_policy_learner(job, pupil, maker, processes)
     stage = DapoStage(
         pupil=pupil, learner=learner, maker=maker, plan=job.plan, recipe=recipe, corpus=corpus,
         start={name: start[name] for name in learner.weights}, epochs=job.epochs,
@@ -284,6 +277,22 @@ def _build_stage(
         for note in stage.restore(state):
             say(note)
     return stage
+
+
+def open_policy_learner(
+    job: DapoJob, pupil: Pupil, maker: RolloutMaker, processes: Processes = ALONE
+) -> Learner[AnswerBatch, PolicyLosses]:
+    """A learner of a pupil's model from rollouts, on the device where it is."""
+    where = pupil.model.device
+    on_card = where.type == "cuda"
+    layout = maker.visited.maker.table.layout
+    forward = ForwardConstant(pupil.model, layout, len(maker.allowed), compiled=on_card)
+    loss = PolicyLoss(
+        forward.to(where), maker.allowed, job.rollout.temperature, low=job.low, high=job.high,
+        aggregation=job.aggregation, entropy_bonus=job.entropy_bonus, kl_weight=job.kl_weight,
+    ).to(where)  # fmt: skip
+    autocast = torch.bfloat16 if on_card else None
+    return Learner(loss, job.recipe, autocast=autocast, processes=processes)
 
 
 def freeze_tower(pupil: Pupil) -> None:

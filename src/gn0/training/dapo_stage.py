@@ -223,11 +223,10 @@ class DapoStage:
         kind, dtype = self.learner.device.type, self.learner.autocast
         return torch.autocast(kind, dtype or torch.bfloat16, enabled=dtype is not None)
 
-    def measure_kl(self, rollout: Rollout, old: Tensor) -> Tensor:
-        """KL to the start [nat a token], which nothing is done with."""
+    def recall_start(self, rollout: Rollout) -> Tensor:
+        """The same under the weights of the start."""
         with self.learner.other_weights(self.start):
-            start = self.recall(rollout)
-        return measure_kl(old, start, rollout.mask)
+            return self.recall(rollout)
 
     def learn(
         self, batch: AnswerBatch, share: float, tell: Callable[[int, PolicyLosses, Tensor], None]
@@ -282,9 +281,11 @@ class DapoStage:
             over = self.left < 1
             looks = over or (plan.examine and step % plan.examine == 0)
             tells = looks or step % plan.report == 0  # the same in all processes
-            if tells:
-                sums.add({"kl": self.measure_kl(rollout, old)})
-            self.learn(self.maker.batch(rollout, old), share, tell)
+            start = None
+            if tells or self.loss.kl_weight:
+                start = self.recall_start(rollout)
+                sums.add({"kl": measure_kl(old, start, rollout.mask)})
+            self.learn(self.maker.batch(rollout, old, start), share, tell)
             seconds = before + time.monotonic() - begun
             self.counters = msgspec.structs.replace(
                 self.counters, step=step, samples=self.counters.samples + answers,

@@ -2,7 +2,7 @@
 
 Several answers to each prompt share its pictures. A token's chance is that among the tokens which
 its slot allowed when it was sampled, so forced tokens have none and count for nothing: |y| is the
-number of tokens that were chosen. There is no KL in the loss.
+number of tokens that were chosen. There is no KL in the loss unless one asks for it.
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ class AnswerBatch:
         old: float32 [N, S] log-probabilities under the policy that was sampled.
         advantages: float32 [N].
         mask: bool [N, S] tokens that count.
+        start: float32 [N, S] log-probabilities under the policy to stay near to; where KL to it is
+            in the loss.
     """
 
     pictures: tuple[Tensor, ...]
@@ -52,6 +54,7 @@ class AnswerBatch:
     old: Tensor
     advantages: Tensor
     mask: Tensor
+    start: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.answers)
@@ -67,6 +70,7 @@ class AnswerBatch:
                 AnswerBatch(
                     tuple(one[some] for one in self.pictures), self.ids[some], self.answers[own],
                     self.old[own], self.advantages[own], self.mask[own],
+                    None if self.start is None else self.start[own],
                 )
             )  # fmt: skip
         return found
@@ -120,27 +124,36 @@ def clip_objective(
         aggregation: `response`, the paper's: the mean of an answer's tokens, then of answers;
             `token`, DAPO's own: the mean of all tokens.
     """
-    ratio, gain, weight = torch.exp(logprobs - old), advantages[:, None], mask.to(logprobs.dtype)
+    ratio, gain = torch.exp(logprobs - old), advantages[:, None]
     free, held = ratio * gain, ratio.clamp(1 - low, 1 + high) * gain
-    kept = torch.minimum(free, held) * weight
-    clipped = ((held < free) * weight).sum() / weight.sum().clamp(min=1)
+    clipped = average_tokens((held < free).to(logprobs.dtype), mask, "token")
+    return -average_tokens(torch.minimum(free, held), mask, aggregation), clipped
+
+
+def average_tokens(values: Tensor, mask: Tensor, aggregation: Aggregation) -> Tensor:
+    """The mean of tokens [N, S] that count: a scalar; see `clip_objective`."""
+    weight = mask.to(values.dtype)
+    kept = values * weight
     if aggregation == "token":
-        return -kept.sum() / weight.sum().clamp(min=1), clipped
+        return kept.sum() / weight.sum().clamp(min=1)
     lengths = weight.sum(1)
     means = kept.sum(1) / lengths.clamp(min=1)
-    return -means.sum() / (lengths > 0).sum().clamp(min=1), clipped
+    return means.sum() / (lengths > 0).sum().clamp(min=1)
 
 
-def measure_kl(logprobs: Tensor, start: Tensor, mask: Tensor) -> Tensor:
+def measure_kl(
+    logprobs: Tensor, start: Tensor, mask: Tensor, aggregation: Aggregation = "token"
+) -> Tensor:
     """KL of the policy to another [nat a token], of answers that it sampled; never negative.
 
     Args:
         logprobs: [N, S] under the policy.
         start: [N, S] under the other.
         mask: [N, S] tokens that count.
+        aggregation: of the tokens.
     """
     off = start - logprobs
-    return ((off.exp() - off - 1) * mask).sum() / mask.sum().clamp(min=1)
+    return average_tokens(off.exp() - off - 1, mask, aggregation)
 
 
 class AnswerScorer(nn.Module):
@@ -200,6 +213,7 @@ class PolicyLoss(AnswerScorer):
         high: of ratios.
         aggregation: of tokens.
         entropy_bonus: weight of the mean entropy, which is raised; 0 for none.
+        kl_weight: weight of KL to the start (the paper has none, l. 838); 0 for none.
     """
 
     def __init__(
@@ -212,10 +226,11 @@ class PolicyLoss(AnswerScorer):
         high: float = 0.28,
         aggregation: Aggregation = "response",
         entropy_bonus: float = 0.0,
+        kl_weight: float = 0.0,
     ) -> None:
         super().__init__(forward, allowed, temperature)
         self.low, self.high, self.aggregation = low, high, aggregation
-        self.entropy_bonus = entropy_bonus
+        self.entropy_bonus, self.kl_weight = entropy_bonus, kl_weight
 
     def forward(self, batch: AnswerBatch) -> PolicyLosses:
         """Losses of a batch."""
@@ -227,4 +242,7 @@ class PolicyLoss(AnswerScorer):
         entropy = (found.entropy * batch.mask).sum() / batch.mask.sum().clamp(min=1)
         if self.entropy_bonus:
             loss = loss - self.entropy_bonus * entropy
+        if self.kl_weight and batch.start is not None:
+            off = measure_kl(found.logprobs, batch.start, batch.mask, self.aggregation)
+            loss = loss + self.kl_weight * off
         return PolicyLosses(loss, clipped, entropy.detach())

@@ -246,19 +246,20 @@ class RolloutMaker:
         varied = task.view(-1, group).std(1, correction=0) > ALIKE
         return Rollout(asked, rewards, scores, overlong, readable, mask, varied)
 
-    def batch(self, rollout: Rollout, old: Tensor) -> AnswerBatch:
+    def batch(self, rollout: Rollout, old: Tensor, start: Tensor | None = None) -> AnswerBatch:
         """What is learned from.
 
         Args:
             rollout: the answers.
             old: float32 [N, S] their log-probabilities under the weights that gave them.
+            start: the same under those of the start, where KL is in the loss.
         """
         asked, group = rollout.asked, self.settings.answers
         gains = group_advantages(rollout.scores.view(-1, group)).flatten().float()
         mask = rollout.mask
         if self.settings.drop_uniform:
             mask = mask & rollout.varied.repeat_interleave(group)[:, None]
-        return AnswerBatch(asked.pictures, asked.ids, asked.answers, old, gains, mask)
+        return AnswerBatch(asked.pictures, asked.ids, asked.answers, old, gains, mask, start)
 
     def measure(self, rollout: Rollout) -> dict[str, Tensor]:
         """What is told of a rollout: scalars by name, on the device."""

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The training half of the paper in miniature, on a CPU: scenes, missions, samples, a tokenizer of their language, SFT of a model of
-# 2 M weights and DAgger, once and live. Needs the extra `train`; about two minutes on two cores, `tiny-bae.sh OUT ci` one.
+# 2 M weights, DAgger, once and live, and DAPO. Needs the extra `train`; about two minutes on two cores, `tiny-bae.sh OUT ci` one.
 set -euo pipefail
 
 OUT=${1:-out/tiny-bae}
@@ -45,3 +45,9 @@ gn0 train dagger "$OUT/missions" --start "$OUT/sft/policy" --split all --held-ou
   --report 5 --device host --seed "$SEED" --out "$OUT/dagger"
 gn0 train dagger "$OUT/missions" --live --start "$OUT/sft/policy" --split all --held-out "" --samples "$STATES" --batch 16 --agents 16 --kept 320 \
   --beta-from 0 --beta-to 64 --report 5 --device host --seed "$SEED" --out "$OUT/dagger-live"
+
+say "DAPO"
+STATES=64
+[ "$SIZE" = ci ] && STATES=16
+gn0 train dapo "$OUT/missions" --start "$OUT/dagger/policy" --split all --held-out "" --states "$STATES" --agents 4 --epochs 1 \
+  --prompts 8 --answers 4 --minibatches 2 --report 1 --device host --seed "$SEED" --out "$OUT/dapo"

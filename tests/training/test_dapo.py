@@ -108,11 +108,11 @@ def test_a_stopped_run_ends_in_the_same_bytes(suite, start, tmp_path, monkeypatc
     other = _train(job, parts, said)
     for name in ("model.safetensors", "policy.json", "README.md"):
         assert (policy / name).read_bytes() == (other / name).read_bytes()
-    timed = ("seconds", "answers_per_second")
+    timed = ("seconds", "samples_per_second")
     one, two = ([{k: v for k, v in line.items() if k not in timed} for line in _read(out)]
                 for out in (whole, parts))  # fmt: skip
     assert one == two and [line["step"] for line in one] == [1, 2, 3, 4, 5, 6]
-    assert one[-1]["answers"] == 6 * 12
+    assert one[-1]["samples"] == 6 * 12
     assert one[0]["kl"] == 0 < one[-1]["kl"]
     assert "step 6/6" in said[-1] and "reward" in said[-1]
     assert _train(job, parts, said) == other and said[-1] == "done before, at step 6"
@@ -203,7 +203,7 @@ def test_further_prompts_take_the_place_of_groups_without_variance(suite, start,
     _train(job, tmp_path / "run")
     lines = _read(tmp_path / "run")
     assert len(lines) < 6  # some steps took several rounds of prompts
-    assert all(line["answers"] == 8 * (k + 1) for k, line in enumerate(lines))
+    assert all(line["samples"] == 8 * (k + 1) for k, line in enumerate(lines))
 
 
 @pytest.mark.slow
@@ -247,7 +247,7 @@ def test_two_processes_train_one_policy(suite, start, tmp_path) -> None:
     told = [one.communicate(timeout=300)[0] for one in both]
     assert [one.returncode for one in both] == [0, 0], told
     assert "written to" in told[0]
-    assert [line["answers"] for line in _read(tmp_path / "run")] == [8, 16]
+    assert [line["samples"] for line in _read(tmp_path / "run")] == [8, 16]
     assert load_pupil(tmp_path / "run" / "policy").model is not None
 
 

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 
 @pytest.mark.slow
 def test_tiny_bae_comes_through_every_stage(tmp_path: Path) -> None:
-    """Scenes, missions, samples, a tokenizer of their language, SFT and DAgger."""
+    """Scenes, missions, samples, a tokenizer of their language, SFT, DAgger and DAPO."""
     done = subprocess.run(
         ["bash", str(ROOT / "runs" / "tiny-bae.sh"), str(tmp_path / "out"), "ci"],
         env={
@@ -31,5 +31,5 @@ def test_tiny_bae_comes_through_every_stage(tmp_path: Path) -> None:
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     words = transformers.AutoTokenizer.from_pretrained(tmp_path / "out/words")
     assert len(words("go to the sofa").input_ids) <= 6
-    for run in ("sft", "sft-data", "dagger", "dagger-live"):
+    for run in ("sft", "sft-data", "dagger", "dagger-live", "dapo"):
         assert (tmp_path / "out" / run / "policy" / "policy.json").is_file()

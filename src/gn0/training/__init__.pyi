@@ -5,7 +5,14 @@ from gn0.training.dagger import DaggerJob as DaggerJob
 from gn0.training.dagger import train_dagger as train_dagger
 from gn0.training.dagger_live import DaggerLiveJob as DaggerLiveJob
 from gn0.training.dagger_live import train_dagger_live as train_dagger_live
+from gn0.training.dapo import DapoJob as DapoJob
+from gn0.training.dapo import train_dapo as train_dapo
+from gn0.training.dapo_stage import DapoPlan as DapoPlan
+from gn0.training.plan_walker import PlanWalker as PlanWalker
 from gn0.training.recipe import Recipe as Recipe
+from gn0.training.rewards import RewardWeights as RewardWeights
+from gn0.training.rewards import score_answers as score_answers
+from gn0.training.rollouts import RolloutSettings as RolloutSettings
 from gn0.training.sft import SftJob as SftJob
 from gn0.training.sft import train_sft as train_sft
 from gn0.training.stage import StagePlan as StagePlan

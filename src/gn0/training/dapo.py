@@ -39,7 +39,7 @@ from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
 from gn0.training.runs.training_state import TrainingState, list_versions, load_state, name_device
 from gn0.training.visited_states import WalksOf, collect_states
-from gn0.training.worlds import leave_out_long, load_lessons, open_world, wait_for_suites
+from gn0.training.worlds import Lessons, leave_out_long, load_lessons, open_world, wait_for_suites
 
 FREE = ("plan", "examined", "asked")  # of a job: what may differ where a run goes on
 POLICY = "policy"  # folder of the trained policy in a run's
@@ -217,7 +217,9 @@ def _train(
             for note in check_resume(state, recipe=recipe, corpus=corpus, device=name, free=FREE):
                 say(note)
                 folder.log(note)
-        stage = _build_stage(job, begun, state, card, where, processes, recipe, corpus, say)
+        stage = _build_stage(
+            job, begun, state, every, card, where, processes, recipe, corpus, say
+        )  # fmt: skip
         examine = None
         if job.held_out and processes.leads:
             examine = Examination(
@@ -237,6 +239,7 @@ def _build_stage(
     job: DapoJob,
     begun: Pupil,
     state: TrainingState | None,
+    lessons: Lessons,
     card: Device,
     where: torch.device,
     processes: Processes,
@@ -254,7 +257,7 @@ def _build_stage(
         start = {name: weight.clone() for name, weight in start.items()}
     freeze_tower(pupil)
     pupil.model.to(where).train()
-    lessons = leave_out_long(load_lessons(job.suites, job.splits), pupil, say)
+    lessons = leave_out_long(lessons, pupil, say)
     world = open_world(lessons, pupil.settings, job.agents, device=card)
     seed = processes.seed(derive_seed(job.seed, "dapo"))
     dtype = torch.bfloat16 if on_card else None

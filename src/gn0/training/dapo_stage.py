@@ -296,8 +296,8 @@ class DapoStage:
                 seconds = processes.gather(seconds, device)[0]
                 over = over or (plan.minutes is not None and seconds >= plan.minutes * 60)
                 now = time.monotonic()
-                values["answers_per_second"] = answers * (step - since) / (now - mark)
-                values |= {"answers": self.counters.samples, "seconds": seconds}
+                values["samples_per_second"] = answers * (step - since) / (now - mark)
+                values |= {"samples": self.counters.samples, "seconds": seconds}
                 if (looks or over) and examine is not None:
                     guard.settle()
                     found = dict(examine())
@@ -321,7 +321,7 @@ class DapoStage:
         return found
 
     def _describe(self, values: Mapping[str, float], *, over: bool) -> str:
-        step, rate = self.counters.step, values["answers_per_second"]
+        step, rate = self.counters.step, values["samples_per_second"]
         left = self.left * self.learner.recipe.batch / rate if rate and not over else 0.0
         parts = [
             f"step {step:,}/{step + (0 if over else self.left):,}",

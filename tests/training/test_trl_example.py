@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -22,5 +23,7 @@ def test_trl_learns_from_our_rewards(tmp_path) -> None:
         capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    told = re.search(r"own answers score ([\d.]+)", done.stdout)
+    assert told and 1.45 < float(told[1]) <= 1.5
     assert "SFT: loss" in done.stdout
     assert "GRPO: rewards -2.000" in done.stdout

@@ -128,7 +128,7 @@ class DapoStage:
         Returns:
             What is not as it was, in words.
         """
-        learner, said = self.learner, []
+        learner = self.learner
         if learner.averaged and state.averaged:
             for name, array in learner.averaged.items():
                 array.copy_(state.averaged[name])
@@ -138,8 +138,7 @@ class DapoStage:
         self.at = int(state.source["streams"][learner.processes.rank]["at"])
         if state.optimiser is not None:
             restore_optimiser(learner.optimiser, state.optimiser, learner.weights.items())
-        said += restore_generators(state.generators)
-        return tuple(said)
+        return restore_generators(state.generators)
 
     def state(self) -> TrainingState:
         """All that the next step hangs on."""

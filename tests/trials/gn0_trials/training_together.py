@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from gn0.policies.bae.checkpoint import Checkpoint
-from gn0.training.learner import Learner, LossForward
+from gn0.training.learner import Learner, Losses, LossForward
 from gn0.training.processes import Processes, join_processes, open_run_together
 from gn0.training.recipe import Recipe
 from gn0.training.runs.training_state import load_state
 from gn0.training.stage import Stage, StagePlan
+from gn0.training.streams.samples import SampleBatch
 from gn0_trials.pupil_small import PupilSmall, draw_states, make_words
 
 RECIPE = Recipe(batch=4, warm_steps=2, mean=0.9)
@@ -65,7 +66,7 @@ def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
         state = load_state(run.resumed) if run.resumed else None
         model = state.checkpoint.model.train() if state else pupil.model
         loss = LossForward(pupil.forward_of(model), pupil.slots, RECIPE)
-        learner = Learner(loss, RECIPE, processes=processes)
+        learner: Learner[SampleBatch, Losses] = Learner(loss, RECIPE, processes=processes)
         plan = StagePlan(samples=samples, report=1, save=2)
         stream = SharedOut(processes, dies_at)
         kept: Any = Kept(pupil, model)

@@ -25,13 +25,13 @@ SQUARES = MapView(squares=(EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
 def open_maker(make_env, rooms):
     """A `RolloutMaker` of a random model in the two flats, and its pupil."""
 
-    def make(layout: str = "compact", *, walks: str = "expert", log=None, **settings):
+    def make(layout: str = "compact", *, walks="expert", reference="expert", log=None, **settings):
         texts = [episode.instruction for episode in rooms[1]]
         form = AnswerForm(points=3, layout=layout)
         asked = PolicySettings(prompt="short", pictures=("near", "far"), form=form, view=SQUARES)
         pupil = build_pupil("nano", asked, texts, merges=300)
         env = make_env(4, sensors=("ego_map",), map_view=SQUARES)
-        visited = collect_states(env, pupil, 20, seed=1, walks=walks, log=log)
+        visited = collect_states(env, pupil, 20, seed=1, walks=walks, reference=reference, log=log)
         own = RolloutSettings(answers=GROUP, **settings)
         return RolloutMaker(pupil, visited, own, 4), pupil
 
@@ -48,7 +48,7 @@ def say(maker: RolloutMaker, pupil, asked: Asked, answers) -> Asked:
     ids = answers.repeat_interleave(GROUP, 0)
     return Asked(
         asked.rows, asked.pictures, asked.ids, ids, maker.visited.maker.actions(ids),
-        asked.entropy, asked.waypoints,
+        asked.entropy,
     )  # fmt: skip
 
 
@@ -77,6 +77,19 @@ def test_the_experts_own_answer_scores_all_that_there_is(open_maker) -> None:
     assert (rollout.rewards.total > 1.49).all() and (rollout.rewards.total <= 1.5).all()
     assert rollout.rewards.collision.sum() == rollout.rewards.length.sum() == 0
     assert not rollout.varied.any()  # a group of one answer
+
+
+@pytest.mark.parametrize("layout", ["compact", "json"])
+def test_the_policys_own_plan_may_be_the_reference(open_maker, layout) -> None:
+    """Its most probable answer then scores everything, whatever it says."""
+    maker, _ = open_maker(layout, reference="policy", sampling="slots", temperature=1e-6)
+    rollout = roll(maker)
+    assert torch.equal(rollout.asked.actions[::GROUP], maker.visited.actions[:4])
+    assert rollout.rewards.trajectory.tolist() == pytest.approx([1] * 12)
+    expert = maker.visited.draw(np.arange(20)).actions
+    assert not torch.equal(maker.visited.actions, expert.long())
+    again, _ = open_maker(layout, reference="policy", log=maker.visited.log)
+    assert torch.equal(again.visited.waypoints, maker.visited.waypoints)
 
 
 def test_answers_of_one_seed_are_the_same_and_differ_in_a_group(open_maker) -> None:
@@ -110,7 +123,7 @@ def test_free_answers_that_cannot_be_read_score_minus_two_and_nothing_else(open_
     answers[::GROUP] = right
     asked = Asked(
         rollout.asked.rows, rollout.asked.pictures, rollout.asked.ids, answers,
-        maker.visited.maker.actions(answers), rollout.asked.entropy, rollout.asked.waypoints,
+        maker.visited.maker.actions(answers), rollout.asked.entropy,
     )  # fmt: skip
     mixed = maker.score(asked, maker.walk(asked))
     assert mixed.readable.tolist() == [True, False, False] * 4
@@ -158,7 +171,6 @@ def test_long_answers_are_punished_evenly(open_maker) -> None:
         answers[row, length - 1] = pupil.slots.vocabulary.end
     own = Asked(
         asked.rows, asked.pictures, asked.ids, answers, asked.actions, asked.entropy,
-        asked.waypoints,
     )  # fmt: skip
     rollout = maker.score(own, maker.walk(own))
     assert rollout.mask.sum(1).tolist()[:5] == [5, whole, whole + 1, whole + 3, whole + 4]

@@ -42,6 +42,8 @@ class Args(Config, frozen=True):
             (1e-6).
         rate: the learning rate; the recipe's when 0.
         walks: whose walks the states are of: the policy's own, or the expert's.
+        reference: whose plans and waypoints answers are compared with: the expert's, or the
+            policy's own before it learns.
         states: to be kept and answered.
         stop_share: chance that a wrong STOP ends an episode while states are collected.
         agents: that collect states side by side.
@@ -96,6 +98,7 @@ class Args(Config, frozen=True):
     recipe: Literal["scratch", "pretrained"] = "scratch"
     rate: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0
     walks: Literal["policy", "expert"] = "policy"
+    reference: Literal["expert", "policy"] = "expert"
     states: Count = 22_000
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 1.0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
@@ -162,6 +165,7 @@ def run(args: Args) -> int:
         splits=() if args.split == "all" else _split(args.split),
         held_out=_split(args.held_out),
         walks=args.walks,
+        reference=args.reference,
         stop_share=args.stop_share,
         states=args.states,
         agents=args.agents,

@@ -38,7 +38,7 @@ from gn0.training.rollouts import RolloutMaker, RolloutSettings
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
 from gn0.training.runs.training_state import TrainingState, list_versions, load_state, name_device
-from gn0.training.visited_states import WalksOf, collect_states
+from gn0.training.visited_states import Whose, collect_states
 from gn0.training.worlds import Lessons, leave_out_long, load_lessons, open_world, wait_for_suites
 
 FREE = ("plan", "examined", "asked")  # of a job: what may differ where a run goes on
@@ -65,6 +65,8 @@ class DapoJob(Config, frozen=True, kw_only=True):
         splits: of the suites, to learn from.
         held_out: of the suite, to be examined in.
         walks: whose walks the states are of: the policy's own, or the expert's.
+        reference: whose plans and waypoints answers are compared with: the expert's, or what the
+            policy itself would most probably have said before it learned.
         stop_share: chance that a wrong STOP ends an episode while states are collected.
         states: kept, over all processes.
         agents: that collect them side by side.
@@ -91,7 +93,8 @@ class DapoJob(Config, frozen=True, kw_only=True):
     exam: str = ""
     splits: tuple[str, ...] = ("train",)
     held_out: tuple[str, ...] = ("val_unseen",)
-    walks: WalksOf = "policy"
+    walks: Whose = "policy"
+    reference: Whose = "expert"
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 1.0
     states: Annotated[int, msgspec.Meta(ge=1)] = 22_000
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
@@ -249,23 +252,24 @@ def _build_stage(
 ) -> DapoStage:
     """Everything that a step needs, where the state has it."""
     on_card = where.type == "cuda"
-    pupil = begun
-    if state is not None:
-        pupil = Pupil(state.checkpoint, begun.settings, begun.template)
-    start = {f"model.{name}": w.detach().to(where) for name, w in begun.model.named_parameters()}
-    if pupil is begun:
-        start = {name: weight.clone() for name, weight in start.items()}
-    freeze_tower(pupil)
-    pupil.model.to(where).train()
-    lessons = leave_out_long(lessons, pupil, say)
-    world = open_world(lessons, pupil.settings, job.agents, device=card)
+    begun.model.to(where)
+    begun.model.requires_grad_(False)
+    lessons = leave_out_long(lessons, begun, say)
+    world = open_world(lessons, begun.settings, job.agents, device=card)
     seed = processes.seed(derive_seed(job.seed, "dapo"))
     dtype = torch.bfloat16 if on_card else None
     visited = collect_states(
-        world, pupil, processes.share(job.states), seed=seed, walks=job.walks,
-        stop_share=job.stop_share, dtype=dtype, say=say,
+        world, begun, processes.share(job.states), seed=seed, walks=job.walks,
+        reference=job.reference, stop_share=job.stop_share, dtype=dtype, say=say,
         log=None if state is None else DapoStage.read_log(state, processes),
     )  # fmt: skip
+    start = {f"model.{name}": w.detach() for name, w in begun.model.named_parameters()}
+    if state is None:
+        pupil, start = begun, {name: weight.clone() for name, weight in start.items()}
+    else:
+        pupil = Pupil(state.checkpoint, begun.settings, begun.template)
+    freeze_tower(pupil)
+    pupil.model.to(where).train()
     maker = RolloutMaker(
         pupil, visited, job.rollout, processes.share(job.prompts), dtype=dtype
     )  # fmt: skip

@@ -82,7 +82,6 @@ class Asked:
         answers: int64 [N, S].
         actions: int64 [N, A] that they say.
         entropy: float32 [N, S] of what they were drawn from [nat].
-        waypoints: float32 [P, K, 2] m of the references.
     """
 
     rows: Tensor
@@ -91,7 +90,6 @@ class Asked:
     answers: Tensor
     actions: Tensor
     entropy: Tensor
-    waypoints: Tensor
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,7 @@ class Rollout:
         asked = self.asked
         some = Asked(
             asked.rows[groups], tuple(one[groups] for one in asked.pictures), asked.ids[groups],
-            asked.answers[rows], asked.actions[rows], asked.entropy[rows], asked.waypoints[groups],
+            asked.answers[rows], asked.actions[rows], asked.entropy[rows],
         )  # fmt: skip
         rewards = Rewards(*(getattr(self.rewards, f.name)[rows] for f in fields(Rewards)))
         own = ("scores", "overlong", "readable", "mask")
@@ -202,7 +200,7 @@ class RolloutMaker:
         self._chosen = torch.tensor([len(own) > 1 for own in self.allowed], device=device)
         self._spoken = np.flatnonzero(pupil.slots.kinds == ACTION).tolist()
         form = pupil.settings.form
-        self._points = slice(1, form.points) if form.points else None
+        self._points = bool(form.points)
         self._skipped = 1 - form.first_point  # the agent's own place, where it is written
 
     def ask(self, rows: NDArray[np.int64], seed: int) -> Asked:
@@ -211,11 +209,8 @@ class RolloutMaker:
         batch = self.visited.maker.make(states)
         self.actor.reseed(seed)
         said = self.actor.decide(batch.pictures, batch.ids)
-        way = states.waypoints[:, self._points or slice(0, 0)]
         here = torch.from_numpy(rows).to(batch.ids.device, non_blocking=True)
-        return Asked(
-            here, batch.pictures, batch.ids, said.ids, said.actions, said.entropy, way
-        )  # fmt: skip
+        return Asked(here, batch.pictures, batch.ids, said.ids, said.actions, said.entropy)
 
     def walk(self, asked: Asked) -> PlanWalks:
         """Where the answers' plans lead."""
@@ -231,10 +226,10 @@ class RolloutMaker:
         else:
             readable = find_readable(self.slots, self._frame, asked.answers, self._readable)
         said = wanted = None
-        if self._points is not None:
+        if self._points:
             answers = asked.answers[:, : len(self.slots)]
             said = self.visited.maker.waypoints(answers)[:, self._skipped :]
-            wanted = asked.waypoints.repeat_interleave(group, 0)
+            wanted = self.visited.waypoints[rows]
         rewards = score_answers(
             walks, self.visited.wanted.pick(rows), asked.actions, self.visited.actions[rows],
             readable, waypoints=said, wanted_waypoints=wanted, weights=settings.reward,

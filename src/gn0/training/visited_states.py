@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gn0.policies.bae.actor import Actor
+from gn0.policies.bae.actor import Actor, Decisions
 from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.history import LENGTH
@@ -26,7 +26,7 @@ from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_live import LiveCounts, StreamLive
 from gn0.training.worlds import list_squares
 
-WalksOf = Literal["policy", "expert"]
+Whose = Literal["policy", "expert"]
 
 
 class VisitedStates:
@@ -36,13 +36,14 @@ class VisitedStates:
         ring: that holds them.
         numbers: [M] in the ring, in the order in which rows count.
         maker: makes prompts of them.
+        actions: int64 [M, A] the references' plans.
+        waypoints: float32 [M, K, 2] m the references' waypoints, without the agent's own place.
         log: of the collection, with which `collect_states` collects the same again.
         counts: what happened on the way; None where it was collected again.
 
     Attributes:
         walker: carries plans out from them.
-        wanted: where the expert's plans lead.
-        actions: int64 [M, A] the expert's plans.
+        wanted: where the references' plans lead.
     """
 
     def __init__(
@@ -50,18 +51,15 @@ class VisitedStates:
         ring: StepRing,
         numbers: NDArray[np.int64],
         maker: SampleMaker,
+        actions: Tensor,
+        waypoints: Tensor,
         log: Mapping[str, Any],
         counts: LiveCounts | None,
     ) -> None:
         self.ring, self.numbers, self.maker, self.log = ring, numbers, maker, log
-        self.counts = counts
-        at = torch.from_numpy(numbers).to(ring.device)
-        kept = {
-            name: ring[name].flatten(0, 1).index_select(0, at)
-            for name in ("episode", "pose", "actions")
-        }
-        self.actions = kept["actions"].long()
-        self.walker = PlanWalker(ring.env, kept["episode"], kept["pose"])
+        self.actions, self.waypoints, self.counts = actions, waypoints, counts
+        place = (_take(ring, name, numbers) for name in ("episode", "pose"))
+        self.walker = PlanWalker(ring.env, *place)
         everyone = torch.arange(len(numbers), device=ring.device)
         self.wanted: PlanWalks = self.walker.walk(everyone, self.actions)
 
@@ -79,7 +77,8 @@ def collect_states(
     count: int,
     *,
     seed: int,
-    walks: WalksOf = "policy",
+    walks: Whose = "policy",
+    reference: Whose = "expert",
     stop_share: float = 1.0,
     dtype: torch.dtype | None = None,
     log: Mapping[str, Any] | None = None,
@@ -93,6 +92,8 @@ def collect_states(
         count: states to keep, drawn out of all that were visited where these are more.
         seed: of episodes and of that draw.
         walks: whose: the policy's (its own states, beta 0), or the expert's.
+        reference: whose plans and waypoints: the expert's, or those that the policy itself would
+            most probably say now.
         stop_share: chance that a STOP which is not the expert's ends an episode.
         dtype: of what the policy computes, see `Actor`.
         log: of an earlier collection, to be walked again: the same states to the bit.
@@ -109,35 +110,55 @@ def collect_states(
     maker: list[SampleMaker] = []
     actor: list[Actor] = []
 
-    def drive(states: LabelledStates) -> Tensor:
+    def ask(states: LabelledStates) -> Decisions:
         batch = maker[0].make(states)
         if not actor:
             layout, frame = maker[0].table.layout, settings.frame
             actor.append(Actor(pupil.model, layout, pupil.slots, frame, agents, dtype=dtype))
-        return actor[0].decide(batch.pictures, batch.ids).actions[:, : settings.executed]
+        return actor[0].decide(batch.pictures, batch.ids)
+
+    def drive(states: LabelledStates) -> Tensor:
+        return ask(states).actions[:, : settings.executed]
 
     stream = StreamLive(
         world, ring, seed=derive_seed(seed, "visited"), fill=steps, dark=0.0,
         driver=drive if walks == "policy" else None, stop_share=stop_share,
     )  # fmt: skip
     maker.append(pupil.maker(stream.texts, pupil.model.device))
+    training = pupil.model.training
+    pupil.model.eval()
     counts = None
     if log is not None:
         stream.restore(log)
     else:
-        training = pupil.model.training
-        pupil.model.eval()
         while ring.count < steps:
             stream.step()
-        pupil.model.train(training)
         counts = stream.tell()
         say(_describe(counts, walks))
-    total = steps * agents
-    numbers = random_stream(seed, "visited", "kept").permutation(total)[:count]
-    return VisitedStates(ring, numbers, maker[0], stream.state(), counts)
+    numbers = random_stream(seed, "visited", "kept").permutation(steps * agents)[:count]
+    points = settings.form.points
+    if reference == "expert":
+        actions = _take(ring, "actions", numbers).long()
+        waypoints = _take(ring, "waypoints", numbers)[:, min(1, points) : points]
+    else:
+        parts = range(0, count, agents)
+        said = [ask(ring.draw(numbers[begin : begin + agents])) for begin in parts]
+        actions = torch.cat([one.actions for one in said])
+        waypoints = torch.zeros((count, 0, 2), device=actions.device)
+        if points:
+            ways = maker[0].waypoints(torch.cat([one.ids for one in said]))
+            waypoints = ways[:, 1 - settings.form.first_point :]
+    pupil.model.train(training)
+    return VisitedStates(ring, numbers, maker[0], actions, waypoints, stream.state(), counts)
 
 
-def _describe(counts: LiveCounts, walks: WalksOf) -> str:
+def _take(ring: StepRing, name: str, numbers: NDArray[np.int64]) -> Tensor:
+    """What the ring keeps of these states."""
+    at = torch.from_numpy(numbers).to(ring.device)
+    return ring[name].flatten(0, 1).index_select(0, at)
+
+
+def _describe(counts: LiveCounts, walks: Whose) -> str:
     told = f"{counts.steps:,} states of the {walks}'s walks, {counts.ended:,} episodes ended, "
     told += f"{counts.arrived:,} of them at the goal"
     if counts.asked:

@@ -184,7 +184,7 @@ def test_a_loss_that_is_not_finite_stops_and_names_step_and_batch(
     ]  # fmt: skip
 
 
-def test_jobs_that_make_no_sense_are_refused(suite, start) -> None:
+def test_jobs_that_make_no_sense_are_refused(suite, start, tmp_path) -> None:
     for more, told in (
         ({"states": 1, "epochs": 2}, "give 2 states or more"),
         ({"minibatches": 5}, "at most one a prompt"),
@@ -194,6 +194,10 @@ def test_jobs_that_make_no_sense_are_refused(suite, start) -> None:
             _job(suite, start, **more)
         assert told in caught.value.remedy
     assert _job(suite, start).recipe.batch == 12
+    long = _job(suite, start, rollout=RolloutSettings(answers=3, overlong=4))
+    with pytest.raises(ConfigError, match="too long"):  # before anybody walks
+        _train(long, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow

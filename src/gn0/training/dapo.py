@@ -183,6 +183,9 @@ def _train(
     say: Callable[[str], None],
 ) -> Path:
     begun = load_pupil(job.start)
+    job.rollout.check_fits(begun)
+    for count in (job.states, job.prompts):
+        processes.share(count)  # refused before anybody walks
     card = open_device(device) if isinstance(device, str) else device
     wait_for_suites(job.suites, say)
     exam = job.exam or job.suites[0]

@@ -70,6 +70,20 @@ class RolloutSettings(Config, frozen=True):
         """Whether answers of this layout are sampled freely."""
         return self.sampling == "free" or (self.sampling == "auto" and layout == "json")
 
+    def check_fits(self, pupil: Pupil) -> None:
+        """Make sure that this policy can be asked so.
+
+        Raises:
+            ConfigError: tokens for overlong answers where all have one length.
+        """
+        ends = END in pupil.slots.kinds and self.is_free(pupil.settings.form.layout)
+        if self.overlong and not ends:
+            raise ConfigError(
+                "answers that cannot be too long",
+                where="overlong",
+                remedy="leave it 0: only JSON answers that are sampled freely end by themselves",
+            )
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -181,12 +195,7 @@ class RolloutMaker:
     ) -> None:
         self.visited, self.settings, self.slots = visited, settings, pupil.slots
         self.free = settings.is_free(pupil.settings.form.layout)
-        if settings.overlong and not (self.free and END in pupil.slots.kinds):
-            raise ConfigError(
-                "answers that cannot be too long",
-                where="overlong",
-                remedy="leave it 0: only JSON answers that are sampled freely end by themselves",
-            )
+        settings.check_fits(pupil)
         self.room = settings.overlong
         frame, device = pupil.settings.frame, pupil.model.device
         self.allowed = list_allowed(pupil.slots, frame, free=self.free, room=self.room)

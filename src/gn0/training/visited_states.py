@@ -6,6 +6,7 @@ computation": what the expert would do in each is the reference, the paper's lab
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
@@ -27,6 +28,7 @@ from gn0.training.streams.stream_live import LiveCounts, StreamLive
 from gn0.training.worlds import list_squares
 
 Whose = Literal["policy", "expert"]
+_SPEAK = 10.0  # s between two lines
 
 
 class VisitedStates:
@@ -131,8 +133,12 @@ def collect_states(
     if log is not None:
         stream.restore(log)
     else:
+        spoken = time.monotonic()
         while ring.count < steps:
             stream.step()
+            if time.monotonic() - spoken > _SPEAK:
+                spoken = time.monotonic()
+                say(f"collected {min(ring.count * agents, count):,} of {count:,} states")
         counts = stream.tell()
         say(_describe(counts, walks))
     numbers = random_stream(seed, "visited", "kept").permutation(steps * agents)[:count]

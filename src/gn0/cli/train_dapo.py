@@ -100,7 +100,7 @@ class Args(Config, frozen=True):
     walks: Literal["policy", "expert"] = "policy"
     reference: Literal["expert", "policy"] = "expert"
     states: Count = 22_000
-    stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 1.0
+    stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
     epochs: Count = 2
     prompts: Count = 64

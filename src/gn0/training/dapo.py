@@ -95,7 +95,7 @@ class DapoJob(Config, frozen=True, kw_only=True):
     held_out: tuple[str, ...] = ("val_unseen",)
     walks: Whose = "policy"
     reference: Whose = "expert"
-    stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 1.0
+    stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
     states: Annotated[int, msgspec.Meta(ge=1)] = 22_000
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
     epochs: Annotated[int, msgspec.Meta(ge=1)] = 2

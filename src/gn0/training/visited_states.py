@@ -81,7 +81,7 @@ def collect_states(
     seed: int,
     walks: Whose = "policy",
     reference: Whose = "expert",
-    stop_share: float = 1.0,
+    stop_share: float = 0.2,
     dtype: torch.dtype | None = None,
     log: Mapping[str, Any] | None = None,
     say: Callable[[str], None] = lambda _: None,

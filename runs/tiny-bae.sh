@@ -35,6 +35,7 @@ say "SFT"
 SAMPLES=1600
 [ "$SIZE" = ci ] && SAMPLES=32
 gn0 train sft "$OUT/missions" --split all --held-out "" --size nano --batch 16 --agents 16 --kept 320 --samples "$SAMPLES" \
+  --inputs maps:0.7,near_alone=near/13:0.3 \
   --report 5 --device host --seed "$SEED" --out "$OUT/sft"
 gn0 train sft "$OUT/data" --source dataset --held-out "" --size nano --batch 16 --samples 32 --seed "$SEED" --out "$OUT/sft-data"
 

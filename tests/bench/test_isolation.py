@@ -116,6 +116,7 @@ def look(step: int, chance: np.random.Generator) -> Observation:
         depth=chance.random((6, 8), np.float32),
         bev=chance.integers(0, 256, (4, 4, 3), np.uint8),
         bev_metres_per_pixel=1 / 3,
+        map_origin=(chance.random(), -chance.random()),
         occupancy=chance.integers(0, 256, (4, 4, 3), np.uint8),
         history=chance.integers(0, 256, (4, 4, 3), np.uint8),
         ranges=chance.random(9, np.float32),

@@ -108,7 +108,8 @@ def test_all_sensors_arrive_and_still_pictures_only_once() -> None:
     sent = [
         Observation(
             step, 0.5 * step, "go to the sofa", rgb=shot((4, 6, 3)), depth=shot((4, 6), np.float32),
-            bev=bev, bev_metres_per_pixel=0.05, occupancy=shot((5, 7, 3)), history=shot((8, 6, 3)),
+            bev=bev, bev_metres_per_pixel=0.05, map_origin=(-1.5, 2.0),
+            occupancy=shot((5, 7, 3)), history=shot((8, 6, 3)),
             ranges=shot((9,), np.float32), goal_vector=(1.5, -0.5), goal_picture=goal,
             pose=Pose2D(1.0, 2.0, 0.5), collided=step == 2,
         )
@@ -303,6 +304,7 @@ BROKEN = {
     "a flat map": infer(gn0={"bev": np.zeros((4, 4), np.uint8)}),
     "a map of four colours": infer(gn0={"bev": np.zeros((4, 4, 4), np.uint8)}),
     "a step that is no number": infer(gn0={"step": "1"}),
+    "an origin of one number": infer(gn0={"map_origin": [1.0]}),
     "a scale that is no number": infer(gn0={"bev_metres_per_pixel": None, "time": "now"}),
     "a pose of two": infer(gn0={"pose": [1.0, 2.0]}),
     "a goal of text": infer(gn0={"goal_vector": ["a", "b"]}),

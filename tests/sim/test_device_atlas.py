@@ -8,9 +8,11 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
+from PIL import Image
 
 from gn0.device.host import DeviceHost
 from gn0.errors import ConfigError, DeviceMemoryError, SimError
+from gn0.maps.grid import UNKNOWN, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.render.camera import Camera
 from gn0.render.cuda.batch import RendererBatch
@@ -19,6 +21,7 @@ from gn0.sim import presets
 from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.presets import CameraPreset
+from gn0.sim.sensors import MapFrame
 from gn0.testing.scenes import build_point_episodes, build_room_scene
 
 pytestmark = pytest.mark.skipif(not shutil.which("g++"), reason="the host emulation needs g++")
@@ -51,12 +54,12 @@ def make_env(rooms, own_cache, monkeypatch):
     camera = Camera.from_hfov(24, 20, 90)
     monkeypatch.setitem(presets._BY_NAME, "small", CameraPreset("small", camera, camera))
 
-    def make(count: int, device=None, **settings) -> VectorEnvDevice:
+    def make(count: int, device=None, scenes=rooms[0], **settings) -> VectorEnvDevice:
         device = device or DeviceHost(2)
         own = {"sensors": ("rgb", "ego_map"), "episodes": rooms[1], "preset": "small",
                "map_view": SQUARES, "max_steps": 20}  # fmt: skip
         return VectorEnvDevice(
-            count, rooms[0], device=device, renderer=RendererBatch(device), **(own | settings)
+            count, scenes, device=device, renderer=RendererBatch(device), **(own | settings)
         )
 
     return make
@@ -84,6 +87,40 @@ def test_maps_of_episodes_that_nobody_plays_are_the_sensors(make_env) -> None:
     nobody = atlas.draw(atlas.view.squares[0], twin.device.upload(np.full(7, -1, np.int32)),
                         there[1])  # fmt: skip
     assert not nobody.numpy().any()
+
+
+@pytest.mark.parametrize(("size", "arrow"), [((16, 24), False), ((33, 128), True)])
+def test_whole_maps_are_the_sensors_resized_as_pillow_does(
+    make_env, rooms, size: tuple[int, int], arrow: bool
+) -> None:
+    """Scenes of two sizes, brought to one; smaller along both axes, or larger along one."""
+    first, second = rooms[0]
+    cells = np.pad(second.grid.cells, ((3, 0), (0, 11)), constant_values=UNKNOWN)
+    wide = replace(second, grid=OccupancyGrid(cells, second.grid.resolution, second.grid.origin))
+    view = SQUARES | {"arrow": arrow}
+    env = make_env(9, scenes=[first, wide], map_view=view, sensors=("ego_map", "bev", "occupancy"))
+    env.reset(seed=0)
+    seen, infos = env.place_uniform(5)
+    atlas = EgoAtlas(env)
+    numbers, poses = infos["episode"], infos["pose"]
+    frames = [atlas.frames[n] for n in numbers.numpy()]
+    assert len({(frame.width, frame.height) for frame in frames}) == 2
+    for name in ("bev", "occupancy"):
+        found = atlas.draw_whole(name, size, numbers, poses).numpy()
+        for own, whole, frame in zip(found, seen[name].numpy(), frames, strict=True):
+            picture = Image.fromarray(whole[: frame.height, : frame.width])
+            wanted = np.asarray(picture.resize(size, Image.Resampling.BOX))
+            np.testing.assert_array_equal(own, wanted)
+    assert frames[0] in {MapFrame.of_grid(s.grid) for s in (first, wide)}
+    nobody = env.device.upload(np.full(9, -1, np.int32))
+    assert not atlas.draw_whole("bev", size, nobody, poses).numpy().any()
+    with pytest.raises(ConfigError, match="no whole map 'depth'"):
+        atlas.draw_whole("depth", size, numbers, poses)
+    with pytest.raises(SimError, match="numbers are"):
+        atlas.draw_whole("bev", size, poses, poses)
+    grey = make_env(1, map_view={"squares": [{"content": "occupancy"}]})
+    with pytest.raises(ConfigError, match="do not have the scene's colours"):
+        EgoAtlas(grey).draw_whole("bev", size, numbers, poses)
 
 
 def test_an_episode_that_comes_later_is_taken_up(make_env, rooms) -> None:

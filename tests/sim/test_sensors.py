@@ -98,6 +98,7 @@ def test_occupancy_shows_map_start_and_agent(make_simulator, make_episode) -> No
     picture = observation.occupancy
     assert picture.shape == (100, 160, 3)
     assert observation.bev_metres_per_pixel == 0.05
+    assert observation.map_origin == (0.0, 0.0)
     frame = simulator.suite.map_frame
     for (x, y), colour in (((1.0, 2.5), GREEN), ((2.0, 2.5), RED)):
         row, col = frame.pixel_of(x, y)

@@ -280,7 +280,7 @@ def test_an_observation_tells_nothing_that_was_not_asked_for(make_simulator, mak
 def test_the_observation_has_no_privileged_field() -> None:
     assert {f.name for f in dataclasses.fields(Observation)} == {
         *("step", "time", "instruction", "collided", "rgb", "depth", "bev"),
-        *("bev_metres_per_pixel", "occupancy", "history", "ranges", "goal_vector"),
+        *("bev_metres_per_pixel", "map_origin", "occupancy", "history", "ranges", "goal_vector"),
         *("goal_picture", "pose", "more"),
     }
 

@@ -57,6 +57,7 @@ class PolicySeeing:
             )
             self.sum = zlib.crc32(f"{name} {value.dtype} {value.shape}".encode(), self.sum)
             self.sum = zlib.crc32(value.tobytes(), self.sum)
+        self.sum = zlib.crc32(repr(seen.map_origin).encode(), self.sum)
         self.sum += seen.step + seen.collided + int((seen.bev_metres_per_pixel or 0) * 1e6)
         return Action(1 + (self.sum + int(self.rng.integers(3))) % 3)
 

@@ -20,12 +20,12 @@ from gn0.training.processes import ALONE, Processes
 from gn0.training.runs.training_state import load_state
 
 
-def _together(folder: Path, samples: int, count: int = 2, dies_at: int = -1):
+def _together(folder: Path, samples: int, count: int = 2, dies_at: int = -1, what: str = ""):
     start = [sys.executable, "-m"]
     if count > 1:
         start += ["torch.distributed.run", "--standalone", f"--nproc-per-node={count}", "-m"]
     done = subprocess.run(
-        [*start, "gn0_trials.training_together", str(folder), str(samples), str(dies_at)],
+        [*start, "gn0_trials.training_together", str(folder), str(samples), str(dies_at), what],
         env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     return done.returncode, done.stdout + done.stderr
@@ -61,6 +61,22 @@ def test_two_processes_learn_what_one_does(tmp_path) -> None:
     assert _losses(tmp_path / "two") == pytest.approx(_losses(tmp_path / "one"), abs=1e-5)
     one, two = (load_state(tmp_path / name / "checkpoints") for name in ("one", "two"))
     assert two.counters.samples == one.counters.samples == 16
+    named = dict(two.checkpoint.model.named_parameters())
+    for name, weight in one.checkpoint.model.named_parameters():
+        torch.testing.assert_close(named[name], weight, atol=1e-5, rtol=0)
+
+
+@pytest.mark.slow
+def test_two_processes_learn_several_inputs_as_one_does(tmp_path) -> None:
+    """Also in steps without pictures, in which the vision tower has no gradient."""
+    assert _together(tmp_path / "one", 24, count=1, what="inputs")[0] == 0
+    code, said = _together(tmp_path / "two", 24, what="inputs")
+    assert code == 0, said
+    lines = (tmp_path / "two" / "metrics.jsonl").read_text().splitlines()
+    inputs = ["loss_words" in json.loads(line) for line in lines]
+    assert set(inputs) == {True, False}
+    assert _losses(tmp_path / "two") == pytest.approx(_losses(tmp_path / "one"), abs=1e-5)
+    one, two = (load_state(tmp_path / name / "checkpoints") for name in ("one", "two"))
     named = dict(two.checkpoint.model.named_parameters())
     for name, weight in one.checkpoint.model.named_parameters():
         torch.testing.assert_close(named[name], weight, atol=1e-5, rtol=0)

@@ -290,6 +290,50 @@ def test_maps_of_several_scenes_are_brought_to_one_size(tmp_path: Path) -> None:
     assert len({width for width, *_ in stream.maps.tolist()}) == 2
 
 
+def test_several_datasets_are_one_stream(cached: Dataset, bare: Dataset) -> None:
+    both, count = (cached, bare), 2 * total(cached)
+    stream = StreamDataset(both, ("history",), seed=1, buffer=40, blackout=0)
+    states = stream.draw(count)
+    drawn = Counter(names_of(states))
+    shift = len(cached.sampled)
+    for number, dataset in enumerate(both):
+        alone = names_of(StreamDataset(dataset, ()).draw(total(dataset)))
+        own = {(e + number * shift, *pose): n for (e, *pose), n in Counter(alone).items()}
+        assert {name: drawn[name] for name in own} == own
+    assert stream.texts == 2 * StreamDataset(cached, ()).texts
+    assert len(stream.maps) == 2 * shift
+    early = set((states.episode[: count // 2] >= shift).tolist())
+    assert early == {True, False}  # parts of both come mixed
+    ranks = [
+        StreamDataset(both, (), seed=1, buffer=40, rank=rank, ranks=2, blackout=0)
+        for rank in range(2)
+    ]
+    halves = [names_of(one.draw(count // 2)) for one in ranks]
+    assert [halves[k % 2][k // 2] for k in range(count)] == names_of(states)
+    with StreamDataset(both, ("history",), seed=1, buffer=40, blackout=0, workers=2) as again:
+        first = StreamDataset(both, ("history",), seed=1, buffer=40, blackout=0)
+        first.draw(13)
+        again.restore(json.loads(json.dumps(first.state())))
+        for begin in (13, 30):
+            assert same(again.draw(17), states.pick(slice(begin, begin + 17)))
+    assert stream.hash != StreamDataset((bare, cached), ()).hash
+    with pytest.raises(DataError, match="content hash"):
+        StreamDataset(cached, ("history",), seed=1).restore(stream.state())
+
+
+def test_datasets_have_their_shares_whatever_their_sizes(cached: Dataset, bare: Dataset) -> None:
+    stream = StreamDataset((cached, bare), (), shares=(3, 1))
+    count = 6 * total(cached)
+    second = (stream.draw(count).episode >= len(cached.sampled)).sum().item()
+    assert second == pytest.approx(count / 4, abs=total(cached) / 20)
+    with pytest.raises(ConfigError, match="shares 1 of 2 datasets"):
+        StreamDataset((cached, bare), (), shares=(1,))
+    with pytest.raises(ConfigError, match="one number above 0"):
+        StreamDataset((cached, bare), (), shares=(1, 0))
+    with pytest.raises(DataError, match="content hash"):
+        stream.restore(StreamDataset((cached, bare), (), shares=(1, 3)).state())
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_a_worker_that_is_killed_is_named(cached: Dataset) -> None:
     whole = StreamDataset(cached, (), seed=4).draw(24)

@@ -71,6 +71,9 @@ class Args(Config, frozen=True):
         points: waypoints of an answer; by default 13.
         layout: of answers: compact or json.
         preset: of the cameras, as in `gn0 list presets`.
+        inputs: shares of the steps by the policy's inputs, as all:0.5,views:0.3,maps:0.2; those of
+            a model from random weights as in `gn0 train sft`. A policy of several inputs learns its
+            default alone without it, and always drives by that.
         executed: actions of an answer that are carried out; 0 for what the policy's settings say.
         stop_share: chance that a wrong STOP ends the episode; else the expert's action is carried
             out.
@@ -130,6 +133,7 @@ class Args(Config, frozen=True):
     points: Annotated[int, msgspec.Meta(ge=0, le=64)] | None = None
     layout: Literal["compact", "json"] | None = None
     preset: str | None = None
+    inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
     exam: str = ""
@@ -242,9 +246,10 @@ def _read_live(args: Args) -> DaggerLiveJob:
     from gn0.policies.bae.policy_settings import PolicySettings
     from gn0.training.dagger import DAGGER_RECIPES
     from gn0.training.dagger_live import DaggerLiveJob
+    from gn0.training.inputs import read_inputs
     from gn0.training.recipe import RECIPES
 
-    settings = None
+    settings, inputs = None, {}
     if not args.start:
         settings = PolicySettings(
             prompt=args.prompt or "short",
@@ -255,10 +260,15 @@ def _read_live(args: Args) -> DaggerLiveJob:
             without=_split(args.without or ""),
             preset=args.preset or "tiny_128",
         )
+        if args.inputs:
+            settings, inputs = read_inputs(args.inputs, settings)
     recipes = DAGGER_RECIPES if args.start else RECIPES
     names = ("size", "kept", "ratio", "acts", "beta_from", "beta_to")
+    both = _read_both(args, recipes[args.recipe])
+    if settings is not None:
+        both["inputs"] = inputs
     return DaggerLiveJob(
-        **_read_both(args, recipes[args.recipe]),
+        **both,
         **_given(args, names),
         joins=_read_numbers(args.joins or "0"),
         settings=settings,
@@ -273,6 +283,7 @@ def _given(args: Args, names: Sequence[str]) -> dict[str, Any]:
 
 def _read_both(args: Args, recipe: Any) -> dict[str, Any]:
     """What both stages are told."""
+    from gn0.training.inputs import read_shares
     from gn0.training.stage import StagePlan
 
     given = {"batch": args.batch, "rate": args.rate, "stop_weight": args.stop_weight}
@@ -282,6 +293,7 @@ def _read_both(args: Args, recipe: Any) -> dict[str, Any]:
     return {
         "suites": args.suite,
         "start": args.start,
+        "inputs": read_shares(args.inputs) if args.start else {},
         "exam": args.exam,
         "text_length": args.text_length,
         "splits": () if args.split == "all" else _split(args.split),

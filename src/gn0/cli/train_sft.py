@@ -19,6 +19,9 @@ from gn0.errors import ConfigError
 EXAMPLES = """  gn0 train sft out/suite --out out/sft
   gn0 train sft out/suite --source uniform --pictures near,far --minutes 8 --out out/sft
   gn0 train sft out/suite --pictures rgb,history --points 0 --samples 4000000 --out out/views
+  gn0 train sft out/suite --inputs all:0.5,views:0.3,maps:0.2 --out out/every
+  gn0 train sft out/suite --prompt paper_planning_maps --out out/paper
+  gn0 train sft out/first out/second --source dataset --shares 0.7,0.3 --out out/both
   gn0 train sft out/dataset --source dataset --recipe pretrained --start Qwen3-VL-4B-Instruct \\
       --layout json --out out/sft-4b
   gn0 train sft out/first out/second out/third --joins 0,500000,1500000 --text-length 120 \\
@@ -30,22 +33,29 @@ class Args(Config, frozen=True):
     """What to train, on what, and how.
 
     Attributes:
-        suite: suite folders, as `gn0 missions generate` writes; a dataset's with --source dataset.
+        suite: suite folders, as `gn0 missions generate` writes; datasets' with --source dataset.
         out: the folder of the run; an interrupted one there goes on.
         joins: samples drawn when each suite joins, with commas between; a suite that is not there
             yet is waited for. By default all are there from the first sample on.
         exam: the suite to be examined in; the first by default.
         text_length: tokens of instructions, where suites that join may have longer ones than the
             first; still longer ones are left out.
-        source: where states come from: walks of the expert, uniform over the scenes, or a dataset.
+        source: where states come from: walks of the expert, uniform over the scenes, or datasets.
+        shares: of the samples, one a dataset with commas between; by their sizes by default.
         split: splits of the suite to learn from, with commas between; all for all.
         held_out: splits to be examined in, with commas between; empty for none.
         recipe: how it learns: scratch, from random weights; pretrained, the paper's rates.
         size: of a model from random weights: nano (2 M) or tiny (17 M).
         start: a folder to start from instead: a policy, or any Qwen3-VL as safetensors.
-        prompt: a prompt of `gn0 list prompts`, or the path of one.
-        pictures: what the prompt shows, with commas between: rgb, history, and near, far of the
-            ego map.
+        prompt: a prompt of `gn0 list prompts`, or the path of one; what it does not leave open
+            (pictures, points, layout) is its own.
+        pictures: what the prompt shows, with commas between: rgb, history, near and far of the
+            ego map, and whole maps: bev, occupancy.
+        map_size: width and height [px] that whole maps of any scene are brought to.
+        inputs: several inputs of one policy with their shares of the steps, in place of --pictures
+            and --points: all (rgb, history, near, far; 13 waypoints), views (rgb, history; none),
+            maps (near, far; 13), a prompt of `gn0 list prompts` whose pictures are given, or one of
+            your own as NAME=rgb+near/13:SHARE. The first is the default.
         map_paint: what near and far show as BEV: the scene, or the categories of its objects, an
             oracle map: a control.
         without: parts of the prompt that are left out, with commas between; paper for what the
@@ -87,6 +97,7 @@ class Args(Config, frozen=True):
     exam: str = ""
     text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     source: Literal["walks", "uniform", "dataset"] = "walks"
+    shares: str = ""
     split: str = "train"
     held_out: str = "val_unseen"
     recipe: Literal["scratch", "pretrained"] = "scratch"
@@ -94,6 +105,8 @@ class Args(Config, frozen=True):
     start: str = ""
     prompt: str = "short"
     pictures: str = "near,far"
+    map_size: str = "128,128"
+    inputs: str = ""
     map_paint: Literal["scene", "categories"] = "scene"
     without: str = ""
     points: Annotated[int, msgspec.Meta(ge=0, le=64)] = 13
@@ -136,14 +149,32 @@ def run(args: Args) -> int:
 
     # what is learned from is looked at first: packages are of no help against a broken folder
     first = args.suite[0]
-    open_dataset(first) if args.source == "dataset" else load_suite(first)
+    for dataset in args.suite if args.source == "dataset" else ():
+        open_dataset(dataset)
+    if args.source != "dataset":
+        load_suite(first)
     check_packages()
+    from gn0.training.inputs import fit_prompt, read_inputs
     from gn0.training.recipe import RECIPES
     from gn0.training.sft import SftJob, train_sft
     from gn0.training.stage import StagePlan
 
     given = {"batch": args.batch, "rate": args.rate, "stop_weight": args.stop_weight}
     chosen = {name: value for name, value in given.items() if value}
+    settings = PolicySettings(
+        prompt=args.prompt,
+        pictures=_split(args.pictures),
+        form=AnswerForm(points=args.points, layout=args.layout),
+        without=_split(args.without),
+        preset=args.preset,
+        view=MapView(paint=args.map_paint),
+        map_size=_read_size(args.map_size),
+    )
+    inputs: dict[str, float] = {}
+    if args.inputs:
+        settings, inputs = read_inputs(args.inputs, settings)
+    else:
+        settings = fit_prompt(settings)
     job = SftJob(
         suites=args.suite,
         joins=_read_numbers(args.joins),
@@ -154,14 +185,9 @@ def run(args: Args) -> int:
         held_out=_split(args.held_out),
         size=args.size,
         start=args.start,
-        settings=PolicySettings(
-            prompt=args.prompt,
-            pictures=_split(args.pictures),
-            form=AnswerForm(points=args.points, layout=args.layout),
-            without=_split(args.without),
-            preset=args.preset,
-            view=MapView(paint=args.map_paint),
-        ),
+        settings=settings,
+        inputs=inputs,
+        shares=_read_shares(args.shares),
         recipe=msgspec.structs.replace(RECIPES[args.recipe], **chosen),
         plan=StagePlan(
             samples=args.samples,
@@ -203,4 +229,23 @@ def _read_numbers(text: str) -> tuple[int, ...]:
     except ValueError:
         raise ConfigError(
             f"not whole numbers: {text!r}", where="--joins", remedy="give 0,500000 or the like"
+        ) from None
+
+
+def _read_size(text: str) -> tuple[int, int]:
+    try:
+        width, height = (int(one) for one in _split(text))
+    except ValueError:
+        raise ConfigError(
+            f"no size: {text!r}", where="--map-size", remedy="give 128,128 or the like"
+        ) from None
+    return width, height
+
+
+def _read_shares(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(one) for one in _split(text))
+    except ValueError:
+        raise ConfigError(
+            f"not numbers: {text!r}", where="--shares", remedy="give 0.7,0.3 or the like"
         ) from None

@@ -263,9 +263,9 @@ class BatchEyes:
             else:
                 found[sensor.name] = values
         if self._scaled:
-            found["bev_metres_per_pixel"] = [
-                self._suites[scene].map_frame.metres_per_pixel for scene in snapshot.scenes
-            ]
+            frames = [self._suites[scene].map_frame for scene in snapshot.scenes]
+            found["bev_metres_per_pixel"] = [frame.metres_per_pixel for frame in frames]
+            found["map_origin"] = [(frame.x_min, frame.y_min) for frame in frames]
         return found
 
     def _stand(self, snapshot: Snapshot, k: int, seen: Seen) -> Standpoint:

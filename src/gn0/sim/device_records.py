@@ -168,6 +168,23 @@ class DrawEgoMaps(NamedTuple):
     out: DeviceArray
 
 
+class ShrinkMaps(NamedTuple):
+    """`shrink_maps`: whole map pictures of all agents, brought to one size."""
+
+    w: np.void
+    slots: DeviceArray
+    poses: DeviceArray
+    shapes: DeviceArray
+    across: DeviceArray
+    down: DeviceArray
+    rows: np.int32
+    cols: np.int32
+    radius: np.int32
+    arrow: np.int32
+    occupancy: np.int32
+    out: DeviceArray
+
+
 class ReducePictures(NamedTuple):
     """`reduce_pictures`: smaller pictures, by weights along each axis."""
 

@@ -160,6 +160,11 @@ class EpisodeStore:
         row = self._rows[self._slot_of[number]]
         return int(row["map_rows"]), int(row["map_cols"]), float(row["map_scale"])
 
+    def map_origin(self, number: int) -> tuple[float, float]:
+        """x, y [m] of the lower left corner of the map pictures of a pinned episode."""
+        row = self._rows[self._slot_of[number]]
+        return float(row["map_x"]), float(row["map_y"])
+
     @property
     def seats(self) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
         """The episode in each slot [S], −1 in an empty one, and whether it is pinned."""

@@ -7,6 +7,7 @@ no episode ever ends over there, and none begins that nobody asked for.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -103,7 +104,10 @@ class WalkersDevice:
             name: self._rows(name, values, which) for name, values in seen.items() if name in wanted
         }
         numbers = self._numbers[which].tolist()
-        scale = [store.map_frame(n)[2] for n in numbers] if self._maps else None
+        facts: dict[str, list[Any]] = {}
+        if self._maps:
+            facts["bev_metres_per_pixel"] = [store.map_frame(n)[2] for n in numbers]
+            facts["map_origin"] = [store.map_origin(n) for n in numbers]
         stands = [
             Stand(
                 self.pose(agent),
@@ -113,7 +117,7 @@ class WalkersDevice:
             )
             for agent, number in zip(which.tolist(), numbers, strict=True)
         ]
-        return build_observations(stands, wanted, found, scale)
+        return build_observations(stands, wanted, found, facts)
 
     def _rows(self, name: str, values: DeviceArray, which: Numbers) -> Sequence[np.ndarray]:
         """What agents `which` see; pictures of maps in the size of their own scene."""

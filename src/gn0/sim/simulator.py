@@ -436,7 +436,9 @@ class Simulator:
         here.episode, here.steps = episode, step
         fields: dict[str, Any] = {name: read(here) for name, read in self._fields}
         if self._scaled:
-            fields["bev_metres_per_pixel"] = self._suite.map_frame.metres_per_pixel
+            frame = self._suite.map_frame
+            fields["bev_metres_per_pixel"] = frame.metres_per_pixel
+            fields["map_origin"] = frame.x_min, frame.y_min
         if self._others:
             fields["more"] = {s.name: s.measure(here, space) for s, space in self._others}
         return Observation(

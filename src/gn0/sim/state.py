@@ -90,6 +90,7 @@ class Observation:
         bev: [Hb, Wb, 3] uint8 metric map picture, north (+y) up: of the whole scene, or with map
             mode `explored` of what the agent has seen, grey elsewhere.
         bev_metres_per_pixel: scale of `bev` and `occupancy` [m].
+        map_origin: x, y [m] of their lower left corner, in the frame of `pose`.
         occupancy: [Hb, Wb, 3] uint8 occupancy picture, same frame and scale as `bev`, with the
             start (green) and the agent (red) drawn as discs; with map mode `explored` all that
             the agent has not seen is unknown.
@@ -113,6 +114,7 @@ class Observation:
     depth: F32 | None = None
     bev: U8 | None = None
     bev_metres_per_pixel: float | None = None
+    map_origin: tuple[float, float] | None = None
     occupancy: U8 | None = None
     history: U8 | None = None
     ranges: F32 | None = None
@@ -139,7 +141,7 @@ def _black(value: Any) -> Any:
 
 # sensors that have a field of their own
 OBSERVED = frozenset(Observation.__dataclass_fields__) - {
-    "step", "time", "instruction", "bev_metres_per_pixel", "collided", "more",
+    "step", "time", "instruction", "bev_metres_per_pixel", "map_origin", "collided", "more",
 }  # fmt: skip
 
 

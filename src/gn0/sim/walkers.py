@@ -138,7 +138,7 @@ class WalkersHost:
         snapshot = batch.snapshot(which)
         if snapshot is not None:
             found |= batch.draw([snapshot])[0]
-        scale = found.pop("bev_metres_per_pixel", None)
+        maps = {name: found.pop(name) for name in MAP_FACTS if name in found}
         stands = [
             Stand(
                 batch.pose(agent),
@@ -148,7 +148,11 @@ class WalkersHost:
             )
             for agent in which.tolist()
         ]
-        return build_observations(stands, wanted, found, scale)
+        return build_observations(stands, wanted, found, maps)
+
+
+MAP_FACTS = ("bev_metres_per_pixel", "map_origin")
+"""What an observation says of its map pictures beside them."""
 
 
 def spelt_sensors(names: frozenset[str]) -> list[Sensor]:
@@ -161,7 +165,7 @@ def build_observations(
     stands: Sequence[Stand],
     wanted: frozenset[str],
     found: Mapping[str, Any],
-    scale: Sequence[float] | None,
+    facts: Mapping[str, Sequence[Any]],
 ) -> list[Observation]:
     """Observations of agents, with what was read of all of them at once.
 
@@ -169,7 +173,7 @@ def build_observations(
         stands: [K] where they are.
         wanted: names of the sensors to tell of.
         found: [K, …] by sensor.
-        scale: [K] metres a pixel of their maps, where they have maps.
+        facts: [K] of `MAP_FACTS` by name, where they have maps.
     """
     spelt, maps = spelt_sensors(wanted), carry_sensors(wanted).maps
     observations = []
@@ -182,8 +186,8 @@ def build_observations(
         here.pose, here.episode, here.steps = stand.pose, stand.episode, stand.steps
         fields |= {sensor.name: sensor.read(here) for sensor in spelt}
         more = {name: fields.pop(name) for name in [*fields] if name not in OBSERVED}
-        if scale is not None and maps:
-            fields["bev_metres_per_pixel"] = scale[k]
+        if maps:
+            fields |= {name: values[k] for name, values in facts.items()}
         observations.append(
             Observation(
                 step=stand.steps,

@@ -9,6 +9,7 @@ from gn0.training.dapo import DapoJob as DapoJob
 from gn0.training.dapo import train_dapo as train_dapo
 from gn0.training.dapo_stage import DapoPlan as DapoPlan
 from gn0.training.plan_walker import PlanWalker as PlanWalker
+from gn0.training.inputs import InputMixture as InputMixture
 from gn0.training.recipe import Recipe as Recipe
 from gn0.training.rewards import RewardWeights as RewardWeights
 from gn0.training.rewards import score_answers as score_answers

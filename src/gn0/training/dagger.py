@@ -42,7 +42,7 @@ from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_collected import StreamCollected, count_steps
 from gn0.training.streams.stream_dataset import StreamDataset
 from gn0.training.streams.stream_live import StreamLive
-from gn0.training.worlds import leave_out_long, list_squares, load_lessons, open_world
+from gn0.training.worlds import leave_out_long, list_maps, load_lessons, open_world
 
 WALKS = "walks.json"  # how far collecting has come, in the run's folder
 STATES: dict[Kind, int] = {"scratch": 300_000, "pretrained": 284_000}
@@ -135,7 +135,7 @@ def train_dagger(
 
     def hash_corpus() -> str:
         if job.source == "dataset":
-            return StreamDataset(job.suites[0], settings.pictures).hash
+            return StreamDataset(job.suites, settings.shown).hash
         return load_lessons(job.lots[0], job.splits).hash
 
     with open_imitation(
@@ -153,8 +153,10 @@ def train_dagger(
         if isinstance(stream, StreamDataset):
             samples = sum(int(stream.order.count(epoch).sum()) for epoch in range(job.epochs))
         plan = msgspec.structs.replace(job.plan, samples=samples)
-        maker = pupil.maker(stream.texts, run.where)
-        stage = Stage(pupil, learner, stream, maker, plan, run.recipe, run.corpus)
+        maker = pupil.maker_of(stream, run.where)
+        stage = Stage(
+            pupil, learner, stream, maker, plan, run.recipe, run.corpus, mixture=run.mixture
+        )
         run.restore(stage)
         examine = run.open_examination(pupil, learner)
         if run.state is None:
@@ -173,22 +175,22 @@ def load_start(start: str, texts: Sequence[str]) -> Pupil:
         CheckpointError: the folder holds no policy.
     """
     pupil = load_pupil(start)
-    longer = fit_texts(pupil, texts)
-    return longer if longer.settings.text_length > pupil.settings.text_length else pupil
+    return fit_texts(pupil, texts, shorten=False)
 
 
 def _load_start(job: DaggerJob, run: Imitation) -> Pupil:
     if job.source == "walks":
         return load_start(job.start, run.load_texts())
-    pictures = load_policy_settings(job.start).pictures
-    return load_start(job.start, StreamDataset(job.suites[0], pictures).texts)
+    pictures = load_policy_settings(job.start).shown
+    return load_start(job.start, StreamDataset(job.suites, pictures).texts)
 
 
 def _open_dataset(job: DaggerJob, pupil: Pupil, run: Imitation) -> Stream:
     return StreamDataset(
-        job.suites[0],
-        pupil.settings.pictures,
+        job.suites,
+        pupil.settings.shown,
         map_view=pupil.settings.view,
+        map_size=pupil.settings.map_size,
         seed=job.seed,
         blackout=job.recipe.blackout,
         jitter=PictureJitter() if job.jitter else None,
@@ -205,7 +207,7 @@ def _open_walks(job: DaggerJob, pupil: Pupil, run: Imitation) -> StreamCollected
     world = open_world(lessons, pupil.settings, job.agents, device=run.card or "auto")
     states, seed = run.processes.share(job.whole), run.processes.seed(job.seed)
     steps = max(MOSAIC + 1, count_steps(states, job.agents))
-    ring = StepRing(world, steps, names=list_squares(pupil.settings))
+    ring = StepRing(world, steps, **list_maps(pupil.settings))
     live = StreamLive(world, ring, seed=seed, stop_share=job.stop_share)
     return StreamCollected(live, states, seed=seed, dark=job.recipe.blackout)
 
@@ -221,7 +223,7 @@ def _collect(
     if job.driver == "policy" and job.beta < 1:
         dtype = torch.bfloat16 if run.where.type == "cuda" else None
         driver = open_driver(pupil, job.agents, executed=job.executed, dtype=dtype)
-        live.driver, live.beta = driver.enter(pupil.maker(walks.texts, run.where)), _hold(job.beta)
+        live.driver, live.beta = driver.enter(pupil.maker_of(walks, run.where)), _hold(job.beta)
 
     def save() -> None:
         streams = processes.gather(walks.state(), run.where)

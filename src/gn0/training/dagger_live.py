@@ -34,7 +34,7 @@ from gn0.training.streams.samples import Stream
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_growing import StreamGrowing
 from gn0.training.streams.stream_live import StreamLive, count_confirmed
-from gn0.training.worlds import Lessons, list_squares, load_lessons, open_world
+from gn0.training.worlds import Lessons, list_maps, load_lessons, open_world
 
 Samples = Annotated[int, msgspec.Meta(ge=0)]
 
@@ -132,8 +132,10 @@ def train_dagger_live(
         learner = open_learner(pupil, table, job.recipe, processes=run.processes)
         walks = _open_walks(job, pupil, learner, run)
         stream = run.jitter(walks)
-        maker = pupil.maker(stream.texts, run.where)
-        stage = Stage(pupil, learner, stream, maker, job.plan, run.recipe, run.corpus)
+        maker = pupil.maker_of(stream, run.where)
+        stage = Stage(
+            pupil, learner, stream, maker, job.plan, run.recipe, run.corpus, mixture=run.mixture
+        )
         run.restore(stage)
         examine = run.open_examination(pupil, learner)
         if run.state is None:
@@ -169,10 +171,10 @@ def _open_walks(
 
     def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
         world = open_world(lessons, pupil.settings, job.agents, device=run.card or "auto")
-        texts = [episode.mission.instruction for episode in world.episodes]
-        maker = pupil.maker(texts, run.where)
         steps = max(MOSAIC + 1, -(-job.kept // job.agents))
-        ring = StepRing(world, steps, names=list_squares(pupil.settings))
+        ring = StepRing(world, steps, **list_maps(pupil.settings))
+        texts = [episode.mission.instruction for episode in world.episodes]
+        maker = pupil.maker(texts, run.where, lambda: ring.frames)
         join = job.joins[number] if number else 0
         begun = -(-(join // processes.count) // batch) * batch  # a batch's first sample
         return StreamLive(

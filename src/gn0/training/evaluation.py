@@ -23,12 +23,14 @@ from gn0.missions.controls import CONTROL_TEXT, Control, check_control, choose_t
 from gn0.missions.episode import Episode, mission_name
 from gn0.paper import SUCCESS_RADIUS
 from gn0.policies.bae.actor import Actor
-from gn0.policies.bae.policy_settings import SQUARE_NAMES
+from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES
+from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.state import Action
 from gn0.training.pupil import Pupil
 from gn0.training.streams.live_counts import COUNTED, LiveCounts
 from gn0.training.streams.samples import LabelledStates, SampleMaker
+from gn0.training.streams.step_ring import draw_whole
 from gn0.training.streams.stream_live import STOP_DISTANCE
 
 NEAR = 1.0  # m on foot: the stricter radius
@@ -76,7 +78,7 @@ def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> St
         entropy.append(told.entropy.sum(1) / chosen)
         if way:
             last = actor.slots.form.points - 1
-            found = maker.waypoints(told.ids)[:, -1]
+            found = maker.waypoints(told.ids, some.episode, some.pose)[:, -1]
             off.append(torch.linalg.vector_norm(found - some.waypoints[:, last], dim=-1))
     mine, theirs = torch.cat(said), torch.cat(wanted)
     stops, right = mine[:, 0] == Action.STOP, theirs[:, 0] == Action.STOP
@@ -164,7 +166,9 @@ class ClosedLoop:
     ) -> None:
         self.env, self.settings, self.labelled = env, pupil.settings, labelled
         self.executed, self.confirm_stop = executed or self.settings.executed, confirm_stop
-        missing = set(self.settings.sensors(pupil.template)) - {"pose"} - set(env.sensors)
+        self.whole = [name for name in MAPS if name in self.settings.pictures]
+        needed = set(self.settings.sensors(pupil.template)) - {"pose", *MAPS}
+        missing = (needed | ({"ego_map"} if self.whole else set())) - set(env.sensors)
         if missing:
             raise ConfigError(
                 f"agents do not see {', '.join(sorted(missing))}",
@@ -173,10 +177,15 @@ class ClosedLoop:
             )
         self.device: torch.device = pupil.model.device
         texts = [episode.instruction for episode in env.episodes]
-        self.maker = pupil.maker([*texts, CONTROL_TEXT], self.device)
+        on_map = self.settings.frame is None
+        self.atlas = EgoAtlas(env) if self.whole or on_map else None
+        maps = self.atlas.frames if self.atlas is not None else ()
+        # a prompt on the whole map says its scale, so each episode has a prompt without words, too
+        said = [CONTROL_TEXT] * (len(texts) if on_map else 1)
+        self.maker = pupil.maker([*texts, *said], self.device, maps * 2)
         self.actor = Actor(
             pupil.model, self.maker.table.layout, pupil.slots, self.settings.frame, env.num_envs,
-            dtype=dtype, compiled=compiled,
+            dtype=dtype, compiled=compiled, said=self.maker.table.place,
         )  # fmt: skip
         self.decisions, self.counts = 0, LiveCounts()
 
@@ -204,7 +213,10 @@ class ClosedLoop:
         """
         check_control(control)
         wanted = list(range(len(self.env.tasks.episodes))) if episodes is None else list(episodes)
-        texts = torch.from_numpy(choose_texts(self.env.episodes, control, seed)).to(self.device)
+        chosen = choose_texts(self.env.episodes, control, seed)
+        if control == "no_words" and self.settings.frame is None:
+            chosen = chosen + np.arange(len(chosen))
+        texts = torch.from_numpy(chosen).to(self.device)
         count, walks = self.env.num_envs, []
         self.counts = LiveCounts()
         for begin in range(0, len(wanted), count):
@@ -215,6 +227,8 @@ class ClosedLoop:
 
     def _round(self, numbers: list[int], real: int, texts: Tensor, *, dark: bool) -> list[Walk]:
         env = self.env
+        if self.whole:  # drawn of the same pictures
+            env.mute(*([] if set(SQUARE_NAMES) & {*self.settings.pictures} else ["ego_map"]))
         seen, infos = env.reset(seed=0, options={"episode": numbers})
         own = _take(infos["episode"]).long().clone()
         pose, distance = _take(infos["pose"]).clone(), _take(infos["distance_to_goal"]).clone()
@@ -239,7 +253,7 @@ class ClosedLoop:
             # without confirming, all agents are asked at once: the host need not look
             if bool((asked & ~done).any()) if self.confirm_stop else steps % self.executed == 0:
                 ids = self.maker.prompts(texts[own], pose, last, hit)
-                said = self.actor.decide(self._show(seen, dark), ids).actions
+                said = self.actor.decide(self._show(seen, own, pose, dark), ids).actions
                 plan = torch.where(asked[:, None], said, plan)
                 at = torch.where(asked, 0, at)
                 self.decisions += real
@@ -288,14 +302,21 @@ class ClosedLoop:
             self.counts += LiveCounts(**sums)
         return walks
 
-    def _show(self, seen: Any, dark: bool) -> list[Tensor]:
+    def _show(self, seen: Any, episode: Tensor, pose: Tensor, dark: bool) -> list[Tensor]:
         """Pictures of the prompt, in its order."""
+        settings, whole = self.settings, dict[str, Tensor]()
+        for name in self.whole:
+            assert self.atlas is not None
+            whole[name] = draw_whole(
+                self.atlas, self.env.device, name, settings.map_size, episode.int(), pose
+            )
         squares = dict(
             zip(SQUARE_NAMES, self.settings.view.split(_take(seen["ego_map"])), strict=False)
             if "ego_map" in seen
             else ()
         )
-        shown = [squares[n] if n in squares else _take(seen[n]) for n in self.settings.pictures]
+        made = squares | whole
+        shown = [made[n] if n in made else _take(seen[n]) for n in settings.pictures]
         return [torch.zeros_like(one) for one in shown] if dark else shown
 
 

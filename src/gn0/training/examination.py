@@ -18,7 +18,7 @@ from gn0.training.streams.stream_live import StreamLive
 from gn0.training.worlds import (
     Lessons,
     leave_out_long,
-    list_squares,
+    list_maps,
     load_lessons,
     open_world,
     wait_for_suites,
@@ -64,15 +64,21 @@ class Examination:
         self._dtype = learner.autocast
 
     def __call__(self) -> dict[str, float]:
-        """What was measured, by name; shares from 0 to 1, lengths in m."""
+        """What was measured, by name; shares from 0 to 1, lengths in m.
+
+        Where a policy has several inputs it is examined in each; all but the default's end in
+        `_INPUT`.
+        """
         pupil = self.pupil
         training = pupil.model.training
         pupil.model.eval()
         try:
             with self.learner.averaged_weights():
-                found = self._ask()
-                if self.episodes:
-                    found |= self._walk()
+                found: dict[str, float] = {}
+                for name in pupil.inputs:
+                    own = self._ask(name) | (self._walk(name) if self.episodes else {})
+                    end = "" if name == pupil.settings.input else f"_{name}"
+                    found |= {f"{what}{end}": value for what, value in own.items()}
         finally:
             pupil.model.train(training)
         return found
@@ -83,30 +89,41 @@ class Examination:
         return leave_out_long(load_lessons(self.suite, self.splits), self.pupil, self._say)
 
     @cached_property
-    def _states(self) -> tuple[SampleMaker, Actor, LabelledStates]:
+    def _states(self) -> tuple[LabelledStates, dict[str, tuple[SampleMaker, Actor]]]:
+        """States, and who asks about them in each input."""
         pupil, lessons = self.pupil, self._lessons
         agents = min(AGENTS, self.count)
         world = open_world(lessons, pupil.settings, agents, device=self.card)
         steps = max(17, -(-self.count // agents))
-        ring = StepRing(world, steps, names=list_squares(pupil.settings))
+        ring = StepRing(world, steps, **list_maps(pupil.settings))
         stream = StreamLive(world, ring, seed=self.seed, fill=steps, dark=0.0)
         states = stream.draw(self.count)
-        maker = pupil.maker(stream.texts, pupil.model.device)
         asked = min(ASKED, self.count)
-        layout, frame = maker.table.layout, pupil.settings.frame
-        actor = Actor(pupil.model, layout, pupil.slots, frame, asked, dtype=self._dtype)
+        found = {}
+        for name, one in pupil.inputs.items():
+            maker = one.maker_of(stream, pupil.model.device)
+            actor = Actor(
+                pupil.model, maker.table.layout, one.slots, one.settings.frame, asked,
+                dtype=self._dtype, said=maker.table.place,
+            )  # fmt: skip
+            found[name] = maker, actor
         world.close()
-        return maker, actor, states
+        return states, found
 
     @cached_property
-    def _loop(self) -> ClosedLoop:
+    def _loops(self) -> dict[str, ClosedLoop]:
+        """Who walks in each input; one world for all."""
         lessons = self._lessons
         agents = min(self.episodes, len(lessons.episodes))
         world = open_world(lessons, self.pupil.settings, agents, device=self.card)
-        return ClosedLoop(world, self.pupil, dtype=self._dtype, labelled=True)
+        return {
+            name: ClosedLoop(world, one, dtype=self._dtype, labelled=True)
+            for name, one in self.pupil.inputs.items()
+        }
 
-    def _ask(self) -> dict[str, float]:
-        maker, actor, states = self._states
+    def _ask(self, name: str) -> dict[str, float]:
+        states, found = self._states
+        maker, actor = found[name]
         scores = score_states(actor, maker, states)
         return {
             "first_action": scores.actions[0],
@@ -118,8 +135,8 @@ class Examination:
             "entropy": scores.entropy,
         }
 
-    def _walk(self) -> dict[str, float]:
-        loop, episodes = self._loop, self._lessons.episodes
+    def _walk(self, name: str) -> dict[str, float]:
+        loop, episodes = self._loops[name], self._lessons.episodes
         stride = max(1, len(episodes) // self.episodes)
         picked = list(range(0, len(episodes), stride))[: self.episodes]
         found: dict[str, float] = {}

@@ -23,9 +23,10 @@ from gn0.policies.bae.policy_settings import load_policy_settings, save_policy_s
 from gn0.seeds import derive_seed
 from gn0.suites.suite import SUITE_FILE
 from gn0.training.examination import STATES, Examination
+from gn0.training.inputs import InputMixture
 from gn0.training.learner import Learner
 from gn0.training.processes import Processes, join_processes, open_run_together
-from gn0.training.pupil import Pupil
+from gn0.training.pupil import Pupil, open_pupil, resize_texts
 from gn0.training.recipe import RECIPES, Recipe
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
@@ -47,12 +48,14 @@ class ImitationJob(Config, frozen=True, kw_only=True):
     """What is learned in and how, whatever the states come from.
 
     Attributes:
-        suites: suite folders; of a dataset, its folder alone.
+        suites: suite folders; those of datasets where they are the source.
         joins: samples drawn when each suite joins; those that are not there yet are waited for. One
             number: all from the first sample on.
         exam: the suite to be examined in; the first of `suites` when empty.
         splits: of the suite, to learn from.
         held_out: of the suite, to be examined in.
+        inputs: shares of the steps, by name of the policy's inputs; where there are several, it
+            learns the default alone when empty.
         recipe: how it learns.
         plan: how long.
         agents: that gather states side by side.
@@ -70,6 +73,7 @@ class ImitationJob(Config, frozen=True, kw_only=True):
     exam: str = ""
     splits: tuple[str, ...] = ("train",)
     held_out: tuple[str, ...] = ("val_unseen",)
+    inputs: dict[str, float] = msgspec.field(default_factory=dict)
     recipe: Recipe = RECIPES["scratch"]
     plan: StagePlan = StagePlan()
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
@@ -81,10 +85,6 @@ class ImitationJob(Config, frozen=True, kw_only=True):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.reads_dataset and len(self.suites) > 1:
-            raise ConfigError(
-                f"{len(self.suites)} datasets", where="suites", remedy="give one, or merge them"
-            )
         if len(self.joins) not in (1, len(self.suites)):
             raise ConfigError(
                 f"{len(self.joins)} numbers of samples for {len(self.suites)} suites",
@@ -140,6 +140,11 @@ class Imitation:
         """Folder of the trained policy."""
         return self.folder.folder / POLICY
 
+    @property
+    def mixture(self) -> InputMixture | None:
+        """Which step is of which of the policy's inputs; None: all are of the default."""
+        return InputMixture(self.job.inputs, self.job.seed) if self.job.inputs else None
+
     def load_texts(self) -> tuple[str, ...]:
         """What prompts must have room for: texts of the first suites and of the examination."""
         job, suites = self.job, list(self.job.lots[0])
@@ -153,14 +158,13 @@ class Imitation:
         folder = self.folder.folder
         if self.state is not None:
             settings = load_policy_settings(folder)
-            pupil = Pupil(self.state.checkpoint, settings, settings.load_template(folder))
+            pupil = open_pupil(self.state.checkpoint, settings, folder)
         else:
             pupil = make()
             if self.job.text_length:
-                settings = msgspec.structs.replace(pupil.settings, text_length=self.job.text_length)
-                pupil = Pupil(pupil.checkpoint, settings, pupil.template)
+                pupil = resize_texts(pupil, self.job.text_length)
             if self.processes.leads:
-                save_policy_settings(folder, pupil.settings)
+                save_policy_settings(folder, pupil.settings, pupil.template, pupil.others)
         pupil.model.to(self.where).train()
         return pupil
 

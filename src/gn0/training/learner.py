@@ -13,6 +13,7 @@ from torch.nn import functional
 from transformers import Qwen3VLForConditionalGeneration
 
 from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
+from gn0.missions.controls import CONTROL_TEXT
 from gn0.policies.bae.forward import ForwardConstant
 from gn0.policies.bae.prompt_table import PromptTable
 from gn0.training.processes import ALONE, Processes
@@ -180,6 +181,30 @@ class LossForward(nn.Module):
         return weights
 
 
+class LossInputs(nn.Module):
+    """The loss of a model that is asked in several ways: that of the way in which a batch asks.
+
+    Model and auxiliary head are one for all, and counted once.
+
+    Args:
+        losses: by input; of one model and one recipe, on its device.
+    """
+
+    def __init__(self, losses: Mapping[str, LossForward]) -> None:
+        super().__init__()
+        first = next(iter(losses.values()))
+        self.model, self.distance = first.model, first.distance
+        for one in losses.values():
+            one.distance = first.distance
+        self.shows_pictures = all(one.shows_pictures for one in losses.values())
+        self._losses = dict(losses)  # no children: their weights are these
+
+    def forward(self, batch: SampleBatch) -> Losses:
+        """Losses of a batch."""
+        losses: Losses = self._losses[batch.input](batch)
+        return losses
+
+
 Batch = TypeVar("Batch")
 Told = TypeVar("Told", bound=Costs)
 
@@ -319,19 +344,31 @@ def open_learner(
     """A learner of a pupil's model, on the device where it is.
 
     Args:
-        pupil: what learns.
-        table: prompts of its samples.
+        pupil: what learns, in all of its inputs.
+        table: prompts of its samples; of the default where there are several inputs.
         recipe: how it learns.
         speed: how steps are computed where that is a card; `Speed()` when None.
         processes: that learn together.
     """
     card, speed = pupil.model.device.type == "cuda", speed or Speed()
     blocks = card and speed.graph == "blocks"
-    forward = pupil.forward(table, compiled=blocks, joined=speed.joined, narrow=speed.narrow)
     compiled: bool | Literal["tuned"] = card and not blocks
     if compiled and speed.graph == "tuned":
         compiled = "tuned"
-    loss = LossForward(forward, pupil.slots, recipe, compiled=compiled).to(pupil.model.device)
+
+    def open_loss(one: Pupil, prompts: PromptTable) -> LossForward:
+        forward = one.forward(prompts, compiled=blocks, joined=speed.joined, narrow=speed.narrow)
+        return LossForward(forward, one.slots, recipe, compiled=compiled).to(one.model.device)
+
+    loss: LossForward | LossInputs
+    if pupil.settings.inputs:
+        ones = pupil.inputs.items()
+        loss = LossInputs({name: open_loss(one, one.table([CONTROL_TEXT])) for name, one in ones})
+        if card:  # blocks have a shape for each input, in training and in acting
+            limit = torch._dynamo.config.recompile_limit
+            torch._dynamo.config.recompile_limit = max(limit, 8 * len(ones))
+    else:
+        loss = open_loss(pupil, table)
     autocast = torch.bfloat16 if card else None
     return Learner(loss, recipe, autocast=autocast, beside=speed.beside, processes=processes)
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from gn0.errors import ConfigError
 from gn0.missions.controls import CONTROL_TEXT
 from gn0.policies.bae.actor import Actor
+from gn0.policies.bae.prompt_fields import WIDEST
 from gn0.training.pupil import Pupil
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 
@@ -77,9 +78,9 @@ def open_driver(
             where="executed",
             remedy=f"give at most {settings.form.actions}",
         )
-    maker = pupil.maker([CONTROL_TEXT], device)
+    maker = pupil.maker([CONTROL_TEXT], device, WIDEST[:1])
     actor = Actor(
         pupil.model, maker.table.layout, pupil.slots, settings.frame, agents, dtype=dtype,
-        compiled=device.type == "cuda",
+        compiled=device.type == "cuda", said=maker.table.place,
     )  # fmt: skip
     return PolicyDriver(actor, maker, executed, weights)

@@ -15,12 +15,13 @@ from typing import Annotated, Literal
 import msgspec
 
 from gn0.device.device import Device
+from gn0.errors import ConfigError
 from gn0.policies.bae.checkpoint import load_checkpoint
 from gn0.policies.bae.policy_settings import PolicySettings
 from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import open_learner
-from gn0.training.pupil import Pupil, build_pupil, fit_texts
+from gn0.training.pupil import Pupil, build_pupil, fit_texts, open_pupil
 from gn0.training.stage import Stage
 from gn0.training.streams.picture_jitter import PictureJitter
 from gn0.training.streams.samples import Stream
@@ -28,7 +29,7 @@ from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_dataset import StreamDataset
 from gn0.training.streams.stream_live import StreamLive
 from gn0.training.streams.stream_uniform import StreamUniform
-from gn0.training.worlds import Lessons, list_squares, load_lessons, open_world
+from gn0.training.worlds import Lessons, list_maps, load_lessons, open_world
 
 Source = Literal["walks", "uniform", "dataset"]
 
@@ -41,6 +42,7 @@ class SftJob(ImitationJob, frozen=True, kw_only=True):
         size: of a model from random weights; or
         start: the folder of a policy or of a Qwen3-VL to go on from.
         settings: what the policy is shown and asked.
+        shares: of the samples, one a dataset; by their sizes when empty.
         kept: states of walks that batches are drawn from.
         ratio: new states of walks a sample.
     """
@@ -49,8 +51,26 @@ class SftJob(ImitationJob, frozen=True, kw_only=True):
     size: str = "tiny"
     start: str = ""
     settings: PolicySettings
+    shares: tuple[float, ...] = ()
     kept: Annotated[int, msgspec.Meta(ge=1)] = 200_000
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.shares and (self.source != "dataset" or len(self.shares) != len(self.suites)):
+            raise ConfigError(
+                f"{len(self.shares)} shares of samples",
+                where="shares",
+                remedy="give one a dataset, with --source dataset",
+            )
+        names = set(self.settings.by_input) if self.settings.inputs else set()
+        if set(self.inputs) != names:
+            raise ConfigError(
+                f"shares of {', '.join(self.inputs) or 'nothing'} for inputs "
+                f"{', '.join(sorted(names)) or 'without a name'}",
+                where="inputs",
+                remedy="give one for each of the settings' inputs",
+            )
 
 
 def train_sft(
@@ -89,9 +109,11 @@ def train_sft(
             return run.policy
         pupil = run.open_pupil(lambda: _make_pupil(job, run))
         stream = _open_stream(job, pupil, run)
-        maker = pupil.maker(stream.texts, run.where)
+        maker = pupil.maker_of(stream, run.where)
         learner = open_learner(pupil, maker.table, job.recipe, processes=run.processes)
-        stage = Stage(pupil, learner, stream, maker, job.plan, run.recipe, run.corpus)
+        stage = Stage(
+            pupil, learner, stream, maker, job.plan, run.recipe, run.corpus, mixture=run.mixture
+        )
         run.restore(stage)
         found = stage.run(run.folder, run.say, run.open_examination(pupil, learner))
         return run.finish(stage, found)
@@ -100,27 +122,29 @@ def train_sft(
 def _hash_corpus(job: SftJob) -> str:
     """Of what is there at the first sample; the others' hashes are in the stream's state."""
     if job.source == "dataset":
-        return StreamDataset(job.suites[0], job.settings.pictures).hash
+        return StreamDataset(job.suites, job.settings.shown, shares=job.shares or None).hash
     return load_lessons(job.lots[0], job.splits).hash
 
 
 def _make_pupil(job: SftJob, run: Imitation) -> Pupil:
     if job.source == "dataset":
-        texts = StreamDataset(job.suites[0], job.settings.pictures).texts
+        texts = StreamDataset(job.suites, job.settings.shown).texts
     else:
         texts = run.load_texts()
     if job.start:
         base = load_checkpoint(job.start, grow=True)
-        return fit_texts(Pupil(base, job.settings, job.settings.load_template()), texts)
+        return fit_texts(open_pupil(base, job.settings), texts)
     return build_pupil(job.size, job.settings, texts, seed=job.seed)
 
 
 def _open_stream(job: SftJob, pupil: Pupil, run: Imitation) -> Stream:
     if run.card is None:
         return StreamDataset(
-            job.suites[0],
-            job.settings.pictures,
+            job.suites,
+            job.settings.shown,
+            shares=job.shares or None,
             map_view=job.settings.view,
+            map_size=job.settings.map_size,
             seed=job.seed,
             blackout=job.recipe.blackout,
             jitter=PictureJitter() if job.jitter else None,
@@ -132,11 +156,13 @@ def _open_stream(job: SftJob, pupil: Pupil, run: Imitation) -> Stream:
 
     def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
         world = open_world(lessons, pupil.settings, job.agents, device=run.card or "auto")
-        squares = list_squares(pupil.settings)
+        shown = list_maps(pupil.settings)
         if job.source == "uniform":
-            return StreamUniform(world, seed=seed, names=squares)
+            return StreamUniform(world, seed=seed, **shown)
         steps = max(MOSAIC + 1, -(-job.kept // job.agents))
-        ring = StepRing(world, steps, names=squares)
-        return StreamLive(world, ring, seed=seed, ratio=job.ratio, dark=job.recipe.blackout)
+        ring = StepRing(world, steps, **shown)
+        lazy = bool(job.inputs)  # a step does not show what other inputs do
+        dark = job.recipe.blackout
+        return StreamLive(world, ring, seed=seed, ratio=job.ratio, dark=dark, lazy=lazy)
 
     return run.jitter(run.open_growing(pupil, open_part))

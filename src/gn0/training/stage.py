@@ -15,7 +15,8 @@ from typing import Annotated, Any
 import msgspec
 
 from gn0.config import Config
-from gn0.errors import CheckpointError
+from gn0.errors import CheckpointError, ConfigError
+from gn0.training.inputs import InputMixture
 from gn0.training.learner import GROUPS, Learner
 from gn0.training.pupil import Pupil
 from gn0.training.runs.generators import capture_generators, restore_generators
@@ -25,7 +26,7 @@ from gn0.training.runs.progress_line import ProgressLine, TrainingReport
 from gn0.training.runs.run_folder import RunFolder
 from gn0.training.runs.training_state import TrainingCounters, TrainingState, name_device
 from gn0.training.schedule import Schedule
-from gn0.training.streams.samples import SampleMaker, Stream
+from gn0.training.streams.samples import LabelledStates, SampleBatch, SampleMaker, Stream
 from gn0.training.tally import Tally
 
 Steps = Annotated[int, msgspec.Meta(ge=1)]
@@ -66,12 +67,13 @@ class Stage:
         pupil: what learns.
         learner: how.
         stream: from what.
-        maker: its batches.
+        maker: its batches; of the default where the pupil has several inputs.
         plan: how long.
         recipe: of the whole run, as `describe_recipe` gives it.
         corpus: hash of what the stream draws from.
         counters: how far it is.
         schedule: its rates.
+        mixture: which step is of which of the pupil's inputs; None where all are of the default.
     """
 
     pupil: Pupil
@@ -83,9 +85,37 @@ class Stage:
     corpus: str
     counters: TrainingCounters = field(default_factory=TrainingCounters)
     schedule: Schedule = field(default_factory=Schedule)
+    mixture: InputMixture | None = None
 
     def __post_init__(self) -> None:
         self._texts = self.stream.texts  # those that the maker was made of
+        self._makers = self._open_makers()
+
+    def _open_makers(self) -> dict[str, SampleMaker]:
+        """Makers by input."""
+        if self.mixture is None:
+            return {"": self.maker}
+        taken = [name for name in self.mixture.shares if name in GROUPS]
+        if taken or self.mixture.shares.keys() != self.pupil.inputs.keys():
+            raise ConfigError(
+                f"a mixture of {', '.join(self.mixture.shares)} for a policy with inputs "
+                f"{', '.join(self.pupil.inputs)}",
+                where="inputs",
+                remedy=f"name the same, and none {', '.join(GROUPS)}: losses go by these names",
+            )
+        device = self.learner.device
+        return {name: one.maker_of(self.stream, device) for name, one in self.pupil.inputs.items()}
+
+    @property
+    def _lacks(self) -> dict[str, tuple[str, ...]]:
+        """What inputs do not have, by name: the same in all processes, whatever was measured."""
+        inputs = {} if self.mixture is None else self.pupil.inputs
+        return {n: ("loss_points",) for n, one in inputs.items() if not one.settings.form.points}
+
+    def make_batch(self, step: int, states: LabelledStates) -> SampleBatch:
+        """The batch of a step, in the input that is that step's."""
+        name = "" if self.mixture is None else self.mixture.choose(step)
+        return self._makers[name].make(states)
 
     def restore(self, state: TrainingState) -> tuple[str, ...]:
         """Go on from a state; the pupil's model must be the state's own.
@@ -186,7 +216,7 @@ class Stage:
         share_of_batch = processes.share(recipe.batch)
         if self.schedule.end is None:
             self.schedule = self.schedule.end_at(-(-plan.samples // recipe.batch), recipe)
-        tally, guard = Tally(self.learner.device), LossGuard(folder.resumed)
+        tally, guard = Tally(self.learner.device, self._lacks), LossGuard(folder.resumed)
         line = ProgressLine(say)
         begun, before = time.monotonic(), self.counters.seconds
         mark, marked = begun, self.counters.samples
@@ -200,12 +230,13 @@ class Stage:
             states = self.stream.draw(share_of_batch)
             if self.stream.texts is not self._texts:  # scenes joined
                 self._texts = self.stream.texts
-                self.maker = self.pupil.maker(self._texts, self.learner.device)
-            batch = self.maker.make(states)
+                self.maker = self.pupil.maker_of(self.stream, self.learner.device)
+                self._makers = self._open_makers()
+            batch = self.make_batch(step, states)
             first = self.counters.samples
             with self.learner.queue():
                 losses, norm = self.learner.step(batch, share)
-                tally.add(losses, norm)
+                tally.add(losses, norm, batch.input)
                 guard.watch(step, f"of samples {first} and on", loss=losses.loss, gradient=norm)
             seconds = before + time.monotonic() - begun
             self.counters = msgspec.structs.replace(

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from gn0.device.device import Device
 from gn0.errors import ConfigError, TrainingError
 from gn0.missions.episode import Episode
-from gn0.policies.bae.policy_settings import SQUARE_NAMES, PolicySettings
+from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES, PolicySettings
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.storage import content_hash
 from gn0.suites.suite import SUITE_FILE, Suite, load_suite
@@ -129,7 +129,7 @@ def open_world(
     memory: int = 2**34,
     **options: Any,
 ) -> VectorEnvDevice:
-    """Agents that are shown what a policy's prompt shows.
+    """Agents that are shown what a policy's prompts show, those of all of its inputs.
 
     Args:
         lessons: the episodes; agents begin at their starts.
@@ -143,9 +143,8 @@ def open_world(
     Raises:
         DeviceError: no such device. DeviceMemoryError: it is too small.
     """
-    sensors = dict.fromkeys(
-        "ego_map" if name in SQUARE_NAMES else name for name in settings.pictures
-    )
+    maps = (*SQUARE_NAMES, *MAPS)  # whole ones are drawn of the same pictures, by `EgoAtlas`
+    sensors = dict.fromkeys("ego_map" if name in maps else name for name in settings.shown)
     suite = lessons.suites[0]
     return VectorEnvDevice(
         count,
@@ -168,8 +167,28 @@ def open_world(
 
 def list_squares(settings: PolicySettings) -> list[str]:
     """Names of the squares of a policy's ego maps; none if it is shown none."""
-    shown = any(name in SQUARE_NAMES for name in settings.pictures)
+    shown = any(name in SQUARE_NAMES for name in settings.shown)
     return list(SQUARE_NAMES[: len(settings.view.squares)]) if shown else []
+
+
+def list_whole(settings: PolicySettings) -> list[str]:
+    """Names of the whole maps that a policy's prompts show."""
+    return [name for name in MAPS if name in settings.shown]
+
+
+class ShownMaps(TypedDict):
+    """Which maps samples have: arguments of `StepRing` and `StreamUniform`."""
+
+    names: list[str]
+    whole: list[str]
+    map_size: tuple[int, int]
+
+
+def list_maps(settings: PolicySettings) -> ShownMaps:
+    """The maps that a policy's prompts show, those of all of its inputs."""
+    return ShownMaps(
+        names=list_squares(settings), whole=list_whole(settings), map_size=settings.map_size
+    )
 
 
 def leave_out_long(lessons: Lessons, pupil: Pupil, say: Callable[[str], None]) -> Lessons:

@@ -69,7 +69,7 @@ def test_a_prompt_of_ones_own_lies_beside_the_weights(tmp_path: Path) -> None:
     [
         ({"executed": 9}, "executed"),
         ({"surprise": 1}, "surprise"),
-        ({"pictures": ["bev"]}, "no picture 'bev'"),
+        ({"pictures": ["lidar"]}, "no picture 'lidar'"),
         ({"pictures": ["square_2"]}, "no picture 'square_2'"),
         ({"square": 2}, "square 2 of 2"),
         ({"preset": "huge"}, "no camera preset"),

@@ -108,7 +108,8 @@ def request_target() -> FuzzTarget:
     more: dict[str, Any] = {
         "version": 1, "step": 3, "time": 1.5, "collided": True, "seed": 7,
         "depth": np.ones((3, 4), np.float32), "bev": picture, "occupancy": picture,
-        "bev_metres_per_pixel": 0.05, "goal_vector": [1.0, 2.0], "pose": [0.0, 1.0, 2.0],
+        "bev_metres_per_pixel": 0.05, "map_origin": [-1.0, 2.5],
+        "goal_vector": [1.0, 2.0], "pose": [0.0, 1.0, 2.0],
         "ranges": np.ones(5, np.float32),
     }  # fmt: skip
     requests: dict[str, Any] = {

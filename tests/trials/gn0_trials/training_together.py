@@ -8,14 +8,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from gn0.data.answer_form import AnswerForm
 from gn0.policies.bae.checkpoint import Checkpoint
-from gn0.training.learner import Learner, Losses, LossForward
+from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.sim.ego_map import EgoSquare, MapView
+from gn0.training.inputs import InputMixture, read_inputs
+from gn0.training.learner import Learner, Losses, LossForward, open_learner
 from gn0.training.processes import Processes, join_processes, open_run_together
+from gn0.training.pupil import build_pupil
 from gn0.training.recipe import Recipe
 from gn0.training.runs.training_state import load_state
 from gn0.training.stage import Stage, StagePlan
 from gn0.training.streams.samples import SampleBatch
-from gn0_trials.pupil_small import PupilSmall, draw_states, make_words
+from gn0_trials.pupil_small import TEXTS, PupilSmall, draw_states, make_words
 
 RECIPE = Recipe(batch=4, warm_steps=2, mean=0.9)
 
@@ -23,7 +28,7 @@ RECIPE = Recipe(batch=4, warm_steps=2, mean=0.9)
 class SharedOut:
     """Batches at random by their number; each process is given its rows of every one."""
 
-    texts = ("", "", "")
+    texts: tuple[str, ...] = ("", "", "")
 
     def __init__(self, processes: Processes, dies_at: int) -> None:
         self.processes, self.drawn, self.dies_at = processes, 0, dies_at
@@ -53,6 +58,30 @@ class Kept:
         self.checkpoint = Checkpoint(model, pupil.tokenizer, pupil.ids)
 
 
+def learn_inputs(folder: Path, samples: int) -> None:
+    """The same of a policy that is asked with maps, or with words alone: its tower is idle then."""
+    view = MapView((EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
+    plain = PolicySettings(
+        prompt="short", pictures=("near",), form=AnswerForm(layout="compact"), view=view
+    )
+    settings, shares = read_inputs("maps,words=/0", plain)
+    pupil = build_pupil("nano", settings, TEXTS)
+    with (
+        join_processes("host") as processes,
+        open_run_together(
+            processes, pupil.model.device, folder, stage="sft", recipe={},
+            hashes={"corpus": "c"}, command=["gn0"], device="cpu", versions={},
+        ) as run,
+    ):  # fmt: skip
+        maker = pupil.inputs["maps"].maker(TEXTS, "cpu")
+        learner = open_learner(pupil, maker.table, RECIPE, processes=processes)
+        plan = StagePlan(samples=samples, report=1, save=0)
+        stream = SharedOut(processes, -1)
+        stream.texts = TEXTS
+        mixture = InputMixture(shares, 1)
+        Stage(pupil, learner, stream, maker, plan, {}, "c", mixture=mixture).run(run, print)
+
+
 def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
     """Learn from so many samples, in whatever processes the environment speaks of."""
     pupil = PupilSmall(make_words())
@@ -77,4 +106,7 @@ def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
 
 
 if __name__ == "__main__":
-    learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
+    if "inputs" in sys.argv[4:]:
+        learn_inputs(Path(sys.argv[1]), int(sys.argv[2]))
+    else:
+        learn(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

@@ -25,7 +25,7 @@ from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
 from gn0.data.codec import EgoFrame
 from gn0.errors import ConfigError
 from gn0.policies.bae.forward import Answers, ForwardConstant
-from gn0.policies.bae.questions import list_allowed
+from gn0.policies.bae.questions import list_choices
 from gn0.policies.qwen.layout import PromptLayout
 from gn0.seeds import derive_seed
 
@@ -58,7 +58,8 @@ class Actor:
         model: its weights are used, not copied; on the device where decisions are made.
         layout: of the prompts.
         slots: of the answers.
-        frame: the square that answers' coordinates are on, where point 0 is the agent's own place.
+        frame: the square that answers' coordinates are on, where point 0 is the agent's own place;
+            None where they are on the whole map.
         count: agents at once; fewer are filled up, so that every batch has one shape.
         dtype: of what is computed (autocast), bfloat16 on a card; None: that of the weights.
         temperature: of the draws; 0 takes the most probable token, the first of equals.
@@ -68,6 +69,7 @@ class Actor:
         free: tokens are chosen among all that the model knows, so that answers may be unreadable.
         answers: to each prompt, in a row; they share its pictures.
         room: tokens that free answers may be longer than readable ones.
+        said: without a frame, the places in the prompt that say point 0 (`PromptTable.place`).
     """
 
     def __init__(
@@ -75,7 +77,7 @@ class Actor:
         model: Qwen3VLForConditionalGeneration,
         layout: PromptLayout,
         slots: AnswerSlots,
-        frame: EgoFrame,
+        frame: EgoFrame | None,
         count: int,
         *,
         dtype: torch.dtype | None = None,
@@ -86,6 +88,7 @@ class Actor:
         free: bool = False,
         answers: int = 1,
         room: int = 0,
+        said: tuple[int, int] | None = None,
     ) -> None:
         if count < 1 or answers < 1:
             raise ConfigError(
@@ -97,8 +100,8 @@ class Actor:
         self.forward = ForwardConstant(model, layout, len(slots) + room, compiled=compiled)
         self.forward.to(self.device)
         self._allowed = [
-            torch.from_numpy(own).to(self.device)
-            for own in list_allowed(slots, frame, free=free, room=room)
+            own if isinstance(own, int) else self._send(own)
+            for own in list_choices(slots, frame, free=free, room=room, said=said)
         ]
         self._actions = self._send(np.array(slots.vocabulary.actions, np.int64))
         self._spoken = self._send(np.flatnonzero(slots.kinds == ACTION))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import ConfigError
-from gn0.policies.bae.questions import I64, Questions, list_allowed
+from gn0.policies.bae.questions import I64, Questions, list_choices
 from gn0.policies.qwen.model import answer_greedily, load_numpy_model
 
 BACKENDS = ("auto", "torch", "numpy")
@@ -46,7 +46,9 @@ class EngineNumpy:
     def __init__(self, questions: Questions, batch: int, *, free: bool = False) -> None:
         self.batch = batch or 1
         self._layout = questions.layout
-        self._allowed = list_allowed(questions.slots, questions.settings.frame, free=free)
+        self._allowed = list_choices(
+            questions.slots, questions.settings.frame, free=free, said=questions.place_said
+        )
         self._model = load_numpy_model(questions.folder)
 
     def answer(self, pictures: Sequence[NDArray[np.uint8]], prompts: I64) -> I64:
@@ -76,7 +78,7 @@ class EngineTorch:
         self.name = f"torch, {dtype} on {self._device.type}"
         self._actor = Actor(
             model, questions.layout, questions.slots, questions.settings.frame, self.batch,
-            dtype=kind, free=free,
+            dtype=kind, free=free, said=questions.place_said,
         )  # fmt: skip
 
     def answer(self, pictures: Sequence[NDArray[np.uint8]], prompts: I64) -> I64:

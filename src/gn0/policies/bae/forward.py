@@ -168,7 +168,7 @@ class ForwardConstant(nn.Module):
         self,
         features: FeaturesTorch,
         ids: Tensor,
-        slots: Sequence[Tensor],
+        slots: Sequence[Tensor | int],
         *,
         temperature: float = 0.0,
         generator: torch.Generator | None = None,
@@ -179,7 +179,7 @@ class ForwardConstant(nn.Module):
         Args:
             features: of the prompts' pictures.
             ids: int64 [B, P], prompts.
-            slots: int64 ids that each token may have.
+            slots: int64 ids that each token may have; or a place in the prompt whose token it is.
             temperature: 0 takes the most probable, the first of equals.
             generator: of the draws.
             times: answers to each prompt, in a row: [B · times, slots]; it is read once.
@@ -195,6 +195,9 @@ class ForwardConstant(nn.Module):
             keys = [one.repeat_interleave(times, 0) for one in keys]
             values = [one.repeat_interleave(times, 0) for one in values]
         for k, allowed in enumerate(slots):
+            if isinstance(allowed, int):
+                out[:, k] = ids[:, allowed].repeat_interleave(times, 0)
+                continue
             if len(allowed) == 1:
                 out[:, k] = allowed
                 continue

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gn0.errors import ConfigError, FormatError, PolicyError
 from gn0.policies.bae.engines import open_engine
 from gn0.policies.bae.policy_settings import FILE
-from gn0.policies.bae.questions import Questions
+from gn0.policies.bae.questions import Questions, find_place
 from gn0.policies.bae.shipped import find_checkpoint
 from gn0.policies.qwen.weights import list_shards
 from gn0.sim.ego_map import MapView
@@ -47,6 +47,7 @@ class _Agent:
     """An episode in a slot: what is left of the last answer, and what was done last."""
 
     text: str
+    place: tuple[int, int] = (0, 0)  # map tokens of where it stood when it was asked
     plan: deque[int] = field(default_factory=deque)
     last: int = -1
     unreadable: int = 0  # in a row
@@ -65,6 +66,8 @@ class PolicyBae:
 
     Args:
         checkpoint: folder of model, tokenizer and `policy.json`; "" is the policy in the box.
+        inputs: in which of the checkpoint's ways it is asked, where it was trained in several; the
+            default when empty.
         executed: actions of an answer that are carried out; 0: as the checkpoint says.
         confirm_stop: a STOP behind the first action of an answer is asked again before it is
             carried out.
@@ -87,6 +90,7 @@ class PolicyBae:
         self,
         checkpoint: str = "",
         *,
+        inputs: str = "",
         executed: int = 0,
         confirm_stop: bool = False,
         decoding: str = "slots",
@@ -102,7 +106,7 @@ class PolicyBae:
                 f"no decoding {decoding!r}", where="decoding", remedy="known: slots, free"
             )
         self.name, self.confirm_stop, self.decoding = name, bool(confirm_stop), decoding
-        self.questions = Questions(folder)
+        self.questions = Questions(folder, inputs=inputs)
         settings = self.questions.settings
         if not 0 <= executed <= settings.form.actions:
             raise ConfigError(
@@ -113,7 +117,7 @@ class PolicyBae:
         self.executed = executed or settings.executed
         self.sensors: frozenset[str] = frozenset(settings.sensors(self.questions.template))
         self.map_view: MapView = settings.view
-        self._tells_heading = "pose" in self.sensors
+        self._tells_place = "pose" in self.sensors
         self._engine = open_engine(
             self.questions, backend, device, dtype, int(batch), free=decoding == "free"
         )
@@ -122,8 +126,10 @@ class PolicyBae:
 
     def identity(self) -> Mapping[str, str | int | float]:
         """Weights, prompt, and whatever else actions hang on."""
+        asked = {"inputs": self.questions.settings.input} if self.questions.inputs else {}
         return {
             "checkpoint": self._digest[:32],
+            **asked,
             "prompt": self.questions.template.digest,
             "executed": self.executed,
             "confirm_stop": str(self.confirm_stop).lower(),
@@ -140,7 +146,10 @@ class PolicyBae:
             "the most probable tokens; an unreadable answer turns left once, "
             f"{UNREADABLE_LIMIT} in a row stop"
         )  # fmt: skip
+        several = self.questions.inputs
+        asked = ((f"inputs, of {', '.join(several)}", settings.input),) if several else ()
         return (
+            *asked,
             *self.questions.template.card_rows(),
             ("camera of training", settings.preset),
             ("answers", chosen),
@@ -170,7 +179,7 @@ class PolicyBae:
         """
         check_slots(slots, instructions, rngs)
         for slot, text in zip(slots, instructions, strict=True):
-            self.questions.find(text)
+            self.questions.check(text)
             self._agents[slot] = _Agent(text)
 
     def act_batch(self, slots: Sequence[int], observations: Sequence[Observation]) -> list[Action]:
@@ -212,15 +221,19 @@ class PolicyBae:
         pictures = [np.zeros((batch, size.height, size.width, 3), np.uint8) for size in sizes]
         for row, (agent, seen) in enumerate(zip(agents, observations, strict=True)):
             yaw = None
-            if self._tells_heading:
+            if self._tells_place:
                 if seen.pose is None:
                     raise PolicyError(
-                        "the prompt tells the heading, and nobody observes it",
+                        "the prompt tells heading or place, and nobody observes it",
                         where="pose",
                         remedy="carry the sensor pose",
                     )
                 yaw = seen.pose.yaw
-            prompts[row] = questions.fill(agent.text, agent.last, seen.collided, yaw)
+            frame = questions.find_frame(seen)
+            agent.place = find_place(frame, seen.pose)
+            prompts[row] = questions.fill(
+                agent.text, agent.last, seen.collided, yaw, seen.pose, frame
+            )
             for own, shown in zip(pictures, questions.show(seen), strict=True):
                 own[row] = shown
         said = self._engine.answer(pictures, prompts)
@@ -230,7 +243,7 @@ class PolicyBae:
 
     def _read(self, agent: _Agent, ids: np.ndarray) -> list[int]:
         """The actions that are carried out; nothing that follows a STOP is."""
-        place = np.array([self.questions.place])
+        place = np.array([agent.place])
         try:
             actions, _ = self.questions.slots.decode(ids[None], place)
         except FormatError:

@@ -23,7 +23,10 @@ from gn0.errors import ConfigError
 from gn0.geometry import Pose2D
 from gn0.paper import MAP_BINS
 from gn0.policies.bae.prompt_template import PromptTemplate
+from gn0.sim.sensors import MapFrame
 
+WIDEST = (MapFrame(876, 987, 0.08765, 0.0, 0.0), MapFrame(8765, 9876, 0.08765, 0.0, 0.0))
+"""Maps of which a prompt says as much as of any: their numbers have the most digits."""
 INSTRUCTION_LIMIT = 8_000  # characters; the longest known (RxR) have about 2,500
 
 

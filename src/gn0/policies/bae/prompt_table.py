@@ -68,6 +68,12 @@ class PromptTable:
     number: int
     pad: int
 
+    @property
+    def place(self) -> tuple[int, int] | None:
+        """Where the prompt says the map tokens x and y of where the agent stands; None: nowhere."""
+        found = {which: at for at, which in self.numbers}
+        return (found[0], found[1]) if {0, 1} <= found.keys() else None
+
 
 class PromptFiller:
     """Fills a table's prompts, in NumPy or in torch.

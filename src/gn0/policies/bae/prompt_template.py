@@ -95,6 +95,7 @@ class PromptTemplate:
         on: which of them are on.
         lines: the text.
         digest: of the file and of what was chosen on loading.
+        opened: what the file leaves open.
     """
 
     name: str
@@ -108,6 +109,7 @@ class PromptTemplate:
     on: frozenset[str]
     lines: tuple[TemplateLine, ...]
     digest: str
+    opened: frozenset[str] = frozenset()
 
     @property
     def shown(self) -> tuple[TemplateLine, ...]:
@@ -296,6 +298,7 @@ def parse_template(data: bytes, file: Path | str, given: Mapping[str, str]) -> P
         on=frozenset(parts),
         lines=lines,
         digest=content_hash(data),
+        opened=frozenset(opened),
     )
 
 

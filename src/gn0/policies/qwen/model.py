@@ -217,7 +217,11 @@ def encode_pictures(
 
 
 def answer_greedily(
-    model: QwenNumpy, layout: PromptLayout, ids: I64, pictures: Sequence[U8], slots: Sequence[I64]
+    model: QwenNumpy,
+    layout: PromptLayout,
+    ids: I64,
+    pictures: Sequence[U8],
+    slots: Sequence[I64 | int],
 ) -> NDArray[np.int64]:
     """The most probable answers int64 [B, slots], each token out of its slot's ids.
 
@@ -228,7 +232,7 @@ def answer_greedily(
         layout: of all prompts.
         ids: int64 [B, P], prompts.
         pictures: of each picture of the layout uint8 [B, H, W, 3].
-        slots: ids that each token may have.
+        slots: ids that each token may have; or a place in the prompt whose token it is.
 
     Raises:
         CheckpointError: pictures or ids do not fit the layout.
@@ -239,6 +243,9 @@ def answer_greedily(
     out = np.empty((len(ids), len(slots)), np.int64)
     read = 0  # tokens of the answer that the cache holds
     for k, allowed in enumerate(slots):
+        if isinstance(allowed, int):
+            out[:, k] = ids[:, allowed]
+            continue
         if len(allowed) == 1:
             out[:, k] = allowed[0]
             continue

@@ -144,6 +144,8 @@ class ObservationSender:
                 self._sent[name] = value
         if observation.bev_metres_per_pixel is not None:
             found["bev_metres_per_pixel"] = float(observation.bev_metres_per_pixel)
+        if observation.map_origin is not None:
+            found["map_origin"] = [float(value) for value in observation.map_origin]
         return found | spelt
 
 
@@ -190,6 +192,12 @@ def read_observation(
             if not isinstance(value, kind):
                 raise _refusal(name, holds)
             fields[name] = value
+    origin = more.get("map_origin")
+    if origin is not None:
+        numbers = isinstance(origin, list) and all(isinstance(one, float) for one in origin)
+        if not numbers or len(origin) != 2:
+            raise _refusal("map_origin", "[x, y] in metres")
+        fields["map_origin"] = tuple(origin)
     others = {name: fields.pop(name) for name in [*fields] if name in _strange(fields)}
     return replace(seen, **fields, more={k: v for k, v in others.items() if v is not None})
 

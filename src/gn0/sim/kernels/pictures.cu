@@ -46,27 +46,60 @@ KERNEL(clip_depth)(const float *depth, float low, float high, u64 size, float *o
   if (k < size) out[k] = fminf(fmaxf(depth[k], low), high);
 }
 
+// What is drawn into an occupancy picture of an agent: rows and columns of the discs' middles; for
+// an arrow the turn and the place, column and row in 2^-16 px.
+struct MapMarks {
+  int discs[4];
+  Turn turn;
+  i64 place[2];
+};
+
+// By the first two threads of a block, which must wait for each other behind it.
+__device__ __forceinline__ void find_marks(const Episode &e, const double *pose, int arrow,
+                                           MapMarks *m) {
+  if (threadIdx.x < 2) {
+    double x = threadIdx.x ? pose[0] : e.start_x, y = threadIdx.x ? pose[1] : e.start_y;
+    m->discs[2 * threadIdx.x] = e.map_rows - 1 - (int)floor((y - e.map_y) / e.map_scale);
+    m->discs[2 * threadIdx.x + 1] = (int)floor((x - e.map_x) / e.map_scale);
+  }
+  if (arrow && threadIdx.x == 0) {
+    m->turn = find_turn(pose[2]);
+    m->place[0] = whole((pose[0] - e.map_x) / e.map_scale * 65536.0);
+    m->place[1] = ((i64)e.map_rows << 16) - whole((pose[1] - e.map_y) / e.map_scale * 65536.0);
+  }
+}
+
+// A pixel of the occupancy picture: the start is a green disc and the agent, over it, a red one,
+// or an arrow.
+__device__ __forceinline__ void occupancy_pixel(const Episode &e, const MapMarks &m, int row,
+                                                int col, int radius, int arrow, u8 *cell) {
+  for (int c = 0; c < 3; c++) cell[c] = e.grey[row * e.map_cols + col];
+  for (int d = 0; d < (arrow ? 1 : 2); d++) {
+    int down = row - m.discs[2 * d], across = col - m.discs[2 * d + 1];
+    if (abs(down) > radius || abs(across) > radius) continue;
+    if (down * down + across * across > radius * radius) continue;
+    cell[0] = d ? 255 : 0;
+    cell[1] = d ? 0 : 255;
+    cell[2] = 0;
+  }
+  if (arrow) {
+    i64 right = ((i64)col << 16) + 32768 - m.place[0], up = m.place[1] - ((i64)row << 16) - 32768;
+    i64 ahead = (right * m.turn.cosine + up * m.turn.sine) >> 30;
+    i64 left = (up * m.turn.cosine - right * m.turn.sine) >> 30;
+    if (in_arrow(ahead, left, radius)) {
+      cell[0] = 255;
+      cell[1] = 0;
+      cell[2] = 0;
+    }
+  }
+}
+
 // Map pictures [N, rows, cols, 3], black where a scene's own is smaller; null ones are left out.
-// In the occupancy picture the start is a green disc and the agent, over it, a red one, or an arrow.
 KERNEL(paint_maps)(World w, const int *slots, const double *poses, int rows, int cols, int radius,
                    int arrow, u8 *bev, u8 *occupancy) {
-  __shared__ int discs[4];
-  __shared__ Turn turn;
-  __shared__ i64 place[2];  // of the agent: column and row in 2^-16 px
+  __shared__ MapMarks marks;
   int i = blockIdx.x, slot = slots[i];
-  if (slot >= 0 && threadIdx.x < 2) {
-    const Episode &e = w.episodes[slot];
-    double x = threadIdx.x ? poses[3 * i] : e.start_x, y = threadIdx.x ? poses[3 * i + 1] : e.start_y;
-    discs[2 * threadIdx.x] = e.map_rows - 1 - (int)floor((y - e.map_y) / e.map_scale);
-    discs[2 * threadIdx.x + 1] = (int)floor((x - e.map_x) / e.map_scale);
-  }
-  if (arrow && slot >= 0 && threadIdx.x == 0) {
-    const Episode &e = w.episodes[slot];
-    turn = find_turn(poses[3 * i + 2]);
-    place[0] = whole((poses[3 * i] - e.map_x) / e.map_scale * 65536.0);
-    place[1] =
-        ((i64)e.map_rows << 16) - whole((poses[3 * i + 1] - e.map_y) / e.map_scale * 65536.0);
-  }
+  if (slot >= 0) find_marks(w.episodes[slot], poses + 3 * (i64)i, arrow, &marks);
   __syncthreads();
   int k = blockIdx.y * blockDim.x + threadIdx.x;
   if (k >= rows * cols) return;
@@ -75,30 +108,9 @@ KERNEL(paint_maps)(World w, const int *slots, const double *poses, int rows, int
   if (slot >= 0) {
     const Episode &e = w.episodes[slot];
     if (row < e.map_rows && col < e.map_cols) {
-      int at = row * e.map_cols + col;
       if (bev)
-        for (int c = 0; c < 3; c++) colour[c] = e.bev[3 * at + c];
-      if (occupancy) {
-        for (int c = 0; c < 3; c++) cell[c] = e.grey[at];
-        for (int d = 0; d < (arrow ? 1 : 2); d++) {
-          int down = row - discs[2 * d], across = col - discs[2 * d + 1];
-          if (abs(down) > radius || abs(across) > radius) continue;
-          if (down * down + across * across > radius * radius) continue;
-          cell[0] = d ? 255 : 0;
-          cell[1] = d ? 0 : 255;
-          cell[2] = 0;
-        }
-        if (arrow) {
-          i64 right = ((i64)col << 16) + 32768 - place[0], up = place[1] - ((i64)row << 16) - 32768;
-          i64 ahead = (right * turn.cosine + up * turn.sine) >> 30;
-          i64 left = (up * turn.cosine - right * turn.sine) >> 30;
-          if (in_arrow(ahead, left, radius)) {
-            cell[0] = 255;
-            cell[1] = 0;
-            cell[2] = 0;
-          }
-        }
-      }
+        for (int c = 0; c < 3; c++) colour[c] = e.bev[3 * (row * e.map_cols + col) + c];
+      if (occupancy) occupancy_pixel(e, marks, row, col, radius, arrow, cell);
     }
   }
   i64 at = ((i64)i * rows * cols + k) * 3;
@@ -131,6 +143,41 @@ KERNEL(reduce_pictures)(const u8 *in, int rows, int cols, const int *across, int
   }
   i64 picture = views ? (i64)i * TILES + views[i] % TILES : i;
   u8 *q = out + (picture * out_rows * out_cols + k) * 3;
+  for (int c = 0; c < 3; c++) q[c] = (u8)clip8(sum[c]);
+}
+
+// Whole maps [N, rows, cols, 3], brought to one size as `reduce_pictures` does it: each scene's own
+// picture with its marks, the occupancy picture or the BEV. `across` [shapes, cols, 3] and `down`
+// [shapes, rows, 3] hold first input, number of inputs and their one weight, for the shape of each
+// episode's map. Black where the slot is negative.
+KERNEL(shrink_maps)(World w, const int *slots, const double *poses, const int *shapes,
+                    const int *across, const int *down, int rows, int cols, int radius, int arrow,
+                    int occupancy, u8 *out) {
+  __shared__ MapMarks marks;
+  int i = blockIdx.x, slot = slots[i];
+  if (slot >= 0) find_marks(w.episodes[slot], poses + 3 * (i64)i, arrow, &marks);
+  __syncthreads();
+  int k = blockIdx.y * blockDim.x + threadIdx.x;
+  if (k >= rows * cols) return;
+  int sum[3] = {1 << 21, 1 << 21, 1 << 21};
+  if (slot >= 0) {
+    const Episode &e = w.episodes[slot];
+    const int *a = across + ((i64)shapes[slot] * cols + k % cols) * 3;
+    const int *d = down + ((i64)shapes[slot] * rows + k / cols) * 3;
+    for (int y = d[0]; y < d[0] + d[1]; y++) {
+      int line[3] = {1 << 21, 1 << 21, 1 << 21};
+      for (int x = a[0]; x < a[0] + a[1]; x++) {
+        u8 cell[3];
+        if (occupancy)
+          occupancy_pixel(e, marks, y, x, radius, arrow, cell);
+        else
+          for (int c = 0; c < 3; c++) cell[c] = e.bev[3 * (y * e.map_cols + x) + c];
+        for (int c = 0; c < 3; c++) line[c] += cell[c] * a[2];
+      }
+      for (int c = 0; c < 3; c++) sum[c] += clip8(line[c]) * d[2];
+    }
+  }
+  u8 *q = out + ((i64)i * rows * cols + k) * 3;
   for (int c = 0; c < 3; c++) q[c] = (u8)clip8(sum[c]);
 }
 

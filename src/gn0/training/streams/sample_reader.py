@@ -325,3 +325,48 @@ class SampleReader:
         size = self._preset.history_tile
         rgb = [seen.rgb for seen in draw_views(eyes, rows.poses) if seen.rgb is not None]
         return _Views(rgb, [np.array(reduce_picture(one, *size)) for one in rgb])
+
+
+class SampleReaders:
+    """Reads samples of several datasets as if they were one: rows and episodes one behind another.
+
+    Args:
+        datasets: whose samples; of one camera.
+        wish: which pictures.
+
+    Raises:
+        DataError: they cannot give them, or their cameras differ.
+    """
+
+    def __init__(self, datasets: Sequence[Dataset], wish: PictureWish) -> None:
+        self.wish = wish
+        self._readers = [SampleReader(dataset, wish) for dataset in datasets]
+        for dataset in datasets[1:]:
+            if dataset.about.camera != datasets[0].about.camera:
+                raise DataError(
+                    f"camera {dataset.about.camera!r}, the first dataset has "
+                    f"{datasets[0].about.camera!r}",
+                    where=dataset.folder,
+                    remedy="give datasets of one camera",
+                )
+        sizes = [sum(part.rows for part in dataset.about.parts) for dataset in datasets]
+        self._rows = np.concatenate([[0], np.cumsum(sizes)])
+        episodes = [len(dataset.sampled) for dataset in datasets]
+        self._episodes = np.concatenate([[0], np.cumsum(episodes)])
+
+    @property
+    def layout(self) -> dict[str, tuple[tuple[int, ...], str]]:
+        """See `SampleReader.layout`."""
+        return self._readers[0].layout
+
+    def read(self, rows: Rows, out: Arrays, at: Sequence[int] | None = None) -> None:
+        """Write samples into arrays by name; see `SampleReader.read`."""
+        places = np.arange(len(rows)) if at is None else np.asarray(at)
+        which = np.searchsorted(self._rows, rows.rows, side="right") - 1
+        for number, reader in enumerate(self._readers):
+            own = np.flatnonzero(which == number)
+            if len(own):
+                begin = self._rows[number]
+                some = Rows(rows.rows[own] - begin, rows.epochs[own], rows.places[own])
+                reader.read(some, out, places[own].tolist())
+                out["episode"][places[own]] += self._episodes[number]

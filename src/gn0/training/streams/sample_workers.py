@@ -11,7 +11,7 @@ import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from gn0.jobs.run import error_of
 from gn0.jobs.worker import Answer, Told, Unit
 from gn0.storage import storage_error
 from gn0.training.streams.sample_order import Rows, SampleOrder
-from gn0.training.streams.sample_reader import PictureWish, SampleReader
+from gn0.training.streams.sample_reader import PictureWish, SampleReaders
 
 Layout = Mapping[str, tuple[tuple[int, ...], str]]
 _ALIGNED = 64  # bytes
@@ -38,7 +38,7 @@ class FillOrder(msgspec.Struct, frozen=True):
     """What a worker is told.
 
     Attributes:
-        folder: of the dataset.
+        folders: of the datasets.
         wish: which pictures, as JSON.
         area: file of the shared memory.
         layout: shapes and types of a sample.
@@ -47,7 +47,7 @@ class FillOrder(msgspec.Struct, frozen=True):
         at, rows, epochs, places: which samples, see `SampleReader.read`.
     """
 
-    folder: str
+    folders: tuple[str, ...]
     wish: bytes
     area: str
     layout: dict[str, tuple[tuple[int, ...], str]]
@@ -79,8 +79,9 @@ def view_batch(memory: Any, begin: int, layout: Layout, count: int) -> dict[str,
 
 
 @lru_cache(maxsize=1)
-def _open_reader(folder: str, wish: bytes) -> SampleReader:
-    return SampleReader(open_dataset(folder), msgspec.json.decode(wish, type=PictureWish))
+def _open_reader(folders: tuple[str, ...], wish: bytes) -> SampleReaders:
+    datasets = [open_dataset(folder) for folder in folders]
+    return SampleReaders(datasets, msgspec.json.decode(wish, type=PictureWish))
 
 
 @lru_cache(maxsize=1)
@@ -96,7 +97,7 @@ def fill_rows(payload: dict[str, Any]) -> dict[str, Any]:
         Gn0Error: as `SampleReader.read`.
     """
     order = msgspec.convert(payload, FillOrder)
-    reader, memory = _open_reader(order.folder, order.wish), _open_area(order.area)
+    reader, memory = _open_reader(order.folders, order.wish), _open_area(order.area)
     out = view_batch(memory, order.begin, order.layout, order.count)
     lists = (order.rows, order.epochs, order.places)
     reader.read(Rows(*(np.array(one, np.int64) for one in lists)), out, order.at)
@@ -121,10 +122,10 @@ def _make_area(size: int) -> tuple[Path, mmap.mmap]:
 
 
 class SampleWorkers:
-    """Workers of one dataset, and room for some batches.
+    """Workers of some datasets, and room for some batches.
 
     Args:
-        folder: of the dataset.
+        folders: of the datasets.
         wish: which pictures.
         order: which part holds a row.
         layout: of a sample.
@@ -139,7 +140,7 @@ class SampleWorkers:
 
     def __init__(
         self,
-        folder: Path,
+        folders: Sequence[Path],
         wish: PictureWish,
         order: SampleOrder,
         layout: Layout,
@@ -148,7 +149,8 @@ class SampleWorkers:
         workers: int,
     ) -> None:
         self.count, self.slabs, self._layout, self._order = count, slabs, dict(layout), order
-        self._folder, self._wish = str(folder.resolve()), msgspec.json.encode(wish)
+        self._folders = tuple(str(folder.resolve()) for folder in folders)
+        self._wish = msgspec.json.encode(wish)
         self._size = measure_batch(layout, count)[1]
         self._workers, self._waits = workers, [0] * slabs
         self._hosts = HostsProcess("gn0.jobs.worker", workers)
@@ -177,7 +179,7 @@ class SampleWorkers:
 
     def _send(self, number: int, slab: int, at: NDArray[np.int64], rows: Rows) -> None:
         told = FillOrder(
-            self._folder,
+            self._folders,
             self._wish,
             str(self._area),
             self._layout,

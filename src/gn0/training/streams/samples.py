@@ -6,7 +6,7 @@ the device where they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
@@ -19,6 +19,7 @@ from gn0.data.codec import EgoFrame
 from gn0.errors import ConfigError
 from gn0.paper import MAP_BINS
 from gn0.policies.bae.prompt_table import PromptFiller, PromptTable
+from gn0.sim.sensors import MapFrame
 
 
 @dataclass(frozen=True)
@@ -65,19 +66,24 @@ class SampleBatch:
         ids: int64 [B, P] prompts.
         answer: int64 [B, S].
         states: what they were made of.
+        input: in which of the policy's ways it asks; empty where there is one alone.
     """
 
     pictures: tuple[Tensor, ...]
     ids: Tensor
     answer: Tensor
     states: LabelledStates
+    input: str = ""
 
     def __len__(self) -> int:
         return len(self.ids)
 
 
 class Stream(Protocol):
-    """A source of labelled states that goes on where it was left."""
+    """A source of labelled states that goes on where it was left.
+
+    One that knows the scenes' maps also has `frames`, the `MapFrame` of each episode by number.
+    """
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -107,20 +113,24 @@ class SampleMaker:
         device: of the states.
         maps: float64 [E, 5] width, height, m a pixel, x_min, y_min of each episode's map, where
             coordinates are on the whole of it, as in the paper.
+        input: name of the policy's way that the prompt belongs to.
     """
 
     def __init__(
         self,
         table: PromptTable,
         slots: AnswerSlots,
-        frame: EgoFrame,
+        frame: EgoFrame | None,
         device: torch.device | str,
         maps: Any = None,
+        input: str = "",
     ) -> None:
-        self.table, self.slots, self.frame = table, slots, frame
+        self.table, self.slots, self.frame, self.input = table, slots, frame, input
         self.device = torch.device(device)
         self._filler = PromptFiller(table, self._send)
-        self._here = self._send(encode_place(frame))
+        if frame is None and maps is None:
+            raise ConfigError("coordinates on no picture", remedy="give a square or maps")
+        self._here = None if frame is None else self._send(encode_place(frame))
         self._maps = None if maps is None else self._send(np.asarray(maps, np.float64))
         self._answer = self._send(np.where(slots.ids == FREE, 0, slots.ids).astype(np.int64))
         self._actions = self._send(np.array(slots.vocabulary.actions, np.int64))
@@ -148,6 +158,7 @@ class SampleMaker:
             self.prompts(states.episode, states.pose, states.last, states.collided),
             self.answers(states.actions, states.waypoints, states.episode, states.pose),
             states,
+            self.input,
         )
 
     def prompts(self, episode: Tensor, pose: Tensor, last: Tensor, collided: Tensor) -> Tensor:
@@ -179,6 +190,7 @@ class SampleMaker:
         if form.points:
             points = waypoints[:, form.first_point : form.points]
             if self._maps is None:
+                assert self.frame is not None  # else there are maps
                 tokens = encode_squares(self.frame, points)
             else:
                 tokens = encode_maps(*self._on_map(episode, pose, points))
@@ -205,6 +217,7 @@ class SampleMaker:
         tokens = torch.stack([answer[:, self._at[kind]] for kind in (X, Y)], -1)
         tokens = tokens - self.slots.vocabulary.number
         if self._maps is None:
+            assert self.frame is not None
             return decode_squares(self.frame, tokens)
         return decode_maps(*self._on_map(episode, pose, tokens))
 
@@ -212,6 +225,17 @@ class SampleMaker:
         """Actions int64 [N, 6] of answers."""
         said = answer[:, self._at[ACTION]]
         return (said[..., None] == self._actions).int().argmax(-1)
+
+
+def find_frames(stream: Stream) -> tuple[MapFrame, ...]:
+    """The whole map of each of a stream's episodes, by number; none where it knows of none."""
+    found: tuple[MapFrame, ...] = getattr(stream, "frames", ())
+    return found
+
+
+def pack_frames(frames: Sequence[MapFrame]) -> np.ndarray:
+    """Whole maps as `SampleMaker` takes them: width, height, m a pixel, x_min, y_min [E, 5]."""
+    return np.array([(f.width, f.height, f.metres_per_pixel, f.x_min, f.y_min) for f in frames])
 
 
 def encode_place(frame: EgoFrame) -> np.ndarray:

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gn0.device.device import Device
 from gn0.device.dlpack import wrap_array
 from gn0.errors import ConfigError, DeviceMemoryError, SimError
 from gn0.policies.bae.policy_settings import SQUARE_NAMES
@@ -23,6 +24,7 @@ from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
 from gn0.sim.history import COLUMNS, LENGTH, ROWS
+from gn0.sim.sensors import MapFrame
 from gn0.training.streams.samples import LabelledStates
 
 _FIELDS: tuple[tuple[str, torch.dtype, tuple[int, ...]], ...] = (
@@ -67,7 +69,10 @@ class StepRing:
             `ego_map`. It needs no sensor `history`.
         steps: T, more than sixteen where views are kept.
         atlas: draws the ego maps; of the environment when None.
-        names: of its squares; `near`, `far`, `square_2` … when None.
+        names: of its squares; `near`, `far`, `square_2` … when None, or none where whole maps are
+            shown.
+        whole: whole maps that samples have: bev, occupancy.
+        map_size: (width, height) [px] that they are brought to.
         memory: bytes that the ring may take; what the card has free when None.
 
     Attributes:
@@ -87,6 +92,8 @@ class StepRing:
         *,
         atlas: EgoAtlas | None = None,
         names: Sequence[str] | None = None,
+        whole: Sequence[str] = (),
+        map_size: tuple[int, int] = (128, 128),
         memory: int | None = None,
     ) -> None:
         self.env, self.steps, self.agents, self.count = env, steps, env.num_envs, 0
@@ -103,6 +110,13 @@ class StepRing:
         if atlas is None and "ego_map" in env.sensors:
             atlas = EgoAtlas(env)
         squares = () if atlas is None else atlas.view.squares
+        if names is not None and not names and whole:
+            squares = ()
+        if whole and atlas is None:
+            raise ConfigError(
+                "whole maps of agents without maps", remedy="carry the sensor ego_map"
+            )
+        self.whole, self.map_size = tuple(whole), map_size
         given = list(SQUARE_NAMES[: len(squares)])
         if names is not None:
             given = list(names)
@@ -130,7 +144,7 @@ class StepRing:
         except torch.OutOfMemoryError:
             raise self._refusal(each, self._room() or 0) from None
         views = ("rgb", "history") if self._views else ()
-        self.pictures: tuple[str, ...] = (*views, *self._squares)
+        self.pictures: tuple[str, ...] = (*views, *self._squares, *self.whole)
 
     def _room(self) -> int | None:
         if self.device.type != "cuda":
@@ -234,6 +248,10 @@ class StepRing:
             makers[name] = lambda name=name: self._draw_square(  # type: ignore[misc]
                 name, picked["episode"], picked["pose"]
             )
+        for name in self.whole:
+            makers[name] = lambda name=name: self._draw_whole(  # type: ignore[misc]
+                name, picked["episode"], picked["pose"]
+            )
         pictures: Mapping[str, Tensor] = PicturesLazy(makers)
         return LabelledStates(**picked, pictures=pictures if lazy else dict(pictures))
 
@@ -267,6 +285,26 @@ class StepRing:
         numbers, poses = wrap_array(episode, device), wrap_array(pose, device)
         self._atlas.draw(square, numbers, poses, wrap_array(out, device))
         return out
+
+    def _draw_whole(self, name: str, episode: Tensor, pose: Tensor) -> Tensor:
+        assert self._atlas is not None
+        return draw_whole(self._atlas, self.env.device, name, self.map_size, episode, pose)
+
+    @property
+    def frames(self) -> tuple[MapFrame, ...]:
+        """The whole map of each episode, by number; none where agents have no maps."""
+        return () if self._atlas is None else self._atlas.frames
+
+
+def draw_whole(
+    atlas: EgoAtlas, device: Device, name: str, size: tuple[int, int], episode: Tensor, pose: Tensor
+) -> Tensor:
+    """Whole maps uint8 [B, H, W, 3] of episodes int32 [B] with agents at poses float64 [B, 3]."""
+    shape = (len(pose), size[1], size[0], 3)
+    out = torch.empty(shape, dtype=torch.uint8, device=pose.device)
+    numbers, poses = (wrap_array(one.contiguous(), device) for one in (episode, pose))
+    atlas.draw_whole(name, size, numbers, poses, wrap_array(out, device))
+    return out
 
 
 def find_torch_device(env: VectorEnvDevice) -> torch.device:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import ConfigError, FormatError, SimError
 from gn0.seeds import random_stream
+from gn0.sim.sensors import MapFrame
 from gn0.training.streams.live_counts import LiveCounts
 from gn0.training.streams.samples import LabelledStates
 from gn0.training.streams.stream_live import StreamLive, check_stream
@@ -58,6 +59,11 @@ class StreamCollected:
     def texts(self) -> tuple[str, ...]:
         """Instructions by episode number."""
         return self.live.texts
+
+    @property
+    def frames(self) -> tuple[MapFrame, ...]:
+        """The whole map of each episode, by number."""
+        return self.live.frames
 
     @property
     def whole(self) -> bool:

@@ -1,4 +1,4 @@
-"""Samples of a dataset folder as a stream: shuffled, weighted, for several workers and ranks."""
+"""Samples of dataset folders as a stream: shuffled, weighted, for several workers and ranks."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from gn0.sim.sensors import MapFrame
 from gn0.storage import content_hash
 from gn0.training.streams.picture_jitter import PictureJitter
 from gn0.training.streams.sample_order import Place, Rows, SampleOrder
-from gn0.training.streams.sample_reader import LABELS, PictureWish, SampleReader
+from gn0.training.streams.sample_reader import LABELS, PictureWish, SampleReaders
 from gn0.training.streams.sample_workers import SampleWorkers
-from gn0.training.streams.samples import LabelledStates
+from gn0.training.streams.samples import LabelledStates, pack_frames
 
 BLACKOUT = 0.1  # of mosaics, so that black carries no meaning
 AHEAD = 2  # batches that workers read before they are asked for
 
 
 class StreamDataset:
-    """Labelled states of a dataset, in an order that its seed decides.
+    """Labelled states of one dataset or several, in an order that the seed decides.
 
     Every sample of an epoch is given once over all ranks, or as often as its weight says (see
     `sample_order.py`); an epoch follows the other without end. The order and every pixel are the
@@ -40,7 +40,7 @@ class StreamDataset:
     any number of ranks.
 
     Args:
-        dataset: a dataset, or its folder.
+        dataset: a dataset, or its folder; or several of one camera, whose parts come mixed.
         pictures: names of what is shown: `rgb`, `history`, `bev`, `occupancy`, `goal_picture`, and
             the squares of the ego map: `near`, `far`, `square_2`, ….
         map_view: those squares, and whether the agent is an arrow on the occupancy picture.
@@ -48,6 +48,7 @@ class StreamDataset:
         seed: of order, blackout and jitter.
         buffer: samples that are shuffled together; parts come in an order of their own.
         weighted: whether `selection.parquet` is obeyed; None: where there is one.
+        shares: of the samples, one a dataset; they need not sum up to 1. None: by their sizes.
         workers: processes that read ahead; 0 reads here.
         rank, ranks: which share of the samples, of how many.
         blackout: share of samples whose mosaic is black.
@@ -62,7 +63,7 @@ class StreamDataset:
 
     def __init__(
         self,
-        dataset: Dataset | Path | str,
+        dataset: Dataset | Path | str | Sequence[Dataset | Path | str],
         pictures: Sequence[str],
         *,
         map_view: MapView | Mapping[str, Any] | None = None,
@@ -70,6 +71,7 @@ class StreamDataset:
         seed: int = 0,
         buffer: int = 8192,
         weighted: bool | None = None,
+        shares: Sequence[float] | None = None,
         workers: int = 0,
         rank: int = 0,
         ranks: int = 1,
@@ -82,12 +84,17 @@ class StreamDataset:
                 f"rank {rank} of {ranks}, {workers} workers",
                 remedy="give a rank from 0 to ranks − 1, and 0 to 1024 workers",
             )
-        self.dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+        given = [dataset] if isinstance(dataset, Dataset | Path | str) else list(dataset)
+        self.datasets = tuple(
+            one if isinstance(one, Dataset) else open_dataset(one) for one in given
+        )
         view = read_map_view(map_view)
         wish = PictureWish(tuple(pictures), view, map_size, blackout, jitter, seed)
-        self._reader = SampleReader(self.dataset, wish)
-        self._weights = _read_weights(self.dataset, weighted)
-        sizes = [part.rows for part in self.dataset.about.parts]
+        self._reader = SampleReaders(self.datasets, wish)
+        self._shares = None if shares is None else tuple(map(float, shares))
+        self._each = [_read_weights(one, weighted) for one in self.datasets]
+        self._weights = _join_weights(self.datasets, self._each, self._shares)
+        sizes = [part.rows for one in self.datasets for part in one.about.parts]
         self.order = SampleOrder(sizes, self._weights, seed, buffer)
         self.rank, self.ranks, self.device = rank, ranks, torch.device(device)
         self._count, self._place = workers, Place()
@@ -97,7 +104,7 @@ class StreamDataset:
     @cached_property
     def texts(self) -> tuple[str, ...]:
         """Instructions by episode number."""
-        return tuple(self.dataset.episode(name).instruction for name in self.dataset.sampled)
+        return tuple(one.episode(name).instruction for one in self.datasets for name in one.sampled)
 
     @cached_property
     def frames(self) -> tuple[MapFrame, ...]:
@@ -106,19 +113,20 @@ class StreamDataset:
         Raises:
             BenchError, StorageError, FormatError: a scene cannot be read.
         """
-        found: dict[str, MapFrame] = {}
-        for name in self.dataset.sampled:
-            scene = self.dataset.episode(name).scene_id
-            if scene not in found:
-                found[scene] = MapFrame.of_grid(self.dataset.scene(scene).grid)
-        return tuple(found[self.dataset.episode(name).scene_id] for name in self.dataset.sampled)
+        frames: list[MapFrame] = []
+        for dataset in self.datasets:
+            found: dict[str, MapFrame] = {}
+            for name in dataset.sampled:
+                scene = dataset.episode(name).scene_id
+                if scene not in found:
+                    found[scene] = MapFrame.of_grid(dataset.scene(scene).grid)
+                frames.append(found[scene])
+        return tuple(frames)
 
     @property
     def maps(self) -> NDArray[np.float64]:
-        """`frames` as `SampleMaker` takes them: width, height, m a pixel, x_min, y_min [E, 5]."""
-        return np.array(
-            [(f.width, f.height, f.metres_per_pixel, f.x_min, f.y_min) for f in self.frames]
-        )
+        """`frames` as `SampleMaker` takes them."""
+        return pack_frames(self.frames)
 
     def prompt_states(self, frame: EgoFrame | None = None) -> tuple[PromptState, ...]:
         """What prompts say of each episode; on its scene's map where no `frame` is given."""
@@ -129,17 +137,14 @@ class StreamDataset:
     @cached_property
     def hash(self) -> str:
         """Digest of everything that decides the samples: labels, words, scenes, weights, files."""
-        about, folder = self.dataset.about, self.dataset.folder
-        episodes = [one.digest for one in about.files if one.path == EPISODE_FILE]
-        cache = load_manifest(folder, "webdataset")
+        if len(self.datasets) == 1:
+            return _hash_dataset(self.datasets[0], self._each[0] is not None)
         return content_hash(
-            about.camera,
-            about.settings.pictures.drawn_by,
-            *(f"{part.name} {part.labels}" for part in about.parts),
-            *(f"{scene.id} {scene.hash}" for scene in about.scenes),
-            *episodes,
-            "" if self._weights is None else load_balance(folder).selection,
-            "" if cache is None else cache.seal,
+            *(
+                _hash_dataset(one, weights is not None)
+                for one, weights in zip(self.datasets, self._each, strict=True)
+            ),
+            repr(self._shares),
         )
 
     def sizes(self) -> dict[str, tuple[int, int]]:
@@ -183,7 +188,7 @@ class StreamDataset:
             self.close()
             reader = self._reader
             self._workers = SampleWorkers(
-                self.dataset.folder,
+                [one.folder for one in self.datasets],
                 reader.wish,
                 self.order,
                 reader.layout,
@@ -230,7 +235,7 @@ class StreamDataset:
         if state.get("dataset") != own["dataset"]:
             raise DataError(
                 "not the dataset that training was on: its content hash is another",
-                where=self.dataset.folder,
+                where=", ".join(str(one.folder) for one in self.datasets),
                 remedy="give the dataset of before, unchanged, or begin a new run",
             )
         for name, value in own.items():
@@ -266,6 +271,56 @@ class StreamDataset:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _hash_dataset(dataset: Dataset, weighted: bool) -> str:
+    """Digest of everything that decides a dataset's samples."""
+    about, folder = dataset.about, dataset.folder
+    episodes = [one.digest for one in about.files if one.path == EPISODE_FILE]
+    cache = load_manifest(folder, "webdataset")
+    return content_hash(
+        about.camera,
+        about.settings.pictures.drawn_by,
+        *(f"{part.name} {part.labels}" for part in about.parts),
+        *(f"{scene.id} {scene.hash}" for scene in about.scenes),
+        *episodes,
+        load_balance(folder).selection if weighted else "",
+        "" if cache is None else cache.seal,
+    )
+
+
+def _join_weights(
+    datasets: Sequence[Dataset],
+    weights: Sequence[NDArray[np.float64] | None],
+    shares: Sequence[float] | None,
+) -> NDArray[np.float64] | None:
+    """Weight of each row over all datasets, so that each has its share; None where all count one.
+
+    Raises:
+        ConfigError: not one share a dataset, or one that is not above 0.
+        DataError: all rows of a dataset weigh nothing.
+    """
+    if shares is None and all(one is None for one in weights):
+        return None
+    sizes = [sum(part.rows for part in dataset.about.parts) for dataset in datasets]
+    each = [np.ones(size) if one is None else one for one, size in zip(weights, sizes, strict=True)]
+    if shares is None:
+        return np.concatenate(each)
+    if len(shares) != len(datasets) or not all(0 < share < np.inf for share in shares):
+        raise ConfigError(
+            f"shares {', '.join(f'{share:g}' for share in shares)} of {len(datasets)} datasets",
+            where="shares",
+            remedy="give one number above 0 a dataset",
+        )
+    for dataset, own in zip(datasets, each, strict=True):
+        if not own.any():
+            raise DataError(
+                "has no samples to draw", where=dataset.folder, remedy="build more episodes"
+            )
+    scale = sum(sizes) / sum(shares)
+    return np.concatenate(
+        [own * (share * scale / own.sum()) for own, share in zip(each, shares, strict=True)]
+    )
 
 
 def _read_weights(dataset: Dataset, weighted: bool | None) -> NDArray[np.float64] | None:

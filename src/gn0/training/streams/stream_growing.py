@@ -12,8 +12,9 @@ from itertools import pairwise
 from typing import Any
 
 from gn0.errors import CheckpointError, ConfigError, FormatError
+from gn0.sim.sensors import MapFrame
 from gn0.training.streams.live_counts import LiveCounts
-from gn0.training.streams.samples import LabelledStates, Stream
+from gn0.training.streams.samples import LabelledStates, Stream, find_frames
 
 
 class StreamGrowing:
@@ -46,6 +47,11 @@ class StreamGrowing:
     def texts(self) -> tuple[str, ...]:
         """Instructions by episode number; another object once scenes have joined."""
         return self._stream.texts
+
+    @property
+    def frames(self) -> tuple[MapFrame, ...]:
+        """The whole map of each episode, by number."""
+        return find_frames(self._stream)
 
     def draw(self, count: int) -> LabelledStates:
         """The next states; first the scenes that are due join."""

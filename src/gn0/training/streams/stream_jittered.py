@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,11 @@ from torch import Tensor
 
 from gn0.errors import FormatError
 from gn0.seeds import derive_seed
+from gn0.sim.sensors import MapFrame
 from gn0.training.streams.picture_jitter import DRAWS, PictureJitter
 from gn0.training.streams.sample_reader import CAMERA
-from gn0.training.streams.samples import LabelledStates, Stream
+from gn0.training.streams.samples import LabelledStates, Stream, find_frames
+from gn0.training.streams.step_ring import PicturesLazy
 
 _EACH = 8  # numbers a sample: whole blocks of Philox, so that any sample's can be begun with
 
@@ -40,6 +43,11 @@ class StreamJittered:
         """Instructions by episode number."""
         return self.stream.texts
 
+    @property
+    def frames(self) -> tuple[MapFrame, ...]:
+        """The whole map of each episode, by number."""
+        return find_frames(self.stream)
+
     def draw(self, count: int) -> LabelledStates:
         """The next states."""
         states = self.stream.draw(count)
@@ -47,10 +55,14 @@ class StreamJittered:
         draws = np.random.Generator(bits).random((count, _EACH))[:, :DRAWS]
         self.drawn += count
         matrices, offsets = self.jitter.solve(draws)
-        pictures = dict(states.pictures)
-        for name in CAMERA:
-            if name in pictures:
-                pictures[name] = jitter_pictures(pictures[name], matrices, offsets)
+        seen = states.pictures
+
+        def look(name: str) -> Tensor:
+            return jitter_pictures(seen[name], matrices, offsets) if name in CAMERA else seen[name]
+
+        pictures = PicturesLazy({name: partial(look, name) for name in seen})
+        if not isinstance(seen, PicturesLazy):
+            return replace(states, pictures=dict(pictures))
         return replace(states, pictures=pictures)
 
     def state(self) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from gn0.paper import FORWARD, STOP
 from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
+from gn0.sim.sensors import MapFrame
 from gn0.training.streams.live_counts import COUNTED, LiveCounts
 from gn0.training.streams.samples import LabelledStates
 from gn0.training.streams.step_ring import StepRing
@@ -73,6 +74,8 @@ class StreamLive:
             eighth of the agents when None.
         stop_distance: where labels say STOP [m].
         dark: share of samples whose mosaic is black.
+        lazy: pictures are made when they are looked at, before the next draw; those that nobody
+            looks at cost nothing.
 
     Raises:
         ConfigError: a number out of range, or a ring that is not empty or another environment's.
@@ -93,6 +96,7 @@ class StreamLive:
         confirmed: int | None = None,
         stop_distance: float = STOP_DISTANCE,
         dark: float = 0.1,
+        lazy: bool = False,
     ) -> None:
         fill = min(64, ring.steps) if fill is None else fill
         shares_right = all(0 <= share <= 1 for share in (stop_share, dark))
@@ -104,7 +108,7 @@ class StreamLive:
         if ring.env is not env or ring.count:
             raise ConfigError("a ring that is in use", remedy="give a new StepRing of the env")
         self.env, self.ring, self.seed = env, ring, seed
-        self.ratio, self.fill = ratio, fill
+        self.ratio, self.fill, self.lazy = ratio, fill, lazy
         self.driver, self.beta = driver, beta
         self.stop_share, self.stop_distance, self.dark = stop_share, stop_distance, dark
         self.drawn = 0
@@ -128,6 +132,11 @@ class StreamLive:
         """Instructions by episode number."""
         return tuple(episode.mission.instruction for episode in self.env.episodes)
 
+    @property
+    def frames(self) -> tuple[MapFrame, ...]:
+        """The whole map of each episode, by number."""
+        return self.ring.frames
+
     def draw(self, count: int) -> LabelledStates:
         """The next states, uniform over the ring; first the steps that are due are taken.
 
@@ -140,7 +149,7 @@ class StreamLive:
         numbers = stream.integers(*self.ring.window, size=count)
         dark = stream.random(count) < self.dark
         self.drawn += count
-        return self.ring.draw(numbers, dark)
+        return self.ring.draw(numbers, dark, **({"lazy": True} if self.lazy else {}))
 
     def _walk_on(self, count: int) -> None:
         due = self.fill + int(self.ratio * (self.drawn + count) / self.env.num_envs)

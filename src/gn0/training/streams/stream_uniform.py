@@ -22,10 +22,12 @@ from gn0.device.dlpack import wrap_array
 from gn0.errors import ConfigError, FormatError
 from gn0.policies.bae.policy_settings import SQUARE_NAMES
 from gn0.seeds import derive_seed, random_stream
+from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.history import mosaic_size
+from gn0.sim.sensors import MapFrame
 from gn0.training.streams.samples import LabelledStates
-from gn0.training.streams.step_ring import find_torch_device
+from gn0.training.streams.step_ring import draw_whole, find_torch_device
 from gn0.training.streams.stream_live import STOP_DISTANCE, check_stream
 
 
@@ -41,7 +43,10 @@ class StreamUniform:
         facing: share of agents that look where the expert goes first, to one turn more or less.
         near: share of agents near the goal, and how near [m of way].
         stop_distance: where labels say STOP [m].
-        names: of the squares of `ego_map`; `near`, `far`, `square_2` … when None.
+        names: of the squares of `ego_map`; `near`, `far`, `square_2` … when None, or none where
+            whole maps are shown.
+        whole: whole maps that samples have: bev, occupancy.
+        map_size: (width, height) [px] that they are brought to.
         prepare: bring all episodes that fit to the device now, so that placing waits for none.
 
     Raises:
@@ -58,6 +63,8 @@ class StreamUniform:
         near: tuple[float, float] = (0.15, 3.0),
         stop_distance: float = STOP_DISTANCE,
         names: Sequence[str] | None = None,
+        whole: Sequence[str] = (),
+        map_size: tuple[int, int] = (128, 128),
         prepare: bool = True,
     ) -> None:
         if not (0 <= facing <= 1 and 0 <= near[0] <= 1 and near[1] > 0) or env.channels_first:
@@ -69,13 +76,19 @@ class StreamUniform:
         self.stop_distance = stop_distance
         self._device = find_torch_device(env)
         self._squares = env.simulator.config.map_view.squares if "ego_map" in env.sensors else ()
+        self.whole, self.map_size = tuple(whole), map_size
+        self._atlas = EgoAtlas(env) if whole else None
+        if whole and names is not None and not names:
+            self._squares = ()
         count = len(self._squares)
         given = list(SQUARE_NAMES[:count])
         self.names = given if names is None else list(names)
         if len(set(self.names)) != count or len(self.names) != count:
             raise ConfigError(f"names {self.names} of {count} squares", remedy="name each once")
         self._turn = math.radians(env.tasks.agent.turn_degrees)
-        self._drawing = tuple(name for name in ("rgb", "ego_map") if name in env.sensors)
+        drawn = ("rgb", "ego_map") if self._squares or not whole else ("rgb",)
+        self._drawing = tuple(name for name in drawn if name in env.sensors)
+        self._unseen = tuple({"ego_map"} & set(env.sensors) - set(self._drawing))
         self.drawn = 0
         self._round = -1
         self._now: LabelledStates | None = None
@@ -86,12 +99,17 @@ class StreamUniform:
 
     @property
     def _silent(self) -> tuple[str, ...]:
-        return () if "history" in self.env.sensors else self._drawing
+        return self._unseen + (() if "history" in self.env.sensors else self._drawing)
 
     @cached_property
     def texts(self) -> tuple[str, ...]:
         """Instructions by episode number."""
         return tuple(episode.mission.instruction for episode in self.env.episodes)
+
+    @property
+    def frames(self) -> tuple[MapFrame, ...]:
+        """The whole map of each episode, by number; none where no whole map is shown."""
+        return () if self._atlas is None else self._atlas.frames
 
     def draw(self, count: int) -> LabelledStates:
         """The next states.
@@ -124,7 +142,7 @@ class StreamUniform:
         ways = torch.from_dlpack(labels.waypoints)
         turns = self._find_turns(ways[:, 1].double()) + more
         turns = torch.where(faces, turns, 0).to(torch.int32)
-        env.mute()
+        env.mute(*self._unseen)
         seen, infos = env.turn_agents(wrap_array(turns, env.device))
         labels = env.labels(self.stop_distance)
         pictures: dict[str, Tensor] = {
@@ -141,6 +159,11 @@ class StreamUniform:
                 pictures[name] = whole[:, :size, left : left + size].clone()
                 left += size
         own = {name: torch.from_dlpack(infos[name]).clone() for name in ("episode", "pose")}
+        for name in self.whole:
+            assert self._atlas is not None
+            pictures[name] = draw_whole(
+                self._atlas, env.device, name, self.map_size, own["episode"], own["pose"]
+            )
         told = {
             name: torch.from_dlpack(getattr(labels, name)).clone()
             for name in ("actions", "waypoints", "distance")

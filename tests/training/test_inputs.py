@@ -101,13 +101,13 @@ def test_inputs_are_read_as_they_are_written() -> None:
     ("text", "said"),
     [
         ("nothing:1", "no input 'nothing'"),
-        ("maps:x", "'x' is no share"),
+        ("maps:x", "'x' is not a share"),
         ("maps,maps", "'maps' stands twice"),
         ("maps,maps=near/3", "'maps' names no input, or two"),
         (" , ", "no input"),
         ("maps:0,views", "share 0.0"),
         ("maps,Mine=near/3", "'Mine' names no input"),
-        ("maps,mine=near/x", "'x' is no number of waypoints"),
+        ("maps,mine=near/x", "'x' is not a number of waypoints"),
         ("maps,mine=lidar", "no picture 'lidar'"),
     ],
 )

@@ -107,7 +107,7 @@ def read_shares(text: str) -> dict[str, float]:
         try:
             shares[name] = float(number) if colon else 1.0
         except ValueError:
-            raise _refuse(f"{number!r} is no share") from None
+            raise _refuse(f"{number!r} is not a share") from None
     return shares
 
 
@@ -124,7 +124,7 @@ def _read_input(name: str, told: str | None, settings: PolicySettings) -> Policy
         shown, slash, number = told.partition("/")
         pictures = tuple(one.strip() for one in shown.split("+") if one.strip())
         if slash and not number.isdecimal():
-            raise _refuse(f"{number!r} is no number of waypoints")
+            raise _refuse(f"{number!r} is not a number of waypoints")
         points = int(number) if slash else settings.form.points
     form = msgspec.structs.replace(settings.form, points=points)
     return fit_prompt(msgspec.structs.replace(settings, pictures=pictures, form=form))

@@ -124,7 +124,7 @@ def _prepare(loop: ClosedLoop) -> tuple[Callable[[], None], Callable[[], object]
         number, pose = (torch.from_dlpack(infos[name]) for name in ("episode", "pose"))
         hit = torch.from_dlpack(seen["collided"])
         ids = loop.maker.prompts(number, pose, last, hit)
-        return loop.actor.decide(loop._show(seen, False), ids).actions
+        return loop.actor.decide(loop._show(seen, number, pose, False), ids).actions
 
     def walk() -> None:
         actions = ask()

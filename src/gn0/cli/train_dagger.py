@@ -249,7 +249,7 @@ def _read_live(args: Args) -> DaggerLiveJob:
     from gn0.training.inputs import read_inputs
     from gn0.training.recipe import RECIPES
 
-    settings, inputs = None, {}
+    settings, inputs = None, dict[str, float]()
     if not args.start:
         settings = PolicySettings(
             prompt=args.prompt or "short",

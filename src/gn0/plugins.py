@@ -67,6 +67,7 @@ _BUILTIN: dict[str, dict[str, str]] = {
         "recorded": "gn0.policies.recorded:PolicyRecorded",
         "remote": "gn0.policies.remote.policy_remote:PolicyRemote",
         "bae": "gn0.policies.bae.policy_bae:PolicyBae",
+        "cma": "gn0.policies.cma.policy_cma:PolicyCma",
     },
     "policy_host": {"own-process": "gn0.policies.remote.isolated:PolicyIsolated"},
     "exporter": {

@@ -183,11 +183,15 @@ class ClosedLoop:
         # a prompt on the whole map says its scale, so each episode has a prompt without words, too
         said = [CONTROL_TEXT] * (len(texts) if on_map else 1)
         self.maker = pupil.maker([*texts, *said], self.device, maps * 2)
-        self.actor = Actor(
-            pupil.model, self.maker.table.layout, pupil.slots, self.settings.frame, env.num_envs,
-            dtype=dtype, compiled=compiled, said=self.maker.table.place,
-        )  # fmt: skip
+        self.actor = self._open_actor(pupil, dtype=dtype, compiled=compiled)
         self.decisions, self.counts = 0, LiveCounts()
+
+    def _open_actor(self, pupil: Pupil, **options: Any) -> Actor:
+        """Who decides for all agents at once; another kind of policy has one of its own."""
+        return Actor(
+            pupil.model, self.maker.table.layout, pupil.slots, self.settings.frame,
+            self.env.num_envs, said=self.maker.table.place, **options,
+        )  # fmt: skip
 
     def play(
         self,

@@ -4,8 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal, Protocol
 
-from gn0.training.recipe import Recipe
+
+class Rates(Protocol):
+    """What a recipe says of its rates over a run; see `gn0.training.recipe.Recipe`."""
+
+    @property
+    def warm_steps(self) -> int: ...  # noqa: D102
+    @property
+    def schedule(self) -> Literal["stable", "cosine"]: ...  # noqa: D102
+    @property
+    def tail(self) -> float: ...  # noqa: D102
+    @property
+    def floor(self) -> float: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -22,11 +34,11 @@ class Schedule:
     tail: int | None = None
     warm: int = 0
 
-    def end_at(self, step: int, recipe: Recipe) -> Schedule:
+    def end_at(self, step: int, recipe: Rates) -> Schedule:
         """The same run, to end at a step, its tail the recipe's share of all steps."""
         return replace(self, end=step, tail=step - round(recipe.tail * step))
 
-    def end_soon(self, step: int, recipe: Recipe) -> Schedule:
+    def end_soon(self, step: int, recipe: Rates) -> Schedule:
         """The same run, whose tail begins now and is the recipe's share of all steps."""
         share = recipe.tail / (1 - recipe.tail) if recipe.tail < 1 else 1.0
         return replace(self, end=step + max(1, round(share * step)), tail=step)
@@ -35,7 +47,7 @@ class Schedule:
         """The same run, the rate rising from 0 again: AdamW's moments are gone."""
         return replace(self, warm=step)
 
-    def share(self, step: int, recipe: Recipe) -> float:
+    def share(self, step: int, recipe: Rates) -> float:
         """The share of the recipe's rates at which step `step` (from 0) is taken."""
         warm = min(1.0, (step - self.warm + 1) / recipe.warm_steps) if recipe.warm_steps else 1.0
         if self.end is None or self.tail is None:

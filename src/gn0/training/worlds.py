@@ -6,18 +6,32 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, Protocol, TypedDict
 
 from gn0.device.device import Device
 from gn0.errors import ConfigError, TrainingError
 from gn0.missions.episode import Episode
 from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES, PolicySettings
 from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.ego_map import MapView
 from gn0.storage import content_hash
 from gn0.suites.suite import SUITE_FILE, Suite, load_suite
 from gn0.training.pupil import Pupil
 
 _POLL = 0.5  # s
+
+
+class Eyes(Protocol):
+    """What a policy is shown, as its settings say it; see `PolicySettings`."""
+
+    @property
+    def shown(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def preset(self) -> str: ...  # noqa: D102
+    @property
+    def history_tile(self) -> tuple[int, int] | None: ...  # noqa: D102
+    @property
+    def view(self) -> MapView: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +135,7 @@ def wait_for_suites(
 
 def open_world(
     lessons: Lessons,
-    settings: PolicySettings,
+    settings: Eyes,
     count: int,
     *,
     device: Device | str = "auto",

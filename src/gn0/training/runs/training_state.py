@@ -22,7 +22,7 @@ from torch import Tensor
 
 from gn0.config import load_json
 from gn0.errors import CheckpointError, FormatError, StorageError, brief
-from gn0.policies.bae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from gn0.policies.bae.checkpoint import load_checkpoint, save_checkpoint
 from gn0.policies.bae.shard_file import count_bytes, write_shards
 from gn0.policies.qwen.weights import MANIFEST
 from gn0.seeds import load_stream, save_stream
@@ -60,7 +60,8 @@ class TrainingState:
     """All that a run needs to go on as if it had never stopped.
 
     Attributes:
-        checkpoint: model and tokenizer; the model may be on a card and in training.
+        checkpoint: model and tokenizer, as `load_checkpoint` gives them, or of another kind that
+            has a `model`; it may be on a card and in training.
         counters: how far it has come.
         recipe: as `describe_recipe` gives it.
         corpus: hash of what it learns from.
@@ -74,7 +75,7 @@ class TrainingState:
         versions: of the packages that wrote it; filled in on saving.
     """
 
-    checkpoint: Checkpoint
+    checkpoint: Any
     counters: TrainingCounters
     recipe: Mapping[str, Any]
     corpus: str
@@ -105,6 +106,7 @@ def save_state(
     without_optimiser: bool = False,
     dtype: torch.dtype = torch.float32,
     beside: Callable[[Path], None] | None = None,
+    write: Callable[..., None] = save_checkpoint,
 ) -> Path:
     """Write a state as FOLDER/step-NNNNNNNNN, all of it or nothing; then remove the oldest.
 
@@ -118,6 +120,7 @@ def save_state(
         without_optimiser: leave the optimiser's states behind, two thirds of the bytes or more.
         dtype: of model and averaged weights; another than float32 is not exact.
         beside: writes more files into the folder of the model, such as its prompt.
+        write: writes the checkpoint, as `save_checkpoint` does with Qwen3-VL's.
 
     Returns:
         The folder of the state.
@@ -142,7 +145,7 @@ def save_state(
     limit = shard_mb * 1_000_000
     try:
         with folder_atomic(out, overwrite=True, marker=STATE) as made:
-            save_checkpoint(made / MODEL, state.checkpoint, shard_mb=shard_mb, dtype=dtype)
+            write(made / MODEL, state.checkpoint, shard_mb=shard_mb, dtype=dtype)
             if beside is not None:
                 beside(made / MODEL)
             stated = load_json(made / MODEL / MANIFEST, dict[str, str])
@@ -175,11 +178,12 @@ def save_state(
     return out
 
 
-def load_state(folder: Path | str) -> TrainingState:
+def load_state(folder: Path | str, load: Callable[..., Any] = load_checkpoint) -> TrainingState:
     """Load a state, the model on the CPU and in evaluation mode; every byte is checked first.
 
     Args:
         folder: of a state, or of a run's states: the last one.
+        load: loads the checkpoint, as `load_checkpoint` does with Qwen3-VL's.
 
     Raises:
         CheckpointError: there is none, or it is half-written, altered or of another kind.
@@ -198,7 +202,7 @@ def load_state(folder: Path | str) -> TrainingState:
     try:
         file = read_state_file(folder)
         check_files(folder, file.files)
-        return _build_state(folder, file)
+        return _build_state(folder, file, load)
     except CheckpointError as error:
         raise _with_fellow(error, folder) from None
     except OSError as error:
@@ -264,7 +268,7 @@ def _describe(
     )
 
 
-def _build_state(folder: Path, file: StateFile) -> TrainingState:
+def _build_state(folder: Path, file: StateFile, load: Callable[..., Any]) -> TrainingState:
     dtype = getattr(torch, file.dtype, None)
     if not isinstance(dtype, torch.dtype):
         raise CheckpointError(f"no type of numbers is called {brief(file.dtype)}", where=folder)
@@ -281,7 +285,7 @@ def _build_state(folder: Path, file: StateFile) -> TrainingState:
         groups = tuple(file.optimiser.groups)
         optimiser = OptimiserState(file.optimiser.kind, groups, found[_OPTIMISER])
     return TrainingState(
-        checkpoint=load_checkpoint(folder / MODEL, dtype=dtype),
+        checkpoint=load(folder / MODEL, dtype=dtype),
         counters=file.counters,
         recipe=file.recipe,
         corpus=file.corpus,

@@ -1,0 +1,186 @@
+"""Train a recurrent baseline to compare with: CMA or Seq2Seq, retrained, small.
+
+It learns from the expert's own walks through a suite, then in rounds of DAgger from walks that it
+drives itself; the simulator runs beside the learner, on its card. A run that was stopped goes on
+when the same command is given again. The trained policy is in OUT/policy, and
+`gn0 bench run SUITE --policy cma --policy-option checkpoint=OUT/policy` examines it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+from gn0.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gn0.policies.cma.cma_settings import CmaSettings
+
+EXAMPLES = """  gn0 train baseline out/suite --out out/cma
+  gn0 train baseline out/suite --model cma_blind --out out/cma-blind
+  gn0 train baseline out/suite --without depth --out out/cma-colour
+  gn0 train baseline out/suite --pictures rgb,depth,near --out out/cma-maps
+  gn0 train baseline out/suite --model seq2seq --rounds 0 --forced 1 --out out/seq2seq
+  gn0 train baseline out/suite --size nano --agents 4 --steps 8 --samples 320 --device host \\
+      --out out/tried"""
+
+
+class Args(Config, frozen=True):
+    """What to train, on what, and how.
+
+    Attributes:
+        suite: suite folders, as `gn0 missions generate` writes.
+        out: the folder of the run; an interrupted one there goes on.
+        model: cma: attention over words and pictures, two GRUs; cma_blind: the same without words,
+            so that it does not know its goal; seq2seq: one GRU.
+        exam: the suite to be examined in; the first by default.
+        split: splits of the suite to learn from, with commas between; all for all.
+        held_out: splits to be examined in, with commas between; empty for none.
+        size: nano, for trials, or tiny (8 M with colour and depth).
+        pictures: each with an encoder of its own, with commas between: rgb, depth, and near, far
+            of the ego map.
+        without: what of these is left out, with commas between: pictures, or words.
+        text_length: tokens of instructions that are read, where suites to come may have longer
+            ones; as long as the longest, and at least 96, by default.
+        preset: of the cameras, as in `gn0 list presets`.
+        samples: states to learn from, over all rounds.
+        rounds: of DAgger, after teacher forcing.
+        forced: share of the samples that teacher forcing has.
+        mix: p: in round r the expert drives a step with chance p^r.
+        agents: that walk side by side.
+        steps: of a stretch of walk, over which the gradient goes back; an update learns from
+            agents times steps states.
+        rate: the learning rate.
+        turn_weight: of states where the expert's action changes.
+        progress_weight: of the progress monitor's loss; 0 for none.
+        examined: episodes of an examination.
+        report: updates from report to report.
+        save: updates from checkpoint to checkpoint; 0 for one at the end.
+        examine: updates from examination to examination; 0 for one at the end.
+        seed: of weights, walks and chances.
+        device: auto, cuda, or host (the emulation: slow, for trials).
+        fresh: forget what an earlier command left in the output folder, instead of going on.
+    """
+
+    suite: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
+        msgspec.Meta(min_length=1),
+    ]
+    out: str
+    model: Literal["cma", "cma_blind", "seq2seq"] = "cma"
+    exam: str = ""
+    split: str = "train"
+    held_out: str = "val_unseen"
+    size: Literal["nano", "tiny"] = "tiny"
+    pictures: str = "rgb,depth"
+    without: str = ""
+    text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
+    preset: str = "tiny_128"
+    samples: Annotated[int, msgspec.Meta(ge=1)] = 8_000_000
+    rounds: Annotated[int, msgspec.Meta(ge=0, le=64)] = 3
+    forced: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.4
+    mix: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.75
+    agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
+    steps: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 32
+    rate: Annotated[float, msgspec.Meta(gt=0, le=1)] = 5e-4
+    turn_weight: Annotated[float, msgspec.Meta(gt=0)] = 3.2
+    progress_weight: Annotated[float, msgspec.Meta(ge=0)] = 1.0
+    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
+    report: Annotated[int, msgspec.Meta(ge=1)] = 20
+    save: Annotated[int, msgspec.Meta(ge=0)] = 200
+    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
+    seed: int = 0
+    device: str = "auto"
+    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
+
+
+def run(args: Args) -> int:
+    """Train, and say where the policy lies."""
+    import sys
+
+    from gn0.cli.train_packages import check_packages
+    from gn0.config import check_config
+    from gn0.suites.suite import load_suite
+
+    first = args.suite[0]
+    load_suite(first)  # packages are of no help against a broken folder
+    settings = _choose_settings(args)
+    check_packages()
+    from gn0.training.baseline import BaselineJob, train_baseline
+    from gn0.training.recurrent_learner import RecurrentRecipe
+    from gn0.training.recurrent_stage import ReportPlan, RoundPlan
+
+    job = BaselineJob(
+        suites=args.suite,
+        exam=args.exam,
+        splits=() if args.split == "all" else _split(args.split),
+        held_out=_split(args.held_out),
+        settings=settings,
+        text_length=args.text_length,
+        recipe=RecurrentRecipe(
+            rate=args.rate,
+            turn_weight=args.turn_weight,
+            progress_weight=args.progress_weight,
+            mix=args.mix,
+        ),
+        plan=RoundPlan(samples=args.samples, rounds=args.rounds, forced=args.forced),
+        told=ReportPlan(report=args.report, save=args.save, examine=args.examine),
+        agents=args.agents,
+        steps=args.steps,
+        examined=args.examined,
+        seed=args.seed,
+    )
+    policy = train_baseline(
+        check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
+    )
+    print(f"written to {policy}: retrained, small, not the published weights")
+    print(
+        f"next: gn0 bench run {args.exam or first} --policy cma --policy-option checkpoint={policy}"
+    )
+    return 0
+
+
+def _choose_settings(args: Args) -> CmaSettings:
+    """The net that the arguments name.
+
+    Raises:
+        ConfigError: a picture that there is not, or something left out that was not there.
+    """
+    from gn0.policies.bae.policy_settings import SQUARE_NAMES
+    from gn0.policies.cma.cma_settings import SIZES, CmaSettings
+    from gn0.sim.ego_map import MapView
+    from gn0.sim.presets import find_preset
+
+    find_preset(args.preset)
+    pictures, without = list(_split(args.pictures)), _split(args.without)
+    words = args.model != "cma_blind"
+    for name in without:
+        if name == "words" and words:
+            words = False
+        elif name in pictures:
+            pictures.remove(name)
+        else:
+            raise ConfigError(
+                f"{name!r} is not there to be left out",
+                where="--without",
+                remedy=f"known: {', '.join([*pictures, *(['words'] if words else [])])}",
+            )
+    every = MapView().squares
+    shown = [SQUARE_NAMES.index(name) for name in pictures if name in SQUARE_NAMES[: len(every)]]
+    return CmaSettings(
+        graph="seq2seq" if args.model == "seq2seq" else "cma",
+        pictures=tuple(pictures),
+        words=words,
+        sizes=SIZES[args.size],
+        preset=args.preset,
+        view=MapView(squares=every[: max(shown, default=len(every) - 1) + 1]),
+    )
+
+
+def _split(text: str) -> tuple[str, ...]:
+    return tuple(one.strip() for one in text.split(",") if one.strip())

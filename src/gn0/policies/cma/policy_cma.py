@@ -96,6 +96,11 @@ class PolicyCma:
             ("computed by", self._walkers.name),
         )
 
+    def notes_of(self, slot: int) -> dict[str, int]:
+        """What was odd in a slot's episode so far: nothing ever is."""
+        del slot
+        return {}
+
     def reset_batch(
         self,
         slots: Sequence[int],

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The training half of the paper in miniature, on a CPU: scenes, missions, samples, a tokenizer of their language, SFT of a model of
-# 2 M weights, DAgger, once and live, and DAPO. Needs the extra `train`; about two minutes on two cores, `tiny-bae.sh OUT ci` one.
+# 2 M weights, DAgger, once and live, DAPO, and a recurrent baseline. Needs the extra `train`; about two minutes on two cores, `tiny-bae.sh OUT ci` one.
 set -euo pipefail
 
 OUT=${1:-out/tiny-bae}
@@ -52,3 +52,10 @@ STATES=64
 [ "$SIZE" = ci ] && STATES=16
 gn0 train dapo "$OUT/missions" --start "$OUT/dagger/policy" --split all --held-out "" --states "$STATES" --agents 4 --epochs 1 \
   --prompts 8 --answers 4 --minibatches 2 --report 1 --device host --seed "$SEED" --out "$OUT/dapo"
+
+say "a baseline"
+BATCHES=6
+[ "$SIZE" = ci ] && BATCHES=2
+gn0 train baseline "$OUT/missions" --split all --held-out "" --size nano --pictures near --agents 4 --steps 8 --samples "$((BATCHES * 32))" \
+  --rounds 1 --report 1 --device host --seed "$SEED" --out "$OUT/cma"
+gn0 bench run "$OUT/missions" --policy cma --policy-option checkpoint="$OUT/cma/policy" --episodes 1 --no-report --out "$OUT/cma-bench"

@@ -13,7 +13,6 @@ from gn0.paper import LEFT, STOP  # noqa: E402
 from gn0.training.streams.stream_walks import StreamWalks, measure_progress  # noqa: E402
 
 
-
 class Turner:
     """Always turns left, and counts its steps."""
 
@@ -96,7 +95,9 @@ def test_in_a_round_agents_are_shared_out_and_policies_drive_theirs(make_stream)
     for agent in (1, 4, 2):
         assert set(following[:, agent].tolist()) <= {LEFT, -1}
     for agent in (0, 3):
-        assert ((following[:, agent] == stretch.expert[:-1, agent]) | (following[:, agent] < 0)).all()
+        assert (
+            (following[:, agent] == stretch.expert[:-1, agent]) | (following[:, agent] < 0)
+        ).all()
     assert len(drivers[0].asked) == 6
     pictures, texts, last = drivers[0].asked[3]
     assert torch.equal(texts, stretch.texts[3, 1::3])

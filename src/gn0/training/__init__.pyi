@@ -1,6 +1,8 @@
 from gn0.errors import CheckpointError as CheckpointError
 from gn0.errors import TrainingError as TrainingError
 from gn0.policies.bae.policy_settings import PolicySettings as PolicySettings
+from gn0.training.baseline import BaselineJob as BaselineJob
+from gn0.training.baseline import train_baseline as train_baseline
 from gn0.training.dagger import DaggerJob as DaggerJob
 from gn0.training.dagger import train_dagger as train_dagger
 from gn0.training.dagger_live import DaggerLiveJob as DaggerLiveJob

@@ -31,7 +31,7 @@ def _scatter(net, seed: int, spread: float) -> None:
 
 
 def _write(folder: Path, seed: int = 5, spread: float = 0.0, **chosen) -> Path:
-    torch = pytest.importorskip("torch", reason="recurrent baselines need gn0[train]")
+    pytest.importorskip("torch", reason="recurrent baselines need gn0[train]")
     pytest.importorskip("transformers", reason="tokenizers are trained with gn0[train]")
     from gn0.policies.bae.tokenizer import train_tokenizer
     from gn0.policies.cma.cma_checkpoint import CmaCheckpoint, build_net, save_cma_checkpoint

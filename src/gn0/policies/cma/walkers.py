@@ -84,11 +84,11 @@ class WalkersCma:
             for row, own in zip(rows, shown, strict=False):
                 row[...] = own[number]
             pictures.append(self._send(rows))
-        rows = [w.words for w in walkers] + [self._silence] * spare
+        told = [w.words for w in walkers] + [self._silence] * spare
         words = None
         if self._silence is not None:
             words = Words(
-                *(torch.cat([getattr(w, n) for w in rows]) for n in ("states", "last", "there"))
+                *(torch.cat([getattr(w, n) for w in told]) for n in ("states", "last", "there"))
             )
         empty = net.begin(1)[:, 0]
         memory = torch.stack([w.memory for w in walkers] + [empty] * spare, 1)

@@ -54,6 +54,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "train sft": ("train_sft", "a policy that does what the expert would do"),
     "train dagger": ("train_dagger", "a policy that learns where its own walks lead"),
     "train dapo": ("train_dapo", "a policy that learns from where its answers lead"),
+    "train rl": ("train_rl", "a policy that learns from where its own walks end"),
     "train baseline": ("train_baseline", "CMA or Seq2Seq to compare with, retrained, small"),
     "train tokenizer": ("train_tokenizer", "words of suites and datasets as tokens of a policy"),
     "copy": ("copy_folder", "a folder to or from an object store: s3://, gs://, hf://"),

@@ -10,7 +10,7 @@ own actions lead.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ from gn0.errors import ConfigError
 from gn0.missions.controls import CONTROL_TEXT, Control, check_control, choose_texts
 from gn0.missions.episode import Episode, mission_name
 from gn0.paper import SUCCESS_RADIUS
-from gn0.policies.bae.actor import Actor
+from gn0.policies.bae.actor import Actor, Decisions
 from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES
 from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
@@ -34,6 +34,7 @@ from gn0.training.streams.step_ring import draw_whole
 from gn0.training.streams.stream_live import STOP_DISTANCE
 
 NEAR = 1.0  # m on foot: the stricter radius
+Watch = Callable[[Sequence[Tensor], Tensor, Decisions], None]
 
 
 @dataclass(frozen=True)
@@ -143,6 +144,7 @@ class ClosedLoop:
         compiled: see `Actor`.
         executed: actions of an answer that are carried out; 0: as the settings say.
         confirm_stop: a STOP behind the first action is asked again.
+        temperature: of the draws, see `Actor`.
         labelled: hold what the policy does against the expert, wherever it gets to.
 
     Attributes:
@@ -163,6 +165,7 @@ class ClosedLoop:
         executed: int = 0,
         confirm_stop: bool = False,
         labelled: bool = False,
+        temperature: float = 0.0,
     ) -> None:
         self.env, self.settings, self.labelled = env, pupil.settings, labelled
         self.executed, self.confirm_stop = executed or self.settings.executed, confirm_stop
@@ -183,8 +186,15 @@ class ClosedLoop:
         # a prompt on the whole map says its scale, so each episode has a prompt without words, too
         said = [CONTROL_TEXT] * (len(texts) if on_map else 1)
         self.maker = pupil.maker([*texts, *said], self.device, maps * 2)
-        self.actor = self._open_actor(pupil, dtype=dtype, compiled=compiled)
+        self.actor = self._open_actor(
+            pupil, dtype=dtype, compiled=compiled, temperature=temperature
+        )
         self.decisions, self.counts = 0, LiveCounts()
+        squares = set(SQUARE_NAMES) & {*self.settings.pictures}
+        # whole maps are drawn of the same pictures as squares
+        self._unseen = ["ego_map"] if self.whole and not squares else []
+        views = "history" not in env.sensors  # mosaics are made of all views
+        self._idle = [n for n in ("ego_map", *(["rgb"] if views else [])) if n in env.sensors]
 
     def _open_actor(self, pupil: Pupil, **options: Any) -> Actor:
         """Who decides for all agents at once; another kind of policy has one of its own."""
@@ -199,6 +209,7 @@ class ClosedLoop:
         *,
         control: Control = "none",
         seed: int = 0,
+        watch: Watch | None = None,
     ) -> list[Walk]:
         """Play episodes once each.
 
@@ -207,6 +218,8 @@ class ClosedLoop:
             control: what is taken away: the text for another one of the same scene (shuffled), or
                 for `go` (no_words); pictures are black (no_pictures).
             seed: of the shuffling.
+            watch: is given pictures, prompts and answers of each decision of all agents; those
+                that are done decide on, for nobody.
 
         Returns:
             walks in the order of `episodes`.
@@ -226,13 +239,15 @@ class ClosedLoop:
         for begin in range(0, len(wanted), count):
             some = wanted[begin : begin + count]
             filled = some + [some[-1]] * (count - len(some))  # who has none plays one for nobody
-            walks += self._round(filled, len(some), texts, dark=control == "no_pictures")
+            dark = control == "no_pictures"
+            walks += self._round(filled, len(some), texts, dark=dark, watch=watch)
         return walks
 
-    def _round(self, numbers: list[int], real: int, texts: Tensor, *, dark: bool) -> list[Walk]:
+    def _round(
+        self, numbers: list[int], real: int, texts: Tensor, *, dark: bool, watch: Watch | None
+    ) -> list[Walk]:
         env = self.env
-        if self.whole:  # drawn of the same pictures
-            env.mute(*([] if set(SQUARE_NAMES) & {*self.settings.pictures} else ["ego_map"]))
+        env.mute(*self._unseen)
         seen, infos = env.reset(seed=0, options={"episode": numbers})
         own = _take(infos["episode"]).long().clone()
         pose, distance = _take(infos["pose"]).clone(), _take(infos["distance_to_goal"]).clone()
@@ -257,8 +272,11 @@ class ClosedLoop:
             # without confirming, all agents are asked at once: the host need not look
             if bool((asked & ~done).any()) if self.confirm_stop else steps % self.executed == 0:
                 ids = self.maker.prompts(texts[own], pose, last, hit)
-                said = self.actor.decide(self._show(seen, own, pose, dark), ids).actions
-                plan = torch.where(asked[:, None], said, plan)
+                shown = self._show(seen, own, pose, dark)
+                said = self.actor.decide(shown, ids)
+                if watch is not None:
+                    watch(shown, ids, said)
+                plan = torch.where(asked[:, None], said.actions, plan)
                 at = torch.where(asked, 0, at)
                 self.decisions += real
             action = plan.gather(1, at[:, None])[:, 0]
@@ -269,6 +287,8 @@ class ClosedLoop:
                 book["due"] += due
                 book["stopped_right"] += stopped & due
             at, steps = at + 1, steps + 1
+            if not self.confirm_stop:  # what nobody looks at is not drawn
+                env.mute(*(self._idle if steps % self.executed else self._unseen))
             seen, _, terminated, _, infos = env.step(action.to(torch.uint8))
             final, ended = infos["final_info"], _take(infos["_final_info"]).bool()
             there = torch.where(ended[:, None], _take(final["pose"]), _take(infos["pose"]))

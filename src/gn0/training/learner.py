@@ -270,10 +270,18 @@ class Learner(Generic[Batch, Told]):
             losses: Told = self._called(batch)
         return losses
 
-    def descend(self, losses: Costs) -> None:
-        """The gradient of these losses."""
-        self.optimiser.zero_grad(set_to_none=True)
-        self.processes.ask(losses.loss.backward)
+    def descend(self, losses: Costs, weight: float = 1.0, *, add: bool = False) -> None:
+        """The gradient of these losses.
+
+        Args:
+            losses: of a batch, or of a part of one.
+            weight: of that part.
+            add: to the gradient of the parts before.
+        """
+        if not add:
+            self.optimiser.zero_grad(set_to_none=True)
+        loss = losses.loss if weight == 1.0 else losses.loss * weight
+        self.processes.ask(loss.backward)
 
     def update(self, share: float) -> Tensor:
         """Weights and averaged weights, along the gradient; gives its norm."""

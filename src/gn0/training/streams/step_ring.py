@@ -133,7 +133,7 @@ class StepRing:
             kind.itemsize * int(np.prod(shape)) for kind, shape in fields.values()
         )
         self.nbytes = each * steps
-        room = self._room() if memory is None else memory
+        room = measure_room(self.device) if memory is None else memory
         if room is not None and self.nbytes > room:
             raise self._refusal(each, room)
         try:
@@ -142,15 +142,9 @@ class StepRing:
                 for name, (kind, shape) in fields.items()
             }
         except torch.OutOfMemoryError:
-            raise self._refusal(each, self._room() or 0) from None
+            raise self._refusal(each, measure_room(self.device) or 0) from None
         views = ("rgb", "history") if self._views else ()
         self.pictures: tuple[str, ...] = (*views, *self._squares, *self.whole)
-
-    def _room(self) -> int | None:
-        if self.device.type != "cuda":
-            return None
-        spare = torch.cuda.memory_reserved(self.device) - torch.cuda.memory_allocated(self.device)
-        return torch.cuda.mem_get_info(self.device)[0] + spare
 
     def _refusal(self, each: int, room: int) -> DeviceMemoryError:
         return DeviceMemoryError(
@@ -305,6 +299,14 @@ def draw_whole(
     numbers, poses = (wrap_array(one.contiguous(), device) for one in (episode, pose))
     atlas.draw_whole(name, size, numbers, poses, wrap_array(out, device))
     return out
+
+
+def measure_room(device: torch.device) -> int | None:
+    """Bytes that a card has free for torch; None where that is not a card."""
+    if device.type != "cuda":
+        return None
+    spare = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return torch.cuda.mem_get_info(device)[0] + spare
 
 
 def find_torch_device(env: VectorEnvDevice) -> torch.device:

@@ -14,6 +14,7 @@ _MODULES = (
     "scene_kinds", "sim", "ppo", "mapping", "vector", "bench", "crowd", "policies", "missions",
     "targets", "generate", "language", "samples", "data_gpu", "labels", "export", "view", "trust",
     "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "dagger", "dapo",
+    "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "dagger", "episode_rl",
     "training_state",
 )  # fmt: skip
 

@@ -62,6 +62,7 @@ SUITES = {
     "train tokenizer": ["{it}", "--out", "{new}"],
     "train sft": ["{it}", "--samples", "4", "--out", "{new}"],
     "train dapo": ["{it}", "--start", "{it}", "--out", "{new}"],
+    "train rl": ["{it}", "--start", "{new}", "--out", "{new}"],
     "train baseline": ["{it}", "--samples", "4", "--out", "{new}"],
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
 }

@@ -36,7 +36,7 @@ class Args(Config, frozen=True):
         split: splits of the suite to learn in, with commas between; all for all.
         held_out: splits to be examined in, with commas between; empty for none.
         recipe: rates to start with: scratch, of a small model; pretrained, of a large one.
-        updates: of the policy.
+        updates: rounds of walking and learning, at most.
         minutes: of training at most.
         episodes: walked side by side for an update.
         group: agents in each of them.

@@ -16,6 +16,12 @@ from gn0.training.recipe import Recipe as Recipe
 from gn0.training.rewards import RewardWeights as RewardWeights
 from gn0.training.rewards import score_answers as score_answers
 from gn0.training.rollouts import RolloutSettings as RolloutSettings
+from gn0.training.episode_recipe import EpisodePlan as EpisodePlan
+from gn0.training.episode_recipe import EpisodeRecipe as EpisodeRecipe
+from gn0.training.episode_rl import EpisodeJob as EpisodeJob
+from gn0.training.episode_rl import train_episode_rl as train_episode_rl
+from gn0.training.recipe import Recipe as Recipe
+from gn0.training.returns import ReturnWeights as ReturnWeights
 from gn0.training.sft import SftJob as SftJob
 from gn0.training.sft import train_sft as train_sft
 from gn0.training.stage import StagePlan as StagePlan

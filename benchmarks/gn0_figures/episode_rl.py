@@ -7,7 +7,8 @@ import numpy as np
 from gn0.data.answer_slots import ACTION
 from gn0.training.episode_recipe import EpisodePlan, EpisodeRecipe
 from gn0.training.episode_rl import EpisodeJob, open_stage
-from gn0.training.episode_stage import PARTS, EpisodeStage
+from gn0.training.episode_stage import EpisodeStage
+from gn0.training.episode_walks import PARTS
 from gn0.training.evaluation import ClosedLoop
 from gn0.training.processes import ALONE
 from gn0.training.runs.loss_guard import LossGuard

@@ -24,7 +24,7 @@ from gn0.scenes.folder import load_scene  # noqa: E402
 from gn0.suites.suite import save_suite  # noqa: E402
 from gn0.training.decision_store import DecisionStore  # noqa: E402
 from gn0.training.episode_rl import train_episode_rl  # noqa: E402
-from gn0.training.episode_stage import list_decisions, pick_episodes  # noqa: E402
+from gn0.training.episode_walks import list_decisions, pick_episodes  # noqa: E402
 from gn0.training.evaluation import Walk  # noqa: E402
 from gn0.training.returns import ReturnWeights, score_walks, weigh_groups  # noqa: E402
 from gn0.training.runs.loss_guard import LossGuard  # noqa: E402
@@ -239,8 +239,11 @@ def test_a_stopped_run_ends_in_the_same_policy(flats_suite, start, tmp_path, cap
         assert (whole / "policy" / name).read_bytes() == (parts / "policy" / name).read_bytes()
     lines = [json.loads(t) for t in (parts / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines] == [1, 2, 3]
-    for name in ("return", "SR", "SPL", "left", "group_std", "dropped", "clipped", "entropy", "kl",
-                 "seconds_walk", "seconds_score", "seconds_learn"):  # fmt: skip
+    for name in (
+        "return", "return_success", "return_spl", "return_left", "return_cut_short", "group_std",
+        "dropped", "clipped", "answer_entropy", "kl", "seconds_walk", "seconds_score",
+        "seconds_learn",
+    ):  # fmt: skip
         assert name in lines[0]
     capsys.readouterr()
     assert _run(flats_suite, start, parts, "--updates", "3") == 0
@@ -326,6 +329,6 @@ def test_the_return_of_a_two_armed_problem_rises(flats_suite, tmp_path) -> None:
     train_episode_rl(job, tmp_path / "run", device="host", say=lambda _: None)
     for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines():
         told.append(json.loads(line))
-    assert told[0]["SR"] < 0.8
-    assert told[-1]["SR"] > 0.95
+    assert told[0]["return_success"] < 0.8
+    assert told[-1]["return_success"] > 0.95
     assert told[-1]["return"] > told[0]["return"] + 0.5

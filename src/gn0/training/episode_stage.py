@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,16 @@ from gn0.errors import DeviceMemoryError
 from gn0.seeds import derive_seed, random_stream
 from gn0.training.decision_store import DecisionStore
 from gn0.training.episode_recipe import EpisodePlan, EpisodeRecipe
-from gn0.training.evaluation import ClosedLoop, Walk
+from gn0.training.episode_walks import (
+    PARTS,
+    Rollout,
+    describe_examination,
+    describe_rollout,
+    describe_update,
+    list_decisions,
+    pick_episodes,
+)
+from gn0.training.evaluation import ClosedLoop
 from gn0.training.learner import Learner
 from gn0.training.policy_gradient import (
     AnswerBatch,
@@ -35,41 +44,16 @@ from gn0.training.policy_gradient import (
     measure_kl,
 )
 from gn0.training.pupil import Pupil
-from gn0.training.returns import Returns, score_walks, weigh_groups
+from gn0.training.returns import score_walks, weigh_groups
 from gn0.training.runs.generators import capture_generators, restore_generators
 from gn0.training.runs.loss_guard import LossGuard, check_finite
 from gn0.training.runs.optimiser_state import capture_optimiser, restore_optimiser
-from gn0.training.runs.progress_line import format_seconds
 from gn0.training.runs.run_folder import RunFolder
 from gn0.training.runs.training_state import TrainingCounters, TrainingState, name_device
 from gn0.training.schedule import Schedule
 
 I64 = NDArray[np.int64]
 Examine = Callable[[], Mapping[str, float]]
-PARTS = ("walk", "score", "learn")  # of an update, whose seconds are told apart
-
-
-@dataclass(frozen=True)
-class Rollout:
-    """What N agents did in their episodes, and what of it is learned from.
-
-    Attributes:
-        walks: of all, those of an episode in a row.
-        returns: of all.
-        gains: float64 [N] advantages.
-        kept: bool [P] episodes that are learned from.
-        spread: float64 [P] standard deviations of returns.
-        rows: int64 [M] numbers of the decisions that are learned from, see `DecisionStore`.
-        carried: int64 [M] how many actions of each were carried out.
-    """
-
-    walks: Sequence[Walk]
-    returns: Returns
-    gains: NDArray[np.float64]
-    kept: NDArray[np.bool_]
-    spread: NDArray[np.float64]
-    rows: I64
-    carried: I64
 
 
 @dataclass(frozen=True)
@@ -85,46 +69,6 @@ class Scores:
     old: Tensor
     entropy: float
     gap: float
-
-
-def pick_episodes(count: int, update: int, wanted: int, seed: int) -> list[int]:
-    """Numbers of the episodes of an update, from 0: laps through all, each in an order of its own.
-
-    Args:
-        count: of episodes that there are.
-        update: which, from 0.
-        wanted: episodes of an update.
-        seed: of the order.
-    """
-    found: list[int] = []
-    at = update * wanted
-    while len(found) < wanted:
-        lap, begin = divmod(at + len(found), count)
-        order = random_stream(seed, "rl episodes", lap).permutation(count)
-        found += order[begin : begin + wanted - len(found)].tolist()
-    return found
-
-
-def list_decisions(
-    walks: Sequence[Walk], kept: NDArray[np.bool_], group: int, executed: int
-) -> tuple[I64, I64]:
-    """Decisions of agents in groups that are kept, none behind the end of an episode.
-
-    Args:
-        walks: of N agents.
-        kept: bool [N / group].
-        group: agents of an episode.
-        executed: actions from decision to decision.
-
-    Returns:
-        Their numbers `decision * N + agent` [M], and how many actions of each were carried out.
-    """
-    steps = np.array([walk.steps for walk in walks], np.int64)
-    steps = np.where(np.repeat(kept, group), steps, 0)
-    first = np.arange(-(-steps.max(initial=0) // executed))[:, None] * executed
-    carried = np.clip(steps - first, 0, executed)
-    rows = np.flatnonzero(carried)
-    return rows, carried.ravel()[rows]
 
 
 @dataclass(eq=False)
@@ -365,7 +309,7 @@ class EpisodeStage:
         values = describe_rollout(rollout)
         check_finite({"return": values["return"]}, step=number + 1, batch="of walks",
                      last_good=guard.last_good)  # fmt: skip
-        values |= {"entropy": scores.entropy, "sampler_gap": scores.gap, "kl": kl}
+        values |= {"answer_entropy": scores.entropy, "sampler_gap": scores.gap, "kl": kl}
         values |= dict(zip(("loss", "clipped", "gradient"), told, strict=True))
         for name, begin, end in zip(PARTS, marks, marks[1:], strict=False):
             values[f"seconds_{name}"] = end - begin
@@ -428,47 +372,3 @@ class EpisodeStage:
                 f"{learner.processes.count}: draws of answers are others"
             )
         return (*said, *restore_generators(state.generators))
-
-
-def describe_rollout(rollout: Rollout) -> dict[str, float]:
-    """What is told of walks, by name: means, shares from 0 to 1."""
-    returns, walks = rollout.returns, rollout.walks
-    forwards = sum(walk.forwards for walk in walks)
-    return {
-        "return": float(returns.total.mean()),
-        "SR": float(returns.success.mean()),
-        "SPL": float(returns.spl.mean()),
-        "left": float(returns.left.mean()),
-        "cut_short_actions": float(returns.cut_short.mean()),
-        "cut_short": float(returns.cut_short.sum()) / max(forwards, 1),
-        "STOP": float(np.mean([walk.stopped for walk in walks])),
-        "steps": float(np.mean([walk.steps for walk in walks])),
-        "group_std": float(rollout.spread.mean()),
-        "dropped": float(1 - rollout.kept.mean()),
-    }
-
-
-def describe_update(step: int, plan: EpisodePlan, values: Mapping[str, float]) -> str:
-    """An update as a line."""
-    spent = [values[f"seconds_{name}"] for name in PARTS]
-    left = (plan.updates - step) * sum(spent)
-    if plan.minutes is not None:
-        left = min(left, plan.minutes * 60 - values["seconds"])
-    return " · ".join(
-        (
-            f"update {step:,}/{plan.updates:,}",
-            f"return {values['return']:.3f} (SR {values['SR']:.1%} SPL {values['SPL']:.3f} "
-            f"left {values['left']:.2f} cut short {values['cut_short_actions']:.1f})",
-            f"group std {values['group_std']:.3f}, {values['dropped']:.0%} dropped",
-            f"clipped {values['clipped']:.1%} entropy {values['entropy']:.3f} "
-            f"KL {values['kl']:.4f}",
-            " ".join(f"{n} {s:.1f} s" for n, s in zip(PARTS, spent, strict=True)),
-            f"{format_seconds(left)} left",
-        )
-    )
-
-
-def describe_examination(values: Mapping[str, float]) -> str:
-    """An examination as a few words."""
-    names = ("SR", "SPL", "first_action", "entropy")
-    return " ".join(f"{name} {values[name]:.3f}" for name in names if name in values)

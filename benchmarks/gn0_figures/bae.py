@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,16 @@ from gn0.policies.bae.sizes import build_model
 from gn0.policies.bae.tokens import TokenIds
 from gn0.policies.qwen.architecture import parse_architecture
 from gn0.policies.qwen.layout import PictureSize, PromptLayout, build_layout
+from gn0.training.adapters import add_adapters
+from gn0.training.learner import Learner
+from gn0.training.policy_gradient import AnswerBatch, PolicyLoss, PolicyLosses
+from gn0.training.recipe import Recipe
 from gn0_figures.board import Figure, FigureContext, FigureRow, FigureSkipped
 
 BATCH, WORDS, ANSWER = 512, 40, 34
-LARGE_BATCH, LARGE_ANSWER = 8, 106
+LARGE_BATCH, LARGE_ANSWER, LARGE_WORDS = 8, 106, 420
+LARGE_SIZES = (*(PictureSize(640, 480),) * 2, *(PictureSize(768, 768),) * 2)
+RANK = 16  # of adapters
 _FIRST = 1800  # id of <0>: any will do
 _VOCABULARY = NavigationVocabulary(
     number=_FIRST, actions=(2805, 2802, 2803, 2804), begin=2800, close=2801, end=1702, size=2806,
@@ -65,14 +72,16 @@ def _lay_out(model: Any, sizes: list[PictureSize], words: int) -> PromptLayout:
     return build_layout(parse_architecture(model.config.to_dict()), [*parts, *[5] * words, 4])
 
 
-def _draw(layout: PromptLayout, batch: int, answer: int) -> tuple[list[Tensor], Tensor, Tensor]:
+def _draw(
+    layout: PromptLayout, batch: int, answer: int, device: str = "cuda"
+) -> tuple[list[Tensor], Tensor, Tensor]:
     """Pictures, prompts and answers at random, on the card."""
     pictures = [
-        torch.randint(0, 256, (batch, size.height, size.width, 3), dtype=torch.uint8).cuda()
+        torch.randint(0, 256, (batch, size.height, size.width, 3), dtype=torch.uint8).to(device)
         for size in layout.sizes
     ]
-    ids = torch.from_numpy(np.tile(layout.ids, (batch, 1))).cuda()
-    return pictures, ids, torch.randint(_FIRST, _FIRST + 1000, (batch, answer)).cuda()
+    ids = torch.from_numpy(np.tile(layout.ids, (batch, 1))).to(device)
+    return pictures, ids, torch.randint(_FIRST, _FIRST + 1000, (batch, answer)).to(device)
 
 
 def _learn(model: Any, forward: ForwardConstant, batch: int, answer: int) -> Callable[[], None]:
@@ -91,16 +100,86 @@ def _learn(model: Any, forward: ForwardConstant, batch: int, answer: int) -> Cal
     return step
 
 
+@dataclass(frozen=True)
+class Large:
+    """A large model that learns by adapters, or a small one in its place.
+
+    Attributes:
+        build: of random weights.
+        sizes: of the pictures.
+        words: of a prompt.
+        batch: samples of a step, or answers to one prompt.
+        answer: tokens.
+        device: where.
+    """
+
+    build: Callable[[], Qwen3VLForConditionalGeneration]
+    sizes: tuple[PictureSize, ...]
+    words: int
+    batch: int
+    answer: int
+    device: str
+
+
+def learn_by_adapters(large: Large) -> Iterator[tuple[str, float, float, int]]:
+    """A step of SFT and one of a policy gradient: what, seconds, bytes, weights that learn."""
+    with torch.device(large.device):
+        model = large.build().train()
+    add_adapters(model, _IDS, rank=RANK, dtype=torch.bfloat16)
+    layout = _lay_out(model, list(large.sizes), large.words)
+    forward = ForwardConstant(model, layout, large.answer, checkpointed=True).to(large.device)
+    recipe = Recipe(rate=1e-4, mean=0.0, distance_weight=0.0, decay=0.0)
+    free, acts = np.arange(_FIRST, _FIRST + 1000), np.array(sorted(_VOCABULARY.actions))
+    allowed = [np.array([4])] * large.answer
+    allowed[:24], allowed[-6:] = [free] * 24, [acts] * 6  # as many are chosen as by a whole answer
+    pictures, ids, said = _draw(layout, large.batch, large.answer, large.device)
+    for slot, own in enumerate(allowed):
+        one = torch.from_numpy(own).to(large.device)
+        said[:, slot] = one[torch.arange(large.batch, device=large.device) % len(own)]
+    loss = PolicyLoss(forward, allowed).to(large.device)
+    learner = Learner[AnswerBatch, PolicyLosses](loss, recipe, autocast=torch.bfloat16)
+    weights = sum(weight.numel() for weight in learner.weights.values())
+
+    def teach() -> None:
+        with torch.autocast(large.device, torch.bfloat16):
+            logits = forward.logits(forward.encode(pictures), ids, said)
+        cost = functional.cross_entropy(logits.float().flatten(0, 1), said.flatten())
+        learner.optimiser.zero_grad(set_to_none=True)
+        cost.backward()
+        learner.update(1.0)
+
+    shown = tuple(picture[:1] for picture in pictures)
+    with torch.no_grad(), torch.autocast(large.device, torch.bfloat16):
+        old = loss.score(shown, ids[:1], said).logprobs
+    gains = torch.linspace(-1, 1, large.batch, device=large.device)
+    answers = AnswerBatch(shown, ids[:1], said, old, gains, loss.chosen.expand(large.batch, -1))
+
+    def reward() -> None:
+        learner.step(answers, 1.0)
+
+    for name, step in (("SFT", teach), ("a policy gradient", reward)):
+        if large.device == "cuda":
+            torch.cuda.reset_peak_memory_stats()
+        seconds = _time(step, 1, 2 if large.device == "cuda" else 1)
+        taken = torch.cuda.max_memory_allocated() if large.device == "cuda" else 0
+        yield name, seconds, taken, weights
+
+
 def _time(call: Callable[[], object], warm: int, times: int) -> float:
     """Seconds of a call, the mean of some after the warm ones."""
     for _ in range(warm):
         call()
-    torch.cuda.synchronize()
+    _wait()
     begin = time.perf_counter()
     for _ in range(times):
         call()
-    torch.cuda.synchronize()
+    _wait()
     return (time.perf_counter() - begin) / times
+
+
+def _wait() -> None:
+    if torch.cuda.is_available():
+        torch.cuda.synchronize()
 
 
 def measure_model(ctx: FigureContext) -> list[FigureRow]:
@@ -142,7 +221,7 @@ def measure_model(ctx: FigureContext) -> list[FigureRow]:
         torch.cuda.empty_cache()
     with torch.device("cuda"):
         model = build_4b().train()
-    layout = _lay_out(model, [PictureSize(640, 480)] * 2 + [PictureSize(768, 768)] * 2, 420)
+    layout = _lay_out(model, list(LARGE_SIZES), LARGE_WORDS)
     forward = ForwardConstant(model, layout, LARGE_ANSWER, checkpointed=True).cuda()
     torch.cuda.reset_peak_memory_stats()
     seconds = _time(_learn(model, forward, LARGE_BATCH, LARGE_ANSWER - 1), 1, 2)
@@ -156,6 +235,27 @@ def measure_model(ctx: FigureContext) -> list[FigureRow]:
     detail += f"768×768, {len(layout)} + {LARGE_ANSWER - 1} tokens"
     add("a step of SFT of 4B", seconds, "s", detail)
     add("memory that it takes", torch.cuda.max_memory_allocated() / 1e9, "GB", detail)
+    del model, forward
+    return [*rows, *_measure_adapters(ctx)]
+
+
+def _measure_adapters(ctx: FigureContext) -> list[FigureRow]:
+    """Steps of 4B by adapters, for a card of 80 GB."""
+    torch.cuda.empty_cache()
+    rows = []
+    large = Large(build_4b, LARGE_SIZES, LARGE_WORDS, LARGE_BATCH, LARGE_ANSWER - 1, "cuda")
+    for name, seconds, taken, weights in learn_by_adapters(large):
+        detail = (
+            f"4B's geometry frozen in bfloat16, adapters of rank {RANK} and rows of navigation "
+        )
+        detail += f"tokens, {weights / 1e6:.3g} M weights, checkpointed; pictures as above, "
+        detail += f"{LARGE_BATCH} {'samples' if name == 'SFT' else 'answers to one prompt'}"
+        for what, value, unit in (
+            (f"a step of {name} of 4B by adapters", seconds, "s"),
+            (f"memory that {name} by adapters takes", taken / 1e9, "GB"),
+        ):
+            rows.append(FigureRow(name=what, value=value, unit=unit, detail=detail))
+            ctx.report(rows[-1])
     return rows
 
 

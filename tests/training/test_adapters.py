@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 pytest.importorskip("peft")
 
-from gn0.errors import ConfigError  # noqa: E402
+from transformers import Qwen3VLForConditionalGeneration  # noqa: E402
+
+from gn0.cli.main import main  # noqa: E402
+from gn0.errors import CheckpointError, ConfigError  # noqa: E402
 from gn0.policies.bae.actor import Actor  # noqa: E402
+from gn0.policies.bae.checkpoint import load_checkpoint  # noqa: E402
 from gn0.policies.bae.questions import list_allowed  # noqa: E402
 from gn0.training.adapters import add_adapters, has_adapters, merge_adapters  # noqa: E402
 from gn0.training.learner import Learner, LossForward  # noqa: E402
 from gn0.training.policy_gradient import AnswerBatch, PolicyLoss  # noqa: E402
 from gn0.training.recipe import Recipe  # noqa: E402
+from gn0.training.runs.training_state import load_state  # noqa: E402
+from gn0_trials.episodes_small import build_walker  # noqa: E402
 
 RECIPE = Recipe(rate=1e-2, warm_steps=0, mean=0.0, decay=0.0, distance_weight=0.0)
 
@@ -111,3 +119,50 @@ def test_adapters_are_drawn_by_their_seed(make_pupil) -> None:
     kinds = {weight.dtype for weight in pupil.model.parameters() if weight.requires_grad}
     assert kinds == {torch.float32}
     assert pupil.model.model.visual.patch_embed.proj.weight.dtype == torch.bfloat16
+
+
+@pytest.mark.slow
+def test_a_run_with_adapters_goes_on_and_writes_a_plain_policy(
+    flats_suite, tmp_path, capsys
+) -> None:
+    if not shutil.which("g++"):
+        pytest.skip("the host emulation needs g++")
+    start = tmp_path / "start"
+    build_walker([episode.instruction for episode in flats_suite.episodes]).save(start)
+
+    def train(out, *more: str) -> int:
+        return main(
+            ["train", "sft", str(flats_suite.folder), "--split", "all", "--held-out", "",
+             "--source", "uniform", "--recipe", "pretrained", "--start", str(start), "--pictures",
+             "near", "--lora", "4", "--batch", "4", "--agents", "4", "--report", "1", "--save",
+             "1", "--device", "host", "--samples", "12", "--out", str(out), *more]
+        )  # fmt: skip
+
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert train(whole) == 0
+    state = whole / "checkpoints" / "step-000000003"
+    assert not (state / "model").exists()
+    size = sum(file.stat().st_size for file in state.rglob("*"))
+    assert size < 0.9 * (start / "model.safetensors").stat().st_size * 2  # which is bfloat16
+    shutil.copytree(whole, parts)
+    shutil.rmtree(parts / "checkpoints" / "step-000000003")
+    shutil.rmtree(parts / "policy")
+    assert train(parts) == 0
+    one, two = (run / "policy" / "model.safetensors" for run in (whole, parts))
+    assert one.read_bytes() == two.read_bytes()
+    with pytest.raises(CheckpointError, match="a state of adapters"):
+        load_state(state)
+    plain = Qwen3VLForConditionalGeneration.from_pretrained(whole / "policy")
+    own = load_checkpoint(start).model.state_dict()
+    moved = {
+        name for name, weight in plain.state_dict().items() if not torch.equal(weight, own[name])
+    }
+    assert not any("visual.blocks" in name or "norm" in name for name in moved)
+    assert {name.split(".")[-2] for name in moved} >= {"q_proj", "down_proj", "linear_fc1"}
+    # another model of the same name is not gone on from
+    build_walker([e.instruction for e in flats_suite.episodes], seed=9).save(start, overwrite=True)
+    shutil.rmtree(parts / "policy")
+    assert train(parts) == 2
+    assert "base was" in capsys.readouterr().err
+    assert train(tmp_path / "none", "--start", "") == 2
+    assert "adapters of a model of random weights" in capsys.readouterr().err

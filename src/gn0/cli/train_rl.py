@@ -20,7 +20,7 @@ from gn0.config import Config
 EXAMPLES = """  gn0 train rl out/suite --start out/dagger/policy --out out/rl
   gn0 train rl out/suite --start out/dagger/policy --updates 400 --minutes 90 --out out/rl
   gn0 train rl out/suite --start out/dagger/policy --tokens executed --epochs 2 --out out/rl-2
-  torchrun --nproc-per-node 4 -m gn0 train rl out/suite --start out/dagger/policy --out out/rl-4
+  torchrun --nproc-per-node 4 -m -- gn0 train rl out/suite --start out/dagger/policy --out out/rl-4
   gn0 train rl out/suite --start out/sft/policy --episodes 2 --group 4 --max-steps 24 --updates 2 \\
       --device host --out out/tried"""
 

@@ -23,7 +23,7 @@ EXAMPLES = """  gn0 train sft out/suite --out out/sft
   gn0 train sft out/suite --prompt paper_planning_maps --out out/paper
   gn0 train sft out/first out/second --source dataset --shares 0.7,0.3 --out out/both
   gn0 train sft out/dataset --source dataset --recipe pretrained --start Qwen3-VL-4B-Instruct \\
-      --layout json --out out/sft-4b
+      --layout json --lora 16 --batch 8 --out out/sft-4b
   gn0 train sft out/first out/second out/third --joins 0,500000,1500000 --text-length 120 \\
       --out out/growing
   gn0 train sft out/suite --size nano --samples 2000 --device host --out out/tried"""
@@ -66,7 +66,8 @@ class Args(Config, frozen=True):
         samples: to learn from.
         minutes: of training at most; the rate falls in time for it.
         batch: samples of a step; the recipe's when 0.
-        rate: the learning rate; the recipe's when 0.
+        rate: the learning rate; the recipe's when 0, of pretrained ten times as much with --lora.
+        lora: rank of adapters that learn in place of all weights of --start; 0 for none.
         stop_weight: of an answer's first STOP; the recipe's when 0.
         agents: that gather states side by side.
         kept: states of walks that batches are drawn from.
@@ -116,6 +117,7 @@ class Args(Config, frozen=True):
     minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
     batch: Annotated[int, msgspec.Meta(ge=0)] = 0
     rate: Annotated[float, msgspec.Meta(ge=0)] = 0
+    lora: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
     stop_weight: Annotated[float, msgspec.Meta(ge=0)] = 0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     kept: Annotated[int, msgspec.Meta(ge=1)] = 200_000
@@ -159,7 +161,9 @@ def run(args: Args) -> int:
     from gn0.training.sft import SftJob, train_sft
     from gn0.training.stage import StagePlan
 
-    given = {"batch": args.batch, "rate": args.rate, "stop_weight": args.stop_weight}
+    recipe = RECIPES[args.recipe]
+    rate = args.rate or (10 * recipe.rate if args.lora and args.recipe == "pretrained" else 0)
+    given = {"batch": args.batch, "rate": rate, "stop_weight": args.stop_weight, "lora": args.lora}
     chosen = {name: value for name, value in given.items() if value}
     settings = PolicySettings(
         prompt=args.prompt,
@@ -188,7 +192,7 @@ def run(args: Args) -> int:
         settings=settings,
         inputs=inputs,
         shares=_read_shares(args.shares),
-        recipe=msgspec.structs.replace(RECIPES[args.recipe], **chosen),
+        recipe=msgspec.structs.replace(recipe, **chosen),
         plan=StagePlan(
             samples=args.samples,
             minutes=args.minutes or None,

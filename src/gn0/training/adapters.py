@@ -18,6 +18,8 @@ from transformers import Qwen3VLForConditionalGeneration
 from gn0.errors import ConfigError
 from gn0.policies.bae.tokens import TokenIds
 from gn0.seeds import derive_seed
+from gn0.training.pupil import Pupil
+from gn0.training.recipe import Recipe
 
 ADAPTED = (
     r".*language_model\.layers\.\d+\.(self_attn\.[qkvo]_proj|mlp\.(gate|up|down)_proj)"
@@ -130,6 +132,19 @@ def add_adapters(
     language.embed_tokens = TableLearned(language.embed_tokens, learned)
     rows = language.embed_tokens.rows if tied else None
     model.lm_head = TableLearned(model.lm_head, learned, rows)
+
+
+def adapt_pupil(pupil: Pupil, recipe: Recipe, seed: int, where: torch.device) -> None:
+    """Give a pupil the adapters of its recipe, if it has some; on a card the rest is bfloat16."""
+    if recipe.lora:
+        add_adapters(
+            pupil.model,
+            pupil.checkpoint.ids,
+            rank=recipe.lora,
+            scale=recipe.lora_scale,
+            seed=seed,
+            dtype=torch.bfloat16 if where.type == "cuda" else None,
+        )
 
 
 def has_adapters(model: nn.Module) -> bool:

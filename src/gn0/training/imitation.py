@@ -19,9 +19,12 @@ from gn0.config import Config
 from gn0.device.device import Device
 from gn0.device.open import open_device
 from gn0.errors import ConfigError
+from gn0.policies.bae.checkpoint import load_checkpoint
 from gn0.policies.bae.policy_settings import load_policy_settings, save_policy_settings
+from gn0.policies.qwen.weights import hash_shards
 from gn0.seeds import derive_seed
 from gn0.suites.suite import SUITE_FILE
+from gn0.training.adapters import adapt_pupil, merge_adapters
 from gn0.training.examination import STATES, Examination
 from gn0.training.inputs import InputMixture
 from gn0.training.learner import Learner
@@ -85,12 +88,23 @@ class ImitationJob(Config, frozen=True, kw_only=True):
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if self.recipe.lora and not self.base:
+            raise ConfigError(
+                "adapters of a model of random weights",
+                where="lora",
+                remedy="give the model that is adapted as start, or leave out lora",
+            )
         if len(self.joins) not in (1, len(self.suites)):
             raise ConfigError(
                 f"{len(self.joins)} numbers of samples for {len(self.suites)} suites",
                 where="joins",
                 remedy="give one number a suite, or 0",
             )
+
+    @property
+    def base(self) -> str:
+        """The folder of the model that is begun from; empty for random weights."""
+        return str(getattr(self, "start", ""))
 
     @property
     def reads_dataset(self) -> bool:
@@ -165,6 +179,7 @@ class Imitation:
                 pupil = resize_texts(pupil, self.job.text_length)
             if self.processes.leads:
                 save_policy_settings(folder, pupil.settings, pupil.template, pupil.others)
+        adapt_pupil(pupil, self.job.recipe, self.job.seed, self.where)
         pupil.model.to(self.where).train()
         return pupil
 
@@ -225,6 +240,8 @@ class Imitation:
         """Write the policy, with its averaged weights, and that the run is done."""
         with stage.learner.averaged_weights():
             if self.processes.leads:
+                if self.job.recipe.lora:
+                    merge_adapters(stage.pupil.model)
                 stage.pupil.save(self.policy, shard_mb=self.job.plan.shard_mb, overwrite=True)
         self.folder.finish(stage.counters.step, found)
         return self.policy
@@ -273,13 +290,16 @@ def open_imitation(
                 load_lessons(exam, job.held_out)  # a split that is not there is told now
         where = torch.device("cuda" if here else "cpu")
         corpus, recipe = hash_corpus(), describe_recipe(job)
+        hashes = {"corpus": corpus}
+        if job.recipe.lora:  # states are without the model: it must be the same when a run goes on
+            hashes["base"] = hash_shards(job.base)
         with open_run_together(
             processes,
             where,
             Path(out),
             stage=stage,
             recipe=recipe,
-            hashes={"corpus": corpus},
+            hashes=hashes,
             command=describe_command(command),
             device=name_device(where),
             versions=list_versions(),
@@ -292,7 +312,9 @@ def open_imitation(
                 say(f"done before, at step {finished}")
             state = None
             if finished is None and folder.resumed:
-                state = load_state(folder.resumed)
+                state = load_state(
+                    folder.resumed, base=lambda: load_checkpoint(job.base, grow=True)
+                )
             yield Imitation(
                 job, stage, processes, card, where, say, folder, corpus, recipe, state, finished
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
 import torch
@@ -359,13 +359,18 @@ def open_learner(
         processes: that learn together.
     """
     card, speed = pupil.model.device.type == "cuda", speed or Speed()
+    if recipe.lora:  # joined products would pass adapters by; a frozen model is a large one
+        speed = replace(speed, graph="blocks", joined=False)
     blocks = card and speed.graph == "blocks"
     compiled: bool | Literal["tuned"] = card and not blocks
     if compiled and speed.graph == "tuned":
         compiled = "tuned"
 
     def open_loss(one: Pupil, prompts: PromptTable) -> LossForward:
-        forward = one.forward(prompts, compiled=blocks, joined=speed.joined, narrow=speed.narrow)
+        forward = one.forward(
+            prompts, compiled=blocks and not recipe.lora, joined=speed.joined,
+            narrow=speed.narrow, checkpointed=card and recipe.lora > 0,
+        )  # fmt: skip
         return LossForward(forward, one.slots, recipe, compiled=compiled).to(one.model.device)
 
     loss: LossForward | LossInputs

@@ -34,6 +34,8 @@ class Recipe(Config, frozen=True):
         stop_weight: of the first STOP of an answer, where other tokens weigh 1.
         distance_weight: of the auxiliary loss, the walking distance to the goal; 0 for none.
         blackout: share of samples whose mosaic is blacked out.
+        lora: rank of the adapters that learn in place of all weights; 0 for none. See `adapters`.
+        lora_scale: of what they say: peft's alpha by rank.
     """
 
     kind: Kind = "scratch"
@@ -51,6 +53,8 @@ class Recipe(Config, frozen=True):
     stop_weight: Annotated[float, msgspec.Meta(gt=0)] = 4.0
     distance_weight: Annotated[float, msgspec.Meta(ge=0)] = 0.05
     blackout: Share = 0.1
+    lora: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
+    lora_scale: Annotated[float, msgspec.Meta(gt=0)] = 2.0
 
     def __post_init__(self) -> None:
         if self.mean >= 1:

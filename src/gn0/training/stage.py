@@ -16,6 +16,7 @@ import msgspec
 
 from gn0.config import Config
 from gn0.errors import CheckpointError, ConfigError
+from gn0.training.adapters import has_adapters
 from gn0.training.inputs import InputMixture
 from gn0.training.learner import GROUPS, Learner
 from gn0.training.pupil import Pupil
@@ -154,10 +155,11 @@ class Stage:
     def state(self) -> TrainingState:
         """All that the next step hangs on."""
         learner = self.learner
-        auxiliary = {
+        adapted = has_adapters(learner.model)  # then the model is frozen, and not in the state
+        arrays = {
             name: weight.detach()
             for name, weight in learner.weights.items()
-            if name.startswith(AUXILIARY)
+            if adapted or name.startswith(AUXILIARY)
         }
         return TrainingState(
             checkpoint=self.pupil.checkpoint,
@@ -178,7 +180,7 @@ class Stage:
                 "averaged_steps": learner.averaged_steps,
                 "samples": self.plan.samples,
             },
-            arrays=auxiliary,
+            arrays=arrays,
         )
 
     def begin(self, folder: RunFolder, found: Mapping[str, float]) -> None:
@@ -276,6 +278,7 @@ class Stage:
             self.state(),
             shard_mb=self.plan.shard_mb,
             without_optimiser=not self.plan.keep_optimiser,
+            without_model=has_adapters(self.learner.model),
         )
 
     def _describe(self, values: Mapping[str, float], end: int) -> TrainingReport:

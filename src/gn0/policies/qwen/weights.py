@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import CheckpointError, brief
+from gn0.storage import content_hash, read_bytes, storage_error
 
 LARGEST_HEADER = 100 << 20  # bytes, as in the library
 INDEX, SINGLE, MANIFEST = "model.safetensors.index.json", "model.safetensors", "shards.json"
@@ -116,6 +117,26 @@ def list_shards(folder: Path) -> list[Path]:
     first = missing[0] if missing else SINGLE
     what = f"{len(missing)} of {len(names)} shards are missing, the first is {first}"
     raise CheckpointError(what, where=folder, remedy="copy the whole folder again")
+
+
+def hash_shards(folder: Path | str) -> str:
+    """Digest of a checkpoint's shards; whole files are read where the folder states no hashes.
+
+    Raises:
+        CheckpointError: the folder holds none.
+        StorageError: the system refuses.
+    """
+    folder = Path(folder)
+    if (folder / MANIFEST).is_file():
+        return content_hash(read_bytes(folder / MANIFEST))
+    found = []
+    for path in list_shards(folder):
+        try:
+            with path.open("rb") as file:
+                found.append(hashlib.file_digest(file, "sha256").hexdigest())
+        except OSError as error:
+            raise storage_error(error, path, "read") from error
+    return content_hash(*found)
 
 
 def _check_hashes(folder: Path, shards: list[Path]) -> None:

@@ -104,6 +104,7 @@ def save_state(
     keep: int = 2,
     shard_mb: int = SHARD_MB,
     without_optimiser: bool = False,
+    without_model: bool = False,
     dtype: torch.dtype = torch.float32,
     beside: Callable[[Path], None] | None = None,
     write: Callable[..., None] = save_checkpoint,
@@ -118,6 +119,7 @@ def save_state(
         keep: how many states stay.
         shard_mb: bytes of a file at most, in 10⁶; a single array may be larger.
         without_optimiser: leave the optimiser's states behind, two thirds of the bytes or more.
+        without_model: leave the model out: its weights are frozen, and what learns is in `arrays`.
         dtype: of model and averaged weights; another than float32 is not exact.
         beside: writes more files into the folder of the model, such as its prompt.
         write: writes the checkpoint, as `save_checkpoint` does with Qwen3-VL's.
@@ -140,16 +142,18 @@ def save_state(
             remedy="resume from it, or give it up: discard_states_after",
         )
     optimiser = None if without_optimiser else state.optimiser
-    _check_room(folder, state, optimiser, dtype)
+    _check_room(folder, state, optimiser, dtype, without_model)
     out = folder / name_state(step)
     limit = shard_mb * 1_000_000
     try:
         with folder_atomic(out, overwrite=True, marker=STATE) as made:
-            write(made / MODEL, state.checkpoint, shard_mb=shard_mb, dtype=dtype)
-            if beside is not None:
-                beside(made / MODEL)
-            stated = load_json(made / MODEL / MANIFEST, dict[str, str])
-            hashes = {f"{MODEL}/{name}": value for name, value in stated.items()}
+            hashes: dict[str, str] = {}
+            if not without_model:
+                write(made / MODEL, state.checkpoint, shard_mb=shard_mb, dtype=dtype)
+                if beside is not None:
+                    beside(made / MODEL)
+                stated = load_json(made / MODEL / MANIFEST, dict[str, str])
+                hashes = {f"{MODEL}/{name}": value for name, value in stated.items()}
             for name, arrays, kind in (
                 (_AVERAGED, state.averaged, dtype),
                 (_OPTIMISER, optimiser.arrays if optimiser else {}, None),
@@ -160,7 +164,8 @@ def save_state(
                     hashes |= write_shards(made, name, arrays.items(), limit, kind)[0]
             facts = {name: sync_file(made, name, hashes.get(name)) for name in list_files(made)}
             write_state_file(made, _describe(state, optimiser, dtype, facts))
-            sync_folder(made / MODEL)
+            if not without_model:
+                sync_folder(made / MODEL)
             sync_folder(made)
     except OSError as error:
         raise storage_error(error, out, "write") from error
@@ -178,15 +183,22 @@ def save_state(
     return out
 
 
-def load_state(folder: Path | str, load: Callable[..., Any] = load_checkpoint) -> TrainingState:
+def load_state(
+    folder: Path | str,
+    load: Callable[..., Any] = load_checkpoint,
+    *,
+    base: Callable[[], Checkpoint] | None = None,
+) -> TrainingState:
     """Load a state, the model on the CPU and in evaluation mode; every byte is checked first.
 
     Args:
         folder: of a state, or of a run's states: the last one.
         load: loads the checkpoint, as `load_checkpoint` does with Qwen3-VL's.
+        base: loads the model of states that were saved without theirs.
 
     Raises:
-        CheckpointError: there is none, or it is half-written, altered or of another kind.
+        CheckpointError: there is none, it has no model and there is no `base`, or it is
+            half-written, altered or of another kind.
         StorageError: the system refuses.
     """
     folder = Path(folder)
@@ -202,7 +214,7 @@ def load_state(folder: Path | str, load: Callable[..., Any] = load_checkpoint) -
     try:
         file = read_state_file(folder)
         check_files(folder, file.files)
-        return _build_state(folder, file, load)
+        return _build_state(folder, file, load, base)
     except CheckpointError as error:
         raise _with_fellow(error, folder) from None
     except OSError as error:
@@ -227,9 +239,14 @@ def list_versions() -> dict[str, str]:
 
 
 def _check_room(
-    folder: Path, state: TrainingState, optimiser: OptimiserState | None, dtype: torch.dtype
+    folder: Path,
+    state: TrainingState,
+    optimiser: OptimiserState | None,
+    dtype: torch.dtype,
+    without_model: bool,
 ) -> None:
-    weights = [*state.checkpoint.model.parameters(), *state.averaged.values()]
+    model = [] if without_model else state.checkpoint.model.parameters()
+    weights = [*model, *state.averaged.values()]
     others = [*state.arrays.values(), *(optimiser.arrays.values() if optimiser else ())]
     needed = _SPARE + sum(one.numel() for one in weights) * dtype.itemsize
     needed += sum(count_bytes(one) for one in others)
@@ -268,7 +285,12 @@ def _describe(
     )
 
 
-def _build_state(folder: Path, file: StateFile, load: Callable[..., Any]) -> TrainingState:
+def _build_state(
+    folder: Path,
+    file: StateFile,
+    load: Callable[..., Any],
+    base: Callable[[], Checkpoint] | None,
+) -> TrainingState:
     dtype = getattr(torch, file.dtype, None)
     if not isinstance(dtype, torch.dtype):
         raise CheckpointError(f"no type of numbers is called {brief(file.dtype)}", where=folder)
@@ -284,8 +306,18 @@ def _build_state(folder: Path, file: StateFile, load: Callable[..., Any]) -> Tra
     if file.optimiser is not None:
         groups = tuple(file.optimiser.groups)
         optimiser = OptimiserState(file.optimiser.kind, groups, found[_OPTIMISER])
+    if (folder / MODEL).is_dir():
+        checkpoint = load(folder / MODEL, dtype=dtype)
+    elif base is not None:
+        checkpoint = base()
+    else:
+        raise CheckpointError(
+            "a state of adapters, without the model that they belong to",
+            where=folder,
+            remedy="go on with the command that wrote it: it names the model",
+        )
     return TrainingState(
-        checkpoint=load(folder / MODEL, dtype=dtype),
+        checkpoint=checkpoint,
         counters=file.counters,
         recipe=file.recipe,
         corpus=file.corpus,

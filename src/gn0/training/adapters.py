@@ -65,14 +65,14 @@ class TableLearned(nn.Module):
         return table.index_copy(0, self._ids(), self._rows().to(table.dtype))
 
     def _ids(self) -> Tensor:
-        found: Tensor = self.ids  # type: ignore[assignment]
+        found: Tensor = self.ids
         return found
 
     def forward(self, x: Tensor) -> Tensor:
         """Rows of ids [...], or logits of hidden states [..., hidden]."""
         if isinstance(self.base, nn.Linear):
             return functional.linear(x, self.weight)
-        place: Tensor = self.place[x].long()  # type: ignore[index]
+        place: Tensor = self.place[x].long()
         own = functional.embedding(place.clamp(min=0), self._rows())
         plain: Tensor = self.base(x)
         return torch.where((place >= 0)[..., None], own.to(plain.dtype), plain)

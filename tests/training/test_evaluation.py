@@ -24,9 +24,9 @@ from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
 from gn0.training.evaluation import (  # noqa: E402
     ClosedLoop,
     score_states,
-    summarise_walks,
 )
 from gn0.training.pupil import Pupil, build_pupil, load_pupil  # noqa: E402
+from gn0.training.walks import summarise_walks  # noqa: E402
 
 VIEW = MapView(squares=(EgoSquare(32, 0.24, content="occupancy"),))
 SETTINGS = PolicySettings(

@@ -57,6 +57,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "train rl": ("train_rl", "a policy that learns from where its own walks end"),
     "train baseline": ("train_baseline", "CMA or Seq2Seq to compare with, retrained, small"),
     "train tokenizer": ("train_tokenizer", "words of suites and datasets as tokens of a policy"),
+    "policy examine": ("policy_examine", "a policy walks a suite on a device, thousands at once"),
     "copy": ("copy_folder", "a folder to or from an object store: s3://, gs://, hf://"),
     "export": ("export", "a dataset for VLN-CE, LeRobot, NaVid, StreamVLN, NavDP and others"),
     "export check": ("export_check", "check an export for everything its reader assumes"),
@@ -70,6 +71,7 @@ GROUPS = {
     "data": "make samples for training, balance and check them",
     "bench": "run policies, compare and report",
     "train": "train policies; needs the extra `train`",
+    "policy": "examine trained policies, and tables of many",
 }
 EXAMPLES = """examples:
   gn0 demo --out out/demo

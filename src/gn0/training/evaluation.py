@@ -5,12 +5,13 @@ own actions lead.
 
     loop = ClosedLoop(env, pupil, dtype=torch.bfloat16)
     walks = loop.play()                       # every episode of env once
-    print(summarise_walks(walks)["all"]["SR"])
+    print(summarise_walks(walks)["all"]["SR"])  # of gn0.training.walks
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gn0.bench.metrics import straight_to_goal
 from gn0.errors import ConfigError
 from gn0.missions.controls import CONTROL_TEXT, Control, check_control, choose_texts
 from gn0.missions.episode import Episode, mission_name
@@ -32,6 +34,7 @@ from gn0.training.streams.live_counts import COUNTED, LiveCounts
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 from gn0.training.streams.step_ring import draw_whole
 from gn0.training.streams.stream_live import STOP_DISTANCE
+from gn0.training.walks import Walk
 
 NEAR = 1.0  # m on foot: the stricter radius
 Watch = Callable[[Sequence[Tensor], Tensor, Decisions], None]
@@ -94,42 +97,6 @@ def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> St
         stop_precision=both / max(int(stops.sum()), 1),
         entropy=float(torch.cat(entropy).double().mean()),
     )
-
-
-@dataclass(frozen=True)
-class Walk:
-    """An episode as it was walked.
-
-    Attributes:
-        episode: its id.
-        scene: of it.
-        kind: of the mission, see `gn0.missions.episode.mission_name`.
-        steps: actions, STOP included.
-        stopped: the policy said STOP.
-        length: metres walked.
-        shortest: walking distance to the goal at the start [m].
-        left: the same at the end [m].
-        least: the least on the way [m].
-        success, success_near, oracle: STOP within 3 m and 1 m on foot; ever within 3 m.
-        spl: of `success`.
-        forwards, cut_short: FORWARDs, and those that an obstacle cut short.
-    """
-
-    episode: str
-    scene: str
-    kind: str
-    steps: int
-    stopped: bool
-    length: float
-    shortest: float
-    left: float
-    least: float
-    success: bool
-    success_near: bool
-    oracle: bool
-    spl: float
-    forwards: int
-    cut_short: int
 
 
 class ClosedLoop:
@@ -246,7 +213,7 @@ class ClosedLoop:
     def _round(
         self, numbers: list[int], real: int, texts: Tensor, *, dark: bool, watch: Watch | None
     ) -> list[Walk]:
-        env = self.env
+        env, begun = self.env, time.perf_counter()
         env.mute(*self._unseen)
         seen, infos = env.reset(seed=0, options={"episode": numbers})
         own = _take(infos["episode"]).long().clone()
@@ -258,7 +225,7 @@ class ClosedLoop:
             "shortest": distance.clone(), "least": distance.clone(), "left": distance.clone(),
             "length": torch.zeros_like(distance), "steps": zeros.clone(),
             "forwards": zeros.clone(), "cut_short": zeros.clone(),
-            "stopped": zeros.bool(),
+            "decisions": zeros.clone(), "stopped": zeros.bool(), "place": pose[:, :2].clone(),
             **{name: zeros.clone() for name in ("agreed", "due", "stopped_right")},
         }  # fmt: skip
         last, hit, at = zeros - 1, zeros.bool(), zeros + self.executed
@@ -279,6 +246,7 @@ class ClosedLoop:
                 plan = torch.where(asked[:, None], said.actions, plan)
                 at = torch.where(asked, 0, at)
                 self.decisions += real
+                book["decisions"] += asked & ~done
             action = plan.gather(1, at[:, None])[:, 0]
             if self.labelled:
                 expert = _take(env.labels(STOP_DISTANCE).actions)[:, 0]
@@ -303,6 +271,7 @@ class ClosedLoop:
             book["length"] += live * torch.linalg.vector_norm(there[:, :2] - pose[:, :2], dim=-1)
             book["least"] = torch.where(live, torch.minimum(book["least"], left), book["least"])
             book["left"] = torch.where(live, left, book["left"])
+            book["place"] = torch.where(live[:, None], there[:, :2], book["place"])
             book["forwards"] += live & (action == Action.FORWARD)
             book["cut_short"] += live & (action == Action.FORWARD) & cut
             book["stopped"] |= live & _take(terminated).bool()
@@ -314,6 +283,7 @@ class ClosedLoop:
             hit = cut & ~ended
         env.synchronize()
         found = {name: values.cpu().numpy() for name, values in book.items()}
+        found["seconds"] = np.full(real, (time.perf_counter() - begun) / real)
         walks = [
             _score(env.tasks.episodes[numbers[k]], {n: v[k] for n, v in found.items()})
             for k in range(real)
@@ -352,54 +322,34 @@ def _take(array: Any) -> Tensor:
 def _score(episode: Episode, found: dict[str, Any]) -> Walk:
     left, least, shortest = (float(found[name]) for name in ("left", "least", "shortest"))
     length, stopped = float(found["length"]), bool(found["stopped"])
+    straight = straight_to_goal(episode, *found["place"].tolist())
     within = episode.success_within(SUCCESS_RADIUS)
-    success = stopped and left < within
+    success, near = stopped and left < within, stopped and left < min(within, NEAR)
+    by_eye = success if episode.in_area else stopped and straight < within
     longer = max(shortest, length)
+    share = shortest / longer if longer > 0 else 1.0
     return Walk(
         episode=episode.id,
         scene=episode.scene_id,
+        path=episode.path_id,
         kind=mission_name(episode.mission),
+        tier=episode.tier,
         steps=int(found["steps"]),
         stopped=stopped,
         length=length,
         shortest=shortest,
         left=left,
+        left_straight=straight,
         least=least,
         success=success,
-        success_near=stopped and left < min(within, NEAR),
+        success_straight=by_eye,
+        success_near=near,
+        spl=share if success else 0.0,
+        spl_straight=share if by_eye else 0.0,
+        spl_near=share if near else 0.0,
         oracle=least < within,
-        spl=(shortest / longer if longer > 0 else 1.0) if success else 0.0,
         forwards=int(found["forwards"]),
         cut_short=int(found["cut_short"]),
+        decisions=int(found["decisions"]),
+        seconds=float(found["seconds"]),
     )
-
-
-def summarise_walks(walks: Iterable[Walk]) -> dict[str, dict[str, float]]:
-    """Means by mission kind, and of `all`: shares from 0 to 1, lengths in m.
-
-    `cut_short` is the share of FORWARDs, `STOP` the share of episodes that ended with one.
-    """
-    groups: dict[str, list[Walk]] = {"all": []}
-    for walk in walks:
-        groups["all"].append(walk)
-        groups.setdefault(walk.kind, []).append(walk)
-    return {kind: _summarise(some) for kind, some in groups.items() if some}
-
-
-def _summarise(walks: Sequence[Walk]) -> dict[str, float]:
-    def mean(name: str) -> float:
-        return float(np.mean([float(getattr(walk, name)) for walk in walks]))
-
-    forwards = sum(walk.forwards for walk in walks)
-    return {
-        "episodes": float(len(walks)),
-        "SR": mean("success"),
-        "SR_1m": mean("success_near"),
-        "SPL": mean("spl"),
-        "OS": mean("oracle"),
-        "TL": mean("length"),
-        "NE": mean("left"),
-        "STOP": mean("stopped"),
-        "steps": mean("steps"),
-        "cut_short": sum(walk.cut_short for walk in walks) / max(forwards, 1),
-    }

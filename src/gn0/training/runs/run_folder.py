@@ -1,7 +1,7 @@
 """The folder of a training run: what it is, how it went, and the states that it goes on from.
 
 `run.json` says what was asked for and when; `metrics.jsonl` and `events/` hold the curves, `log`
-what was said, `checkpoints/` the last states.
+what was said, `checkpoints/` the last states; `page.html` shows it, once the run is done.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ import msgspec
 from gn0.config import Config, load_json
 from gn0.errors import TrainingError
 from gn0.locked_folder import LOCK, check_room, holds_leftovers_only, lock_folder, sweep_folder
-from gn0.storage import storage_error, write_json
+from gn0.storage import storage_error, write_json, write_text
 from gn0.training.runs.event_log import open_event_log
-from gn0.training.runs.metrics_file import MetricsFile
+from gn0.training.runs.metrics_file import MetricsFile, read_metrics
 from gn0.training.runs.recipe_text import list_recipe_differences
+from gn0.training.runs.run_page import draw_run_page
 from gn0.training.runs.state_folder import (
     STATE,
     discard_states_after,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from gn0.training.runs.training_state import TrainingState
 
 RUN, METRICS, EVENTS, CHECKPOINTS, LOG = "run.json", "metrics.jsonl", "events", "checkpoints", "log"
+PAGE = "page.html"
 _ROOM = 64 << 20  # bytes, before any work; a state's own are asked for when it is saved
 
 
@@ -158,7 +160,7 @@ class RunFolder:
     def finish(self, step: int, results: Mapping[str, Any] | None = None) -> None:
         """Write down that the run is done, and what came out; after its last state is saved.
 
-        What is no number (NaN, infinite) is written as null.
+        What is no number (NaN, infinite) is written as null. The page of the run is written, too.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -171,6 +173,7 @@ class RunFolder:
         self._record = msgspec.structs.replace(self._record, finished=step, results=plain)
         write_json(self.folder / RUN, msgspec.to_builtins(self._record))
         self.log(f"finished at step {step}")
+        write_run_page(self.folder)
 
     def close(self) -> None:
         """Close all files."""
@@ -265,6 +268,23 @@ def read_run(folder: Path) -> RunRecord:
             f"no training run: there is no {RUN}", where=folder, remedy="give the --out of a run"
         )
     return load_json(folder / RUN, RunRecord)
+
+
+def write_run_page(folder: Path | str) -> Path:
+    """Write `page.html` of a run: curves, examinations, recipe and hashes.
+
+    Returns:
+        where it lies.
+
+    Raises:
+        TrainingError: the folder holds no run.
+        StorageError, FormatError: a file cannot be read or written.
+    """
+    folder = Path(folder)
+    record = msgspec.to_builtins(read_run(folder))
+    page = folder / PAGE
+    write_text(page, draw_run_page(folder.resolve().name, record, read_metrics(folder / METRICS)))
+    return page
 
 
 def _read_run(folder: Path) -> RunRecord | None:

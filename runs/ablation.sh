@@ -1,48 +1,187 @@
 #!/usr/bin/env bash
-# The ablation as a chain of jobs, each resumable: homes in lots, made beside the learner, and the trunk of one input and
-# seed (SFT on the expert's walks). Give the same command again after any interruption: what is done is not done again.
+# The ablation as a chain of jobs. Each is journalled, and resumable where it was cut; one that is done is never run
+# again. Give the same command again after any interruption. docs/ablation.md says what the study is and how it is read.
 #
-#   runs/ablation.sh OUT                  all jobs: 400 homes to train in, 100 never seen, a card
-#   runs/ablation.sh OUT tiny             the same in miniature, on a CPU, some minutes
-#   runs/ablation.sh OUT full homes       this job alone
+#   runs/ablation.sh OUT                           everything, in the order of the table below, on all cards
+#   runs/ablation.sh OUT tiny                      the same in miniature, models of 2 M weights, on a CPU
+#   runs/ablation.sh OUT full plan                 the table: what is done, failed, cut or still to be done
+#   runs/ablation.sh OUT full 'all-*-0*'           some jobs, by name or pattern, and what they are made from
+#   runs/ablation.sh OUT full pack                 what travels home: tables and logs, and the weights of one policy
 #
 # Environment:
 #   PYTHON    interpreter (python3)
-#   WORKERS   homes made at a time (all cores but one)
-#   INPUT     what the policy is shown: maps (near and far ego map), views (view and mosaic), or all
-#   SEED      of weights, states and order (0)
-#   SAMPLES   of the trunk (8000000), MINUTES of it at most (none)
+#   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU)
+#   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
+#   WALL      minutes after which this call stops what runs, to be gone on with in the next (0: never)
+#   INPUTS    that have arms (all views): all is view, mosaic, near and far map; views is view and mosaic
+#   SEEDS     of the arms (0 1 2); episode RL has the first two
+#   SAMPLES   of a trunk (8000000), STATES of a DAgger stage (300000, five times over), UPDATES of episode RL (200)
+#   EPISODES  of an examination (all: 24 in each of 100 homes never seen)
+#   BATCH, RATE  of the trunks, where the sweep found better ones than the recipe's
 #   JOINS     samples at which lots a, b and c join (0,500000,3000000)
-#   EXAMINE   steps from examination to examination (0: at the end alone)
-#   SOURCE    walks or uniform (walks)
-#   PATHS     walks a home (40), each told in three ways
+#   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
+#   WORKERS   homes made at a time (all cores but one)
+#   LEGS      jobs of the chain for the policy in the box (6); FROM, LEG: the policy that leg LEG goes on from, where
+#             earlier legs were made elsewhere
+#   IMPORTED  folder of a world or scene that is an exam of its own
+#   POLICY    run whose weights are packed (the last leg that there is)
 set -euo pipefail
 
-OUT=${1:?usage: runs/ablation.sh OUT [tiny|full] [homes|trunk ...]}
+OUT=${1:?usage: runs/ablation.sh OUT [tiny|full] [plan|pack|JOB ...]}
 SIZE=${2:-full}
 shift $(($# < 2 ? $# : 2))
-JOBS=${*:-homes trunk}
+WHAT=("${@:-*}")
 PYTHON=${PYTHON:-python3}
-INPUT=${INPUT:-maps}
-SEED=${SEED:-0}
-SOURCE=${SOURCE:-walks}
+MINUTES=${MINUTES:-9} WALL=${WALL:-0}
+read -ra INPUTS <<< "${INPUTS:-all views}"
+read -ra SEEDS <<< "${SEEDS:-0 1 2}"
+LEGS=${LEGS:-6} LEG=${LEG:-1} FROM=${FROM:-}
 WORKERS=${WORKERS:-$(($(nproc) > 1 ? $(nproc) - 1 : 1))}
 HERE=$(cd "$(dirname "$0")" && pwd)
-mkdir -p "$OUT"/{specs,homes,suites,log}
+case $SIZE in tiny | full) ;; *) echo "sizes are tiny and full, not $SIZE" >&2; exit 2 ;; esac
+if [ -z "${GPUS+x}" ]; then
+  GPUS=$(nvidia-smi --query-gpu=index --format=csv,noheader 2> /dev/null | paste -sd, -) || GPUS=
+fi
+[ "$SIZE" = full ] || GPUS=
+IFS=, read -ra CARDS <<< "$GPUS"
+mkdir -p "$OUT"/{specs,homes,suites,runs,walks,jobs,log}
 
 gn0() { "$PYTHON" -m gn0 "$@"; }
-say() { printf '%s %s\n' "$(date -u +%H:%M:%S)" "$1" | tee -a "$OUT/log/chain"; }
+say() { printf '%s %s\n' "$(date -u +%FT%TZ)" "$*" | tee -a "$OUT/journal"; }
 
-# lots of homes: name, split, small flats, medium flats, houses; the spec's seed decides what no training home has
+# ---- sizes: what each kind of job is given
+
+within=()
+[ "$MINUTES" = 0 ] || within=(--minutes "$MINUTES")
 if [ "$SIZE" = tiny ]; then
   LOTS=("a train 2 0 0" "b train 1 0 0" "exam val_unseen 1 0 0")
+  SUITES=("$OUT/suites/a" "$OUT/suites/b")
+  small=(--report 2 --save 4 --examined 2 --asked 32 --device host)
+  SFT=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 --joins "${JOINS:-0,64}" "${small[@]}")
+  FIRST=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 "${small[@]}")  # of one lot
+  ROUND=(--states "${STATES:-64}" --epochs 1 --batch 16 --agents 8 "${small[@]}")
+  LIVE=(--samples 64 --batch 16 --agents 16 --kept 320 --beta-from 0 --beta-to 32 "${small[@]}")
+  DAPO=(--states 32 --prompts 8 --answers 4 --minibatches 2 --epochs 1 --agents 8 --report 1 --save 2 --examined 2 --asked 32 --device host)
+  RL=(--updates "${UPDATES:-2}" --episodes 2 --group 4 --max-steps 24 --save 1 --examined 2 --asked 32 --device host)
+  BASELINE=(--size nano --samples 64 --agents 4 --steps 8 --rounds 1 --report 1 --save 1 --examined 2 --device host)
+  WALK=(--episodes "${EPISODES:-4}" --agents 4 --device host)
+  UNTRAINED=(--limit 4)
 else
   LOTS=("a train 30 14 4" "b train 60 30 10" "exam val_unseen 60 30 10" "c train 150 76 26")
+  SUITES=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c")
+  kept=(--save 500 --shard-mb 15)
+  SFT=(--samples "${SAMPLES:-8000000}" --joins "${JOINS:-0,500000,3000000}" "${within[@]}" "${kept[@]}")
+  FIRST=(--samples "${SAMPLES:-8000000}" "${within[@]}" "${kept[@]}")
+  ROUND=(--states "${STATES:-300000}" --epochs 5 "${kept[@]}")
+  LIVE=(--samples 1500000 --beta-from 0 --beta-to 500000 "${within[@]}" "${kept[@]}")
+  DAPO=("${within[@]}" --save 50 --shard-mb 15)
+  RL=(--updates "${UPDATES:-200}" --save 3 --shard-mb 15)
+  BASELINE=(--samples "${SAMPLES:-8000000}")
+  WALK=(--episodes "${EPISODES:-0}")
+  UNTRAINED=()
 fi
+[ -z "${BATCH:-}" ] || SFT+=(--batch "$BATCH")
+[ -z "${RATE:-}" ] || SFT+=(--rate "$RATE")
+
+pictures() { # INPUT: flags of what a policy is shown
+  case $1 in
+    all) echo --pictures rgb,history,near,far --points 13 ;;
+    views) echo --pictures rgb,history --points 0 ;;
+    maps) echo --pictures near,far --points 13 ;;
+    *) echo "inputs are all, views and maps, not $1" >&2; return 2 ;;
+  esac
+}
+
+# ---- kinds of jobs; each may be begun again after it was cut
+
+train() { # VERB RUN [FLAG ...]: on as many cards as the job was given
+  local verb=$1 run=$2 count
+  shift 2
+  count=$(awk -F, '{print NF}' <<< "${CUDA_VISIBLE_DEVICES:-}")
+  if [ "$count" -gt 1 ]; then
+    "$PYTHON" -m torch.distributed.run --standalone --nproc-per-node "$count" -m gn0 train "$verb" "$@" --out "$OUT/runs/$run"
+  else
+    gn0 train "$verb" "$@" --out "$OUT/runs/$run"
+  fi
+}
+
+sft() { # RUN INPUT SEED [FLAG ...]
+  local run=$1 seed=$3 shown
+  shown=$(pictures "$2")
+  shift 3
+  # shellcheck disable=SC2086
+  train sft "$run" "${SUITES[@]}" --exam "$OUT/suites/exam" --text-length 120 $shown --seed "$seed" "${SFT[@]}" "$@"
+}
+
+few() { # RUN INPUT SEED LOTS [FLAG ...]: on the first so many lots alone
+  local run=$1 seed=$3 count=$4 shown
+  shown=$(pictures "$2")
+  shift 4
+  # shellcheck disable=SC2086
+  train sft "$run" "${SUITES[@]:0:count}" --exam "$OUT/suites/exam" --text-length 120 $shown --seed "$seed" "${FIRST[@]}" "$@"
+}
+
+after_trunk() { # VERB RUN START SEED [FLAG ...]
+  local verb=$1 run=$2 start=$OUT/runs/$3/policy seed=$4
+  shift 4
+  train "$verb" "$run" "${SUITES[@]}" --start "$start" --exam "$OUT/suites/exam" --seed "$seed" "$@"
+}
+
+baseline() { # RUN [FLAG ...]
+  local run=$1
+  shift
+  train baseline "$run" "${SUITES[@]}" --exam "$OUT/suites/exam" --text-length 120 "${BASELINE[@]}" "$@"
+}
+
+walk() { # NAME RUN SUITE SPLIT EXAM [FLAG ...]
+  local name=$1 run=$2 suite=$3 split=$4 exam=$5
+  shift 5
+  gn0 policy examine "$OUT/runs/$run/policy" "$OUT/suites/$suite" --split "$split" --out "$OUT/walks/$name/$exam" "${WALK[@]}" "$@"
+}
+
+walks() { # RUN: the exams of a policy
+  walk "$1" "$1" exam val_unseen unseen
+  walk "$1" "$1" b val_seen seen
+  [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "$1" "$1" imported all imported
+}
+
+controls() { # RUN: without words, with others', without pictures, in phrasings that training knows
+  local one
+  for one in no_words shuffled no_pictures; do walk "$1-$one" "$1" exam val_unseen unseen --control "$one"; done
+  walk "$1" "$1" known val_unseen known
+}
+
+executed() { # RUN: one action of an answer, or all six
+  walk "$1-executed_1" "$1" exam val_unseen unseen --executed 1
+  walk "$1-executed_6" "$1" exam val_unseen unseen --executed 6
+}
+
+bench() { # NAME POLICY [FLAG ...]: by the benchmark, whatever the policy
+  local name=$1 policy=$2
+  shift 2
+  gn0 bench run "$OUT/suites/exam" --policy "$policy" --no-report --out "$OUT/walks/$name-0/unseen" "$@"
+}
+
+untrained() {
+  local one
+  for one in random straight wall_follower oracle parse_then_astar; do bench "$one" "$one" --workers "$WORKERS" "${UNTRAINED[@]}"; done
+}
+
+shipped() { # LEG: one policy for all inputs; goes on from the weights of the leg before, wherever they were made
+  local leg=$1 start=$OUT/runs/shipped-$(($1 - 1))/policy
+  local mix=all:0.5,views:0.3,maps:0.2
+  [ "$leg" != "$LEG" ] || [ -z "$FROM" ] || start=$FROM
+  if [ "$leg" = 1 ] && [ -z "$FROM" ]; then
+    train sft "shipped-1" "${SUITES[@]}" --exam "$OUT/suites/exam" --text-length 120 --inputs "$mix" --jitter "${SFT[@]}"
+  else
+    train dagger "shipped-$leg" "${SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --seed "$leg" --jitter "${LIVE[@]}" \
+      $([ "$SIZE" = tiny ] || echo --samples 50000000 --beta-to $((leg == 2 ? 2000000 : 1)) --confirm-stop)
+  fi
+}
 
 lot() { # NAME SPLIT FLATS HOMES HOUSES
   local spec=$OUT/specs/$1.yaml
-  [ -f "$OUT/suites/$1/manifest.json" ] && return 0
+  [ ! -f "$OUT/suites/$1/manifest.json" ] || return 0
   {
     printf 'name: lot-%s\nseed: 21\nval_seen: 1.0\nheld_out: {styles: [classic, dark modern], variants: 0.25}\nparts:\n' "$1"
     part() { [ "$2" = 0 ] || printf '  - {%s, count: %s, density: 2500, light: draft, split: %s, name: %s}\n' "$3" "$2" "$SPLIT" "$1"; }
@@ -51,58 +190,279 @@ lot() { # NAME SPLIT FLATS HOMES HOUSES
     part "$1-home" "$4" "kind: apartment, size: medium"
     part "$1-house" "$5" "kind: residence, size: small"
   } > "$spec"
-  say "lot $1: homes"
-  NUMBA_NUM_THREADS=1 gn0 scene corpus --spec "$spec" --out "$OUT/homes/$1" --workers "$WORKERS" --no-sheet > "$OUT/log/homes-$1" 2>&1
-  say "lot $1: missions"
-  NUMBA_NUM_THREADS=1 gn0 missions generate "$OUT/homes/$1" --spec "$HERE/ablation/missions.yaml" --camera tiny_128 --seed 21 \
-    --per-scene "${PATHS:-40}" --workers "$WORKERS" --out "$OUT/suites/$1" > "$OUT/log/missions-$1" 2>&1
-  say "lot $1: done"
+  export NUMBA_NUM_THREADS=1
+  gn0 scene corpus --spec "$spec" --out "$OUT/homes/$1" --workers "$WORKERS" --no-sheet
+  missions "$OUT/homes/$1" "$1"
 }
 
-homes() {
-  for one in "${LOTS[@]}"; do
-    # shellcheck disable=SC2086
-    lot $one
+missions() { # SCENES SUITE [FLAG ...]
+  local scenes=$1 suite=$2 paths=${PATHS:-40}
+  shift 2
+  case $suite in exam | known) paths=${EXAM_PATHS:-8} ;; esac
+  [ "$SIZE" = full ] || paths=${PATHS:-8}
+  gn0 missions generate "$scenes" --spec "$HERE/ablation/missions.yaml" --camera tiny_128 --seed 21 \
+    --per-scene "$paths" --workers "$WORKERS" --out "$OUT/suites/$suite" "$@"
+}
+
+imported() {
+  [ -f "$OUT/homes/imported/scene.json" ] || gn0 scene import "$IMPORTED" --out "$OUT/homes/imported"
+  missions "$OUT/homes/imported" imported
+}
+
+study() {
+  gn0 policy study "$HERE/ablation/study.yaml" "$OUT" --out "$OUT/ablation.md"
+}
+
+# ---- the table: name, what must be done before (commas between), cards, what to do; what stands first goes first
+
+NAMES=()
+declare -A AFTER NEEDS DOES
+job() {
+  NAMES+=("$1")
+  AFTER[$1]=${2//,/ } NEEDS[$1]=$3
+  shift 3
+  DOES[${NAMES[-1]}]="$*"
+}
+
+ALL=$((${#CARDS[@]} > 1 ? ${#CARDS[@]} : 1))  # cards of a trunk
+last=${LOTS[-1]%% *}
+[ "$SIZE" = full ] || last=b
+rest=homes-$last,homes-exam
+
+arms() { # INPUT SEED: a cell, a trunk and then its arms side by side
+  local cell=$1 seed=$2
+  job "$cell-sft-$seed" homes-a "$ALL" sft "$cell-sft-$seed" "$cell" "$seed"
+  job "$cell-longer-$seed" "$cell-sft-$seed,$rest" 1 after_trunk dagger "$cell-longer-$seed" "$cell-sft-$seed" "$seed" --driver expert "${ROUND[@]}"
+  job "$cell-dagger-$seed" "$cell-sft-$seed,$rest" 1 after_trunk dagger "$cell-dagger-$seed" "$cell-sft-$seed" "$seed" "${ROUND[@]}"
+  job "$cell-dapo-$seed" "$cell-sft-$seed,$rest" 1 after_trunk dapo "$cell-dapo-$seed" "$cell-sft-$seed" "$seed" "${DAPO[@]}"
+  job "$cell-live-$seed" "$cell-sft-$seed,$rest" 1 after_trunk dagger "$cell-live-$seed" "$cell-sft-$seed" "$seed" --live "${LIVE[@]}"
+  job "$cell-dagger_dapo-$seed" "$cell-dagger-$seed" 1 after_trunk dapo "$cell-dagger_dapo-$seed" "$cell-dagger-$seed" "$seed" "${DAPO[@]}"
+  local arm
+  for arm in sft longer dagger dapo live dagger_dapo; do
+    job "$cell-$arm-$seed.walks" "$cell-$arm-$seed,$rest" 1 walks "$cell-$arm-$seed"
+  done
+  for arm in dagger_dapo live; do
+    job "$cell-$arm-$seed.controls" "$cell-$arm-$seed,known" 1 controls "$cell-$arm-$seed"
   done
 }
 
-trunk() {
-  local pictures run=$OUT/trunk-$INPUT-$SOURCE-$SEED
-  case $INPUT in
-    maps) pictures=near,far points=13 ;;
-    views) pictures=rgb,history points=0 ;;
-    all) pictures=rgb,history,near,far points=13 ;;
-    *) echo "INPUT is maps, views or all" >&2; return 2 ;;
-  esac
-  local more=(--samples "${SAMPLES:-8000000}" --minutes "${MINUTES:-0}" --examine "${EXAMINE:-0}" --save 500 --shard-mb 15)
-  local suites=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c") joins=${JOINS:-0,500000,3000000}
-  if [ "$SIZE" = tiny ]; then
-    suites=("$OUT/suites/a" "$OUT/suites/b") joins=0,64
-    more=(--samples "${SAMPLES:-160}" --size nano --batch 16 --agents 16 --kept 320 --report 2 --save 4 --examined 2 --asked 64 --device host)
-  fi
-  until [ -f "${suites[0]}/manifest.json" ]; do sleep 1; done
-  say "trunk: $INPUT, $SOURCE, seed $SEED"
-  gn0 train sft "${suites[@]}" --joins "$joins" --exam "$OUT/suites/exam" --text-length 120 --source "$SOURCE" \
-    --pictures "$pictures" --points "$points" --seed "$SEED" --out "$run" "${more[@]}" 2>&1 | tee -a "$OUT/log/trunk-$INPUT-$SOURCE-$SEED"
-  say "trunk: done"
+row() { # NAME WHAT ...: a trunk of the input `all` with something else, one seed
+  local name=$1
+  shift
+  job "$name-0" homes-a "$ALL" "$1" "$name-0" all 0 "${@:2}"
+  job "$name-0.walks" "$name-0,$rest" 1 walks "$name-0"
 }
 
-in_turn() {
-  for job in $JOBS; do
-    case $job in
-      homes) ;;
-      trunk) trunk ;;
-      *) echo "jobs are homes and trunk, not $job" >&2; return 2 ;;
-    esac
-  done
-}
+# 1. scenes and missions, made beside the learner; nobody waits for more than lot a
+for one in "${LOTS[@]}"; do job "homes-${one%% *}" "" 0 lot $one; done
+job known homes-exam 0 missions "$OUT/homes/exam" known --phrasings known
+[ -z "${IMPORTED:-}" ] || job imported homes-exam 0 imported
+job untrained homes-exam 0 untrained
 
-set -m  # either in a process group of its own: if one fails, the other has nothing to wait for
-trap 'for group in $(jobs -pr); do kill -- "-$group" 2>/dev/null || true; done' EXIT
-running=1
-case " $JOBS " in *" homes "*) homes & running=2 ;; esac
-in_turn &
-for ((; running > 0; running--)); do
-  wait -n || { status=$?; say "failed; see $OUT/log"; exit $status; }
+# 2. never dropped: one cell with all its arms and controls, then the policy in the box, then the other seeds
+for input in "${INPUTS[@]}"; do arms "$input" "${SEEDS[0]}"; done
+for ((leg = LEG; leg <= LEGS; leg++)); do
+  before=$rest
+  [ "$leg" = 1 ] && before=homes-a
+  [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$rest
+  job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done
-say "all done"
+job shipped.walks "shipped-$LEGS,$rest,known" 1 walks "shipped-$LEGS"
+for seed in "${SEEDS[@]:1}"; do arms "${INPUTS[0]}" "$seed"; done
+
+# 3. the recipe, baselines and the ceiling of perception
+for batch in 512 2048; do
+  for rate in 4e-4 1e-3; do
+    job "sweep-$batch-$rate" homes-a 1 sft "sweep-$batch-$rate" maps 0 --batch "$batch" --rate "$rate" $([ "$SIZE" = tiny ] || echo --minutes 8)
+  done
+done
+for one in "cma_views --pictures rgb,depth" "cma_maps --pictures rgb,depth,near" "cma_blind --model cma_blind" "seq2seq --model seq2seq"; do
+  job "${one%% *}-0" "$rest" 1 baseline "${one%% *}-0" ${one#* }
+  job "${one%% *}-0.walks" "${one%% *}-0" 1 bench "${one%% *}" cma --policy-option "checkpoint=$OUT/runs/${one%% *}-0/policy" "${UNTRAINED[@]}"
+done
+row oracle_map sft --map-paint categories
+row paper_inputs sft --without paper
+row uniform sft --source uniform
+row scenes_50 few 1
+job executed "${INPUTS[0]}-dagger_dapo-${SEEDS[0]},$rest" 1 executed "${INPUTS[0]}-dagger_dapo-${SEEDS[0]}"
+
+# 4. dropped if time runs out, the last first
+for seed in "${SEEDS[@]:0:2}"; do
+  job "${INPUTS[0]}-rl-$seed" "${INPUTS[0]}-live-$seed" 1 after_trunk rl "${INPUTS[0]}-rl-$seed" "${INPUTS[0]}-live-$seed" "$seed" "${RL[@]}"
+  job "${INPUTS[0]}-rl-$seed.walks" "${INPUTS[0]}-rl-$seed" 1 walks "${INPUTS[0]}-rl-$seed"
+done
+row json sft --layout json
+job json_dapo-0 "json-0,$rest" 1 after_trunk dapo json_dapo-0 json-0 0 --sampling free "${DAPO[@]}"
+job json_dapo-0.walks json_dapo-0 1 walks json_dapo-0
+for input in "${INPUTS[@]:1}"; do
+  for seed in "${SEEDS[@]:1}"; do arms "$input" "$seed"; done
+done
+row scenes_150 few 2
+row heading sft --without heading
+row waypoints sft --points 0
+row key_order sft --order actions_first
+row global_maps sft --inputs paper_planning
+
+# ---- running it
+
+is_done() { # JOB; homes that lie on another machine are made again
+  [ -f "$OUT/jobs/$1.done" ] || return 1
+  case $1 in
+    homes-*) [ -f "$OUT/suites/${1#homes-}/manifest.json" ] ;;
+    known) [ -f "$OUT/suites/known/manifest.json" ] ;;
+  esac
+}
+
+state() { # JOB
+  local one
+  if is_done "$1"; then echo "done"; return; fi
+  for one in failed cut; do
+    [ ! -f "$OUT/jobs/$1.$one" ] || { echo "$one"; return; }
+  done
+  echo "to do"
+}
+
+plan() {
+  local name
+  printf '%-9s %-28s %-5s %s\n' state job cards after
+  for name in "${NAMES[@]}"; do
+    printf '%-9s %-28s %-5s %s\n' "$(state "$name")" "$name" "${NEEDS[$name]}" "${AFTER[$name]}"
+    [ ! -f "$OUT/jobs/$name.failed" ] || printf '          %s\n' "$(cat "$OUT/jobs/$name.failed")"
+  done
+}
+
+pack() { # tables and logs in pieces of 15 MB, and one set of weights
+  local run=${POLICY:-} leg
+  if [ -z "$run" ]; then
+    for ((leg = LEGS; leg > 0; leg--)); do [ ! -d "$OUT/runs/shipped-$leg/policy" ] || { run=shipped-$leg; break; }; done
+  fi
+  rm -rf "$OUT/pack"
+  mkdir -p "$OUT/pack"
+  study > "$OUT/pack/verdicts.txt" || true
+  (cd "$OUT" && find . -type f \( -path './jobs/*' -o -path './log/*' -o -path './specs/*' -o -path './walks/*' -o -name ablation.md \
+    -o -path './runs/*/run.json' -o -path './runs/*/metrics.jsonl' -o -path './runs/*/page.html' -o -path './runs/*/log' -o -path ./journal \) \
+    ! -path './runs/*/checkpoints/*' ! -name .lock ! -name trajectories.jsonl ! -name 'journal.jsonl' -print0 | sort -z |
+    tar --null -czf - -T -) | split -b 15M - "$OUT/pack/tables.tar.gz."
+  [ -z "$run" ] || cp -r "$OUT/runs/$run/policy" "$OUT/pack/policy"
+  say "packed $(du -sh "$OUT/pack" | cut -f1)${run:+, weights of $run}: $OUT/pack"
+}
+
+declare -A CHOSEN PID SINCE HOLDS
+choose() { # JOB: it and all that it is made from
+  local one
+  [ -z "${CHOSEN[$1]:-}" ] || return 0
+  CHOSEN[$1]=yes
+  for one in ${AFTER[$1]}; do
+    [ -n "${DOES[$one]:-}" ] || continue  # made elsewhere
+    choose "$one"
+  done
+}
+
+ready() { # JOB: 0 if all before it is done
+  local one
+  for one in ${AFTER[$1]}; do
+    [ -z "${DOES[$one]:-}" ] || is_done "$one" || return 1
+  done
+}
+
+begin() { # JOB CARDS: in a process group of its own
+  rm -f "$OUT/jobs/$1".{done,failed,cut}
+  say "begin $1${2:+ on card $2}"
+  (
+    export CUDA_VISIBLE_DEVICES=$2
+    set -euo pipefail
+    ${DOES[$1]}
+  ) >> "$OUT/log/$1" 2>&1 &
+  PID[$1]=$! SINCE[$1]=$SECONDS HOLDS[$1]=$2
+}
+
+finish() { # JOB STATUS
+  local name=$1 took=$((SECONDS - ${SINCE[$1]})) why
+  if [ "$2" = 0 ]; then
+    printf '%s %d s%s: %s\n' "$(date -u +%FT%TZ)" "$took" "${HOLDS[$name]:+ on card ${HOLDS[$name]}}" "${DOES[$name]}" > "$OUT/jobs/$name.done"
+    say "done $name, $took s"
+  elif [ "$2" = cut ]; then
+    echo "after $took s of this call" > "$OUT/jobs/$name.cut"
+    say "cut $name, $took s; the next call goes on with it"
+  else
+    why=$(grep -a 'gn0:\|Error\|→' "$OUT/log/$name" | tail -2 | tr '\n' ' ')
+    echo "status $2 after $took s: ${why:-see $OUT/log/$name}" > "$OUT/jobs/$name.failed"
+    say "failed $name: $(cat "$OUT/jobs/$name.failed")"
+  fi
+  local card
+  for card in ${HOLDS[$name]//,/ }; do FREE+=("$card"); done
+  unset "PID[$name]"
+}
+
+run_jobs() {
+  local name need taken cpu pattern matched held found=
+  for pattern in "${WHAT[@]}"; do
+    matched=
+    for name in "${NAMES[@]}"; do
+      # shellcheck disable=SC2053
+      [[ $name != $pattern ]] || { choose "$name"; matched=yes; }
+    done
+    [ -n "$matched" ] || { echo "no job is named $pattern; see: $0 $OUT $SIZE plan" >&2; return 2; }
+  done
+  FREE=("${CARDS[@]}")
+  local deadline=$((SECONDS + WALL * 60)) failed=0
+  while :; do
+    for name in "${!PID[@]}"; do
+      kill -0 "${PID[$name]}" 2> /dev/null && continue
+      local status=0
+      wait "${PID[$name]}" || status=$?
+      finish "$name" "$status"
+    done
+    if [ "$WALL" != 0 ] && [ "$SECONDS" -ge "$deadline" ]; then
+      for name in "${!PID[@]}"; do
+        kill -- "-${PID[$name]}" 2> /dev/null || true
+        wait "${PID[$name]}" 2> /dev/null || true
+        finish "$name" cut
+      done
+      say "time is up; give the same command again to go on"
+      return 3
+    fi
+    held= cpu=0 found=
+    for name in "${!PID[@]}"; do [ "${NEEDS[$name]}" != 0 ] || cpu=$((cpu + 1)); done
+    for name in "${NAMES[@]}"; do
+      [ -n "${CHOSEN[$name]:-}" ] && [ -z "${PID[$name]:-}" ] && [ -z "${TRIED[$name]:-}" ] || continue
+      is_done "$name" && continue
+      ready "$name" || continue
+      need=${NEEDS[$name]}
+      if [ "$need" = 0 ]; then
+        [ "$cpu" = 0 ] || continue
+        cpu=1 taken=
+      elif [ ${#CARDS[@]} = 0 ]; then # no cards: one after another
+        [ ${#PID[@]} -gt "$cpu" ] && continue
+        taken=
+      else
+        [ -z "$held" ] || continue
+        if [ ${#FREE[@]} -lt "$need" ]; then held=yes; continue; fi # whoever stands first is not passed
+        taken=$(IFS=,; echo "${FREE[*]:0:need}")
+        FREE=("${FREE[@]:need}")
+      fi
+      TRIED[$name]=yes
+      begin "$name" "$taken"
+    done
+    [ ${#PID[@]} -gt 0 ] || break
+    sleep 0.5
+  done
+  for name in "${NAMES[@]}"; do
+    [ -n "${CHOSEN[$name]:-}" ] && ! is_done "$name" || continue
+    failed=$((failed + 1))
+    [ -f "$OUT/jobs/$name.failed" ] || say "not begun $name: something before it is not done"
+  done
+  [ $failed = 0 ] || { say "$failed jobs are not done; see $0 $OUT $SIZE plan"; return 1; }
+  say "all done"
+}
+
+declare -A TRIED
+case ${WHAT[0]} in
+  plan) plan; exit ;;
+  pack) pack; exit ;;
+  study) study; exit ;;
+esac
+set -m # each job in a process group of its own, to be stopped as one
+trap 'for name in "${!PID[@]}"; do kill -- "-${PID[$name]}" 2> /dev/null || true; done' EXIT
+trap 'exit 130' INT TERM
+run_jobs

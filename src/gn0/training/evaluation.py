@@ -5,7 +5,7 @@ own actions lead.
 
     loop = ClosedLoop(env, pupil, dtype=torch.bfloat16)
     walks = loop.play()                       # every episode of env once
-    print(summarise_walks(walks)["all"]["SR"])  # of gn0.training.walks
+    print(summarise_walks(walks)["all"]["SR"])
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from gn0.training.streams.samples import LabelledStates, SampleMaker
 from gn0.training.streams.step_ring import draw_whole
 from gn0.training.streams.stream_live import STOP_DISTANCE
 from gn0.training.walks import Walk
+from gn0.training.walks import summarise_walks as summarise_walks
 
 NEAR = 1.0  # m on foot: the stricter radius
 Watch = Callable[[Sequence[Tensor], Tensor, Decisions], None]

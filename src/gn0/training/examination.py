@@ -8,14 +8,13 @@ from functools import cached_property
 
 from gn0.device.device import Device
 from gn0.policies.bae.actor import Actor
-from gn0.training.evaluation import ClosedLoop, score_states
+from gn0.training.evaluation import ClosedLoop, score_states, summarise_walks
 from gn0.training.learner import Learner
 from gn0.training.pupil import Pupil
 from gn0.training.streams.live_counts import share_counts
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_live import StreamLive
-from gn0.training.walks import summarise_walks
 from gn0.training.worlds import (
     Lessons,
     leave_out_long,

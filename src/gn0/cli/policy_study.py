@@ -1,0 +1,48 @@
+"""Make the page of a study: many policies, with intervals, paired differences and verdicts.
+
+A study is described by a file: which policies were to be trained and examined, and which claims are
+to be judged. Walks of `gn0 policy examine` and runs of `gn0 bench run` are looked for below FOLDER;
+what is not there is said to be not run. The intervals alone decide whether a claim held. Needs no
+torch.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Annotated
+
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 policy study runs/ablation/study.yaml out/ablation --out docs/ablation.md"""
+
+
+class Args(Config, frozen=True):
+    """A study, where its walks lie, and its page.
+
+    Attributes:
+        study: the description of the study, YAML.
+        folder: below which its walks and training runs lie.
+        out: the page to write, Markdown.
+    """
+
+    study: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")]
+    folder: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    out: str
+
+
+def run(args: Args) -> int:
+    """Write the page, and print a line a claim."""
+    from gn0.cli.console import plain_text
+    from gn0.training.study.study_page import write_study
+
+    judged = write_study(
+        args.study, args.folder, args.out, say=lambda text: print(plain_text(text))
+    )
+    for one in judged:
+        print(f"{one.verdict:<18} {plain_text(' '.join(one.claim.text.split()))}")
+    counts = Counter(one.verdict for one in judged)
+    print(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
+    print(f"page: {args.out}")
+    return 0

@@ -13,7 +13,8 @@
 #   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU)
 #   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
 #   WALL      minutes after which this call stops what runs, to be gone on with in the next (0: never)
-#   INPUTS    that have arms (all views): all is view, mosaic, near and far map; views is view and mosaic
+#   INPUTS    that have arms (all views; in miniature maps): all is view, mosaic, near and far map; views is view and
+#             mosaic; maps is near and far map
 #   SEEDS     of the arms (0 1 2); episode RL has the first two
 #   SAMPLES   of a trunk (8000000), STATES of a DAgger stage (300000, five times over), UPDATES of episode RL (200)
 #   EPISODES  of an examination (all: 24 in each of 100 homes never seen)
@@ -33,7 +34,7 @@ shift $(($# < 2 ? $# : 2))
 WHAT=("${@:-*}")
 PYTHON=${PYTHON:-python3}
 MINUTES=${MINUTES:-9} WALL=${WALL:-0}
-read -ra INPUTS <<< "${INPUTS:-all views}"
+read -ra INPUTS <<< "${INPUTS:-$([ "$SIZE" = tiny ] && echo maps || echo all views)}"
 read -ra SEEDS <<< "${SEEDS:-0 1 2}"
 LEGS=${LEGS:-6} LEG=${LEG:-1} FROM=${FROM:-}
 WORKERS=${WORKERS:-$(($(nproc) > 1 ? $(nproc) - 1 : 1))}
@@ -64,7 +65,7 @@ if [ "$SIZE" = tiny ]; then
   DAPO=(--states 32 --prompts 8 --answers 4 --minibatches 2 --epochs 1 --agents 8 --report 1 --save 2 --examined 2 --asked 32 --device host)
   RL=(--updates "${UPDATES:-2}" --episodes 2 --group 4 --max-steps 24 --save 1 --examined 2 --asked 32 --device host)
   BASELINE=(--size nano --samples 64 --agents 4 --steps 8 --rounds 1 --report 1 --save 1 --examined 2 --device host)
-  WALK=(--episodes "${EPISODES:-4}" --agents 4 --device host)
+  WALK=(--episodes "${EPISODES:-2}" --agents 2 --device host)
   UNTRAINED=(--limit 4)
 else
   LOTS=("a train 30 14 4" "b train 60 30 10" "exam val_unseen 60 30 10" "c train 150 76 26")

@@ -42,6 +42,7 @@ RUNS = {
     "bench replay --policy": ["{it}", "--policy", "remote"],
     "bench report": ["{it}", "--out", "{new}.html"],
     "bench compare": ["{it}", "{run}"],
+    "train page": ["{it}"],
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
     "view --results": ["{scene}", "--results", "{it}", "--check", "--no-browser", "--port", "0"],
     "bench run into it": ["{suite}", "--policy", "random", "--no-report", "--out", "{it}"],
@@ -62,6 +63,7 @@ SUITES = {
     "train tokenizer": ["{it}", "--out", "{new}"],
     "train sft": ["{it}", "--samples", "4", "--out", "{new}"],
     "train dapo": ["{it}", "--start", "{it}", "--out", "{new}"],
+    "policy examine": ["{new}", "{it}", "--device", "host", "--out", "{new}-walks"],
     "train rl": ["{it}", "--start", "{new}", "--out", "{new}"],
     "train baseline": ["{it}", "--samples", "4", "--out", "{new}"],
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
@@ -91,7 +93,7 @@ EXPORTS = {
 OTHERS = {
     "demo", "doctor", "figures", "scene generate", "scene import", "scene corpus", "scene check",
     "scene show", "scene light", "scene visible", "scene inspect", "scene convert", "list",
-    "scene furniture", "completion",
+    "scene furniture", "completion", "policy study",
 }  # fmt: skip
 CASES = [
     (kind, case, links)

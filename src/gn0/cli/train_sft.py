@@ -62,6 +62,7 @@ class Args(Config, frozen=True):
             paper's prompts do not tell: heading, last_action and bumper.
         points: waypoints of an answer; 0 for actions alone.
         layout: of answers: compact or json.
+        order: of answers: waypoints first, as in the paper, or actions first.
         preset: of the cameras, as in `gn0 list presets`.
         samples: to learn from.
         minutes: of training at most; the rate falls in time for it.
@@ -112,6 +113,7 @@ class Args(Config, frozen=True):
     without: str = ""
     points: Annotated[int, msgspec.Meta(ge=0, le=64)] = 13
     layout: Literal["compact", "json"] = "compact"
+    order: Literal["paper", "actions_first"] = "paper"
     preset: str = "tiny_128"
     samples: Annotated[int, msgspec.Meta(ge=1)] = 8_000_000
     minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
@@ -168,7 +170,7 @@ def run(args: Args) -> int:
     settings = PolicySettings(
         prompt=args.prompt,
         pictures=_split(args.pictures),
-        form=AnswerForm(points=args.points, layout=args.layout),
+        form=AnswerForm(points=args.points, layout=args.layout, order=args.order),
         without=_split(args.without),
         preset=args.preset,
         view=MapView(paint=args.map_paint),

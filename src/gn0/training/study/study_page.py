@@ -131,7 +131,9 @@ def _tell_smallest(exam: Exam) -> float:
 def _tell_verdicts(judged: Sequence[Judged]) -> Iterator[str]:
     for verdict in _VERDICTS:
         texts = [" ".join(one.claim.text.split()) for one in judged if one.verdict == verdict]
-        if texts:
+        if verdict == "not run" and texts:
+            yield f"* Not run: {len(texts)} of {len(judged)} claims."
+        elif texts:
             yield f"* {verdict.capitalize()}: {'; '.join(texts)}."
     yield ""
     rows = []

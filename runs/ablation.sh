@@ -180,6 +180,16 @@ shipped() { # LEG: one policy for all inputs; goes on from the weights of the le
   fi
 }
 
+shipped_walks() { # RUN: asked in each of its ways
+  local input
+  for input in all views maps; do
+    walk "shipped-$input" "$1" exam val_unseen unseen --inputs "$input"
+    walk "shipped-$input" "$1" b val_seen seen --inputs "$input"
+    walk "shipped-$input" "$1" known val_unseen known --inputs "$input"
+    [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "shipped-$input" "$1" imported all imported --inputs "$input"
+  done
+}
+
 lot() { # NAME SPLIT FLATS HOMES HOUSES
   local spec=$OUT/specs/$1.yaml
   [ ! -f "$OUT/suites/$1/manifest.json" ] || return 0
@@ -217,7 +227,7 @@ study() {
 # ---- the table: name, what must be done before (commas between), cards, what to do; what stands first goes first
 
 NAMES=()
-declare -A AFTER NEEDS DOES
+declare -A AFTER=() NEEDS=() DOES=()
 job() {
   NAMES+=("$1")
   AFTER[$1]=${2//,/ } NEEDS[$1]=$3
@@ -268,7 +278,7 @@ for ((leg = LEG; leg <= LEGS; leg++)); do
   [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$rest
   job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done
-job shipped.walks "shipped-$LEGS,$rest,known" 1 walks "shipped-$LEGS"
+job shipped.walks "shipped-$LEGS,$rest,known" 1 shipped_walks "shipped-$LEGS"
 for seed in "${SEEDS[@]:1}"; do arms "${INPUTS[0]}" "$seed"; done
 
 # 3. the recipe, baselines and the ceiling of perception
@@ -348,7 +358,7 @@ pack() { # tables and logs in pieces of 15 MB, and one set of weights
   say "packed $(du -sh "$OUT/pack" | cut -f1)${run:+, weights of $run}: $OUT/pack"
 }
 
-declare -A CHOSEN PID SINCE HOLDS
+declare -A CHOSEN=() PID=() SINCE=() HOLDS=() TRIED=()
 choose() { # JOB: it and all that it is made from
   local one
   [ -z "${CHOSEN[$1]:-}" ] || return 0
@@ -457,7 +467,6 @@ run_jobs() {
   say "all done"
 }
 
-declare -A TRIED
 case ${WHAT[0]} in
   plan) plan; exit ;;
   pack) pack; exit ;;

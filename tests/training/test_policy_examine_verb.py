@@ -157,6 +157,8 @@ def test_what_cannot_be_examined_is_told(policy, flats_suite, tmp_path: Path, ca
     out = tmp_path / "walks"
     assert _examine(policy, flats_suite, out, "--executed", "7") == 2
     assert "7 actions of an answer" in capsys.readouterr().err
+    assert _examine(policy, flats_suite, out, "--inputs", "smell") == 2
+    assert "no input 'smell'" in capsys.readouterr().err
     assert _examine(policy, flats_suite, out, "--split", "nowhere") == 2
     assert "no split 'nowhere'" in capsys.readouterr().err
     assert not out.exists()

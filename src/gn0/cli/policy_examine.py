@@ -38,6 +38,8 @@ class Args(Config, frozen=True):
         control: take something away from the policy: its words (no_words: every text is "go"), its
             own words (shuffled: another episode's of the scene), or its pictures (no_pictures:
             black).
+        inputs: in which of its ways the policy is asked, where it was trained in several; its
+            default when left out.
         executed: actions of an answer that are carried out before the next question; 0: as the
             policy says.
         confirm_stop: ask again before a STOP behind the first action is carried out.
@@ -53,6 +55,7 @@ class Args(Config, frozen=True):
     out: str
     split: str = "val_unseen"
     control: Literal["none", "no_words", "shuffled", "no_pictures"] = "none"
+    inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0)] = 0
     confirm_stop: bool = False
     episodes: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--limit",))] = 0
@@ -77,6 +80,7 @@ def run(args: Args) -> int:
         suite=args.suite,
         splits=() if args.split == "all" else _split(args.split),
         control=args.control,
+        inputs=args.inputs,
         executed=args.executed,
         confirm_stop=args.confirm_stop,
         episodes=args.episodes,

@@ -29,10 +29,12 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Write page.html into each folder, and say where."""
     from gn0.errors import ConfigError
+    from gn0.storage import check_contained
     from gn0.training.runs.run_folder import write_run_page
 
     if not args.run:
         raise ConfigError("no run folder given", remedy="gn0 train page RUN [RUN ...]")
     for folder in args.run:
+        check_contained(folder)
         print(write_run_page(folder))
     return 0

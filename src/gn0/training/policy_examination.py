@@ -8,7 +8,7 @@ Each walk is one of `gn0 bench run --policy bae`, episode for episode, in float3
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -44,6 +44,8 @@ class WalkJob(Config, frozen=True):
         suite: folder of the suite.
         splits: of the suite; all when empty.
         control: what is taken away from the policy.
+        inputs: in which of its ways the policy is asked, where it was trained in several; its
+            default when empty.
         executed: actions of an answer that are carried out; 0: as the policy says.
         confirm_stop: a STOP behind the first action of an answer is asked again.
         episodes: that are walked, evenly over the suite; 0 for all.
@@ -55,6 +57,7 @@ class WalkJob(Config, frozen=True):
     suite: str
     splits: tuple[str, ...] = ("val_unseen",)
     control: Control = "none"
+    inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0)] = 0
     confirm_stop: bool = False
     episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
@@ -92,7 +95,7 @@ def examine_policy(
     """
     folder = find_checkpoint(job.checkpoint)
     every = load_lessons(job.suite, job.splits)
-    pupil = load_pupil(folder)
+    pupil = _choose_input(load_pupil(folder), job.inputs)
     settings = pupil.settings
     if job.executed > settings.form.actions:
         raise ConfigError(
@@ -117,6 +120,7 @@ def examine_policy(
         checkpoint=str(job.checkpoint),
         weights=digest_checkpoint(folder),
         control=job.control,
+        inputs=job.inputs,
         executed=job.executed or settings.executed,
         confirm_stop=job.confirm_stop,
         agents=min(job.agents, len(wanted)),
@@ -163,6 +167,20 @@ def _walk(
             progress("walking", len(walks), len(wanted))
     finally:
         world.close()
+
+
+def _choose_input(pupil: Pupil, name: str) -> Pupil:
+    """The policy as it is asked in one of its ways; itself when `name` is empty."""
+    if not name:
+        return pupil
+    known: Mapping[str, Pupil] = getattr(pupil, "inputs", {})  # where it was trained in several
+    if name not in known:
+        raise ConfigError(
+            f"the policy has no input {name!r}",
+            where="inputs",
+            remedy=f"known: {', '.join(known) or 'its only one; leave the option out'}",
+        )
+    return known[name]
 
 
 def _leave_out_unspoken(lessons: Lessons, pupil: Pupil, say: Callable[[str], None]) -> Lessons:

@@ -37,6 +37,7 @@ class WalksAbout(Config, frozen=True):
         left_out: episodes whose text was too long for the policy.
         checkpoint: folder of the policy; weights is the digest of what answers hang on.
         control: what was taken away.
+        inputs: in which of its ways the policy was asked; "" for its default.
         executed: actions of an answer that were carried out.
         confirm_stop: a STOP behind the first action was asked again.
         agents: that walked side by side, all asked in one batch.
@@ -63,6 +64,7 @@ class WalksAbout(Config, frozen=True):
     dtype: str
     device: str
     version: str
+    inputs: str = ""
     finished: bool = False
     digest: str = ""
     seconds: float = 0.0

@@ -312,7 +312,7 @@ row scenes_150 few 2
 row heading sft --without heading
 row waypoints sft --points 0
 row key_order sft --order actions_first
-row global_maps sft --inputs paper_planning
+row global_maps sft --inputs paper_planning --text-length 300
 
 # ---- running it
 

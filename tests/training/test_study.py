@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import re
+import subprocess
 from dataclasses import asdict
+from fnmatch import fnmatch
 from pathlib import Path
 
 import msgspec
@@ -350,3 +354,64 @@ def test_the_study_of_the_repository_is_one() -> None:
     study = load_study(ROOT / "runs/ablation/study.yaml")
     assert isinstance(study, Study)
     assert all(arm.command for arm in study.arms)
+
+
+def _plan(out: Path) -> set[str]:
+    """Names of the jobs of runs/ablation.sh."""
+    told = subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "plan"],
+        env={**os.environ, "GPUS": "0,1"}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return {line[10:].split()[0] for line in told.stdout.splitlines()[1:]}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_every_row_of_the_study_has_its_jobs(tmp_path: Path) -> None:
+    """Commands name jobs that there are, and folders are those that the jobs write."""
+    jobs = _plan(tmp_path / "out")
+    study = load_study(ROOT / "runs/ablation/study.yaml")
+    for arm in study.arms:
+        pattern = arm.command.split("'")[1]
+        assert any(fnmatch(name, pattern) for name in jobs), arm.name
+        for seed in arm.seeds:
+            run = arm.folder(arm.run, seed).removeprefix("runs/")
+            assert not run or run in jobs, f"{arm.name}: no job makes {run}"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> None:
+    """With a stand-in for gn0 that knows `policy study` as little as any other verb."""
+    out = tmp_path / "out"
+    (tmp_path / "python").write_text('#!/bin/bash\necho "gn0: no verb $3 $4" >&2\nexit 2\n')
+    (tmp_path / "python").chmod(0o755)
+    command = ["bash", str(ROOT / "runs/ablation.sh"), str(out), "tiny"]
+    env = {**os.environ, "PYTHON": str(tmp_path / "python")}
+
+    def call(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([*command, *words], env=env, capture_output=True, text=True)
+
+    (out / "jobs").mkdir(parents=True)
+    for lot in ("a", "b", "exam"):  # made before, and there
+        (out / "jobs" / f"homes-{lot}.done").write_text("before")
+        (out / "suites" / lot).mkdir(parents=True)
+        (out / "suites" / lot / "manifest.json").write_text("{}")
+    done = call("maps-dagger-0")
+    assert done.returncode == 1
+    assert "failed maps-sft-0: status 2" in done.stdout and "no verb train sft" in done.stdout
+    assert "not begun maps-dagger-0" in done.stdout and "begin homes" not in done.stdout
+    (out / "jobs" / "maps-sft-0.done").write_text("elsewhere")
+    again = call("maps-dagger-0")
+    assert "begin maps-sft-0" not in again.stdout and "no verb train dagger" in again.stdout
+    plan = call("plan").stdout
+    assert re.search(r"^done +maps-sft-0 ", plan, re.M)
+    assert re.search(r"^failed +maps-dagger-0 ", plan, re.M)
+    assert call("no-such-job").returncode == 2
+
+
+def test_the_page_says_what_was_not_run(tmp_path: Path) -> None:
+    """While nothing has been run, the page is what the command makes of nothing."""
+    page = (ROOT / "docs/ablation.md").read_text()
+    write_study(ROOT / "runs/ablation/study.yaml", tmp_path, tmp_path / "page.md")
+    if "none was run" in page:
+        assert page == (tmp_path / "page.md").read_text()
+    assert "17 M weights) from random weights on generated scenes" in page.split("\n")[2]

@@ -68,8 +68,8 @@ def draw_chart(series: Sequence[Series]) -> str:
             )
         if len(thinned) <= 12:  # examinations: each is a point
             for spot in drawn.split():
-                x, y = spot.split(",")
-                parts.append(f'<circle cx="{x}" cy="{y}" r="2.4" fill="{colour}"/>')
+                across, down = spot.split(",")
+                parts.append(f'<circle cx="{across}" cy="{down}" r="2.4" fill="{colour}"/>')
         left, top = 8 + number % columns * WIDTH // 2, HEIGHT + 11 + 16 * (number // columns)
         last = _short(points[-1][1]) if points else "–"
         parts.append(

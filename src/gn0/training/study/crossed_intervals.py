@@ -79,13 +79,13 @@ def estimate_mean(
         )
     names = sorted(set(scenes))
     whole = len(names) >= FEW_SCENES
+    sums: F64 = table
+    sizes: F64 = np.ones(table.shape[1])
     if whole:
         index = {scene: k for k, scene in enumerate(names)}
         member = np.array([index[scene] for scene in scenes])
-        sums = np.stack([np.bincount(member, row, len(names)) for row in table])
+        sums = np.array([np.bincount(member, row, len(names)) for row in table], np.float64)
         sizes = np.bincount(member, minlength=len(names)).astype(np.float64)
-    else:
-        sums, sizes = table, np.ones(table.shape[1])
     value = float(sums.sum() / (len(sums) * sizes.sum()))
     error, freedom = _find_error(sums, sizes)
     low = high = value

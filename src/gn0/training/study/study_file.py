@@ -217,7 +217,8 @@ def _check_names(study: Study, path: Path | str) -> None:
         _check("table", [arm.table], tables, f"arm {arm.name}", path)
         _check("exam", arm.exams, exams, f"arm {arm.name}", path)
         _check("row of the paper", [arm.paper] if arm.paper else [], rows, f"arm {arm.name}", path)
-    for one in (*study.differences, *study.claims):
+    judged: list[Difference | Claim] = [*study.differences, *study.claims]
+    for one in judged:
         where = f"{one.a} − {one.b}" if one.b else one.a
         _check("arm", [one.a, *([one.b] if one.b else [])], arms, where, path)
         _check("exam", [one.exam, *([one.exam_b] if one.exam_b else [])], exams, where, path)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gn0.seeds import random_stream
 from gn0.training.episode_recipe import EpisodePlan
-from gn0.training.evaluation import Walk
+from gn0.training.walks import Walk
 from gn0.training.returns import Returns
 from gn0.training.runs.progress_line import format_seconds
 

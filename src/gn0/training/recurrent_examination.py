@@ -18,9 +18,10 @@ from gn0.policies.bae.policy_settings import frame_of
 from gn0.policies.cma.recurrent import RecurrentNet
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import MapView
-from gn0.training.evaluation import ClosedLoop, summarise_walks
+from gn0.training.evaluation import ClosedLoop
 from gn0.training.pupil import Pupil
 from gn0.training.recurrent_learner import DriverNet, WordTable
+from gn0.training.walks import summarise_walks
 from gn0.training.worlds import Lessons, load_lessons, open_world
 
 AGENTS = 512  # that are examined at once at most

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from gn0.config import Config
-from gn0.training.evaluation import Walk
+from gn0.training.walks import Walk
 from gn0.training.policy_gradient import group_advantages
 
 F64 = NDArray[np.float64]

@@ -57,6 +57,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "train rl": ("train_rl", "a policy that learns from where its own walks end"),
     "train baseline": ("train_baseline", "CMA or Seq2Seq to compare with, retrained, small"),
     "train tokenizer": ("train_tokenizer", "words of suites and datasets as tokens of a policy"),
+    "policy show": ("policy_show", "one decision of a trained policy, or cases of a run, to see"),
     "train page": ("train_page", "a page of a run: curves, examinations, recipe and hashes"),
     "policy examine": ("policy_examine", "a policy walks a suite on a device, thousands at once"),
     "policy study": ("policy_study", "one page of many policies: intervals and verdicts"),
@@ -73,7 +74,7 @@ GROUPS = {
     "data": "make samples for training, balance and check them",
     "bench": "run policies, compare and report",
     "train": "train policies; needs the extra `train`",
-    "policy": "examine trained policies, and tables of many",
+    "policy": "look at trained policies, ask, examine, compare and ship them",
 }
 EXAMPLES = """examples:
   gn0 demo --out out/demo

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import ConfigError
 from gn0.policies.bae.questions import I64, Questions, list_choices
-from gn0.policies.qwen.model import answer_greedily, load_numpy_model
+from gn0.policies.qwen.model import answer_greedily, load_numpy_model, weigh_answers
 
 BACKENDS = ("auto", "torch", "numpy")
 BATCH_CARD = 64  # decisions at once on a card
@@ -37,6 +37,17 @@ class Engine(Protocol):
         """
         ...
 
+    def weigh(
+        self, pictures: Sequence[NDArray[np.uint8]], prompts: I64, answers: I64
+    ) -> dict[int, NDArray[np.float64]]:
+        """How probable the choices of answers int64 [batch, slots] were; costs a second decision.
+
+        Returns:
+            by slot with a choice: float64 [batch, ids], at temperature 1, among the ids, rising,
+            that make a readable answer there (`list_allowed`).
+        """
+        ...
+
 
 class EngineNumpy:
     """The core install's: float32 on the CPU."""
@@ -46,14 +57,21 @@ class EngineNumpy:
     def __init__(self, questions: Questions, batch: int, *, free: bool = False) -> None:
         self.batch = batch or 1
         self._layout = questions.layout
-        self._allowed = list_choices(
-            questions.slots, questions.settings.frame, free=free, said=questions.place_said
-        )
+        slots, frame, said = questions.slots, questions.settings.frame, questions.place_said
+        self._allowed = list_choices(slots, frame, free=free, said=said)
+        self._readable = list_choices(slots, frame, said=said)
         self._model = load_numpy_model(questions.folder)
 
     def answer(self, pictures: Sequence[NDArray[np.uint8]], prompts: I64) -> I64:
         """The most probable answers."""
         return answer_greedily(self._model, self._layout, prompts, pictures, self._allowed)
+
+    def weigh(
+        self, pictures: Sequence[NDArray[np.uint8]], prompts: I64, answers: I64
+    ) -> dict[int, NDArray[np.float64]]:
+        """How probable the choices of answers were."""
+        slots = self._readable
+        return weigh_answers(self._model, self._layout, prompts, pictures, slots, answers)
 
 
 class EngineTorch:
@@ -75,6 +93,9 @@ class EngineTorch:
         model = load_checkpoint(questions.folder).model.to(device)
         self._torch, self._device = torch, torch.device(device)
         kind = torch.bfloat16 if dtype == "bfloat16" else None
+        self._readable = list_choices(
+            questions.slots, questions.settings.frame, said=questions.place_said
+        )
         self.name = f"torch, {dtype} on {self._device.type}"
         self._actor = Actor(
             model, questions.layout, questions.slots, questions.settings.frame, self.batch,
@@ -84,12 +105,26 @@ class EngineTorch:
     def answer(self, pictures: Sequence[NDArray[np.uint8]], prompts: I64) -> I64:
         """The most probable answers."""
 
-        def send(array: NDArray[Any]) -> Any:
-            return self._torch.from_numpy(array).to(self._device)
-
-        said = self._actor.decide([send(one) for one in pictures], send(prompts))
+        said = self._actor.decide([self._send(one) for one in pictures], self._send(prompts))
         found: I64 = said.ids.cpu().numpy()
         return found
+
+    def weigh(
+        self, pictures: Sequence[NDArray[np.uint8]], prompts: I64, answers: I64
+    ) -> dict[int, NDArray[np.float64]]:
+        """How probable the choices of answers were; in the weights' own precision."""
+        forward = self._actor.forward
+        with self._torch.no_grad():
+            features = forward.encode([self._send(one) for one in pictures])
+            hidden = forward.read(features, self._send(prompts), self._send(answers))
+            return {
+                k: forward.score(hidden[:, k], self._send(ids)).double().softmax(-1).cpu().numpy()
+                for k, ids in enumerate(self._readable)
+                if not isinstance(ids, int) and len(ids) > 1
+            }
+
+    def _send(self, array: NDArray[Any]) -> Any:
+        return self._torch.from_numpy(array).to(self._device)
 
 
 def open_engine(

@@ -165,6 +165,21 @@ class PolicyBae:
         """The last question of a slot's episode, and its answer; None before the first."""
         return self._agents[slot].said if slot in self._agents else None
 
+    def weigh(
+        self, pictures: Sequence[NDArray[np.uint8]], prompt: NDArray[np.int64],
+        answer: NDArray[np.int64],
+    ) -> dict[int, NDArray[np.float64]]:  # fmt: skip
+        """How probable each choice of an answer was, by slot; costs a second decision.
+
+        Args:
+            pictures: uint8 [H, W, 3] each, as `questions.show` gives them.
+            prompt, answer: as `last_said` gives them.
+        """
+        batch = self._engine.batch
+        rows = [np.repeat(one[None], batch, 0) for one in (*pictures, prompt, answer)]
+        found = self._engine.weigh(rows[:-2], rows[-2], rows[-1])
+        return {slot: shares[0] for slot, shares in found.items()}
+
     def reset_batch(
         self,
         slots: Sequence[int],

@@ -6,7 +6,7 @@ of fixed layout makes constant (positions, places of pictures) is computed once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -237,10 +237,54 @@ def answer_greedily(
     Raises:
         CheckpointError: pictures or ids do not fit the layout.
     """
+    out = np.empty((len(ids), len(slots)), np.int64)
+    for k, allowed, scores in _score_slots(model, layout, ids, pictures, slots, out):
+        out[:, k] = allowed[scores.argmax(-1)]
+    return out
+
+
+def weigh_answers(
+    model: QwenNumpy,
+    layout: PromptLayout,
+    ids: I64,
+    pictures: Sequence[U8],
+    slots: Sequence[I64 | int],
+    answers: I64,
+) -> dict[int, NDArray[np.float64]]:
+    """How probable the model held each choice of answers int64 [B, slots].
+
+    Args:
+        model, layout, ids, pictures, slots: see `answer_greedily`.
+        answers: what was said.
+
+    Returns:
+        by slot with a choice: float64 [B, ids of the slot], at temperature 1, among the slot's ids.
+
+    Raises:
+        CheckpointError: pictures or ids do not fit the layout.
+    """
+    found = {}
+    for k, _, scores in _score_slots(model, layout, ids, pictures, slots, answers.copy()):
+        shares = np.exp(scores.astype(np.float64) - scores.max(-1, keepdims=True))
+        found[k] = shares / shares.sum(-1, keepdims=True)
+    return found
+
+
+def _score_slots(
+    model: QwenNumpy,
+    layout: PromptLayout,
+    ids: I64,
+    pictures: Sequence[U8],
+    slots: Sequence[I64 | int],
+    out: I64,
+) -> Iterator[tuple[int, I64, F32]]:
+    """Slots with a choice in turn, with their ids and the scores [B, ids] of these.
+
+    Answers `out` are read on as they then stand; slots of one id are filled in.
+    """
     features = encode_pictures(model, layout, pictures)
     cache = model.read(layout, ids, features, room=len(slots))
     where = layout.positions_behind(len(slots))
-    out = np.empty((len(ids), len(slots)), np.int64)
     read = 0  # tokens of the answer that the cache holds
     for k, allowed in enumerate(slots):
         if isinstance(allowed, int):
@@ -252,8 +296,7 @@ def answer_greedily(
         if read < k:
             model.add(cache, out[:, read:k], where[:, read:k])
             read = k
-        out[:, k] = allowed[model.score(cache, allowed).argmax(-1)]
-    return out
+        yield k, allowed, model.score(cache, allowed)
 
 
 def check_shapes(architecture: Architecture, weights: Weights) -> None:

@@ -115,7 +115,9 @@ def render_clip(
     if not trace.poses:
         raise RenderError(f"episode {episode.id!r} has no poses to show")
     indices = choose_frames(len(trace.poses), most_frames)
-    views = _render_views(scene, [trace.poses[i] for i in indices])
+    views = render_eyes(
+        scene.renderer, scene.preset, scene.camera_height, [trace.poses[i] for i in indices]
+    )
     backdrop = _MapPainter(scene.bev, episode, np.array(trace.poses)[:, :2])
     hits = set(trace.collided)
     frames = []
@@ -143,17 +145,32 @@ def render_clip(
     )
 
 
-def _render_views(scene: ClipScene, poses: Sequence[tuple[float, float, float]]) -> list[U8]:
-    camera = clip_camera(scene.preset.rgb)
-    pitch = float(np.radians(scene.preset.pitch_degrees))
-    views = np.stack([view_from_pose(x, y, scene.camera_height, yaw, pitch) for x, y, yaw in poses])
+def render_eyes(
+    renderer: SceneRenderer,
+    preset: CameraPreset,
+    camera_height: float,
+    poses: Sequence[tuple[float, float, float]],
+    height: int = VIEW_HEIGHT,
+) -> list[U8]:
+    """What the agent's camera sees from each pose x, y [m], yaw [rad]: uint8 [height, W, 3].
+
+    Args:
+        renderer: of the scene's splats.
+        preset: the agent's eyes.
+        camera_height: eye above the floor [m].
+        poses: from where.
+        height: of the pictures [px]; their width follows.
+    """
+    camera = clip_camera(preset.rgb, height)
+    pitch = float(np.radians(preset.pitch_degrees))
+    views = np.stack([view_from_pose(x, y, camera_height, yaw, pitch) for x, y, yaw in poses])
     pictures: list[U8] = []
     for begin in range(0, len(views), BATCH):
-        result = scene.renderer.render(
+        result = renderer.render(
             camera,
             views[begin : begin + BATCH],
             outputs=("rgb",),
-            background=scene.preset.background,
+            background=preset.background,
         )
         assert result.rgb is not None
         pictures += [np.asarray(picture, np.uint8) for picture in result.rgb]

@@ -72,13 +72,15 @@ def run(args: Args) -> int:
     from gn0.cli.picture_file import check_picture, write_picture
     from gn0.policies.bae.policy_bae import PolicyBae
     from gn0.suites.suite import open_suite
-    from gn0.viewer.episode_stage import EpisodeStage
+    from gn0.viewer.episode_stage import DECISION_MAP, SHEET_MAP, EpisodeStage
 
     check_picture(args.out)
     _check_together(args)
     policy = PolicyBae(args.checkpoint, executed=args.executed, backend=args.computed_by)
     with draw_progress("drawing") as progress:
-        stage = EpisodeStage(open_suite(args.suite), policy, args.backend)
+        is_sheet = bool(args.from_) or args.steps == "all"
+        size = SHEET_MAP if is_sheet else DECISION_MAP
+        stage = EpisodeStage(open_suite(args.suite), policy, args.backend, size)
         if args.from_:
             picture = _draw_cases(args, stage, progress)
         elif args.steps == "all":
@@ -200,6 +202,8 @@ def read_pose(text: str, where: str) -> Pose2D:
         x = y = degrees = math.nan
     if not all(map(math.isfinite, (x, y, degrees))):
         raise ConfigError(
-            f"{text[:40]!r} is no pose", where=where, remedy="give X,Y,DEGREES, for example 1.5,2,90"
+            f"{text[:40]!r} is no pose",
+            where=where,
+            remedy="give X,Y,DEGREES, for example 1.5,2,90",
         )
     return Pose2D(x, y, math.radians(degrees))

@@ -83,10 +83,7 @@ class PolicyParseThenAstar(PolicyOracle):
     def reset_privileged(self, simulator: Simulator) -> None:
         """Take the simulator, look for the target among its labels, and plan the way there."""
         self._simulator = simulator
-        rooms = {plain_name(room.type) for room in simulator.scene.rooms}
-        things = {spoken_name(thing.category) for thing in simulator.scene.objects}
-        said = find_target_name(self._text, COMMON_NAMES | things | rooms - {""})
-        places = find_places(simulator, said) if said else []
+        said, places = search_target(simulator, self._text)
         if not said:
             self._missing = "no target in the text"
         elif places:
@@ -111,6 +108,14 @@ class PolicyParseThenAstar(PolicyOracle):
     def _destination(self) -> Place | GoalSet:
         assert self._place is not None
         return self._place
+
+
+def search_target(simulator: Simulator, text: str) -> tuple[str, list[Place]]:
+    """The name of what a text sends one to, "" without one, and where one stands to be there."""
+    rooms = {plain_name(room.type) for room in simulator.scene.rooms}
+    things = {spoken_name(thing.category) for thing in simulator.scene.objects}
+    said = find_target_name(text, COMMON_NAMES | things | rooms - {""})
+    return said, find_places(simulator, said) if said else []
 
 
 def find_places(simulator: Simulator, said: str) -> list[Place]:

@@ -64,7 +64,9 @@ def draw_action(
     shape = ((0, -1), (0.85, -0.05), (0.32, -0.05), (0.32, 1), (-0.32, 1), (-0.32, -0.05),
              (-0.85, -0.05))  # fmt: skip
     c, s = math.cos(turn), math.sin(turn)
-    pen.polygon([(x + size * (a * c - b * s), y + size * (a * s + b * c)) for a, b in shape], colour)
+    pen.polygon(
+        [(x + size * (a * c - b * s), y + size * (a * s + b * c)) for a, b in shape], colour
+    )
 
 
 def draw_bars(

@@ -215,9 +215,7 @@ def _write_answer(
     pen.text((left, y), words, INK, font(18))
     y += 30
     if expert is not None:
-        draw_actions(
-            pen, (left, y), theirs[: max(len(own), 1)] or theirs, side, EXPERT, executed=0
-        )
+        draw_actions(pen, (left, y), theirs[: max(len(own), 1)] or theirs, side, EXPERT, executed=0)
         y += side + 20
     sure = decision.confidence
     if sure is not None:

@@ -15,7 +15,15 @@ from gn0.policies.bae.decision import ExpertSaid, StepAsked, ask_expert, walk_as
 from gn0.policies.bae.policy_settings import PolicySettings
 from gn0.progress import Progress, no_progress
 from gn0.sim.state import Action
-from gn0.viewer.action_marks import EXPERT, SAID, draw_actions, fit_line, wrap_text, write_lines
+from gn0.viewer.action_marks import (
+    EXPERT,
+    FAINT,
+    SAID,
+    draw_actions,
+    fit_line,
+    wrap_text,
+    write_lines,
+)
 from gn0.viewer.decision_picture import DecisionShown, draw_answer_map, enlarge
 from gn0.viewer.episode_stage import EpisodeStage
 from gn0.viewer.floor_plan import INK, MUTED, PAPER, font
@@ -80,7 +88,11 @@ class WalkShown:
 
 
 def walk_episode(
-    stage: EpisodeStage, episode: Episode, *, weighed: bool = False, progress: Progress = no_progress
+    stage: EpisodeStage,
+    episode: Episode,
+    *,
+    weighed: bool = False,
+    progress: Progress = no_progress,
 ) -> WalkShown:
     """Walk an episode to its end, and ask the expert beside it.
 
@@ -164,15 +176,18 @@ def _draw_head(walk: WalkShown, ground: TrackMap, note: str = "") -> Image.Image
         track,
         walk.end,
         goals=walk.episode.goals,
-        ways=[(np.array(walk.episode.path, np.float64).reshape(-1, 2), EXPERT)],
+        reference=np.array(walk.episode.path, np.float64).reshape(-1, 2),
     )
-    part = Image.new("RGB", (WIDTH, picture.height + _GAP), PAPER)
+    part = Image.new("RGB", (WIDTH, picture.height + 2 * _GAP), PAPER)
     pen = ImageDraw.Draw(part)
-    part.paste(picture, (WIDTH - _GAP - picture.width, 0))
+    pen.line((_GAP, 2, WIDTH - _GAP, 2), FAINT, 2)
+    part.paste(picture, (WIDTH - _GAP - picture.width, _GAP))
     room = WIDTH - picture.width - 3 * _GAP
     episode = walk.episode
-    y = 6
-    pen.text((_GAP, y), fit_line(f"{episode.id}   ·   {episode.scene_id}", room, 18), MUTED, font(18))
+    y = _GAP
+    pen.text(
+        (_GAP, y), fit_line(f"{episode.id}   ·   {episode.scene_id}", room, 18), MUTED, font(18)
+    )
     y += 34
     text = f"“{' '.join(episode.instruction.split())}”"
     lines = wrap_text(text, room, 24, most=8)
@@ -207,7 +222,7 @@ def _draw_tiles(
     part = Image.new("RGB", (WIDTH, rows * (_TILE + _TEXT + _GAP) + _GAP), PAPER)
     for number, step in enumerate(chosen):
         row, column = divmod(number, _COLUMNS)
-        corner = (_GAP + column * (_TILE + _GAP), row * (_TILE + _TEXT + _GAP))
+        corner = (_GAP + column * (_TILE + _GAP), 4 + row * (_TILE + _TEXT + _GAP))
         _draw_tile(part, corner, walk, settings, step)
     return part
 

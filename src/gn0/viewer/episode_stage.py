@@ -14,9 +14,9 @@ from gn0.render.renderer import DrawnScene
 from gn0.sim.open import look_hash, name_look, open_simulator
 from gn0.sim.simulator import Simulator
 from gn0.suites.suite import Suite, load_suite_scene
-from gn0.viewer.track_map import TrackMap
+from gn0.viewer.track_map import TrackMap, fit_map
 
-_MAP = 560, 504  # px of the map beside an answer
+DECISION_MAP, SHEET_MAP = (560, 504), (560, 380)  # px of the map beside an answer, above a walk
 
 
 class EpisodeStage:
@@ -26,7 +26,7 @@ class EpisodeStage:
         suite: the suite.
         policy: what the simulators carry, and how its maps look.
         backend: renderer.
-        map_size: width and height of maps [px].
+        map_size: width and height of maps [px] at most.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class EpisodeStage:
         suite: Suite,
         policy: PolicyBae,
         backend: str = "auto",
-        map_size: tuple[int, int] = _MAP,
+        map_size: tuple[int, int] = DECISION_MAP,
     ) -> None:
         self.suite, self.policy = suite, policy
         self._backend, self._map_size = backend, map_size
@@ -96,4 +96,4 @@ class EpisodeStage:
             renderer=DrawnScene(renderer),
         )
         look = look_hash(scene, light)
-        self._map = TrackMap(scene, renderer, *self._map_size, look=look)
+        self._map = TrackMap(scene, renderer, *fit_map(scene, *self._map_size), look=look)

@@ -19,9 +19,18 @@ from gn0.viewer.scene_sheet import draw_bev
 
 Colour = tuple[int, int, int]
 Points = NDArray[np.floating]
-TRACK, AGENT = (32, 34, 40), (213, 94, 0)
+TRACK, REFERENCE, AGENT = (32, 34, 40), (0, 114, 178), (213, 94, 0)
 _BLOCKED = (40, 46, 60, 96)
 _SUPER = 2  # drawn twice as large, then reduced: smooth lines
+
+
+def fit_map(scene: Scene, width: int, height: int, least: int = 160) -> tuple[int, int]:
+    """Width, even, and height [px] of a map of a scene that fits into a box."""
+    x0, y0, x1, y1 = plan_bounds(scene)
+    wide = height * (x1 - x0) / (y1 - y0)
+    if wide > width:
+        height = max(round(width * (y1 - y0) / (x1 - x0)), least)
+    return min(max(round(wide / 2) * 2, least), width // 2 * 2), height
 
 
 class TrackMap:
@@ -78,6 +87,7 @@ class TrackMap:
         pose: Pose2D,
         *,
         goals: Sequence[tuple[float, float]] = (),
+        reference: Points | None = None,
         ways: Sequence[tuple[Points, Colour]] = (),
     ) -> Image.Image:
         """The scene with a walk on it.
@@ -86,15 +96,18 @@ class TrackMap:
             track: [N, 2] m, the walk so far.
             pose: where the agent stands, drawn as an arrow.
             goals: whatever counts as the goal (x, y) [m], drawn as stars.
+            reference: [N, 2] m, a path to compare with, drawn below the walk.
             ways: other lines [N, 2] m, each with its colour, drawn with dots.
         """
         picture = self._picture.copy()
         pen = ImageDraw.Draw(picture)
         unit = max(min(self.size) / 420, 0.6) * _SUPER
         spots = self.place(track)
-        if len(spots) > 1:
-            pen.line(spots, fill=PAPER, width=round(5 * unit), joint="curve")
-            pen.line(spots, fill=TRACK, width=round(2.5 * unit), joint="curve")
+        lines = [] if reference is None else [(self.place(reference), REFERENCE)]
+        for line, colour in [*lines, (spots, TRACK)]:
+            if len(line) > 1:
+                pen.line(line, fill=PAPER, width=round(4.5 * unit), joint="curve")
+                pen.line(line, fill=colour, width=round(2.2 * unit), joint="curve")
         for way, colour in ways:
             draw_way(pen, self.place(way), colour, unit)
         for goal in self.place(np.array(list(goals), np.float64)):

@@ -1,7 +1,7 @@
 """What a checkpoint was shown and asked at one state, and what it said, for people to look at.
 
-    policy = PolicyBae("out/sft/policy")
-    for decision in walk_asked(policy, simulator, episode): ...
+policy = PolicyBae("out/sft/policy")
+for decision in walk_asked(policy, simulator, episode): ...
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from gn0.data.codec import decode_waypoints
 from gn0.data.expert_labels import LabelSettings, label_states
 from gn0.errors import FormatError, PlanError, PolicyError
 from gn0.geometry import F32, U8, Pose2D
+from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.policies.bae.policy_bae import PolicyBae
 from gn0.policies.bae.questions import Questions
 from gn0.policies.bae.tokens import SPECIALS
-from gn0.maps.navigation import NavigationMap
 from gn0.sim.policy import PolicyOfBatch
 from gn0.sim.rollout import begin_episode
 from gn0.sim.simulator import Simulator
@@ -149,7 +149,14 @@ def walk_asked(
         result = simulator.step(action)
         over = result.terminated or result.truncated
         yield StepAsked(
-            decision, asked, shown, pose, int(action), simulator.pose, result.collided, over  # type: ignore[call-overload]
+            decision,
+            asked,
+            shown,
+            pose,
+            int(action),
+            simulator.pose,
+            result.collided,
+            over,  # type: ignore[call-overload]
         )
         if over:
             return
@@ -285,4 +292,3 @@ def spell_tokens(questions: Questions, ids: NDArray[np.int64]) -> str:
             else:
                 plain.append(token)
     return "".join(parts)
-

@@ -104,7 +104,6 @@ class EngineTorch:
 
     def answer(self, pictures: Sequence[NDArray[np.uint8]], prompts: I64) -> I64:
         """The most probable answers."""
-
         said = self._actor.decide([self._send(one) for one in pictures], self._send(prompts))
         found: I64 = said.ids.cpu().numpy()
         return found

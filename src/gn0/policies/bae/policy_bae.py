@@ -173,7 +173,8 @@ class PolicyBae:
 
         Args:
             pictures: uint8 [H, W, 3] each, as `questions.show` gives them.
-            prompt, answer: as `last_said` gives them.
+            prompt: its ids, as `last_said` gives them.
+            answer: likewise.
         """
         batch = self._engine.batch
         rows = [np.repeat(one[None], batch, 0) for one in (*pictures, prompt, answer)]

@@ -254,7 +254,11 @@ def weigh_answers(
     """How probable the model held each choice of answers int64 [B, slots].
 
     Args:
-        model, layout, ids, pictures, slots: see `answer_greedily`.
+        model: answered.
+        layout: of all prompts.
+        ids: int64 [B, P], prompts.
+        pictures: of each picture of the layout uint8 [B, H, W, 3].
+        slots: ids that each token may have.
         answers: what was said.
 
     Returns:

@@ -12,6 +12,7 @@ from gn0.seeds import random_stream
 from gn0.storage import read_bytes
 from gn0.suites.run_files import RESULTS
 
+WALKS = "walks.jsonl"
 _LIMIT = 2**30  # bytes
 
 
@@ -19,22 +20,24 @@ def read_outcomes(path: Path | str) -> dict[str, bool]:
     """Whether each scored episode of a run was a success.
 
     Args:
-        path: a run folder, or a file of JSON lines with `episode` and `success`; of several lines
-            of an episode the first counts.
+        path: a run folder, a folder with walks.jsonl, or a file of JSON lines with `episode` and
+            `success`; of several lines of an episode the first counts.
 
     Raises:
         StorageError: nothing there.
         FormatError: a line says neither; names it.
     """
     place = Path(path)
-    if place.is_dir():
-        if not (place / RESULTS).is_file():
-            raise StorageError(
-                f"no {RESULTS} there",
-                where=place,
-                remedy="give a folder of `gn0 bench run`, or a file of JSON lines",
-            )
+    if (place / RESULTS).is_file():
         return {r.episode: bool(r.metrics.success) for r in load_results(place) if r.metrics}
+    if (place / WALKS).is_file():
+        place = place / WALKS
+    if not place.is_file():
+        raise StorageError(
+            f"neither {RESULTS} nor {WALKS} there" if place.is_dir() else "no such run",
+            where=place,
+            remedy="give a folder of `gn0 bench run`, or a file of JSON lines",
+        )
     found: dict[str, bool] = {}
     for number, line in enumerate(read_bytes(place, _LIMIT).splitlines(), 1):
         if not line.strip():

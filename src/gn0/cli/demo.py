@@ -1,24 +1,30 @@
-"""The main job in one command: an apartment, its suite, four policies, one report to look at.
+"""The main job in one command: an apartment, its suite, its policies, one report to look at.
 
 It needs nothing but this package and takes about a minute and a half on two cores. Everything lands
-in one folder; pictures of the apartment, the same as in the README, in `pictures`.
+in one folder; pictures of the apartment, the same as in the README, in `pictures`. Where a trained
+policy is in the box, or $GN0_POLICY names one, it walks the first episodes, too: a minute more.
 """
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
 from gn0.config import Config
 from gn0.progress import Progress
 
+if TYPE_CHECKING:
+    from gn0.policies.bae.questions import Questions
+
 EXAMPLES = """  gn0 demo --out out/demo
   gn0 demo --seed 11 --out out/other --workers 2"""
 MARKER = "demo.json"  # says that a folder is a demo's, and may be replaced by one
 POLICIES = ("oracle", "straight", "wall_follower", "random")
+STEPS = 150  # of an episode at most: twice what the longest way in a small apartment takes
+TRIED = 5  # episodes of the trained policy, which thinks for half a second
 
 
 class Args(Config, frozen=True):
@@ -53,6 +59,7 @@ def run(args: Args) -> int:
     from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
     from gn0.suites.suite import build_suite
 
+    trained = find_trained()
     started = time.monotonic()
     out = Path(args.out)
     workers = args.workers or min(4, os.cpu_count() or 1)
@@ -67,6 +74,8 @@ def run(args: Args) -> int:
             out / "suite",
             count=args.episodes,
             seed=args.seed,
+            camera=choose_camera(trained),
+            max_steps=STEPS,
             progress=progress,
         )
         runs = [out / "runs" / name for name in POLICIES]
@@ -74,12 +83,53 @@ def run(args: Args) -> int:
             run_suite(suite, name, run_folder, workers=workers, progress=progress)
             for name, run_folder in zip(POLICIES, runs, strict=True)
         ]
+        if trained is not None:
+            runs.insert(1, out / "runs" / "bae")
+            options = {"checkpoint": str(trained.folder.resolve()), "backend": "numpy"}
+            summary = run_suite(
+                suite, "bae", runs[1], workers=workers, policy_options=options,
+                max_episodes=TRIED, progress=progress,
+            )  # fmt: skip
+            summaries.insert(1, summary)
         write_report(runs, out / "report.html", suite=suite, videos=2, progress=progress)
     print_summaries(summaries)
+    if trained is None:
+        print("this installation came without its trained policy: see release/README.md")
+    else:
+        few = min(TRIED, args.episodes)
+        print(f"bae, the trained policy, walked the first {few} of {args.episodes} episodes")
     print(f"pictures: {out / 'pictures'}")
     print(f"report:   {(out / 'report.html').resolve()}   (open it in a browser)")
     print(f"took {time.monotonic() - started:.0f} s")
     return 1 if any(summary.failed for summary in summaries) else 0
+
+
+def find_trained() -> Questions | None:
+    """The trained policy of this installation, or that $GN0_POLICY names; None without one.
+
+    Raises:
+        CheckpointError: the named one is none, or the one that is here is damaged.
+    """
+    import os
+
+    from gn0.errors import CheckpointError
+    from gn0.policies.bae.questions import Questions
+    from gn0.policies.bae.shipped import VARIABLE, find_checkpoint
+
+    try:
+        folder = find_checkpoint()
+    except CheckpointError:
+        if os.environ.get(VARIABLE):
+            raise
+        return None
+    return Questions(folder)
+
+
+def choose_camera(trained: Questions | None) -> str:
+    """The camera of the suite: that of the trained policy where it is shown camera pictures."""
+    if trained is None or not {"rgb", "history", "depth"} & set(trained.settings.pictures):
+        return "gn_bench"
+    return trained.settings.preset
 
 
 def claim_folder(out: Path, args: Args) -> None:

@@ -59,6 +59,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "train tokenizer": ("train_tokenizer", "words of suites and datasets as tokens of a policy"),
     "policy show": ("policy_show", "one decision of a trained policy, or cases of a run, to see"),
     "policy ask": ("policy_ask", "say where to go in a scene; see the walk as a video"),
+    "policy pack": ("policy_pack", "a run's policy as it is shipped: small files, model card"),
     "train page": ("train_page", "a page of a run: curves, examinations, recipe and hashes"),
     "policy examine": ("policy_examine", "a policy walks a suite on a device, thousands at once"),
     "policy study": ("policy_study", "one page of many policies: intervals and verdicts"),

@@ -42,8 +42,8 @@ class Args(Config, frozen=True):
         step: of the episode: the last question up to it is drawn.
         pose: X,Y,DEGREES: ask there, without a past, instead of walking.
         steps: one, or all decisions of the episode on a sheet.
-        from_: draw cases of this run: a folder of `gn0 bench run`, or a file of JSON lines with
-            `episode` and `success`.
+        from_: draw cases of this run: a folder of `gn0 bench run` or of `gn0 policy examine`, or a
+            file of JSON lines with `episode` and `success`.
         pick: how many successes and how many failures of it.
         seed: decides which ones.
         executed: actions of an answer that are carried out; 0 for as many as the checkpoint says.

@@ -31,6 +31,7 @@ from gn0.training.learner import Learner
 from gn0.training.processes import Processes, join_processes, open_run_together
 from gn0.training.pupil import Pupil, open_pupil, resize_texts
 from gn0.training.recipe import RECIPES, Recipe
+from gn0.training.runs.model_card import build_card
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
 from gn0.training.runs.run_folder import RunFolder
@@ -240,9 +241,11 @@ class Imitation:
         """Write the policy, with its averaged weights, and that the run is done."""
         with stage.learner.averaged_weights():
             if self.processes.leads:
+                pupil, size = stage.pupil, self.job.plan.shard_mb
                 if self.job.recipe.lora:
-                    merge_adapters(stage.pupil.model)
-                stage.pupil.save(self.policy, shard_mb=self.job.plan.shard_mb, overwrite=True)
+                    merge_adapters(pupil.model)
+                card = build_card(self.folder.folder, pupil.settings, results=found)
+                pupil.save(self.policy, card=card, shard_mb=size, overwrite=True)
         self.folder.finish(stage.counters.step, found)
         return self.policy
 

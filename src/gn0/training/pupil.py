@@ -167,14 +167,22 @@ class Pupil:
         return forward.to(self.model.device)
 
     def save(
-        self, folder: Path | str, *, card: str = "", shard_mb: int = 2000, overwrite: bool = False
+        self,
+        folder: Path | str,
+        *,
+        card: str = "",
+        shard_mb: int = 2000,
+        dtype: torch.dtype = torch.bfloat16,
+        overwrite: bool = False,
     ) -> None:
         """Write model, tokenizer, prompt and settings: what `gn0 bench run --policy bae` loads.
 
         Raises:
             StorageError: the folder cannot be written, or holds something else.
         """
-        save_checkpoint(folder, self.checkpoint, card=card, shard_mb=shard_mb, overwrite=overwrite)
+        save_checkpoint(
+            folder, self.checkpoint, card=card, shard_mb=shard_mb, dtype=dtype, overwrite=overwrite
+        )
         save_policy_settings(folder, self.settings, self.template, self.others)
 
 

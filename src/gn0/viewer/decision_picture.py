@@ -37,6 +37,7 @@ PICTURE_NAMES = {
 }
 _BLANK = 236
 _BROAD = 760  # px of the answer at most
+_RIGHT = 1440  # px: where the map's column begins at the latest
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,9 +188,10 @@ def _draw_middle(shown: DecisionShown, ground: TrackMap) -> Image.Image:
         else [],
     )
     right = WIDTH - _GAP - picture.width
-    pen.text((right, 0), "the walk so far; green: start, star: goal", INK, font(18))
+    words = "the walk so far; green: start, star: goal"
+    pen.text((WIDTH - _GAP, 0), words, INK, font(18), anchor="ra")
     part.paste(picture, (right, head))
-    _write_answer(pen, decision, expert, left, right - 2 * _GAP)
+    _write_answer(pen, decision, expert, left, min(right, _RIGHT) - 2 * _GAP)
     return part
 
 

@@ -101,7 +101,7 @@ class TrackMap:
         """
         picture = self._picture.copy()
         pen = ImageDraw.Draw(picture)
-        unit = max(min(self.size) / 420, 0.6) * _SUPER
+        unit = max(max(self.size) / 500, 0.7) * _SUPER
         spots = self.place(track)
         lines = [] if reference is None else [(self.place(reference), REFERENCE)]
         for line, colour in [*lines, (spots, TRACK)]:

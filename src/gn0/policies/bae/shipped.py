@@ -9,6 +9,7 @@ from gn0.errors import CheckpointError
 from gn0.policies.bae.policy_settings import FILE
 
 SHIPPED = "bae-tiny"
+TRAINED = "policy"  # in the folder of a training run
 VARIABLE = "GN0_POLICY"  # environment: the folder of a checkpoint, in place of the shipped one
 _PACKAGE = Path(__file__).resolve().parents[2]
 
@@ -19,7 +20,8 @@ def find_checkpoint(named: str = "", *, package: Path = _PACKAGE) -> Path:
     A wheel has it inside the package, a checkout beside `src`.
 
     Args:
-        named: a folder; "" or `bae`, where no folder is called so, for the one in the box.
+        named: a folder, that of a training run for its policy; "" or `bae`, where no folder is
+            called so, for the one in the box.
         package: folder of the package gn0.
 
     Raises:
@@ -31,7 +33,7 @@ def find_checkpoint(named: str = "", *, package: Path = _PACKAGE) -> Path:
             raise CheckpointError(
                 "no such checkpoint", where=folder, remedy="give the folder that training wrote"
             )
-        return folder
+        return folder / TRAINED if (folder / TRAINED / FILE).is_file() else folder
     chosen = os.environ.get(VARIABLE, "")
     places = (
         [Path(chosen).expanduser()]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gn0.errors import CheckpointError
 from gn0.policies.bae.policy_settings import FILE
+from gn0.suites.run_files import RUN
 
 SHIPPED = "bae-tiny"
 TRAINED = "policy"  # in the folder of a training run
@@ -33,7 +34,15 @@ def find_checkpoint(named: str = "", *, package: Path = _PACKAGE) -> Path:
             raise CheckpointError(
                 "no such checkpoint", where=folder, remedy="give the folder that training wrote"
             )
-        return folder / TRAINED if (folder / TRAINED / FILE).is_file() else folder
+        if (folder / TRAINED / FILE).is_file():
+            return folder / TRAINED
+        if (folder / RUN).is_file():
+            raise CheckpointError(
+                "this training run has no policy yet",
+                where=folder,
+                remedy="give the same `gn0 train` command again; it goes on to the end",
+            )
+        return folder
     chosen = os.environ.get(VARIABLE, "")
     places = (
         [Path(chosen).expanduser()]

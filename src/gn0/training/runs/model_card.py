@@ -11,9 +11,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.policies.bae.shipped import TRAINED
 from gn0.training.runs.metrics_file import read_metrics
-from gn0.training.runs.run_folder import METRICS, RunRecord, read_run
+from gn0.training.runs.run_folder import METRICS, RUN, RunRecord, read_run
 
+_CHAIN = 8  # stages at most
 _HEAD = """---
 license: apache-2.0
 library_name: gn0
@@ -62,6 +64,9 @@ def build_card(
     lines = read_metrics(home / METRICS)
     last = lines[-1] if lines else {}
     found = record.results if results is None else results
+    before = _list_before(record)
+    chain = [*reversed(before), record]
+    commands = [command for one in chain for command in _list_commands(one)]
     size = f" of {weights / 1e6:.1f} million weights" if weights else ""
     parts = [
         _HEAD,
@@ -74,8 +79,9 @@ def build_card(
         _table(_list_settings(settings)),
         "## How it was trained\n",
         _table(_list_facts(record, last)),
+        *(["Stages before it:\n", _table(_list_chain(before))] if before else []),
         "### Commands\n",
-        "```text\n" + "\n".join(_list_commands(record)) + "\n```\n",
+        "```text\n" + "\n".join(commands) + "\n```\n",
         "### Recipe\n",
         "```json\n" + json.dumps(_shorten(record.recipe), indent=1, ensure_ascii=False) + "\n```\n",
         "## Numbers\n",
@@ -130,10 +136,40 @@ def _list_facts(record: RunRecord, last: Mapping[str, Any]) -> list[tuple[str, s
     return facts
 
 
+def _list_chain(before: Sequence[RunRecord]) -> list[tuple[str, str]]:
+    """A row a stage: its data, steps, seed and hashes."""
+    rows = []
+    for record in reversed(before):
+        recipe = record.recipe
+        data = ", ".join(_shorten(list(recipe.get("suites", ())))) or "data not told"
+        hashes = ", ".join(f"{what} {digest}" for what, digest in sorted(record.hashes.items()))
+        steps = "unfinished" if record.finished is None else f"{record.finished:,} steps"
+        seed = recipe.get("seed", "not told")
+        rows.append((record.stage, f"{data}; {steps}; seed {seed}; {hashes}"))
+    return rows
+
+
 def _list_commands(record: RunRecord) -> list[str]:
     """The commands of its sessions, each once."""
-    words = [" ".join(["gn0", *_shorten(session.command)]) for session in record.sessions]
+    words = [
+        " ".join(["gn0", *(word or "''" for word in _shorten(session.command))])
+        for session in record.sessions
+    ]
     return list(dict.fromkeys(words)) or ["not told"]
+
+
+def _list_before(record: RunRecord) -> list[RunRecord]:
+    """The stages that a run began from, the last first, as far as their folders are here."""
+    found: list[RunRecord] = []
+    while len(found) < _CHAIN:
+        start = str(record.recipe.get("start") or "")
+        place = Path(start)
+        home = place.parent if place.name == TRAINED else place
+        if not start or not (home / RUN).is_file():
+            break
+        record = read_run(home)
+        found.append(record)
+    return found
 
 
 def _describe_results(found: Mapping[str, Any]) -> str:

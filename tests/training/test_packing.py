@@ -1,0 +1,108 @@
+"""A packed policy answers as the run's own, rounded to bf16, with torch and without."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+from gn0.data.answer_form import AnswerForm  # noqa: E402
+from gn0.errors import CheckpointError, StorageError  # noqa: E402
+from gn0.geometry import Pose2D  # noqa: E402
+from gn0.policies.bae.policy_bae import PolicyBae  # noqa: E402
+from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
+from gn0.policies.qwen.weights import open_weights  # noqa: E402
+from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
+from gn0.sim.state import Observation  # noqa: E402
+from gn0.training.packing import pack_policy  # noqa: E402
+from gn0.training.pupil import build_pupil  # noqa: E402
+from gn0.training.runs.run_folder import open_run  # noqa: E402
+
+SETTINGS = PolicySettings(
+    prompt="short",
+    pictures=("near", "far"),
+    form=AnswerForm(layout="compact"),
+    view=MapView((EgoSquare(32, 0.24), EgoSquare(32, 0.6))),
+)
+
+
+def make_run(folder: Path, pupil, **recipe) -> None:
+    """A run as training leaves it, its policy in float32."""
+    with open_run(
+        folder, stage="sft", recipe={"seed": 3, "size": "nano", **recipe},
+        hashes={"corpus": "c0ffee"}, device="cpu", versions={"torch": "2"},
+        command=["train", "sft", "/home/somebody/suite", "--held-out", ""],
+    ) as run:  # fmt: skip
+        run.report(5, {"samples": 20.0, "seconds": 90.0, "loss": 1.5})
+        pupil.save(folder / "policy", dtype=torch.float32)
+        run.finish(5, {"SR": 0.25})
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    pupil = build_pupil("nano", SETTINGS, ["go to the sofa"], seed=2)
+    with torch.no_grad():
+        for weight in pupil.model.parameters():  # of some size, as if trained
+            weight.add_(0.08 * torch.randn(weight.shape, generator=torch.manual_seed(1)))
+    first, second = (tmp_path_factory.mktemp("runs") / name for name in ("first", "second"))
+    make_run(first, pupil, suites=["/home/somebody/flats"])
+    make_run(second, pupil, start=str(first / "policy"), suites=["/home/somebody/offices"])
+    return second
+
+
+def answer(folder: Path, backend: str) -> list[bytes]:
+    policy = PolicyBae(str(folder), backend=backend)
+    stream = np.random.default_rng(0)
+    said = []
+    for _ in range(6):
+        policy.reset_batch([0], ["go to the sofa"], [stream])
+        picture = stream.integers(0, 256, (32, 64, 3), dtype=np.uint8)
+        pose = Pose2D(*stream.uniform(-3, 3, 3))
+        policy.act_batch([0], [Observation(0, 0.0, "", pose=pose, more={"ego_map": picture})])
+        told = policy.last_said(0)
+        assert told is not None
+        said.append(told.answer.tobytes())
+    return said
+
+
+def test_it_answers_as_the_rounded_one_with_torch_and_without(run: Path, tmp_path: Path) -> None:
+    packed = pack_policy(run, tmp_path / "packed", shard_mb=2)
+    shards = sorted(packed.folder.glob("*.safetensors"))
+    assert len(shards) > 1 and all(shard.stat().st_size <= 2_000_000 for shard in shards)
+    assert packed.size == sum(file.stat().st_size for file in packed.folder.iterdir())
+    before, after = open_weights(run / "policy"), open_weights(packed.folder)
+    assert set(before) == set(after)
+    for name in before:
+        rounded = torch.from_numpy(before[name].copy()).bfloat16().float().numpy()
+        np.testing.assert_array_equal(after[name], rounded)
+    one, other = answer(packed.folder, "torch"), answer(packed.folder, "numpy")
+    assert one == other and len(set(one)) > 1
+    assert json.loads((packed.folder / "config.json").read_text())["dtype"] == "bfloat16"
+
+
+def test_the_card_tells_the_whole_chain_and_no_place(run: Path, tmp_path: Path) -> None:
+    packed = pack_policy(run, tmp_path / "packed", tables="| SR | 25 |\n| --- | --- |")
+    card = (packed.folder / "README.md").read_text("utf-8")
+    assert card.startswith("---\nlicense: apache-2.0\n")
+    for told in ("# packed", "…/flats", "…/offices", "c0ffee", "20 in 5 steps", "1.5 min",
+                 "| SR | 0.25 |", "| SR | 25 |", "Apache-2.0", "near, far"):  # fmt: skip
+        assert told in card, told
+    assert card.count("gn0 train sft …/suite --held-out ''") == 2  # a line a stage
+    assert "somebody" not in card
+
+
+def test_what_is_too_large_or_no_policy_is_refused(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match=r"takes \d+\.\d MB, at most 2 are shipped"):
+        pack_policy(run, tmp_path / "packed", limit_mb=2)
+    assert not (tmp_path / "packed").exists()
+    with pytest.raises(CheckpointError, match="no such checkpoint"):
+        pack_policy(tmp_path / "gone", tmp_path / "packed")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes").touch()
+    with pytest.raises(StorageError, match="something else"):
+        pack_policy(run, tmp_path / "mine", overwrite=True)

@@ -46,6 +46,7 @@ RUNS = {
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
     "view --results": ["{scene}", "--results", "{it}", "--check", "--no-browser", "--port", "0"],
     "bench run into it": ["{suite}", "--policy", "random", "--no-report", "--out", "{it}"],
+    "policy show --from": ["bae", "{suite}", "--from", "{it}", "--out", "{new}.png"],
 }
 SUITES = {
     "bench run": ["{it}", "--episodes", "1", "--no-report", "--out", "{new}"],
@@ -67,6 +68,7 @@ SUITES = {
     "train rl": ["{it}", "--start", "{new}", "--out", "{new}"],
     "train baseline": ["{it}", "--samples", "4", "--out", "{new}"],
     "view": ["{it}", "--check", "--no-browser", "--port", "0"],
+    "policy show": ["bae", "{it}", "--out", "{new}.png"],
 }
 DATASETS = {
     "data show": ["{it}", "--out", "{new}.png"],
@@ -93,7 +95,7 @@ EXPORTS = {
 OTHERS = {
     "demo", "doctor", "figures", "scene generate", "scene import", "scene corpus", "scene check",
     "scene show", "scene light", "scene visible", "scene inspect", "scene convert", "list",
-    "scene furniture", "completion", "policy study",
+    "scene furniture", "completion", "policy ask", "policy pack", "policy study",
 }  # fmt: skip
 CASES = [
     (kind, case, links)

@@ -9,7 +9,7 @@ from pathlib import Path
 from gn0.bench.results import load_results
 from gn0.errors import BenchError, FormatError, StorageError
 from gn0.seeds import random_stream
-from gn0.storage import read_bytes
+from gn0.storage import check_contained, read_bytes
 from gn0.suites.run_files import RESULTS
 
 WALKS = "walks.jsonl"
@@ -28,6 +28,8 @@ def read_outcomes(path: Path | str) -> dict[str, bool]:
         FormatError: a line says neither; names it.
     """
     place = Path(path)
+    if place.is_dir():
+        check_contained(place)
     if (place / RESULTS).is_file():
         return {r.episode: bool(r.metrics.success) for r in load_results(place) if r.metrics}
     if (place / WALKS).is_file():

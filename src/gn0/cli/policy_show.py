@@ -68,6 +68,7 @@ class Args(Config, frozen=True):
 
 def run(args: Args) -> int:
     """Draw and write."""
+    from gn0.bench.cases import read_outcomes
     from gn0.cli.console import draw_progress
     from gn0.cli.picture_file import check_picture, write_picture
     from gn0.policies.bae.policy_bae import PolicyBae
@@ -76,13 +77,15 @@ def run(args: Args) -> int:
 
     check_picture(args.out)
     _check_together(args)
-    policy = PolicyBae(args.checkpoint, executed=args.executed, backend=args.computed_by)
     with draw_progress("drawing") as progress:
+        suite = open_suite(args.suite)
+        outcomes = read_outcomes(args.from_) if args.from_ else {}
+        policy = PolicyBae(args.checkpoint, executed=args.executed, backend=args.computed_by)
         is_sheet = bool(args.from_) or args.steps == "all"
         size = SHEET_MAP if is_sheet else DECISION_MAP
-        stage = EpisodeStage(open_suite(args.suite), policy, args.backend, size)
+        stage = EpisodeStage(suite, policy, args.backend, size)
         if args.from_:
-            picture = _draw_cases(args, stage, progress)
+            picture = _draw_cases(args, outcomes, stage, progress)
         elif args.steps == "all":
             picture = _draw_walk(args, stage, progress)
         else:
@@ -156,11 +159,12 @@ def _draw_walk(args: Args, stage: EpisodeStage, progress: Progress) -> Image.Ima
     return render_walk(walk, stage)
 
 
-def _draw_cases(args: Args, stage: EpisodeStage, progress: Progress) -> Image.Image:
-    from gn0.bench.cases import pick_cases, read_outcomes
+def _draw_cases(
+    args: Args, outcomes: dict[str, bool], stage: EpisodeStage, progress: Progress
+) -> Image.Image:
+    from gn0.bench.cases import pick_cases
     from gn0.viewer.decision_sheet import render_walks, walk_episode
 
-    outcomes = read_outcomes(args.from_)
     cases = pick_cases(outcomes, args.pick, args.seed)
     for episode in cases:
         stage.find(episode)
@@ -179,7 +183,7 @@ def _draw_cases(args: Args, stage: EpisodeStage, progress: Progress) -> Image.Im
     notes = []
     if other:
         notes.append(
-            f"ended otherwise than in {args.from_}: {', '.join(other)}: it was walked by another "
+            f"ended differently from {args.from_}: {', '.join(other)}: it was walked by another "
             "policy, or with other settings"
         )
     return render_walks(walks, stage, title, notes)
@@ -202,7 +206,7 @@ def read_pose(text: str, where: str) -> Pose2D:
         x = y = degrees = math.nan
     if not all(map(math.isfinite, (x, y, degrees))):
         raise ConfigError(
-            f"{text[:40]!r} is no pose",
+            f"{text[:40]!r} is not a pose",
             where=where,
             remedy="give X,Y,DEGREES, for example 1.5,2,90",
         )

@@ -213,3 +213,18 @@ def test_2000_greedy_answers_of_numpy_are_those_of_torch(checkpoint: Path) -> No
             assert abs(float(logits[one[row, slot]] - logits[other[row, slot]])) < 1e-4
     assert len(distinct) > count / 4  # they hang on what is shown
     assert equal >= 0.999 * count
+
+
+def test_torch_and_numpy_are_as_sure_of_an_answer(checkpoint: Path) -> None:
+    one, other = (PolicyBae(str(checkpoint), backend=b) for b in ("torch", "numpy"))
+    for policy in (one, other):
+        begin(policy)
+        policy.act_batch([0], [observe(7)])
+    pictures, said = one.questions.show(observe(7)), one.last_said(0)
+    assert said is not None
+    mine, theirs = (policy.weigh(pictures, said.prompt, said.answer) for policy in (one, other))
+    assert set(mine) == set(theirs) and len(mine) == 30  # 24 coordinates and 6 actions
+    slots = one.questions.slots
+    for slot, shares in mine.items():
+        np.testing.assert_allclose(shares, theirs[slot], atol=1e-5)
+        assert slots.allowed(slot)[shares.argmax()] == said.answer[slot]

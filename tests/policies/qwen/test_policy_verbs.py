@@ -95,7 +95,7 @@ def test_a_decision_and_a_whole_walk_are_drawn(
     for more, said in (
         (("--episode", "flat_9"), "did you mean"),
         (("--step", "99"), "the walk ends after step"),
-        (("--pose", "1,2"), "is no pose"),
+        (("--pose", "1,2"), "is not a pose"),
         (("--pose", "1e3,0,0"), "cannot stand at"),
         (("--pose", "1,2,3", "--steps", "all"), "--pose and --steps"),
     ):

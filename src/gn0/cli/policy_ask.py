@@ -69,7 +69,8 @@ def run(args: Args) -> int:
     start = read_pose(args.start, "--start") if args.start else None
     policy = PolicyBae(args.checkpoint, executed=args.executed, backend=args.computed_by)
     words = check_errand(policy, args.text)
-    check_replaceable(out, overwrite=args.overwrite, marker=MARKER)
+    overwrite = args.overwrite or _is_unfinished(out)
+    check_replaceable(out, overwrite=overwrite, marker=MARKER)
     check_scene(args.scene)
     write_json(out / MARKER, {"unfinished": True})  # by it the folder is known
     with draw_progress() as progress:
@@ -82,6 +83,17 @@ def run(args: Args) -> int:
     if (out / SCENE).is_dir() and str(out / SCENE) != args.scene:
         print(f'next:  gn0 policy ask {args.checkpoint} {out / SCENE} "…" --out {out}-2')
     return 0
+
+
+def _is_unfinished(out: Path) -> bool:
+    """Whether an earlier walk there was stopped, so that nothing of it is worth keeping."""
+    from gn0.config import load_json
+    from gn0.errors import Gn0Error
+
+    try:
+        return bool(load_json(out / MARKER, dict).get("unfinished"))
+    except Gn0Error:
+        return False
 
 
 def _walk(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -254,13 +253,3 @@ def _to_world(points: NDArray[np.floating], pose: Pose2D) -> F64:
     c, s = np.cos(pose.yaw), np.sin(pose.yaw)
     x, y = way[:, 0], way[:, 1]
     return np.column_stack([pose.x + c * x - s * y, pose.y + s * x + c * y])
-
-
-def compare_words(own: Sequence[int], theirs: Sequence[int]) -> str:
-    """How many of the first actions agree before the first that does not, in words."""
-    same = 0
-    for mine, other in zip(own, theirs, strict=False):
-        if mine != other:
-            break
-        same += 1
-    return f"{same} of {min(len(own), len(theirs))} as the expert"

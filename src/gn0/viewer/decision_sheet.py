@@ -47,7 +47,6 @@ class WalkShown:
         distances: walking distance to the goal [m] before each step and after the last; infinite
             where no way leads there.
         success: STOP within the radius.
-        collisions: FORWARDs that an obstacle cut short.
     """
 
     episode: Episode

@@ -103,7 +103,7 @@ def _walk(
     import msgspec as m
 
     from gn0.geometry import Pose2D
-    from gn0.policies.bae.decision import walk_asked
+    from gn0.policies.bae.decision import StepAsked, walk_asked
     from gn0.policies.bae.errand import build_errand, end_errand
     from gn0.render.open import build_renderer, name_drawing
     from gn0.render.renderer import DrawnScene
@@ -124,7 +124,7 @@ def _walk(
         renderer=DrawnScene(renderer),
     )
     errand = build_errand(simulator, words, start, args.seed)
-    steps = []
+    steps: list[StepAsked] = []
     for step in walk_asked(policy, simulator, errand):
         progress("walking", len(steps), args.steps)
         steps.append(step)

@@ -118,7 +118,7 @@ def _draw_decision(
     import numpy as np
 
     from gn0.errors import ConfigError
-    from gn0.policies.bae.decision import ask_at, ask_expert, walk_asked
+    from gn0.policies.bae.decision import Decision, ask_at, ask_expert, walk_asked
     from gn0.viewer.decision_picture import DecisionShown, render_decision
 
     episode = stage.find(args.episode)
@@ -129,11 +129,13 @@ def _draw_decision(
         track = np.zeros((0, 2))
         words = "placed there, without a past"
     else:
-        spots, decision, words = [], None, ""
+        spots: list[tuple[float, float]] = []
+        found: Decision | None = None
+        words = ""
         for step in walk_asked(policy, simulator, episode):
             progress("walking", len(spots), args.step)
             spots.append((step.pose.x, step.pose.y))
-            decision = step.decision
+            found = step.decision
             if len(spots) > args.step:
                 break
             if step.over:
@@ -142,7 +144,8 @@ def _draw_decision(
                     where="--step",
                     remedy=f"give 0 to {len(spots) - 1}",
                 )
-        assert decision is not None
+        assert found is not None
+        decision = found
         track = np.array(spots)[: decision.step + 1]
         if decision.step < args.step:
             words = f"the question that step {args.step} was taken from"

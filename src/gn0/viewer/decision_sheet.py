@@ -101,7 +101,9 @@ def walk_episode(
     simulator, _ = stage.open(episode)
     navigation = simulator.navigation
     field = navigation.geodesic(episode.destination)
-    steps, experts, distances = [], {}, []
+    steps: list[StepAsked] = []
+    experts: dict[int, ExpertSaid | None] = {}
+    distances: list[float] = []
     for step in walk_asked(stage.policy, simulator, episode, weighed=weighed):
         progress("walking", len(steps), simulator.max_steps)
         if step.asked:

@@ -20,7 +20,7 @@ from gn0.policies.bae.decision import StepAsked
 from gn0.policies.bae.errand import ErrandEnd
 from gn0.policies.bae.policy_settings import PolicySettings
 from gn0.progress import Progress, no_progress
-from gn0.render.renderer import SceneRenderer
+from gn0.render.renderer import Renderer
 from gn0.render.video import VP9, VideoWriter
 from gn0.sim.simulator import Simulator
 from gn0.viewer.action_marks import SAID, WORDS, draw_actions, fit_line, wrap_text, write_lines
@@ -37,7 +37,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 def encode_film(
     simulator: Simulator,
-    renderer: SceneRenderer,
+    renderer: Renderer,
     settings: PolicySettings,
     episode: Episode,
     steps: Sequence[StepAsked],
@@ -86,7 +86,7 @@ def encode_film(
     return writer.finish(), frame
 
 
-def _look(simulator: Simulator, renderer: SceneRenderer, poses: Sequence[tuple]) -> Iterator[U8]:
+def _look(simulator: Simulator, renderer: Renderer, poses: Sequence[tuple]) -> Iterator[U8]:
     height = simulator.agent.camera_height
     for begin in range(0, len(poses), BATCH):
         some = poses[begin : begin + BATCH]

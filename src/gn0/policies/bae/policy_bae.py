@@ -177,8 +177,9 @@ class PolicyBae:
             answer: likewise.
         """
         batch = self._engine.batch
-        rows = [np.repeat(one[None], batch, 0) for one in (*pictures, prompt, answer)]
-        found = self._engine.weigh(rows[:-2], rows[-2], rows[-1])
+        shown = [np.repeat(one[None], batch, 0) for one in pictures]
+        asked, said = (np.repeat(one[None], batch, 0) for one in (prompt, answer))
+        found = self._engine.weigh(shown, asked, said)
         return {slot: shares[0] for slot, shares in found.items()}
 
     def reset_batch(

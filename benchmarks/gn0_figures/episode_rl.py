@@ -42,7 +42,9 @@ def measure_episode_rl(ctx: FigureContext) -> list[FigureRow]:
     actor, allowed = stage.loop.actor, list(stage.loop.actor._allowed)
     slots, stop = pupil.slots, pupil.slots.vocabulary.actions[0]
     for slot in np.flatnonzero(slots.kinds == ACTION).tolist():
-        actor._allowed[slot] = allowed[slot][allowed[slot] != stop]
+        own = allowed[slot]
+        assert not isinstance(own, int)
+        actor._allowed[slot] = own[own != stop]
     _measure_update(bench, stage, "nobody stops")
     stage.loop = ClosedLoop(
         stage.loop.env, pupil, dtype=stage.learner.autocast, compiled=not tiny, temperature=1.0

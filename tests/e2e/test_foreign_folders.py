@@ -63,6 +63,7 @@ SUITES = {
     "data repair --suite": ["{data}", "--suite", "{it}"],
     "train tokenizer": ["{it}", "--out", "{new}"],
     "train sft": ["{it}", "--samples", "4", "--out", "{new}"],
+    "train dagger": ["{it}", "--start", "{it}", "--out", "{new}"],
     "train dapo": ["{it}", "--start", "{it}", "--out", "{new}"],
     "policy examine": ["{new}", "{it}", "--device", "host", "--out", "{new}-walks"],
     "train rl": ["{it}", "--start", "{new}", "--out", "{new}"],

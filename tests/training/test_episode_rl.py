@@ -25,10 +25,10 @@ from gn0.suites.suite import save_suite  # noqa: E402
 from gn0.training.decision_store import DecisionStore  # noqa: E402
 from gn0.training.episode_rl import train_episode_rl  # noqa: E402
 from gn0.training.episode_walks import list_decisions, pick_episodes  # noqa: E402
-from gn0.training.walks import Walk  # noqa: E402
 from gn0.training.returns import ReturnWeights, score_walks, weigh_groups  # noqa: E402
 from gn0.training.runs.loss_guard import LossGuard  # noqa: E402
 from gn0.training.runs.training_state import load_state  # noqa: E402
+from gn0.training.walks import Walk  # noqa: E402
 from gn0_trials.episodes_small import build_walker, make_job, open_small  # noqa: E402
 
 

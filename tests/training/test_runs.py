@@ -17,8 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 
 @pytest.mark.slow
 def test_tiny_bae_comes_through_every_stage(tmp_path: Path) -> None:
-    """Scenes, missions, samples, a tokenizer of their language, SFT, DAgger and DAPO."""
-    """Scenes, missions, samples, a tokenizer, SFT on walks and samples, DAgger and RL."""
+    """Scenes, missions, samples, a tokenizer, SFT, DAgger, DAPO, RL and a baseline."""
     done = subprocess.run(
         ["bash", str(ROOT / "runs" / "tiny-bae.sh"), str(tmp_path / "out"), "ci"],
         env={
@@ -32,6 +31,7 @@ def test_tiny_bae_comes_through_every_stage(tmp_path: Path) -> None:
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     words = transformers.AutoTokenizer.from_pretrained(tmp_path / "out/words")
     assert len(words("go to the sofa").input_ids) <= 6
-    for run in ("sft", "sft-data", "dagger", "dagger-live", "dapo"):
-    for run in ("sft", "sft-data", "dagger", "dagger-live", "rl"):
+    for run in ("sft", "sft-data", "dagger", "dagger-live", "dapo", "rl"):
         assert (tmp_path / "out" / run / "policy" / "policy.json").is_file()
+    assert (tmp_path / "out" / "cma" / "policy" / "cma.json").is_file()
+    assert (tmp_path / "out" / "cma-bench" / "results.jsonl").is_file()

@@ -173,7 +173,7 @@ def _choose_input(pupil: Pupil, name: str) -> Pupil:
     """The policy as it is asked in one of its ways; itself when `name` is empty."""
     if not name:
         return pupil
-    known: Mapping[str, Pupil] = getattr(pupil, "inputs", {})  # where it was trained in several
+    known: Mapping[str, Pupil] = pupil.inputs  # where it was trained in several
     if name not in known:
         raise ConfigError(
             f"the policy has no input {name!r}",

@@ -198,6 +198,12 @@ class RolloutMaker:
         settings.check_fits(pupil)
         self.room = settings.overlong
         frame, device = pupil.settings.frame, pupil.model.device
+        if frame is None:
+            raise ConfigError(
+                "rewards are of answers on a square, this policy's are on the whole map",
+                where="coordinates",
+                remedy="start from a policy whose coordinates are on a square of the ego map",
+            )
         self.allowed = list_allowed(pupil.slots, frame, free=self.free, room=self.room)
         self.actor = Actor(
             pupil.model, visited.maker.table.layout, pupil.slots, frame, prompts, dtype=dtype,

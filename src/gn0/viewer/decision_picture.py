@@ -12,7 +12,7 @@ from gn0.data.codec import waypoint_pixels
 from gn0.geometry import F64, U8, Pose2D
 from gn0.missions.episode import Episode
 from gn0.policies.bae.decision import Decision, ExpertSaid
-from gn0.policies.bae.policy_settings import SQUARE_NAMES, PolicySettings
+from gn0.policies.bae.policy_settings import SQUARE_NAMES, PolicySettings, frame_of
 from gn0.viewer.action_marks import (
     EXPERT,
     FAINT,
@@ -133,7 +133,7 @@ def enlarge(picture: U8, height: int) -> Image.Image:
 def draw_answer_map(shown: DecisionShown, side: int) -> Image.Image:
     """The map that the answer's points lie on, with them, and with the expert's."""
     settings, decision = shown.settings, shown.decision
-    frame = settings.frame
+    frame = settings.frame or frame_of(settings.view.squares[settings.square])
     name = SQUARE_NAMES[settings.square]
     plain = np.full((frame.size, frame.size, 3), _BLANK, np.uint8)
     picture = dict(decision.pictures).get(name, plain)

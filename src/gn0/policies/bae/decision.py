@@ -21,7 +21,7 @@ from gn0.geometry import F32, U8, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import Episode
 from gn0.policies.bae.policy_bae import PolicyBae
-from gn0.policies.bae.questions import Questions
+from gn0.policies.bae.questions import Questions, find_place
 from gn0.policies.bae.tokens import SPECIALS
 from gn0.sim.policy import PolicyOfBatch
 from gn0.sim.rollout import begin_episode
@@ -226,13 +226,15 @@ def read_decision(
     pictures = questions.show(seen)
     actions = waypoints = None
     try:
-        codes, tokens = questions.slots.decode(said.answer[None], np.array([questions.place]))
+        frame = questions.find_frame(seen)
+        place = np.array([find_place(frame, pose)])
+        codes, tokens = questions.slots.decode(said.answer[None], place)
     except FormatError:
         pass  # and what was said is told
     else:
         actions = tuple(int(code) for code in codes[0])
         if tokens is not None:
-            waypoints = decode_waypoints(questions.settings.frame, tokens, np.zeros((1, 3)))[0]
+            waypoints = decode_waypoints(frame, tokens, np.array([pose], np.float64))[0]
     confidence = None
     if weighed:
         confidence = _weigh(policy, pictures, said.prompt, said.answer)

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from gn0.config import load_json
 from gn0.errors import CheckpointError, FormatError, StorageError, brief
-from gn0.policies.bae.checkpoint import load_checkpoint, save_checkpoint
+from gn0.policies.bae.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from gn0.policies.bae.shard_file import count_bytes, write_shards
 from gn0.policies.qwen.weights import MANIFEST
 from gn0.seeds import load_stream, save_stream

@@ -38,6 +38,8 @@ def walk(steps: int = 5, **values) -> Walk:
         "episode": "e", "scene": "s", "kind": "goal", "steps": steps, "stopped": False,
         "length": 4.0, "shortest": 8.0, "left": 4.0, "least": 4.0, "success": False,
         "success_near": False, "oracle": False, "spl": 0.0, "forwards": 4, "cut_short": 0,
+        "path": "p", "tier": "", "left_straight": 4.0, "success_straight": False,
+        "spl_straight": 0.0, "spl_near": 0.0, "decisions": 2,
     }  # fmt: skip
     return Walk(**(plain | values))
 

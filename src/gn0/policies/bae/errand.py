@@ -82,7 +82,7 @@ def check_errand(policy: PolicyBae, text: str) -> str:
         PolicyError: the checkpoint is shown its goal as a picture, and there is none.
     """
     words = clean_instruction(text)
-    policy.questions.find(words)
+    policy.questions.check(words)
     if "goal_picture" in policy.sensors:
         raise PolicyError(
             "this checkpoint is shown its goal as a picture, and an errand is words",

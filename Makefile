@@ -63,10 +63,12 @@ $(RL)/.installed: pyproject.toml constraints.txt
 	$(RL)/bin/pip install $(PIP_FLAGS) -c constraints.txt -e '.[rl]' hypothesis pytest pytest-timeout pytest-xdist
 	@touch $@
 
+BAE_PYTEST = OMP_NUM_THREADS=1 $(BAE)/bin/python -m pytest -p no:cacheprovider -ra -n $(TEST_WORKERS) --dist loadgroup
+
 bae: $(BAE)/.installed ## the policy's model by torch, with the newest and the oldest transformers that it takes
-	$(BAE)/bin/python -m pytest -p no:cacheprovider -ra tests/policies/bae tests/policies/qwen tests/training $(PYTEST_FLAGS)
-	$(BAE)/bin/python -m pytest -p no:cacheprovider -ra tests/docs/test_documents.py -k training.md $(PYTEST_FLAGS)
-	PYTHONPATH=$(BAE)/oldest $(BAE)/bin/python -m pytest -p no:cacheprovider -ra tests/policies/bae tests/training $(PYTEST_FLAGS)
+	$(BAE_PYTEST) tests/policies/bae tests/policies/cma tests/policies/qwen tests/training $(PYTEST_FLAGS)
+	$(BAE_PYTEST) tests/docs/test_documents.py -k training.md $(PYTEST_FLAGS)
+	PYTHONPATH=$(BAE)/oldest $(BAE_PYTEST) -m 'not slow' tests/policies/bae tests/training $(PYTEST_FLAGS)
 
 $(BAE)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(BAE)

@@ -14,8 +14,6 @@ from gn0.training.episode_recipe import EpisodePlan as EpisodePlan
 from gn0.training.episode_recipe import EpisodeRecipe as EpisodeRecipe
 from gn0.training.episode_rl import EpisodeJob as EpisodeJob
 from gn0.training.episode_rl import train_episode_rl as train_episode_rl
-from gn0.training.inputs import InputMixture as InputMixture
-from gn0.training.plan_walker import PlanWalker as PlanWalker
 from gn0.training.recipe import Recipe as Recipe
 from gn0.training.returns import ReturnWeights as ReturnWeights
 from gn0.training.rewards import RewardWeights as RewardWeights
@@ -29,7 +27,3 @@ from gn0.training.streams.samples import LabelledStates as LabelledStates
 from gn0.training.streams.samples import SampleMaker as SampleMaker
 from gn0.training.streams.samples import Stream as Stream
 from gn0.training.streams.stream_dataset import StreamDataset as StreamDataset
-from gn0.training.streams.stream_growing import StreamGrowing as StreamGrowing
-from gn0.training.streams.stream_jittered import StreamJittered as StreamJittered
-from gn0.training.streams.stream_live import StreamLive as StreamLive
-from gn0.training.streams.stream_uniform import StreamUniform as StreamUniform

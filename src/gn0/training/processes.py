@@ -161,7 +161,9 @@ def join_processes(device: Device | str = "auto") -> Iterator[Processes]:
         torch.cuda.set_device(own.local)
     distributed.init_process_group("nccl" if on_card else "gloo", timeout=_PATIENCE)
     yield own
-    distributed.destroy_process_group()  # not after an error: it would wait for the others
+    # not after an error: it would wait for the others
+    distributed.barrier()  # who leaves while another still writes may hang in closing (gloo)
+    distributed.destroy_process_group()
 
 
 @contextmanager

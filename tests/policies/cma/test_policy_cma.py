@@ -110,7 +110,7 @@ def _alter(near_checkpoint: Path, folder: Path, **fields) -> Path:
 def test_weights_of_another_net_are_refused(near_checkpoint: Path, tmp_path: Path) -> None:
     wider = json.loads((near_checkpoint / "cma.json").read_text())["sizes"] | {"hidden": 48}
     for number, (fields, said) in enumerate((
-        ({"graph": "seq2seq"}, "is none of this net's"),
+        ({"graph": "seq2seq"}, "does not belong to this net"),
         ({"pictures": ["near", "far"]}, "is missing"),
         ({"sizes": wider}, "cma.json describes"),
         ({"vocabulary": 9}, "tokens, the net words for 9"),

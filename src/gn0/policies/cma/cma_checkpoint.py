@@ -99,7 +99,7 @@ def load_cma_checkpoint(folder: Path | str, *, dtype: torch.dtype = torch.float3
     found = open_weights(folder)
     odd = sorted(set(wanted) ^ set(found))
     if odd:
-        what = "is missing" if odd[0] in wanted else "is none of this net's"
+        what = "is missing" if odd[0] in wanted else "does not belong to this net"
         raise CheckpointError(
             f"{brief(odd[0])} {what}",
             where=folder / SINGLE,

@@ -155,7 +155,7 @@ def load_cma_settings(folder: Path | str) -> CmaSettings:
     file = Path(folder) / FILE
     if not file.is_file():
         raise CheckpointError(
-            f"no {FILE}: this is no recurrent baseline",
+            f"no {FILE}: not the folder of a recurrent baseline",
             where=folder,
             remedy="give the folder `policy` that `gn0 train baseline` wrote",
         )

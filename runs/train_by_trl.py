@@ -6,7 +6,7 @@ Qwen3-VL's folder and a number of updates to train one. GRPO's objective is the 
 (`loss_type="grpo"`, no KL, clips 0.2 and 0.28); TRL's default is a mean over tokens. It encodes a
 prompt's pictures once an answer; `gn0 train dapo` encodes them once.
 
-Run: python examples/10_train_by_trl.py [checkpoint] [updates], after pip install -e '.[train]'
+Run: python runs/train_by_trl.py [checkpoint] [updates], after pip install -e '.[train]'
 'trl>=1.16' 'datasets>=4.7'. TRL says which prompts it does not understand; ours it does.
 """
 

@@ -1,4 +1,4 @@
-"""The example that trains by TRL runs where TRL is installed."""
+"""The script that trains by TRL runs where TRL is installed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "10_train_by_trl.py"
+EXAMPLE = Path(__file__).parents[2] / "runs" / "train_by_trl.py"
 
 
 @pytest.mark.slow

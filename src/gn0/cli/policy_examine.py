@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 import tyro
 
+from gn0.cli.comma_lists import split_words
 from gn0.config import Config
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def run(args: Args) -> int:
     job = WalkJob(
         checkpoint=args.checkpoint,
         suite=args.suite,
-        splits=() if args.split == "all" else _split(args.split),
+        splits=() if args.split == "all" else split_words(args.split),
         control=args.control,
         inputs=args.inputs,
         executed=args.executed,
@@ -147,7 +148,3 @@ def print_walks(walks: Sequence[Walk]) -> None:
         cells = [f"{f * means[name]:.{n}f}" for name, (_, f, n) in _COLUMNS.items()]
         table.add_row(escape(plain_text(kind)), f"{means['episodes']:.0f}", *cells)
     Console(width=max(150, Console().width), highlight=False).print(table)
-
-
-def _split(text: str) -> tuple[str, ...]:
-    return tuple(one.strip() for one in text.split(",") if one.strip())

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 import tyro
 
+from gn0.cli.comma_lists import split_words
 from gn0.config import Config
 from gn0.errors import ConfigError
 
@@ -118,8 +119,8 @@ def run(args: Args) -> int:
     job = BaselineJob(
         suites=args.suite,
         exam=args.exam,
-        splits=() if args.split == "all" else _split(args.split),
-        held_out=_split(args.held_out),
+        splits=() if args.split == "all" else split_words(args.split),
+        held_out=split_words(args.held_out),
         settings=settings,
         text_length=args.text_length,
         recipe=RecurrentRecipe(
@@ -157,7 +158,7 @@ def _choose_settings(args: Args) -> CmaSettings:
     from gn0.sim.presets import find_preset
 
     find_preset(args.preset)
-    pictures, without = list(_split(args.pictures)), _split(args.without)
+    pictures, without = list(split_words(args.pictures)), split_words(args.without)
     words = args.model != "cma_blind"
     for name in without:
         if name == "words" and words:
@@ -180,7 +181,3 @@ def _choose_settings(args: Args) -> CmaSettings:
         preset=args.preset,
         view=MapView(squares=every[: max(shown, default=len(every) - 1) + 1]),
     )
-
-
-def _split(text: str) -> tuple[str, ...]:
-    return tuple(one.strip() for one in text.split(",") if one.strip())

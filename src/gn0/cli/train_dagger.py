@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 import tyro
 
+from gn0.cli.comma_lists import read_joins, split_words
 from gn0.config import Config
 from gn0.errors import ConfigError
 
@@ -253,11 +254,11 @@ def _read_live(args: Args) -> DaggerLiveJob:
     if not args.start:
         settings = PolicySettings(
             prompt=args.prompt or "short",
-            pictures=_split("near,far" if args.pictures is None else args.pictures),
+            pictures=split_words("near,far" if args.pictures is None else args.pictures),
             form=AnswerForm(
                 points=13 if args.points is None else args.points, layout=args.layout or "compact"
             ),
-            without=_split(args.without or ""),
+            without=split_words(args.without or ""),
             preset=args.preset or "tiny_128",
         )
         if args.inputs:
@@ -270,7 +271,7 @@ def _read_live(args: Args) -> DaggerLiveJob:
     return DaggerLiveJob(
         **both,
         **_given(args, names),
-        joins=_read_numbers(args.joins or "0"),
+        joins=read_joins(args.joins or "0"),
         settings=settings,
         confirm_stop=args.confirm_stop,
     )
@@ -296,8 +297,8 @@ def _read_both(args: Args, recipe: Any) -> dict[str, Any]:
         "inputs": read_shares(args.inputs) if args.start else {},
         "exam": args.exam,
         "text_length": args.text_length,
-        "splits": () if args.split == "all" else _split(args.split),
-        "held_out": _split(args.held_out),
+        "splits": () if args.split == "all" else split_words(args.split),
+        "held_out": split_words(args.held_out),
         "recipe": msgspec.structs.replace(recipe, **chosen),
         "plan": StagePlan(
             samples=args.samples or StagePlan().samples,
@@ -315,16 +316,3 @@ def _read_both(args: Args, recipe: Any) -> dict[str, Any]:
             )
         },
     }  # fmt: skip
-
-
-def _split(text: str) -> tuple[str, ...]:
-    return tuple(one.strip() for one in text.split(",") if one.strip())
-
-
-def _read_numbers(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(one) for one in _split(text))
-    except ValueError:
-        raise ConfigError(
-            f"not whole numbers: {text!r}", where="--joins", remedy="give 0,500000 or the like"
-        ) from None

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 import tyro
 
+from gn0.cli.comma_lists import split_words
 from gn0.config import Config
 
 EXAMPLES = """  gn0 train dapo out/suite --start out/dagger/policy --out out/dapo
@@ -162,8 +163,8 @@ def run(args: Args) -> int:
         suites=args.suite,
         start=args.start,
         exam=args.exam,
-        splits=() if args.split == "all" else _split(args.split),
-        held_out=_split(args.held_out),
+        splits=() if args.split == "all" else split_words(args.split),
+        held_out=split_words(args.held_out),
         walks=args.walks,
         reference=args.reference,
         stop_share=args.stop_share,
@@ -216,7 +217,3 @@ def run(args: Args) -> int:
     print(f"written to {policy}")
     print(f"next: gn0 bench run {exam} --policy bae --policy-option checkpoint={policy}")
     return 0
-
-
-def _split(text: str) -> tuple[str, ...]:
-    return tuple(one.strip() for one in text.split(",") if one.strip())

@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 import msgspec
 import tyro
 
+from gn0.cli.comma_lists import split_words
 from gn0.config import Config
 
 EXAMPLES = """  gn0 train rl out/suite --start out/dagger/policy --out out/rl
@@ -136,8 +137,8 @@ def run(args: Args) -> int:
         suites=args.suite,
         start=args.start,
         exam=args.exam,
-        splits=() if args.split == "all" else _split(args.split),
-        held_out=_split(args.held_out),
+        splits=() if args.split == "all" else split_words(args.split),
+        held_out=split_words(args.held_out),
         recipe=msgspec.structs.replace(
             recipe,
             episodes=args.episodes,
@@ -180,7 +181,3 @@ def run(args: Args) -> int:
     print(f"written to {policy}")
     print(f"next: gn0 bench run {exam} --policy bae --policy-option checkpoint={policy}")
     return 0
-
-
-def _split(text: str) -> tuple[str, ...]:
-    return tuple(one.strip() for one in text.split(",") if one.strip())

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 import tyro
 
+from gn0.cli.comma_lists import read_joins, split_words
 from gn0.config import Config
 from gn0.errors import ConfigError
 
@@ -169,9 +170,9 @@ def run(args: Args) -> int:
     chosen = {name: value for name, value in given.items() if value}
     settings = PolicySettings(
         prompt=args.prompt,
-        pictures=_split(args.pictures),
+        pictures=split_words(args.pictures),
         form=AnswerForm(points=args.points, layout=args.layout, order=args.order),
-        without=_split(args.without),
+        without=split_words(args.without),
         preset=args.preset,
         view=MapView(paint=args.map_paint),
         map_size=_read_size(args.map_size),
@@ -183,12 +184,12 @@ def run(args: Args) -> int:
         settings = fit_prompt(settings)
     job = SftJob(
         suites=args.suite,
-        joins=_read_numbers(args.joins),
+        joins=read_joins(args.joins),
         exam=args.exam,
         text_length=args.text_length,
         source=args.source,
-        splits=() if args.split == "all" else _split(args.split),
-        held_out=_split(args.held_out),
+        splits=() if args.split == "all" else split_words(args.split),
+        held_out=split_words(args.held_out),
         size=args.size,
         start=args.start,
         settings=settings,
@@ -225,22 +226,9 @@ def run(args: Args) -> int:
     return 0
 
 
-def _split(text: str) -> tuple[str, ...]:
-    return tuple(one.strip() for one in text.split(",") if one.strip())
-
-
-def _read_numbers(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(one) for one in _split(text))
-    except ValueError:
-        raise ConfigError(
-            f"not whole numbers: {text!r}", where="--joins", remedy="give 0,500000 or the like"
-        ) from None
-
-
 def _read_size(text: str) -> tuple[int, int]:
     try:
-        width, height = (int(one) for one in _split(text))
+        width, height = (int(one) for one in split_words(text))
     except ValueError:
         raise ConfigError(
             f"no size: {text!r}", where="--map-size", remedy="give 128,128 or the like"
@@ -250,7 +238,7 @@ def _read_size(text: str) -> tuple[int, int]:
 
 def _read_shares(text: str) -> tuple[float, ...]:
     try:
-        return tuple(float(one) for one in _split(text))
+        return tuple(float(one) for one in split_words(text))
     except ValueError:
         raise ConfigError(
             f"not numbers: {text!r}", where="--shares", remedy="give 0.7,0.3 or the like"

@@ -7,6 +7,7 @@ A changed text is seen in review as a changed file under tests/snapshots/texts. 
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
@@ -17,6 +18,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
+import gn0
 from gn0 import Camera, Episode, Gn0Error, OccupancyGrid, Scene, errors, open_simulator, run_episode
 from gn0.bench import build_suite, load_run, load_suite, run_suite
 from gn0.cli.main import GROUPS, VERBS, format_error, main, top_help
@@ -342,3 +344,17 @@ def test_no_snapshot_is_left_over() -> None:
     names |= {f"prompts/{role}" for role in get_args(Role)}
     found = {str(f.relative_to(TEXTS).with_suffix("")) for f in TEXTS.rglob("*.txt")}
     assert found == names
+
+
+def test_a_choice_lists_its_words_in_one_order_everywhere() -> None:
+    """Python keeps one `Literal[...] | None` for two of the same words in other orders, so whoever
+    is imported first would decide what a help text reads."""
+    orders: dict[frozenset[object], set[tuple[object, ...]]] = {}
+    for path in (Path(gn0.__file__).parent).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Subscript) or ast.unparse(node.value) != "Literal":
+                continue
+            words = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+            order = tuple(word.value for word in words if isinstance(word, ast.Constant))
+            orders.setdefault(frozenset(order), set()).add(order)
+    assert not [found for found in orders.values() if len(found) > 1]

@@ -72,10 +72,10 @@ class Args(Config, frozen=True):
     maps: Literal["once", "every"] = "every"
     visible_sets: bool = False
     depth: bool = False
-    depth_as: Literal["npy", "png", "both"] = "npy"
+    depth_as: Literal["png", "npy", "both"] = "npy"
     labels: Literal["exact", "mpc", "gn0-release", "field"] = "exact"
     tokens: Literal["global", "ego"] = "global"
-    answer_order: Literal["actions_first", "paper"] = "actions_first"
+    answer_order: Literal["paper", "actions_first"] = "actions_first"
     chunk: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 8
     backend: Literal["auto", "cpu", "cuda"] = "auto"
     batch: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0

@@ -78,7 +78,7 @@ class Args(Config, frozen=True):
     halting: Literal["paper", "gn0-release", "none"] = "paper"
     labels: Literal["", "exact", "mpc", "gn0-release", "field", "own"] = ""
     tokens: Literal["global", "ego"] = "global"
-    answer_order: Literal["actions_first", "paper"] = "actions_first"
+    answer_order: Literal["paper", "actions_first"] = "actions_first"
     pictures: Literal["webdataset", "lerobot", "none"] = "none"
     map_mode: Literal["prior", "explored", "none"] | None = None
     max_steps: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0

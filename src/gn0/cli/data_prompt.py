@@ -40,7 +40,7 @@ class Args(Config, frozen=True):
     step: Annotated[int, msgspec.Meta(ge=0)] = 0
     pictures: tuple[str, ...] = ()
     points: Annotated[int, msgspec.Meta(ge=0, le=64)] | None = None
-    layout: Literal["json", "compact"] | None = None
+    layout: Literal["compact", "json"] | None = None
     without: tuple[str, ...] = ()
     answer_order: Literal["paper", "actions_first"] | None = None
 

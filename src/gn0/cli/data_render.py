@@ -46,7 +46,7 @@ class Args(Config, frozen=True):
     quality: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
     maps: Literal["once", "every"] | None = None
     depth: bool = False
-    depth_as: Literal["npy", "png", "both"] | None = None
+    depth_as: Literal["png", "npy", "both"] | None = None
     backend: Literal["auto", "cpu", "cuda"] = "auto"
     batch: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     workers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0

@@ -99,7 +99,7 @@ class Args(Config, frozen=True):
     recipe: Literal["scratch", "pretrained"] = "scratch"
     rate: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0
     walks: Literal["policy", "expert"] = "policy"
-    reference: Literal["expert", "policy"] = "expert"
+    reference: Literal["policy", "expert"] = "expert"
     states: Count = 22_000
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128

@@ -48,7 +48,7 @@ NAVIGATION_TOKENS = (
 AnswerOrder = Literal["paper", "actions_first"]
 """Which key comes first: `pixel` as in the paper's prompts (l. 1799), or `vlnce` (earlier exit)."""
 
-AnswerLayout = Literal["json", "compact"]
+AnswerLayout = Literal["compact", "json"]
 ORDERS: tuple[AnswerOrder, ...] = ("paper", "actions_first")
 
 I16 = NDArray[np.int16]

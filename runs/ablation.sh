@@ -10,6 +10,8 @@
 #
 # Environment:
 #   PYTHON    interpreter (python3)
+#   WHEELS    folder of wheels that a machine without a network lacks; they are unpacked into OUT/site, and gn0 itself is
+#             taken from this checkout
 #   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU)
 #   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
 #   WALL      minutes after which this call stops what runs, to be gone on with in the next (0: never)
@@ -46,6 +48,10 @@ fi
 [ "$SIZE" = full ] || GPUS=
 IFS=, read -ra CARDS <<< "$GPUS"
 mkdir -p "$OUT"/{specs,homes,suites,runs,walks,jobs,log}
+if [ -n "${WHEELS:-}" ]; then
+  . "$HERE/offline.sh"
+  open_offline "$(cd "$OUT" && pwd)/site" || exit 1
+fi
 
 gn0() { "$PYTHON" -m gn0 "$@"; }
 say() { printf '%s %s\n' "$(date -u +%FT%TZ)" "$*" | tee -a "$OUT/journal"; }

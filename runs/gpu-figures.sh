@@ -29,20 +29,11 @@ ALL=(check start rival small large scenes accuracy suite visible memory sim movi
 LIBRARY=$OUT/gsplat_cuda.so
 export GN0_CACHE=${GN0_CACHE:-$OUT/cache}
 export TORCH_EXTENSIONS_DIR=${TORCH_EXTENSIONS_DIR:-$OUT/torch_extensions}
-export PYTHONPATH=$PWD/src:$PWD/benchmarks:$PWD/tests/trials:$OUT/site${PYTHONPATH:+:$PYTHONPATH}
+. runs/offline.sh
 export PYTHONUNBUFFERED=1 MAX_JOBS=${MAX_JOBS:-$(nproc)}
 if [ -n "${SCENES:-}" ]; then SCENES=$(cd "$SCENES" && pwd); export GN0_FIGURE_SCENES=$SCENES; fi
 
-if [ -n "${WHEELS:-}" ] && [ ! -d "$OUT/site" ]; then
-  mkdir -p "$OUT/site.part"
-  for wheel in "$WHEELS"/*.whl; do "$PYTHON" -m zipfile -e "$wheel" "$OUT/site.part" || exit 1; done
-  mv "$OUT/site.part" "$OUT/site"
-fi
-if ! "$PYTHON" -c 'from importlib import metadata; metadata.version("gn0")' 2>/dev/null; then  # runs write it down
-  version=$("$PYTHON" -c 'import gn0; print(gn0.__version__)') || exit 1
-  mkdir -p "$OUT/site/gn0-$version.dist-info"
-  printf 'Metadata-Version: 2.1\nName: gn0\nVersion: %s\n' "$version" > "$OUT/site/gn0-$version.dist-info/METADATA"
-fi
+open_offline "$OUT/site" || exit 1
 if [ -n "${GN0_GSPLAT_LIBRARY:-}" ] && [ ! -e "$LIBRARY" ]; then
   case $GN0_GSPLAT_LIBRARY in
     *.xz) "$PYTHON" -c 'import lzma, shutil, sys; shutil.copyfileobj(lzma.open(sys.argv[1]), open(sys.argv[2], "wb"))' \

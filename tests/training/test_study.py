@@ -7,6 +7,8 @@ import json
 import os
 import re
 import subprocess
+import sys
+import zipfile
 from dataclasses import asdict
 from fnmatch import fnmatch
 from pathlib import Path
@@ -16,6 +18,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import gn0
 from gn0.bench.runner import run_suite
 from gn0.cli.main import main
 from gn0.errors import ConfigError, FormatError, TrainingError
@@ -376,6 +379,24 @@ def test_every_row_of_the_study_has_its_jobs(tmp_path: Path) -> None:
         for seed in arm.seeds:
             run = arm.folder(arm.run, seed).removeprefix("runs/")
             assert not run or run in jobs, f"{arm.name}: no job makes {run}"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_what_a_machine_lacks_comes_from_a_folder_of_wheels(tmp_path: Path) -> None:
+    (tmp_path / "wheels").mkdir()
+    with zipfile.ZipFile(tmp_path / "wheels/lacked-1-py3-none-any.whl", "w") as wheel:
+        wheel.writestr("lacked.py", "")
+    bare = tmp_path / "python"  # knows nothing that is installed, and finds what PYTHONPATH names
+    bare.write_text(f'#!/bin/bash\nexec {sys.executable} -S "$@"\n')
+    bare.chmod(0o755)
+    script = f"""set -e
+        OUT={tmp_path}/out PYTHON={bare} WHEELS={tmp_path}/wheels
+        . {ROOT}/runs/offline.sh
+        open_offline $OUT/site
+        $PYTHON -c 'import lacked; from importlib.metadata import version; print(version("gn0"))'"""
+    for _ in range(2):  # and again, with all of it there
+        done = subprocess.run(["bash", "-c", script], capture_output=True, text=True)
+        assert done.stdout.strip() == gn0.__version__, done.stderr
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")

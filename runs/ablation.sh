@@ -6,6 +6,7 @@
 #   runs/ablation.sh OUT tiny                      the same in miniature, models of 2 M weights, on a CPU
 #   runs/ablation.sh OUT full plan                 the table: what is done, failed, cut or still to be done
 #   runs/ablation.sh OUT full 'all-*-0*'           some jobs, by name or pattern, and what they are made from
+#   runs/ablation.sh OUT full watch                how the jobs of a call that runs in the background are going, each minute
 #   runs/ablation.sh OUT full pack                 what travels home: tables and logs, and the weights of one policy
 #
 # Environment:
@@ -14,7 +15,8 @@
 #             taken from this checkout
 #   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU)
 #   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
-#   WALL      minutes after which this call stops what runs, to be gone on with in the next (0: never)
+#   WALL      minutes after which this call stops what runs, to be gone on with in the next; of `watch`: after which it
+#             looks no longer (0: never)
 #   INPUTS    that have arms (all views; in miniature maps): all is view, mosaic, near and far map; views is view and
 #             mosaic; maps is near and far map
 #   SEEDS     of the arms (0 1 2); episode RL has the first two
@@ -35,7 +37,7 @@ SIZE=${2:-full}
 shift $(($# < 2 ? $# : 2))
 WHAT=("${@:-*}")
 PYTHON=${PYTHON:-python3}
-MINUTES=${MINUTES:-9} WALL=${WALL:-0}
+MINUTES=${MINUTES:-9} WALL=$(awk -v minutes="${WALL:-0}" 'BEGIN {print int(60 * minutes)}')  # seconds
 read -ra INPUTS <<< "${INPUTS:-$([ "$SIZE" = tiny ] && echo maps || echo all views)}"
 read -ra SEEDS <<< "${SEEDS:-0 1 2}"
 LEGS=${LEGS:-6} LEG=${LEG:-1} FROM=${FROM:-}
@@ -364,6 +366,27 @@ pack() { # tables and logs in pieces of 15 MB, and one set of weights
   say "packed $(du -sh "$OUT/pack" | cut -f1)${run:+, weights of $run}: $OUT/pack"
 }
 
+runs_now() { # whether a call works on these jobs
+  [ -f "$OUT/pid" ] && kill -0 "$(cat "$OUT/pid")" 2> /dev/null
+}
+
+watch() { # last lines of what runs, until nothing does
+  local log name
+  goes_on() { runs_now && { [ "$WALL" = 0 ] || [ "$SECONDS" -lt "$WALL" ]; }; }
+  while goes_on; do
+    for log in "$OUT"/log/*; do
+      name=${log##*/}
+      [ -f "$log" ] && [ ! -f "$OUT/jobs/$name.done" ] && [ ! -f "$OUT/jobs/$name.failed" ] && [ ! -f "$OUT/jobs/$name.cut" ] || continue
+      printf '%s %s: %s\n' "$(date -u +%T)" "$name" "$(tail -n 1 "$log")"
+    done
+    for ((log = 0; log < 60; log++)); do
+      goes_on || break
+      sleep 1
+    done
+  done
+  tail -n 12 "$OUT/journal"
+}
+
 declare -A CHOSEN=() PID=() SINCE=() HOLDS=() TRIED=()
 choose() { # JOB: it and all that it is made from
   local one
@@ -422,7 +445,7 @@ run_jobs() {
     [ -n "$matched" ] || { echo "no job is named $pattern; see: $0 $OUT $SIZE plan" >&2; return 2; }
   done
   FREE=("${CARDS[@]}")
-  local deadline=$((SECONDS + WALL * 60)) failed=0
+  local deadline=$((SECONDS + WALL)) failed=0
   while :; do
     for name in "${!PID[@]}"; do
       kill -0 "${PID[$name]}" 2> /dev/null && continue
@@ -475,10 +498,16 @@ run_jobs() {
 
 case ${WHAT[0]} in
   plan) plan; exit ;;
+  watch) watch; exit ;;
   pack) pack; exit ;;
   study) study; exit ;;
 esac
+if runs_now; then
+  echo "process $(cat "$OUT/pid") works on these jobs; see: $0 $OUT $SIZE watch" >&2
+  exit 2
+fi
+echo $$ > "$OUT/pid"
 set -m # each job in a process group of its own, to be stopped as one
-trap 'for name in "${!PID[@]}"; do kill -- "-${PID[$name]}" 2> /dev/null || true; done' EXIT
+trap 'rm -f "$OUT/pid"; for name in "${!PID[@]}"; do kill -- "-${PID[$name]}" 2> /dev/null || true; done' EXIT
 trap 'exit 130' INT TERM
 run_jobs

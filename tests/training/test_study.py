@@ -400,6 +400,27 @@ def test_what_a_machine_lacks_comes_from_a_folder_of_wheels(tmp_path: Path) -> N
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_call_of_the_ablation_can_be_watched_and_has_its_folder_alone(tmp_path: Path) -> None:
+    (tmp_path / "python").write_text('#!/bin/bash\necho "how far $3 is"\nexec sleep 60\n')
+    (tmp_path / "python").chmod(0o755)
+    command = ["bash", str(ROOT / "runs/ablation.sh"), str(tmp_path / "out"), "tiny"]
+    env = {**os.environ, "PYTHON": str(tmp_path / "python"), "WALL": "0.02"}
+    pipe = subprocess.PIPE
+    with subprocess.Popen([*command, "homes-a"], env={**env, "WALL": "9"}, stdout=pipe) as works:
+        assert works.stdout is not None
+        assert b"begin homes-a" in works.stdout.readline()
+        second = subprocess.run([*command, "homes-b"], env=env, capture_output=True, text=True)
+        assert second.returncode == 2
+        assert f"process {works.pid} works on these jobs" in second.stderr
+        seen = subprocess.run([*command, "watch"], env=env, capture_output=True, text=True)
+        assert re.search(r"^\S+ homes-a: how far scene is$", seen.stdout, re.MULTILINE)
+        works.terminate()
+        assert works.wait(30) == 130
+    gone = subprocess.run([*command, "watch"], env=env, capture_output=True, text=True)
+    assert gone.stdout.endswith("begin homes-a\n")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> None:
     """With a stand-in for gn0 that knows `policy study` as little as any other verb."""
     out = tmp_path / "out"

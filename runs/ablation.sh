@@ -160,9 +160,10 @@ controls() { # RUN: without words, with others', without pictures, in phrasings 
   walk "$1" "$1" known val_unseen known
 }
 
-executed() { # RUN: one action of an answer, or all six
+executed() { # RUN: one action of an answer, all six, or those that lead along its waypoints
   walk "$1-executed_1" "$1" exam val_unseen unseen --executed 1
   walk "$1-executed_6" "$1" exam val_unseen unseen --executed 6
+  walk "$1-carried_waypoints" "$1" exam val_unseen unseen --carried waypoints
 }
 
 bench() { # NAME POLICY [FLAG ...]: by the benchmark, whatever the policy

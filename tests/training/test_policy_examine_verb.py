@@ -65,8 +65,9 @@ def _examine(policy: str, suite, out: Path, *more: str) -> int:
         (["--executed", "1"], ["--policy-option", "executed=1"]),
         (["--control", "shuffled", "--confirm-stop"],
          ["--control", "shuffled", "--policy-option", "confirm_stop=true"]),
+        (["--carried", "waypoints"], ["--policy-option", "carried=waypoints"]),
     ],
-    ids=["plain", "one action", "shuffled, STOP confirmed"],
+    ids=["plain", "one action", "shuffled, STOP confirmed", "along waypoints"],
 )  # fmt: skip
 def test_its_walks_are_those_of_the_benchmark(
     own, theirs, policy, flats_suite, tmp_path: Path, worker_here: None

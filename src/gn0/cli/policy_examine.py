@@ -44,6 +44,8 @@ class Args(Config, frozen=True):
         executed: actions of an answer that are carried out before the next question; 0: as the
             policy says.
         confirm_stop: ask again before a STOP behind the first action is carried out.
+        carried: carry out the actions of an answer, or follow its waypoints (and stop where its
+            first action does).
         episodes: walk only so many, evenly over the suite; 0 for all.
         agents: that walk side by side, all asked in one batch.
         dtype: of what is computed; auto: bfloat16 on a card, else float32.
@@ -59,6 +61,7 @@ class Args(Config, frozen=True):
     inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0)] = 0
     confirm_stop: bool = False
+    carried: Literal["actions", "waypoints"] = "actions"
     episodes: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--limit",))] = 0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     dtype: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -84,6 +87,7 @@ def run(args: Args) -> int:
         inputs=args.inputs,
         executed=args.executed,
         confirm_stop=args.confirm_stop,
+        carried=args.carried,
         episodes=args.episodes,
         agents=args.agents,
         dtype=args.dtype,

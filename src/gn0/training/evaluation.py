@@ -26,6 +26,7 @@ from gn0.missions.episode import Episode, mission_name
 from gn0.paper import SUCCESS_RADIUS
 from gn0.policies.bae.actor import Actor, Decisions
 from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES
+from gn0.policies.bae.waypoint_plan import Carried, check_carried
 from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.state import Action
@@ -36,6 +37,7 @@ from gn0.training.streams.step_ring import draw_whole
 from gn0.training.streams.stream_live import STOP_DISTANCE
 from gn0.training.walks import Walk
 from gn0.training.walks import summarise_walks as summarise_walks
+from gn0.training.waypoint_follower import WaypointFollower
 
 NEAR = 1.0  # m on foot: the stricter radius
 Watch = Callable[[Sequence[Tensor], Tensor, Decisions], None]
@@ -112,6 +114,8 @@ class ClosedLoop:
         compiled: see `Actor`.
         executed: actions of an answer that are carried out; 0: as the settings say.
         confirm_stop: a STOP behind the first action is asked again.
+        carried: the answers' actions; or their waypoints, along which the cheapest actions lead,
+            while STOP is that of a first action (`waypoint_plan`).
         temperature: of the draws, see `Actor`.
         labelled: hold what the policy does against the expert, wherever it gets to.
 
@@ -132,6 +136,7 @@ class ClosedLoop:
         compiled: bool = False,
         executed: int = 0,
         confirm_stop: bool = False,
+        carried: Carried = "actions",
         labelled: bool = False,
         temperature: float = 0.0,
     ) -> None:
@@ -157,6 +162,9 @@ class ClosedLoop:
         self.actor = self._open_actor(
             pupil, dtype=dtype, compiled=compiled, temperature=temperature
         )
+        self._follower: WaypointFollower | None = None
+        if check_carried(carried, self.settings.form.points) == "waypoints":
+            self._follower = WaypointFollower(self.device)
         self.decisions, self.counts = 0, LiveCounts()
         squares = set(SQUARE_NAMES) & {*self.settings.pictures}
         # whole maps are drawn of the same pictures as squares
@@ -244,7 +252,12 @@ class ClosedLoop:
                 said = self.actor.decide(shown, ids)
                 if watch is not None:
                     watch(shown, ids, said)
-                plan = torch.where(asked[:, None], said.actions, plan)
+                told = said.actions
+                if self._follower is not None:
+                    stops = told[:, :1] == Action.STOP
+                    told = self._follower.plan(self.maker.waypoints(said.ids, own, pose))
+                    told = told.masked_fill(stops, Action.STOP)
+                plan = torch.where(asked[:, None], told, plan)
                 at = torch.where(asked, 0, at)
                 self.decisions += real
                 book["decisions"] += asked & ~done

@@ -24,6 +24,7 @@ from gn0.errors import ConfigError
 from gn0.missions.controls import Control
 from gn0.policies.bae.policy_bae import digest_checkpoint
 from gn0.policies.bae.shipped import find_checkpoint
+from gn0.policies.bae.waypoint_plan import Carried, check_carried
 from gn0.progress import Progress, no_progress
 from gn0.storage import content_hash
 from gn0.training.evaluation import ClosedLoop
@@ -48,6 +49,7 @@ class WalkJob(Config, frozen=True):
             default when empty.
         executed: actions of an answer that are carried out; 0: as the policy says.
         confirm_stop: a STOP behind the first action of an answer is asked again.
+        carried: the actions of an answer, or its waypoints; see `ClosedLoop`.
         episodes: that are walked, evenly over the suite; 0 for all.
         agents: side by side; all are asked in one batch.
         dtype: of what is computed; auto: bfloat16 on a card, else float32.
@@ -60,6 +62,7 @@ class WalkJob(Config, frozen=True):
     inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0)] = 0
     confirm_stop: bool = False
+    carried: Carried = "actions"
     episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     dtype: Dtype = "auto"
@@ -103,6 +106,7 @@ def examine_policy(
             where="executed",
             remedy=f"give 1 to {settings.form.actions}, or 0 for {settings.executed}",
         )
+    check_carried(job.carried, settings.form.points)
     lessons = _leave_out_unspoken(every, pupil, say)
     wanted = pick_evenly(len(lessons.episodes), job.episodes)
     if not wanted:
@@ -123,6 +127,7 @@ def examine_policy(
         inputs=job.inputs,
         executed=job.executed or settings.executed,
         confirm_stop=job.confirm_stop,
+        carried=job.carried,
         agents=min(job.agents, len(wanted)),
         dtype=dtype,
         device=name_device(here),
@@ -159,6 +164,7 @@ def _walk(
             dtype=torch.bfloat16 if about.dtype == "bfloat16" else None,
             executed=about.executed,
             confirm_stop=about.confirm_stop,
+            carried=about.carried,
         )
         progress("walking", len(walks), len(wanted))
         while len(walks) < len(wanted):

@@ -18,6 +18,7 @@ from gn0.config import Config, decode_json, load_json
 from gn0.errors import TrainingError
 from gn0.locked_folder import check_room, forget_folder, holds_leftovers_only, lock_folder
 from gn0.missions.controls import Control
+from gn0.policies.bae.waypoint_plan import Carried
 from gn0.storage import Journal, check_contained, read_bytes, safe_join, write_bytes, write_json
 from gn0.training.walks import Walk
 
@@ -40,6 +41,7 @@ class WalksAbout(Config, frozen=True):
         inputs: in which of its ways the policy was asked; "" for its default.
         executed: actions of an answer that were carried out.
         confirm_stop: a STOP behind the first action was asked again.
+        carried: the actions of answers, or their waypoints.
         agents: that walked side by side, all asked in one batch.
         dtype: of what was computed.
         device: where.
@@ -65,6 +67,7 @@ class WalksAbout(Config, frozen=True):
     device: str
     version: str
     inputs: str = ""
+    carried: Carried = "actions"
     finished: bool = False
     digest: str = ""
     seconds: float = 0.0

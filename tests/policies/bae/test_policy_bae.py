@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -21,7 +22,10 @@ from gn0.policies.bae.checkpoint import load_checkpoint  # noqa: E402
 from gn0.policies.bae.engines import open_engine  # noqa: E402
 from gn0.policies.bae.forward import ForwardConstant  # noqa: E402
 from gn0.policies.bae.policy_bae import PolicyBae  # noqa: E402
-from gn0.policies.bae.policy_settings import load_policy_settings  # noqa: E402
+from gn0.policies.bae.policy_settings import (  # noqa: E402
+    load_policy_settings,
+    save_policy_settings,
+)
 from gn0.policies.bae.questions import Questions, list_allowed  # noqa: E402
 from gn0.sim.state import Action, Observation  # noqa: E402
 from gn0.testing.policy_check import check_policy  # noqa: E402
@@ -107,6 +111,25 @@ def test_a_stop_behind_the_first_action_is_asked_again_on_request(checkpoint: Pa
     assert done == "FLFS"
     assert policy.notes_of(0) == {"stops asked again": 2}
     assert policy.identity()["confirm_stop"] == "true"
+
+
+def test_waypoints_are_followed_on_request_and_stop_where_the_first_action_does(
+    checkpoint: Path, tmp_path: Path
+) -> None:
+    """All points lie in the far left corner of the map, two turns and a half away."""
+    done, policy = follow(checkpoint, ["RRRRRR", "SRRRRR"], 4, carried="waypoints")
+    assert done in ("LLFS", "LLLS")
+    assert policy.identity()["carried"] == "waypoints"
+    assert "along the answer's waypoints" in dict(policy.card_rows)["actions carried out"]
+    assert "carried" not in follow(checkpoint, ["F" * 6], 1)[1].identity()
+    with pytest.raises(ConfigError, match="'legs' of answers with 13 waypoints"):
+        PolicyBae(str(checkpoint), backend="numpy", carried="legs")
+    without = shutil.copytree(checkpoint, tmp_path / "without")
+    settings = load_policy_settings(checkpoint)
+    form = msgspec.structs.replace(settings.form, points=0)
+    save_policy_settings(without, msgspec.structs.replace(settings, form=form))
+    with pytest.raises(ConfigError, match="with 0 waypoints"):
+        PolicyBae(str(without), backend="numpy", carried="waypoints")
 
 
 def test_unreadable_answers_turn_once_and_stop_after_three_in_a_row(checkpoint: Path) -> None:

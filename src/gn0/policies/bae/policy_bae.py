@@ -15,11 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.data.codec import decode_waypoints
 from gn0.errors import ConfigError, FormatError, PolicyError
 from gn0.policies.bae.engines import open_engine
 from gn0.policies.bae.policy_settings import FILE
 from gn0.policies.bae.questions import Questions, find_place
 from gn0.policies.bae.shipped import find_checkpoint
+from gn0.policies.bae.waypoint_plan import check_carried, plan_along
 from gn0.policies.qwen.weights import list_shards
 from gn0.sim.ego_map import MapView
 from gn0.sim.policy import check_slots
@@ -71,6 +73,8 @@ class PolicyBae:
         executed: actions of an answer that are carried out; 0: as the checkpoint says.
         confirm_stop: a STOP behind the first action of an answer is asked again before it is
             carried out.
+        carried: the actions of an answer; or its waypoints, along which the cheapest actions lead
+            (`plan_along`), while STOP is that of a first action.
         decoding: slots: tokens that make a readable answer; free: all, as a model would say it.
         backend: torch, numpy, or auto: torch where it is installed.
         device: of torch: cpu, cuda or auto.
@@ -93,6 +97,7 @@ class PolicyBae:
         inputs: str = "",
         executed: int = 0,
         confirm_stop: bool = False,
+        carried: str = "actions",
         decoding: str = "slots",
         backend: str = "auto",
         device: str = "auto",
@@ -115,6 +120,7 @@ class PolicyBae:
                 remedy=f"give 1 to {settings.form.actions}, or 0 for {settings.executed}",
             )
         self.executed = executed or settings.executed
+        self.carried = check_carried(carried, settings.form.points)
         self.sensors: frozenset[str] = frozenset(settings.sensors(self.questions.template))
         self.map_view: MapView = settings.view
         self._tells_place = "pose" in self.sensors
@@ -133,6 +139,7 @@ class PolicyBae:
             "prompt": self.questions.template.digest,
             "executed": self.executed,
             "confirm_stop": str(self.confirm_stop).lower(),
+            **({} if self.carried == "actions" else {"carried": self.carried}),
             "decoding": self.decoding,
             "arithmetic": f"{self._engine.name}, {self._engine.batch} at once",
         }
@@ -146,6 +153,7 @@ class PolicyBae:
             "the most probable tokens; an unreadable answer turns left once, "
             f"{UNREADABLE_LIMIT} in a row stop"
         )  # fmt: skip
+        along = "" if self.carried == "actions" else ", planned along the answer's waypoints"
         several = self.questions.inputs
         asked = ((f"inputs, of {', '.join(several)}", settings.input),) if several else ()
         return (
@@ -153,7 +161,10 @@ class PolicyBae:
             *self.questions.template.card_rows(),
             ("camera of training", settings.preset),
             ("answers", chosen),
-            ("actions carried out", f"{self.executed} of {settings.form.actions}{confirmed}"),
+            (
+                "actions carried out",
+                f"{self.executed} of {settings.form.actions}{along}{confirmed}",
+            ),
             ("computed by", engine.name),
         )
 
@@ -254,21 +265,26 @@ class PolicyBae:
             for own, shown in zip(pictures, questions.show(seen), strict=True):
                 own[row] = shown
         said = self._engine.answer(pictures, prompts)
-        for agent, prompt, ids in zip(agents, prompts, said, strict=False):
+        for agent, seen, prompt, ids in zip(agents, observations, prompts, said, strict=False):
             agent.said = Said(prompt, ids)
-            agent.plan = deque(self._read(agent, ids))
+            agent.plan = deque(self._read(agent, ids, seen))
 
-    def _read(self, agent: _Agent, ids: np.ndarray) -> list[int]:
+    def _read(self, agent: _Agent, ids: np.ndarray, seen: Observation) -> list[int]:
         """The actions that are carried out; nothing that follows a STOP is."""
         place = np.array([agent.place])
         try:
-            actions, _ = self.questions.slots.decode(ids[None], place)
+            actions, tokens = self.questions.slots.decode(ids[None], place)
         except FormatError:
             agent.note("unreadable answers")
             agent.unreadable += 1
             return [int(Action.STOP if agent.unreadable == UNREADABLE_LIMIT else Action.LEFT)]
         agent.unreadable = 0
-        plan: list[int] = actions[0, : self.executed].tolist()
+        plan: list[int] = actions[0].tolist()
+        if self.carried == "waypoints" and tokens is not None and plan[0] != Action.STOP:
+            poses = np.array([seen.pose or (0.0, 0.0, 0.0)], np.float64)
+            frame = self.questions.find_frame(seen)
+            plan = plan_along(decode_waypoints(frame, tokens[:, 1:], poses)[0])
+        plan = plan[: self.executed]
         if Action.STOP in plan:
             plan = plan[: plan.index(Action.STOP) + 1]
         return plan

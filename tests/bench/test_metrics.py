@@ -27,6 +27,7 @@ def episode_of(goal: tuple[float, float], reference: list[tuple[float, float]]) 
     )
 
 
+@pytest.mark.slow
 def test_ten_thousand_random_episodes_agree_to_1e_9() -> None:
     assert worst_disagreement(10_000, seed=20261121) <= 1e-9
 

@@ -76,6 +76,7 @@ def test_a_fault_whose_place_is_gone_says_so() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_fault_is_tried_in_a_copy_and_its_verdict_holds_until_something_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -126,6 +127,7 @@ def test_the_board_takes_what_the_command_measured(
     assert [r.value for r in measure(FigureContext(data=None, work=tmp_path))] == [91.0]
 
 
+@pytest.mark.slow
 def test_the_tests_named_after_a_module_come_first() -> None:
     imports = beside("fault_tests").TestMap(fault_list.ROOT)
     found = imports.tests_of("src/gn0/missions/similarity.py", "_find_similar", {})

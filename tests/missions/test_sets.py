@@ -84,7 +84,8 @@ def test_our_exporters_keep_the_protocol(exporter: Any, suffix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("split", "count", "scenes"), [("val_seen", 778, 53), ("train", 10_819, 61)]
+    ("split", "count", "scenes"),
+    [("val_seen", 778, 53), pytest.param("train", 10_819, 61, marks=pytest.mark.slow)],
 )
 def test_whole_vlnce_splits_come_back_value_for_value(
     split: str, count: int, scenes: int, shared_data: Path, tmp_path: Path

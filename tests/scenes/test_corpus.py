@@ -151,6 +151,7 @@ def test_two_imports_of_one_name_are_told() -> None:
         plan_corpus(CorpusSpec(parts=parts))
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(120)  # it took hours
 def test_a_hundred_thousand_scenes_are_planned_while_one_waits() -> None:
     parts = tuple(CorpusPart(kind=kind, count=50_000) for kind in ("apartment", "office"))

@@ -53,7 +53,9 @@ def test_area_lies_in_the_promised_range(kind: str) -> None:
         assert low <= floor_area(hall(kind, size)) <= high
 
 
-@pytest.mark.parametrize("kind", HALLS_IN_TIME)
+@pytest.mark.parametrize(
+    "kind", [*(pytest.param(k, marks=pytest.mark.slow) for k in HALLS[:2]), HALLS[2]]
+)
 def test_the_same_seed_gives_the_same_draft_and_another_one_another(kind: str) -> None:
     first = hall(kind, "small")
     again = KINDS[kind].draft(SEED, size="small")  # type: ignore[index]

@@ -24,9 +24,9 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.suites.suite import save_suite
-from gn0.training.learner import Learner, Speed, open_learner
+from gn0.training.learner import Learner, open_learner
 from gn0.training.pupil import Pupil, build_pupil
-from gn0.training.recipe import Recipe
+from gn0.training.recipe import Recipe, parse_speed
 from gn0.training.streams.samples import Stream
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_live import StreamLive
@@ -40,13 +40,13 @@ INPUTS = (("near", "far"), ("near",), ("rgb", "history", "near", "far"), ("rgb",
 HOMES = 4
 ENOUGH = 215.0  # s after which no further thing is compiled
 SPEEDS = {
-    "layer by layer": Speed(),
-    "joined products": Speed(joined=True),
-    "narrow": Speed(narrow=True),
-    "joined and narrow": Speed(joined=True, narrow=True),
-    "as a whole": Speed("whole"),
-    "as a whole, joined and narrow": Speed("whole", joined=True, narrow=True),
-    "tuned, joined and narrow": Speed("tuned", joined=True, narrow=True),
+    "layer by layer": "blocks",
+    "joined products": "joined",
+    "narrow": "narrow",
+    "joined and narrow": "joined,narrow",
+    "as a whole": "whole",
+    "as a whole, joined and narrow": "whole,joined,narrow",
+    "tuned, joined and narrow": "tuned,joined,narrow",
 }
 PARTS = ("draw", "assemble", "forward", "backward", "optimiser")
 SMALL = MapView(squares=(EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
@@ -305,7 +305,8 @@ def _compare_speeds(bench: Bench, pictures: tuple[str, ...], names: Sequence[str
             continue
         torch.compiler.reset()
         pupil.model.load_state_dict(kept)
-        learner = open_learner(pupil, maker.table, Recipe(), SPEEDS[name])
+        speed = parse_speed(SPEEDS[name].split(","))
+        learner = open_learner(pupil, maker.table, Recipe(), speed)
         begin = time.perf_counter()
         loss = float(learner.judge(made).loss.detach())
         step = partial(learner.step, made, 0.01)
@@ -316,7 +317,7 @@ def _compare_speeds(bench: Bench, pictures: tuple[str, ...], names: Sequence[str
         detail = (
             f"{batch} samples that lie there, {', '.join(pictures)}; ready after {compiled:.3g} "
         )
-        detail += f"s; loss {loss:.6g}"
+        detail += f"s; loss {loss:.6g}; --speed {SPEEDS[name]}"
         bench.add(
             FigureRow(name=f"samples a second, {name}", value=rate, unit="1/s", detail=detail)
         )

@@ -146,7 +146,7 @@ def train_dagger(
             return run.policy
         pupil = run.open_pupil(lambda: _load_start(job, run))
         table = pupil.table([CONTROL_TEXT])  # laid out as those of all episodes
-        learner = open_learner(pupil, table, job.recipe, processes=run.processes)
+        learner = open_learner(pupil, table, job.recipe, job.speed, run.processes)
         walks = None if run.card is None else _open_walks(job, pupil, run)
         stream = _open_dataset(job, pupil, run) if walks is None else run.jitter(walks)
         samples = job.whole * job.epochs

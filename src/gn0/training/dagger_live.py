@@ -129,7 +129,7 @@ def train_dagger_live(
             return run.policy
         pupil = run.open_pupil(lambda: _make_pupil(job, run))
         table = pupil.table([CONTROL_TEXT])  # laid out as those of all episodes
-        learner = open_learner(pupil, table, job.recipe, processes=run.processes)
+        learner = open_learner(pupil, table, job.recipe, job.speed, run.processes)
         walks = _open_walks(job, pupil, learner, run)
         stream = run.jitter(walks)
         maker = pupil.maker_of(stream, run.where)

@@ -30,7 +30,7 @@ from gn0.training.inputs import InputMixture
 from gn0.training.learner import Learner
 from gn0.training.processes import Processes, join_processes, open_run_together
 from gn0.training.pupil import Pupil, open_pupil, resize_texts
-from gn0.training.recipe import RECIPES, Recipe
+from gn0.training.recipe import BY_LAYER, RECIPES, Recipe, Speed
 from gn0.training.runs.model_card import build_card
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
@@ -43,7 +43,7 @@ from gn0.training.streams.stream_growing import StreamGrowing
 from gn0.training.streams.stream_jittered import StreamJittered
 from gn0.training.worlds import Lessons, leave_out_long, load_lessons, wait_for_suites
 
-FREE = ("plan", "examined", "asked")  # of a job: what may differ where a run goes on
+FREE = ("plan", "examined", "asked", "speed")  # of a job: what may differ where a run goes on
 POLICY = "policy"  # folder of the trained policy in a run's
 OpenPart = Callable[[Lessons, int, int], Stream]
 
@@ -62,6 +62,7 @@ class ImitationJob(Config, frozen=True, kw_only=True):
             learns the default alone when empty.
         recipe: how it learns.
         plan: how long.
+        speed: how steps are computed on a card.
         agents: that gather states side by side.
         workers: processes that read a dataset.
         examined: episodes of an examination.
@@ -80,6 +81,7 @@ class ImitationJob(Config, frozen=True, kw_only=True):
     inputs: dict[str, float] = msgspec.field(default_factory=dict)
     recipe: Recipe = RECIPES["scratch"]
     plan: StagePlan = StagePlan()
+    speed: Speed = BY_LAYER
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
     examined: Annotated[int, msgspec.Meta(ge=0)] = 512

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
+import msgspec
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -18,29 +19,12 @@ from gn0.policies.bae.forward import ForwardConstant
 from gn0.policies.bae.prompt_table import PromptTable
 from gn0.training.processes import ALONE, Processes
 from gn0.training.pupil import Pupil
-from gn0.training.recipe import Recipe
+from gn0.training.recipe import BY_LAYER, Recipe, Speed
 from gn0.training.streams.samples import SampleBatch
 
 DISTANCE_SCALE = 5.0  # m: the auxiliary head says distances in these
 PROJECTOR = ("visual.merger", "visual.deepstack_merger_list")
 GROUPS = ("points", "first", "actions", "marks")  # of slots whose losses are told apart
-
-
-@dataclass(frozen=True)
-class Speed:
-    """How a step is computed on a card; the mathematics are the same but for rounding.
-
-    Attributes:
-        graph: what is compiled: `blocks`; the `whole` loss; or that with products `tuned`.
-        joined, narrow: see `ForwardConstant`.
-        beside: steps have a CUDA stream of their own, so that the next samples are made meanwhile;
-            not where the policy in training drives.
-    """
-
-    graph: Literal["blocks", "whole", "tuned"] = "blocks"
-    joined: bool = False
-    narrow: bool = False
-    beside: bool = False
 
 
 class Costs(Protocol):
@@ -346,7 +330,7 @@ def open_learner(
     pupil: Pupil,
     table: PromptTable,
     recipe: Recipe,
-    speed: Speed | None = None,
+    speed: Speed = BY_LAYER,
     processes: Processes = ALONE,
 ) -> Learner:
     """A learner of a pupil's model, on the device where it is.
@@ -355,12 +339,12 @@ def open_learner(
         pupil: what learns, in all of its inputs.
         table: prompts of its samples; of the default where there are several inputs.
         recipe: how it learns.
-        speed: how steps are computed where that is a card; `Speed()` when None.
+        speed: how steps are computed where that is a card.
         processes: that learn together.
     """
-    card, speed = pupil.model.device.type == "cuda", speed or Speed()
+    card = pupil.model.device.type == "cuda"
     if recipe.lora:  # joined products would pass adapters by; a frozen model is a large one
-        speed = replace(speed, graph="blocks", joined=False)
+        speed = msgspec.structs.replace(speed, graph="blocks", joined=False)
     blocks = card and speed.graph == "blocks"
     compiled: bool | Literal["tuned"] = card and not blocks
     if compiled and speed.graph == "tuned":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import msgspec
@@ -69,3 +70,41 @@ RECIPES: dict[Kind, Recipe] = {
         schedule="cosine", mean=0.0, stop_weight=1.0, distance_weight=0.0, blackout=0.0,
     ),
 }  # fmt: skip
+
+
+class Speed(Config, frozen=True):
+    """How a step is computed on a card; the mathematics are the same but for rounding.
+
+    Attributes:
+        graph: what is compiled: `blocks`; the `whole` loss; or that with products `tuned`.
+        joined, narrow: see `ForwardConstant`.
+        beside: steps have a CUDA stream of their own, so that the next samples are made meanwhile;
+            not where the policy in training drives.
+    """
+
+    graph: Literal["blocks", "whole", "tuned"] = "blocks"
+    joined: bool = False
+    narrow: bool = False
+    beside: bool = False
+
+
+BY_LAYER = Speed()
+
+
+def parse_speed(words: Sequence[str]) -> Speed:
+    """The speed that words name: any of joined, narrow and beside, and at most one graph.
+
+    Raises:
+        ConfigError: another word, or two graphs.
+    """
+    known = set(words)
+    graphs = known & {"blocks", "whole", "tuned"}
+    more = known - graphs
+    if len(graphs) > 1 or more - {"joined", "narrow", "beside"}:
+        raise ConfigError(
+            f"no such speed: {','.join(words)}",
+            where="speed",
+            remedy="give one of blocks, whole and tuned, and any of joined, narrow and beside",
+        )
+    graph = next(iter(graphs), "blocks")
+    return msgspec.convert({"graph": graph, **dict.fromkeys(more, True)}, Speed)

@@ -110,7 +110,7 @@ def train_sft(
         pupil = run.open_pupil(lambda: _make_pupil(job, run))
         stream = _open_stream(job, pupil, run)
         maker = pupil.maker_of(stream, run.where)
-        learner = open_learner(pupil, maker.table, job.recipe, processes=run.processes)
+        learner = open_learner(pupil, maker.table, job.recipe, job.speed, run.processes)
         stage = Stage(
             pupil, learner, stream, maker, job.plan, run.recipe, run.corpus, mixture=run.mixture
         )

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from gn0.seeds import derive_seed
-from gn0.training.dapo import DapoJob, freeze_tower, open_policy_learner
+from gn0.training.dapo import DapoJob, open_policy_learner
 from gn0.training.dapo_stage import DapoStage
+from gn0.training.learner import freeze_tower
 from gn0.training.pupil import Pupil
 from gn0.training.rollouts import RolloutMaker, RolloutSettings
 from gn0.training.visited_states import collect_states

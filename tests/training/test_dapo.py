@@ -28,9 +28,9 @@ from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.suites.suite import load_suite, save_suite
-from gn0.training.dapo import RECIPES_DAPO, DapoJob, freeze_tower, train_dapo
+from gn0.training.dapo import RECIPES_DAPO, DapoJob, train_dapo
 from gn0.training.dapo_stage import DapoPlan, DapoStage
-from gn0.training.learner import Learner
+from gn0.training.learner import Learner, freeze_tower
 from gn0.training.policy_gradient import PolicyLoss
 from gn0.training.pupil import build_pupil, load_pupil
 from gn0.training.rollouts import RolloutSettings
@@ -106,7 +106,7 @@ def test_a_stopped_run_ends_in_the_same_bytes(suite, start, tmp_path, monkeypatc
             _train(job, parts)
     said: list[str] = []
     other = _train(job, parts, said)
-    for name in ("model.safetensors", "policy.json", "README.md"):
+    for name in ("model.safetensors", "policy.json"):
         assert (policy / name).read_bytes() == (other / name).read_bytes()
     timed = ("seconds", "samples_per_second")
     one, two = ([{k: v for k, v in line.items() if k not in timed} for line in _read(out)]
@@ -134,7 +134,9 @@ def test_the_tower_stands_still_and_the_rest_learns(suite, start, tmp_path) -> N
     weights = {"first": 0.5, "collision": 0.5, "length": 0.2, "format": 2.0,
                "position_scale": 0.5, "waypoint_scale": 0.3}  # fmt: skip
     assert record["recipe"]["rollout"]["reward"] == weights
-    assert "| `format` | −2 |" in (policy / "README.md").read_text()
+    card = (policy / "README.md").read_text()
+    assert "stage `dapo`" in card and '"format": 2.0' in card
+    assert f"| began from | …/{start.name} |" in card
 
 
 def test_answers_are_judged_by_the_weights_that_gave_them(
@@ -238,7 +240,8 @@ def test_the_verb_examines_before_and_after(suite, start, tmp_path, capsys) -> N
     lines = _read(out)
     assert [line["step"] for line in lines] == [0, 1, 2]
     assert "SR" in lines[0] and "SR" in lines[2] and "entropy" in lines[0]
-    assert "| `length` | −0.4 |" in (out / "policy" / "README.md").read_text()
+    card = (out / "policy" / "README.md").read_text()
+    assert '"length": 0.4' in card and "| before_SR |" in card and "| SR |" in card
     assert json.loads((out / "run.json").read_text())["results"]["episodes"] == 2
     assert main([*words[:-1], str(tmp_path / "none"), "--start", str(tmp_path)]) == 2
     assert "no policy.json" in capsys.readouterr().err

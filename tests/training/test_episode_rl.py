@@ -288,9 +288,10 @@ def test_what_is_no_policy_is_told_before_anything_is_made(
     assert "7 of 6 actions" in capsys.readouterr().err
     bare = tmp_path / "bare"
     shutil.copytree(start, bare)
-    (bare / "shards.json").unlink()
+    for name in ("shards.json", "model.safetensors"):
+        (bare / name).unlink()
     job = make_job(flats_suite.folder, bare)
-    with pytest.raises(CheckpointError, match=r"no shards\.json"):
+    with pytest.raises(CheckpointError, match="shards are missing"):
         train_episode_rl(job, out, device="host")
     assert not out.exists()
 

@@ -158,7 +158,7 @@ def train_dagger(
             pupil, learner, stream, maker, plan, run.recipe, run.corpus, mixture=run.mixture
         )
         run.restore(stage)
-        examine = run.open_examination(pupil, learner)
+        examine = run.open_examination(job, pupil, learner)
         if run.state is None:
             found = {} if walks is None else _collect(job, walks, pupil, run)
             begin_examined(stage, run, examine, found)

@@ -137,7 +137,7 @@ def train_dagger_live(
             pupil, learner, stream, maker, job.plan, run.recipe, run.corpus, mixture=run.mixture
         )
         run.restore(stage)
-        examine = run.open_examination(pupil, learner)
+        examine = run.open_examination(job, pupil, learner)
         if run.state is None:
             begin_examined(stage, run, examine, {})
 

@@ -9,7 +9,6 @@ start, and several minibatches learn from them, so that clipping can act.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -17,32 +16,27 @@ from typing import Annotated
 import msgspec
 import torch
 
-from gn0.config import Config
 from gn0.device.device import Device
-from gn0.device.open import open_device
 from gn0.errors import ConfigError
 from gn0.policies.bae.forward import ForwardConstant
-from gn0.policies.bae.policy_settings import FILE
-from gn0.policies.qwen.weights import list_shards
 from gn0.seeds import derive_seed
-from gn0.storage import content_hash, read_bytes
-from gn0.training.dapo_card import describe_policy
 from gn0.training.dapo_stage import DapoPlan, DapoStage
-from gn0.training.examination import STATES, Examination
-from gn0.training.learner import PROJECTOR, Learner
+from gn0.training.learner import Learner, freeze_tower
 from gn0.training.policy_gradient import Aggregation, AnswerBatch, PolicyLoss, PolicyLosses
-from gn0.training.processes import ALONE, Processes, join_processes, open_run_together
+from gn0.training.processes import ALONE, Processes, join_processes
 from gn0.training.pupil import Pupil, load_pupil
 from gn0.training.recipe import Kind, Recipe
 from gn0.training.rollouts import RolloutMaker, RolloutSettings
-from gn0.training.runs.recipe_text import describe_command, describe_recipe
-from gn0.training.runs.resume_checks import check_resume
-from gn0.training.runs.training_state import TrainingState, list_versions, load_state, name_device
+from gn0.training.stage_run import (
+    PolicyJob,
+    StageRun,
+    hash_policy,
+    open_lessons,
+    open_place,
+    open_stage_run,
+)
 from gn0.training.visited_states import Whose, collect_states
-from gn0.training.worlds import Lessons, leave_out_long, load_lessons, open_world, wait_for_suites
-
-FREE = ("plan", "examined", "asked")  # of a job: what may differ where a run goes on
-POLICY = "policy"  # folder of the trained policy in a run's
+from gn0.training.worlds import Lessons, leave_out_long, open_world
 
 # constant rates; nothing of what SFT does to labels
 _PLAIN = Recipe(stop_weight=1.0, distance_weight=0.0, blackout=0.0, decay=0.0, tail=0.0)
@@ -55,15 +49,10 @@ RECIPES_DAPO: dict[Kind, Recipe] = {
 }
 
 
-class DapoJob(Config, frozen=True, kw_only=True):
-    """What is trained, on what, and how.
+class DapoJob(PolicyJob, frozen=True, kw_only=True):
+    """What is trained and how, in suites of one body; see `PolicyJob` for the rest.
 
     Attributes:
-        suites: suite folders, of one body.
-        start: folder of the policy to go on from.
-        exam: the suite to be examined in; the first of `suites` when empty.
-        splits: of the suites, to learn from.
-        held_out: of the suite, to be examined in.
         walks: whose walks the states are of: the policy's own, or the expert's.
         reference: whose plans and waypoints answers are compared with: the expert's, or what the
             policy itself would most probably have said before it learned.
@@ -83,16 +72,9 @@ class DapoJob(Config, frozen=True, kw_only=True):
         kl_weight: weight of KL to the start in the loss; 0, the paper's: it is measured alone.
         recipe: rates and optimiser; its batch is the answers of a rollout.
         plan: how long, and what is said on the way.
-        examined: episodes of an examination.
-        asked: states of an examination.
-        seed: of states, their order, and answers.
     """
 
-    suites: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
     start: str
-    exam: str = ""
-    splits: tuple[str, ...] = ("train",)
-    held_out: tuple[str, ...] = ("val_unseen",)
     walks: Whose = "policy"
     reference: Whose = "expert"
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
@@ -110,9 +92,6 @@ class DapoJob(Config, frozen=True, kw_only=True):
     kl_weight: Annotated[float, msgspec.Meta(ge=0)] = 0.0
     recipe: Recipe = RECIPES_DAPO["scratch"]
     plan: DapoPlan = DapoPlan()
-    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
-    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = STATES
-    seed: int = 0
 
     def __post_init__(self) -> None:
         answers = self.prompts * self.rollout.answers
@@ -166,104 +145,37 @@ def train_dapo(
         TrainingError: a loss is not finite, or the folder holds another run.
         DeviceError, DeviceMemoryError, StorageError: see their texts.
     """
-    with join_processes(device) as processes:
-        return _train(
-            job, Path(out), processes, processes.name_card(device), fresh, command,
-            say if processes.leads else lambda _: None,
-        )  # fmt: skip
-
-
-def _train(
-    job: DapoJob,
-    out: Path,
-    processes: Processes,
-    device: Device | str,
-    fresh: bool,
-    command: Sequence[str],
-    say: Callable[[str], None],
-) -> Path:
     begun = load_pupil(job.start)
     job.rollout.check_fits(begun)
-    for count in (job.states, job.prompts):
-        processes.share(count)  # refused before anybody walks
-    card = open_device(device) if isinstance(device, str) else device
-    wait_for_suites(job.suites, say)
-    exam = job.exam or job.suites[0]
-    if job.held_out and Path(exam) not in map(Path, job.suites):
-        wait_for_suites([exam], say)
-    if job.held_out:
-        load_lessons(exam, job.held_out)  # a split that is not there is told now
-    where = torch.device("cuda" if card.kind == "cuda" else "cpu")
-    every = load_lessons(job.suites, job.splits)
-    hashes = {"corpus": every.hash, "start": hash_policy(job.start)}
-    corpus = content_hash(*hashes.values())
-    recipe = describe_recipe(job)
-    with open_run_together(
-        processes,
-        where,
-        out,
-        stage="dapo",
-        recipe=recipe,
-        hashes=hashes,
-        command=describe_command(command),
-        device=name_device(where),
-        versions=list_versions(),
-        free=FREE,
-        fresh=fresh,
-    ) as folder:
-        policy = folder.folder / POLICY
-        if folder.finished is not None and not folder.notes and policy.is_dir():
-            say(f"done before, at step {folder.finished}")
-            return policy
-        for note in folder.notes:
-            say(note)
-        state = load_state(folder.resumed) if folder.resumed else None
-        if state is not None:
-            name = name_device(where)
-            for note in check_resume(state, recipe=recipe, corpus=corpus, device=name, free=FREE):
-                say(note)
-                folder.log(note)
-        stage = _build_stage(
-            job, begun, state, every, card, where, processes, recipe, corpus, say
-        )  # fmt: skip
-        examine = None
-        if job.held_out and processes.leads:
-            examine = Examination(
-                stage.pupil, stage.learner, exam, job.held_out, card, say=say,
-                episodes=job.examined, states=job.asked, seed=job.seed,
-            )  # fmt: skip
-        found = stage.run(folder, say, examine)
-        with stage.learner.averaged_weights():
-            if processes.leads:
-                text = describe_policy(recipe, hashes, stage.before, found)
-                stage.pupil.save(policy, card=text, shard_mb=job.plan.shard_mb, overwrite=True)
-        folder.finish(stage.counters.step, found)
-    return policy
+    with join_processes(device) as processes:
+        for count in (job.states, job.prompts):
+            processes.share(count)  # refused before anybody walks
+        place = open_place(device, say, processes)
+        lessons = open_lessons(job, place.say)
+        hashes = {"corpus": lessons.hash, "start": hash_policy(job.start)}
+        with open_stage_run(
+            job, "dapo", out, place, hashes=hashes, fresh=fresh, command=command
+        ) as run:
+            if run.finished is not None:
+                return run.policy
+            stage = _build_stage(job, begun, lessons, run)
+            run.restore(stage)
+            examine = run.open_examination(job, stage.pupil, stage.learner)
+            return run.finish(stage, stage.run(run.folder, run.say, examine))
 
 
-def _build_stage(
-    job: DapoJob,
-    begun: Pupil,
-    state: TrainingState | None,
-    lessons: Lessons,
-    card: Device,
-    where: torch.device,
-    processes: Processes,
-    recipe: dict[str, object],
-    corpus: str,
-    say: Callable[[str], None],
-) -> DapoStage:
-    """Everything that a step needs, where the state has it."""
-    on_card = where.type == "cuda"
-    begun.model.to(where)
+def _build_stage(job: DapoJob, begun: Pupil, lessons: Lessons, run: StageRun) -> DapoStage:
+    """Everything that a step needs, where the run's state has it."""
+    state, processes = run.state, run.processes
+    begun.model.to(run.where)
     begun.model.requires_grad_(False)
-    lessons = leave_out_long(lessons, begun, say)
-    world = open_world(lessons, begun.settings, job.agents, device=card)
+    lessons = leave_out_long(lessons, begun, run.say)
+    world = open_world(lessons, begun.settings, job.agents, device=run.walked)
     seed = processes.seed(derive_seed(job.seed, "dapo"))
-    dtype = torch.bfloat16 if on_card else None
+    dtype = torch.bfloat16 if run.where.type == "cuda" else None
     visited = collect_states(
         world, begun, processes.share(job.states), seed=seed, walks=job.walks,
-        reference=job.reference, stop_share=job.stop_share, dtype=dtype, say=say,
+        reference=job.reference, stop_share=job.stop_share, dtype=dtype, say=run.say,
         log=None if state is None else DapoStage.read_log(state, processes),
     )  # fmt: skip
     start = {f"model.{name}": w.detach() for name, w in begun.model.named_parameters()}
@@ -272,21 +184,18 @@ def _build_stage(
     else:
         pupil = Pupil(state.checkpoint, begun.settings, begun.template)
     freeze_tower(pupil)
-    pupil.model.to(where).train()
+    pupil.model.to(run.where).train()
     maker = RolloutMaker(
         pupil, visited, job.rollout, processes.share(job.prompts), dtype=dtype
     )  # fmt: skip
     learner = open_policy_learner(job, pupil, maker, processes)
-    stage = DapoStage(
-        pupil=pupil, learner=learner, maker=maker, plan=job.plan, recipe=recipe, corpus=corpus,
+    return DapoStage(
+        pupil=pupil, learner=learner, maker=maker, plan=job.plan, recipe=run.recipe,
+        corpus=run.corpus,
         start={name: start[name] for name in learner.weights}, epochs=job.epochs,
         prompts=processes.share(job.prompts), minibatches=job.minibatches,
         resample=job.resample, seed=seed,
     )  # fmt: skip
-    if state is not None:
-        for note in stage.restore(state):
-            say(note)
-    return stage
 
 
 def open_policy_learner(
@@ -303,23 +212,3 @@ def open_policy_learner(
     ).to(where)  # fmt: skip
     autocast = torch.bfloat16 if on_card else None
     return Learner(loss, job.recipe, autocast=autocast, processes=processes)
-
-
-def freeze_tower(pupil: Pupil) -> None:
-    """The vision tower learns nothing any more; its projector goes on (paper, l. 843)."""
-    for name, weight in pupil.model.named_parameters():
-        projector = any(part in name for part in PROJECTOR)
-        weight.requires_grad_(projector or "visual." not in name)
-
-
-def hash_policy(folder: Path | str) -> str:
-    """Digest of a policy's weights and settings.
-
-    Raises:
-        CheckpointError: it has no weights. StorageError: they cannot be read.
-    """
-    digests = []
-    for path in list_shards(Path(folder)):
-        with path.open("rb") as file:
-            digests.append(hashlib.file_digest(file, "sha256").hexdigest())
-    return content_hash(*digests, read_bytes(Path(folder) / FILE))

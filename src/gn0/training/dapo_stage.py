@@ -241,7 +241,7 @@ class DapoStage:
         """Learn to the end of the plan; reports and checkpoints go to the folder.
 
         Returns:
-            what the last examination measured.
+            what the last examination measured, and as `before_…` what the first did.
 
         Raises:
             TrainingError: a loss is not finite; the last checkpoint is of before that.
@@ -317,7 +317,7 @@ class DapoStage:
                 break
         if not found and examine is not None:  # stopped between the last step and its end
             found = dict(examine())
-        return found
+        return {f"before_{name}": value for name, value in self.before.items()} | found
 
     def _describe(self, values: Mapping[str, float], *, over: bool) -> str:
         step, rate = self.counters.step, values["samples_per_second"]

@@ -370,6 +370,12 @@ def open_learner(
     return Learner(loss, recipe, autocast=autocast, beside=speed.beside, processes=processes)
 
 
+def freeze_tower(pupil: Pupil) -> None:
+    """The vision tower learns nothing any more; its projector goes on (paper, l. 843)."""
+    for name, weight in pupil.model.named_parameters():
+        weight.requires_grad_(not _in_tower(name))
+
+
 def group_weights(
     weights: Iterable[tuple[str, nn.Parameter]], recipe: Recipe
 ) -> list[dict[str, Any]]:
@@ -380,9 +386,7 @@ def group_weights(
     """
     groups: dict[tuple[bool, bool], list[nn.Parameter]] = {}
     for name, weight in weights:
-        projector = any(part in name for part in PROJECTOR)
-        vision = "visual." in name and not projector
-        groups.setdefault((vision, weight.ndim >= 2), []).append(weight)
+        groups.setdefault((_in_tower(name), weight.ndim >= 2), []).append(weight)
     vision_rate = recipe.vision_rate or recipe.rate
     return [
         {
@@ -392,3 +396,8 @@ def group_weights(
         }
         for (vision, matrix), some in groups.items()
     ]
+
+
+def _in_tower(name: str) -> bool:
+    """Whether a weight is the vision tower's, and not its projector's."""
+    return "visual." in name and not any(part in name for part in PROJECTOR)

@@ -115,7 +115,7 @@ def train_sft(
             pupil, learner, stream, maker, job.plan, run.recipe, run.corpus, mixture=run.mixture
         )
         run.restore(stage)
-        found = stage.run(run.folder, run.say, run.open_examination(pupil, learner))
+        found = stage.run(run.folder, run.say, run.open_examination(job, pupil, learner))
         return run.finish(stage, found)
 
 

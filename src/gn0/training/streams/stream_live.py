@@ -13,7 +13,6 @@ comes behind what torch was told before; neither waits. `draw` refuses another c
 
 from __future__ import annotations
 
-import base64
 import zlib
 from collections.abc import Callable, Mapping
 from functools import cached_property
@@ -21,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 from torch import Tensor
 
 from gn0.errors import ConfigError, FormatError, SimError
@@ -30,19 +29,19 @@ from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
 from gn0.sim.sensors import MapFrame
+from gn0.training.streams.agent_places import (
+    pack_array,
+    pack_places,
+    place_agents,
+    read_places,
+    unpack_array,
+    unpack_places,
+)
 from gn0.training.streams.live_counts import COUNTED, LiveCounts
 from gn0.training.streams.samples import LabelledStates
 from gn0.training.streams.step_ring import StepRing
 
 STOP_DISTANCE = 1.0  # m, of the labels that policies are trained on
-_BASE: tuple[tuple[str, DTypeLike, tuple[int, ...]], ...] = (
-    ("episode", np.int32, ()),
-    ("pose", np.float64, (3,)),
-    ("steps", np.int32, ()),
-    ("collided", np.bool_, ()),
-    ("begun", np.int32, ()),
-    ("last", np.int8, ()),
-)
 Driver = Callable[[LabelledStates], Tensor]
 
 
@@ -260,13 +259,7 @@ class StreamLive:
 
     def _note(self) -> None:
         """Note where all stand; what was noted before the last time but one is not needed."""
-        simulator = self.env.simulator
-        simulator.catch_up()
-        found = {name: simulator.outputs[name].numpy() for name in ("episode", "pose")}
-        found["collided"] = simulator.outputs["collided"].numpy() != 0
-        found["steps"] = simulator.state["steps"].numpy()
-        found["begun"] = simulator.queue.begun.copy()
-        found["last"] = self._last.cpu().numpy().copy()
+        found = {**read_places(self.env), "last": self._last.cpu().numpy().copy()}
         self._bases = [*self._bases[-1:], (self.ring.count, found)]
 
     def state(self) -> dict[str, Any]:
@@ -280,13 +273,16 @@ class StreamLive:
         plan = None
         if self._plan is not None:
             plan = self._plan.cpu().numpy()
+        there = {}
+        if found:
+            there = {**pack_places(found), "last": pack_array(found["last"], np.int8)}
         return {
             "drawn": self.drawn,
             "steps": self.ring.count,
             "agents": self.env.num_envs,
             "ring": self.ring.steps,
             "base": base,
-            "there": {name: pack_array(found[name], kind) for name, kind, _ in _BASE if found},
+            "there": there,
             "actions": pack_array(pack_actions(log), np.uint8),
             "plan": None if plan is None else pack_array(plan, np.int8),
             "at": self._at,
@@ -318,11 +314,10 @@ class StreamLive:
             base, count = int(state["base"]), int(state["steps"])
             rows = (count - base, env.num_envs)
             log = unpack_actions(unpack_array(state["actions"], np.uint8, None), rows)
-            there = {
-                name: unpack_array(state["there"][name], kind, (env.num_envs, *shape))
-                for name, kind, shape in _BASE
-                if state["there"]
-            }
+            there = state["there"]
+            if there:
+                last = unpack_array(there["last"], np.int8, (env.num_envs,))
+                there = unpack_places(there, env.num_envs)
             plan, at, drawn = state["plan"], int(state["at"]), int(state["drawn"])
             steps, *told = map(int, state.get("told", [0] * len(COUNTED)))  # older ones have none
             if len(told) != len(COUNTED) - 1:
@@ -338,18 +333,8 @@ class StreamLive:
         self._begin()
         ring.skip(base)
         if there:
-            env.simulator.catch_up()
-            env.simulator.queue.begin_at(self._seeds(), there["begun"])
-            numbers = env.simulator.numbers
-            index = np.zeros(numbers.max() + 1, np.int64)  # equal episodes share a number
-            index[numbers] = np.arange(len(numbers))
-            env.place(
-                index[there["episode"]],
-                there["pose"],
-                steps=there["steps"],
-                collided=there["collided"],
-            )
-            self._last.copy_(torch.from_numpy(there["last"].copy()))
+            place_agents(env, self._seeds(), there)
+            self._last.copy_(torch.from_numpy(last.copy()))
         self._again(log, count)
         self._plan = None if later is None else torch.from_numpy(later.copy()).to(self._device)
         self._at, self.drawn, self._steps = at, drawn, steps
@@ -405,22 +390,6 @@ def check_stream(device: torch.device) -> None:
                 "states are drawn on a stream of their own",
                 remedy="draw outside of `torch.cuda.stream(…)`; graphs may replay there",
             )
-
-
-def pack_array(array: NDArray[Any], kind: DTypeLike) -> str:
-    """The bytes of an array as text."""
-    raw = np.ascontiguousarray(array, kind).tobytes()
-    return base64.b64encode(zlib.compress(raw)).decode()
-
-
-def unpack_array(text: str, kind: DTypeLike, shape: tuple[int, ...] | None) -> NDArray[Any]:
-    """An array of `pack_array`; flat without a shape.
-
-    Raises:
-        ValueError, zlib.error: it is none, or of another shape.
-    """
-    found = np.frombuffer(zlib.decompress(base64.b64decode(text)), kind)
-    return found if shape is None else found.reshape(shape)
 
 
 def pack_actions(actions: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -11,10 +11,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
-import tyro
 
 from gn0.cli.comma_lists import split_words
-from gn0.config import Config
+from gn0.cli.train_flags import CountOrNone, StageFlags, train_stage
 from gn0.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -29,17 +28,12 @@ EXAMPLES = """  gn0 train baseline out/suite --out out/cma
       --out out/tried"""
 
 
-class Args(Config, frozen=True):
+class Args(StageFlags, frozen=True, kw_only=True):
     """What to train, on what, and how.
 
     Attributes:
-        suite: suite folders, as `gn0 missions generate` writes.
-        out: the folder of the run; an interrupted one there goes on.
         model: cma: attention over words and pictures, two GRUs; cma_blind: the same without words,
             so that it does not know its goal; seq2seq: one GRU.
-        exam: the suite to be examined in; the first by default.
-        split: splits of the suite to learn from, with commas between; all for all.
-        held_out: splits to be examined in, with commas between; empty for none.
         size: nano, for trials, or tiny (8 M with colour and depth).
         pictures: each with an encoder of its own, with commas between: rgb, depth, and near, far
             of the ego map.
@@ -57,26 +51,13 @@ class Args(Config, frozen=True):
         rate: the learning rate.
         turn_weight: of states where the expert's action changes.
         progress_weight: of the progress monitor's loss; 0 for none.
-        examined: episodes of an examination.
         report: updates from report to report.
         save: updates from checkpoint to checkpoint; 0 for one at the end.
         examine: updates from examination to examination; 0 for one at the end.
         seed: of weights, walks and chances.
-        device: auto, cuda, or host (the emulation: slow, for trials).
-        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    suite: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
-        msgspec.Meta(min_length=1),
-    ]
-    out: str
     model: Literal["cma", "cma_blind", "seq2seq"] = "cma"
-    exam: str = ""
-    split: str = "train"
-    held_out: str = "val_unseen"
     size: Literal["nano", "tiny"] = "tiny"
     pictures: str = "rgb,depth"
     without: str = ""
@@ -91,25 +72,16 @@ class Args(Config, frozen=True):
     rate: Annotated[float, msgspec.Meta(gt=0, le=1)] = 5e-4
     turn_weight: Annotated[float, msgspec.Meta(gt=0)] = 3.2
     progress_weight: Annotated[float, msgspec.Meta(ge=0)] = 1.0
-    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
     report: Annotated[int, msgspec.Meta(ge=1)] = 20
-    save: Annotated[int, msgspec.Meta(ge=0)] = 200
-    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
-    seed: int = 0
-    device: str = "auto"
-    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
+    save: CountOrNone = 200
 
 
 def run(args: Args) -> int:
     """Train, and say where the policy lies."""
-    import sys
-
     from gn0.cli.train_packages import check_packages
-    from gn0.config import check_config
     from gn0.suites.suite import load_suite
 
-    first = args.suite[0]
-    load_suite(first)  # packages are of no help against a broken folder
+    load_suite(args.suite[0])  # packages are of no help against a broken folder
     settings = _choose_settings(args)
     check_packages()
     from gn0.training.baseline import BaselineJob, train_baseline
@@ -117,10 +89,7 @@ def run(args: Args) -> int:
     from gn0.training.recurrent_stage import ReportPlan, RoundPlan
 
     job = BaselineJob(
-        suites=args.suite,
-        exam=args.exam,
-        splits=() if args.split == "all" else split_words(args.split),
-        held_out=split_words(args.held_out),
+        **args.list_job(),
         settings=settings,
         text_length=args.text_length,
         recipe=RecurrentRecipe(
@@ -130,20 +99,12 @@ def run(args: Args) -> int:
             mix=args.mix,
         ),
         plan=RoundPlan(samples=args.samples, rounds=args.rounds, forced=args.forced),
-        told=ReportPlan(report=args.report, save=args.save, examine=args.examine),
+        told=ReportPlan(**args.list_plan(), report=args.report),
         agents=args.agents,
         steps=args.steps,
-        examined=args.examined,
-        seed=args.seed,
     )
-    policy = train_baseline(
-        check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
-    )
-    print(f"written to {policy}: retrained, small, not the published weights")
-    print(
-        f"next: gn0 bench run {args.exam or first} --policy cma --policy-option checkpoint={policy}"
-    )
-    return 0
+    note = ": retrained, small, not the published weights"
+    return train_stage(args, train_baseline, job, policy="cma", note=note)
 
 
 def _choose_settings(args: Args) -> CmaSettings:

@@ -13,10 +13,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
-import tyro
 
 from gn0.cli.comma_lists import read_joins, split_words
-from gn0.config import Config
+from gn0.cli.train_flags import ImitationFlags, train_stage
 from gn0.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -35,12 +34,11 @@ EXAMPLES = """  gn0 train dagger out/suite --start out/sft/policy --out out/dagg
       --out out/tried"""
 
 
-class Args(Config, frozen=True):
+class Args(ImitationFlags, frozen=True, kw_only=True):
     """What to walk in, who walks, and how to learn.
 
     Attributes:
         suite: suite folders, as `gn0 missions generate` writes; a dataset's with --source dataset.
-        out: the folder of the run; an interrupted one there goes on.
         start: folder of the policy to go on from, such as out/sft/policy; may be left out with
             --live, which then begins with random weights.
         live: gather states while learning, with the policy in training: stage dagger_live.
@@ -78,39 +76,11 @@ class Args(Config, frozen=True):
         executed: actions of an answer that are carried out; 0 for what the policy's settings say.
         stop_share: chance that a wrong STOP ends the episode; else the expert's action is carried
             out.
-        exam: the suite to be examined in; the first by default.
-        text_length: tokens of instructions, where suites that join may have longer ones than the
-            first; still longer ones are left out.
-        split: splits of the suite to learn from, with commas between; all for all.
-        held_out: splits to be examined in, with commas between; empty for none.
         recipe: how it learns: scratch, a tenth of SFT's rate with --start and else all of it;
             pretrained, the paper's.
-        batch: samples of a step; the recipe's when 0.
-        rate: the learning rate; the recipe's when 0.
-        stop_weight: of an answer's first STOP; the recipe's when 0.
         agents: that walk side by side.
-        jitter: vary colour and light of the camera's pictures.
-        workers: processes that read a dataset.
-        examined: episodes of an examination.
-        asked: states of an examination.
-        report: steps from report to report.
-        save: steps from checkpoint to checkpoint; 0 for one at the end.
-        examine: steps from examination to examination; 0 for one before the first and one at the
-            end.
-        shard_mb: megabytes of a checkpoint's file at most.
-        drop_optimiser: leave the optimiser's states out of checkpoints.
-        seed: of weights, states and order.
-        device: auto, cuda, or host (the emulation: slow, for trials).
-        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    suite: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
-        msgspec.Meta(min_length=1),
-    ]
-    out: str
     start: str = ""
     live: bool = False
     source: Literal["walks", "dataset"] | None = None
@@ -137,27 +107,7 @@ class Args(Config, frozen=True):
     inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
-    exam: str = ""
-    text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
-    split: str = "train"
-    held_out: str = "val_unseen"
     recipe: Literal["scratch", "pretrained"] = "scratch"
-    batch: Annotated[int, msgspec.Meta(ge=0)] = 0
-    rate: Annotated[float, msgspec.Meta(ge=0)] = 0
-    stop_weight: Annotated[float, msgspec.Meta(ge=0)] = 0
-    agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
-    jitter: bool = False
-    workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
-    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
-    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096
-    report: Annotated[int, msgspec.Meta(ge=1)] = 50
-    save: Annotated[int, msgspec.Meta(ge=0)] = 1000
-    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
-    shard_mb: Annotated[int, msgspec.Meta(ge=1)] = 2000
-    drop_optimiser: bool = False
-    seed: int = 0
-    device: str = "auto"
-    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
 ONCE = ("source", "states", "epochs", "driver", "beta")
@@ -169,11 +119,7 @@ ANEW = ("size", "prompt", "pictures", "without", "points", "layout", "preset")
 
 def run(args: Args) -> int:
     """Gather states and learn, and say where the policy lies."""
-    import os
-    import sys
-
     from gn0.cli.train_packages import check_packages
-    from gn0.config import check_config
     from gn0.data.dataset import open_dataset
     from gn0.policies.bae.policy_settings import load_policy_settings
     from gn0.suites.suite import load_suite
@@ -188,20 +134,9 @@ def run(args: Args) -> int:
     from gn0.training.dagger import train_dagger
     from gn0.training.dagger_live import train_dagger_live
 
-    options: dict[str, Any] = {
-        "device": args.device, "fresh": args.fresh, "command": sys.argv[1:],
-    }  # fmt: skip
     if args.live:
-        policy = train_dagger_live(check_config(_read_live(args)), args.out, **options)
-    else:
-        policy = train_dagger(check_config(_read_once(args)), args.out, **options)
-    if os.environ.get("RANK", "0") != "0":  # one of several processes; the first one speaks
-        return 0
-    print(f"written to {policy}")
-    print(
-        f"next: gn0 bench run {args.exam or first} --policy bae --policy-option checkpoint={policy}"
-    )
-    return 0
+        return train_stage(args, train_dagger_live, _read_live(args))
+    return train_stage(args, train_dagger, _read_once(args))
 
 
 def _check_flags(args: Args) -> None:
@@ -287,32 +222,19 @@ def _read_both(args: Args, recipe: Any) -> dict[str, Any]:
     from gn0.training.inputs import read_shares
     from gn0.training.stage import StagePlan
 
-    given = {"batch": args.batch, "rate": args.rate, "stop_weight": args.stop_weight}
-    chosen = {name: value for name, value in given.items() if value}
+    chosen = args.list_recipe()
     if args.rate and recipe.vision_rate is not None:
         chosen["vision_rate"] = args.rate  # one rate for the whole model
     return {
-        "suites": args.suite,
+        **args.list_job(),
         "start": args.start,
         "inputs": read_shares(args.inputs) if args.start else {},
-        "exam": args.exam,
-        "text_length": args.text_length,
-        "splits": () if args.split == "all" else split_words(args.split),
-        "held_out": split_words(args.held_out),
         "recipe": msgspec.structs.replace(recipe, **chosen),
         "plan": StagePlan(
+            **args.list_plan(),
             samples=args.samples or StagePlan().samples,
             minutes=args.minutes,
-            report=args.report,
-            save=args.save,
-            examine=args.examine,
-            shard_mb=args.shard_mb,
-            keep_optimiser=not args.drop_optimiser,
         ),
-        **{
-            name: getattr(args, name)
-            for name in (
-                "executed", "stop_share", "agents", "jitter", "workers", "examined", "asked", "seed"
-            )
-        },
-    }  # fmt: skip
+        "executed": args.executed,
+        "stop_share": args.stop_share,
+    }

@@ -11,10 +11,8 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import msgspec
-import tyro
 
-from gn0.cli.comma_lists import split_words
-from gn0.config import Config
+from gn0.cli.train_flags import Count, CountOrNone, PolicyFlags, train_stage
 
 EXAMPLES = """  gn0 train dapo out/suite --start out/dagger/policy --out out/dapo
   gn0 train dapo out/suite --start out/sft/policy --states 4000 --epochs 1 --out out/dapo-sft
@@ -26,19 +24,13 @@ EXAMPLES = """  gn0 train dapo out/suite --start out/dagger/policy --out out/dap
 
 Weight = Annotated[float, msgspec.Meta(ge=0)]
 Scale = Annotated[float, msgspec.Meta(gt=0)]
-Count = Annotated[int, msgspec.Meta(ge=1)]
 
 
-class Args(Config, frozen=True):
+class Args(PolicyFlags, frozen=True, kw_only=True):
     """What to train, on what, and how.
 
     Attributes:
-        suite: suite folders, as `gn0 missions generate` writes.
         start: the folder of the policy to go on from.
-        out: the folder of the run; an interrupted one there goes on.
-        exam: the suite to be examined in; the first by default.
-        split: splits of the suite to learn from, with commas between; all for all.
-        held_out: splits to be examined in, with commas between; empty for none.
         recipe: rates: scratch, for models from random weights (2e-5); pretrained, the paper's
             (1e-6).
         rate: the learning rate; the recipe's when 0.
@@ -72,30 +64,12 @@ class Args(Config, frozen=True):
         position_scale: metres at which the reward for executed poses falls to 1/e.
         waypoint_scale: the same of waypoints.
         minutes: of training at most.
-        examined: episodes of an examination.
-        asked: states of an examination.
         report: steps from report to report; a step is a rollout.
-        save: steps from checkpoint to checkpoint; 0 for one at the end.
-        examine: steps from examination to examination; 0 for one before the first and one at the
-            end.
-        shard_mb: megabytes of a checkpoint's file at most.
         drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes.
         seed: of states, their order, and answers.
-        device: auto, cuda, or host (the emulation: slow, for trials).
-        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    suite: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
-        msgspec.Meta(min_length=1),
-    ]
     start: str
-    out: str
-    exam: str = ""
-    split: str = "train"
-    held_out: str = "val_unseen"
     recipe: Literal["scratch", "pretrained"] = "scratch"
     rate: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0
     walks: Literal["policy", "expert"] = "policy"
@@ -125,25 +99,13 @@ class Args(Config, frozen=True):
     position_scale: Scale = 0.5
     waypoint_scale: Scale = 0.3
     minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
-    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
-    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096
     report: Count = 10
-    save: Annotated[int, msgspec.Meta(ge=0)] = 200
-    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
-    shard_mb: Count = 2000
-    drop_optimiser: bool = False
-    seed: int = 0
-    device: str = "auto"
-    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
+    save: CountOrNone = 200
 
 
 def run(args: Args) -> int:
     """Train, and say where the policy lies."""
-    import os
-    import sys
-
     from gn0.cli.train_packages import check_packages
-    from gn0.config import check_config
     from gn0.policies.bae.policy_settings import load_policy_settings
     from gn0.suites.suite import load_suite
 
@@ -160,11 +122,8 @@ def run(args: Args) -> int:
     if args.rate:
         recipe = msgspec.structs.replace(recipe, rate=args.rate)
     job = DapoJob(
-        suites=args.suite,
+        **args.list_job(),
         start=args.start,
-        exam=args.exam,
-        splits=() if args.split == "all" else split_words(args.split),
-        held_out=split_words(args.held_out),
         walks=args.walks,
         reference=args.reference,
         stop_share=args.stop_share,
@@ -196,24 +155,6 @@ def run(args: Args) -> int:
         entropy_bonus=args.entropy_bonus,
         kl_weight=args.kl_weight,
         recipe=recipe,
-        plan=DapoPlan(
-            minutes=args.minutes or None,
-            report=args.report,
-            save=args.save,
-            examine=args.examine,
-            shard_mb=args.shard_mb,
-            keep_optimiser=not args.drop_optimiser,
-        ),
-        examined=args.examined,
-        asked=args.asked,
-        seed=args.seed,
+        plan=DapoPlan(**args.list_plan(), minutes=args.minutes or None, report=args.report),
     )
-    policy = train_dapo(
-        check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
-    )
-    if os.environ.get("RANK", "0") != "0":  # one of several processes; the first one speaks
-        return 0
-    exam = args.exam or args.suite[0]
-    print(f"written to {policy}")
-    print(f"next: gn0 bench run {exam} --policy bae --policy-option checkpoint={policy}")
-    return 0
+    return train_stage(args, train_dapo, job)

@@ -13,10 +13,8 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import msgspec
-import tyro
 
-from gn0.cli.comma_lists import split_words
-from gn0.config import Config
+from gn0.cli.train_flags import CountOrNone, PolicyFlags, train_stage
 
 EXAMPLES = """  gn0 train rl out/suite --start out/dagger/policy --out out/rl
   gn0 train rl out/suite --start out/dagger/policy --updates 400 --minutes 90 --out out/rl
@@ -26,16 +24,12 @@ EXAMPLES = """  gn0 train rl out/suite --start out/dagger/policy --out out/rl
       --device host --out out/tried"""
 
 
-class Args(Config, frozen=True):
+class Args(PolicyFlags, frozen=True, kw_only=True):
     """What learns, where and how.
 
     Attributes:
-        suite: suite folders, as `gn0 missions generate` writes.
         start: the folder of the policy to begin from, as `gn0 train` writes.
-        out: the folder of the run; an interrupted one there goes on.
-        exam: the suite to be examined in; the first by default.
         split: splits of the suite to learn in, with commas between; all for all.
-        held_out: splits to be examined in, with commas between; empty for none.
         recipe: rates to start with: scratch, of a small model; pretrained, of a large one.
         updates: rounds of walking and learning, at most.
         minutes: of training at most.
@@ -58,30 +52,15 @@ class Args(Config, frozen=True):
         aggregation: the mean of an answer's tokens and then of answers (response), or of all
             tokens (token).
         entropy_bonus: weight of the answers' entropy, which is raised.
-        examined: episodes of an examination.
-        asked: states of an examination.
         save: updates from checkpoint to checkpoint; 0 for one at the end.
         examine: updates from examination to examination; 0 for one before and one at the end.
         without_kl: do not measure the KL to the policy at the start, which takes a second model.
-        shard_mb: megabytes of a checkpoint's file at most.
         drop_optimiser: leave the optimiser's states out of checkpoints: a third of the bytes, and
             whoever goes on warms the rate again.
         seed: of episodes, answers and order.
-        device: auto, cuda, or host (the emulation: slow, for trials).
-        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    suite: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
-        msgspec.Meta(min_length=1),
-    ]
     start: str
-    out: str
-    exam: str = ""
-    split: str = "train"
-    held_out: str = "val_unseen"
     recipe: Literal["scratch", "pretrained"] = "scratch"
     updates: Annotated[int, msgspec.Meta(ge=1)] = 200
     minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
@@ -102,25 +81,13 @@ class Args(Config, frozen=True):
     clip_high: Annotated[float, msgspec.Meta(gt=0, lt=10)] = 0.28
     aggregation: Literal["response", "token"] = "response"
     entropy_bonus: Annotated[float, msgspec.Meta(ge=0)] = 0
-    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
-    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096
-    save: Annotated[int, msgspec.Meta(ge=0)] = 10
-    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
+    save: CountOrNone = 10
     without_kl: bool = False
-    shard_mb: Annotated[int, msgspec.Meta(ge=1)] = 2000
-    drop_optimiser: bool = False
-    seed: int = 0
-    device: str = "auto"
-    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
 def run(args: Args) -> int:
     """Train, and say where the policy lies."""
-    import os
-    import sys
-
     from gn0.cli.train_packages import check_packages
-    from gn0.config import check_config
     from gn0.policies.bae.policy_settings import load_policy_settings
     from gn0.suites.suite import load_suite
 
@@ -134,11 +101,8 @@ def run(args: Args) -> int:
 
     recipe = EPISODE_RECIPES[args.recipe]
     job = EpisodeJob(
-        suites=args.suite,
+        **args.list_job(),
         start=args.start,
-        exam=args.exam,
-        splits=() if args.split == "all" else split_words(args.split),
-        held_out=split_words(args.held_out),
         recipe=msgspec.structs.replace(
             recipe,
             episodes=args.episodes,
@@ -160,24 +124,10 @@ def run(args: Args) -> int:
             entropy_bonus=args.entropy_bonus,
         ),
         plan=EpisodePlan(
+            **args.list_plan(),
             updates=args.updates,
             minutes=args.minutes or None,
-            save=args.save,
-            examine=args.examine,
-            shard_mb=args.shard_mb,
-            keep_optimiser=not args.drop_optimiser,
             kl=not args.without_kl,
         ),
-        examined=args.examined,
-        asked=args.asked,
-        seed=args.seed,
     )
-    policy = train_episode_rl(
-        check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
-    )
-    if os.environ.get("RANK", "0") != "0":  # one of several processes; the first one speaks
-        return 0
-    exam = args.exam or args.suite[0]
-    print(f"written to {policy}")
-    print(f"next: gn0 bench run {exam} --policy bae --policy-option checkpoint={policy}")
-    return 0
+    return train_stage(args, train_episode_rl, job)

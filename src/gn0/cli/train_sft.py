@@ -11,10 +11,9 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import msgspec
-import tyro
 
 from gn0.cli.comma_lists import read_joins, split_words
-from gn0.config import Config
+from gn0.cli.train_flags import ImitationFlags, train_stage
 from gn0.errors import ConfigError
 
 EXAMPLES = """  gn0 train sft out/suite --out out/sft
@@ -30,21 +29,15 @@ EXAMPLES = """  gn0 train sft out/suite --out out/sft
   gn0 train sft out/suite --size nano --samples 2000 --device host --out out/tried"""
 
 
-class Args(Config, frozen=True):
+class Args(ImitationFlags, frozen=True, kw_only=True):
     """What to train, on what, and how.
 
     Attributes:
         suite: suite folders, as `gn0 missions generate` writes; datasets' with --source dataset.
-        out: the folder of the run; an interrupted one there goes on.
         joins: samples drawn when each suite joins, with commas between; a suite that is not there
             yet is waited for. By default all are there from the first sample on.
-        exam: the suite to be examined in; the first by default.
-        text_length: tokens of instructions, where suites that join may have longer ones than the
-            first; still longer ones are left out.
         source: where states come from: walks of the expert, uniform over the scenes, or datasets.
         shares: of the samples, one a dataset with commas between; by their sizes by default.
-        split: splits of the suite to learn from, with commas between; all for all.
-        held_out: splits to be examined in, with commas between; empty for none.
         recipe: how it learns: scratch, from random weights; pretrained, the paper's rates.
         size: of a model from random weights: nano (2 M) or tiny (17 M).
         start: a folder to start from instead: a policy, or any Qwen3-VL as safetensors.
@@ -67,42 +60,16 @@ class Args(Config, frozen=True):
         preset: of the cameras, as in `gn0 list presets`.
         samples: to learn from.
         minutes: of training at most; the rate falls in time for it.
-        batch: samples of a step; the recipe's when 0.
         rate: the learning rate; the recipe's when 0, of pretrained ten times as much with --lora.
         lora: rank of adapters that learn in place of all weights of --start; 0 for none.
-        stop_weight: of an answer's first STOP; the recipe's when 0.
-        agents: that gather states side by side.
         kept: states of walks that batches are drawn from.
         ratio: new states of walks a sample.
-        jitter: vary colour and light of the camera's pictures.
-        workers: processes that read a dataset.
-        examined: episodes of an examination.
-        asked: states of an examination.
-        report: steps from report to report.
-        save: steps from checkpoint to checkpoint; 0 for one at the end.
         examine: steps from examination to examination; 0 for one at the end.
-        shard_mb: megabytes of a checkpoint's file at most.
-        drop_optimiser: leave the optimiser's states out of checkpoints: half of the bytes, and
-            whoever goes on warms the rate again.
-        seed: of weights, states and order.
-        device: auto, cuda, or host (the emulation: slow, for trials).
-        fresh: forget what an earlier command left in the output folder, instead of going on.
     """
 
-    suite: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="SUITE [SUITE ...]"),
-        msgspec.Meta(min_length=1),
-    ]
-    out: str
     joins: str = "0"
-    exam: str = ""
-    text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     source: Literal["walks", "uniform", "dataset"] = "walks"
     shares: str = ""
-    split: str = "train"
-    held_out: str = "val_unseen"
     recipe: Literal["scratch", "pretrained"] = "scratch"
     size: str = "tiny"
     start: str = ""
@@ -118,34 +85,14 @@ class Args(Config, frozen=True):
     preset: str = "tiny_128"
     samples: Annotated[int, msgspec.Meta(ge=1)] = 8_000_000
     minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
-    batch: Annotated[int, msgspec.Meta(ge=0)] = 0
-    rate: Annotated[float, msgspec.Meta(ge=0)] = 0
     lora: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 0
-    stop_weight: Annotated[float, msgspec.Meta(ge=0)] = 0
-    agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     kept: Annotated[int, msgspec.Meta(ge=1)] = 200_000
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
-    jitter: bool = False
-    workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
-    examined: Annotated[int, msgspec.Meta(ge=0)] = 512
-    asked: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 4096
-    report: Annotated[int, msgspec.Meta(ge=1)] = 50
-    save: Annotated[int, msgspec.Meta(ge=0)] = 1000
-    examine: Annotated[int, msgspec.Meta(ge=0)] = 0
-    shard_mb: Annotated[int, msgspec.Meta(ge=1)] = 2000
-    drop_optimiser: bool = False
-    seed: int = 0
-    device: str = "auto"
-    fresh: Annotated[bool, tyro.conf.arg(aliases=("--overwrite",))] = False
 
 
 def run(args: Args) -> int:
     """Train, and say where the policy lies."""
-    import os
-    import sys
-
     from gn0.cli.train_packages import check_packages
-    from gn0.config import check_config
     from gn0.data.answer_form import AnswerForm
     from gn0.data.dataset import open_dataset
     from gn0.policies.bae.policy_settings import PolicySettings
@@ -153,11 +100,10 @@ def run(args: Args) -> int:
     from gn0.suites.suite import load_suite
 
     # what is learned from is looked at first: packages are of no help against a broken folder
-    first = args.suite[0]
     for dataset in args.suite if args.source == "dataset" else ():
         open_dataset(dataset)
     if args.source != "dataset":
-        load_suite(first)
+        load_suite(args.suite[0])
     check_packages()
     from gn0.training.inputs import fit_prompt, read_inputs
     from gn0.training.recipe import RECIPES
@@ -165,9 +111,11 @@ def run(args: Args) -> int:
     from gn0.training.stage import StagePlan
 
     recipe = RECIPES[args.recipe]
-    rate = args.rate or (10 * recipe.rate if args.lora and args.recipe == "pretrained" else 0)
-    given = {"batch": args.batch, "rate": rate, "stop_weight": args.stop_weight, "lora": args.lora}
-    chosen = {name: value for name, value in given.items() if value}
+    chosen = args.list_recipe()
+    if args.lora:
+        chosen["lora"] = args.lora
+        if args.recipe == "pretrained":
+            chosen.setdefault("rate", 10 * recipe.rate)
     settings = PolicySettings(
         prompt=args.prompt,
         pictures=split_words(args.pictures),
@@ -183,47 +131,20 @@ def run(args: Args) -> int:
     else:
         settings = fit_prompt(settings)
     job = SftJob(
-        suites=args.suite,
+        **args.list_job(),
         joins=read_joins(args.joins),
-        exam=args.exam,
-        text_length=args.text_length,
         source=args.source,
-        splits=() if args.split == "all" else split_words(args.split),
-        held_out=split_words(args.held_out),
         size=args.size,
         start=args.start,
         settings=settings,
         inputs=inputs,
         shares=_read_shares(args.shares),
         recipe=msgspec.structs.replace(recipe, **chosen),
-        plan=StagePlan(
-            samples=args.samples,
-            minutes=args.minutes or None,
-            report=args.report,
-            save=args.save,
-            examine=args.examine,
-            shard_mb=args.shard_mb,
-            keep_optimiser=not args.drop_optimiser,
-        ),
-        agents=args.agents,
+        plan=StagePlan(**args.list_plan(), samples=args.samples, minutes=args.minutes or None),
         kept=args.kept,
         ratio=args.ratio,
-        jitter=args.jitter,
-        workers=args.workers,
-        examined=args.examined,
-        asked=args.asked,
-        seed=args.seed,
     )
-    policy = train_sft(
-        check_config(job), args.out, device=args.device, fresh=args.fresh, command=sys.argv[1:]
-    )
-    if os.environ.get("RANK", "0") != "0":  # one of several processes; the first one speaks
-        return 0
-    print(f"written to {policy}")
-    print(
-        f"next: gn0 bench run {args.exam or first} --policy bae --policy-option checkpoint={policy}"
-    )
-    return 0
+    return train_stage(args, train_sft, job)
 
 
 def _read_size(text: str) -> tuple[int, int]:

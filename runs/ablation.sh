@@ -108,7 +108,8 @@ train() { # VERB RUN [FLAG ...]: on as many cards as the job was given
   shift 2
   count=$(awk -F, '{print NF}' <<< "${CUDA_VISIBLE_DEVICES:-}")
   if [ "$count" -gt 1 ]; then
-    "$PYTHON" -m torch.distributed.run --standalone --nproc-per-node "$count" -m gn0 train "$verb" "$@" --out "$OUT/runs/$run"
+    # without the -- torchrun takes --start for its own
+    "$PYTHON" -m torch.distributed.run --standalone --nproc-per-node "$count" -m -- gn0 train "$verb" "$@" --out "$OUT/runs/$run"
   else
     gn0 train "$verb" "$@" --out "$OUT/runs/$run"
   fi

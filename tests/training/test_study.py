@@ -450,6 +450,28 @@ def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> 
     assert call("no-such-job").returncode == 2
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_job_on_two_cards_is_started_once_by_torchrun(tmp_path: Path) -> None:
+    """Behind `--`, so that no flag of ours is taken for one of torchrun's."""
+    out, told = tmp_path / "out", tmp_path / "told"
+    (tmp_path / "python").write_text(f'#!/bin/bash\necho "$CUDA_VISIBLE_DEVICES: $*" >> {told}\n')
+    (tmp_path / "python").chmod(0o755)
+    (out / "jobs").mkdir(parents=True)
+    (out / "jobs" / "homes-a.done").write_text("before")
+    (out / "suites" / "a").mkdir(parents=True)
+    (out / "suites" / "a" / "manifest.json").write_text("{}")
+    subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "all-sft-0"],
+        env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0,1"},
+        capture_output=True, check=True,
+    )  # fmt: skip
+    (line,) = told.read_text().splitlines()
+    assert line.startswith(
+        "0,1: -m torch.distributed.run --standalone --nproc-per-node 2 -m -- gn0 "
+    )
+    assert f"train sft {out}/suites/a " in line
+
+
 def test_the_page_says_what_was_not_run(tmp_path: Path) -> None:
     """While nothing has been run, the page is what the command makes of nothing."""
     page = (ROOT / "docs/ablation.md").read_text()

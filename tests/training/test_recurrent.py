@@ -157,22 +157,47 @@ def test_it_plays_what_the_benchmark_plays(flats_suite, tmp_path: Path, worker_h
         assert walk.length == pytest.approx(metrics.trajectory_length, abs=1e-6)
 
 
+@pytest.mark.parametrize("graph", ["cma", "seq2seq"])
+def test_it_learns_to_do_what_it_was_told_step_by_step(graph) -> None:
+    """Blind, it must read, count its steps from stretch to stretch, and begin anew with a walk."""
+    texts = ["go to the sofa", "go to the table", "go to the door"]
+    walks = torch.tensor([[1, 2, 1, 3, 0], [1, 1, 3, 2, 0], [2, 2, 1, 1, 0]])
+    net, words = make_net(texts, graph=graph, pictures=())
+    table = WordTable(TokenizerFile(words), texts, 24, "cpu")
+    learner = RecurrentLearner(net, table, 8, RECIPE)
+    agents = torch.arange(8)
+    right, losses = [], []
+    for step in range(160):
+        at = torch.arange(7 * step, 7 * step + 7)[:, None] + agents
+        number, t = at // 5, at % 5
+        told = (number * (agents + 1) + agents) % 3
+        last = torch.where(t == 0, -1, walks[told, t - 1])
+        unknown = torch.full(t.shape, torch.nan)
+        stretch = Stretch({}, told, last, walks[told, t], torch.ones_like(t).bool(), unknown)
+        found, _ = learner.step(stretch, min(1.0, (step + 1) / 10))
+        right.append(float(found.right))
+        losses.append(float(found.loss.detach()))
+    assert min(right[-5:]) == 1
+    assert np.mean(losses[-5:]) < 0.15 < np.mean(losses[:5]) - 1
+
+
 @pytest.mark.slow
-def test_it_learns_eight_walks_by_heart_and_walks_them(make_env) -> None:
+@pytest.mark.parametrize("graph", ["cma", "seq2seq"])
+def test_it_learns_eight_walks_by_heart_and_walks_them(graph, make_env) -> None:
+    """In 300 updates; after 150 both have a loss of 0.07 to 0.27 of the first, as seeds differ."""
     view = MapView(squares=(EgoSquare(32, 0.15),))
     env = make_env(8, sensors=("ego_map",), map_view=view)
     texts = [episode.instruction for episode in env.episodes]
-    net, words = make_net(texts, view=view)
+    net, words = make_net(texts, view=view, graph=graph)
     table = WordTable(TokenizerFile(words), texts, 24, "cpu")
     stream = StreamWalks(env, net.settings.pictures, view, 16, seed=0)
     stream.begin(0, [])
     learner = RecurrentLearner(net, table, 8, RECIPE)
-    first = float(learner.judge(stream.draw()).loss.detach())
     losses = []
-    for step in range(150):
-        found, _ = learner.step(stream.draw(), min(1.0, (step + 1) / 10, (160 - step) / 40))
+    for step in range(300):
+        found, _ = learner.step(stream.draw(), min(1.0, (step + 1) / 10, (310 - step) / 40))
         losses.append(float(found.loss.detach()))
-    assert np.mean(losses[-10:]) < 0.15 * first
+    assert np.mean(losses[-10:]) < 0.1 * losses[0]
     walks = ClosedLoopRecurrent(env, net.eval(), TokenizerFile(words)).play()
     assert len(walks) == 8
     assert np.mean([walk.success for walk in walks]) >= 0.75

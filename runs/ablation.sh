@@ -23,6 +23,7 @@
 #   SAMPLES   of a trunk (8000000), STATES of a DAgger stage (300000, five times over), UPDATES of episode RL (200)
 #   EPISODES  of an examination (all: 24 in each of 100 homes never seen)
 #   BATCH, RATE  of the trunks, where the sweep found better ones than the recipe's
+#   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
 #   JOINS     samples at which lots a, b and c join (0,500000,3000000)
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
 #   WORKERS   homes made at a time (all cores but one)
@@ -88,6 +89,13 @@ else
   BASELINE=(--samples "${SAMPLES:-8000000}")
   WALK=(--episodes "${EPISODES:-0}")
   UNTRAINED=()
+fi
+if [ -n "${SPEED:-}" ]; then
+  for kind in SFT FIRST ROUND LIVE; do
+    declare -n flags=$kind
+    flags+=(--speed "$SPEED")
+  done
+  unset -n flags
 fi
 [ -z "${BATCH:-}" ] || SFT+=(--batch "$BATCH")
 [ -z "${RATE:-}" ] || SFT+=(--rate "$RATE")

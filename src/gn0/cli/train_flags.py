@@ -102,6 +102,8 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
         stop_weight: of an answer's first STOP; the recipe's when 0.
         agents: that gather states side by side.
         jitter: vary colour and light of the camera's pictures.
+        speed: how steps are computed on a card, as words with commas between: blocks, whole or
+            tuned; joined; narrow; beside. `gn0 figures train.sft` compares them; blocks by default.
         workers: processes that read a dataset.
         report: steps from report to report.
     """
@@ -112,13 +114,17 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
     stop_weight: Annotated[float, msgspec.Meta(ge=0)] = 0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 1024
     jitter: bool = False
+    speed: str = ""
     workers: Annotated[int, msgspec.Meta(ge=0, le=256)] = 0
     report: Count = 50
 
     def list_job(self) -> dict[str, Any]:
         """See `StageFlags`."""
+        from gn0.training.recipe import parse_speed
+
         names = ("text_length", "agents", "jitter", "workers")
-        return {**super().list_job(), **{name: getattr(self, name) for name in names}}
+        own = {name: getattr(self, name) for name in names}
+        return {**super().list_job(), **own, "speed": parse_speed(split_words(self.speed))}
 
     def list_plan(self) -> dict[str, Any]:
         """See `StageFlags`."""

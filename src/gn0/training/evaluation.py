@@ -11,7 +11,8 @@ own actions lead.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,7 @@ from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES
 from gn0.policies.bae.waypoint_plan import Carried, check_carried
 from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.ego_map import MapView
 from gn0.sim.state import Action
 from gn0.training.pupil import Pupil
 from gn0.training.streams.live_counts import COUNTED, LiveCounts
@@ -102,21 +104,19 @@ def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> St
     )
 
 
-class ClosedLoop:
-    """Plays episodes of an environment with a model, as many at once as it has agents.
-
-    A model that learns between two calls plays with what it has then.
+class EpisodeLoop(ABC):
+    """Plays episodes of an environment, as many at once as it has agents; subclasses decide.
 
     Args:
         env: its agents; they are reset.
-        pupil: the model and how it is asked; on the device of `env`.
-        dtype: of what is computed, see `Actor`.
-        compiled: see `Actor`.
-        executed: actions of an answer that are carried out; 0: as the settings say.
+        pictures: that are shown, by name.
+        view: of the ego map.
+        sensors: that agents must have, the pose and whole maps aside.
+        device: where decisions are made.
+        actions: A of a decision.
+        executed: of them, that are carried out.
+        on_map: whether prompts say where on the whole map the agent is.
         confirm_stop: a STOP behind the first action is asked again.
-        carried: the answers' actions; or their waypoints, along which the cheapest actions lead,
-            while STOP is that of a first action (`waypoint_plan`).
-        temperature: of the draws, see `Actor`.
         labelled: hold what the policy does against the expert, wherever it gets to.
 
     Attributes:
@@ -124,26 +124,28 @@ class ClosedLoop:
         counts: of the last `play`, where `labelled`; episodes that nobody counts are left out.
 
     Raises:
-        ConfigError: the agents do not see what the prompt shows.
+        ConfigError: the agents do not see what is shown.
     """
 
     def __init__(
         self,
         env: VectorEnvDevice,
-        pupil: Pupil,
         *,
-        dtype: torch.dtype | None = None,
-        compiled: bool = False,
-        executed: int = 0,
+        pictures: Sequence[str],
+        view: MapView,
+        sensors: Collection[str],
+        device: torch.device,
+        actions: int,
+        executed: int,
+        on_map: bool = False,
         confirm_stop: bool = False,
-        carried: Carried = "actions",
         labelled: bool = False,
-        temperature: float = 0.0,
     ) -> None:
-        self.env, self.settings, self.labelled = env, pupil.settings, labelled
-        self.executed, self.confirm_stop = executed or self.settings.executed, confirm_stop
-        self.whole = [name for name in MAPS if name in self.settings.pictures]
-        needed = set(self.settings.sensors(pupil.template)) - {"pose", *MAPS}
+        self.env, self.device, self.pictures, self.view = env, device, tuple(pictures), view
+        self.actions, self.executed, self.on_map = actions, executed, on_map
+        self.confirm_stop, self.labelled = confirm_stop, labelled
+        self.whole = [name for name in MAPS if name in pictures]
+        needed = set(sensors) - {"pose", *MAPS}
         missing = (needed | ({"ego_map"} if self.whole else set())) - set(env.sensors)
         if missing:
             raise ConfigError(
@@ -151,33 +153,36 @@ class ClosedLoop:
                 where="evaluation",
                 remedy="open the environment with the sensors of the policy's settings",
             )
-        self.device: torch.device = pupil.model.device
-        texts = [episode.instruction for episode in env.episodes]
-        on_map = self.settings.frame is None
-        self.atlas = EgoAtlas(env) if self.whole or on_map else None
-        maps = self.atlas.frames if self.atlas is not None else ()
-        # a prompt on the whole map says its scale, so each episode has a prompt without words, too
-        said = [CONTROL_TEXT] * (len(texts) if on_map else 1)
-        self.maker = pupil.maker([*texts, *said], self.device, maps * 2)
-        self.actor = self._open_actor(
-            pupil, dtype=dtype, compiled=compiled, temperature=temperature
-        )
-        self._follower: WaypointFollower | None = None
-        if check_carried(carried, self.settings.form.points) == "waypoints":
-            self._follower = WaypointFollower(self.device)
         self.decisions, self.counts = 0, LiveCounts()
-        squares = set(SQUARE_NAMES) & {*self.settings.pictures}
+        squares = set(SQUARE_NAMES) & {*pictures}
         # whole maps are drawn of the same pictures as squares
         self._unseen = ["ego_map"] if self.whole and not squares else []
         views = "history" not in env.sensors  # mosaics are made of all views
         self._idle = [n for n in ("ego_map", *(["rgb"] if views else [])) if n in env.sensors]
 
-    def _open_actor(self, pupil: Pupil, **options: Any) -> Actor:
-        """Who decides for all agents at once; another kind of policy has one of its own."""
-        return Actor(
-            pupil.model, self.maker.table.layout, pupil.slots, self.settings.frame,
-            self.env.num_envs, said=self.maker.table.place, **options,
-        )  # fmt: skip
+    @abstractmethod
+    def decide(
+        self,
+        shown: Sequence[Tensor],
+        texts: Tensor,
+        episode: Tensor,
+        pose: Tensor,
+        last: Tensor,
+        hit: Tensor,
+    ) -> Tensor:
+        """Decisions of all N agents.
+
+        Args:
+            shown: pictures [N, ...] each.
+            texts: int64 [N] numbers of what they are told.
+            episode: int64 [N] numbers of theirs.
+            pose: float64 [N, 3].
+            last: int64 [N] actions before; −1 where an episode begins.
+            hit: bool [N], whether an obstacle cut that short.
+
+        Returns:
+            int64 [N, A] actions.
+        """
 
     def play(
         self,
@@ -185,7 +190,6 @@ class ClosedLoop:
         *,
         control: Control = "none",
         seed: int = 0,
-        watch: Watch | None = None,
     ) -> list[Walk]:
         """Play episodes once each.
 
@@ -194,8 +198,6 @@ class ClosedLoop:
             control: what is taken away: the text for another one of the same scene (shuffled), or
                 for `go` (no_words); pictures are black (no_pictures).
             seed: of the shuffling.
-            watch: is given pictures, prompts and answers of each decision of all agents; those
-                that are done decide on, for nobody.
 
         Returns:
             walks in the order of `episodes`.
@@ -207,7 +209,7 @@ class ClosedLoop:
         check_control(control)
         wanted = list(range(len(self.env.tasks.episodes))) if episodes is None else list(episodes)
         chosen = choose_texts(self.env.episodes, control, seed)
-        if control == "no_words" and self.settings.frame is None:
+        if control == "no_words" and self.on_map:
             chosen = chosen + np.arange(len(chosen))
         texts = torch.from_numpy(chosen).to(self.device)
         count, walks = self.env.num_envs, []
@@ -216,12 +218,10 @@ class ClosedLoop:
             some = wanted[begin : begin + count]
             filled = some + [some[-1]] * (count - len(some))  # who has none plays one for nobody
             dark = control == "no_pictures"
-            walks += self._round(filled, len(some), texts, dark=dark, watch=watch)
+            walks += self._round(filled, len(some), texts, dark=dark)
         return walks
 
-    def _round(
-        self, numbers: list[int], real: int, texts: Tensor, *, dark: bool, watch: Watch | None
-    ) -> list[Walk]:
+    def _round(self, numbers: list[int], real: int, texts: Tensor, *, dark: bool) -> list[Walk]:
         env, begun = self.env, time.perf_counter()
         env.mute(*self._unseen)
         seen, infos = env.reset(seed=0, options={"episode": numbers})
@@ -238,7 +238,7 @@ class ClosedLoop:
             **{name: zeros.clone() for name in ("agreed", "due", "stopped_right")},
         }  # fmt: skip
         last, hit, at = zeros - 1, zeros.bool(), zeros + self.executed
-        plan = torch.zeros((count, self.actor.slots.form.actions), dtype=torch.int64).to(last)
+        plan = torch.zeros((count, self.actions), dtype=torch.int64).to(last)
         steps = 0
         while not (steps % self.executed == 0 and bool(done.all())):
             next_up = plan.gather(1, at.clamp(max=plan.shape[1] - 1)[:, None])[:, 0]
@@ -247,17 +247,9 @@ class ClosedLoop:
                 asked |= (at > 0) & (next_up == Action.STOP)
             # without confirming, all agents are asked at once: the host need not look
             if bool((asked & ~done).any()) if self.confirm_stop else steps % self.executed == 0:
-                ids = self.maker.prompts(texts[own], pose, last, hit)
                 shown = self._show(seen, own, pose, dark)
-                said = self.actor.decide(shown, ids)
-                if watch is not None:
-                    watch(shown, ids, said)
-                told = said.actions
-                if self._follower is not None:
-                    stops = told[:, :1] == Action.STOP
-                    told = self._follower.plan(self.maker.waypoints(said.ids, own, pose))
-                    told = told.masked_fill(stops, Action.STOP)
-                plan = torch.where(asked[:, None], told, plan)
+                said = self.decide(shown, texts[own], own, pose, last, hit)
+                plan = torch.where(asked[:, None], said, plan)
                 at = torch.where(asked, 0, at)
                 self.decisions += real
                 book["decisions"] += asked & ~done
@@ -312,20 +304,124 @@ class ClosedLoop:
 
     def _show(self, seen: Any, episode: Tensor, pose: Tensor, dark: bool) -> list[Tensor]:
         """Pictures of the prompt, in its order."""
-        settings, whole = self.settings, dict[str, Tensor]()
-        for name in self.whole:
-            assert self.atlas is not None
-            whole[name] = draw_whole(
-                self.atlas, self.env.device, name, settings.map_size, episode.int(), pose
-            )
         squares = dict(
-            zip(SQUARE_NAMES, self.settings.view.split(_take(seen["ego_map"])), strict=False)
+            zip(SQUARE_NAMES, self.view.split(_take(seen["ego_map"])), strict=False)
             if "ego_map" in seen
             else ()
         )
-        made = squares | whole
-        shown = [made[n] if n in made else _take(seen[n]) for n in settings.pictures]
+        made = squares | self._draw_whole(episode, pose)
+        shown = [made[n] if n in made else _take(seen[n]) for n in self.pictures]
         return [torch.zeros_like(one) for one in shown] if dark else shown
+
+    def _draw_whole(self, episode: Tensor, pose: Tensor) -> dict[str, Tensor]:
+        """Whole maps of those that are shown, by name."""
+        del episode, pose
+        return {}
+
+
+class ClosedLoop(EpisodeLoop):
+    """Plays episodes of an environment with a model, as many at once as it has agents.
+
+    A model that learns between two calls plays with what it has then.
+
+    Args:
+        env: its agents; they are reset.
+        pupil: the model and how it is asked; on the device of `env`.
+        dtype: of what is computed, see `Actor`.
+        compiled: see `Actor`.
+        executed: actions of an answer that are carried out; 0: as the settings say.
+        confirm_stop: see `EpisodeLoop`.
+        carried: the answers' actions; or their waypoints, along which the cheapest actions lead,
+            while STOP is that of a first action (`waypoint_plan`).
+        labelled: see `EpisodeLoop`.
+        temperature: of the draws, see `Actor`.
+
+    Raises:
+        ConfigError: the agents do not see what the prompt shows.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnvDevice,
+        pupil: Pupil,
+        *,
+        dtype: torch.dtype | None = None,
+        compiled: bool = False,
+        executed: int = 0,
+        confirm_stop: bool = False,
+        carried: Carried = "actions",
+        labelled: bool = False,
+        temperature: float = 0.0,
+    ) -> None:
+        settings = self.settings = pupil.settings
+        super().__init__(
+            env, pictures=settings.pictures, view=settings.view,
+            sensors=settings.sensors(pupil.template), device=pupil.model.device,
+            actions=settings.form.actions, executed=executed or settings.executed,
+            on_map=settings.frame is None, confirm_stop=confirm_stop, labelled=labelled,
+        )  # fmt: skip
+        texts = [episode.instruction for episode in env.episodes]
+        self.atlas = EgoAtlas(env) if self.whole or self.on_map else None
+        maps = self.atlas.frames if self.atlas is not None else ()
+        # a prompt on the whole map says its scale, so each episode has a prompt without words, too
+        said = [CONTROL_TEXT] * (len(texts) if self.on_map else 1)
+        self.maker = pupil.maker([*texts, *said], self.device, maps * 2)
+        self.actor = Actor(
+            pupil.model, self.maker.table.layout, pupil.slots, settings.frame, env.num_envs,
+            said=self.maker.table.place, dtype=dtype, compiled=compiled, temperature=temperature,
+        )  # fmt: skip
+        self._follower: WaypointFollower | None = None
+        if check_carried(carried, settings.form.points) == "waypoints":
+            self._follower = WaypointFollower(self.device)
+        self._watch: Watch | None = None
+
+    def play(
+        self,
+        episodes: Sequence[int] | None = None,
+        *,
+        control: Control = "none",
+        seed: int = 0,
+        watch: Watch | None = None,
+    ) -> list[Walk]:
+        """Play episodes once each; see `EpisodeLoop`.
+
+        Args:
+            episodes: numbers among `env.tasks.episodes`; all when None.
+            control: what is taken away.
+            seed: of the shuffling.
+            watch: is given pictures, prompts and answers of each decision of all agents; those
+                that are done decide on, for nobody.
+        """
+        self._watch = watch
+        return super().play(episodes, control=control, seed=seed)
+
+    def decide(
+        self,
+        shown: Sequence[Tensor],
+        texts: Tensor,
+        episode: Tensor,
+        pose: Tensor,
+        last: Tensor,
+        hit: Tensor,
+    ) -> Tensor:
+        """See `EpisodeLoop`."""
+        ids = self.maker.prompts(texts, pose, last, hit)
+        said = self.actor.decide(shown, ids)
+        if self._watch is not None:
+            self._watch(shown, ids, said)
+        told = said.actions
+        if self._follower is not None:
+            stops = told[:, :1] == Action.STOP
+            told = self._follower.plan(self.maker.waypoints(said.ids, episode, pose))
+            told = told.masked_fill(stops, Action.STOP)
+        return told
+
+    def _draw_whole(self, episode: Tensor, pose: Tensor) -> dict[str, Tensor]:
+        size, found = self.settings.map_size, dict[str, Tensor]()
+        for name in self.whole:
+            assert self.atlas is not None
+            found[name] = draw_whole(self.atlas, self.env.device, name, size, episode.int(), pose)
+        return found
 
 
 def _take(array: Any) -> Tensor:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -169,6 +170,18 @@ def test_means_and_differences_are_those_of_the_walks(study: Path) -> None:
     gain = find_difference(found, Difference(a="dagger", b="straight"))
     assert gain is not None and gain.seeds == 3
     assert gain.value == pytest.approx(100 * table("dagger").mean())
+
+
+def test_no_share_is_told_to_be_more_than_all(study: Path) -> None:
+    """One failure in a hundred walks: by its standard error the interval would reach past 100."""
+    for seed in range(3):
+        folder = study / f"walks/sft-{seed}/unseen"
+        shutil.rmtree(folder)
+        _save(folder, [_walk(s, n, (s, n) != (3, seed)) for s in range(10) for n in range(10)])
+    found = _find(study)
+    mean = find_mean(found, found.study.arm("sft"), "unseen")
+    assert mean is not None and mean.value == pytest.approx(99)
+    assert mean.low < 99 and mean.high == 100
 
 
 def test_intervals_alone_decide_claims(study: Path, capsys: pytest.CaptureFixture[str]) -> None:

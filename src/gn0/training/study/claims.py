@@ -8,8 +8,9 @@ too close to tell where the number is inside. Nothing else decides.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -47,7 +48,11 @@ def scale_of(metric: str) -> float:
 def find_mean(
     found: Found, arm: Arm, exam: str, missions: str = "all", metric: str = "SR"
 ) -> Estimate | None:
-    """An arm's mean with its interval, shares in points; None where nothing was walked."""
+    """An arm's mean with its interval, shares in points; None where nothing was walked.
+
+    No metric is below nought, and no share above a hundred: intervals, wider than their draws by
+    design, end there.
+    """
     own = found.outcomes(arm, exam)
     names = _common(found, own, exam, missions)
     if not names:
@@ -55,7 +60,9 @@ def find_mean(
     values = [take_metric([one.walks[n] for n in names], metric, arm.name) for one in own.values()]
     scenes = [next(iter(own.values())).walks[name].scene for name in names]
     scaled = scale_of(metric) * np.stack(values)
-    return estimate_mean(scaled, scenes, name=f"{arm.name} {exam} {missions} {metric}")
+    estimate = estimate_mean(scaled, scenes, name=f"{arm.name} {exam} {missions} {metric}")
+    most = 100.0 if metric in SHARES else math.inf
+    return replace(estimate, low=max(0.0, estimate.low), high=min(most, estimate.high))
 
 
 def find_difference(found: Found, what: Difference | Claim) -> Estimate | None:

@@ -87,6 +87,8 @@ def _list_lines(found: Found, preface: str, judged: Sequence[Judged]) -> Iterato
         yield f"## {table.title}\n"
         if table.about:
             yield f"{table.about.strip()}\n"
+        if not any(arm.exams for arm in arms):
+            yield "Nobody walks here; what the runs reported is in the last table.\n"
         for exam in study.exams:
             if any(exam.name in arm.exams for arm in arms):
                 yield from _tell_exam(found, exam, [a for a in arms if exam.name in a.exams])
@@ -273,7 +275,8 @@ def _tell_stages(found: Found) -> Iterator[str]:
             cards = arm.cards if figure.key == "seconds" else 1
             mean = cards * figure.factor * sum(values) / len(values) if values else math.nan
             cells.append(f"{mean:.4g}" if values else "")
-        rows.append((arm.title, *(cells if any(cells) else [f"*{NOT_RUN}*", *cells[1:]])))
+        name = f"{arm.title} (`{arm.name}`)"
+        rows.append((name, *(cells if any(cells) else [f"*{NOT_RUN}*", *cells[1:]])))
     yield from _draw_table(("run", *(figure.title for figure in figures)), rows)
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import torch
 
 from gn0.data.answer_form import AnswerForm
+from gn0.errors import DeviceMemoryError
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.bae.policy_settings import PolicySettings
@@ -187,8 +188,22 @@ def _measure_input(bench: Bench, pictures: tuple[str, ...]) -> None:
                 with own.queue():
                     own.step(made, 0.01)
 
-            rate = batch / bench.time(step)
-            over = batch / bench.time(partial(step, own=beside), 1)
+            try:
+                rate = batch / bench.time(step)
+                over = batch / bench.time(partial(step, own=beside), 1)
+            except (DeviceMemoryError, torch.OutOfMemoryError) as error:
+                if batch <= 512:  # what is asked of every card
+                    raise
+                said = str(error)
+            else:
+                said = ""
+            if said:  # behind the handler, whose error holds on to what was computed
+                learner.optimiser.zero_grad(set_to_none=True)
+                free_memory()
+                bench.add(FigureRow(
+                    name=f"batch that does not fit, {source}", value=batch, unit="", detail=said
+                ))  # fmt: skip
+                continue
             bench.wait()
             name = f"samples a second, {len(pictures)} of {source}: {', '.join(pictures)}"
             if batch > 512:

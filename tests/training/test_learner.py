@@ -11,6 +11,7 @@ torch = pytest.importorskip("torch")
 from PIL import Image  # noqa: E402
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
+from gn0.errors import DeviceMemoryError  # noqa: E402
 from gn0.policies.bae.forward import ForwardConstant  # noqa: E402
 from gn0.policies.bae.processor import build_processor  # noqa: E402
 from gn0.training.learner import Learner, LossForward, group_weights  # noqa: E402
@@ -140,3 +141,16 @@ def test_the_rate_warms_stays_and_falls() -> None:
     assert again.share(500, recipe) == 0.01 and again.share(700, recipe) == 1
     cosine = Recipe(schedule="cosine", warm_steps=0)
     assert Schedule().end_at(100, cosine).share(50, cosine) == pytest.approx(0.5)
+
+
+def test_a_card_that_is_too_small_is_told_in_bytes(pupil, draw_states, monkeypatch) -> None:
+    learner = Learner(LossForward(pupil.forward, pupil.slots, PLAIN), PLAIN)
+
+    def lacks(losses) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    monkeypatch.setattr(learner, "descend", lacks)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**20, 80 * 2**30))
+    with pytest.raises(DeviceMemoryError, match="1048576 of its 85899345920") as caught:
+        learner.step(pupil.maker.make(draw_states(2)), 1.0)
+    assert "--batch" in caught.value.remedy

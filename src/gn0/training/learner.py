@@ -14,6 +14,7 @@ from torch.nn import functional
 from transformers import Qwen3VLForConditionalGeneration
 
 from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
+from gn0.errors import DeviceMemoryError
 from gn0.missions.controls import CONTROL_TEXT
 from gn0.policies.bae.forward import ForwardConstant
 from gn0.policies.bae.prompt_table import PromptTable
@@ -238,10 +239,22 @@ class Learner(Generic[Batch, Told]):
 
         Returns:
             losses before the step, and the norm of the gradient before it was clipped.
+
+        Raises:
+            DeviceMemoryError: the card is too small for it.
         """
-        losses = self.judge(batch)
-        self.descend(losses)
-        return losses, self.update(share)
+        try:
+            losses = self.judge(batch)
+            self.descend(losses)
+            return losses, self.update(share)
+        except torch.OutOfMemoryError as error:
+            free, whole = torch.cuda.mem_get_info(self.device)
+            raise DeviceMemoryError(
+                f"a step does not fit on the card: {free} of its {whole} bytes are free",
+                where=str(self.device),
+                remedy="give a smaller --batch, or start it on more cards, which share it out; "
+                "what agents gather (--kept, --states) lies there, too",
+            ) from error
 
     def judge(self, batch: Batch) -> Told:
         """Losses of a batch, with all that their gradient needs."""

@@ -81,8 +81,14 @@ class Processes:
         """
         if self.count == 1:
             return loss
+        if next(loss.parameters()).is_cuda:
+            # else blocks that are compiled are cut up where a bucket of gradients is full
+            torch._dynamo.config.optimize_ddp = False
         return DistributedDataParallel(
-            loss, gradient_as_bucket_view=True, find_unused_parameters=not whole
+            loss,
+            gradient_as_bucket_view=True,
+            find_unused_parameters=not whole,
+            broadcast_buffers=False,  # they are constants
         )
 
     def mean(self, values: Mapping[str, float], device: torch.device) -> dict[str, float]:

@@ -24,7 +24,7 @@ pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.data.answer_form import AnswerForm
-from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.policies.bae.policy_settings import PolicySettings, load_policy_settings
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.training.pupil import build_pupil
 from gn0.training.streams.step_ring import StepRing
@@ -189,6 +189,56 @@ def test_dagger_live_goes_on_and_carries_its_driver_to_scenes_that_join(
 
 
 @pytest.mark.slow
+def test_a_policy_of_maps_goes_on_with_other_inputs_that_drive_in_turn(
+    suite, start, tmp_path, capsys
+) -> None:
+    """All three from one, stopped and gone on with; then other shares, and one of them alone."""
+    own = ["--live", "--samples", 16, "--agents", 2, "--kept", 80, "--beta-from", 0, "--beta-to",
+           4, "--confirm-stop", "--held-out", "test", "--examined", 1, "--asked", 4]  # fmt: skip
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    mixed = [*own, "--start", start, "--inputs", "all:0.4,views:0.3,maps:0.3"]
+    assert main(_words(suite, whole, *mixed)) == 0
+    settings = load_policy_settings(whole / "policy")
+    before = load_policy_settings(start)
+    assert list(settings.by_input) == ["all", "views", "maps"]
+    assert settings.by_input["maps"].pictures == before.pictures
+    assert settings.by_input["views"].form.points == 0
+    assert (settings.view, settings.preset) == (before.view, before.preset)
+    words = (start / "tokenizer.json").read_bytes()
+    assert (whole / "policy/tokenizer.json").read_bytes() == words
+    last = _read(whole)[-1]
+    assert {f"entropy_action_{i}" for i in range(1, 7)} <= set(last)
+    assert "entropy_action_6_views" in last
+    assert "; by action" in capsys.readouterr().out
+    shutil.copytree(whole, parts)
+    _forget(parts, 2)
+    assert main(_words(suite, parts, *mixed)) == 0
+    _same(whole, parts)
+    walked = ["policy", "examine", whole / "policy", suite, "--split", "all", "--episodes", 1,
+              "--agents", 1, "--device", "host", "--inputs", "views", "--out", tmp_path / "walks"]  # fmt: skip
+    assert main([str(word) for word in walked]) == 0
+    short = ["--live", "--samples", 4, "--agents", 2, "--kept", 80, "--start", whole / "policy"]
+    assert main(_words(suite, tmp_path / "shares", *short, "--inputs", "all,views:2,maps:3")) == 0
+    again = load_policy_settings(tmp_path / "shares/policy")
+    assert again.by_input.keys() == settings.by_input.keys()
+    assert main(_words(suite, tmp_path / "alone", *short, "--inputs", "views")) == 0
+    alone = load_policy_settings(tmp_path / "alone/policy")
+    assert not alone.inputs and alone.pictures == ("rgb", "history")
+    assert main(_words(suite, tmp_path / "shown", *short, "--pictures", "near")) == 0
+    assert load_policy_settings(tmp_path / "shown/policy").pictures == ("near",)
+
+
+def test_answers_of_another_layout_do_not_go_on(suite, start, tmp_path, capsys) -> None:
+    words = ["train", "sft", suite, "--split", "all", "--start", start, "--layout", "json",
+             "--held-out", "", "--device", "host", "--out", tmp_path / "out"]  # fmt: skip
+    assert main([str(word) for word in words]) == 2
+    assert "answers are json, paper, 6 actions; the policy answers compact" in (
+        capsys.readouterr().err
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
 def test_two_processes_gather_a_share_each_and_go_on(suite, start, tmp_path) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
 
@@ -235,7 +285,9 @@ def test_flags_of_the_other_stage_are_refused(suite, start, tmp_path, capsys) ->
         (["--start", suite], "no policy.json"),
         (["--start", start, "--kept", "80"], "--kept beside states that are gathered once"),
         (["--start", start, "--live", "--beta", "0"], "--beta beside --live"),
-        (["--start", start, "--live", "--pictures", "near"], "--pictures beside --start"),
+        (["--start", start, "--live", "--layout", "json"], "--layout beside --start"),
+        (["--start", start, "--live", "--inputs", "none:1"], "no input 'none'"),
+        (["--start", start, "--pictures", "near"], "--pictures beside states that are gathered"),
         (["--live", "--joins", "one"], "not whole numbers"),
         (["--live", "--start", start, "--beta-from", "9", "--beta-to", "3"], "beta falls from 9"),
     ):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 pytest.importorskip("torch")
 
 from gn0.data.answer_form import AnswerForm
 from gn0.errors import CheckpointError, ConfigError
-from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.policies.bae.policy_settings import PolicySettings, join_inputs
 from gn0.sim.ego_map import EgoSquare, MapView
-from gn0.training.pupil import build_pupil, load_pupil
+from gn0.training.pupil import build_pupil, fit_texts, load_pupil
 
 SETTINGS = PolicySettings(
     prompt="short",
@@ -39,3 +40,17 @@ def test_sizes_and_folders_that_are_none_are_refused(tmp_path) -> None:
         build_pupil("huge", SETTINGS, TEXTS)
     with pytest.raises(CheckpointError):
         load_pupil(tmp_path)
+
+
+def test_no_text_that_a_prompt_was_fitted_to_is_left_out() -> None:
+    """Of any length: rounding is no room that one can count on."""
+    views = replace(SETTINGS, pictures=("rgb",), form=AnswerForm(points=0, layout="compact"))
+    both = join_inputs({"maps": SETTINGS, "views": views})
+    pupil = build_pupil("nano", both, TEXTS)
+    for many in range(1, 18):
+        texts = ["go to the sofa" + ", then the chair" * many, *TEXTS, "go on" + "!" * many]
+        fitted = fit_texts(pupil, texts)
+        longest = fitted.longest_text
+        assert max(len(fitted.words.encode(text)) for text in texts) <= longest
+        for one in fitted.inputs.values():
+            one.table(texts)

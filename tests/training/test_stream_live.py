@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import asdict, astuple
 
 import numpy as np
@@ -203,6 +204,53 @@ def test_a_stop_of_steps_ago_is_asked_again(make_env) -> None:
         mine = [code for code in log[step].tolist() if code == (2, 3, 3)[step % 3]]
         assert len(mine) >= 1
     assert torch.equal(log[1, 1:], expert[1, 1:])
+
+
+def test_inputs_drive_as_often_as_their_shares_say(make_env) -> None:
+    """One for all agents from decision to decision; the same one is asked again about its STOPs."""
+    asked: list[tuple[int, str, int]] = []
+
+    def open_live() -> live.StreamLive:
+        env = make_env(4)
+        ring = StepRing(env, 20)
+
+        def drive(name: str, again: bool):
+            def driver(states):
+                asked.append((ring.count, f"{name} again" if again else name, len(states)))
+                plan = torch.full((len(states), 2), 1)
+                plan[:, 1] = 2 if again else 0
+                return plan
+
+            return driver
+
+        shares = {"all": 0.5, "views": 0.3, "maps": 0.2}
+        return live.StreamLive(
+            env, ring, seed=3, inputs=shares, stop_share=0.0,
+            driver={name: drive(name, False) for name in shares},
+            confirm={name: drive(name, True) for name in shares}, confirmed=2,
+        )  # fmt: skip
+
+    stream = open_live()
+    stream.draw(600)
+    decided = {step: name for step, name, many in asked if many == 4}
+    again = {step: name for step, name, many in asked if many == 2}
+    assert len(decided) >= 69 and decided.keys() == {step - 1 for step in again}
+    assert all(
+        again[step + 1] == f"{name} again" for step, name in decided.items() if step + 1 in again
+    )
+    counts = Counter(decided.values())
+    for name, share in (("all", 0.5), ("views", 0.3), ("maps", 0.2)):
+        spread = (share * (1 - share) / len(decided)) ** 0.5
+        assert abs(counts[name] / len(decided) - share) < 3 * spread
+    kept = stream.state()
+    asked.clear()
+    expected = [tell(stream.draw(8)) for _ in range(6)]
+    theirs = list(asked)
+    other = open_live()
+    other.restore(kept)
+    asked.clear()
+    assert [tell(other.draw(8)) for _ in range(6)] == expected
+    assert asked == theirs
 
 
 def test_stops_of_the_policy_are_held_against_the_experts(make_env) -> None:

@@ -19,6 +19,7 @@ from gn0.cli.train_flags import ImitationFlags, train_stage
 from gn0.errors import ConfigError
 
 if TYPE_CHECKING:
+    from gn0.policies.bae.policy_settings import PolicySettings
     from gn0.training.dagger import DaggerJob
     from gn0.training.dagger_live import DaggerLiveJob
 
@@ -29,6 +30,8 @@ EXAMPLES = """  gn0 train dagger out/suite --start out/sft/policy --out out/dagg
       --out out/dagger-4b
   gn0 train dagger out/suite --live --start out/sft/policy --samples 1500000 --beta-from 0 \\
       --beta-to 500000 --out out/live
+  gn0 train dagger out/suite --live --start out/maps/policy --inputs all:0.5,views:0.3,maps:0.2 \\
+      --beta-from 0 --beta-to 500000 --out out/every
   gn0 train dagger out/suite --live --pictures near,far --samples 50000000 --out out/from-nothing
   gn0 train dagger out/suite --start out/sft/policy --states 4000 --agents 16 --device host \\
       --out out/tried"""
@@ -62,17 +65,20 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
             yet is waited for (--live).
         kept: states that batches are drawn from (--live; by default 200,000).
         ratio: new states a sample (--live; by default 0.5).
-        size: of a model from random weights: nano or tiny (--live without --start, as all below
-            down to --preset).
-        prompt: a prompt of `gn0 list prompts`, or the path of one; by default short.
+        size: of a model from random weights: nano or tiny (--live without --start, as --layout and
+            --preset).
+        prompt: a prompt of `gn0 list prompts`, or the path of one; by default short (--live, as all
+            below down to --points: with --start, what the policy is asked from now on, by default
+            what it was asked so far).
         pictures: what the prompt shows, with commas between; by default near,far.
         without: parts of the prompt that are left out, with commas between.
         points: waypoints of an answer; by default 13.
         layout: of answers: compact or json.
         preset: of the cameras, as in `gn0 list presets`.
-        inputs: shares of the steps by the policy's inputs, as all:0.5,views:0.3,maps:0.2; those of
-            a model from random weights as in `gn0 train sft`. A policy of several inputs learns its
-            default alone without it, and always drives by that.
+        inputs: shares of the steps by the policy's inputs, as all:0.5,views:0.3,maps:0.2, and of
+            who drives with --live; there a policy may go on with other inputs than it had, which
+            are read as in `gn0 train sft`. A policy of several inputs learns its default alone
+            without it, and drives by that.
         executed: actions of an answer that are carried out; 0 for what the policy's settings say.
         stop_share: chance that a wrong STOP ends the episode; else the expert's action is carried
             out.
@@ -114,7 +120,9 @@ ONCE = ("source", "states", "epochs", "driver", "beta")
 LIVE = (
     "samples", "minutes", "beta_from", "beta_to", "acts", "confirm_stop", "joins", "kept", "ratio",
 )  # fmt: skip
-ANEW = ("size", "prompt", "pictures", "without", "points", "layout", "preset")
+OWN = ("size", "layout", "preset")  # that a policy keeps
+ASKED = ("prompt", "pictures", "without", "points")  # that it may be asked in another way
+ANEW = (*OWN, *ASKED)
 
 
 def run(args: Args) -> int:
@@ -144,7 +152,7 @@ def _check_flags(args: Args) -> None:
     if args.live:
         _refuse(args, ONCE, "--live", "leave it out, or leave out --live")
         if args.start:
-            _refuse(args, ANEW, "--start", "the policy has its own; leave it out")
+            _refuse(args, OWN, "--start", "the policy has its own; leave it out")
         return
     _refuse(args, (*LIVE, *ANEW), "states that are gathered once", "leave it out, or give --live")
     if not args.start:
@@ -186,7 +194,9 @@ def _read_live(args: Args) -> DaggerLiveJob:
     from gn0.training.recipe import RECIPES
 
     settings, inputs = None, dict[str, float]()
-    if not args.start:
+    if args.start:
+        settings, inputs = _read_going_on(args)
+    else:
         settings = PolicySettings(
             prompt=args.prompt or "short",
             pictures=split_words("near,far" if args.pictures is None else args.pictures),
@@ -201,8 +211,7 @@ def _read_live(args: Args) -> DaggerLiveJob:
     recipes = DAGGER_RECIPES if args.start else RECIPES
     names = ("size", "kept", "ratio", "acts", "beta_from", "beta_to")
     both = _read_both(args, recipes[args.recipe])
-    if settings is not None:
-        both["inputs"] = inputs
+    both["inputs"] = inputs
     return DaggerLiveJob(
         **both,
         **_given(args, names),
@@ -210,6 +219,42 @@ def _read_live(args: Args) -> DaggerLiveJob:
         settings=settings,
         confirm_stop=args.confirm_stop,
     )
+
+
+def _read_going_on(args: Args) -> tuple[PolicySettings | None, dict[str, float]]:
+    """How the policy of --start is asked from now on; None: as it was."""
+    from pathlib import Path
+
+    from gn0.policies.bae.policy_settings import join_inputs, load_policy_settings
+    from gn0.policies.bae.prompt_template import ENDING
+    from gn0.training.inputs import fit_prompt, read_again, read_inputs
+
+    own = load_policy_settings(args.start)
+    if all(getattr(args, name) is None for name in ASKED) and not args.inputs:
+        return None, {}
+    by_input = {
+        name: msgspec.structs.replace(one, prompt=str(Path(args.start) / one.prompt))
+        if one.prompt.endswith(ENDING) else one
+        for name, one in own.by_input.items()
+    }  # fmt: skip
+    if all(getattr(args, name) is None for name in ASKED):
+        return read_again(args.inputs, join_inputs(by_input))
+    first = by_input[own.input]
+    form = first.form
+    if args.points is not None:
+        form = msgspec.structs.replace(form, points=args.points)
+    asked = msgspec.structs.replace(
+        first,
+        input="",
+        prompt=args.prompt or first.prompt,
+        prompt_digest="",
+        pictures=first.pictures if args.pictures is None else split_words(args.pictures),
+        without=first.without if args.without is None else split_words(args.without),
+        form=form,
+    )
+    if args.inputs:
+        return read_inputs(args.inputs, asked)
+    return fit_prompt(asked), {}
 
 
 def _given(args: Args, names: Sequence[str]) -> dict[str, Any]:
@@ -228,7 +273,7 @@ def _read_both(args: Args, recipe: Any) -> dict[str, Any]:
     return {
         **args.list_job(),
         "start": args.start,
-        "inputs": read_shares(args.inputs) if args.start else {},
+        "inputs": {} if args.live else read_shares(args.inputs),
         "recipe": msgspec.structs.replace(recipe, **chosen),
         "plan": StagePlan(
             **args.list_plan(),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -44,6 +45,7 @@ from gn0.training.streams.stream_dataset import StreamDataset
 from gn0.training.streams.stream_live import StreamLive
 from gn0.training.worlds import leave_out_long, list_maps, load_lessons, open_world
 
+SLOT = re.compile(r"entropy_action_[0-9]+")  # of an examination, in the default input
 WALKS = "walks.json"  # how far collecting has come, in the run's folder
 STATES: dict[Kind, int] = {"scratch": 300_000, "pretrained": 284_000}
 DAGGER_RECIPES: dict[Kind, Recipe] = {
@@ -293,9 +295,16 @@ def compare_entropy(run: Imitation, found: Mapping[str, float]) -> dict[str, flo
     first = read_metrics(run.folder.folder / METRICS)[0]
     before = float(first.get("entropy") or math.nan) if first["step"] == 0 else math.nan
     text = f"entropy {before:.3f} before, {found['entropy']:.3f} after"
+    slots = [name for name in found if SLOT.fullmatch(name)]
+    if slots:
+        text += f"; by action {' '.join(f'{found[name]:.3f}' for name in slots)}"
     run.say(text)
     run.folder.log(text)
-    return {**found, "entropy_before": before}
+    began = {
+        f"{name}_before": float(first.get(name) or math.nan) if first["step"] == 0 else math.nan
+        for name in slots
+    }
+    return {**found, "entropy_before": before, **began}
 
 
 def hash_weights(model: nn.Module) -> str:

@@ -10,7 +10,7 @@ from a state of the other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -21,19 +21,19 @@ import msgspec
 from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.missions.controls import CONTROL_TEXT
-from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.policies.bae.policy_settings import PolicySettings, load_policy_settings
 from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.dagger import begin_examined, compare_entropy, load_start
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import Learner, open_learner
-from gn0.training.policy_driver import open_driver
-from gn0.training.pupil import Pupil, build_pupil
+from gn0.training.policy_driver import PolicyDriver, open_driver
+from gn0.training.pupil import Pupil, ask_anew, build_pupil, check_going_on
 from gn0.training.stage import Stage
 from gn0.training.streams.live_counts import share_counts
 from gn0.training.streams.samples import Stream
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_growing import StreamGrowing
-from gn0.training.streams.stream_live import StreamLive, count_confirmed
+from gn0.training.streams.stream_live import Driver, StreamLive, count_confirmed
 from gn0.training.worlds import Lessons, list_maps, load_lessons, open_world
 
 Samples = Annotated[int, msgspec.Meta(ge=0)]
@@ -46,7 +46,7 @@ class DaggerLiveJob(ImitationJob, frozen=True, kw_only=True):
         stage: its name.
         start: folder of a policy to go on from; a model of random weights when empty, of
         size: its size, and
-        settings: what it is shown and asked; of the policy that goes on when None.
+        settings: what it is shown and asked; as the policy that goes on was when None.
         kept: states that batches are drawn from.
         ratio: new states a sample.
         executed: actions of an answer that are carried out; 0: as the settings say.
@@ -78,11 +78,11 @@ class DaggerLiveJob(ImitationJob, frozen=True, kw_only=True):
                 where="beta_to",
                 remedy="give as many as beta_from, or more",
             )
-        if bool(self.start) == (self.settings is not None):
+        if not self.start and self.settings is None:
             raise ConfigError(
-                "a policy goes on with its own settings, and random weights need some",
+                "random weights without settings: nobody says what the policy is shown and asked",
                 where="settings",
-                remedy="give either `start` or `settings`",
+                remedy="give `settings`, or `start` to go on as that policy was",
             )
 
     def beta(self, samples: int) -> float:
@@ -121,6 +121,9 @@ def train_dagger_live(
         TrainingError: a loss is not finite, or the folder holds another run.
         DeviceError, DeviceMemoryError, StorageError: see their texts.
     """
+    if job.start and job.settings is not None:
+        check_going_on(job.start, job.settings)
+    _check_mixture(job)
     with open_imitation(
         job, job.stage, out, device=device, fresh=fresh, command=command, say=say,
         hash_corpus=lambda: load_lessons(job.lots[0], job.splits).hash,
@@ -149,7 +152,21 @@ def train_dagger_live(
         return run.finish(stage, compare_entropy(run, found))
 
 
+def _check_mixture(job: DaggerLiveJob) -> None:
+    """Refuse shares of inputs that the policy does not have; none: it learns its default alone."""
+    own = job.settings or load_policy_settings(job.start)
+    if job.inputs and job.inputs.keys() != own.by_input.keys():
+        raise ConfigError(
+            f"a mixture of {', '.join(job.inputs)} for a policy with inputs "
+            f"{', '.join(own.by_input) or 'without a name'}",
+            where="inputs",
+            remedy="give a share for each of the policy's inputs, or settings that have these",
+        )
+
+
 def _make_pupil(job: DaggerLiveJob, run: Imitation) -> Pupil:
+    if job.start and job.settings is not None:
+        return ask_anew(job.start, job.settings, run.load_texts())
     if job.start:
         return load_start(job.start, run.load_texts())
     assert job.settings is not None  # checked by the job
@@ -159,28 +176,46 @@ def _make_pupil(job: DaggerLiveJob, run: Imitation) -> Pupil:
 def _open_walks(
     job: DaggerLiveJob, pupil: Pupil, learner: Learner, run: Imitation
 ) -> StreamGrowing:
-    """Agents that the model drives as it is when they decide; joined by scenes, by the same one."""
+    """Agents that the model drives as it is when they decide; joined by scenes, by the same one.
+
+    Where it learns several inputs, it drives by each of them. Every driver has a CUDA graph of its
+    own, with static buffers for all agents' pictures and answers, as long as the run lasts: with
+    `confirm_stop` that is 9/8 times as much for each input.
+    """
     processes = run.processes
     batch, dtype = processes.share(job.recipe.batch), learner.autocast
     weights = learner.averaged_weights if job.acts == "averaged" else nullcontext
-    driver = open_driver(pupil, job.agents, executed=job.executed, dtype=dtype, weights=weights)
-    again = None
-    if job.confirm_stop:
-        many = count_confirmed(job.agents)
-        again = open_driver(pupil, many, executed=job.executed, dtype=dtype, weights=weights)
+    driving = {name: pupil.inputs[name] for name in job.inputs or [pupil.settings.input]}
+
+    def open_drivers(agents: int) -> dict[str, PolicyDriver]:
+        return {
+            name: open_driver(one, agents, executed=job.executed, dtype=dtype, weights=weights)
+            for name, one in driving.items()
+        }
+
+    drivers = open_drivers(job.agents)
+    again = open_drivers(count_confirmed(job.agents)) if job.confirm_stop else None
 
     def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
         world = open_world(lessons, pupil.settings, job.agents, device=run.card or "auto")
         steps = max(MOSAIC + 1, -(-job.kept // job.agents))
         ring = StepRing(world, steps, **list_maps(pupil.settings))
         texts = [episode.mission.instruction for episode in world.episodes]
-        maker = pupil.maker(texts, run.where, lambda: ring.frames)
+        makers = {
+            name: one.maker(texts, run.where, lambda: ring.frames) for name, one in driving.items()
+        }
+
+        def enter(those: Mapping[str, PolicyDriver]) -> Driver | Mapping[str, Driver]:
+            entered = {name: one.enter(makers[name]) for name, one in those.items()}
+            return entered if job.inputs else next(iter(entered.values()))
+
         join = job.joins[number] if number else 0
         begun = -(-(join // processes.count) // batch) * batch  # a batch's first sample
         return StreamLive(
-            world, ring, seed=seed, ratio=job.ratio, driver=driver.enter(maker),
+            world, ring, seed=seed, ratio=job.ratio, driver=enter(drivers),
+            inputs=job.inputs or None,
             beta=lambda drawn: job.beta((begun + drawn) * processes.count),
-            stop_share=job.stop_share, confirm=None if again is None else again.enter(maker),
+            stop_share=job.stop_share, confirm=None if again is None else enter(again),
             dark=job.recipe.blackout,
         )  # fmt: skip
 

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from gn0.bench.metrics import straight_to_goal
+from gn0.data.answer_slots import ACTION
 from gn0.errors import ConfigError
 from gn0.missions.controls import CONTROL_TEXT, Control, check_control, choose_texts
 from gn0.missions.episode import Episode, mission_name
@@ -56,6 +57,7 @@ class StateScores:
         stop_recall: share of states where the expert stops at once in which the policy does.
         stop_precision: share of states where the policy stops at once in which the expert does.
         entropy: mean over the slots that are chosen, at temperature 1 [nat].
+        action_entropy: mean of each action's slot, by place in the answer, likewise.
     """
 
     states: int
@@ -65,6 +67,7 @@ class StateScores:
     stop_recall: float
     stop_precision: float
     entropy: float
+    action_entropy: tuple[float, ...]
 
 
 def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> StateScores:
@@ -75,7 +78,8 @@ def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> St
     """
     if not len(states):
         raise ConfigError("no states to ask about", where="evaluation", remedy="give some")
-    said, wanted, off, entropy = [], [], [], []
+    said, wanted, off, entropy, spoken = [], [], [], [], []
+    slots = torch.from_numpy(np.flatnonzero(actor.slots.kinds == ACTION)).to(actor.device)
     way = actor.slots.form.points > 0
     for begin in range(0, len(states), actor.count):
         some = states.pick(slice(begin, begin + actor.count))
@@ -85,6 +89,7 @@ def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> St
         wanted.append(some.actions[:, : told.actions.shape[1]].long())
         chosen = (told.entropy > 0).sum(1).clamp(min=1)
         entropy.append(told.entropy.sum(1) / chosen)
+        spoken.append(told.entropy[:, slots])
         if way:
             last = actor.slots.form.points - 1
             found = maker.waypoints(told.ids, some.episode, some.pose)[:, -1]
@@ -101,6 +106,7 @@ def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> St
         stop_recall=both / max(int(right.sum()), 1),
         stop_precision=both / max(int(stops.sum()), 1),
         entropy=float(torch.cat(entropy).double().mean()),
+        action_entropy=tuple(torch.cat(spoken).double().mean(0).tolist()),
     )
 
 

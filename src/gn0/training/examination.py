@@ -133,6 +133,7 @@ class Examination:
             "stop_recall": scores.stop_recall,
             "stop_precision": scores.stop_precision,
             "entropy": scores.entropy,
+            **{f"entropy_action_{i}": one for i, one in enumerate(scores.action_entropy, 1)},
         }
 
     def _walk(self, name: str) -> dict[str, float]:

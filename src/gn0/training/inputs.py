@@ -66,7 +66,9 @@ class InputMixture:
         return names[int(np.searchsorted(shares[:-1], drawn, side="right"))]
 
 
-def read_inputs(text: str, settings: PolicySettings) -> tuple[PolicySettings, dict[str, float]]:
+def read_inputs(
+    text: str, settings: PolicySettings, known: Mapping[str, PolicySettings] | None = None
+) -> tuple[PolicySettings, dict[str, float]]:
     """Settings of a policy that is asked in several ways, and their shares.
 
     Args:
@@ -74,6 +76,7 @@ def read_inputs(text: str, settings: PolicySettings) -> tuple[PolicySettings, di
             pictures and points closed (`paper_planning_views`), or a new one with pictures and
             points: `near_alone=near/13`. A share that is left out is 1. The first is the default.
         settings: what they have in common; the prompt is that of `KNOWN` and new names.
+        known: inputs that are there already, by name: taken as they are.
 
     Raises:
         ConfigError: it reads otherwise, names an input twice or one that there is not.
@@ -84,13 +87,40 @@ def read_inputs(text: str, settings: PolicySettings) -> tuple[PolicySettings, di
         name, equal, told = head.partition("=")
         if name in chosen or not INPUT_NAME.fullmatch(name):
             raise _refuse(f"{name!r} names no input, or two")
+        if known and name in known and not equal:
+            chosen[name], shares[name] = known[name], share
+            continue
         chosen[name], shares[name] = _read_input(name, told if equal else None, settings), share
     if not chosen:
         raise _refuse("no input")
     InputMixture(shares)
     if len(chosen) == 1:  # a policy like any other
-        return next(iter(chosen.values())), {}
+        return msgspec.structs.replace(next(iter(chosen.values())), input=""), {}
     return join_inputs(chosen), shares
+
+
+def read_again(text: str, own: PolicySettings) -> tuple[PolicySettings | None, dict[str, float]]:
+    """What a trained policy is asked from now on, and the shares.
+
+    Where all names are the policy's, and all of them stand there, only shares change. Else inputs
+    that the policy has stay as they are, and others are read as for a new one, with what the
+    policy's default has: prompt, parts, cameras and layout of answers.
+
+    Args:
+        text: see `read_inputs`; empty for the policy's default alone.
+        own: the policy's settings.
+
+    Returns:
+        settings, None where they stay; and shares by input.
+
+    Raises:
+        ConfigError: see `read_inputs`.
+    """
+    shares = read_shares(text)
+    if not shares or (own.inputs and shares.keys() == own.by_input.keys()):
+        return None, shares
+    plain = msgspec.structs.replace(own.choose(), input="", prompt_digest="")
+    return read_inputs(text, plain, own.by_input if own.input else {})
 
 
 def read_shares(text: str) -> dict[str, float]:

@@ -36,6 +36,7 @@ from gn0.sim.sensors import MapFrame
 from gn0.training.streams.samples import SampleMaker, Stream, find_frames, pack_frames
 
 _ROUND = 8  # texts' tokens are rounded up to a multiple of this
+_MEET = 2  # tokens kept for where a text and the prompt around it meet
 
 
 @dataclass(frozen=True)
@@ -100,8 +101,7 @@ class Pupil:
         """
         if self.settings.inputs:
             return min(one.longest_text for one in self.inputs.values())
-        own = _count_text(self, [CONTROL_TEXT]) - len(self.words.encode(CONTROL_TEXT))
-        return self.settings.text_length - own - 2
+        return self.settings.text_length - _count_own(self) - _MEET
 
     def table(self, texts: Sequence[str], maps: Sequence[MapFrame] = ()) -> PromptTable:
         """Prompts of these instructions; the layout is the same whatever they are.
@@ -251,6 +251,48 @@ def load_pupil(folder: Path | str, *, dtype: torch.dtype = torch.float32) -> Pup
     return open_pupil(load_checkpoint(folder, dtype=dtype), settings, folder)
 
 
+def check_going_on(folder: Path | str, settings: PolicySettings) -> None:
+    """Refuse to ask a policy in a way that its weights cannot go on with.
+
+    Pictures, prompts and waypoints may be others than it was trained on.
+
+    Raises:
+        CheckpointError: the folder holds no policy.
+        ConfigError: answers are laid out in another way.
+    """
+    known = {_lay_out(own) for own in load_policy_settings(folder).by_input.values()}
+    for name, own in settings.by_input.items():
+        if _lay_out(own) not in known:
+            layout, order, actions = _lay_out(own)
+            have = " or ".join(f"{one[0]}, {one[1]}, {one[2]} actions" for one in sorted(known))
+            raise ConfigError(
+                f"answers {f'of input {name!r} ' if name else ''}are {layout}, {order}, {actions} "
+                f"actions; the policy answers {have}",
+                where=folder,
+                remedy="ask for answers as the policy gives them, or begin with random weights",
+            )
+
+
+def _lay_out(settings: PolicySettings) -> tuple[str, str, int]:
+    return settings.form.layout, settings.form.order, settings.form.actions
+
+
+def ask_anew(folder: Path | str, settings: PolicySettings, texts: Sequence[str]) -> Pupil:
+    """A policy's weights and tokenizer, asked in another way than it was trained on.
+
+    Args:
+        folder: of the policy.
+        settings: how it is asked from now on; the length of texts becomes that of the longest of
+        texts: instructions.
+
+    Raises:
+        CheckpointError: the folder holds no policy.
+        ConfigError: see `check_going_on` and `fit_texts`.
+    """
+    check_going_on(folder, settings)
+    return fit_texts(open_pupil(load_checkpoint(folder), settings, folder), texts)
+
+
 def fit_texts(pupil: Pupil, texts: Sequence[str], *, shorten: bool = True) -> Pupil:
     """The same policy with prompts just long enough for the longest of these texts.
 
@@ -263,8 +305,10 @@ def fit_texts(pupil: Pupil, texts: Sequence[str], *, shorten: bool = True) -> Pu
         ConfigError: one is empty or too long.
     """
     fitted = {}
+    longest = max((len(pupil.words.encode(text)) for text in texts), default=0)
     for name, one in pupil.inputs.items():
-        length = -(-_count_text(one, texts) // _ROUND) * _ROUND
+        length = max(_count_text(one, texts), _count_own(one) + longest + _MEET)
+        length = -(-length // _ROUND) * _ROUND
         if not shorten:
             length = max(length, one.settings.text_length)
         fitted[name] = msgspec.structs.replace(one.settings, text_length=length)
@@ -278,6 +322,11 @@ def resize_texts(pupil: Pupil, length: int) -> Pupil:
         for name, own in pupil.settings.by_input.items()
     }
     return replace(pupil, settings=join_inputs(sized))
+
+
+def _count_own(pupil: Pupil) -> int:
+    """Tokens of such a stretch that are the prompt's own."""
+    return _count_text(pupil, [CONTROL_TEXT]) - len(pupil.words.encode(CONTROL_TEXT))
 
 
 def _count_text(pupil: Pupil, texts: Sequence[str]) -> int:

@@ -17,11 +17,11 @@ import msgspec
 from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.policies.bae.checkpoint import load_checkpoint
-from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.policies.bae.policy_settings import FILE, PolicySettings
 from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import open_learner
-from gn0.training.pupil import Pupil, build_pupil, fit_texts, open_pupil
+from gn0.training.pupil import Pupil, build_pupil, check_going_on, fit_texts, open_pupil
 from gn0.training.stage import Stage
 from gn0.training.streams.picture_jitter import PictureJitter
 from gn0.training.streams.samples import Stream
@@ -101,6 +101,8 @@ def train_sft(
         TrainingError: a loss is not finite, or the folder holds another run.
         DeviceError, DeviceMemoryError, StorageError: see their texts.
     """
+    if job.start and (Path(job.start) / FILE).is_file():  # a policy, no model as released
+        check_going_on(job.start, job.settings)
     with open_imitation(
         job, "sft", out, device=device, fresh=fresh, command=command, say=say,
         hash_corpus=lambda: _hash_corpus(job),

@@ -29,6 +29,7 @@ from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
 from gn0.sim.sensors import MapFrame
+from gn0.training.inputs import InputMixture
 from gn0.training.streams.agent_places import (
     pack_array,
     pack_places,
@@ -62,12 +63,15 @@ class StreamLive:
         fill: steps before the first batch; 64, or what the ring keeps if less, when None.
         driver: actions int64 [N], or the next K of each agent [N, K] (it is then asked every K
             steps; who begins an episode meanwhile follows the expert until then). It is given
-            states whose pictures are made when they are looked at. None: the expert.
+            states whose pictures are made when they are looked at. None: the expert. Or one for
+            each of a policy's inputs, by name, with
+        inputs: how often which of them drives: one for all agents from decision to decision.
+            None: `driver` is one alone.
         beta: samples drawn so far → chance that the expert drives an agent until the next
             decision; 0 when None.
         stop_share: chance that a STOP which is not the expert's is carried out; else the expert's
             action is.
-        confirm: like `driver`, asked again about STOPs behind the first action of an answer before
+        confirm: like `driver`, the one of the same input, asked again about STOPs behind the first action of an answer before
             they are carried out, [M] or [M, K] actions of M agents; None: nobody is.
         confirmed: M, of which further ones at the same step follow the expert for that step; an
             eighth of the agents when None.
@@ -88,10 +92,11 @@ class StreamLive:
         seed: int,
         ratio: float = 0.5,
         fill: int | None = None,
-        driver: Driver | None = None,
+        driver: Driver | Mapping[str, Driver] | None = None,
+        inputs: Mapping[str, float] | None = None,
         beta: Callable[[int], float] | None = None,
         stop_share: float = 0.2,
-        confirm: Driver | None = None,
+        confirm: Driver | Mapping[str, Driver] | None = None,
         confirmed: int | None = None,
         stop_distance: float = STOP_DISTANCE,
         dark: float = 0.1,
@@ -109,6 +114,20 @@ class StreamLive:
         self.env, self.ring, self.seed = env, ring, seed
         self.ratio, self.fill, self.lazy = ratio, fill, lazy
         self.driver, self.beta = driver, beta
+        self.inputs = InputMixture(inputs, derive_seed(seed, "live inputs")) if inputs else None
+        for one in (driver, confirm):
+            if one is not None and isinstance(one, Mapping) != (self.inputs is not None):
+                raise ConfigError(
+                    "shares of inputs and one driver, or several drivers and no shares",
+                    where="inputs",
+                    remedy="give a driver and a share for each input, or one driver alone",
+                )
+            if isinstance(one, Mapping) and one.keys() != (inputs or {}).keys():
+                raise ConfigError(
+                    f"drivers of {', '.join(one)} for inputs {', '.join(inputs or {})}",
+                    where="inputs",
+                    remedy="give a driver for each input",
+                )
         self.stop_share, self.stop_distance, self.dark = stop_share, stop_distance, dark
         self.drawn = 0
         count, self._device = env.num_envs, ring.device
@@ -194,12 +213,19 @@ class StreamLive:
         beta = 0.0 if self.beta is None else self.beta(self.drawn)
         if self.driver is None or beta >= 1:
             return
-        plan = _ask(self.driver, self.ring.latest())
+        plan = _ask(self._pick(self.driver, self.ring.count), self.ring.latest())
         if beta > 0:
             coins = random_stream(self.seed, "live drivers", self.ring.count)
             expert = self.ring._send(coins.random(len(plan)) < beta)
             plan = plan.masked_fill(expert[:, None], -1)
         self._plan = plan.clone()
+
+    def _pick(self, driver: Driver | Mapping[str, Driver], step: int) -> Driver:
+        """The driver of a decision that was made when the ring had counted so many steps."""
+        if not isinstance(driver, Mapping):
+            return driver
+        assert self.inputs is not None  # checked when it was made
+        return driver[self.inputs.choose(step)]
 
     def _ask_again(self) -> None:
         """Ask anew who is about to stop by an answer of steps ago; waits for nothing."""
@@ -207,7 +233,8 @@ class StreamLive:
         plan, at = self._plan, self._at
         wanted = plan[:, at] == STOP
         rows = torch.argsort(wanted.to(torch.int8), descending=True, stable=True)[: self.confirmed]
-        answers = _ask(self.confirm, self.ring.latest().pick(rows))
+        again = self._pick(self.confirm, self.ring.count - at)  # of who said so
+        answers = _ask(again, self.ring.latest().pick(rows))
         left = min(plan.shape[1] - at, answers.shape[1])
         chosen, own = wanted[rows], plan[rows]
         own[:, at : at + left] = torch.where(

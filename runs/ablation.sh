@@ -29,6 +29,8 @@
 #   WORKERS   homes made at a time (all cores but one)
 #   LEGS      jobs of the chain for the policy in the box (6); FROM, LEG: the policy that leg LEG goes on from, where
 #             earlier legs were made elsewhere
+#   MIX       inputs of these legs, with their shares (all:0.5,views:0.3,maps:0.2); the next leg may have others:
+#             MIX=maps:1 runs/ablation.sh OUT full shipped-1, then without MIX, shipped-2
 #   IMPORTED  folder of a world or scene that is an exam of its own
 #   POLICY    run whose weights are packed (the last leg that there is)
 set -euo pipefail
@@ -41,6 +43,7 @@ PYTHON=${PYTHON:-python3}
 MINUTES=${MINUTES:-9} WALL=$(awk -v minutes="${WALL:-0}" 'BEGIN {print int(60 * minutes)}')  # seconds
 read -ra INPUTS <<< "${INPUTS:-$([ "$SIZE" = tiny ] && echo maps || echo all views)}"
 read -ra SEEDS <<< "${SEEDS:-0 1 2}"
+MIX=${MIX:-all:0.5,views:0.3,maps:0.2}
 LEGS=${LEGS:-6} LEG=${LEG:-1} FROM=${FROM:-}
 WORKERS=${WORKERS:-$(($(nproc) > 1 ? $(nproc) - 1 : 1))}
 HERE=$(cd "$(dirname "$0")" && pwd)
@@ -71,6 +74,7 @@ if [ "$SIZE" = tiny ]; then
   FIRST=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 "${small[@]}")  # of one lot
   ROUND=(--states "${STATES:-64}" --epochs 1 --batch 16 --agents 8 "${small[@]}")
   LIVE=(--samples 64 --batch 16 --agents 16 --kept 320 --beta-from 0 --beta-to 32 "${small[@]}")
+  NEW=(--size nano --samples 96 --batch 16 --agents 16 --kept 320 --joins "${JOINS:-0,64}" --beta-from 32 --beta-to 64 "${small[@]}")
   DAPO=(--states 32 --prompts 8 --answers 4 --minibatches 2 --epochs 1 --agents 8 --report 1 --save 2 --examined 2 --asked 32 --device host)
   RL=(--updates "${UPDATES:-2}" --episodes 2 --group 4 --max-steps 24 --batch 16 --minibatches 2 --save 1 --examined 2 --asked 32 --device host)
   BASELINE=(--size nano --samples 64 --agents 4 --steps 8 --rounds 1 --report 1 --save 1 --examined 2 --device host)
@@ -84,6 +88,7 @@ else
   FIRST=(--samples "${SAMPLES:-8000000}" "${within[@]}" "${kept[@]}")
   ROUND=(--states "${STATES:-300000}" --epochs 5 "${kept[@]}")
   LIVE=(--samples 1500000 --beta-from 0 --beta-to 500000 "${within[@]}" "${kept[@]}")
+  NEW=(--samples 50000000 --joins "${JOINS:-0,500000,3000000}" --beta-from 250000 --beta-to 2500000 "${within[@]}" "${kept[@]}")
   DAPO=("${within[@]}" --save 50 --shard-mb 15)
   RL=(--updates "${UPDATES:-200}" --save 3 --shard-mb 15)
   BASELINE=(--samples "${SAMPLES:-8000000}")
@@ -91,14 +96,14 @@ else
   UNTRAINED=()
 fi
 if [ -n "${SPEED:-}" ]; then
-  for kind in SFT FIRST ROUND LIVE; do
+  for kind in SFT FIRST ROUND LIVE NEW; do
     declare -n flags=$kind
     flags+=(--speed "$SPEED")
   done
   unset -n flags
 fi
-[ -z "${BATCH:-}" ] || SFT+=(--batch "$BATCH")
-[ -z "${RATE:-}" ] || SFT+=(--rate "$RATE")
+[ -z "${BATCH:-}" ] || { SFT+=(--batch "$BATCH"); NEW+=(--batch "$BATCH"); }
+[ -z "${RATE:-}" ] || { SFT+=(--rate "$RATE"); NEW+=(--rate "$RATE"); }
 
 pictures() { # INPUT: flags of what a policy is shown
   case $1 in
@@ -186,14 +191,13 @@ untrained() {
   for one in random straight wall_follower oracle parse_then_astar; do bench "$one" "$one" --workers "$WORKERS" "${UNTRAINED[@]}"; done
 }
 
-shipped() { # LEG: one policy for all inputs; goes on from the weights of the leg before, wherever they were made
+shipped() { # LEG: one policy for all inputs, live; goes on from the weights of the leg before, wherever they were made
   local leg=$1 start=$OUT/runs/shipped-$(($1 - 1))/policy
-  local mix=all:0.5,views:0.3,maps:0.2
   [ "$leg" != "$LEG" ] || [ -z "$FROM" ] || start=$FROM
   if [ "$leg" = 1 ] && [ -z "$FROM" ]; then
-    train sft "shipped-1" "${SUITES[@]}" --exam "$OUT/suites/exam" --text-length 120 --inputs "$mix" --jitter "${SFT[@]}"
+    train dagger "shipped-1" "${SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter "${NEW[@]}"
   else
-    train dagger "shipped-$leg" "${SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --seed "$leg" --jitter "${LIVE[@]}" \
+    train dagger "shipped-$leg" "${SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter "${LIVE[@]}" \
       $([ "$SIZE" = tiny ] || echo --samples 50000000 --beta-to $((leg == 2 ? 2000000 : 1)) --confirm-stop)
   fi
 }

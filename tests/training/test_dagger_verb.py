@@ -200,7 +200,7 @@ def test_a_policy_of_maps_goes_on_with_other_inputs_that_drive_in_turn(
     assert main(_words(suite, whole, *mixed)) == 0
     settings = load_policy_settings(whole / "policy")
     before = load_policy_settings(start)
-    assert list(settings.by_input) == ["all", "views", "maps"]
+    assert settings.input == "all" and set(settings.inputs) == {"views", "maps"}
     assert settings.by_input["maps"].pictures == before.pictures
     assert settings.by_input["views"].form.points == 0
     assert (settings.view, settings.preset) == (before.view, before.preset)
@@ -215,7 +215,8 @@ def test_a_policy_of_maps_goes_on_with_other_inputs_that_drive_in_turn(
     assert main(_words(suite, parts, *mixed)) == 0
     _same(whole, parts)
     walked = ["policy", "examine", whole / "policy", suite, "--split", "all", "--episodes", 1,
-              "--agents", 1, "--device", "host", "--inputs", "views", "--out", tmp_path / "walks"]  # fmt: skip
+              "--agents", 1, "--device", "host", "--inputs", "views",
+              "--out", tmp_path / "walks"]  # fmt: skip
     assert main([str(word) for word in walked]) == 0
     short = ["--live", "--samples", 4, "--agents", 2, "--kept", 80, "--start", whole / "policy"]
     assert main(_words(suite, tmp_path / "shares", *short, "--inputs", "all,views:2,maps:3")) == 0

@@ -234,10 +234,8 @@ def test_inputs_drive_as_often_as_their_shares_say(make_env) -> None:
     stream.draw(600)
     decided = {step: name for step, name, many in asked if many == 4}
     again = {step: name for step, name, many in asked if many == 2}
-    assert len(decided) >= 69 and decided.keys() == {step - 1 for step in again}
-    assert all(
-        again[step + 1] == f"{name} again" for step, name in decided.items() if step + 1 in again
-    )
+    assert len(decided) == 48  # of 95 steps: 20 that fill the ring, 75 for 600 samples
+    assert again == {step + 1: f"{name} again" for step, name in decided.items() if step < 95}
     counts = Counter(decided.values())
     for name, share in (("all", 0.5), ("views", 0.3), ("maps", 0.2)):
         spread = (share * (1 - share) / len(decided)) ** 0.5

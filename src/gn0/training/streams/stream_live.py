@@ -71,8 +71,9 @@ class StreamLive:
             decision; 0 when None.
         stop_share: chance that a STOP which is not the expert's is carried out; else the expert's
             action is.
-        confirm: like `driver`, the one of the same input, asked again about STOPs behind the first action of an answer before
-            they are carried out, [M] or [M, K] actions of M agents; None: nobody is.
+        confirm: like `driver`, the one of the same input, asked again about STOPs behind the first
+            action of an answer before they are carried out, [M] or [M, K] actions of M agents;
+            None: nobody is.
         confirmed: M, of which further ones at the same step follow the expert for that step; an
             eighth of the agents when None.
         stop_distance: where labels say STOP [m].

@@ -22,7 +22,8 @@
 #   SEEDS     of the arms (0 1 2); episode RL has the first two
 #   SAMPLES   of a trunk (8000000), STATES of a DAgger stage (300000, five times over), UPDATES of episode RL (200)
 #   EPISODES  of an examination (all: 24 in each of 100 homes never seen)
-#   BATCH, RATE  of the trunks, where the sweep found better ones than the recipe's
+#   BATCH, RATE  of the trunks, where the sweep found better ones than the recipe's; RATE of the legs, too (from the second
+#             on 5e-4: what begins from weights alone is no fine-tuning)
 #   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
 #   JOINS     samples at which lots a, b and c join (0,500000,3000000)
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
@@ -198,7 +199,7 @@ shipped() { # LEG: one policy for all inputs, live; goes on from the weights of 
     train dagger "shipped-1" "${SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter "${NEW[@]}"
   else
     train dagger "shipped-$leg" "${SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter "${LIVE[@]}" \
-      $([ "$SIZE" = tiny ] || echo --samples 50000000 --beta-to $((leg == 2 ? 2000000 : 1)) --confirm-stop)
+      $([ "$SIZE" = tiny ] || echo --samples 50000000 --rate "${RATE:-5e-4}" --beta-to $((leg == 2 ? 2000000 : 1)) --confirm-stop)
   fi
 }
 

@@ -216,7 +216,7 @@ def _open_walks(
             inputs=job.inputs or None,
             beta=lambda drawn: job.beta((begun + drawn) * processes.count),
             stop_share=job.stop_share, confirm=None if again is None else enter(again),
-            dark=job.recipe.blackout,
+            dark=job.recipe.blackout, lazy=bool(job.inputs),
         )  # fmt: skip
 
     return run.open_growing(pupil, open_part)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, TypeVar, cast
+from weakref import WeakSet
 
 import msgspec
 import torch
@@ -27,6 +28,7 @@ from gn0.training.runs.run_folder import RunFolder, open_run
 
 T = TypeVar("T")
 _PATIENCE = timedelta(hours=2)  # the others wait while the first examines the policy
+_AVERAGED: WeakSet[DistributedDataParallel] = WeakSet()
 
 
 @dataclass(frozen=True)
@@ -84,12 +86,14 @@ class Processes:
         if next(loss.parameters()).is_cuda:
             # else blocks that are compiled are cut up where a bucket of gradients is full
             torch._dynamo.config.optimize_ddp = False
-        return DistributedDataParallel(
+        averaged = DistributedDataParallel(
             loss,
             gradient_as_bucket_view=True,
             find_unused_parameters=not whole,
             broadcast_buffers=False,  # they are constants
         )
+        _AVERAGED.add(averaged)
+        return averaged
 
     def mean(self, values: Mapping[str, float], device: torch.device) -> dict[str, float]:
         """Means over all processes, the same in each."""
@@ -166,10 +170,24 @@ def join_processes(device: Device | str = "auto") -> Iterator[Processes]:
             )
         torch.cuda.set_device(own.local)
     distributed.init_process_group("nccl" if on_card else "gloo", timeout=_PATIENCE)
-    yield own
-    # not after an error: it would wait for the others
-    distributed.barrier()  # who leaves while another still writes may hang in closing (gloo)
+    try:
+        yield own
+        # not after an error: it would wait for the others
+        distributed.barrier()  # nobody leaves while another still writes
+    finally:
+        _release_reducers()
     distributed.destroy_process_group()
+
+
+def _release_reducers() -> None:
+    """Let go of what averages gradients, while the group is still held by others.
+
+    A reducer that is the last to hold its group closes it without giving up the interpreter's lock,
+    and waits for threads of gloo that want that lock to let go of tensors: it hangs for ever.
+    """
+    for averaged in tuple(_AVERAGED):
+        del averaged.reducer, averaged.logger
+        _AVERAGED.discard(averaged)
 
 
 @contextmanager

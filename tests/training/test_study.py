@@ -433,6 +433,43 @@ def test_a_call_of_the_ablation_can_be_watched_and_has_its_folder_alone(tmp_path
     assert gone.stdout.endswith("begin homes-a\n")
 
 
+STAND_IN = """#!/bin/bash
+[ "$1 $2" = "-m gn0" ] || exec {python} "$@"
+echo "${{*:3}}" >> {folder}/log
+for ((k = 3; k < $#; k++)); do [ "${{!k}}" != --out ] || next=$((k + 1)); done
+out=${{!next}}
+case "$3 $4" in
+  "figures train.sft") cp {folder}/figures.json {folder}/figures.md "$out" ;;
+  "missions generate") mkdir -p "$out" && echo "{{}}" > "$out/manifest.json" ;;
+  "train dagger") mkdir -p "$out/policy" ;;
+esac
+"""  # for gn0: notes how it was called, and leaves what comes next looks for
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_leg_is_trained_at_the_quickest_speed_and_packed(tmp_path: Path) -> None:
+    rates = {"blocks": 8300.0, "whole,narrow": 9100.0, "tuned,joined": 9900.0}
+    rows = [{"detail": f"512 samples; --speed {name}", "value": r} for name, r in rates.items()]
+    (tmp_path / "figures.json").write_text(json.dumps([{"rows": [{"detail": "", "value": 1}]},
+                                                       {"rows": rows}]))  # fmt: skip
+    (tmp_path / "figures.md").touch()
+    python = tmp_path / "python"
+    python.write_text(STAND_IN.format(python=sys.executable, folder=tmp_path))
+    python.chmod(0o755)
+    done = subprocess.run(
+        ["bash", str(ROOT / "runs/leg.sh"), str(tmp_path / "out")], capture_output=True, text=True,
+        env={**os.environ, "PYTHON": str(python), "SIZE": "tiny", "MIX": "maps:1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    called = (tmp_path / "log").read_text().splitlines()
+    trained = next(line for line in called if line.startswith("train dagger"))
+    assert "--speed whole,narrow" in trained and "--inputs maps:1" in trained
+    made = [line for line in called if line.startswith("missions generate")]
+    assert len(made) == 3 and called.index(trained) > max(map(called.index, made))
+    pack = tmp_path / "out" / "pack"
+    assert (pack / "policy").is_dir() and (pack / "figures.json").is_file()
+
+
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> None:
     """With a stand-in for gn0 that knows `policy study` as little as any other verb."""

@@ -1,0 +1,59 @@
+#!/usr/bin/env bash
+# A leg of the policy in the box on a machine that is lent for half an hour, with nothing to decide in between: homes are
+# made beside `gn0 figures train.sft`, which leaves the card to itself anyway; the leg is trained at the quickest speed
+# that the figure found; and what travels home is packed.
+#
+#   runs/leg.sh OUT                             the first leg, from random weights
+#   LEG=2 FROM=release/bae-tiny runs/leg.sh OUT the second, from the weights of the first
+#   WALL=9 runs/ablation.sh OUT full watch      how it is going, from another terminal; OUT/leg.log has the rest
+#   SIZE=tiny GN0_DEVICE=host runs/leg.sh OUT   a rehearsal on a CPU
+#
+# Environment: that of runs/ablation.sh, and
+#   SIZE      full, or tiny
+#   MINUTES   of the leg (18)
+#   SECONDS_OF_FIGURE  that the figure may take at most (290)
+# A card that is no good for driven walks leaves a failed job: OUT/jobs/shipped-LEG.failed says why.
+set -uo pipefail
+
+OUT=${1:?usage: runs/leg.sh OUT}
+cd "$(dirname "$0")/.."
+mkdir -p "$OUT/figures"
+OUT=$(cd "$OUT" && pwd)
+export PYTHON=${PYTHON:-python3} SIZE=${SIZE:-full} LEG=${LEG:-1} MINUTES=${MINUTES:-18} PYTHONUNBUFFERED=1
+export LEGS=$LEG NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-1}
+if [ -n "${WHEELS:-}" ]; then
+  WHEELS=$(cd "$WHEELS" && pwd)
+  export WHEELS
+fi
+. runs/offline.sh
+open_offline "$OUT/site" || exit 1
+
+quickest() { # words of the speed with most samples a second, of those that need no trying out of products
+  "$PYTHON" - "$OUT/figures/figures.json" <<'END'
+import json, re, sys
+found = {}
+try:
+    for figure in json.load(open(sys.argv[1])):
+        for row in figure["rows"]:
+            named = re.search(r"--speed (\S+)", row["detail"])
+            if named and not named[1].startswith("tuned"):
+                found[named[1]] = row["value"]
+except (OSError, ValueError):
+    pass
+print(max(found, key=found.get) if found else "blocks")
+END
+}
+
+{
+  WORKERS=${WORKERS:-$(($(nproc) > 3 ? $(nproc) - 3 : 1))} runs/ablation.sh "$OUT" "$SIZE" 'homes-*' &
+  homes=$!
+  if [ ! -f "$OUT/figures/figures.json" ]; then
+    timeout "${SECONDS_OF_FIGURE:-290}" "$PYTHON" -m gn0 figures train.sft --out "$OUT/figures"
+  fi
+  SPEED=${SPEED:-$(quickest)}
+  export SPEED
+  echo "speed $SPEED"
+  wait "$homes" || exit 1
+  runs/ablation.sh "$OUT" "$SIZE" "shipped-$LEG" && POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack &&
+    cp "$OUT"/figures/figures.* "$OUT/pack"
+} 2>&1 | tee "$OUT/leg.log"

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 import zipfile
 from dataclasses import asdict
 from fnmatch import fnmatch
@@ -425,6 +426,11 @@ def test_a_call_of_the_ablation_can_be_watched_and_has_its_folder_alone(tmp_path
         second = subprocess.run([*command, "homes-b"], env=env, capture_output=True, text=True)
         assert second.returncode == 2
         assert f"process {works.pid} works on these jobs" in second.stderr
+        log = tmp_path / "out/log/homes-a"
+        for _ in range(300):
+            if log.is_file() and "how far" in log.read_text():
+                break
+            time.sleep(0.1)
         seen = subprocess.run([*command, "watch"], env=env, capture_output=True, text=True)
         assert re.search(r"^\S+ homes-a: how far scene is$", seen.stdout, re.MULTILINE)
         works.terminate()

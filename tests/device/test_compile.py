@@ -49,7 +49,7 @@ _BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
 def test_kernels_take_the_parameters_that_their_prototypes_say(source: KernelSource) -> None:
     """As they are read from the text: a launch puts each at an address by these.
 
-    All that is wrong in a source is told here; that cards get machine code of it is tried later.
+    What is wrong in the text of a source is told here; machine code of each card is made later.
     """
     text = compile_source(source, "compute_90").decode()
     taken = {

@@ -20,7 +20,7 @@ from gn0.policies.bae.waypoint_plan import ROUNDABOUT, STOP_DISTANCE
 
 LOOK_AHEAD = 0.5  # m along the way: what the last pose should face
 BEYOND = 0.5  # m of the way behind what can be reached: so far it is looked at
-AT_ONCE = 1024  # agents: what is priced at a time takes some 300 MB
+AT_ONCE = 1024  # agents: what is priced at a time takes some 500 MB
 
 
 class WaypointFollower:

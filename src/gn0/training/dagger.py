@@ -293,18 +293,19 @@ def compare_entropy(run: Imitation, found: Mapping[str, float]) -> dict[str, flo
     if "entropy" not in found:
         return dict(found)
     first = read_metrics(run.folder.folder / METRICS)[0]
-    before = float(first.get("entropy") or math.nan) if first["step"] == 0 else math.nan
+
+    def recall(name: str) -> float:
+        value = first.get(name) if first["step"] == 0 else None
+        return math.nan if value is None else float(value)  # nought is a value
+
+    before = recall("entropy")
     text = f"entropy {before:.3f} before, {found['entropy']:.3f} after"
     slots = [name for name in found if SLOT.fullmatch(name)]
     if slots:
         text += f"; by action {' '.join(f'{found[name]:.3f}' for name in slots)}"
     run.say(text)
     run.folder.log(text)
-    began = {
-        f"{name}_before": float(first.get(name) or math.nan) if first["step"] == 0 else math.nan
-        for name in slots
-    }
-    return {**found, "entropy_before": before, **began}
+    return {**found, "entropy_before": before, **{f"{n}_before": recall(n) for n in slots}}
 
 
 def hash_weights(model: nn.Module) -> str:

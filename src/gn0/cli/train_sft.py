@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from gn0.cli.comma_lists import read_joins, split_words
+from gn0.cli.comma_lists import read_joins, read_numbers, split_words
 from gn0.cli.train_flags import ImitationFlags, train_stage
 from gn0.errors import ConfigError
 
@@ -138,7 +138,7 @@ def run(args: Args) -> int:
         start=args.start,
         settings=settings,
         inputs=inputs,
-        shares=_read_shares(args.shares),
+        shares=read_numbers(args.shares, float, "--shares", "0.7,0.3"),
         recipe=msgspec.structs.replace(recipe, **chosen),
         plan=StagePlan(**args.list_plan(), samples=args.samples, minutes=args.minutes or None),
         kept=args.kept,
@@ -155,12 +155,3 @@ def _read_size(text: str) -> tuple[int, int]:
             f"no size: {text!r}", where="--map-size", remedy="give 128,128 or the like"
         ) from None
     return width, height
-
-
-def _read_shares(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(one) for one in split_words(text))
-    except ValueError:
-        raise ConfigError(
-            f"not numbers: {text!r}", where="--shares", remedy="give 0.7,0.3 or the like"
-        ) from None

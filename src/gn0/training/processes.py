@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, TypeVar, cast
+from warnings import catch_warnings, simplefilter
 from weakref import WeakSet
 
 import msgspec
@@ -86,12 +87,14 @@ class Processes:
         if next(loss.parameters()).is_cuda:
             # else blocks that are compiled are cut up where a bucket of gradients is full
             torch._dynamo.config.optimize_ddp = False
-        averaged = DistributedDataParallel(
-            loss,
-            gradient_as_bucket_view=True,
-            find_unused_parameters=not whole,
-            broadcast_buffers=False,  # they are constants
-        )
+        with catch_warnings():  # of torch 2.13: the flag has a successor for all but this value
+            simplefilter("ignore", FutureWarning)
+            averaged = DistributedDataParallel(
+                loss,
+                gradient_as_bucket_view=True,
+                find_unused_parameters=not whole,
+                broadcast_buffers=False,  # they are constants
+            )
         _AVERAGED.add(averaged)
         return averaged
 

@@ -103,6 +103,8 @@ def learn(folder: Path, samples: int, dies_at: int = -1) -> None:
         if state is not None:
             stage.restore(state)
         stage.run(run, print)
+    if hasattr(learner._called, "reducer"):
+        sys.exit("the reducer outlives its group: closing it may hang")
 
 
 if __name__ == "__main__":

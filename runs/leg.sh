@@ -10,7 +10,7 @@
 #
 # Environment: that of runs/ablation.sh, and
 #   SIZE      full, or tiny
-#   MINUTES   of the leg (18)
+#   MINUTES   of the leg at most (18); UNTIL: seconds since 1970 by which its training ends, whatever came before took
 #   SECONDS_OF_FIGURE  that the figure may take at most (290)
 # A card that is no good for driven walks leaves a failed job: OUT/jobs/shipped-LEG.failed says why.
 set -uo pipefail
@@ -20,6 +20,7 @@ cd "$(dirname "$0")/.."
 mkdir -p "$OUT/figures"
 OUT=$(cd "$OUT" && pwd)
 export PYTHON=${PYTHON:-python3} SIZE=${SIZE:-full} LEG=${LEG:-1} MINUTES=${MINUTES:-18} PYTHONUNBUFFERED=1
+export WORKERS=${WORKERS:-$(($(nproc) > 3 ? $(nproc) - 3 : 1))}
 export LEGS=$LEG NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-1}
 if [ -n "${WHEELS:-}" ]; then
   WHEELS=$(cd "$WHEELS" && pwd)
@@ -45,7 +46,7 @@ END
 }
 
 {
-  WORKERS=${WORKERS:-$(($(nproc) > 3 ? $(nproc) - 3 : 1))} runs/ablation.sh "$OUT" "$SIZE" 'homes-*' &
+  runs/ablation.sh "$OUT" "$SIZE" homes-a homes-b homes-exam &  # all others join later
   homes=$!
   if [ ! -f "$OUT/figures/figures.json" ]; then
     timeout "${SECONDS_OF_FIGURE:-290}" "$PYTHON" -m gn0 figures train.sft --out "$OUT/figures"
@@ -54,6 +55,10 @@ END
   export SPEED
   echo "speed $SPEED"
   wait "$homes" || exit 1
-  runs/ablation.sh "$OUT" "$SIZE" "shipped-$LEG" && POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack &&
-    cp "$OUT"/figures/figures.* "$OUT/pack"
+  if [ -n "${UNTIL:-}" ]; then
+    MINUTES=$(awk -v left=$((UNTIL - $(date +%s))) -v most="$MINUTES" 'BEGIN {left /= 60; print left < most ? left : most}')
+    echo "$MINUTES minutes"
+  fi
+  runs/ablation.sh "$OUT" "$SIZE" "shipped-$LEG" 'homes-*' && POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack &&
+    { [ ! -f "$OUT/figures/figures.json" ] || cp "$OUT"/figures/figures.* "$OUT/pack"; }
 } 2>&1 | tee "$OUT/leg.log"

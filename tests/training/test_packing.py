@@ -20,7 +20,8 @@ from gn0.policies.qwen.weights import open_weights  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
 from gn0.sim.state import Observation  # noqa: E402
 from gn0.training.packing import pack_policy  # noqa: E402
-from gn0.training.pupil import build_pupil  # noqa: E402
+from gn0.training.pupil import build_pupil, load_pupil  # noqa: E402
+from gn0.training.runs.model_card import build_card  # noqa: E402
 from gn0.training.runs.run_folder import open_run  # noqa: E402
 
 SETTINGS = PolicySettings(
@@ -94,6 +95,15 @@ def test_the_card_tells_the_whole_chain_and_no_place(run: Path, tmp_path: Path) 
         assert told in card, told
     assert card.count("gn0 train sft …/suite --held-out ''") == 2  # a line a stage
     assert "somebody" not in card
+
+
+def test_the_card_has_a_row_of_walks_for_each_kind_of_missions(run: Path) -> None:
+    found = {"episodes": 12, "SR": 0.25, "NE": 2.154, "cut_short": 0.5, "entropy": 0.25}
+    found |= {"episodes_goal": 4, "SR_goal": 0.5, "NE_goal": 1.0, "SR_1m_goal": 0.125}
+    card = build_card(run, load_pupil(run / "policy").settings, results=found)
+    assert "| all | 12 | 25.0 | – | – | – | – | 2.15 | – | – | 50.0 |" in card
+    assert "| goal | 4 | 50.0 | – | – | – | 12.5 | 1.00 | – | – | – |" in card
+    assert "| entropy | 0.25 |" in card and "SR_goal" not in card
 
 
 def test_what_is_too_large_or_no_policy_is_refused(run: Path, tmp_path: Path) -> None:

@@ -35,6 +35,13 @@ _LIMITS = """* It was trained and examined in simulation, on the scenes that the
 * Its answers are the most probable ones. That it is sure of one does not mean that it is right.
 """
 
+_WALKED = "episodes_"  # and a kind of missions
+_COLUMNS = {  # of walks
+    "episodes": "walks", "SR": "SR %", "SPL": "SPL %", "OS": "OS %", "SR_straight": "SR straight %",
+    "SR_1m": "SR 1 m %", "NE": "NE m", "TL": "TL m", "STOP": "STOP %", "cut_short": "cut short %",
+}  # fmt: skip
+_METRES = ("NE", "TL")
+
 
 def build_card(
     folder: Path | str,
@@ -178,8 +185,31 @@ def _describe_results(found: Mapping[str, Any]) -> str:
     }  # fmt: skip
     if not numbers:
         return "No examination was part of the run.\n"
-    rows = [(name, f"{value:.4g}") for name, value in sorted(numbers.items())]
-    return "By the run's own examination, on held-out splits:\n\n" + _table(rows)
+    kinds = sorted(name.removeprefix(_WALKED) for name in numbers if name.startswith(_WALKED))
+    tabled = set(_COLUMNS) if "episodes" in numbers else set()
+    others = [
+        (name, f"{value:.4g}")
+        for name, value in sorted(numbers.items())
+        if name not in tabled and not name.endswith(tuple(f"_{kind}" for kind in kinds))
+    ]
+    said = "By the run's own examination, on held-out splits:\n\n"
+    if tabled:
+        said += "| missions | " + " | ".join(_COLUMNS.values()) + " |\n"
+        said += "| --- " * (len(_COLUMNS) + 1) + "|\n"
+        for kind in ("", *kinds):
+            end = f"_{kind}" if kind else ""
+            row = [_show(name, numbers.get(name + end)) for name in _COLUMNS]
+            said += f"| {kind or 'all'} | {' | '.join(row)} |\n"
+        said += "\n"
+    return said + _table(others)
+
+
+def _show(name: str, value: float | None) -> str:
+    if value is None:
+        return "–"
+    if name in _METRES:
+        return f"{value:.2f}"
+    return f"{value:.0f}" if name == "episodes" else f"{100 * value:.1f}"
 
 
 def _table(rows: Sequence[tuple[str, str]]) -> str:

@@ -57,14 +57,17 @@ def env(flats_suite) -> VectorEnvDevice:
     )
 
 
+@pytest.mark.parametrize("draw_after", [0, 3])
 def test_it_plays_what_the_benchmark_plays(
-    walker, env, flats_suite, tmp_path: Path, worker_here: None
+    walker, env, flats_suite, tmp_path: Path, worker_here: None, draw_after: int
 ) -> None:
     pupil, folder = walker
-    options = {"checkpoint": str(folder), "backend": "torch"}
+    options = {"checkpoint": str(folder), "backend": "torch", "draw_after": draw_after}
     run_suite(flats_suite, "bae", tmp_path / "run", policy_options=options)
     theirs = {one.episode: one.metrics for one in load_results(tmp_path / "run")}
-    walks = ClosedLoop(env, pupil).play()
+    walks = ClosedLoop(env, pupil, draw_after=draw_after).play()
+    notes = [one.notes or {} for one in load_results(tmp_path / "run")]
+    assert any("answers drawn" in one for one in notes) == (draw_after > 0)
     assert [walk.episode for walk in walks] == [e.id for e in flats_suite.episodes]
     assert len({walk.steps for walk in walks}) > 1
     for walk in walks:
@@ -90,10 +93,10 @@ def test_controls_take_away_what_they_say(walker, env) -> None:
     asked: list[list[int]] = []
     decide = loop.actor.decide
 
-    def watch(pictures, prompts):
+    def watch(pictures, prompts, draws):
         shown.append(int(pictures[0].max()))
         asked.append(prompts.tolist())
-        return decide(pictures, prompts)
+        return decide(pictures, prompts, draws)
 
     loop.actor.decide = watch  # type: ignore[method-assign]
     loop.play([0, 1])

@@ -93,6 +93,10 @@ def test_the_card_tells_the_whole_chain_and_no_place(run: Path, tmp_path: Path) 
     for told in ("# packed", "…/flats", "…/offices", "c0ffee", "20 in 5 steps", "1.5 min",
                  "| SR | 0.25 |", "| SR | 25 |", "Apache-2.0", "near, far"):  # fmt: skip
         assert told in card, told
+    assert "| answers are drawn | never" in card
+    drawn = pack_policy(run, tmp_path / "drawn", draw_after=6)
+    assert "drawn | after 6 actions" in (drawn.folder / "README.md").read_text("utf-8")
+    assert load_pupil(drawn.folder).settings.draw_after == 6
     assert card.count("gn0 train sft …/suite --held-out ''") == 2  # a line a stage
     assert "somebody" not in card
 

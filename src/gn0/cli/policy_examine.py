@@ -43,6 +43,8 @@ class Args(Config, frozen=True):
             default when left out.
         executed: actions of an answer that are carried out before the next question; 0: as the
             policy says.
+        draw_after: actions without getting anywhere after which answers are drawn as probable as
+            the policy holds them; 0: never, -1: as the policy says.
         confirm_stop: ask again before a STOP behind the first action is carried out.
         carried: carry out the actions of an answer, or follow its waypoints (and stop where its
             first action does).
@@ -60,6 +62,7 @@ class Args(Config, frozen=True):
     control: Literal["none", "no_words", "shuffled", "no_pictures"] = "none"
     inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    draw_after: Annotated[int, msgspec.Meta(ge=-1, le=10_000)] = -1
     confirm_stop: bool = False
     carried: Literal["actions", "waypoints"] = "actions"
     episodes: Annotated[int, msgspec.Meta(ge=0), tyro.conf.arg(aliases=("--limit",))] = 0
@@ -86,6 +89,7 @@ def run(args: Args) -> int:
         control=args.control,
         inputs=args.inputs,
         executed=args.executed,
+        draw_after=args.draw_after,
         confirm_stop=args.confirm_stop,
         carried=args.carried,
         episodes=args.episodes,

@@ -28,6 +28,8 @@ class Args(Config, frozen=True):
         shard_mb: megabytes of a file at most.
         limit_mb: megabytes of everything; more are refused.
         tables: a file of Markdown that goes with the card's numbers.
+        draw_after: actions without getting anywhere after which the packed policy's answers are
+            drawn as probable as it holds them; 0: never, -1: as the run's policy has it.
         overwrite: replace an earlier packed policy there.
     """
 
@@ -37,6 +39,7 @@ class Args(Config, frozen=True):
     shard_mb: Annotated[int, msgspec.Meta(ge=1)] = 15
     limit_mb: Annotated[int, msgspec.Meta(ge=1)] = 36
     tables: str = ""
+    draw_after: Annotated[int, msgspec.Meta(ge=-1, le=10_000)] = -1
     overwrite: bool = False
 
 
@@ -60,6 +63,7 @@ def run(args: Args) -> int:
             shard_mb=args.shard_mb,
             limit_mb=args.limit_mb,
             tables=tables,
+            draw_after=args.draw_after,
             overwrite=args.overwrite,
         )
     print(f"{packed.size / 1e6:.1f} MB in {len(packed.files)} files: {', '.join(packed.files)}")

@@ -27,8 +27,10 @@ from gn0.missions.controls import CONTROL_TEXT, Control, check_control, choose_t
 from gn0.missions.episode import Episode, mission_name
 from gn0.paper import SUCCESS_RADIUS
 from gn0.policies.bae.actor import Actor, Decisions
+from gn0.policies.bae.draws import NEVER, check_draw_after, make_draws
 from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES
 from gn0.policies.bae.waypoint_plan import Carried, check_carried
+from gn0.seeds import random_stream
 from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import MapView
@@ -42,6 +44,7 @@ from gn0.training.walks import Walk
 from gn0.training.walks import summarise_walks as summarise_walks
 from gn0.training.waypoint_follower import WaypointFollower
 
+POLICY = "bae"  # whose streams are those of the benchmark's policy of that name
 NEAR = 1.0  # m on foot: the stricter radius
 Watch = Callable[[Sequence[Tensor], Tensor, Decisions], None]
 
@@ -68,6 +71,29 @@ class StateScores:
     stop_precision: float
     entropy: float
     action_entropy: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class AskedAgents:
+    """N agents who are asked what to do.
+
+    Attributes:
+        texts: int64 [N] numbers of what they are told.
+        episode: int64 [N] numbers of theirs.
+        pose: float64 [N, 3].
+        last: int64 [N] actions before; -1 where an episode begins.
+        hit: bool [N], whether an obstacle cut that short.
+        idle: int64 [N] actions since they got anywhere.
+        heard: bool [N], whose answer is carried out.
+    """
+
+    texts: Tensor
+    episode: Tensor
+    pose: Tensor
+    last: Tensor
+    hit: Tensor
+    idle: Tensor
+    heard: Tensor
 
 
 def score_states(actor: Actor, maker: SampleMaker, states: LabelledStates) -> StateScores:
@@ -167,28 +193,17 @@ class EpisodeLoop(ABC):
         self._idle = [n for n in ("ego_map", *(["rgb"] if views else [])) if n in env.sensors]
 
     @abstractmethod
-    def decide(
-        self,
-        shown: Sequence[Tensor],
-        texts: Tensor,
-        episode: Tensor,
-        pose: Tensor,
-        last: Tensor,
-        hit: Tensor,
-    ) -> Tensor:
-        """Decisions of all N agents.
+    def decide(self, shown: Sequence[Tensor], agents: AskedAgents) -> Tensor:
+        """Decisions of all N agents: int64 [N, A] actions.
 
         Args:
             shown: pictures [N, ...] each.
-            texts: int64 [N] numbers of what they are told.
-            episode: int64 [N] numbers of theirs.
-            pose: float64 [N, 3].
-            last: int64 [N] actions before; −1 where an episode begins.
-            hit: bool [N], whether an obstacle cut that short.
-
-        Returns:
-            int64 [N, A] actions.
+            agents: who is asked.
         """
+
+    def begin(self, episodes: Sequence[Episode]) -> None:
+        """All agents begin these: what remembers forgets; others need not be told."""
+        del episodes
 
     def play(
         self,
@@ -231,6 +246,7 @@ class EpisodeLoop(ABC):
         env, begun = self.env, time.perf_counter()
         env.mute(*self._unseen)
         seen, infos = env.reset(seed=0, options={"episode": numbers})
+        self.begin([env.tasks.episodes[number] for number in numbers])
         own = _take(infos["episode"]).long().clone()
         pose, distance = _take(infos["pose"]).clone(), _take(infos["distance_to_goal"]).clone()
         count = len(numbers)
@@ -243,7 +259,7 @@ class EpisodeLoop(ABC):
             "decisions": zeros.clone(), "stopped": zeros.bool(), "place": pose[:, :2].clone(),
             **{name: zeros.clone() for name in ("agreed", "due", "stopped_right")},
         }  # fmt: skip
-        last, hit, at = zeros - 1, zeros.bool(), zeros + self.executed
+        last, hit, idle, at = zeros - 1, zeros.bool(), zeros.clone(), zeros + self.executed
         plan = torch.zeros((count, self.actions), dtype=torch.int64).to(last)
         steps = 0
         while not (steps % self.executed == 0 and bool(done.all())):
@@ -254,7 +270,8 @@ class EpisodeLoop(ABC):
             # without confirming, all agents are asked at once: the host need not look
             if bool((asked & ~done).any()) if self.confirm_stop else steps % self.executed == 0:
                 shown = self._show(seen, own, pose, dark)
-                said = self.decide(shown, texts[own], own, pose, last, hit)
+                agents = AskedAgents(texts[own], own, pose, last, hit, idle, asked & ~done)
+                said = self.decide(shown, agents)
                 plan = torch.where(asked[:, None], said, plan)
                 at = torch.where(asked, 0, at)
                 self.decisions += real
@@ -293,6 +310,7 @@ class EpisodeLoop(ABC):
             pose = _take(infos["pose"]).clone()
             last = torch.where(ended, -1, action)
             hit = cut & ~ended
+            idle = torch.where(ended | ((action == Action.FORWARD) & ~cut), 0, idle + 1)
         env.synchronize()
         found = {name: values.cpu().numpy() for name, values in book.items()}
         found["seconds"] = np.full(real, (time.perf_counter() - begun) / real)
@@ -341,6 +359,8 @@ class ClosedLoop(EpisodeLoop):
             while STOP is that of a first action (`waypoint_plan`).
         labelled: see `EpisodeLoop`.
         temperature: of the draws, see `Actor`.
+        draw_after: actions without getting anywhere after which answers are drawn, as `PolicyBae`
+            draws them; 0: never, -1: as the settings say. Not with a temperature.
 
     Raises:
         ConfigError: the agents do not see what the prompt shows.
@@ -358,8 +378,11 @@ class ClosedLoop(EpisodeLoop):
         carried: Carried = "actions",
         labelled: bool = False,
         temperature: float = 0.0,
+        draw_after: int = -1,
     ) -> None:
         settings = self.settings = pupil.settings
+        own = 0 if temperature > 0 else settings.draw_after
+        self.draw_after = check_draw_after(draw_after, own)
         super().__init__(
             env, pictures=settings.pictures, view=settings.view,
             sensors=settings.sensors(pupil.template), device=pupil.model.device,
@@ -375,7 +398,9 @@ class ClosedLoop(EpisodeLoop):
         self.actor = Actor(
             pupil.model, self.maker.table.layout, pupil.slots, settings.frame, env.num_envs,
             said=self.maker.table.place, dtype=dtype, compiled=compiled, temperature=temperature,
+            drawn=self.draw_after > 0,
         )  # fmt: skip
+        self._draws = self._drawn = torch.empty(0)  # by `begin`
         self._follower: WaypointFollower | None = None
         if check_carried(carried, settings.form.points) == "waypoints":
             self._follower = WaypointFollower(self.device)
@@ -401,26 +426,36 @@ class ClosedLoop(EpisodeLoop):
         self._watch = watch
         return super().play(episodes, control=control, seed=seed)
 
-    def decide(
-        self,
-        shown: Sequence[Tensor],
-        texts: Tensor,
-        episode: Tensor,
-        pose: Tensor,
-        last: Tensor,
-        hit: Tensor,
-    ) -> Tensor:
+    def begin(self, episodes: Sequence[Episode]) -> None:
+        """Numbers of their draws, those that the benchmark's policy has."""
+        if not self.draw_after:
+            return
+        streams = (random_stream(e.seed, "policy", POLICY, e.id) for e in episodes)
+        slots = len(self.actor.slots)
+        draws = np.stack([make_draws(stream, slots) for stream in streams])
+        self._draws = torch.from_numpy(draws).to(self.device)
+        self._drawn = torch.zeros(len(episodes), dtype=torch.int64, device=self.device)
+
+    def decide(self, shown: Sequence[Tensor], agents: AskedAgents) -> Tensor:
         """See `EpisodeLoop`."""
-        ids = self.maker.prompts(texts, pose, last, hit)
-        said = self.actor.decide(shown, ids)
+        ids = self.maker.prompts(agents.texts, agents.pose, agents.last, agents.hit)
+        said = self.actor.decide(shown, ids, self._draw(agents) if self.draw_after else None)
         if self._watch is not None:
             self._watch(shown, ids, said)
         told = said.actions
         if self._follower is not None:
             stops = told[:, :1] == Action.STOP
-            told = self._follower.plan(self.maker.waypoints(said.ids, episode, pose))
+            told = self._follower.plan(self.maker.waypoints(said.ids, agents.episode, agents.pose))
             told = told.masked_fill(stops, Action.STOP)
         return told
+
+    def _draw(self, agents: AskedAgents) -> Tensor:
+        """Numbers float32 [N, S] of those who get nowhere; below 0 for the others."""
+        lost = agents.idle >= self.draw_after
+        rows = torch.arange(len(lost), device=self.device)
+        numbers = self._draws[rows, self._drawn % self._draws.shape[1]]
+        self._drawn = self._drawn + (lost & agents.heard)
+        return torch.where(lost[:, None], numbers, float(NEVER))
 
     def _draw_whole(self, episode: Tensor, pose: Tensor) -> dict[str, Tensor]:
         size, found = self.settings.map_size, dict[str, Tensor]()

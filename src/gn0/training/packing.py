@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import msgspec
 import torch
 
 from gn0.errors import CheckpointError
+from gn0.policies.bae.draws import check_draw_after
 from gn0.policies.bae.shipped import find_checkpoint
 from gn0.storage import check_replaceable, read_bytes
 from gn0.training.pupil import load_pupil
@@ -42,6 +44,7 @@ def pack_policy(
     shard_mb: int = SHARD_MB,
     limit_mb: int = LIMIT_MB,
     tables: str = "",
+    draw_after: int = -1,
     overwrite: bool = False,
 ) -> PackedPolicy:
     """Write a run's policy as it is shipped.
@@ -53,6 +56,8 @@ def pack_policy(
         shard_mb: 10⁶ bytes of a file at most; a single array may be larger.
         limit_mb: more than so many 10⁶ bytes in all are refused.
         tables: Markdown for the card's numbers.
+        draw_after: actions without getting anywhere after which the packed policy's answers are
+            drawn; 0: never, -1: as the run's policy has it.
         overwrite: replace an earlier one.
 
     Raises:
@@ -63,6 +68,8 @@ def pack_policy(
     source = find_checkpoint(str(run))
     check_replaceable(folder, overwrite=overwrite, marker="shards.json")
     pupil = load_pupil(source)
+    drawn = check_draw_after(draw_after, pupil.settings.draw_after)
+    pupil = replace(pupil, settings=msgspec.structs.replace(pupil.settings, draw_after=drawn))
     kind = torch.float32 if dtype == "float32" else torch.bfloat16
     weights = sum(array.numel() for array in pupil.model.parameters())
     size = weights * kind.itemsize + (source / "tokenizer.json").stat().st_size

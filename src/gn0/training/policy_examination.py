@@ -22,6 +22,7 @@ from gn0.device.device import Device
 from gn0.device.open import open_device
 from gn0.errors import ConfigError
 from gn0.missions.controls import Control
+from gn0.policies.bae.draws import MOST, check_draw_after
 from gn0.policies.bae.policy_bae import digest_checkpoint
 from gn0.policies.bae.shipped import find_checkpoint
 from gn0.policies.bae.waypoint_plan import Carried, check_carried
@@ -48,6 +49,8 @@ class WalkJob(Config, frozen=True):
         inputs: in which of its ways the policy is asked, where it was trained in several; its
             default when empty.
         executed: actions of an answer that are carried out; 0: as the policy says.
+        draw_after: actions without getting anywhere after which answers are drawn; 0: never, -1: as
+            the policy says.
         confirm_stop: a STOP behind the first action of an answer is asked again.
         carried: the actions of an answer, or its waypoints; see `ClosedLoop`.
         episodes: that are walked, evenly over the suite; 0 for all.
@@ -61,6 +64,7 @@ class WalkJob(Config, frozen=True):
     control: Control = "none"
     inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    draw_after: Annotated[int, msgspec.Meta(ge=-1, le=MOST)] = -1
     confirm_stop: bool = False
     carried: Carried = "actions"
     episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
@@ -126,6 +130,7 @@ def examine_policy(
         control=job.control,
         inputs=job.inputs,
         executed=job.executed or settings.executed,
+        draw_after=check_draw_after(job.draw_after, settings.draw_after),
         confirm_stop=job.confirm_stop,
         carried=job.carried,
         agents=min(job.agents, len(wanted)),
@@ -163,6 +168,7 @@ def _walk(
             pupil,
             dtype=torch.bfloat16 if about.dtype == "bfloat16" else None,
             executed=about.executed,
+            draw_after=about.draw_after,
             confirm_stop=about.confirm_stop,
             carried=about.carried,
         )

@@ -13,7 +13,7 @@ from gn0.device.device import Device
 from gn0.missions.controls import CONTROL_TEXT
 from gn0.policies.cma.recurrent import RecurrentNet
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.training.evaluation import EpisodeLoop
+from gn0.training.evaluation import AskedAgents, EpisodeLoop
 from gn0.training.recurrent_learner import DriverNet, WordTable
 from gn0.training.walks import summarise_walks
 from gn0.training.worlds import Lessons, load_lessons, open_world
@@ -53,18 +53,9 @@ class ClosedLoopRecurrent(EpisodeLoop):
         table = WordTable(tokenizer, texts, own.text_length, device)
         self._driver = DriverNet(net, table, env.num_envs, autocast)
 
-    def decide(
-        self,
-        shown: Sequence[Tensor],
-        texts: Tensor,
-        episode: Tensor,
-        pose: Tensor,
-        last: Tensor,
-        hit: Tensor,
-    ) -> Tensor:
+    def decide(self, shown: Sequence[Tensor], agents: AskedAgents) -> Tensor:
         """See `EpisodeLoop`; neither place nor obstacles are told."""
-        del episode, pose, hit
-        return self._driver.choose(shown, texts, last).argmax(-1)[:, None]
+        return self._driver.choose(shown, agents.texts, agents.last).argmax(-1)[:, None]
 
 
 class RecurrentExamination:

@@ -40,6 +40,7 @@ class WalksAbout(Config, frozen=True):
         control: what was taken away.
         inputs: in which of its ways the policy was asked; "" for its default.
         executed: actions of an answer that were carried out.
+        draw_after: actions without getting anywhere after which answers were drawn; 0: never.
         confirm_stop: a STOP behind the first action was asked again.
         carried: the actions of answers, or their waypoints.
         agents: that walked side by side, all asked in one batch.
@@ -68,6 +69,7 @@ class WalksAbout(Config, frozen=True):
     version: str
     inputs: str = ""
     carried: Carried = "actions"
+    draw_after: int = 0
     finished: bool = False
     digest: str = ""
     seconds: float = 0.0

@@ -50,11 +50,13 @@ class Said:
 
     def __init__(self, policy: PolicyBae, answers: list[str]) -> None:
         self.slots, self.answers, self.asked = policy.questions.slots, answers, 0
+        self.drawn: list[bool] = []
 
-    def answer(self, pictures, prompts):
+    def answer(self, pictures, prompts, draws=None):
         """The next answer: six letters of S F L R; anything else is unreadable."""
         ids = np.where(self.slots.ids < 0, self.slots.vocabulary.number, self.slots.ids)
         said = self.answers[self.asked]
+        self.drawn.append(draws is not None and bool((draws >= 0).all()))
         self.asked += 1
         codes = ["SFLR".find(letter) for letter in said]
         ids[self.slots.kinds == ACTION] = [self.slots.vocabulary.actions[c] if c >= 0 else 0
@@ -106,6 +108,28 @@ def test_three_of_six_actions_are_carried_out_and_a_stop_ends_an_answer(checkpoi
     assert follow(checkpoint, ["FSLRRR"], 2)[0] == "FS"
 
 
+def test_answers_are_drawn_where_an_agent_gets_nowhere(checkpoint: Path) -> None:
+    answers = ["LLL", "RRR", "LLL", "FFF", "FRR", "RRR", "LLS"]
+    done, policy = follow(checkpoint, [a + "LLL" for a in answers], 21, draw_after=6)
+    assert done == "".join(answers)
+    assert policy._engine.drawn == [False, False, True, True, False, False, False]
+    assert policy.notes_of(0) == {"answers drawn": 2}
+    assert "drawn after 6 actions" in dict(policy.card_rows)["answers"]
+    assert policy.identity()["draw_after"] == 6
+    assert "draw_after" not in PolicyBae(str(checkpoint), backend="numpy").identity()
+    with pytest.raises(ConfigError, match="drawn after -2 actions"):
+        PolicyBae(str(checkpoint), backend="numpy", draw_after=-2)
+
+
+def test_a_forward_that_is_cut_short_gets_nowhere(checkpoint: Path) -> None:
+    policy = PolicyBae(str(checkpoint), backend="numpy", draw_after=3)
+    policy._engine = Said(policy, ["FFFLLL"] * 3)
+    begin(policy)
+    for step in range(9):
+        policy.act_batch([0], [observe(step, collided=step > 3)])
+    assert policy._engine.drawn == [False, False, True]
+
+
 def test_a_stop_behind_the_first_action_is_asked_again_on_request(checkpoint: Path) -> None:
     done, policy = follow(checkpoint, ["FSFFFF", "LFSFFF", "SFFFFF"], 4, confirm_stop=True)
     assert done == "FLFS"
@@ -147,10 +171,11 @@ def test_free_answers_of_an_untrained_model_are_counted(checkpoint: Path) -> Non
     assert policy.notes_of(0) == {"unreadable answers": 3}
 
 
+@pytest.mark.parametrize("draw_after", [0, 2])
 def test_the_benchmark_runs_it_the_same_alone_and_side_by_side(
-    checkpoint: Path, flats_suite, tmp_path: Path, worker_here: None
+    checkpoint: Path, flats_suite, tmp_path: Path, worker_here: None, draw_after: int
 ) -> None:
-    options = {"checkpoint": str(checkpoint), "backend": "torch"}
+    options = {"checkpoint": str(checkpoint), "backend": "torch", "draw_after": draw_after}
     outputs = []
     for agents in (1, 3):
         out = tmp_path / str(agents)

@@ -25,7 +25,7 @@ from gn0.policies.bae.sizes import SIZES, build_model  # noqa: E402
 from gn0.policies.bae.tokenizer import read_token_ids, train_tokenizer  # noqa: E402
 from gn0.policies.qwen.architecture import load_architecture, parse_architecture  # noqa: E402
 from gn0.policies.qwen.layout import PictureSize, build_layout  # noqa: E402
-from gn0.policies.qwen.model import answer_greedily, load_numpy_model  # noqa: E402
+from gn0.policies.qwen.model import answer_prompts, load_numpy_model  # noqa: E402
 from gn0_trials.random_qwen import build_random_checkpoint  # noqa: E402
 
 WORDS = ["go to the red sofa", "turn left at the door and stop by the bed", "find the lamp"]
@@ -138,8 +138,24 @@ def test_the_twin_gives_the_same_answers(nano) -> None:
     ours = ForwardConstant(made.model, layout, len(slots))
     features = ours.encode([torch.from_numpy(some) for some in pictures])
     want = ours.sample(features, torch.from_numpy(ids), [torch.from_numpy(s) for s in slots])
-    got = answer_greedily(load_numpy_model(folder), layout, ids, pictures, slots)
+    got = answer_prompts(load_numpy_model(folder), layout, ids, pictures, slots)
     assert (got == want.ids.numpy()).mean() >= 0.999
+
+
+def test_the_twin_draws_the_same_answers(nano) -> None:
+    made, folder = nano
+    layout, ids, pictures = prompts(made, 24)
+    slots = [made.ids.vocabulary.number + FREE] * 6 + [np.array([made.ids.end])] * 2
+    draws = np.random.default_rng(4).random((24, 8), np.float32)
+    draws[::3] = -1
+    ours = ForwardConstant(made.model, layout, len(slots))
+    features, rows = ours.encode([torch.from_numpy(s) for s in pictures]), torch.from_numpy(ids)
+    tokens = [torch.from_numpy(s) for s in slots]
+    want = ours.sample(features, rows, tokens, draws=torch.from_numpy(draws)).ids.numpy()
+    got = answer_prompts(load_numpy_model(folder), layout, ids, pictures, slots, draws)
+    assert (got == want).mean() >= 0.999
+    greedy = ours.sample(features, rows, tokens).ids.numpy()
+    assert (want[::3] == greedy[::3]).all() and (want[1::3, :6] != greedy[1::3, :6]).any(1).all()
 
 
 def test_eight_answers_share_their_pictures(nano) -> None:
@@ -268,6 +284,6 @@ def test_from_texts_to_a_point_without_torch(tokenizer, tmp_path: Path) -> None:
     )
     picture = np.zeros((1, 64, 64, 3), np.uint8)
     slots = [ids.vocabulary.number + FREE] * 2  # a point: two numbers
-    answer = answer_greedily(model, layout, layout.ids[None], [picture], slots)
+    answer = answer_prompts(model, layout, layout.ids[None], [picture], slots)
     text = tokenizer.decode(answer[0])
     assert re.fullmatch("<[0-9]{1,3}><[0-9]{1,3}>", text), text

@@ -12,9 +12,10 @@ from gn0.errors import CheckpointError
 from gn0.policies.qwen.layout import PictureSize, build_layout
 from gn0.policies.qwen.model import (
     QwenNumpy,
-    answer_greedily,
+    answer_prompts,
     encode_pictures,
     load_numpy_model,
+    pick_token,
 )
 from gn0_trials.random_qwen import build_random_checkpoint, draw_prompt
 
@@ -69,7 +70,7 @@ def test_several_tokens_at_once_are_read_as_one_by_one(model: QwenNumpy) -> None
 def test_an_answer_is_out_of_its_slots_and_the_most_probable(model: QwenNumpy) -> None:
     layout, ids, pictures = prompt(model)
     slots = [np.arange(10, 40), np.array([77]), np.array([5]), np.arange(50, 54), np.array([2])]
-    got = answer_greedily(model, layout, ids, pictures, slots)
+    got = answer_prompts(model, layout, ids, pictures, slots)
     assert got[:, [1, 2, 4]].tolist() == [[77, 5, 2]] * 2
     for k in (0, 3):  # by a prompt that holds all that came before
         cache = model.read(layout, ids, encode_pictures(model, layout, pictures), room=5)
@@ -78,27 +79,37 @@ def test_an_answer_is_out_of_its_slots_and_the_most_probable(model: QwenNumpy) -
         assert (slots[k][model.score(cache)[:, slots[k]].argmax(-1)] == got[:, k]).all()
 
 
+def test_tokens_are_drawn_as_probable_as_they_are() -> None:
+    scores = np.array([[0.0, 2.0, -1.0, 2.0]] * 1000, np.float32)
+    even = np.float32((np.arange(1000) + 0.5) / 1000)
+    drawn = np.bincount(pick_token(scores, even), minlength=4) / 1000
+    np.testing.assert_allclose(drawn, np.exp(scores[0]) / np.exp(scores[0]).sum(), atol=1.1e-3)
+    assert set(pick_token(scores, None)) == set(pick_token(scores, even - 1)) == {1}
+    low, high = np.float32([0.0] * 1000), np.nextafter(np.float32([1.0] * 1000), np.float32(0))
+    assert set(pick_token(scores, low)) == {0} and set(pick_token(scores, high)) == {3}
+
+
 def test_neighbours_in_a_batch_change_no_answer(model: QwenNumpy) -> None:
     layout, ids, pictures = prompt(model, batch=5)
     slots = [np.arange(128)] * 4
-    together = answer_greedily(model, layout, ids, pictures, slots)
+    together = answer_prompts(model, layout, ids, pictures, slots)
     for row in range(5):
         one = [some[row : row + 1] for some in pictures]
-        alone = answer_greedily(model, layout, ids[row : row + 1], one, slots)
+        alone = answer_prompts(model, layout, ids[row : row + 1], one, slots)
         assert (alone == together[row]).all()
 
 
 def test_pictures_and_ids_must_fit_the_layout(model: QwenNumpy) -> None:
     layout, ids, pictures = prompt(model)
     with pytest.raises(CheckpointError, match="pictures have shapes"):
-        answer_greedily(model, layout, ids, pictures[:1], [np.arange(4)])
+        answer_prompts(model, layout, ids, pictures[:1], [np.arange(4)])
     with pytest.raises(CheckpointError, match="uint8"):
         floats = [some.astype(np.float32) for some in pictures]
-        answer_greedily(model, layout, ids, floats, [np.arange(4)])
+        answer_prompts(model, layout, ids, floats, [np.arange(4)])
     with pytest.raises(CheckpointError, match="not \\[prompts, "):
-        answer_greedily(model, layout, ids[:, 1:], pictures, [np.arange(4)])
+        answer_prompts(model, layout, ids[:, 1:], pictures, [np.arange(4)])
     with pytest.raises(CheckpointError, match="outside the vocabulary"):
-        answer_greedily(model, layout, ids + 100, pictures, [np.arange(4)])
+        answer_prompts(model, layout, ids + 100, pictures, [np.arange(4)])
     with pytest.raises(CheckpointError, match="not a multiple of 8 px"):
         build_layout(model.architecture, [PictureSize(20, 16)])
     with pytest.raises(CheckpointError, match="token 128 lies outside"):

@@ -69,6 +69,7 @@ class Actor:
         free: tokens are chosen among all that the model knows, so that answers may be unreadable.
         answers: to each prompt, in a row; they share its pictures.
         room: tokens that free answers may be longer than readable ones.
+        drawn: decisions may be given numbers by which answers are drawn; not with a temperature.
         said: without a frame, the places in the prompt that say point 0 (`PromptTable.place`).
     """
 
@@ -88,6 +89,7 @@ class Actor:
         free: bool = False,
         answers: int = 1,
         room: int = 0,
+        drawn: bool = False,
         said: tuple[int, int] | None = None,
     ) -> None:
         if count < 1 or answers < 1:
@@ -111,6 +113,9 @@ class Actor:
             for s in layout.sizes
         ]
         self._ids = self._send(np.tile(layout.ids, (count, 1)).astype(np.int64))
+        self._draws: Tensor | None = None
+        if drawn:
+            self._draws = torch.full((count * answers, len(slots) + room), -1.0, device=self.device)
         self._generator = torch.Generator(self.device)
         self.reseed(derive_seed(seed, "actor"))
         self._recorded = self.device.type == "cuda" if recorded is None else recorded
@@ -124,12 +129,16 @@ class Actor:
         """Draw from here on what this seed says."""
         self._generator.manual_seed(seed % 2**63)
 
-    def decide(self, pictures: Sequence[Tensor], prompts: Tensor) -> Decisions:
+    def decide(
+        self, pictures: Sequence[Tensor], prompts: Tensor, draws: Tensor | None = None
+    ) -> Decisions:
         """Decisions of N agents, at most `count`; N · `answers` rows; waits for nothing.
 
         Args:
             pictures: uint8 [N, H, W, 3] each, in the prompt's order.
             prompts: int64 [N, P].
+            draws: float32 [N · answers, S], by which tokens are drawn (`ForwardConstant.sample`);
+                None: the most probable ones, or as the temperature says.
 
         Raises:
             ConfigError: more agents than `count`, or pictures or prompts of other shapes.
@@ -146,6 +155,10 @@ class Actor:
                     f"agents, this one of {own.dtype} [N, {', '.join(map(str, own.shape[1:]))}]",
                 )
             own[:many].copy_(one)
+        if self._draws is not None:
+            self._draws.fill_(-1.0)
+            if draws is not None:
+                self._draws[: len(draws), : draws.shape[1]].copy_(draws)
         return self._read(self._answer(), many * self.answers)
 
     def _answer(self) -> Answers:
@@ -183,6 +196,7 @@ class Actor:
                 temperature=self.temperature,
                 generator=self._generator,
                 times=self.answers,
+                draws=self._draws,
             )
 
     def _read(self, said: Answers, many: int) -> Decisions:

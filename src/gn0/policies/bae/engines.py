@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gn0.errors import ConfigError
 from gn0.policies.bae.questions import I64, Questions, list_choices
-from gn0.policies.qwen.model import answer_greedily, load_numpy_model, weigh_answers
+from gn0.policies.qwen.model import answer_prompts, load_numpy_model, weigh_answers
 
 BACKENDS = ("auto", "torch", "numpy")
 BATCH_CARD = 64  # decisions at once on a card
@@ -28,12 +28,18 @@ class Engine(Protocol):
     name: str
     batch: int
 
-    def answer(self, pictures: Sequence[NDArray[np.uint8]], prompts: I64) -> I64:
+    def answer(
+        self,
+        pictures: Sequence[NDArray[np.uint8]],
+        prompts: I64,
+        draws: NDArray[np.float32] | None = None,
+    ) -> I64:
         """The most probable answers int64 [batch, slots].
 
         Args:
             pictures: uint8 [batch, H, W, 3] each, in the prompt's order.
             prompts: int64 [batch, P].
+            draws: float32 [batch, slots], by which tokens are drawn instead (`pick_token`).
         """
         ...
 
@@ -62,9 +68,14 @@ class EngineNumpy:
         self._readable = list_choices(slots, frame, said=said)
         self._model = load_numpy_model(questions.folder)
 
-    def answer(self, pictures: Sequence[NDArray[np.uint8]], prompts: I64) -> I64:
-        """The most probable answers."""
-        return answer_greedily(self._model, self._layout, prompts, pictures, self._allowed)
+    def answer(
+        self,
+        pictures: Sequence[NDArray[np.uint8]],
+        prompts: I64,
+        draws: NDArray[np.float32] | None = None,
+    ) -> I64:
+        """See `Engine`."""
+        return answer_prompts(self._model, self._layout, prompts, pictures, self._allowed, draws)
 
     def weigh(
         self, pictures: Sequence[NDArray[np.uint8]], prompts: I64, answers: I64
@@ -78,7 +89,14 @@ class EngineTorch:
     """torch's: on a card where there is one."""
 
     def __init__(
-        self, questions: Questions, batch: int, device: str, dtype: str, *, free: bool = False
+        self,
+        questions: Questions,
+        batch: int,
+        device: str,
+        dtype: str,
+        *,
+        free: bool = False,
+        drawn: bool = False,
     ) -> None:
         import torch
 
@@ -99,12 +117,19 @@ class EngineTorch:
         self.name = f"torch, {dtype} on {self._device.type}"
         self._actor = Actor(
             model, questions.layout, questions.slots, questions.settings.frame, self.batch,
-            dtype=kind, free=free, said=questions.place_said,
+            dtype=kind, free=free, said=questions.place_said, drawn=drawn,
         )  # fmt: skip
 
-    def answer(self, pictures: Sequence[NDArray[np.uint8]], prompts: I64) -> I64:
-        """The most probable answers."""
-        said = self._actor.decide([self._send(one) for one in pictures], self._send(prompts))
+    def answer(
+        self,
+        pictures: Sequence[NDArray[np.uint8]],
+        prompts: I64,
+        draws: NDArray[np.float32] | None = None,
+    ) -> I64:
+        """See `Engine`."""
+        numbers = None if draws is None else self._send(draws)
+        shown = [self._send(one) for one in pictures]
+        said = self._actor.decide(shown, self._send(prompts), numbers)
         found: I64 = said.ids.cpu().numpy()
         return found
 
@@ -127,7 +152,14 @@ class EngineTorch:
 
 
 def open_engine(
-    questions: Questions, backend: str, device: str, dtype: str, batch: int, *, free: bool = False
+    questions: Questions,
+    backend: str,
+    device: str,
+    dtype: str,
+    batch: int,
+    *,
+    free: bool = False,
+    drawn: bool = False,
 ) -> Engine:
     """An engine for a checkpoint.
 
@@ -138,6 +170,7 @@ def open_engine(
         dtype: of torch: float32 or bfloat16.
         batch: prompts at once; 0: one, and 64 on a card.
         free: tokens are chosen among all that the model knows.
+        drawn: answers may be given `draws`.
 
     Raises:
         ConfigError: a value is not among these, or torch is asked for and is not here.
@@ -160,4 +193,4 @@ def open_engine(
             where="backend",
             remedy='pip install "gn0[train]", or give backend=numpy',
         )
-    return EngineTorch(questions, batch, device, dtype, free=free)
+    return EngineTorch(questions, batch, device, dtype, free=free, drawn=drawn)

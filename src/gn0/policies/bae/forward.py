@@ -173,6 +173,7 @@ class ForwardConstant(nn.Module):
         temperature: float = 0.0,
         generator: torch.Generator | None = None,
         times: int = 1,
+        draws: Tensor | None = None,
     ) -> Answers:
         """Answers, each token out of its slot's ids; forced runs are read at once.
 
@@ -183,6 +184,8 @@ class ForwardConstant(nn.Module):
             temperature: 0 takes the most probable, the first of equals.
             generator: of the draws.
             times: answers to each prompt, in a row: [B · times, slots]; it is read once.
+            draws: float32 [B · times, slots] in [0, 1), by which tokens are drawn at temperature 1,
+                as by `pick_token`; below 0: the most probable. Not with a temperature.
         """
         batch, device = len(ids) * times, ids.device
         hidden, keys, values = self._read(features, ids, 1, room=len(slots))
@@ -210,6 +213,11 @@ class ForwardConstant(nn.Module):
                 picked = torch.multinomial(chances.exp(), 1, generator=generator)
             else:
                 picked = score.argmax(-1, keepdim=True)
+                if draws is not None:
+                    upto = (score - score.amax(-1, keepdim=True)).double().exp().cumsum(-1)
+                    own = draws[:, k : k + 1]
+                    drawn = (upto <= own * upto[:, -1:]).sum(-1, keepdim=True)
+                    picked = torch.where(own < 0, picked, drawn.clamp(max=len(allowed) - 1))
             out[:, k] = allowed[picked[:, 0]]
             chance[:, k] = chances.gather(1, picked)[:, 0]
             entropy[:, k] = -(chances.exp() * chances).sum(-1)

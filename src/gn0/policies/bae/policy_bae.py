@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gn0.data.codec import decode_waypoints
 from gn0.errors import ConfigError, FormatError, PolicyError
+from gn0.policies.bae.draws import NEVER, check_draw_after, count_idle, make_draws
 from gn0.policies.bae.engines import open_engine
 from gn0.policies.bae.policy_settings import FILE
 from gn0.policies.bae.questions import Questions, find_place
@@ -52,6 +53,9 @@ class _Agent:
     place: tuple[int, int] = (0, 0)  # map tokens of where it stood when it was asked
     plan: deque[int] = field(default_factory=deque)
     last: int = -1
+    idle: int = 0  # actions since it got anywhere
+    drawn: int = 0  # answers so far
+    draws: NDArray[np.float32] | None = None
     unreadable: int = 0  # in a row
     notes: dict[str, int] = field(default_factory=dict)
     said: Said | None = None
@@ -63,14 +67,17 @@ class _Agent:
 class PolicyBae:
     """Asks a checkpoint for six actions, carries some of them out, and asks again.
 
-    Answers are the most probable ones and hang on the observation alone. All batches have one
-    shape, so who is asked beside whom changes no action.
+    Answers are the most probable ones and hang on the observation alone; but for those of an agent
+    that gets nowhere, where the checkpoint has them drawn (`draws`). All batches have one shape, so
+    who is asked beside whom changes no action.
 
     Args:
         checkpoint: folder of model, tokenizer and `policy.json`; "" is the policy in the box.
         inputs: in which of the checkpoint's ways it is asked, where it was trained in several; the
             default when empty.
         executed: actions of an answer that are carried out; 0: as the checkpoint says.
+        draw_after: actions without getting anywhere after which answers are drawn; 0: never, -1: as
+            the checkpoint says.
         confirm_stop: a STOP behind the first action of an answer is asked again before it is
             carried out.
         carried: the actions of an answer; or its waypoints, along which the cheapest actions lead
@@ -96,6 +103,7 @@ class PolicyBae:
         *,
         inputs: str = "",
         executed: int = 0,
+        draw_after: int = -1,
         confirm_stop: bool = False,
         carried: str = "actions",
         decoding: str = "slots",
@@ -120,13 +128,15 @@ class PolicyBae:
                 remedy=f"give 1 to {settings.form.actions}, or 0 for {settings.executed}",
             )
         self.executed = executed or settings.executed
+        self.draw_after = check_draw_after(draw_after, settings.draw_after)
         self.carried = check_carried(carried, settings.form.points)
         self.sensors: frozenset[str] = frozenset(settings.sensors(self.questions.template))
         self.map_view: MapView = settings.view
         self._tells_place = "pose" in self.sensors
         self._engine = open_engine(
-            self.questions, backend, device, dtype, int(batch), free=decoding == "free"
-        )
+            self.questions, backend, device, dtype, int(batch), free=decoding == "free",
+            drawn=self.draw_after > 0,
+        )  # fmt: skip
         self._digest = digest_checkpoint(folder)
         self._agents: dict[int, _Agent] = {}
 
@@ -138,6 +148,7 @@ class PolicyBae:
             **asked,
             "prompt": self.questions.template.digest,
             "executed": self.executed,
+            **({"draw_after": self.draw_after} if self.draw_after else {}),
             "confirm_stop": str(self.confirm_stop).lower(),
             **({} if self.carried == "actions" else {"carried": self.carried}),
             "decoding": self.decoding,
@@ -160,7 +171,15 @@ class PolicyBae:
             *asked,
             *self.questions.template.card_rows(),
             ("camera of training", settings.preset),
-            ("answers", chosen),
+            (
+                "answers",
+                chosen
+                + (
+                    f"; drawn after {self.draw_after} actions without getting anywhere"
+                    if self.draw_after
+                    else ""
+                ),
+            ),
             (
                 "actions carried out",
                 f"{self.executed} of {settings.form.actions}{along}{confirmed}",
@@ -206,9 +225,11 @@ class PolicyBae:
             ConfigError: an instruction is empty, or too long for the checkpoint.
         """
         check_slots(slots, instructions, rngs)
-        for slot, text in zip(slots, instructions, strict=True):
+        for slot, text, rng in zip(slots, instructions, rngs, strict=True):
             self.questions.check(text)
             self._agents[slot] = _Agent(text)
+            if self.draw_after:
+                self._agents[slot].draws = make_draws(rng, len(self.questions.slots))
 
     def act_batch(self, slots: Sequence[int], observations: Sequence[Observation]) -> list[Action]:
         """The next action of each slot; those whose answer is used up are asked.
@@ -226,7 +247,8 @@ class PolicyBae:
                 remedy="call reset_batch for it first",
             ) from None
         asked = []
-        for k, agent in enumerate(agents):
+        for k, (agent, seen) in enumerate(zip(agents, observations, strict=True)):
+            agent.idle = count_idle(agent.idle, agent.last, seen.collided)
             if self.confirm_stop and agent.plan and agent.plan[0] == Action.STOP:
                 agent.plan.clear()
                 agent.note("stops asked again")
@@ -247,6 +269,7 @@ class PolicyBae:
         prompts = np.tile(questions.layout.ids, (batch, 1))
         sizes = questions.layout.sizes
         pictures = [np.zeros((batch, size.height, size.width, 3), np.uint8) for size in sizes]
+        draws = np.full((batch, len(questions.slots)), NEVER) if self.draw_after else None
         for row, (agent, seen) in enumerate(zip(agents, observations, strict=True)):
             yaw = None
             if self._tells_place:
@@ -264,7 +287,11 @@ class PolicyBae:
             )
             for own, shown in zip(pictures, questions.show(seen), strict=True):
                 own[row] = shown
-        said = self._engine.answer(pictures, prompts)
+            if draws is not None and agent.draws is not None and agent.idle >= self.draw_after:
+                draws[row] = agent.draws[agent.drawn % len(agent.draws)]
+                agent.drawn += 1
+                agent.note("answers drawn")
+        said = self._engine.answer(pictures, prompts, draws)
         for agent, seen, prompt, ids in zip(agents, observations, prompts, said, strict=False):
             agent.said = Said(prompt, ids)
             agent.plan = deque(self._read(agent, ids, seen))

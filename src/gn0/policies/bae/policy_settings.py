@@ -78,6 +78,8 @@ class PolicySettings(PolicyInput, frozen=True):
         view: squares of the sensor ego_map, and whether the occupancy picture has an arrow.
         map_size: (width, height) [px] that bev and occupancy of any scene are brought to.
         executed: actions of an answer that are carried out before the next question.
+        draw_after: actions without getting anywhere after which answers are drawn as probable as
+            the model holds them, until it moves; 0: never, they are the most probable ones.
         input: name of the default; empty where the checkpoint is asked in one way alone.
         inputs: the other ways, by name.
     """
@@ -87,6 +89,7 @@ class PolicySettings(PolicyInput, frozen=True):
     view: MapView = MapView()
     map_size: tuple[Pixels, Pixels] = (128, 128)
     executed: Annotated[int, msgspec.Meta(ge=1, le=ACTIONS_AHEAD)] = 3
+    draw_after: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
     input: str = ""
     inputs: dict[str, PolicyInput] = msgspec.field(default_factory=dict)
 

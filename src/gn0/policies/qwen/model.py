@@ -216,14 +216,15 @@ def encode_pictures(
     return [found[k] for k in range(len(got))]
 
 
-def answer_greedily(
+def answer_prompts(
     model: QwenNumpy,
     layout: PromptLayout,
     ids: I64,
     pictures: Sequence[U8],
     slots: Sequence[I64 | int],
+    draws: F32 | None = None,
 ) -> NDArray[np.int64]:
-    """The most probable answers int64 [B, slots], each token out of its slot's ids.
+    """Answers int64 [B, slots], each token out of its slot's ids: the most probable, or drawn.
 
     Slots of one id are not asked for: they are read together with the token before them.
 
@@ -233,14 +234,32 @@ def answer_greedily(
         ids: int64 [B, P], prompts.
         pictures: of each picture of the layout uint8 [B, H, W, 3].
         slots: ids that each token may have; or a place in the prompt whose token it is.
+        draws: float32 [B, slots], by which tokens are drawn instead (`pick_token`); None: none.
 
     Raises:
         CheckpointError: pictures or ids do not fit the layout.
     """
     out = np.empty((len(ids), len(slots)), np.int64)
     for k, allowed, scores in _score_slots(model, layout, ids, pictures, slots, out):
-        out[:, k] = allowed[scores.argmax(-1)]
+        out[:, k] = allowed[pick_token(scores, None if draws is None else draws[:, k])]
     return out
+
+
+def pick_token(scores: F32, draws: F32 | None) -> NDArray[np.intp]:
+    """Which of K choices each of B has: [B].
+
+    Args:
+        scores: [B, K], logits.
+        draws: [B] in [0, 1), by which one is drawn at temperature 1; below 0: the most probable,
+            the first of equals. None: that for all.
+    """
+    best: NDArray[np.intp] = scores.argmax(-1)
+    if draws is None or (draws < 0).all():
+        return best
+    shares = np.exp(scores.astype(np.float64) - scores.max(-1, keepdims=True))
+    upto = shares.cumsum(-1)
+    drawn = (upto <= draws[:, None].astype(np.float64) * upto[:, -1:]).sum(-1)
+    return np.where(draws < 0, best, drawn.clip(max=scores.shape[1] - 1))
 
 
 def weigh_answers(

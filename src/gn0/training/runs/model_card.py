@@ -32,7 +32,7 @@ _LIMITS = """* It was trained and examined in simulation, on the scenes that the
 * It understands English texts of the kind that it was trained on, of at most {tokens} tokens;
   longer ones are refused.
 * It wants the cameras and maps of the table above; pictures of other sizes are refused.
-* Its answers are the most probable ones. That it is sure of one does not mean that it is right.
+* That it is sure of an answer does not mean that it is right.
 """
 
 _WALKED = "episodes_"  # and a kind of missions
@@ -115,6 +115,12 @@ def _list_settings(settings: PolicySettings) -> list[tuple[str, str]]:
         ("left out of the prompt", ", ".join(settings.without) or "nothing"),
         ("answers", f"{form.actions} actions, {form.points} points, {form.layout}, {form.order}"),
         ("actions carried out", str(settings.executed)),
+        (
+            "answers are drawn",
+            f"after {settings.draw_after} actions without getting anywhere"
+            if settings.draw_after
+            else "never: they are the most probable ones",
+        ),
     ]
     if settings.view.paint != "scene":
         rows.append(("maps painted by", f"{settings.view.paint}, which no robot knows: a control"))

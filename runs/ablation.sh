@@ -68,12 +68,13 @@ say() { printf '%s %s\n' "$(date -u +%FT%TZ)" "$*" | tee -a "$OUT/journal"; }
 within=()
 [ "$MINUTES" = 0 ] || within=(--minutes "$MINUTES")
 if [ "$SIZE" = tiny ]; then
-  LOTS=("a train 2 0 0" "b train 1 0 0" "exam val_unseen 1 0 0")
+  LOTS=("a train 2 0 0" "exam val_unseen 1 0 0" "b train 1 0 0")
   SUITES=("$OUT/suites/a" "$OUT/suites/b")
   small=(--report 2 --save 4 --examined 2 --asked 32 --device host)
   SFT=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 --joins "${JOINS:-0,64}" "${small[@]}")
   FIRST=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 "${small[@]}")  # of one lot
   ROUND=(--states "${STATES:-64}" --epochs 1 --batch 16 --agents 8 "${small[@]}")
+  AGAIN=(--joins "${JOINS:-0,32}")
   LIVE=(--samples 64 --batch 16 --agents 16 --kept 320 --beta-from 0 --beta-to 32 "${small[@]}")
   NEW=(--size nano --samples 96 --batch 16 --agents 16 --kept 320 --joins "${JOINS:-0,64}" --beta-from 32 --beta-to 64 "${small[@]}")
   DAPO=(--states 32 --prompts 8 --answers 4 --minibatches 2 --epochs 1 --agents 8 --report 1 --save 2 --examined 2 --asked 32 --device host)
@@ -82,7 +83,7 @@ if [ "$SIZE" = tiny ]; then
   WALK=(--episodes "${EPISODES:-2}" --agents 2 --device host)
   UNTRAINED=(--limit 4)
 else
-  LOTS=("a train 30 14 4" "b train 60 30 10" "exam val_unseen 60 30 10" "c train 150 76 26")
+  LOTS=("a train 30 14 4" "exam val_unseen 60 30 10" "b train 60 30 10" "c train 150 76 26")
   SUITES=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c")
   kept=(--save 500 --shard-mb 15)
   SFT=(--samples "${SAMPLES:-8000000}" --joins "${JOINS:-0,500000,3000000}" "${within[@]}" "${kept[@]}")
@@ -90,6 +91,7 @@ else
   ROUND=(--states "${STATES:-300000}" --epochs 5 "${kept[@]}")
   LIVE=(--samples 1500000 --beta-from 0 --beta-to 500000 "${within[@]}" "${kept[@]}")
   NEW=(--samples 50000000 --joins "${JOINS:-0,500000,3000000}" --beta-from 250000 --beta-to 2500000 "${within[@]}" "${kept[@]}")
+  AGAIN=(--joins "${JOINS:-0,500000,3000000}" --samples 50000000 --rate "${RATE:-5e-4}" --confirm-stop)  # of a leg that goes on
   DAPO=("${within[@]}" --save 50 --shard-mb 15)
   RL=(--updates "${UPDATES:-200}" --save 3 --shard-mb 15)
   BASELINE=(--samples "${SAMPLES:-8000000}")
@@ -199,7 +201,7 @@ shipped() { # LEG: one policy for all inputs, live; goes on from the weights of 
     train dagger "shipped-1" "${SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter "${NEW[@]}"
   else
     train dagger "shipped-$leg" "${SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter "${LIVE[@]}" \
-      $([ "$SIZE" = tiny ] || echo --samples 50000000 --rate "${RATE:-5e-4}" --beta-to $((leg == 2 ? 2000000 : 1)) --confirm-stop)
+      "${AGAIN[@]}" $([ "$SIZE" = tiny ] || echo --beta-to $((leg == 2 ? 2000000 : 1)))
   fi
 }
 
@@ -300,8 +302,7 @@ job untrained homes-exam 0 untrained
 # 2. never dropped: one cell with all its arms and controls, then the policy in the box, then the other seeds
 for input in "${INPUTS[@]}"; do arms "$input" "${SEEDS[0]}"; done
 for ((leg = LEG; leg <= LEGS; leg++)); do
-  before=$rest
-  [ "$leg" = 1 ] && before=homes-a
+  before=homes-a,homes-exam  # all others join
   [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$rest
   job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done

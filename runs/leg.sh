@@ -46,7 +46,7 @@ END
 }
 
 {
-  runs/ablation.sh "$OUT" "$SIZE" homes-a homes-b homes-exam &  # all others join later
+  runs/ablation.sh "$OUT" "$SIZE" homes-a homes-exam &  # all others join later
   homes=$!
   if [ ! -f "$OUT/figures/figures.json" ]; then
     timeout "${SECONDS_OF_FIGURE:-290}" "$PYTHON" -m gn0 figures train.sft --out "$OUT/figures"

@@ -393,7 +393,7 @@ runs_now() { # whether a call works on these jobs
 watch() { # last lines of what runs, until nothing does
   local log name
   goes_on() { runs_now && { [ "$WALL" = 0 ] || [ "$SECONDS" -lt "$WALL" ]; }; }
-  while goes_on; do
+  while runs_now; do  # once at least, however soon its time is up
     for log in "$OUT"/log/*; do
       name=${log##*/}
       [ -f "$log" ] && [ ! -f "$OUT/jobs/$name.done" ] && [ ! -f "$OUT/jobs/$name.failed" ] && [ ! -f "$OUT/jobs/$name.cut" ] || continue
@@ -403,6 +403,7 @@ watch() { # last lines of what runs, until nothing does
       goes_on || break
       sleep 1
     done
+    goes_on || break
   done
   tail -n 12 "$OUT/journal"
 }

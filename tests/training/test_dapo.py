@@ -241,7 +241,7 @@ def test_the_verb_examines_before_and_after(suite, start, tmp_path, capsys) -> N
     assert [line["step"] for line in lines] == [0, 1, 2]
     assert "SR" in lines[0] and "SR" in lines[2] and "entropy" in lines[0]
     card = (out / "policy" / "README.md").read_text()
-    assert '"length": 0.4' in card and "| before_SR |" in card and "| SR |" in card
+    assert '"length": 0.4' in card and "| before_SR |" in card and "| SR % |" in card
     assert json.loads((out / "run.json").read_text())["results"]["episodes"] == 2
     assert main([*words[:-1], str(tmp_path / "none"), "--start", str(tmp_path)]) == 2
     assert "no policy.json" in capsys.readouterr().err

@@ -145,8 +145,8 @@ def test_scripted_answers_have_the_returns_that_one_counts(stage) -> None:
     plans = torch.tensor([[0] * 6, [2] * 6, [1] * 6])
     decide = stage.loop.actor.decide
 
-    def say(pictures, prompts):
-        said = decide(pictures, prompts)
+    def say(pictures, prompts, draws):
+        said = decide(pictures, prompts, draws)
         return type(said)(
             said.ids, plans.repeat(2, 1), said.tokens, said.logprobs, said.entropy
         )  # fmt: skip

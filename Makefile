@@ -64,7 +64,7 @@ $(RL)/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 # what meets transformers itself; the rest of training meets it through these
-BAE_OLDEST = $(patsubst %,tests/training/test_%.py,actor adapters learner pupil sft_verb training_state)
+BAE_OLDEST = $(patsubst %,tests/training/test_%.py,adapters learner pupil sft_verb training_state)
 BAE_PYTEST = OMP_NUM_THREADS=1 $(BAE)/bin/python -m pytest -p no:cacheprovider -ra -n $(TEST_WORKERS) --dist loadgroup
 
 bae: $(BAE)/.installed ## the policy's model by torch, with the newest and the oldest transformers that it takes

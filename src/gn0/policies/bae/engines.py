@@ -14,6 +14,8 @@ from gn0.policies.bae.questions import I64, Questions, list_choices
 from gn0.policies.qwen.model import answer_prompts, load_numpy_model, weigh_answers
 
 BACKENDS = ("auto", "torch", "numpy")
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
 BATCH_CARD = 64  # decisions at once on a card
 
 
@@ -28,12 +30,7 @@ class Engine(Protocol):
     name: str
     batch: int
 
-    def answer(
-        self,
-        pictures: Sequence[NDArray[np.uint8]],
-        prompts: I64,
-        draws: NDArray[np.float32] | None = None,
-    ) -> I64:
+    def answer(self, pictures: Sequence[U8], prompts: I64, draws: F32 | None = None) -> I64:
         """The most probable answers int64 [batch, slots].
 
         Args:
@@ -44,7 +41,7 @@ class Engine(Protocol):
         ...
 
     def weigh(
-        self, pictures: Sequence[NDArray[np.uint8]], prompts: I64, answers: I64
+        self, pictures: Sequence[U8], prompts: I64, answers: I64
     ) -> dict[int, NDArray[np.float64]]:
         """How probable the choices of answers int64 [batch, slots] were; costs a second decision.
 
@@ -68,17 +65,12 @@ class EngineNumpy:
         self._readable = list_choices(slots, frame, said=said)
         self._model = load_numpy_model(questions.folder)
 
-    def answer(
-        self,
-        pictures: Sequence[NDArray[np.uint8]],
-        prompts: I64,
-        draws: NDArray[np.float32] | None = None,
-    ) -> I64:
+    def answer(self, pictures: Sequence[U8], prompts: I64, draws: F32 | None = None) -> I64:
         """See `Engine`."""
         return answer_prompts(self._model, self._layout, prompts, pictures, self._allowed, draws)
 
     def weigh(
-        self, pictures: Sequence[NDArray[np.uint8]], prompts: I64, answers: I64
+        self, pictures: Sequence[U8], prompts: I64, answers: I64
     ) -> dict[int, NDArray[np.float64]]:
         """How probable the choices of answers were."""
         slots = self._readable
@@ -120,12 +112,7 @@ class EngineTorch:
             dtype=kind, free=free, said=questions.place_said, drawn=drawn,
         )  # fmt: skip
 
-    def answer(
-        self,
-        pictures: Sequence[NDArray[np.uint8]],
-        prompts: I64,
-        draws: NDArray[np.float32] | None = None,
-    ) -> I64:
+    def answer(self, pictures: Sequence[U8], prompts: I64, draws: F32 | None = None) -> I64:
         """See `Engine`."""
         numbers = None if draws is None else self._send(draws)
         shown = [self._send(one) for one in pictures]
@@ -134,7 +121,7 @@ class EngineTorch:
         return found
 
     def weigh(
-        self, pictures: Sequence[NDArray[np.uint8]], prompts: I64, answers: I64
+        self, pictures: Sequence[U8], prompts: I64, answers: I64
     ) -> dict[int, NDArray[np.float64]]:
         """How probable the choices of answers were; in the weights' own precision."""
         forward = self._actor.forward

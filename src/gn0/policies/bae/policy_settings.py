@@ -18,6 +18,7 @@ from gn0.data.answer_form import AnswerForm
 from gn0.data.codec import EgoFrame
 from gn0.errors import CheckpointError, ConfigError, Gn0Error
 from gn0.paper import ACTIONS_AHEAD
+from gn0.policies.bae.draws import MOST
 from gn0.policies.bae.prompt_template import ENDING, PromptTemplate, load_prompt
 from gn0.policies.qwen.layout import PictureSize
 from gn0.sim.ego_map import EgoSquare, MapView
@@ -89,7 +90,7 @@ class PolicySettings(PolicyInput, frozen=True):
     view: MapView = MapView()
     map_size: tuple[Pixels, Pixels] = (128, 128)
     executed: Annotated[int, msgspec.Meta(ge=1, le=ACTIONS_AHEAD)] = 3
-    draw_after: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
+    draw_after: Annotated[int, msgspec.Meta(ge=0, le=MOST)] = 0
     input: str = ""
     inputs: dict[str, PolicyInput] = msgspec.field(default_factory=dict)
 

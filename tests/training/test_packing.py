@@ -95,7 +95,9 @@ def test_the_card_tells_the_whole_chain_and_no_place(run: Path, tmp_path: Path) 
         assert told in card, told
     assert "| answers are drawn | never" in card
     drawn = pack_policy(run, tmp_path / "drawn", draw_after=6)
-    assert "drawn | after 6 actions" in (drawn.folder / "README.md").read_text("utf-8")
+    own = (drawn.folder / "README.md").read_text("utf-8")
+    assert "drawn | after 6 actions" in own and "In these walks answers were never drawn." in own
+    assert "In these walks" not in card
     assert load_pupil(drawn.folder).settings.draw_after == 6
     assert card.count("gn0 train sft …/suite --held-out ''") == 2  # a line a stage
     assert "somebody" not in card

@@ -68,7 +68,11 @@ def pack_policy(
     source = find_checkpoint(str(run))
     check_replaceable(folder, overwrite=overwrite, marker="shards.json")
     pupil = load_pupil(source)
-    drawn = check_draw_after(draw_after, pupil.settings.draw_after)
+    before = pupil.settings.draw_after
+    drawn = check_draw_after(draw_after, before)
+    if drawn != before:  # the run's numbers are of what it was then
+        was = f"drawn after {before} actions without getting anywhere" if before else "never drawn"
+        tables = f"In these walks answers were {was}.\n\n{tables}"
     pupil = replace(pupil, settings=msgspec.structs.replace(pupil.settings, draw_after=drawn))
     kind = torch.float32 if dtype == "float32" else torch.bfloat16
     weights = sum(array.numel() for array in pupil.model.parameters())

@@ -18,11 +18,12 @@ from gn0.data.answer_slots import ACTION  # noqa: E402
 from gn0.errors import CheckpointError, ConfigError, PolicyError  # noqa: E402
 from gn0.geometry import Pose2D  # noqa: E402
 from gn0.plugins import build_plugin  # noqa: E402
-from gn0.policies.bae.checkpoint import load_checkpoint  # noqa: E402
+from gn0.policies.bae.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
 from gn0.policies.bae.engines import open_engine  # noqa: E402
 from gn0.policies.bae.forward import ForwardConstant  # noqa: E402
 from gn0.policies.bae.policy_bae import PolicyBae  # noqa: E402
 from gn0.policies.bae.policy_settings import (  # noqa: E402
+    FILE,
     load_policy_settings,
     save_policy_settings,
 )
@@ -175,7 +176,15 @@ def test_free_answers_of_an_untrained_model_are_counted(checkpoint: Path) -> Non
 def test_the_benchmark_runs_it_the_same_alone_and_side_by_side(
     checkpoint: Path, flats_suite, tmp_path: Path, worker_here: None, draw_after: int
 ) -> None:
-    options = {"checkpoint": str(checkpoint), "backend": "torch", "draw_after": draw_after}
+    torch.manual_seed(0)
+    made = load_checkpoint(checkpoint)
+    with torch.no_grad():
+        for weight in made.model.parameters():  # else it stops at once
+            weight.add_(0.1 * torch.randn_like(weight))
+    folder = tmp_path / "walker"
+    save_checkpoint(folder, made)
+    shutil.copy(checkpoint / FILE, folder)
+    options = {"checkpoint": str(folder), "backend": "torch", "draw_after": draw_after}
     outputs = []
     for agents in (1, 3):
         out = tmp_path / str(agents)
@@ -184,7 +193,9 @@ def test_the_benchmark_runs_it_the_same_alone_and_side_by_side(
         )
         outputs.append([(out / n).read_bytes() for n in ("results.jsonl", "trajectories.jsonl")])
     assert outputs[0] == outputs[1]
-    assert len(load_results(tmp_path / "1")) == 3
+    results = load_results(tmp_path / "1")
+    assert len(results) == 3 and max(one.metrics.steps for one in results if one.metrics) > 3
+    assert any("answers drawn" in (one.notes or {}) for one in results) == (draw_after > 0)
     card = dict(summary.protocol)
     assert card["actions carried out"] == "3 of 6"
     assert card["prompt parts"].startswith("task, instruction, current_pixel, heading")

@@ -32,6 +32,8 @@
 #             earlier legs were made elsewhere
 #   MIX       inputs of these legs, with their shares (all:0.5,views:0.3,maps:0.2); the next leg may have others:
 #             MIX=maps:1 runs/ablation.sh OUT full shipped-1, then without MIX, shipped-2
+#   BETA_TO   samples from which the policy alone drives in a leg that goes on (2000000 in the second, 1 in later ones)
+#   DRAW_AFTER  actions that lead nowhere after which answers are drawn in these legs, when it drives, too (6; 0: never)
 #   IMPORTED  folder of a world or scene that is an exam of its own
 #   POLICY    run whose weights are packed (the last leg that there is)
 set -euo pipefail
@@ -45,7 +47,7 @@ MINUTES=${MINUTES:-9} WALL=$(awk -v minutes="${WALL:-0}" 'BEGIN {print int(60 * 
 read -ra INPUTS <<< "${INPUTS:-$([ "$SIZE" = tiny ] && echo maps || echo all views)}"
 read -ra SEEDS <<< "${SEEDS:-0 1 2}"
 MIX=${MIX:-all:0.5,views:0.3,maps:0.2}
-LEGS=${LEGS:-6} LEG=${LEG:-1} FROM=${FROM:-}
+LEGS=${LEGS:-6} LEG=${LEG:-1} FROM=${FROM:-} DRAW_AFTER=${DRAW_AFTER:-6}
 WORKERS=${WORKERS:-$(($(nproc) > 1 ? $(nproc) - 1 : 1))}
 HERE=$(cd "$(dirname "$0")" && pwd)
 case $SIZE in tiny | full) ;; *) echo "sizes are tiny and full, not $SIZE" >&2; exit 2 ;; esac
@@ -198,10 +200,10 @@ shipped() { # LEG: one policy for all inputs, live; goes on from the weights of 
   local leg=$1 start=$OUT/runs/shipped-$(($1 - 1))/policy
   [ "$leg" != "$LEG" ] || [ -z "$FROM" ] || start=$FROM
   if [ "$leg" = 1 ] && [ -z "$FROM" ]; then
-    train dagger "shipped-1" "${SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter "${NEW[@]}"
+    train dagger "shipped-1" "${SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter --draw-after "$DRAW_AFTER" "${NEW[@]}"
   else
-    train dagger "shipped-$leg" "${SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter "${LIVE[@]}" \
-      "${AGAIN[@]}" $([ "$SIZE" = tiny ] || echo --beta-to $((leg == 2 ? 2000000 : 1)))
+    train dagger "shipped-$leg" "${SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter --draw-after "$DRAW_AFTER" "${LIVE[@]}" \
+      "${AGAIN[@]}" $([ "$SIZE" = tiny ] || echo --beta-to "${BETA_TO:-$((leg == 2 ? 2000000 : 1))}")
   fi
 }
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # A leg of the policy in the box on a machine that is lent for half an hour, with nothing to decide in between: homes are
-# made beside `gn0 figures train.sft`, which leaves the card to itself anyway; the leg is trained at the quickest speed
-# that the figure found; and what travels home is packed.
+# made beside a figure, which leaves the card to itself anyway; the leg is trained on the first card, other figures have
+# the second one meanwhile, where there is one; and what travels home is packed.
 #
 #   runs/leg.sh OUT                             the first leg, from random weights
 #   LEG=2 FROM=release/bae-tiny runs/leg.sh OUT the second, from the weights of the first
@@ -11,7 +11,10 @@
 # Environment: that of runs/ablation.sh, and
 #   SIZE      full, or tiny
 #   MINUTES   of the leg at most (18); UNTIL: seconds since 1970 by which its training ends, whatever came before took
-#   SECONDS_OF_FIGURE  that the figure may take at most (290)
+#   FIGURE    that has the cards while homes are made (train.sft, which finds the speed of the leg where SPEED is not given)
+#   SECONDS_OF_FIGURE  that it may take at most (290)
+#   HOMES     lots that are made before it is trained (homes-a homes-exam); all others join later
+#   BESIDE    figures that the second card is given, one after another, while the first one trains (none)
 # A card that is no good for driven walks leaves a failed job: OUT/jobs/shipped-LEG.failed says why.
 set -uo pipefail
 
@@ -22,6 +25,7 @@ OUT=$(cd "$OUT" && pwd)
 export PYTHON=${PYTHON:-python3} SIZE=${SIZE:-full} LEG=${LEG:-1} MINUTES=${MINUTES:-18} PYTHONUNBUFFERED=1
 export WORKERS=${WORKERS:-$(($(nproc) > 3 ? $(nproc) - 3 : 1))}
 export LEGS=$LEG NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-1}
+FIGURE=${FIGURE:-train.sft} BESIDE=${BESIDE:-}
 if [ -n "${WHEELS:-}" ]; then
   WHEELS=$(cd "$WHEELS" && pwd)
   export WHEELS
@@ -29,8 +33,12 @@ fi
 . runs/offline.sh
 open_offline "$OUT/site" || exit 1
 
+figure() { # NAME: its board is in OUT/figures/NAME
+  "$PYTHON" -m gn0 figures "$1" --out "$OUT/figures/$1"
+}
+
 quickest() { # words of the speed with most samples a second, of those that need no trying out of products
-  "$PYTHON" - "$OUT/figures/figures.json" <<'END'
+  "$PYTHON" - "$OUT/figures/train.sft/figures.json" <<'END'
 import json, re, sys
 found = {}
 try:
@@ -45,12 +53,19 @@ print(max(found, key=found.get) if found else "blocks")
 END
 }
 
+beside() { # figures on the second card, each by itself: one that breaks off takes no other with it
+  local one
+  export CUDA_VISIBLE_DEVICES=1
+  for one in $BESIDE; do figure "$one" > "$OUT/figures/$one.log" 2>&1; done
+}
+
 {
-  runs/ablation.sh "$OUT" "$SIZE" homes-a homes-exam &  # all others join later
+  # shellcheck disable=SC2086
+  runs/ablation.sh "$OUT" "$SIZE" ${HOMES:-homes-a homes-exam} &
   homes=$!
-  if [ ! -f "$OUT/figures/figures.json" ]; then
-    timeout "${SECONDS_OF_FIGURE:-290}" "$PYTHON" -m gn0 figures train.sft --out "$OUT/figures"
-  fi
+  export -f figure
+  export OUT
+  [ -f "$OUT/figures/$FIGURE/figures.json" ] || timeout "${SECONDS_OF_FIGURE:-290}" bash -c 'figure "$1"' _ "$FIGURE"
   SPEED=${SPEED:-$(quickest)}
   export SPEED
   echo "speed $SPEED"
@@ -59,6 +74,10 @@ END
     MINUTES=$(awk -v left=$((UNTIL - $(date +%s))) -v most="$MINUTES" 'BEGIN {left /= 60; print left < most ? left : most}')
     echo "$MINUTES minutes"
   fi
+  if [ -n "$BESIDE" ]; then
+    export GPUS=0
+    beside &
+  fi
   runs/ablation.sh "$OUT" "$SIZE" "shipped-$LEG" 'homes-*' && POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack &&
-    { [ ! -f "$OUT/figures/figures.json" ] || cp "$OUT"/figures/figures.* "$OUT/pack"; }
+    cp -r "$OUT/figures" "$OUT/pack"
 } 2>&1 | tee "$OUT/leg.log"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -142,3 +145,44 @@ def test_fewer_agents_are_told_the_same_and_too_many_actions_are_refused(make_en
     assert torch.equal(stream.driver(states.pick(slice(1, 2))), told[1:2])
     with pytest.raises(ConfigError, match="9 of 6 actions"):
         open_driver(pupil, 3, executed=9)
+
+
+def test_answers_are_drawn_where_it_gets_nowhere_and_a_stream_goes_on(make_env, walker) -> None:
+    """Only there, by numbers of the stream's seed; what was stopped in mid-walk says the same."""
+    pupil = replace(walker[0], settings=msgspec.structs.replace(SETTINGS, draw_after=2))
+
+    def make() -> StreamLive:
+        stream = _open(make_env, pupil, stop_share=0.0, fill=5, ratio=1.0)
+        stream.drawing = stream.driver.drawing
+        return stream
+
+    stream = make()
+    assert (stream.drawing.after, stream.drawing.slots) == (2, len(pupil.slots))
+    plain, shown = stream.driver, []
+
+    def watch(states, draws):
+        shown.append((states, draws.clone()))
+        return plain(states, draws)
+
+    stream.driver = watch
+    told, kept = [], None
+    for batch in range(8):
+        if batch == 6:
+            kept = json.loads(json.dumps(stream.state()))
+        told.append(stream.draw(6).actions.numpy().tobytes())
+    log = stream._log.numpy()
+    lost = [bool(row) for _, draws in shown for row in (draws >= 0).all(1)]
+    assert any(lost) and not all(lost)
+    for states, draws in shown:
+        assert (((draws >= 0) & (draws < 1)).all(1) | (draws < 0).all(1)).all()
+        first = (states.last < 0) & (draws >= 0).any(1)
+        assert not first.any()  # who has just begun is not lost
+    greedy = torch.stack([plain(states, torch.full_like(draws, -1)) for states, draws in shown])
+    drawn = torch.stack([plain(states, draws) for states, draws in shown])
+    differ = (greedy != drawn).any(-1).flatten().tolist()
+    assert any(differ) and not any(d and not was for d, was in zip(differ, lost, strict=True))
+    other = make()
+    other.restore(kept)
+    assert [other.draw(6).actions.numpy().tobytes() for _ in range(2)] == told[6:]
+    at = slice(stream.ring.count - 6, stream.ring.count)
+    assert (other._log.numpy()[at] == log[at]).all()

@@ -445,7 +445,7 @@ echo "${{*:3}}" >> {folder}/log
 for ((k = 3; k < $#; k++)); do [ "${{!k}}" != --out ] || next=$((k + 1)); done
 out=${{!next}}
 case "$3 $4" in
-  "figures train.sft") cp {folder}/figures.json {folder}/figures.md "$out" ;;
+  "figures "*) mkdir -p "$out" && cp {folder}/figures.json "$out" ;;
   "missions generate") mkdir -p "$out" && echo "{{}}" > "$out/manifest.json" ;;
   "train dagger") mkdir -p "$out/policy" ;;
 esac
@@ -458,22 +458,25 @@ def test_a_leg_is_trained_at_the_quickest_speed_and_packed(tmp_path: Path) -> No
     rows = [{"detail": f"512 samples; --speed {name}", "value": r} for name, r in rates.items()]
     (tmp_path / "figures.json").write_text(json.dumps([{"rows": [{"detail": "", "value": 1}]},
                                                        {"rows": rows}]))  # fmt: skip
-    (tmp_path / "figures.md").touch()
     python = tmp_path / "python"
     python.write_text(STAND_IN.format(python=sys.executable, folder=tmp_path))
     python.chmod(0o755)
     done = subprocess.run(
         ["bash", str(ROOT / "runs/leg.sh"), str(tmp_path / "out")], capture_output=True, text=True,
-        env={**os.environ, "PYTHON": str(python), "SIZE": "tiny", "MIX": "maps:1"},
+        env={**os.environ, "PYTHON": str(python), "SIZE": "tiny", "MIX": "maps:1",
+             "BESIDE": "train.dapo train.rl"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     called = (tmp_path / "log").read_text().splitlines()
     trained = next(line for line in called if line.startswith("train dagger"))
     assert "--speed whole,narrow" in trained and "--inputs maps:1" in trained
+    assert "--draw-after 6" in trained
+    shown = [line.split()[1] for line in called if line.startswith("figures ")]
+    assert shown == ["train.sft", "train.dapo", "train.rl"]
     made = [line for line in called if line.startswith("missions generate")]
     assert len(made) == 3 and called.index(trained) > max(map(called.index, made))
     pack = tmp_path / "out" / "pack"
-    assert (pack / "policy").is_dir() and (pack / "figures.json").is_file()
+    assert (pack / "policy").is_dir() and (pack / "figures/train.sft/figures.json").is_file()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")

@@ -61,6 +61,9 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
             2,500,000).
         acts: with which weights the policy walks: current, or averaged (--live).
         confirm_stop: ask again about a STOP behind the first action of an answer (--live).
+        draw_after: actions without getting anywhere after which answers are drawn as probable as
+            the policy holds them, when it walks and when it is examined; 0: never, by default as
+            the policy of --start does (--live).
         joins: samples drawn when each suite joins, with commas between; a suite that is not there
             yet is waited for (--live).
         kept: states that batches are drawn from (--live; by default 200,000).
@@ -100,6 +103,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
     beta_to: Annotated[int, msgspec.Meta(ge=0)] | None = None
     acts: Literal["current", "averaged"] | None = None
     confirm_stop: bool = False
+    draw_after: Annotated[int, msgspec.Meta(ge=0, le=10_000)] | None = None
     joins: str | None = None
     kept: Annotated[int, msgspec.Meta(ge=1)] | None = None
     ratio: Annotated[float, msgspec.Meta(gt=0, le=10)] | None = None
@@ -118,7 +122,8 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
 
 ONCE = ("source", "states", "epochs", "driver", "beta")
 LIVE = (
-    "samples", "minutes", "beta_from", "beta_to", "acts", "confirm_stop", "joins", "kept", "ratio",
+    "samples", "minutes", "beta_from", "beta_to", "acts", "confirm_stop", "draw_after", "joins",
+    "kept", "ratio",
 )  # fmt: skip
 OWN = ("size", "layout", "preset")  # that a policy keeps
 ASKED = ("prompt", "pictures", "without", "points")  # that it may be asked in another way
@@ -209,7 +214,7 @@ def _read_live(args: Args) -> DaggerLiveJob:
         if args.inputs:
             settings, inputs = read_inputs(args.inputs, settings)
     recipes = DAGGER_RECIPES if args.start else RECIPES
-    names = ("size", "kept", "ratio", "acts", "beta_from", "beta_to")
+    names = ("size", "kept", "ratio", "acts", "beta_from", "beta_to", "draw_after")
     both = _read_both(args, recipes[args.recipe])
     both["inputs"] = inputs
     return DaggerLiveJob(

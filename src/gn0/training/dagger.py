@@ -226,6 +226,7 @@ def _collect(
         dtype = torch.bfloat16 if run.where.type == "cuda" else None
         driver = open_driver(pupil, job.agents, executed=job.executed, dtype=dtype)
         live.driver, live.beta = driver.enter(pupil.maker_of(walks, run.where)), _hold(job.beta)
+        live.drawing = driver.drawing
 
     def save() -> None:
         streams = processes.gather(walks.state(), run.where)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,6 +21,7 @@ import msgspec
 from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.missions.controls import CONTROL_TEXT
+from gn0.policies.bae.draws import MOST, check_draw_after
 from gn0.policies.bae.policy_settings import PolicySettings, load_policy_settings
 from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.dagger import begin_examined, compare_entropy, load_start
@@ -55,6 +56,8 @@ class DaggerLiveJob(ImitationJob, frozen=True, kw_only=True):
             give them up, and at which the policy drives all.
         stop_share: chance that a wrong STOP is carried out; else the expert's action is.
         confirm_stop: a STOP behind the first action of an answer is asked again.
+        draw_after: actions without getting anywhere after which answers are drawn, when the policy
+            drives and is examined, and in its settings; 0: never, -1: as the settings say.
     """
 
     stage: Literal["dagger_live"] = "dagger_live"
@@ -69,6 +72,7 @@ class DaggerLiveJob(ImitationJob, frozen=True, kw_only=True):
     beta_to: Samples = 2_500_000
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
     confirm_stop: bool = False
+    draw_after: Annotated[int, msgspec.Meta(ge=-1, le=MOST)] = -1
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -165,6 +169,12 @@ def _check_mixture(job: DaggerLiveJob) -> None:
 
 
 def _make_pupil(job: DaggerLiveJob, run: Imitation) -> Pupil:
+    pupil = _load_pupil(job, run)
+    drawn = check_draw_after(job.draw_after, pupil.settings.draw_after)
+    return replace(pupil, settings=msgspec.structs.replace(pupil.settings, draw_after=drawn))
+
+
+def _load_pupil(job: DaggerLiveJob, run: Imitation) -> Pupil:
     if job.start and job.settings is not None:
         return ask_anew(job.start, job.settings, run.load_texts())
     if job.start:
@@ -194,6 +204,8 @@ def _open_walks(
         }
 
     drivers = open_drivers(job.agents)
+    # by the longest answer of any input
+    drawing = max((one.drawing for one in drivers.values()), key=lambda d: d.slots if d else 0)
     again = open_drivers(count_confirmed(job.agents)) if job.confirm_stop else None
 
     def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
@@ -216,6 +228,7 @@ def _open_walks(
             inputs=job.inputs or None,
             beta=lambda drawn: job.beta((begun + drawn) * processes.count),
             stop_share=job.stop_share, confirm=None if again is None else enter(again),
+            drawing=drawing,
             dark=job.recipe.blackout, lazy=bool(job.inputs),
         )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """A policy in training drives the agents of a stream: what DAgger's states come from.
 
 It acts with the weights that the model has at the moment of a decision, and is asked as it will be
-when it is examined: the prompt of its settings, the most probable answer, and the first actions of
-it carried out.
+when it is examined: the prompt of its settings, the most probable answer (a drawn one where the
+settings say so and it gets nowhere), and the first actions of it carried out.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from gn0.policies.bae.actor import Actor
 from gn0.policies.bae.prompt_fields import WIDEST
 from gn0.training.pupil import Pupil
 from gn0.training.streams.samples import LabelledStates, SampleMaker
+from gn0.training.streams.stream_live import Drawing
 
 Weights = Callable[[], AbstractContextManager[None]]
 
@@ -31,23 +32,31 @@ class PolicyDriver:
         maker: of the prompts of the agents' episodes.
         executed: actions of an answer that are carried out.
         weights: within which it decides, such as `Learner.averaged_weights`.
+        drawing: whose answers are drawn; the stream that it drives needs to know.
     """
 
     def __init__(
-        self, actor: Actor, maker: SampleMaker, executed: int, weights: Weights = nullcontext
+        self,
+        actor: Actor,
+        maker: SampleMaker,
+        executed: int,
+        weights: Weights = nullcontext,
+        drawing: Drawing | None = None,
     ) -> None:
         self.actor, self.maker, self.executed, self.weights = actor, maker, executed, weights
+        self.drawing = drawing
 
-    def __call__(self, states: LabelledStates) -> Tensor:
-        """Actions int64 [N, K] of N agents; labels are not looked at."""
+    def __call__(self, states: LabelledStates, draws: Tensor | None = None) -> Tensor:
+        """Actions int64 [N, K] of N agents; labels are not looked at; draws are `Drawing`'s."""
         pictures = [states.pictures[name] for name in self.maker.table.template.pictures]
         ids = self.maker.prompts(states.episode, states.pose, states.last, states.collided)
         with self.weights():
-            return self.actor.decide(pictures, ids).actions[:, : self.executed]
+            draws = None if draws is None else draws[:, : len(self.actor.slots)]
+            return self.actor.decide(pictures, ids, draws).actions[:, : self.executed]
 
     def enter(self, maker: SampleMaker) -> PolicyDriver:
         """The same driver among other episodes; what was recorded on a card stays."""
-        return PolicyDriver(self.actor, maker, self.executed, self.weights)
+        return PolicyDriver(self.actor, maker, self.executed, self.weights, self.drawing)
 
 
 def open_driver(
@@ -81,6 +90,7 @@ def open_driver(
     maker = pupil.maker([CONTROL_TEXT], device, WIDEST[:1])
     actor = Actor(
         pupil.model, maker.table.layout, pupil.slots, settings.frame, agents, dtype=dtype,
-        compiled=device.type == "cuda", said=maker.table.place,
+        compiled=device.type == "cuda", said=maker.table.place, drawn=settings.draw_after > 0,
     )  # fmt: skip
-    return PolicyDriver(actor, maker, executed, weights)
+    drawing = Drawing(settings.draw_after, len(pupil.slots)) if settings.draw_after else None
+    return PolicyDriver(actor, maker, executed, weights, drawing)

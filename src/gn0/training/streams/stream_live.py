@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,6 +26,7 @@ from torch import Tensor
 
 from gn0.errors import ConfigError, FormatError, SimError
 from gn0.paper import FORWARD, STOP
+from gn0.policies.bae.draws import NEVER
 from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.device_labels import LabelsDevice
@@ -43,7 +45,20 @@ from gn0.training.streams.samples import LabelledStates
 from gn0.training.streams.step_ring import StepRing
 
 STOP_DISTANCE = 1.0  # m, of the labels that policies are trained on
-Driver = Callable[[LabelledStates], Tensor]
+Driver = Callable[..., Tensor]  # of `LabelledStates`, and of draws where there are any
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Whose answers are drawn, so that no policy turns left and right for ever.
+
+    Attributes:
+        after: actions without getting anywhere.
+        slots: of an answer, each with a number of its own.
+    """
+
+    after: int
+    slots: int
 
 
 class StreamLive:
@@ -76,6 +91,8 @@ class StreamLive:
             None: nobody is.
         confirmed: M, of which further ones at the same step follow the expert for that step; an
             eighth of the agents when None.
+        drawing: whose answers are drawn. The drivers are then given numbers, too, float32
+            [N, slots] in [0, 1), and below 0 of agents whose answer is the most probable one.
         stop_distance: where labels say STOP [m].
         dark: share of samples whose mosaic is black.
         lazy: pictures are made when they are looked at, before the next draw; those that nobody
@@ -99,6 +116,7 @@ class StreamLive:
         stop_share: float = 0.2,
         confirm: Driver | Mapping[str, Driver] | None = None,
         confirmed: int | None = None,
+        drawing: Drawing | None = None,
         stop_distance: float = STOP_DISTANCE,
         dark: float = 0.1,
         lazy: bool = False,
@@ -135,7 +153,9 @@ class StreamLive:
         self.confirm, self.confirmed = confirm, count_confirmed(count)
         if confirmed is not None:
             self.confirmed = confirmed
+        self.drawing = drawing
         self._last = torch.full((count,), -1, dtype=torch.int8, device=self._device)
+        self._idle = torch.zeros(count, dtype=torch.int32, device=self._device)
         self._plan: Tensor | None = None  # of the policy [N, K], −1 where the expert drives
         self._at = 0  # in the plan
         self._log = torch.zeros((2 * ring.steps, count), dtype=torch.uint8, device=self._device)
@@ -214,7 +234,8 @@ class StreamLive:
         beta = 0.0 if self.beta is None else self.beta(self.drawn)
         if self.driver is None or beta >= 1:
             return
-        plan = _ask(self._pick(self.driver, self.ring.count), self.ring.latest())
+        driver = self._pick(self.driver, self.ring.count)
+        plan = _ask(driver, self.ring.latest(), self._draw_numbers())
         if beta > 0:
             coins = random_stream(self.seed, "live drivers", self.ring.count)
             expert = self.ring._send(coins.random(len(plan)) < beta)
@@ -228,6 +249,15 @@ class StreamLive:
         assert self.inputs is not None  # checked when it was made
         return driver[self.inputs.choose(step)]
 
+    def _draw_numbers(self) -> Tensor | None:
+        """Numbers by which the answers of who gets nowhere are drawn."""
+        if self.drawing is None:
+            return None
+        stream = random_stream(self.seed, "live draws", self.ring.count)
+        numbers = stream.random((len(self._idle), self.drawing.slots), np.float32)
+        lost = self._idle >= self.drawing.after
+        return self.ring._send(numbers).masked_fill(~lost[:, None], float(NEVER))
+
     def _ask_again(self) -> None:
         """Ask anew who is about to stop by an answer of steps ago; waits for nothing."""
         assert self._plan is not None and self.confirm is not None
@@ -235,7 +265,9 @@ class StreamLive:
         wanted = plan[:, at] == STOP
         rows = torch.argsort(wanted.to(torch.int8), descending=True, stable=True)[: self.confirmed]
         again = self._pick(self.confirm, self.ring.count - at)  # of who said so
-        answers = _ask(again, self.ring.latest().pick(rows))
+        numbers = self._draw_numbers()
+        draws = None if numbers is None else numbers[rows]
+        answers = _ask(again, self.ring.latest().pick(rows), draws)
         left = min(plan.shape[1] - at, answers.shape[1])
         chosen, own = wanted[rows], plan[rows]
         own[:, at : at + left] = torch.where(
@@ -261,6 +293,7 @@ class StreamLive:
         forward = actions == FORWARD
         hit = torch.from_dlpack(seen["collided"]).bool()
         hit = torch.where(ended, torch.from_dlpack(infos["final_obs"]["collided"]).bool(), hit)
+        self._idle = (self._idle + 1).masked_fill_(ended | (forward & ~hit), 0)
         arrived = torch.from_dlpack(infos["final_info"]["success"])
         self._count("forwards", forward, forward & hit, ended, ended & arrived)
         self._steps += 1
@@ -287,7 +320,11 @@ class StreamLive:
 
     def _note(self) -> None:
         """Note where all stand; what was noted before the last time but one is not needed."""
-        found = {**read_places(self.env), "last": self._last.cpu().numpy().copy()}
+        found = {
+            **read_places(self.env),
+            "last": self._last.cpu().numpy().copy(),
+            "idle": self._idle.cpu().numpy().copy(),
+        }
         self._bases = [*self._bases[-1:], (self.ring.count, found)]
 
     def state(self) -> dict[str, Any]:
@@ -303,7 +340,11 @@ class StreamLive:
             plan = self._plan.cpu().numpy()
         there = {}
         if found:
-            there = {**pack_places(found), "last": pack_array(found["last"], np.int8)}
+            there = {
+                **pack_places(found),
+                "last": pack_array(found["last"], np.int8),
+                "idle": pack_array(found["idle"], np.int32),
+            }
         return {
             "drawn": self.drawn,
             "steps": self.ring.count,
@@ -345,6 +386,7 @@ class StreamLive:
             there = state["there"]
             if there:
                 last = unpack_array(there["last"], np.int8, (env.num_envs,))
+                idle = unpack_array(there["idle"], np.int32, (env.num_envs,))
                 there = unpack_places(there, env.num_envs)
             plan, at, drawn = state["plan"], int(state["at"]), int(state["drawn"])
             steps, *told = map(int, state.get("told", [0] * len(COUNTED)))  # older ones have none
@@ -357,12 +399,14 @@ class StreamLive:
             raise FormatError(f"not a live stream's state: {error}", where="stream") from None
         self._bases, self._plan, self._at = [], None, 0
         self._last.fill_(-1)
+        self._idle = torch.zeros_like(self._idle)
         self._mute()
         self._begin()
         ring.skip(base)
         if there:
             place_agents(env, self._seeds(), there)
             self._last.copy_(torch.from_numpy(last.copy()))
+            self._idle.copy_(torch.from_numpy(idle.copy()))
         self._again(log, count)
         self._plan = None if later is None else torch.from_numpy(later.copy()).to(self._device)
         self._at, self.drawn, self._steps = at, drawn, steps
@@ -392,10 +436,11 @@ def count_confirmed(agents: int) -> int:
     return max(1, agents // 8)
 
 
-def _ask(driver: Driver, states: LabelledStates) -> Tensor:
+def _ask(driver: Driver, states: LabelledStates, draws: Tensor | None) -> Tensor:
     """A policy's actions int8 [N, K]."""
     with torch.no_grad():
-        plan = driver(states).to(torch.int8)
+        plan = driver(states) if draws is None else driver(states, draws)
+    plan = plan.to(torch.int8)
     plan = plan[:, None] if plan.ndim == 1 else plan
     if plan.ndim != 2 or len(plan) != len(states) or not plan.shape[1]:
         raise SimError(

@@ -12,9 +12,9 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.data.answer_form import AnswerForm  # noqa: E402
-from gn0.errors import CheckpointError, StorageError  # noqa: E402
+from gn0.errors import CheckpointError, StorageError, TrainingError  # noqa: E402
 from gn0.geometry import Pose2D  # noqa: E402
-from gn0.policies.bae.policy_bae import PolicyBae  # noqa: E402
+from gn0.policies.bae.policy_bae import PolicyBae, digest_checkpoint  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.policies.qwen.weights import open_weights  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
@@ -23,6 +23,9 @@ from gn0.training.packing import pack_policy  # noqa: E402
 from gn0.training.pupil import build_pupil, load_pupil  # noqa: E402
 from gn0.training.runs.model_card import build_card  # noqa: E402
 from gn0.training.runs.run_folder import open_run  # noqa: E402
+from gn0.training.study.walks_table import build_walks_table  # noqa: E402
+from gn0.training.walks import Walk  # noqa: E402
+from gn0.training.walks_folder import WalksAbout, open_walks  # noqa: E402
 
 SETTINGS = PolicySettings(
     prompt="short",
@@ -122,3 +125,37 @@ def test_what_is_too_large_or_no_policy_is_refused(run: Path, tmp_path: Path) ->
     (tmp_path / "mine" / "notes").touch()
     with pytest.raises(StorageError, match="something else"):
         pack_policy(run, tmp_path / "mine", overwrite=True)
+
+
+def test_the_card_has_a_table_of_walks_of_this_very_policy(run: Path, tmp_path: Path) -> None:
+    """A row all, a kind and a tier, with the interval over homes; of a control one row alone."""
+
+    def walk(number: int) -> Walk:
+        went = dict.fromkeys(("success", "success_straight", "success_near"), number % 4 > 0)
+        shares = dict.fromkeys(("spl", "spl_straight", "spl_near"), 0.5)
+        return Walk(
+            episode=f"e{number}", scene=f"home-{number // 8}", path=f"p{number}",
+            kind=("goal", "instruction/detailed")[number % 2], tier="", steps=20, stopped=True,
+            length=5.0, shortest=4.0, left=1.0, left_straight=1.0, least=1.0, **went, **shares,
+            oracle=True, forwards=10, cut_short=1, decisions=7,
+        )  # fmt: skip
+
+    own = digest_checkpoint(run / "policy")
+    walks = [walk(number) for number in range(64)]
+    for control in ("none", "shuffled"):
+        about = WalksAbout(
+            suite="flats", suite_hash="c0ffee", splits=("val_unseen",), episodes=64,
+            episodes_hash="", left_out=0, checkpoint="", weights=own, control=control, executed=3,
+            confirm_stop=False, agents=64, dtype="bfloat16", device="a card", version="0",
+        )  # fmt: skip
+        with open_walks(tmp_path / control, about) as kept:
+            kept.add(walks)
+            kept.finish()
+    folders = [tmp_path / "none", tmp_path / "shuffled"]
+    card = (pack_policy(run, tmp_path / "packed", walks=folders).folder / "README.md").read_text()
+    rows = [line for line in card.splitlines() if line.startswith("| flats")]
+    assert [row.split(" | ")[1] for row in rows] == ["all", "goal", "instruction/detailed", "all"]
+    assert "64 | 8 | 75.0 [" in rows[0] and "shuffled" in rows[3]
+    assert "| 32 | 8 | 50.0 [" in rows[1] and "| 32 | 8 | 100.0 [" in rows[2]
+    with pytest.raises(TrainingError, match="walks of another policy"):
+        build_walks_table(folders, "00ff")

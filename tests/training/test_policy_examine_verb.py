@@ -18,9 +18,10 @@ from gn0.data.answer_form import AnswerForm  # noqa: E402
 from gn0.errors import TrainingError  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
-from gn0.training.policy_examination import WalkJob, examine_policy, pick_evenly  # noqa: E402
+from gn0.training.policy_examination import WalkJob, examine_policy  # noqa: E402
 from gn0.training.pupil import build_pupil  # noqa: E402
 from gn0.training.walks_folder import load_walks  # noqa: E402
+from gn0.training.worlds import pick_evenly  # noqa: E402
 
 VIEW = MapView(squares=(EgoSquare(32, 0.24, content="occupancy"),))
 SETTINGS = PolicySettings(
@@ -177,3 +178,5 @@ def test_few_episodes_are_spread_over_all() -> None:
     assert pick_evenly(10, 4) == [0, 2, 5, 7]
     assert pick_evenly(3, 10) == [0, 1, 2]
     assert pick_evenly(0, 5) == []
+    # homes stand first in a suite, houses last: an examination of some is one of all kinds
+    assert pick_evenly(2381, 512)[-1] > 2370

@@ -14,6 +14,7 @@ import tyro
 from gn0.config import Config
 
 EXAMPLES = """  gn0 policy pack out/sft --out release/bae-tiny
+  gn0 policy pack out/sft --walks out/sft-walks out/sft-seen --out out/packed --overwrite
   gn0 policy pack out/sft --tables out/study.md --out out/packed --overwrite
   gn0 policy pack out/sft-4b --limit-mb 9000 --shard-mb 2000 --out out/packed-4b"""
 
@@ -27,6 +28,8 @@ class Args(Config, frozen=True):
         dtype: of the weights: bfloat16, or float32, twice as large.
         shard_mb: megabytes of a file at most.
         limit_mb: megabytes of everything; more are refused.
+        walks: folders of walks of this policy, as `gn0 policy examine` writes them: a table of the
+            card, with intervals.
         tables: a file of Markdown that goes with the card's numbers.
         draw_after: actions without getting anywhere after which the packed policy's answers are
             drawn as probable as it holds them; 0: never, -1: as the run's policy has it.
@@ -38,6 +41,7 @@ class Args(Config, frozen=True):
     dtype: Literal["bfloat16", "float32"] = "bfloat16"
     shard_mb: Annotated[int, msgspec.Meta(ge=1)] = 15
     limit_mb: Annotated[int, msgspec.Meta(ge=1)] = 36
+    walks: tuple[str, ...] = ()
     tables: str = ""
     draw_after: Annotated[int, msgspec.Meta(ge=-1, le=10_000)] = -1
     overwrite: bool = False
@@ -63,6 +67,7 @@ def run(args: Args) -> int:
             shard_mb=args.shard_mb,
             limit_mb=args.limit_mb,
             tables=tables,
+            walks=args.walks,
             draw_after=args.draw_after,
             overwrite=args.overwrite,
         )

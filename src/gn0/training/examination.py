@@ -21,6 +21,7 @@ from gn0.training.worlds import (
     list_maps,
     load_lessons,
     open_world,
+    pick_evenly,
     wait_for_suites,
 )
 
@@ -138,8 +139,7 @@ class Examination:
 
     def _walk(self, name: str) -> dict[str, float]:
         loop, episodes = self._loops[name], self._lessons.episodes
-        stride = max(1, len(episodes) // self.episodes)
-        picked = list(range(0, len(episodes), stride))[: self.episodes]
+        picked = pick_evenly(len(episodes), self.episodes)
         found: dict[str, float] = {}
         for kind, means in summarise_walks(loop.play(picked)).items():
             end = "" if kind == "all" else f"_{kind}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -11,11 +12,13 @@ import torch
 
 from gn0.errors import CheckpointError
 from gn0.policies.bae.draws import check_draw_after
+from gn0.policies.bae.policy_bae import digest_checkpoint
 from gn0.policies.bae.shipped import find_checkpoint
 from gn0.storage import check_replaceable, read_bytes
 from gn0.training.pupil import load_pupil
 from gn0.training.runs.model_card import build_card
 from gn0.training.runs.run_folder import RUN
+from gn0.training.study.walks_table import build_walks_table
 
 SHARD_MB, LIMIT_MB = 15, 36  # 10⁶ bytes: of a file, of everything
 _CARD_LIMIT = 2**24  # bytes
@@ -44,6 +47,7 @@ def pack_policy(
     shard_mb: int = SHARD_MB,
     limit_mb: int = LIMIT_MB,
     tables: str = "",
+    walks: Sequence[Path | str] = (),
     draw_after: int = -1,
     overwrite: bool = False,
 ) -> PackedPolicy:
@@ -56,12 +60,15 @@ def pack_policy(
         shard_mb: 10⁶ bytes of a file at most; a single array may be larger.
         limit_mb: more than so many 10⁶ bytes in all are refused.
         tables: Markdown for the card's numbers.
+        walks: folders of walks of the run's policy, as `gn0 policy examine` writes them, for the
+            card's numbers.
         draw_after: actions without getting anywhere after which the packed policy's answers are
             drawn; 0: never, -1: as the run's policy has it.
         overwrite: replace an earlier one.
 
     Raises:
         CheckpointError: there is no policy, or it is larger than the limit.
+        TrainingError: walks are missing or unfinished, or of another policy.
         StorageError: the folder cannot be written, or holds something else.
     """
     home, folder = Path(run), Path(out)
@@ -73,6 +80,7 @@ def pack_policy(
     if drawn != before:  # the run's numbers are of what it was then
         was = f"drawn after {before} actions without getting anywhere" if before else "never drawn"
         tables = f"In these walks answers were {was}.\n\n{tables}"
+    tables = f"{build_walks_table(walks, digest_checkpoint(source))}\n{tables}"
     pupil = replace(pupil, settings=msgspec.structs.replace(pupil.settings, draw_after=drawn))
     kind = torch.float32 if dtype == "float32" else torch.bfloat16
     weights = sum(array.numel() for array in pupil.model.parameters())

@@ -33,7 +33,7 @@ from gn0.training.pupil import Pupil, load_pupil
 from gn0.training.runs.training_state import name_device
 from gn0.training.walks import Walk
 from gn0.training.walks_folder import WalksAbout, open_walks
-from gn0.training.worlds import Lessons, load_lessons, open_world
+from gn0.training.worlds import Lessons, load_lessons, open_world, pick_evenly
 
 Dtype = Literal["auto", "float32", "bfloat16"]
 
@@ -217,9 +217,3 @@ def _fits(text: str, pupil: Pupil) -> bool:
     except ConfigError:
         return False
     return True
-
-
-def pick_evenly(count: int, most: int) -> list[int]:
-    """At most so many of `count` numbers, evenly; all when `most` is 0."""
-    wanted = min(most, count) if most else count
-    return [k * count // wanted for k in range(wanted)]

@@ -16,7 +16,7 @@ from gn0.sim.device_env import VectorEnvDevice
 from gn0.training.evaluation import AskedAgents, EpisodeLoop
 from gn0.training.recurrent_learner import DriverNet, WordTable
 from gn0.training.walks import summarise_walks
-from gn0.training.worlds import Lessons, load_lessons, open_world
+from gn0.training.worlds import Lessons, load_lessons, open_world, pick_evenly
 
 AGENTS = 512  # that are examined at once at most
 
@@ -98,8 +98,7 @@ class RecurrentExamination:
         """What was measured, by name, as `gn0 train sft` names it; shares from 0 to 1, m."""
         loop = ClosedLoopRecurrent(self._env, self.net, self.tokenizer, self.autocast)
         count = len(self._lessons.episodes)
-        stride = max(1, count // self.episodes)
-        picked = list(range(0, count, stride))[: self.episodes]
+        picked = pick_evenly(count, self.episodes)
         found: dict[str, float] = {}
         for kind, means in summarise_walks(loop.play(picked)).items():
             end = "" if kind == "all" else f"_{kind}"

@@ -212,3 +212,9 @@ def leave_out_long(lessons: Lessons, pupil: Pupil, say: Callable[[str], None]) -
     if len(kept) < len(lessons.episodes):
         say(f"left out {len(lessons.episodes) - len(kept)} episodes of more than {longest} tokens")
     return replace(lessons, episodes=kept)
+
+
+def pick_evenly(count: int, most: int) -> list[int]:
+    """At most so many of `count` numbers, evenly; all when `most` is 0."""
+    wanted = min(most, count) if most else count
+    return [k * count // wanted for k in range(wanted)]

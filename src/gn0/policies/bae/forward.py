@@ -363,7 +363,7 @@ def _look_back(query: Tensor, key: Tensor, value: Tensor, seen: Tensor | None) -
     rows = query.reshape(batch, key.shape[1], groups * count, size)
     mask = None if seen is None else seen.repeat(groups, 1)
     looked = functional.scaled_dot_product_attention(rows, key, value, attn_mask=mask)
-    return looked.view(batch, heads, count, size)
+    return looked.reshape(batch, heads, count, size)  # float32 kernels lay it out otherwise
 
 
 def _finish(layer: Any, x: Tensor, seen: Tensor, joined: bool = False) -> Tensor:

@@ -13,11 +13,12 @@
 #   PYTHON    interpreter (python3)
 #   WHEELS    folder of wheels that a machine without a network lacks; they are unpacked into OUT/site, and gn0 itself is
 #             taken from this checkout
+#   EACH      cards of a trunk or a leg (all), so that two of them may be trained side by side
 #   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU)
 #   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
 #   WALL      minutes after which this call stops what runs, to be gone on with in the next; of `watch`: after which it
 #             looks no longer (0: never)
-#   INPUTS    that have arms (all views; in miniature maps): all is view, mosaic, near and far map; views is view and
+#   INPUTS    that have arms (all views maps; in miniature maps): all is view, mosaic, near and far map; views is view and
 #             mosaic; maps is near and far map
 #   SEEDS     of the arms (0 1 2); episode RL has the first two
 #   SAMPLES   of a trunk (8000000), STATES of a DAgger stage (300000, five times over), UPDATES of episode RL (200)
@@ -44,7 +45,7 @@ shift $(($# < 2 ? $# : 2))
 WHAT=("${@:-*}")
 PYTHON=${PYTHON:-python3}
 MINUTES=${MINUTES:-9} WALL=$(awk -v minutes="${WALL:-0}" 'BEGIN {print int(60 * minutes)}')  # seconds
-read -ra INPUTS <<< "${INPUTS:-$([ "$SIZE" = tiny ] && echo maps || echo all views)}"
+read -ra INPUTS <<< "${INPUTS:-$([ "$SIZE" = tiny ] && echo maps || echo all views maps)}"
 read -ra SEEDS <<< "${SEEDS:-0 1 2}"
 MIX=${MIX:-all:0.5,views:0.3,maps:0.2}
 LEGS=${LEGS:-6} LEG=${LEG:-1} FROM=${FROM:-} DRAW_AFTER=${DRAW_AFTER:-6}
@@ -217,6 +218,13 @@ shipped_walks() { # RUN: asked in each of its ways
   done
 }
 
+legs_walks() { # RUN: a leg on one input, as it lies in the box
+  local one
+  walk legs-maps "$1" exam val_unseen unseen
+  walk legs-maps "$1" b val_seen seen
+  for one in no_words shuffled; do walk "legs-maps-$one" "$1" exam val_unseen unseen --control "$one"; done
+}
+
 lot() { # NAME SPLIT FLATS HOMES HOUSES
   local spec=$OUT/specs/$1.yaml
   [ ! -f "$OUT/suites/$1/manifest.json" ] || return 0
@@ -266,7 +274,7 @@ job() {
   DOES[${NAMES[-1]}]="$*"
 }
 
-ALL=$((${#CARDS[@]} > 1 ? ${#CARDS[@]} : 1))  # cards of a trunk
+ALL=${EACH:-$((${#CARDS[@]} > 1 ? ${#CARDS[@]} : 1))}  # cards of a trunk
 last=${LOTS[-1]%% *}
 [ "$SIZE" = full ] || last=b
 rest=homes-$last,homes-exam
@@ -308,6 +316,7 @@ for ((leg = LEG; leg <= LEGS; leg++)); do
   [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$rest
   job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done
+job legs.walks "shipped-2,$rest" 1 legs_walks shipped-2
 job shipped.walks "shipped-$LEGS,$rest,known" 1 shipped_walks "shipped-$LEGS"
 for seed in "${SEEDS[@]:1}"; do arms "${INPUTS[0]}" "$seed"; done
 

@@ -193,7 +193,7 @@ def test_a_policy_of_maps_goes_on_with_other_inputs_that_drive_in_turn(
     suite, start, tmp_path, capsys
 ) -> None:
     """All three from one, stopped and gone on with; then other shares, and one of them alone."""
-    own = ["--live", "--samples", 16, "--agents", 2, "--kept", 80, "--beta-from", 0, "--beta-to",
+    own = ["--live", "--samples", 16, "--agents", 2, "--kept", 34, "--beta-from", 0, "--beta-to",
            4, "--confirm-stop", "--held-out", "test", "--examined", 1, "--asked", 4]  # fmt: skip
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     mixed = [*own, "--start", start, "--inputs", "all:0.4,views:0.3,maps:0.3"]
@@ -218,7 +218,7 @@ def test_a_policy_of_maps_goes_on_with_other_inputs_that_drive_in_turn(
               "--agents", 1, "--device", "host", "--inputs", "views",
               "--out", tmp_path / "walks"]  # fmt: skip
     assert main([str(word) for word in walked]) == 0
-    short = ["--live", "--samples", 4, "--agents", 2, "--kept", 80, "--start", whole / "policy"]
+    short = ["--live", "--samples", 4, "--agents", 2, "--kept", 34, "--start", whole / "policy"]
     assert main(_words(suite, tmp_path / "shares", *short, "--inputs", "all,views:2,maps:3")) == 0
     again = load_policy_settings(tmp_path / "shares/policy")
     assert again.by_input.keys() == settings.by_input.keys()

@@ -44,7 +44,7 @@ def build_walks_table(folders: Sequence[Path | str], weights: str = "") -> str:
             raise TrainingError(
                 "walks of another policy",
                 where=folder,
-                remedy="give walks of the very policy that is packed, as it was trained",
+                remedy="give walks of the policy that is packed, with these weights",
             )
         name = _name(about)
         lines += [f"| {name} | {_row(kind, some)} |" for kind, some in _group(about, walks)]

@@ -39,8 +39,8 @@ def main() -> None:
     from gn0.sim import VectorEnvDevice
     from gn0.training.pupil import Pupil, build_pupil, fit_texts
     from gn0.training.rewards import read_texts, score_answers
+    from gn0.training.rl.visited_states import collect_states
     from gn0.training.streams.samples import decode_squares
-    from gn0.training.visited_states import collect_states
 
     start = sys.argv[1] if len(sys.argv) > 1 else ""
     updates = int(sys.argv[2]) if len(sys.argv) > 2 else 2

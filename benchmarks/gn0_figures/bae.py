@@ -22,8 +22,8 @@ from gn0.policies.qwen.architecture import parse_architecture
 from gn0.policies.qwen.layout import PictureSize, PromptLayout, build_layout
 from gn0.training.adapters import add_adapters
 from gn0.training.learner import Learner
-from gn0.training.policy_gradient import AnswerBatch, PolicyLoss, PolicyLosses
 from gn0.training.recipe import Recipe
+from gn0.training.rl.policy_gradient import AnswerBatch, PolicyLoss, PolicyLosses
 from gn0_figures.board import Figure, FigureContext, FigureRow, FigureSkipped
 
 BATCH, WORDS, ANSWER = 512, 40, 34

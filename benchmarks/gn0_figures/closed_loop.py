@@ -25,7 +25,7 @@ from gn0.seeds import random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.testing.scenes import build_map_scene, build_point_episodes
-from gn0.training.evaluation import ClosedLoop
+from gn0.training.exams.evaluation import ClosedLoop
 from gn0.training.pupil import Pupil, build_pupil
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least
 from gn0_figures.device import is_emulation

@@ -11,11 +11,11 @@ from torch import Tensor
 
 from gn0.seeds import derive_seed
 from gn0.training.dapo import DapoJob, open_policy_learner
-from gn0.training.dapo_stage import DapoStage
 from gn0.training.learner import freeze_tower
 from gn0.training.pupil import Pupil
-from gn0.training.rollouts import RolloutMaker, RolloutSettings
-from gn0.training.visited_states import collect_states
+from gn0.training.rl.dapo_stage import DapoStage
+from gn0.training.rl.rollouts import RolloutMaker, RolloutSettings
+from gn0.training.rl.visited_states import collect_states
 from gn0.training.worlds import load_lessons, open_world
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_most
 from gn0_figures.device import is_emulation

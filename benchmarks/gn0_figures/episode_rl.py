@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from gn0.data.answer_slots import ACTION
-from gn0.training.episode_recipe import EpisodePlan, EpisodeRecipe
 from gn0.training.episode_rl import EpisodeJob, open_stage
-from gn0.training.episode_stage import EpisodeStage
-from gn0.training.episode_walks import PARTS
-from gn0.training.evaluation import ClosedLoop
+from gn0.training.exams.evaluation import ClosedLoop
 from gn0.training.processes import ALONE
+from gn0.training.rl.episode_recipe import EpisodePlan, EpisodeRecipe
+from gn0.training.rl.episode_stage import EpisodeStage
+from gn0.training.rl.episode_walks import PARTS
 from gn0.training.runs.loss_guard import LossGuard
 from gn0.training.worlds import load_lessons
 from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_most

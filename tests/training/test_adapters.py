@@ -19,8 +19,8 @@ from gn0.policies.bae.checkpoint import load_checkpoint  # noqa: E402
 from gn0.policies.bae.questions import list_allowed  # noqa: E402
 from gn0.training.adapters import add_adapters, has_adapters, merge_adapters  # noqa: E402
 from gn0.training.learner import Learner, LossForward  # noqa: E402
-from gn0.training.policy_gradient import AnswerBatch, PolicyLoss  # noqa: E402
 from gn0.training.recipe import Recipe  # noqa: E402
+from gn0.training.rl.policy_gradient import AnswerBatch, PolicyLoss  # noqa: E402
 from gn0.training.runs.training_state import load_state  # noqa: E402
 from gn0_trials.episodes_small import build_walker  # noqa: E402
 

@@ -29,11 +29,11 @@ from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.ego_map import EgoSquare, MapView
 from gn0.suites.suite import load_suite, save_suite
 from gn0.training.dapo import RECIPES_DAPO, DapoJob, train_dapo
-from gn0.training.dapo_stage import DapoPlan, DapoStage
 from gn0.training.learner import Learner, freeze_tower
-from gn0.training.policy_gradient import PolicyLoss
 from gn0.training.pupil import build_pupil, load_pupil
-from gn0.training.rollouts import RolloutSettings
+from gn0.training.rl.dapo_stage import DapoPlan, DapoStage
+from gn0.training.rl.policy_gradient import PolicyLoss
+from gn0.training.rl.rollouts import RolloutSettings
 
 SQUARES = MapView(squares=(EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
 

@@ -22,13 +22,13 @@ from gn0.cli.main import main  # noqa: E402
 from gn0.errors import CheckpointError, DeviceMemoryError, TrainingError  # noqa: E402
 from gn0.scenes.folder import load_scene  # noqa: E402
 from gn0.suites.suite import save_suite  # noqa: E402
-from gn0.training.decision_store import DecisionStore  # noqa: E402
 from gn0.training.episode_rl import train_episode_rl  # noqa: E402
-from gn0.training.episode_walks import list_decisions, pick_episodes  # noqa: E402
-from gn0.training.returns import ReturnWeights, score_walks, weigh_groups  # noqa: E402
+from gn0.training.exams.walks import Walk  # noqa: E402
+from gn0.training.rl.decision_store import DecisionStore  # noqa: E402
+from gn0.training.rl.episode_walks import list_decisions, pick_episodes  # noqa: E402
+from gn0.training.rl.returns import ReturnWeights, score_walks, weigh_groups  # noqa: E402
 from gn0.training.runs.loss_guard import LossGuard  # noqa: E402
 from gn0.training.runs.training_state import load_state  # noqa: E402
-from gn0.training.walks import Walk  # noqa: E402
 from gn0_trials.episodes_small import build_walker, make_job, open_small  # noqa: E402
 
 
@@ -257,7 +257,7 @@ def test_a_stopped_run_ends_in_the_same_policy(flats_suite, start, tmp_path, cap
 def test_a_loss_that_is_not_finite_stops_and_leaves_the_last_checkpoint(
     flats_suite, start, tmp_path, monkeypatch
 ) -> None:
-    from gn0.training.episode_stage import EpisodeStage
+    from gn0.training.rl.episode_stage import EpisodeStage
 
     learned = EpisodeStage.learn
 

@@ -21,12 +21,12 @@ from gn0.policies.bae.actor import Actor  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.sim.device_env import VectorEnvDevice  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
-from gn0.training.evaluation import (  # noqa: E402
+from gn0.training.exams.evaluation import (  # noqa: E402
     ClosedLoop,
     score_states,
 )
+from gn0.training.exams.walks import summarise_walks  # noqa: E402
 from gn0.training.pupil import Pupil, build_pupil, load_pupil  # noqa: E402
-from gn0.training.walks import summarise_walks  # noqa: E402
 
 VIEW = MapView(squares=(EgoSquare(32, 0.24, content="occupancy"),))
 SETTINGS = PolicySettings(

@@ -19,13 +19,13 @@ from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.policies.qwen.weights import open_weights  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
 from gn0.sim.state import Observation  # noqa: E402
+from gn0.training.exams.walks import Walk  # noqa: E402
+from gn0.training.exams.walks_folder import WalksAbout, open_walks  # noqa: E402
 from gn0.training.packing import pack_policy  # noqa: E402
 from gn0.training.pupil import build_pupil, load_pupil  # noqa: E402
 from gn0.training.runs.model_card import build_card  # noqa: E402
 from gn0.training.runs.run_folder import open_run  # noqa: E402
 from gn0.training.study.walks_table import build_walks_table  # noqa: E402
-from gn0.training.walks import Walk  # noqa: E402
-from gn0.training.walks_folder import WalksAbout, open_walks  # noqa: E402
 
 SETTINGS = PolicySettings(
     prompt="short",

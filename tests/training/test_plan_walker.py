@@ -14,7 +14,7 @@ from gn0.missions.episode import AgentSpec  # noqa: E402
 from gn0.paper import FORWARD, LEFT, RIGHT, STOP  # noqa: E402
 from gn0.sim.collision import move_agent  # noqa: E402
 from gn0.sim.kinematics import Heading, step_forward  # noqa: E402
-from gn0.training.plan_walker import PlanWalker  # noqa: E402
+from gn0.training.rl.plan_walker import PlanWalker  # noqa: E402
 
 
 def walk_on_cpu(navigation, agent, start, pose, plan):

@@ -18,9 +18,9 @@ from gn0.data.answer_form import AnswerForm  # noqa: E402
 from gn0.errors import TrainingError  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
-from gn0.training.policy_examination import WalkJob, examine_policy  # noqa: E402
+from gn0.training.exams.policy_examination import WalkJob, examine_policy  # noqa: E402
+from gn0.training.exams.walks_folder import load_walks  # noqa: E402
 from gn0.training.pupil import build_pupil  # noqa: E402
-from gn0.training.walks_folder import load_walks  # noqa: E402
 from gn0.training.worlds import pick_evenly  # noqa: E402
 
 VIEW = MapView(squares=(EgoSquare(32, 0.24, content="occupancy"),))

@@ -14,7 +14,8 @@ from gn0.errors import ConfigError  # noqa: E402
 from gn0.policies.bae.actor import Actor  # noqa: E402
 from gn0.policies.bae.questions import list_allowed  # noqa: E402
 from gn0.training.learner import Learner  # noqa: E402
-from gn0.training.policy_gradient import (  # noqa: E402
+from gn0.training.recipe import Recipe  # noqa: E402
+from gn0.training.rl.policy_gradient import (  # noqa: E402
     AnswerBatch,
     AnswerScorer,
     PolicyLoss,
@@ -22,7 +23,6 @@ from gn0.training.policy_gradient import (  # noqa: E402
     group_advantages,
     measure_kl,
 )
-from gn0.training.recipe import Recipe  # noqa: E402
 
 GROUP = 4
 

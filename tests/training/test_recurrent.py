@@ -23,7 +23,7 @@ from gn0.policies.cma.cma_checkpoint import (  # noqa: E402
 )
 from gn0.policies.cma.cma_settings import SIZES, CmaSettings  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
-from gn0.training.recurrent_examination import ClosedLoopRecurrent  # noqa: E402
+from gn0.training.exams.recurrent_examination import ClosedLoopRecurrent  # noqa: E402
 from gn0.training.recurrent_learner import (  # noqa: E402
     DriverNet,
     RecurrentLearner,

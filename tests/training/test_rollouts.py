@@ -12,10 +12,10 @@ from gn0.data.answer_form import AnswerForm  # noqa: E402
 from gn0.errors import ConfigError  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
-from gn0.training import rollouts  # noqa: E402
 from gn0.training.pupil import build_pupil  # noqa: E402
-from gn0.training.rollouts import Asked, RolloutMaker, RolloutSettings  # noqa: E402
-from gn0.training.visited_states import collect_states  # noqa: E402
+from gn0.training.rl import rollouts  # noqa: E402
+from gn0.training.rl.rollouts import Asked, RolloutMaker, RolloutSettings  # noqa: E402
+from gn0.training.rl.visited_states import collect_states  # noqa: E402
 
 GROUP = 3
 SQUARES = MapView(squares=(EgoSquare(32, 0.24), EgoSquare(32, 0.6)))

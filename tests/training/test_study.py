@@ -24,6 +24,8 @@ import gn0
 from gn0.bench.runner import run_suite
 from gn0.cli.main import main
 from gn0.errors import ConfigError, FormatError, TrainingError
+from gn0.training.exams.walks import Walk
+from gn0.training.exams.walks_folder import WalksAbout
 from gn0.training.study.claims import find_difference, find_mean, judge_claim
 from gn0.training.study.crossed_intervals import (
     Estimate,
@@ -34,8 +36,6 @@ from gn0.training.study.crossed_intervals import (
 from gn0.training.study.outcomes import Found
 from gn0.training.study.study_file import Claim, Difference, Study, load_study
 from gn0.training.study.study_page import write_study
-from gn0.training.walks import Walk
-from gn0.training.walks_folder import WalksAbout
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 STUDY = """

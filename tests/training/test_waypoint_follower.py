@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 
 from gn0.paper import FORWARD, LEFT, RIGHT, STOP  # noqa: E402
 from gn0.policies.bae.waypoint_plan import plan_along  # noqa: E402
-from gn0.training.waypoint_follower import WaypointFollower  # noqa: E402
+from gn0.training.exams.waypoint_follower import WaypointFollower  # noqa: E402
 
 
 def _draw_ways(count: int, seed: int) -> np.ndarray:

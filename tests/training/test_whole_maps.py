@@ -27,7 +27,7 @@ from gn0.policies.bae.questions import Questions  # noqa: E402
 from gn0.sim.device_env import VectorEnvDevice  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
 from gn0.sim.state import Observation  # noqa: E402
-from gn0.training.evaluation import ClosedLoop  # noqa: E402
+from gn0.training.exams.evaluation import ClosedLoop  # noqa: E402
 from gn0.training.inputs import fit_prompt, read_inputs  # noqa: E402
 from gn0.training.pupil import Pupil, build_pupil, load_pupil  # noqa: E402
 from gn0.training.streams.step_ring import StepRing  # noqa: E402

@@ -19,7 +19,7 @@ from gn0.config import Config
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from gn0.training.walks import Walk
+    from gn0.training.exams.walks import Walk
 
 EXAMPLES = """  gn0 policy examine out/sft/policy out/suite --out out/sft-walks
   gn0 policy examine out/sft/policy out/suite --split val_seen --out out/sft-seen
@@ -80,7 +80,7 @@ def run(args: Args) -> int:
 
     load_suite(args.suite)  # looked at first: packages are of no help against a broken folder
     check_packages()
-    from gn0.training.policy_examination import WalkJob, examine_policy
+    from gn0.training.exams.policy_examination import WalkJob, examine_policy
 
     job = WalkJob(
         checkpoint=args.checkpoint,
@@ -141,7 +141,7 @@ def print_walks(walks: Sequence[Walk]) -> None:
     from rich.table import Table
 
     from gn0.cli.console import plain_text
-    from gn0.training.walks import summarise_walks
+    from gn0.training.exams.walks import summarise_walks
 
     rows = summarise_walks(walks)
     visible = [walk for walk in walks if walk.tier]

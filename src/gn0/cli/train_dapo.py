@@ -114,9 +114,9 @@ def run(args: Args) -> int:
     load_policy_settings(args.start)
     check_packages()
     from gn0.training.dapo import RECIPES_DAPO, DapoJob, train_dapo
-    from gn0.training.dapo_stage import DapoPlan
     from gn0.training.rewards import RewardWeights
-    from gn0.training.rollouts import RolloutSettings
+    from gn0.training.rl.dapo_stage import DapoPlan
+    from gn0.training.rl.rollouts import RolloutSettings
 
     recipe = RECIPES_DAPO[args.recipe]
     if args.rate:

@@ -95,9 +95,9 @@ def run(args: Args) -> int:
     load_suite(args.suite[0])
     load_policy_settings(args.start)
     check_packages()
-    from gn0.training.episode_recipe import EPISODE_RECIPES, EpisodePlan
     from gn0.training.episode_rl import EpisodeJob, train_episode_rl
-    from gn0.training.returns import ReturnWeights
+    from gn0.training.rl.episode_recipe import EPISODE_RECIPES, EpisodePlan
+    from gn0.training.rl.returns import ReturnWeights
 
     recipe = EPISODE_RECIPES[args.recipe]
     job = EpisodeJob(

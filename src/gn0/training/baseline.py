@@ -30,7 +30,7 @@ from gn0.policies.cma.cma_checkpoint import (
 from gn0.policies.cma.cma_settings import CmaSettings
 from gn0.policies.qwen.byte_pairs import read_byte_pairs
 from gn0.seeds import derive_seed
-from gn0.training.recurrent_examination import RecurrentExamination
+from gn0.training.exams.recurrent_examination import RecurrentExamination
 from gn0.training.recurrent_learner import RecurrentLearner, RecurrentRecipe, WordTable
 from gn0.training.recurrent_stage import RecurrentStage, ReportPlan, RoundPlan, find_autocast
 from gn0.training.runs.training_state import load_state

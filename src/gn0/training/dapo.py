@@ -20,13 +20,14 @@ from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.policies.bae.forward import ForwardConstant
 from gn0.seeds import derive_seed
-from gn0.training.dapo_stage import DapoPlan, DapoStage
 from gn0.training.learner import Learner, freeze_tower
-from gn0.training.policy_gradient import Aggregation, AnswerBatch, PolicyLoss, PolicyLosses
 from gn0.training.processes import ALONE, Processes, join_processes
 from gn0.training.pupil import Pupil, load_pupil
 from gn0.training.recipe import Kind, Recipe
-from gn0.training.rollouts import RolloutMaker, RolloutSettings
+from gn0.training.rl.dapo_stage import DapoPlan, DapoStage
+from gn0.training.rl.policy_gradient import Aggregation, AnswerBatch, PolicyLoss, PolicyLosses
+from gn0.training.rl.rollouts import RolloutMaker, RolloutSettings
+from gn0.training.rl.visited_states import Whose, collect_states
 from gn0.training.stage_run import (
     PolicyJob,
     StageRun,
@@ -35,7 +36,6 @@ from gn0.training.stage_run import (
     open_place,
     open_stage_run,
 )
-from gn0.training.visited_states import Whose, collect_states
 from gn0.training.worlds import Lessons, leave_out_long, open_world
 
 # constant rates; nothing of what SFT does to labels

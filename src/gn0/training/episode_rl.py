@@ -22,14 +22,14 @@ from gn0.policies.bae.policy_settings import (
     save_policy_settings,
 )
 from gn0.policies.bae.questions import list_allowed
-from gn0.training.decision_store import DecisionStore
-from gn0.training.episode_recipe import EpisodePlan, EpisodeRecipe
-from gn0.training.episode_stage import EpisodeStage
-from gn0.training.evaluation import ClosedLoop
+from gn0.training.exams.evaluation import ClosedLoop
 from gn0.training.learner import Learner, freeze_tower
-from gn0.training.policy_gradient import AnswerBatch, AnswerScorer, PolicyLoss, PolicyLosses
 from gn0.training.processes import Processes, join_processes
 from gn0.training.pupil import Pupil, load_pupil
+from gn0.training.rl.decision_store import DecisionStore
+from gn0.training.rl.episode_recipe import EpisodePlan, EpisodeRecipe
+from gn0.training.rl.episode_stage import EpisodeStage
+from gn0.training.rl.policy_gradient import AnswerBatch, AnswerScorer, PolicyLoss, PolicyLosses
 from gn0.training.stage_run import (
     PolicyJob,
     StageRun,

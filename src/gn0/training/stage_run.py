@@ -30,7 +30,7 @@ from gn0.policies.bae.policy_settings import FILE, load_policy_settings
 from gn0.policies.qwen.weights import hash_shards
 from gn0.storage import content_hash, read_bytes
 from gn0.training.adapters import has_adapters, merge_adapters
-from gn0.training.examination import STATES, Examination
+from gn0.training.exams.examination import STATES, Examination
 from gn0.training.learner import Learner
 from gn0.training.processes import ALONE, Processes, open_run_together
 from gn0.training.pupil import Pupil

@@ -16,11 +16,11 @@ from gn0.data.answer_form import AnswerForm
 from gn0.device.host import DeviceHost
 from gn0.policies.bae.policy_settings import PolicySettings
 from gn0.sim.ego_map import EgoSquare, MapView
-from gn0.training.episode_recipe import EpisodePlan, EpisodeRecipe
 from gn0.training.episode_rl import EpisodeJob, open_stage, train_episode_rl
-from gn0.training.episode_stage import EpisodeStage
 from gn0.training.processes import ALONE
 from gn0.training.pupil import Pupil, build_pupil, load_pupil
+from gn0.training.rl.episode_recipe import EpisodePlan, EpisodeRecipe
+from gn0.training.rl.episode_stage import EpisodeStage
 from gn0.training.worlds import load_lessons
 
 SETTINGS = PolicySettings(

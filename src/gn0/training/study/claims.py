@@ -16,10 +16,10 @@ from typing import Literal
 import numpy as np
 
 from gn0.geometry import F64
+from gn0.training.exams.walks import MEANS, Walk
 from gn0.training.study.crossed_intervals import Estimate, estimate_mean, estimate_seeds
 from gn0.training.study.outcomes import Found, Outcomes, take_metric
 from gn0.training.study.study_file import Arm, Claim, Difference
-from gn0.training.walks import MEANS, Walk
 
 Verdict = Literal["held", "did not hold", "too close to tell", "not run"]
 SHARES = ("SR", "SPL", "OS", "SR_straight", "SPL_straight", "SR_1m", "SPL_1m", "STOP")

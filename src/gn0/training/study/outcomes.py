@@ -17,11 +17,11 @@ from gn0.errors import ConfigError
 from gn0.geometry import F64
 from gn0.sim.state import Action
 from gn0.suites.run_files import SUMMARY
+from gn0.training.exams.walks import MEANS, Walk
+from gn0.training.exams.walks_folder import ABOUT, WalksAbout, load_walks
 from gn0.training.runs.metrics_file import read_metrics
 from gn0.training.runs.run_folder import METRICS
 from gn0.training.study.study_file import Arm, Figure, Study
-from gn0.training.walks import MEANS, Walk
-from gn0.training.walks_folder import ABOUT, WalksAbout, load_walks
 
 VISIBLE = "visible"
 

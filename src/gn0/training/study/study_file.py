@@ -12,7 +12,7 @@ import msgspec
 
 from gn0.config import Config
 from gn0.errors import ConfigError, FormatError
-from gn0.training.walks import MEANS
+from gn0.training.exams.walks import MEANS
 from gn0.yaml_file import load_yaml
 
 Names = Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gn0.errors import ConfigError
 from gn0.storage import read_bytes, write_text
+from gn0.training.exams.walks import MEANS
 from gn0.training.study.claims import Judged, find_difference, find_mean, judge_claim, scale_of
 from gn0.training.study.crossed_intervals import (
     ALIKE,
@@ -18,7 +19,6 @@ from gn0.training.study.crossed_intervals import (
 )
 from gn0.training.study.outcomes import Found
 from gn0.training.study.study_file import Arm, Difference, Exam, PaperRow, Study, load_study
-from gn0.training.walks import MEANS
 
 NOT_RUN = "not run yet"
 METRES = ("TL", "NE", "NE_straight")

@@ -9,9 +9,9 @@ import numpy as np
 
 from gn0.errors import TrainingError
 from gn0.missions.controls import CONTROLS
+from gn0.training.exams.walks import Walk, summarise_walks
+from gn0.training.exams.walks_folder import WalksAbout, load_walks
 from gn0.training.study.crossed_intervals import estimate_mean
-from gn0.training.walks import Walk, summarise_walks
-from gn0.training.walks_folder import WalksAbout, load_walks
 
 _HEAD = """Walks of `gn0 policy examine`, evenly over the suite; in brackets the 95 % interval over
 homes of this one policy:

@@ -35,14 +35,14 @@ from gn0.sim.device_atlas import EgoAtlas
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import MapView
 from gn0.sim.state import Action
+from gn0.training.exams.walks import Walk
+from gn0.training.exams.walks import summarise_walks as summarise_walks
+from gn0.training.exams.waypoint_follower import WaypointFollower
 from gn0.training.pupil import Pupil
 from gn0.training.streams.live_counts import COUNTED, LiveCounts
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 from gn0.training.streams.step_ring import draw_whole
 from gn0.training.streams.stream_live import STOP_DISTANCE
-from gn0.training.walks import Walk
-from gn0.training.walks import summarise_walks as summarise_walks
-from gn0.training.waypoint_follower import WaypointFollower
 
 POLICY = "bae"  # whose streams are those of the benchmark's policy of that name
 NEAR = 1.0  # m on foot: the stricter radius

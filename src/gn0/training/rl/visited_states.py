@@ -19,9 +19,9 @@ from gn0.policies.bae.actor import Actor, Decisions
 from gn0.seeds import derive_seed, random_stream
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.history import LENGTH
-from gn0.training.plan_walker import PlanWalker
 from gn0.training.pupil import Pupil
 from gn0.training.rewards import PlanWalks
+from gn0.training.rl.plan_walker import PlanWalker
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_live import LiveCounts, StreamLive

@@ -22,10 +22,10 @@ from gn0.config import Config
 from gn0.errors import CheckpointError
 from gn0.seeds import derive_seed, random_stream
 from gn0.training.learner import Learner
-from gn0.training.policy_gradient import AnswerBatch, PolicyLoss, PolicyLosses, measure_kl
 from gn0.training.processes import Processes
 from gn0.training.pupil import Pupil
-from gn0.training.rollouts import Rollout, RolloutMaker
+from gn0.training.rl.policy_gradient import AnswerBatch, PolicyLoss, PolicyLosses, measure_kl
+from gn0.training.rl.rollouts import Rollout, RolloutMaker
 from gn0.training.runs.generators import capture_generators, restore_generators
 from gn0.training.runs.loss_guard import LossGuard
 from gn0.training.runs.optimiser_state import capture_optimiser, restore_optimiser

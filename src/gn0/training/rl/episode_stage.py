@@ -23,9 +23,12 @@ from torch import Tensor
 from gn0.data.answer_slots import ACTION
 from gn0.errors import DeviceMemoryError
 from gn0.seeds import derive_seed, random_stream
-from gn0.training.decision_store import DecisionStore
-from gn0.training.episode_recipe import EpisodePlan, EpisodeRecipe
-from gn0.training.episode_walks import (
+from gn0.training.exams.evaluation import ClosedLoop
+from gn0.training.learner import Learner
+from gn0.training.pupil import Pupil
+from gn0.training.rl.decision_store import DecisionStore
+from gn0.training.rl.episode_recipe import EpisodePlan, EpisodeRecipe
+from gn0.training.rl.episode_walks import (
     PARTS,
     Rollout,
     describe_examination,
@@ -34,17 +37,14 @@ from gn0.training.episode_walks import (
     list_decisions,
     pick_episodes,
 )
-from gn0.training.evaluation import ClosedLoop
-from gn0.training.learner import Learner
-from gn0.training.policy_gradient import (
+from gn0.training.rl.policy_gradient import (
     AnswerBatch,
     AnswerScorer,
     PolicyLoss,
     PolicyLosses,
     measure_kl,
 )
-from gn0.training.pupil import Pupil
-from gn0.training.returns import score_walks, weigh_groups
+from gn0.training.rl.returns import score_walks, weigh_groups
 from gn0.training.runs.generators import capture_generators, restore_generators
 from gn0.training.runs.loss_guard import LossGuard, check_finite
 from gn0.training.runs.optimiser_state import capture_optimiser, restore_optimiser

@@ -28,11 +28,11 @@ from gn0.policies.bae.shipped import find_checkpoint
 from gn0.policies.bae.waypoint_plan import Carried, check_carried
 from gn0.progress import Progress, no_progress
 from gn0.storage import content_hash
-from gn0.training.evaluation import ClosedLoop
+from gn0.training.exams.evaluation import ClosedLoop
+from gn0.training.exams.walks import Walk
+from gn0.training.exams.walks_folder import WalksAbout, open_walks
 from gn0.training.pupil import Pupil, load_pupil
 from gn0.training.runs.training_state import name_device
-from gn0.training.walks import Walk
-from gn0.training.walks_folder import WalksAbout, open_walks
 from gn0.training.worlds import Lessons, load_lessons, open_world, pick_evenly
 
 Dtype = Literal["auto", "float32", "bfloat16"]

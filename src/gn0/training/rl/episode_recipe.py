@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import msgspec
 
 from gn0.config import Config
-from gn0.training.policy_gradient import Aggregation
 from gn0.training.recipe import Count, Kind, Rate, Recipe, Share
-from gn0.training.returns import Judged, ReturnWeights
+from gn0.training.rl.policy_gradient import Aggregation
+from gn0.training.rl.returns import Judged, ReturnWeights
 
 Tokens = Literal["answer", "executed"]
 Clip = Annotated[float, msgspec.Meta(gt=0, lt=10)]

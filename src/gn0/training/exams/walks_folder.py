@@ -20,7 +20,7 @@ from gn0.locked_folder import check_room, forget_folder, holds_leftovers_only, l
 from gn0.missions.controls import Control
 from gn0.policies.bae.waypoint_plan import Carried
 from gn0.storage import Journal, check_contained, read_bytes, safe_join, write_bytes, write_json
-from gn0.training.walks import Walk
+from gn0.training.exams.walks import Walk
 
 WALKS, ABOUT, JOURNAL = "walks.jsonl", "walks.json", "walks.journal"
 LIMIT = 2 * 2**30  # bytes of walks that are read

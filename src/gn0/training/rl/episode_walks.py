@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.seeds import random_stream
-from gn0.training.episode_recipe import EpisodePlan
-from gn0.training.returns import Returns
+from gn0.training.exams.walks import Walk
+from gn0.training.rl.episode_recipe import EpisodePlan
+from gn0.training.rl.returns import Returns
 from gn0.training.runs.progress_line import format_seconds
-from gn0.training.walks import Walk
 
 I64 = NDArray[np.int64]
 PARTS = ("walk", "score", "learn")  # of an update, whose seconds are told apart

@@ -8,7 +8,7 @@ from functools import cached_property
 
 from gn0.device.device import Device
 from gn0.policies.bae.actor import Actor
-from gn0.training.evaluation import ClosedLoop, score_states, summarise_walks
+from gn0.training.exams.evaluation import ClosedLoop, score_states, summarise_walks
 from gn0.training.learner import Learner
 from gn0.training.pupil import Pupil
 from gn0.training.streams.live_counts import share_counts

@@ -17,8 +17,8 @@ import torch
 from numpy.typing import NDArray
 
 from gn0.config import Config
-from gn0.training.policy_gradient import group_advantages
-from gn0.training.walks import Walk
+from gn0.training.exams.walks import Walk
+from gn0.training.rl.policy_gradient import group_advantages
 
 F64 = NDArray[np.float64]
 Weight = Annotated[float, msgspec.Meta(ge=0)]

@@ -24,7 +24,6 @@ from gn0.data.answer_slots import ACTION, END
 from gn0.errors import ConfigError
 from gn0.policies.bae.actor import Actor
 from gn0.policies.bae.questions import list_allowed
-from gn0.training.policy_gradient import AnswerBatch, group_advantages
 from gn0.training.pupil import Pupil
 from gn0.training.rewards import (
     PlanWalks,
@@ -36,7 +35,8 @@ from gn0.training.rewards import (
     score_answers,
     tabulate_readable,
 )
-from gn0.training.visited_states import VisitedStates
+from gn0.training.rl.policy_gradient import AnswerBatch, group_advantages
+from gn0.training.rl.visited_states import VisitedStates
 
 ALIKE = 1e-6  # of a group's rewards: a smaller spread is none
 SPREAD = 0.05  # of a group's rewards: gate 3 asks for more in half of the groups

@@ -1,0 +1,1 @@
+"""Examinations: policies walk held-out episodes on a device, and every walk is kept."""

@@ -1,0 +1,1 @@
+"""Reinforcement learning: states, answers and walks, what they are worth, and the objective."""

@@ -27,6 +27,7 @@
 #             on 5e-4: what begins from weights alone is no fine-tuning)
 #   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
 #   JOINS     samples at which lots a, b and c join (0,500000,3000000)
+#   LOT_C     flats, apartments and houses of lot c (150 76 26): what a leg finds hard may have more homes
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
 #   WORKERS   homes made at a time (all cores but one)
 #   LEGS      jobs of the chain for the policy in the box (6); FROM, LEG: the policy that leg LEG goes on from, where
@@ -86,7 +87,7 @@ if [ "$SIZE" = tiny ]; then
   WALK=(--episodes "${EPISODES:-2}" --agents 2 --device host)
   UNTRAINED=(--limit 4)
 else
-  LOTS=("a train 30 14 4" "exam val_unseen 60 30 10" "b train 60 30 10" "c train 150 76 26")
+  LOTS=("a train 30 14 4" "exam val_unseen 60 30 10" "b train 60 30 10" "c train ${LOT_C:-150 76 26}")
   SUITES=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c")
   kept=(--save 500 --shard-mb 15)
   SFT=(--samples "${SAMPLES:-8000000}" --joins "${JOINS:-0,500000,3000000}" "${within[@]}" "${kept[@]}")

@@ -396,6 +396,22 @@ def test_every_row_of_the_study_has_its_jobs(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_leg_waits_for_the_first_lot_alone_wherever_the_leg_before_was_made(
+    tmp_path: Path,
+) -> None:
+    """All other homes join while it learns; two jobs may have a card each."""
+    told = subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(tmp_path / "out"), "full", "plan"],
+        env={**os.environ, "GPUS": "0,1", "EACH": "1", "LEG": "2", "LEGS": "3", "FROM": "there"},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    rows = {line[10:].split()[0]: line[10:].split()[1:] for line in told.stdout.splitlines()[1:]}
+    assert rows["shipped-2"] == ["1", "homes-a", "homes-exam"] and "shipped-1" not in rows
+    assert rows["shipped-3"][:2] == ["1", "shipped-2"]
+    assert rows["maps-sft-0"] == ["1", "homes-a"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_what_a_machine_lacks_comes_from_a_folder_of_wheels(tmp_path: Path) -> None:
     (tmp_path / "wheels").mkdir()
     with zipfile.ZipFile(tmp_path / "wheels/lacked-1-py3-none-any.whl", "w") as wheel:

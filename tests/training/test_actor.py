@@ -7,7 +7,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
-from gn0.errors import ConfigError  # noqa: E402
+from gn0.errors import ConfigError, DeviceMemoryError  # noqa: E402
 from gn0.policies.bae.actor import Actor  # noqa: E402
 from gn0.policies.bae.questions import find_place, list_allowed  # noqa: E402
 
@@ -92,3 +92,17 @@ def test_other_shapes_are_refused(pupil, draw_states) -> None:
         actor.decide([one[:4].float() for one in batch.pictures], batch.ids[:4])
     with pytest.raises(ConfigError, match="at least 1"):
         act(pupil, 0)
+
+
+def test_a_card_that_is_too_small_is_told_in_bytes(pupil, draw_states, monkeypatch) -> None:
+    batch = pupil.maker.make(draw_states(4))
+    actor = act(pupil, 4)
+
+    def lacks(*_, **__) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    monkeypatch.setattr(actor.forward, "sample", lacks)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**20, 80 * 2**30))
+    with pytest.raises(DeviceMemoryError, match=r"4 agents.*1048576 of its 85899345920") as caught:
+        actor.decide(batch.pictures, batch.ids)
+    assert "--agents" in caught.value.remedy

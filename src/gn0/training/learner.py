@@ -14,9 +14,9 @@ from torch.nn import functional
 from transformers import Qwen3VLForConditionalGeneration
 
 from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
-from gn0.errors import DeviceMemoryError
 from gn0.missions.controls import CONTROL_TEXT
 from gn0.policies.bae.forward import ForwardConstant
+from gn0.policies.bae.full_card import refuse_full_card
 from gn0.policies.bae.prompt_table import PromptTable
 from gn0.training.processes import ALONE, Processes
 from gn0.training.pupil import Pupil
@@ -243,18 +243,15 @@ class Learner(Generic[Batch, Told]):
         Raises:
             DeviceMemoryError: the card is too small for it.
         """
-        try:
+        with refuse_full_card(
+            self.device,
+            "a step",
+            "give a smaller --batch, or start it on more cards, which share it out; what agents "
+            "gather (--kept, --states) lies there, too",
+        ):
             losses = self.judge(batch)
             self.descend(losses)
             return losses, self.update(share)
-        except torch.OutOfMemoryError as error:
-            free, whole = torch.cuda.mem_get_info(self.device)
-            raise DeviceMemoryError(
-                f"a step does not fit on the card: {free} of its {whole} bytes are free",
-                where=str(self.device),
-                remedy="give a smaller --batch, or start it on more cards, which share it out; "
-                "what agents gather (--kept, --states) lies there, too",
-            ) from error
 
     def judge(self, batch: Batch) -> Told:
         """Losses of a batch, with all that their gradient needs."""

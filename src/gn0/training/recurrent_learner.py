@@ -19,6 +19,7 @@ from torch.nn import functional
 
 from gn0.config import Config
 from gn0.data.navigation_vocabulary import TextTokenizer
+from gn0.policies.bae.full_card import refuse_full_card
 from gn0.policies.cma.cma_words import tabulate_texts
 from gn0.policies.cma.recurrent import RecurrentNet, Words
 from gn0.training.recipe import Rate, Share
@@ -243,10 +244,16 @@ class RecurrentLearner:
 
         Returns:
             losses before the step, and the norm of the gradient before it was clipped.
+
+        Raises:
+            DeviceMemoryError: the card is too small for it.
         """
-        losses = self.judge(stretch)
-        self.optimiser.zero_grad(set_to_none=True)
-        torch.autograd.backward(losses.loss)
+        with refuse_full_card(
+            self.device, "a step", "give fewer --agents, or fewer --steps of each"
+        ):
+            losses = self.judge(stretch)
+            self.optimiser.zero_grad(set_to_none=True)
+            torch.autograd.backward(losses.loss)
         for group in self.optimiser.param_groups:
             group["lr"] = self.recipe.rate * share
         norm = nn.utils.clip_grad_norm_(self.weights.values(), self.recipe.clip)

@@ -25,6 +25,7 @@ from gn0.data.answer_slots import ACTION, AnswerSlots, X, Y
 from gn0.data.codec import EgoFrame
 from gn0.errors import ConfigError
 from gn0.policies.bae.forward import Answers, ForwardConstant
+from gn0.policies.bae.full_card import refuse_full_card
 from gn0.policies.bae.questions import list_choices
 from gn0.policies.qwen.layout import PromptLayout
 from gn0.seeds import derive_seed
@@ -142,6 +143,7 @@ class Actor:
 
         Raises:
             ConfigError: more agents than `count`, or pictures or prompts of other shapes.
+            DeviceMemoryError: the card is too small for so many.
         """
         many = len(prompts)
         given = [*pictures, prompts]
@@ -162,6 +164,11 @@ class Actor:
         return self._read(self._answer(), many * self.answers)
 
     def _answer(self) -> Answers:
+        many = f"a decision of {self.count} agents, {self.answers} answers each,"
+        with refuse_full_card(self.device, many, "ask fewer at once: fewer --agents or --prompts"):
+            return self._play()
+
+    def _play(self) -> Answers:
         if not self._recorded:
             return self._compute()
         if self._graph is None:

@@ -23,6 +23,7 @@
 #   SEEDS     of the arms (0 1 2); episode RL has the first two
 #   SAMPLES   of a trunk (8000000), STATES of a DAgger stage (300000, five times over), UPDATES of episode RL (200)
 #   EPISODES  of an examination (all: 24 in each of 100 homes never seen)
+#   EXAMINED  walks of a training run's own examination, before it and after it (512; 0: its 4,096 states alone)
 #   BATCH, RATE  of the trunks, where the sweep found better ones than the recipe's; RATE of the legs, too (from the second
 #             on 5e-4: what begins from weights alone is no fine-tuning)
 #   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
@@ -89,15 +90,15 @@ if [ "$SIZE" = tiny ]; then
 else
   LOTS=("a train 30 14 4" "exam val_unseen 60 30 10" "b train 60 30 10" "c train ${LOT_C:-150 76 26}")
   SUITES=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c")
-  kept=(--save 500 --shard-mb 15)
+  own=(--examined "${EXAMINED:-512}" --shard-mb 15) kept=(--save 500 "${own[@]}")
   SFT=(--samples "${SAMPLES:-8000000}" --joins "${JOINS:-0,500000,3000000}" "${within[@]}" "${kept[@]}")
   FIRST=(--samples "${SAMPLES:-8000000}" "${within[@]}" "${kept[@]}")
   ROUND=(--states "${STATES:-300000}" --epochs 5 "${kept[@]}")
   LIVE=(--samples 1500000 --beta-from 0 --beta-to 500000 "${within[@]}" "${kept[@]}")
   NEW=(--samples 50000000 --joins "${JOINS:-0,500000,3000000}" --beta-from 250000 --beta-to 2500000 "${within[@]}" "${kept[@]}")
   AGAIN=(--joins "${JOINS:-0,500000,3000000}" --samples 50000000 --rate "${RATE:-5e-4}" --confirm-stop)  # of a leg that goes on
-  DAPO=("${within[@]}" --save 50 --shard-mb 15)
-  RL=(--updates "${UPDATES:-200}" --save 3 --shard-mb 15)
+  DAPO=("${within[@]}" --save 50 "${own[@]}")
+  RL=(--updates "${UPDATES:-200}" --save 3 "${own[@]}")
   BASELINE=(--samples "${SAMPLES:-8000000}")
   WALK=(--episodes "${EPISODES:-0}")
   UNTRAINED=()
@@ -317,7 +318,7 @@ for ((leg = LEG; leg <= LEGS; leg++)); do
   [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$rest
   job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done
-job legs.walks "shipped-2,$rest" 1 legs_walks shipped-2
+[ -z "${DOES[shipped-2]:-}" ] || job legs.walks "shipped-2,$rest" 1 legs_walks shipped-2
 job shipped.walks "shipped-$LEGS,$rest,known" 1 shipped_walks "shipped-$LEGS"
 for seed in "${SEEDS[@]:1}"; do arms "${INPUTS[0]}" "$seed"; done
 

@@ -11,7 +11,7 @@
 # Environment: that of runs/ablation.sh, and
 #   SIZE      full, or tiny
 #   MINUTES   of the leg at most (18); UNTIL: seconds since 1970 by which its training ends, whatever came before took
-#   FIGURE    that has the cards while homes are made (train.sft, which finds the speed of the leg where SPEED is not given)
+#   FIGURE    that has the cards while homes are made (train.speed, which finds the speed of the leg where SPEED is not given)
 #   SECONDS_OF_FIGURE  that it may take at most (290)
 #   HOMES     lots that are made before it is trained (homes-a homes-exam); all others join later
 #   BESIDE    figures that the second card is given, one after another, while the first one trains (none)
@@ -25,7 +25,7 @@ OUT=$(cd "$OUT" && pwd)
 export PYTHON=${PYTHON:-python3} SIZE=${SIZE:-full} LEG=${LEG:-1} MINUTES=${MINUTES:-18} PYTHONUNBUFFERED=1
 export WORKERS=${WORKERS:-$(($(nproc) > 3 ? $(nproc) - 3 : 1))}
 export LEGS=$LEG NUMBA_NUM_THREADS=${NUMBA_NUM_THREADS:-1}
-FIGURE=${FIGURE:-train.sft} BESIDE=${BESIDE:-}
+FIGURE=${FIGURE:-train.speed} BESIDE=${BESIDE:-}
 if [ -n "${WHEELS:-}" ]; then
   WHEELS=$(cd "$WHEELS" && pwd)
   export WHEELS
@@ -38,7 +38,7 @@ figure() { # NAME: its board is in OUT/figures/NAME
 }
 
 quickest() { # words of the speed with most samples a second, of those that need no trying out of products
-  "$PYTHON" - "$OUT/figures/train.sft/figures.json" <<'END'
+  "$PYTHON" - "$OUT/figures/train.speed/figures.json" <<'END'
 import json, re, sys
 found = {}
 try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -227,12 +226,13 @@ def measure_model(ctx: FigureContext) -> list[FigureRow]:
     forward = ForwardConstant(model, layout, LARGE_ANSWER, checkpointed=True).cuda()
     torch.cuda.reset_peak_memory_stats()
     learn = _learn(model, forward, LARGE_BATCH, LARGE_ANSWER - 1)
+    seconds, said = 0.0, ""
     try:
         seconds = _time(learn, 1, 2)
     except torch.OutOfMemoryError as error:
         if torch.cuda.get_device_properties(0).total_memory > ROOMY:
             raise
-        seconds, said = math.nan, str(error)
+        said = str(error)
     millions = sum(weight.numel() for weight in model.parameters()) / 1e6
     detail = (
         f"4B's geometry, {millions:,.0f} M weights of float32 and AdamW's states, all trained, "
@@ -241,7 +241,7 @@ def measure_model(ctx: FigureContext) -> list[FigureRow]:
         f"checkpointed, bfloat16 within; batch {LARGE_BATCH}, two views of 640×480, two maps of "
     )
     detail += f"768×768, {len(layout)} + {LARGE_ANSWER - 1} tokens"
-    if math.isnan(seconds):
+    if said:
         add("a step of SFT of 4B that does not fit", LARGE_BATCH, "", f"{detail}: {said}")
     else:
         add("a step of SFT of 4B", seconds, "s", detail)

@@ -13,8 +13,8 @@ _MODULES = (
     "device_rates", "device_suite", "device_sanitizers", "scenes", "capture", "procedural",
     "scene_kinds", "sim", "ppo", "mapping", "vector", "bench", "crowd", "policies", "missions",
     "targets", "generate", "language", "samples", "data_gpu", "labels", "export", "view", "trust",
-    "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "scaling", "dagger", "dapo",
-    "episode_rl", "training_state",
+    "proof", "ego", "field_labels", "bae", "closed_loop", "sft", "speeds", "scaling", "dagger",
+    "dapo", "episode_rl", "training_state",
 )  # fmt: skip
 
 

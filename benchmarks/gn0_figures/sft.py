@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -40,15 +40,7 @@ AIMS = {1: 10_000.0, 2: 7_000.0, 4: 4_000.0}  # samples a second, by pictures
 INPUTS = (("near", "far"), ("near",), ("rgb", "history", "near", "far"), ("rgb", "history"))
 HOMES = 4
 ENOUGH = 215.0  # s after which no further thing is compiled
-SPEEDS = {
-    "layer by layer": "blocks",
-    "joined products": "joined",
-    "narrow": "narrow",
-    "joined and narrow": "joined,narrow",
-    "as a whole": "whole",
-    "as a whole, joined and narrow": "whole,joined,narrow",
-    "tuned, joined and narrow": "tuned,joined,narrow",
-}
+QUICKEST = "whole,joined,narrow"  # on an H100, says train.speed
 PARTS = ("draw", "assemble", "forward", "backward", "optimiser")
 SMALL = MapView(squares=(EgoSquare(32, 0.24), EgoSquare(32, 0.6)))
 
@@ -147,8 +139,8 @@ def make_suite(folder: Path, tiny: bool) -> Path:
     return suite
 
 
-def measure_sft(ctx: FigureContext) -> list[FigureRow]:
-    """Samples a second by source and pictures, the split of a step, and ways to compute it."""
+def open_bench(ctx: FigureContext) -> Bench:
+    """A suite is made, and says how long it took."""
     began = time.perf_counter()
     lessons = load_lessons(make_suite(ctx.work, is_emulation(ctx.device)))
     bench = Bench(ctx, lessons)
@@ -157,14 +149,15 @@ def measure_sft(ctx: FigureContext) -> list[FigureRow]:
         name="suite made in", value=time.perf_counter() - began, unit="s", detail=made
     ))  # fmt: skip
     bench.began = began
-    # by worth: what there is no time for is left out
-    *some, last = SPEEDS
-    rates = _compare_speeds(bench, INPUTS[0], some)
-    quickest = SPEEDS[max(rates, key=lambda name: rates[name])]
-    for pictures in INPUTS[:1] if bench.tiny else INPUTS:
+    return bench
+
+
+def measure_sft(ctx: FigureContext) -> list[FigureRow]:
+    """Samples a second by source and pictures, and the split of a step."""
+    bench = open_bench(ctx)
+    for pictures in INPUTS[:1] if bench.tiny else INPUTS:  # by worth
         if pictures == INPUTS[0] or not bench.late:
-            _measure_input(bench, pictures, quickest)
-    _compare_speeds(bench, INPUTS[0], [last])
+            _measure_input(bench, pictures, QUICKEST)
     return bench.rows
 
 
@@ -302,43 +295,6 @@ def count_waits() -> Iterator[list[float]]:
         finally:
             torch.cuda.set_sync_debug_mode("default")
     found[0] = float(sum("synchroniz" in str(one.message) for one in said))
-
-
-def _compare_speeds(
-    bench: Bench, pictures: tuple[str, ...], names: Sequence[str]
-) -> dict[str, float]:
-    """A step on samples that lie there, computed in each of these ways: samples a second."""
-    rates = {}
-    batch = 4 if bench.tiny else 512
-    pupil = bench.build(pictures)
-    maker = pupil.maker(bench.lessons.texts, pupil.model.device)
-    stream = bench.open_stream(pupil, "uniform")
-    made = maker.make(stream.draw(batch))
-    del stream
-    free_memory()
-    kept = {name: weight.clone() for name, weight in pupil.model.state_dict().items()}
-    for name in names:
-        if bench.late:
-            continue
-        torch.compiler.reset()
-        pupil.model.load_state_dict(kept)
-        speed = parse_speed(SPEEDS[name].split(","))
-        learner = open_learner(pupil, maker.table, Recipe(), speed)
-        begin = time.perf_counter()
-        loss = float(learner.judge(made).loss.detach())
-        step = partial(learner.step, made, 0.01)
-        step()
-        bench.wait()
-        compiled = time.perf_counter() - begin
-        rates[name] = rate = batch / bench.time(step)
-        detail = (
-            f"{batch} samples that lie there, {', '.join(pictures)}; ready after {compiled:.3g} "
-        )
-        detail += f"s; loss {loss:.6g}; --speed {SPEEDS[name]}"
-        bench.add(
-            FigureRow(name=f"samples a second, {name}", value=rate, unit="1/s", detail=detail)
-        )
-    return rates
 
 
 def free_memory() -> None:

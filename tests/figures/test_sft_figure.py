@@ -1,4 +1,4 @@
-"""The figure of SFT runs in miniature on the emulation, and its parts add up."""
+"""The figures of SFT run in miniature on the emulation, and say all their parts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.device.host import DeviceHost
-from gn0_figures import sft
+from gn0_figures import sft, speeds
 from gn0_figures.board import FigureContext
 
 
@@ -27,4 +27,13 @@ def test_the_figure_in_miniature(tmp_path, own_cache, monkeypatch) -> None:
     for source in ("walks", "uniform"):
         assert {f"{part}, {source}" for part in sft.PARTS} <= set(named)
         assert named[f"waits for the card, {source}"] == 0
-    assert {f"samples a second, {name}" for name in sft.SPEEDS} <= set(named)
+    told.clear()
+    rows = speeds.measure_speeds(
+        FigureContext(None, tmp_path / "again", device=DeviceHost(2), report=told.append)
+    )
+    assert rows == told
+    rates = {row.name: row for row in rows[1:]}
+    assert list(rates) == [f"samples a second, {name}" for name in speeds.SPEEDS]
+    for row, speed in zip(rates.values(), speeds.SPEEDS.values(), strict=True):
+        assert row.value > 0 and row.detail.endswith(f"--speed {speed}")  # as runs/leg.sh reads it
+    assert sft.QUICKEST in speeds.SPEEDS.values()

@@ -170,6 +170,7 @@ def test_dagger_live_goes_on_and_carries_its_driver_to_scenes_that_join(
     suites = (suite, second)
     own = ["--live", "--start", start, "--samples", 24, "--agents", 4, "--kept", 80, "--joins",
            "0,12", "--beta-from", 4, "--beta-to", 12, "--acts", "averaged", "--confirm-stop",
+           "--draw-after", 2,
            "--text-length", 40, "--held-out", "test", "--examined", 2, "--asked", 8]  # fmt: skip
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert main(_words(suites, whole, *own)) == 0
@@ -180,6 +181,7 @@ def test_dagger_live_goes_on_and_carries_its_driver_to_scenes_that_join(
     assert [line["beta"] for line in lines[1:]] == [1, 0.5, 0, 0, 0, 0]
     assert lines[1]["driven"] == 0 and lines[4]["driven"] > 0.5  # the second scene has joined
     assert {"own_stop_recall", "own_stop_precision", "own_agreement"} <= set(lines[-1])
+    assert load_policy_settings(whole / "policy").draw_after == 2
     results = json.loads((whole / "run.json").read_text())["results"]
     assert results["entropy_before"] == lines[0]["entropy"]
     shutil.copytree(whole, parts)

@@ -17,6 +17,7 @@ pytest.importorskip("transformers")
 from gn0.data.answer_form import AnswerForm  # noqa: E402
 from gn0.data.answer_slots import ACTION  # noqa: E402
 from gn0.errors import ConfigError  # noqa: E402
+from gn0.paper import LEFT  # noqa: E402
 from gn0.policies.bae.engines import open_engine  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.policies.bae.questions import Questions  # noqa: E402
@@ -186,3 +187,15 @@ def test_answers_are_drawn_where_it_gets_nowhere_and_a_stream_goes_on(make_env, 
     assert [other.draw(6).actions.numpy().tobytes() for _ in range(2)] == told[6:]
     at = slice(stream.ring.count - 6, stream.ring.count)
     assert (other._log.numpy()[at] == log[at]).all()
+
+
+def test_how_long_one_got_nowhere_is_known_beyond_what_the_ring_holds(make_env, walker) -> None:
+    stream, other = (_open(make_env, walker[0]) for _ in range(2))
+    for one in (stream, other):
+        one.driver = lambda states: torch.full((3, 3), LEFT, dtype=torch.int8)
+    for _ in range(50):
+        stream.step()
+    state = json.loads(json.dumps(stream.state()))
+    assert 0 < state["base"] <= 30  # the ring holds 20
+    other.restore(state)
+    assert stream._idle.tolist() == other._idle.tolist() == [50, 50, 50]

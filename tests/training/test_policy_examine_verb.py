@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,9 +19,11 @@ from gn0.data.answer_form import AnswerForm  # noqa: E402
 from gn0.errors import TrainingError  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
+from gn0.training.exams import examination, recurrent_examination  # noqa: E402
 from gn0.training.exams.policy_examination import WalkJob, examine_policy  # noqa: E402
 from gn0.training.exams.walks_folder import load_walks  # noqa: E402
 from gn0.training.pupil import build_pupil  # noqa: E402
+from gn0.training.streams.live_counts import LiveCounts  # noqa: E402
 from gn0.training.worlds import pick_evenly  # noqa: E402
 
 VIEW = MapView(squares=(EgoSquare(32, 0.24, content="occupancy"),))
@@ -180,3 +183,31 @@ def test_few_episodes_are_spread_over_all() -> None:
     assert pick_evenly(0, 5) == []
     # homes stand first in a suite, houses last: an examination of some is one of all kinds
     assert pick_evenly(2381, 512)[-1] > 2370
+
+
+def test_a_run_examines_itself_all_over_the_suite(monkeypatch) -> None:
+    """Houses stand last: a first part of the episodes would be the small homes alone."""
+    lessons = SimpleNamespace(episodes=range(6))
+    asked = []
+
+    class Loop:
+        counts = LiveCounts()
+
+        def __init__(self, *_) -> None: ...
+
+        def play(self, picked):
+            asked.append(list(picked))
+            return []
+
+    for module in (examination, recurrent_examination):
+        monkeypatch.setattr(module, "summarise_walks", lambda walks: {})
+    own = object.__new__(examination.Examination)
+    vars(own).update(_lessons=lessons, _loops={"": Loop()}, episodes=4)
+    own._walk("")
+    monkeypatch.setattr(recurrent_examination, "ClosedLoopRecurrent", Loop)
+    other = object.__new__(recurrent_examination.RecurrentExamination)
+    vars(other).update(
+        _lessons=lessons, _env=None, net=None, tokenizer=None, autocast=None, episodes=4
+    )
+    other()
+    assert asked == [[0, 1, 3, 4]] * 2

@@ -488,11 +488,11 @@ def test_a_leg_is_trained_at_the_quickest_speed_and_packed(tmp_path: Path) -> No
     assert "--speed whole,narrow" in trained and "--inputs maps:1" in trained
     assert "--draw-after 6" in trained
     shown = [line.split()[1] for line in called if line.startswith("figures ")]
-    assert shown == ["train.sft", "train.dapo", "train.rl"]
+    assert shown == ["train.speed", "train.dapo", "train.rl"]
     made = [line for line in called if line.startswith("missions generate")]
     assert len(made) == 3 and called.index(trained) > max(map(called.index, made))
     pack = tmp_path / "out" / "pack"
-    assert (pack / "policy").is_dir() and (pack / "figures/train.sft/figures.json").is_file()
+    assert (pack / "policy").is_dir() and (pack / "figures/train.speed/figures.json").is_file()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")

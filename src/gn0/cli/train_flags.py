@@ -103,7 +103,8 @@ class ImitationFlags(PolicyFlags, frozen=True, kw_only=True):
         agents: that gather states side by side.
         jitter: vary colour and light of the camera's pictures.
         speed: how steps are computed on a card, as words with commas between: blocks, whole or
-            tuned; joined; narrow; beside. `gn0 figures train.sft` compares them; blocks by default.
+            tuned; joined; narrow; beside. `gn0 figures train.speed` compares them; blocks by
+            default.
         workers: processes that read a dataset.
         report: steps from report to report.
     """

@@ -80,7 +80,8 @@ def pack_policy(
     if drawn != before:  # the run's numbers are of what it was then
         was = f"drawn after {before} actions without getting anywhere" if before else "never drawn"
         tables = f"In these walks answers were {was}.\n\n{tables}"
-    tables = f"{build_walks_table(walks, digest_checkpoint(source))}\n{tables}"
+    if walks:  # else gigabytes need not be read
+        tables = f"{build_walks_table(walks, digest_checkpoint(source))}\n{tables}"
     pupil = replace(pupil, settings=msgspec.structs.replace(pupil.settings, draw_after=drawn))
     kind = torch.float32 if dtype == "float32" else torch.bfloat16
     weights = sum(array.numel() for array in pupil.model.parameters())

@@ -165,7 +165,8 @@ class Actor:
 
     def _answer(self) -> Answers:
         many = f"a decision of {self.count} agents, {self.answers} answers each,"
-        with refuse_full_card(self.device, many, "ask fewer at once: fewer --agents or --prompts"):
+        fewer = "ask fewer at once: fewer --agents, --episodes or --prompts, as the command has it"
+        with refuse_full_card(self.device, many, fewer):
             return self._play()
 
     def _play(self) -> Answers:

@@ -426,7 +426,7 @@ choose() { # JOB: it and all that it is made from
   local one
   [ -z "${CHOSEN[$1]:-}" ] || return 0
   CHOSEN[$1]=yes
-  for one in ${AFTER[$1]}; do
+  for one in ${AFTER[$1]} ${JOIN[$1]:-}; do
     [ -n "${DOES[$one]:-}" ] || continue  # made elsewhere
     choose "$one"
   done

@@ -11,6 +11,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from gn0.cli.main import main
@@ -146,6 +147,44 @@ def test_dagger_goes_on_in_mid_collection_and_in_mid_epoch(
     assert record["stage"] == record["recipe"]["stage"] == "dagger"
     assert main(_words(suite, parts, *own, "--driver", "expert")) == 2
     assert "driver was 'policy', is 'expert'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_policy_goes_on_with_prompts_as_long_as_it_knows_them(start, tmp_path, capsys) -> None:
+    """At another length it answers as if it had learned little: what is too long is left out."""
+    save_scene(replace(build_example_scene(), id="flat"), tmp_path / "flat")
+    scene = load_scene(tmp_path / "flat")
+    first, *others = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 6, 0)
+
+    def tell(episode):
+        words = "walk on" + ", and on" * 40
+        mission = msgspec.structs.replace(episode.mission, instruction=words)
+        return msgspec.structs.replace(episode, mission=mission)
+
+    one, every = (
+        save_suite(tmp_path / name, [scene], episodes, name=name, max_steps=12).folder
+        for name, episodes in (("one", [tell(first), *others]), ("every", [*map(tell, others)]))
+    )
+    known, own = load_policy_settings(start).text_length, ["--start", start, "--agents", 4]
+    short = ["--states", 8, "--epochs", 1]
+    runs: dict[str, list[object]] = {
+        "dagger": short,
+        "live": ["--live", "--samples", 4, "--kept", 80],
+        "longer": [*short, "--text-length", known + 8],
+        "sft": ["--pictures", "near,far", "--samples", 4, "--kept", 80],
+    }
+    for name, more in runs.items():
+        words = _words(one, tmp_path / name, *own, *more)
+        if name == "sft":
+            words[1] = name
+        assert main(words) == 0
+        told, longer = capsys.readouterr().out, name == "longer"
+        assert load_policy_settings(tmp_path / name / "policy").text_length == known + 8 * longer
+        assert "left out 1 episodes of more than" in told
+        assert ("it answers worse until" in told) == longer
+    assert main(_words(every, tmp_path / "none", *own, *short)) == 2
+    told = capsys.readouterr().err
+    assert "all 5 episodes have more than" in told and "--text-length" in told
 
 
 @pytest.mark.slow

@@ -146,7 +146,7 @@ def train_dagger(
     ) as run:  # fmt: skip
         if run.finished is not None:
             return run.policy
-        pupil = run.open_pupil(lambda: _load_start(job, run))
+        pupil = run.open_pupil(lambda: _load_start(job))
         table = pupil.table([CONTROL_TEXT])  # laid out as those of all episodes
         learner = open_learner(pupil, table, job.recipe, job.speed, run.processes)
         walks = None if run.card is None else _open_walks(job, pupil, run)
@@ -170,21 +170,13 @@ def train_dagger(
         return run.finish(stage, compare_entropy(run, found))
 
 
-def load_start(start: str, texts: Sequence[str]) -> Pupil:
-    """A trained policy that goes on, its prompts long enough for these texts, too.
-
-    Raises:
-        CheckpointError: the folder holds no policy.
-    """
-    pupil = load_pupil(start)
-    return fit_texts(pupil, texts, shorten=False)
-
-
-def _load_start(job: DaggerJob, run: Imitation) -> Pupil:
+def _load_start(job: DaggerJob) -> Pupil:
+    """The policy that goes on, its prompts as long as they are, or as a dataset's texts need."""
+    pupil = load_pupil(job.start)
     if job.source == "walks":
-        return load_start(job.start, run.load_texts())
-    pictures = load_policy_settings(job.start).shown
-    return load_start(job.start, StreamDataset(job.suites, pictures).texts)
+        return pupil
+    texts = StreamDataset(job.suites, load_policy_settings(job.start).shown).texts
+    return fit_texts(pupil, texts, shorten=False)
 
 
 def _open_dataset(job: DaggerJob, pupil: Pupil, run: Imitation) -> Stream:

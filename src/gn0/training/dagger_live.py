@@ -24,11 +24,11 @@ from gn0.missions.controls import CONTROL_TEXT
 from gn0.policies.bae.draws import MOST, check_draw_after
 from gn0.policies.bae.policy_settings import PolicySettings, load_policy_settings
 from gn0.sim.history import LENGTH as MOSAIC
-from gn0.training.dagger import begin_examined, compare_entropy, load_start
+from gn0.training.dagger import begin_examined, compare_entropy
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import Learner, open_learner
 from gn0.training.policy_driver import PolicyDriver, open_driver
-from gn0.training.pupil import Pupil, ask_anew, build_pupil, check_going_on
+from gn0.training.pupil import Pupil, ask_anew, build_pupil, check_going_on, load_pupil
 from gn0.training.stage import Stage
 from gn0.training.streams.live_counts import share_counts
 from gn0.training.streams.samples import Stream
@@ -178,7 +178,7 @@ def _load_pupil(job: DaggerLiveJob, run: Imitation) -> Pupil:
     if job.start and job.settings is not None:
         return ask_anew(job.start, job.settings, run.load_texts())
     if job.start:
-        return load_start(job.start, run.load_texts())
+        return load_pupil(job.start)
     assert job.settings is not None  # checked by the job
     return build_pupil(job.size, job.settings, run.load_texts(), seed=job.seed)
 

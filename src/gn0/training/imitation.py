@@ -17,7 +17,7 @@ import msgspec
 from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.policies.bae.checkpoint import load_checkpoint
-from gn0.policies.bae.policy_settings import load_policy_settings, save_policy_settings
+from gn0.policies.bae.policy_settings import FILE, load_policy_settings, save_policy_settings
 from gn0.policies.qwen.weights import hash_shards
 from gn0.seeds import derive_seed
 from gn0.suites.suite import SUITE_FILE
@@ -127,11 +127,26 @@ class Imitation(StageRun):
             pupil = make()
             if self.job.text_length:
                 pupil = resize_texts(pupil, self.job.text_length)
+            self._tell_length(pupil)
             if self.processes.leads:
                 save_policy_settings(folder, pupil.settings, pupil.template, pupil.others)
         adapt_pupil(pupil, self.job.recipe, self.job.seed, self.where)
         pupil.model.to(self.where).train()
         return pupil
+
+    def _tell_length(self, pupil: Pupil) -> None:
+        """Say it where prompts are longer or shorter than the policy that goes on knows them."""
+        start = self.job.start
+        if not start or not (Path(start) / FILE).is_file():
+            return
+        known = {own.text_length for own in load_policy_settings(start).by_input.values()}
+        others = {own.text_length for own in pupil.settings.by_input.values()} - known
+        if others:
+            lengths = " and ".join(f"{max(some)}" for some in (others, known))
+            self.say(
+                f"room for texts: {lengths} tokens in {start}: it answers worse until it has "
+                "learned the new length"
+            )
 
     def open_growing(self, pupil: Pupil, open_part: OpenPart) -> StreamGrowing:
         """A stream of the suites that are there and join.

@@ -21,7 +21,7 @@ from gn0.policies.bae.policy_settings import FILE, PolicySettings
 from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import open_learner
-from gn0.training.pupil import Pupil, build_pupil, check_going_on, fit_texts, open_pupil
+from gn0.training.pupil import Pupil, ask_anew, build_pupil, check_going_on, fit_texts, open_pupil
 from gn0.training.stage import Stage
 from gn0.training.streams.picture_jitter import PictureJitter
 from gn0.training.streams.samples import Stream
@@ -133,6 +133,9 @@ def _make_pupil(job: SftJob, run: Imitation) -> Pupil:
         texts = StreamDataset(job.suites, job.settings.shown).texts
     else:
         texts = run.load_texts()
+    if job.start and (Path(job.start) / FILE).is_file():
+        pupil = ask_anew(job.start, job.settings, texts)
+        return fit_texts(pupil, texts, shorten=False) if job.source == "dataset" else pupil
     if job.start:
         base = load_checkpoint(job.start, grow=True)
         return fit_texts(open_pupil(base, job.settings), texts)

@@ -206,9 +206,20 @@ def list_maps(settings: PolicySettings) -> ShownMaps:
 
 
 def leave_out_long(lessons: Lessons, pupil: Pupil, say: Callable[[str], None]) -> Lessons:
-    """The lessons without those whose text is too long for the policy's prompt; `say` is told."""
+    """The lessons without those whose text is too long for the policy's prompt; `say` is told.
+
+    Raises:
+        ConfigError: none is short enough.
+    """
     longest, words = pupil.longest_text, pupil.words
     kept = tuple(e for e in lessons.episodes if len(words.encode(e.instruction)) <= longest)
+    if not kept:
+        raise ConfigError(
+            f"all {len(lessons.episodes)} episodes have more than {longest} tokens, which is what "
+            "the policy's prompt has room for",
+            where=", ".join(suite.name for suite in lessons.suites),
+            remedy="give shorter ones, or let it learn longer prompts (--text-length)",
+        )
     if len(kept) < len(lessons.episodes):
         say(f"left out {len(lessons.episodes) - len(kept)} episodes of more than {longest} tokens")
     return replace(lessons, episodes=kept)

@@ -277,9 +277,8 @@ job() {
 }
 
 ALL=${EACH:-$((${#CARDS[@]} > 1 ? ${#CARDS[@]} : 1))}  # cards of a trunk
-last=${LOTS[-1]%% *}
-[ "$SIZE" = full ] || last=b
-rest=homes-$last,homes-exam
+rest=$(printf ',homes-%s' "${LOTS[@]%% *}")
+rest=${rest:1}
 
 arms() { # INPUT SEED: a cell, a trunk and then its arms side by side
   local cell=$1 seed=$2
@@ -426,7 +425,10 @@ choose() { # JOB: it and all that it is made from
   local one
   [ -z "${CHOSEN[$1]:-}" ] || return 0
   CHOSEN[$1]=yes
-  for one in ${AFTER[$1]} ${JOIN[$1]:-}; do
+  ! is_done "$1" || return 0  # nor does what it was made from matter any more
+  local before=${AFTER[$1]}
+  case ${DOES[$1]} in sft\ * | few\ * | shipped\ *) before+=" ${rest//,/ }" ;; esac  # they join while it learns
+  for one in $before; do
     [ -n "${DOES[$one]:-}" ] || continue  # made elsewhere
     choose "$one"
   done

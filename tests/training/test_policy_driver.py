@@ -199,3 +199,28 @@ def test_how_long_one_got_nowhere_is_known_beyond_what_the_ring_holds(make_env, 
     assert 0 < state["base"] <= 30  # the ring holds 20
     other.restore(state)
     assert stream._idle.tolist() == other._idle.tolist() == [50, 50, 50]
+
+
+def test_who_gets_nowhere_is_driven_by_the_expert_until_it_does(make_env, walker) -> None:
+    """An agent that only turns is rescued each time; one that follows the expert never is."""
+
+    def walk(answer, **settings) -> tuple[np.ndarray, StreamLive]:
+        stream = _open(make_env, walker[0], **settings)
+        stream.driver = answer
+        experts = []
+        for _ in range(20):
+            stream.step()
+            experts.append(stream.ring["actions"][(stream.ring.count - 1) % 20, :, 0].numpy())
+        return np.stack(experts), stream
+
+    def turn(states):
+        return torch.full((3, 3), LEFT, dtype=torch.int8)
+
+    experts, stream = walk(turn, rescue=6)
+    log = stream._log.numpy()[:20]
+    assert (log[:6] == LEFT).all() and (log[6:9] == experts[6:9]).all()  # a decision is three
+    counts = stream.tell()
+    assert 0 < counts.asked < counts.steps and counts.forwards > 0
+    assert walk(turn)[1].tell().forwards == 0
+    with pytest.raises(ConfigError, match="rescue -1"):
+        walk(turn, rescue=-1)

@@ -495,6 +495,15 @@ def test_a_leg_is_trained_at_the_quickest_speed_and_packed(tmp_path: Path) -> No
     assert (pack / "policy").is_dir() and (pack / "figures/train.speed/figures.json").is_file()
 
 
+def _have_homes(out: Path, *lots: str) -> None:
+    """Lots that were made before, and are there."""
+    (out / "jobs").mkdir(parents=True)
+    for lot in lots:
+        (out / "jobs" / f"homes-{lot}.done").write_text("before")
+        (out / "suites" / lot).mkdir(parents=True)
+        (out / "suites" / lot / "manifest.json").write_text("{}")
+
+
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> None:
     """With a stand-in for gn0 that knows `policy study` as little as any other verb."""
@@ -507,11 +516,7 @@ def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> 
     def call(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*command, *words], env=env, capture_output=True, text=True)
 
-    (out / "jobs").mkdir(parents=True)
-    for lot in ("a", "b", "exam"):  # made before, and there
-        (out / "jobs" / f"homes-{lot}.done").write_text("before")
-        (out / "suites" / lot).mkdir(parents=True)
-        (out / "suites" / lot / "manifest.json").write_text("{}")
+    _have_homes(out, "a", "b", "exam")
     done = call("maps-dagger-0")
     assert done.returncode == 1
     assert "failed maps-sft-0: status 2" in done.stdout and "no verb train sft" in done.stdout
@@ -526,15 +531,39 @@ def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> 
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_job_alone_has_all_homes_that_join_and_nothing_that_is_done(tmp_path: Path) -> None:
+    """A trunk waits for later lots; a leg that is there does not want those before it."""
+    out, told = tmp_path / "out", tmp_path / "told"
+    (tmp_path / "python").write_text(f"""#!/bin/bash
+echo "$*" >> {told}
+case "$3 $4" in missions*) mkdir -p "${{@: -1}}" && echo {{}} > "${{@: -1}}/manifest.json" ;; esac
+""")
+    (tmp_path / "python").chmod(0o755)
+
+    def call(job: str) -> list[str]:
+        told.write_text("")
+        subprocess.run(
+            ["bash", str(ROOT / "runs/ablation.sh"), str(out), "tiny", job],
+            env={**os.environ, "PYTHON": str(tmp_path / "python")}, capture_output=True, check=True,
+        )  # fmt: skip
+        return told.read_text().splitlines()
+
+    called = call("maps-sft-0")
+    made = [line.split()[-1].rpartition("/")[2] for line in called if "missions generate" in line]
+    assert sorted(made) == ["a", "b", "exam"]
+    assert sum("train sft" in line for line in called) == 1
+    (out / "jobs" / "shipped-2.done").write_text("elsewhere")
+    called = call("legs.walks")
+    assert [line.split()[2:4] for line in called] == [["policy", "examine"]] * 4
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_a_job_on_two_cards_is_started_once_by_torchrun(tmp_path: Path) -> None:
     """Behind `--`, so that no flag of ours is taken for one of torchrun's."""
     out, told = tmp_path / "out", tmp_path / "told"
     (tmp_path / "python").write_text(f'#!/bin/bash\necho "$CUDA_VISIBLE_DEVICES: $*" >> {told}\n')
     (tmp_path / "python").chmod(0o755)
-    (out / "jobs").mkdir(parents=True)
-    (out / "jobs" / "homes-a.done").write_text("before")
-    (out / "suites" / "a").mkdir(parents=True)
-    (out / "suites" / "a" / "manifest.json").write_text("{}")
+    _have_homes(out, "a", "b", "c", "exam")
     subprocess.run(
         ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "all-sft-0"],
         env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0,1"},

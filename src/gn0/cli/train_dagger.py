@@ -54,6 +54,9 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
             own walks (not with --live).
         beta: chance that the expert drives an agent until the next decision, by default 0 (not with
             --live).
+        rescue: actions that led nowhere after which the expert drives an agent until the next
+            decision, so that one at a wall is not hundreds of states; 0: never, by default 16 (not
+            with --live).
         samples: to learn from (--live; by default 8,000,000).
         minutes: of training at most; the rate falls in time for it (--live).
         beta_from: samples up to which the expert drives all agents (--live; by default 250,000).
@@ -97,6 +100,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
     epochs: Annotated[int, msgspec.Meta(ge=1, le=1000)] | None = None
     driver: Literal["policy", "expert"] | None = None
     beta: Annotated[float, msgspec.Meta(ge=0, le=1)] | None = None
+    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] | None = None
     samples: Annotated[int, msgspec.Meta(ge=1)] | None = None
     minutes: Annotated[float, msgspec.Meta(gt=0)] | None = None
     beta_from: Annotated[int, msgspec.Meta(ge=0)] | None = None
@@ -120,7 +124,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
     recipe: Literal["scratch", "pretrained"] = "scratch"
 
 
-ONCE = ("source", "states", "epochs", "driver", "beta")
+ONCE = ("source", "states", "epochs", "driver", "beta", "rescue")
 LIVE = (
     "samples", "minutes", "beta_from", "beta_to", "acts", "confirm_stop", "draw_after", "joins",
     "kept", "ratio",
@@ -168,7 +172,7 @@ def _check_flags(args: Args) -> None:
             "--live begins with random weights",
         )
     if args.source == "dataset":
-        walked = ("states", "driver", "beta")
+        walked = ("states", "driver", "beta", "rescue")
         _refuse(args, walked, "--source dataset", "the dataset has its states; leave it out")
 
 
@@ -185,7 +189,7 @@ def _read_once(args: Args) -> DaggerJob:
 
     return DaggerJob(
         **_read_both(args, DAGGER_RECIPES[args.recipe]),
-        **_given(args, ("source", "epochs", "driver", "beta")),
+        **_given(args, ("source", "epochs", "driver", "beta", "rescue")),
         states=args.states or STATES[args.recipe],
     )
 

@@ -39,6 +39,8 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
             policy's own before it learns.
         states: to be kept and answered.
         stop_share: chance that a wrong STOP ends an episode while states are collected.
+        rescue: actions that led nowhere after which the expert drives an agent until the next
+            decision, while states are collected; 0: never.
         agents: that collect states side by side.
         epochs: passes over the states.
         prompts: of a rollout.
@@ -76,6 +78,7 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
     reference: Literal["policy", "expert"] = "expert"
     states: Count = 22_000
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
+    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 16
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
     epochs: Count = 2
     prompts: Count = 64
@@ -127,6 +130,7 @@ def run(args: Args) -> int:
         walks=args.walks,
         reference=args.reference,
         stop_share=args.stop_share,
+        rescue=args.rescue,
         states=args.states,
         agents=args.agents,
         epochs=args.epochs,

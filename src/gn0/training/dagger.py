@@ -42,7 +42,7 @@ from gn0.training.streams.samples import Stream
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_collected import StreamCollected, count_steps
 from gn0.training.streams.stream_dataset import StreamDataset
-from gn0.training.streams.stream_live import StreamLive
+from gn0.training.streams.stream_live import RESCUE, StreamLive
 from gn0.training.worlds import leave_out_long, list_maps, load_lessons, open_world
 
 SLOT = re.compile(r"entropy_action_[0-9]+")  # of an examination, in the default input
@@ -69,6 +69,8 @@ class DaggerJob(ImitationJob, frozen=True, kw_only=True):
         beta: chance that the expert drives an agent until the next decision.
         executed: actions of an answer that are carried out; 0: as the policy's settings say.
         stop_share: chance that a wrong STOP is carried out; else the expert's action is.
+        rescue: actions that led nowhere after which the expert drives an agent until the next
+            decision; 0: never.
     """
 
     stage: Literal["dagger"] = "dagger"
@@ -81,6 +83,7 @@ class DaggerJob(ImitationJob, frozen=True, kw_only=True):
     beta: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0
     executed: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
+    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = RESCUE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -202,7 +205,7 @@ def _open_walks(job: DaggerJob, pupil: Pupil, run: Imitation) -> StreamCollected
     states, seed = run.processes.share(job.whole), run.processes.seed(job.seed)
     steps = max(MOSAIC + 1, count_steps(states, job.agents))
     ring = StepRing(world, steps, **list_maps(pupil.settings))
-    live = StreamLive(world, ring, seed=seed, stop_share=job.stop_share)
+    live = StreamLive(world, ring, seed=seed, stop_share=job.stop_share, rescue=job.rescue)
     return StreamCollected(live, states, seed=seed, dark=job.recipe.blackout)
 
 

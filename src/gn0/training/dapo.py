@@ -36,6 +36,7 @@ from gn0.training.stage_run import (
     open_place,
     open_stage_run,
 )
+from gn0.training.streams.stream_live import RESCUE
 from gn0.training.worlds import Lessons, leave_out_long, open_world
 
 # constant rates; nothing of what SFT does to labels
@@ -57,6 +58,8 @@ class DapoJob(PolicyJob, frozen=True, kw_only=True):
         reference: whose plans and waypoints answers are compared with: the expert's, or what the
             policy itself would most probably have said before it learned.
         stop_share: chance that a wrong STOP ends an episode while states are collected.
+        rescue: actions that led nowhere after which the expert drives an agent until the next
+            decision, while states are collected; 0: never.
         states: kept, over all processes.
         agents: that collect them side by side.
         epochs: passes over the states.
@@ -78,6 +81,7 @@ class DapoJob(PolicyJob, frozen=True, kw_only=True):
     walks: Whose = "policy"
     reference: Whose = "expert"
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
+    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = RESCUE
     states: Annotated[int, msgspec.Meta(ge=1)] = 22_000
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
     epochs: Annotated[int, msgspec.Meta(ge=1)] = 2
@@ -175,7 +179,8 @@ def _build_stage(job: DapoJob, begun: Pupil, lessons: Lessons, run: StageRun) ->
     dtype = torch.bfloat16 if run.where.type == "cuda" else None
     visited = collect_states(
         world, begun, processes.share(job.states), seed=seed, walks=job.walks,
-        reference=job.reference, stop_share=job.stop_share, dtype=dtype, say=run.say,
+        reference=job.reference, stop_share=job.stop_share, rescue=job.rescue, dtype=dtype,
+        say=run.say,
         log=None if state is None else DapoStage.read_log(state, processes),
     )  # fmt: skip
     start = {f"model.{name}": w.detach() for name, w in begun.model.named_parameters()}

@@ -24,7 +24,7 @@ from gn0.training.rewards import PlanWalks
 from gn0.training.rl.plan_walker import PlanWalker
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 from gn0.training.streams.step_ring import StepRing
-from gn0.training.streams.stream_live import LiveCounts, StreamLive
+from gn0.training.streams.stream_live import RESCUE, LiveCounts, StreamLive
 from gn0.training.worlds import list_squares
 
 Whose = Literal["policy", "expert"]
@@ -82,6 +82,7 @@ def collect_states(
     walks: Whose = "policy",
     reference: Whose = "expert",
     stop_share: float = 0.2,
+    rescue: int = RESCUE,
     dtype: torch.dtype | None = None,
     log: Mapping[str, Any] | None = None,
     say: Callable[[str], None] = lambda _: None,
@@ -97,6 +98,7 @@ def collect_states(
         reference: whose plans and waypoints: the expert's, or those that the policy itself would
             most probably say now.
         stop_share: chance that a STOP which is not the expert's ends an episode.
+        rescue: see `StreamLive`.
         dtype: of what the policy computes, see `Actor`.
         log: of an earlier collection, to be walked again: the same states to the bit.
         say: is told how it goes.
@@ -124,7 +126,7 @@ def collect_states(
 
     stream = StreamLive(
         world, ring, seed=derive_seed(seed, "visited"), fill=steps, dark=0.0,
-        driver=drive if walks == "policy" else None, stop_share=stop_share,
+        driver=drive if walks == "policy" else None, stop_share=stop_share, rescue=rescue,
     )  # fmt: skip
     maker.append(pupil.maker(stream.texts, pupil.model.device))
     training = pupil.model.training

@@ -45,6 +45,7 @@ from gn0.training.streams.samples import LabelledStates
 from gn0.training.streams.step_ring import StepRing
 
 STOP_DISTANCE = 1.0  # m, of the labels that policies are trained on
+RESCUE = 16  # actions that lead nowhere, where states are gathered once: more than a turn about
 Driver = Callable[..., Tensor]  # of `LabelledStates`, and of draws where there are any
 
 
@@ -93,6 +94,8 @@ class StreamLive:
             eighth of the agents when None.
         drawing: whose answers are drawn. The drivers are then given numbers, too, float32
             [N, slots] in [0, 1), and below 0 of agents whose answer is the most probable one.
+        rescue: actions that led nowhere after which the expert drives an agent until the next
+            decision, so that one which stands at a wall is not hundreds of states; 0: never.
         stop_distance: where labels say STOP [m].
         dark: share of samples whose mosaic is black.
         lazy: pictures are made when they are looked at, before the next draw; those that nobody
@@ -117,16 +120,19 @@ class StreamLive:
         confirm: Driver | Mapping[str, Driver] | None = None,
         confirmed: int | None = None,
         drawing: Drawing | None = None,
+        rescue: int = 0,
         stop_distance: float = STOP_DISTANCE,
         dark: float = 0.1,
         lazy: bool = False,
     ) -> None:
         fill = min(64, ring.steps) if fill is None else fill
         shares_right = all(0 <= share <= 1 for share in (stop_share, dark))
-        if not (0 < ratio <= 1000 and fill >= 1 and shares_right):
+        if not (0 < ratio <= 1000 and fill >= 1 and shares_right and rescue >= 0):
             raise ConfigError(
-                f"ratio {ratio}, fill {fill}, stop_share {stop_share}, dark {dark}",
-                remedy="give a ratio above 0, a step or more, and shares from 0 to 1",
+                f"ratio {ratio}, fill {fill}, stop_share {stop_share}, dark {dark}, "
+                f"rescue {rescue}",
+                remedy="give a ratio above 0, a step or more, shares from 0 to 1, and 0 or more "
+                "actions",
             )
         if ring.env is not env or ring.count:
             raise ConfigError("a ring that is in use", remedy="give a new StepRing of the env")
@@ -153,7 +159,7 @@ class StreamLive:
         self.confirm, self.confirmed = confirm, count_confirmed(count)
         if confirmed is not None:
             self.confirmed = confirmed
-        self.drawing = drawing
+        self.drawing, self.rescue = drawing, rescue
         self._last = torch.full((count,), -1, dtype=torch.int8, device=self._device)
         self._idle = torch.zeros(count, dtype=torch.int32, device=self._device)
         self._plan: Tensor | None = None  # of the policy [N, K], −1 where the expert drives
@@ -240,6 +246,8 @@ class StreamLive:
             coins = random_stream(self.seed, "live drivers", self.ring.count)
             expert = self.ring._send(coins.random(len(plan)) < beta)
             plan = plan.masked_fill(expert[:, None], -1)
+        if self.rescue:
+            plan = plan.masked_fill((self._idle >= self.rescue)[:, None], -1)
         self._plan = plan.clone()
 
     def _pick(self, driver: Driver | Mapping[str, Driver], step: int) -> Driver:

@@ -158,62 +158,60 @@ def measure_sft(ctx: FigureContext) -> list[FigureRow]:
     for pictures in INPUTS[:1] if bench.tiny else INPUTS:  # by worth
         if pictures == INPUTS[0] or not bench.late:
             _measure_input(bench, pictures, QUICKEST)
+    if not bench.late:
+        _measure_batch(bench, 8 if bench.tiny else 2048, QUICKEST)
     return bench.rows
 
 
 def _measure_input(bench: Bench, pictures: tuple[str, ...], speed: str) -> None:
-    """Rates of both sources with these pictures, batch 512; also 2,048 with the first of them."""
-    first = pictures == INPUTS[0]
+    """Rates of both sources with these pictures, batch 512, and the split of a step."""
     torch.compiler.reset()
     pupil = bench.build(pictures)
     maker = pupil.maker(bench.lessons.texts, pupil.model.device)
     learner = open_learner(pupil, maker.table, Recipe(), parse_speed(speed.split(",")))
-    beside = _beside(learner)
+    beside, batch = _beside(learner), 4 if bench.tiny else 512
     for source in ("walks", "uniform"):
         stream = bench.open_stream(pupil, source)
-        for batch in (4,) if bench.tiny else (512, 2048) if first else (512,):
-            if bench.late and batch > 512:
-                continue
 
-            def step(batch: int = batch, stream: Stream = stream, own: Learner = learner) -> None:
-                made = maker.make(stream.draw(batch))
-                with own.queue():
-                    own.step(made, 0.01)
+        def step(own: Learner = learner, stream: Stream = stream) -> None:
+            made = maker.make(stream.draw(batch))
+            with own.queue():
+                own.step(made, 0.01)
 
-            try:
-                rate = batch / bench.time(step)
-                over = batch / bench.time(partial(step, own=beside), 1)
-            except (DeviceMemoryError, torch.OutOfMemoryError) as error:
-                if batch <= 512:  # what is asked of every card
-                    raise
-                said = str(error)
-            else:
-                said = ""
-            if said:  # behind the handler, whose error holds on to what was computed
-                learner.optimiser.zero_grad(set_to_none=True)
-                free_memory()
-                bench.add(FigureRow(
-                    name=f"batch that does not fit, {source}", value=batch, unit="", detail=said
-                ))  # fmt: skip
-                continue
-            bench.wait()
-            name = f"samples a second, {len(pictures)} of {source}: {', '.join(pictures)}"
-            if batch > 512:
-                name += f", batch {batch}"
-            detail = f"{len(maker.table.layout)} + {len(pupil.slots)} tokens, batch {batch}, "
-            detail += f"{bench.agents} agents, pictures made beside it; steps on a stream of their "
-            detail += f"own: {over:,.0f}/s; --speed {speed}"
-            detail = f"in line {rate:,.0f}/s; {detail}"
-            rate = max(rate, over)
-            bench.add(
-                FigureRow(name=name, value=rate, unit="1/s", detail=detail)
-                if bench.tiny
-                else row_at_least(name, rate, AIMS[len(pictures)], "1/s", detail)
-            )
-        if first or bench.tiny:
+        rate = batch / bench.time(step)
+        over = batch / bench.time(partial(step, beside), 1)
+        name = f"samples a second, {len(pictures)} of {source}: {', '.join(pictures)}"
+        detail = f"in line {rate:,.0f}/s; {len(maker.table.layout)} + {len(pupil.slots)} tokens, "
+        detail += f"batch {batch}, {bench.agents} agents, pictures made beside it; steps on a "
+        detail += f"stream of their own: {over:,.0f}/s; --speed {speed}"
+        rate = max(rate, over)
+        bench.add(
+            FigureRow(name=name, value=rate, unit="1/s", detail=detail)
+            if bench.tiny
+            else row_at_least(name, rate, AIMS[len(pictures)], "1/s", detail)
+        )
+        if pictures == INPUTS[0]:
             _split_step(bench, learner, maker, stream, source)
         del stream
         free_memory()
+
+
+def _measure_batch(bench: Bench, batch: int, speed: str) -> None:
+    """The rate of a larger batch; the last of all, as a card that was full stays so."""
+    torch.compiler.reset()
+    pupil = bench.build(INPUTS[0])
+    maker = pupil.maker(bench.lessons.texts, pupil.model.device)
+    learner = open_learner(pupil, maker.table, Recipe(), parse_speed(speed.split(",")))
+    stream = bench.open_stream(pupil, "walks")
+    detail = f"{', '.join(INPUTS[0])}; {bench.agents} agents; --speed {speed}"
+    name, value, unit = "batch that does not fit", float(batch), ""
+    try:
+        rate = batch / bench.time(lambda: learner.step(maker.make(stream.draw(batch)), 0.01))
+    except (DeviceMemoryError, torch.OutOfMemoryError) as error:
+        detail = f"{detail}: {error}"
+    else:
+        name, value, unit = f"samples a second, batch {batch}", rate, "1/s"
+    bench.add(FigureRow(name=name, value=value, unit=unit, detail=detail))
 
 
 def _beside(learner: Learner) -> Learner:

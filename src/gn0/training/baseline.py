@@ -109,7 +109,7 @@ def train_baseline(
         else:
             checkpoint = cast(CmaCheckpoint, run.state.checkpoint)
         settings = checkpoint.settings
-        env = open_world(lessons, settings, job.agents, device=run.walked)
+        env = open_world(lessons, settings, job.agents, device=run.walked, say=run.say)
         where = find_torch_device(env)
         net = checkpoint.model.to(where).train()
         tokenizer = read_byte_pairs(checkpoint.tokenizer, run.policy)

@@ -209,7 +209,9 @@ def _open_walks(
     again = open_drivers(count_confirmed(job.agents)) if job.confirm_stop else None
 
     def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
-        world = open_world(lessons, pupil.settings, job.agents, device=run.card or "auto")
+        world = open_world(
+            lessons, pupil.settings, job.agents, device=run.card or "auto", say=run.say
+        )
         steps = max(MOSAIC + 1, -(-job.kept // job.agents))
         ring = StepRing(world, steps, **list_maps(pupil.settings))
         texts = [episode.mission.instruction for episode in world.episodes]

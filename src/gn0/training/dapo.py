@@ -174,7 +174,7 @@ def _build_stage(job: DapoJob, begun: Pupil, lessons: Lessons, run: StageRun) ->
     begun.model.to(run.where)
     begun.model.requires_grad_(False)
     lessons = leave_out_long(lessons, begun, run.say)
-    world = open_world(lessons, begun.settings, job.agents, device=run.walked)
+    world = open_world(lessons, begun.settings, job.agents, device=run.walked, say=run.say)
     seed = processes.seed(derive_seed(job.seed, "dapo"))
     dtype = torch.bfloat16 if run.where.type == "cuda" else None
     visited = collect_states(

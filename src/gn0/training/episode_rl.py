@@ -135,7 +135,7 @@ def open_stage(
     agents = processes.share(how.episodes) * how.group
     some = leave_out_long(lessons, pupil, say)
     pupil.model.to(where).train()
-    world = open_world(some, pupil.settings, agents, device=card, max_steps=how.max_steps)
+    world = open_world(some, pupil.settings, agents, device=card, max_steps=how.max_steps, say=say)
     loop = ClosedLoop(world, pupil, dtype=dtype, compiled=on_card, temperature=how.temperature)
     table = loop.maker.table
     decisions = -(-how.max_steps // loop.executed)

@@ -160,7 +160,9 @@ def _open_stream(job: SftJob, pupil: Pupil, run: Imitation) -> Stream:
         )
 
     def open_part(lessons: Lessons, number: int, seed: int) -> Stream:
-        world = open_world(lessons, pupil.settings, job.agents, device=run.card or "auto")
+        world = open_world(
+            lessons, pupil.settings, job.agents, device=run.card or "auto", say=run.say
+        )
         shown = list_maps(pupil.settings)
         if job.source == "uniform":
             return StreamUniform(world, seed=seed, **shown)

@@ -223,6 +223,8 @@ class Stage:
         begun, before = time.monotonic(), self.counters.seconds
         mark, marked = begun, self.counters.samples
         found: dict[str, float] = {}
+        if self.learner.device.type == "cuda":
+            say("compiling what a step computes, once: up to a minute")
         for step in itertools.count(self.counters.step + 1):
             end = self.schedule.end
             assert end is not None

@@ -141,6 +141,7 @@ def open_world(
     device: Device | str = "auto",
     max_steps: int | None = None,
     memory: int = 2**34,
+    say: Callable[[str], None] = lambda _: None,
     **options: Any,
 ) -> VectorEnvDevice:
     """Agents that are shown what a policy's prompts show, those of all of its inputs.
@@ -152,6 +153,7 @@ def open_world(
         device: where.
         max_steps: actions until truncation; the suite's when None.
         memory: bytes that maps and distance fields may take on the device.
+        say: is told what is opened: of hundreds of scenes that takes a minute.
         options: further ones of `VectorEnvDevice`.
 
     Raises:
@@ -159,10 +161,11 @@ def open_world(
     """
     maps = (*SQUARE_NAMES, *MAPS)  # whole ones are drawn of the same pictures, by `EgoAtlas`
     sensors = dict.fromkeys("ego_map" if name in maps else name for name in settings.shown)
-    suite = lessons.suites[0]
+    suite, folders = lessons.suites[0], lessons.scene_folders
+    say(f"opening {len(folders):,} scenes for {count:,} agents")
     return VectorEnvDevice(
         count,
-        lessons.scene_folders,
+        folders,
         episodes=lessons.episodes,
         device=device,
         sensors=tuple(sensors) or ("goal_vector",),

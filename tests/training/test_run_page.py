@@ -81,3 +81,12 @@ def test_lines_go_where_their_points_are() -> None:
     one = draw_chart([Series("<x>", ((3, 2.0),))])
     assert "circle" in one and "&lt;x&gt;" in one and "nan" not in one
     assert json.dumps(draw_chart([Series("flat", ((1, 0.0), (2, 0.0)))]))
+
+
+def test_small_numbers_have_room_beside_the_axis() -> None:
+    """Seven characters at most: longer ones would begin beyond the picture's edge."""
+    for size in (1.13456e-4, 0.0098765, 0.0123456, 1.13456, 113.456, 11345.6, 1.13456e9):
+        chart = draw_chart([Series("a", ((0, -size), (5, size)))])
+        labels = re.findall('text-anchor="end">(.*?)</text>', chart)
+        assert len(labels) >= 2 and max(map(len, labels)) <= 7
+        assert any(float(one.rstrip("kMG")) for one in labels)

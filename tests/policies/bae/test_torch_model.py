@@ -168,7 +168,8 @@ def test_eight_answers_share_their_pictures(nano) -> None:
     with torch.no_grad():
         shared = ours.logits(ours.encode(seen).repeat(8), rows, answer)
         each = ours.encode([some.repeat_interleave(8, 0) for some in seen])
-        assert (shared - ours.logits(each, rows, answer)).abs().max() <= 1e-6
+        # float32: a product of 16 pictures may be summed up in another order than one of two
+        assert (shared - ours.logits(each, rows, answer)).abs().max() <= 1e-5
 
 
 def test_sampled_chances_are_those_of_the_logits(nano) -> None:

@@ -100,8 +100,13 @@ def _thin(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
 
 def _short(value: float) -> str:
     size = abs(value)
+    if size >= 1e9:
+        return f"{value / 1e9:.3g}G"
     if size >= 1e6:
         return f"{value / 1e6:.3g}M"
     if size >= 1e4:
         return f"{value / 1e3:.3g}k"
+    if 0 < size < 1e-2:  # there is room for seven characters
+        digits, power = f"{value:.1e}".split("e")
+        return f"{digits}e{int(power)}"
     return f"{value:,.0f}" if size >= 1e3 else f"{value:.3g}"

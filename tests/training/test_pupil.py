@@ -11,7 +11,7 @@ from gn0.data.answer_form import AnswerForm
 from gn0.errors import CheckpointError, ConfigError
 from gn0.policies.bae.policy_settings import PolicySettings, join_inputs
 from gn0.sim.ego_map import EgoSquare, MapView
-from gn0.training.pupil import build_pupil, fit_texts, load_pupil
+from gn0.training.pupil import ask_anew, build_pupil, fit_texts, load_pupil
 
 SETTINGS = PolicySettings(
     prompt="short",
@@ -54,3 +54,16 @@ def test_no_text_that_a_prompt_was_fitted_to_is_left_out() -> None:
         assert max(len(fitted.words.encode(text)) for text in texts) <= longest
         for one in fitted.inputs.values():
             one.table(texts)
+
+
+@pytest.mark.slow
+def test_a_prompt_that_a_policy_knows_keeps_its_length(tmp_path) -> None:
+    """Whatever it is to be told, and whatever pictures it is shown; another one is fitted."""
+    pupil = build_pupil("nano", SETTINGS, TEXTS)
+    pupil.save(tmp_path / "policy")
+    texts = [*TEXTS, "go to the sofa" + ", then the chair" * 9]
+    fewer = replace(SETTINGS, pictures=("near",))
+    for settings in (SETTINGS, fewer, replace(SETTINGS, without=("heading",))):
+        anew = ask_anew(tmp_path / "policy", settings, texts).settings.text_length
+        assert (anew == pupil.settings.text_length) == (not settings.without)
+    assert fit_texts(pupil, texts).settings.text_length > pupil.settings.text_length

@@ -294,14 +294,14 @@ def ask_anew(folder: Path | str, settings: PolicySettings, texts: Sequence[str])
     """
     check_going_on(folder, settings)
     pupil = fit_texts(open_pupil(load_checkpoint(folder), settings, folder), texts)
-    known = {
-        (own.prompt, own.without): own.text_length
-        for own in load_policy_settings(folder).by_input.values()
-    }
+
+    def tell_words(own: PolicySettings) -> tuple[str, tuple[str, ...]]:
+        return Path(own.prompt).name, own.without  # one of the policy's own lies in its folder
+
+    by_input = load_policy_settings(folder).by_input.values()
+    known = {tell_words(own): own.text_length for own in by_input}
     kept = {
-        name: msgspec.structs.replace(
-            own, text_length=known.get((own.prompt, own.without), own.text_length)
-        )
+        name: msgspec.structs.replace(own, text_length=known.get(tell_words(own), own.text_length))
         for name, own in pupil.settings.by_input.items()
     }
     return replace(pupil, settings=join_inputs(kept))

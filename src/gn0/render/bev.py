@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gn0.errors import RenderError, StorageError
 from gn0.geometry import F64, U8, view_from_above
 from gn0.render.camera import Camera
-from gn0.render.renderer import DrawnScene, Renderer
+from gn0.render.renderer import DrawnScene, Renderer, Traits
 from gn0.storage import cache_dir, content_hash, read_bytes, write_bytes
 
 BEV_LIMIT = 4096  # px a side
@@ -130,13 +130,9 @@ def render_bev(
     camera, view = bev_camera(bounds, metres_per_pixel, cut_height)
     corner = np.asarray(bounds, np.float64)[0, :2]
     origin = (float(corner[0]), float(corner[1]))
-    traits = renderer.traits
-    key = content_hash(
-        *(_FORMAT, cloud_hash, traits.drawn_by, int(traits.antialiased)),
-        *(camera.width, camera.height),
-        *(float(metres_per_pixel), float(cut_height), *origin, *map(float, background)),
+    path = bev_file(
+        cloud_hash, renderer.traits, bounds, metres_per_pixel, cut_height, background=background
     )
-    path = cache_dir() / "bev" / f"{key}.bev"
     shape = (camera.height, camera.width, 3)
     rgb = _load(path, shape) if cache else None
     if rgb is None:
@@ -147,6 +143,30 @@ def render_bev(
             _save(path, rgb)
     rgb.setflags(write=False)
     return BevPicture(rgb, float(metres_per_pixel), origin)
+
+
+def bev_file(
+    cloud_hash: str,
+    traits: Traits,
+    bounds: NDArray[np.floating],
+    metres_per_pixel: float = 0.02,
+    cut_height: float = 2.3,
+    *,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Path:
+    """Where the cache keeps a map picture, drawn or not; arguments as of `render_bev`.
+
+    Raises:
+        RenderError: see `bev_camera`.
+    """
+    camera, _ = bev_camera(bounds, metres_per_pixel, cut_height)
+    origin = map(float, np.asarray(bounds, np.float64)[0, :2])
+    key = content_hash(
+        *(_FORMAT, cloud_hash, traits.drawn_by, int(traits.antialiased)),
+        *(camera.width, camera.height),
+        *(float(metres_per_pixel), float(cut_height), *origin, *map(float, background)),
+    )
+    return cache_dir() / "bev" / f"{key}.bev"
 
 
 def _as_u8(picture: NDArray[np.generic]) -> U8:

@@ -14,16 +14,13 @@ from numpy.typing import NDArray
 
 from gn0.device.device import DeviceArray, Kernel
 from gn0.errors import ConfigError, SimError
-from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64, U8, view_from_pose
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.inflate import inflate
 from gn0.missions.episode import AgentSpec
-from gn0.render.bev import render_bev
 from gn0.render.camera import Camera
 from gn0.render.instance import Parts, PartsDevice
-from gn0.render.light import relight_cloud
-from gn0.render.renderer import DrawnScene, Renderer
+from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.category_map import paint_categories
 from gn0.sim.device_layout import blocks_of
@@ -41,8 +38,9 @@ from gn0.sim.device_records import (
 from gn0.sim.device_store import MapPictures
 from gn0.sim.ego_map import CONTENTS, EgoSquare, find_front
 from gn0.sim.history import LENGTH, mosaic_size
+from gn0.sim.look_map import add_look, draw_map, find_map
 from gn0.sim.look_plan import LookPlan, aim_at_goal, check_colour, plan_look
-from gn0.sim.open import look_hash, name_look, split_look
+from gn0.sim.open import name_look, split_look
 from gn0.sim.sensor.sensor import AgentsDevice, Sensor
 from gn0.sim.sensors import MapFrame, SensorConfig, paint_grid
 from gn0.sim.simulator import goal_record, goal_view
@@ -194,19 +192,29 @@ class EyesDevice:
         self._rgb: DeviceArray | None = None  # what agents see now
         self._muted: frozenset[str] = frozenset()
 
+    @property
+    def shows_map(self) -> bool:
+        """Whether scenes are drawn from above."""
+        return self._carried.bev and self._renderer is not None
+
+    @property
+    def map_settings(self) -> tuple[float, tuple[float, float, float]]:
+        """Of these pictures: what lies above this height [m] is left out, and their background."""
+        return self.config.cut_height, self.config.preset.background
+
+    def lacks_map(self, look: str) -> bool:
+        """Whether the cache lacks the picture of a scene in its light."""
+        assert self._renderer is not None
+        scene = self._scenes[split_look(look)[0]]()
+        return not find_map(self._renderer, look, scene, *self.map_settings).exists()
+
     def open_look(self, look: str) -> MapPictures:
         """Name a scene in its light to the renderer; its static map pictures."""
-        scene_id, light = split_look(look)
+        scene_id, _ = split_look(look)
         scene = self._scenes[scene_id]()
         renderer = self._renderer
         if renderer is not None:
-            scenes = self._scenes  # not ourselves: the renderer keeps this, and we keep it
-
-            def load() -> GaussianCloud:
-                cloud = scenes[scene_id]().gaussians
-                return cloud if light is None else relight_cloud(cloud, light)
-
-            renderer.add(look, load, look_hash(scene, light))
+            add_look(renderer, look, self._scenes[scene_id])
             if self._visible and self._carried.eyes:
                 renderer.limit_to_visible(
                     look,
@@ -215,15 +223,9 @@ class EyesDevice:
                     self._agent.camera_height,
                 )
         frame, bev = MapFrame.of_grid(scene.grid), None
-        if self._carried.bev and renderer is not None:
-            picture = render_bev(
-                look_hash(scene, light),
-                DrawnScene(renderer, look),
-                np.array(scene.grid.bounds).reshape(2, 2),
-                scene.grid.resolution,
-                self.config.cut_height,
-                background=self.config.preset.background,
-            )
+        if self.shows_map:
+            assert renderer is not None
+            picture = draw_map(renderer, look, scene, *self.map_settings)
             frame, bev = MapFrame.of_bev(picture), picture.rgb
         elif self.config.painted:
             cut = self.config.cut_height

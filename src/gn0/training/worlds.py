@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any, Protocol, TypedDict
 
 from gn0.device.device import Device
-from gn0.errors import ConfigError, TrainingError
+from gn0.errors import ConfigError, Gn0Error, TrainingError
 from gn0.missions.episode import Episode
 from gn0.policies.bae.policy_settings import MAPS, SQUARE_NAMES, PolicySettings
 from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import MapView
+from gn0.sim.maps_ahead import draw_maps_ahead
 from gn0.storage import content_hash
 from gn0.suites.suite import SUITE_FILE, Suite, load_suite
 from gn0.training.pupil import Pupil
@@ -163,7 +164,7 @@ def open_world(
     sensors = dict.fromkeys("ego_map" if name in maps else name for name in settings.shown)
     suite, folders = lessons.suites[0], lessons.scene_folders
     say(f"opening {len(folders):,} scenes for {count:,} agents")
-    return VectorEnvDevice(
+    env = VectorEnvDevice(
         count,
         folders,
         episodes=lessons.episodes,
@@ -180,6 +181,21 @@ def open_world(
         host_memory=memory,
         **options,
     )
+    if env.device.kind == "cuda":
+        _draw_maps(env, say)
+    return env
+
+
+def _draw_maps(env: VectorEnvDevice, say: Callable[[str], None]) -> None:
+    """Let several processes draw what the environment would draw one after another."""
+    begun = time.monotonic()
+    try:
+        drawn = draw_maps_ahead(env)
+    except Gn0Error as error:  # of help, not needed: what is wrong with a scene is told in its turn
+        say(f"map pictures are drawn one after another: {error}")
+        return
+    if drawn:
+        say(f"drew {drawn:,} map pictures in {time.monotonic() - begun:.0f} s")
 
 
 def list_squares(settings: PolicySettings) -> list[str]:

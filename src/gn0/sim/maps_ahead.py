@@ -1,0 +1,105 @@
+"""Map pictures of many scenes, drawn by several processes before anybody waits for them.
+
+A scene seen from above takes a card a moment and its host a quarter of a second: splats are read,
+lit and packed. Where hundreds are opened, several processes do that; the cache keeps the pictures.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from gn0.device.device import Device
+from gn0.device.open import open_device
+from gn0.jobs import run_jobs
+from gn0.jobs.process import count_cores
+from gn0.progress import Progress, no_progress
+from gn0.render.open import open_renderer
+from gn0.render.renderer import Renderer
+from gn0.scenes.folder import load_scene
+from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.look_map import add_look, draw_map
+from gn0.sim.open import name_look, split_look
+
+FEW = 64  # pictures that are drawn as soon by one process, which need not start
+PROCESSES = 12  # at most: each has a context of the card, half a gigabyte
+
+
+def draw_maps_ahead(
+    env: VectorEnvDevice, *, processes: int = 0, few: int = FEW, progress: Progress = no_progress
+) -> int:
+    """Draw the map pictures of an environment's scenes that the cache lacks.
+
+    The bytes are those that the environment would draw itself, one after another.
+
+    Args:
+        env: before its first reset.
+        processes: at most; a third of the cores, up to a dozen, when 0.
+        few: so many pictures are left to the environment.
+        progress: is told of scenes.
+
+    Returns:
+        how many pictures were drawn.
+
+    Raises:
+        JobError: a process died twice. Gn0Error: a scene is damaged, or the card is too small.
+    """
+    eyes = env.eyes
+    if eyes is None or not eyes.shows_map:
+        return 0
+    lacking: dict[str, list[str]] = defaultdict(list)
+    for look in sorted(set(map(name_look, env.tasks.episodes))):
+        scene_id, _ = split_look(look)
+        path = env.tasks.scenes[scene_id]().path
+        if path and eyes.lacks_map(look):
+            lacking[str(Path(path).resolve())].append(look)
+    count = sum(map(len, lacking.values()))
+    if count <= few:
+        return 0
+    cut, background = eyes.map_settings
+    scenes = list(lacking)
+    if getattr(env.device, "ordinal", 0) % 2:  # two cards meet in the middle
+        scenes.reverse()
+    payloads = [
+        {
+            "scene": scene,
+            "looks": lacking[scene],
+            "device": _name_device(env.device),
+            "cut_height": cut,
+            "background": list(background),
+        }
+        for scene in scenes
+    ]
+    run_jobs(
+        "gn0.sim.maps_ahead:draw_maps",
+        payloads,
+        workers=processes or max(1, min(count_cores() // 3, PROCESSES)),
+        names=scenes,
+        what="map pictures of scenes",
+        progress=progress,
+    )
+    return count
+
+
+def draw_maps(payload: dict[str, Any]) -> dict[str, Any]:
+    """One unit of work: a scene's map pictures in all of its lights, into the cache."""
+    renderer = _open(payload["device"])
+    background = tuple(payload["background"])
+    scene = load_scene(Path(payload["scene"]))
+    for look in payload["looks"]:
+        add_look(renderer, look, lambda: scene)
+        draw_map(renderer, look, scene, payload["cut_height"], background)
+        renderer.remove(look)
+    return {}
+
+
+@cache
+def _open(device: str) -> Renderer:
+    """The renderer of this process."""
+    return open_renderer("cuda", device=open_device(device))
+
+
+def _name_device(device: Device) -> str:
+    return f"cuda:{getattr(device, 'ordinal', 0)}" if device.kind == "cuda" else device.kind

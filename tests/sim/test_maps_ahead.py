@@ -1,0 +1,73 @@
+"""Map pictures that several processes draw ahead are those that an environment would draw."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from gn0.device.host import DeviceHost
+from gn0.errors import FormatError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.goal import sample_goal_episodes
+from gn0.render.cuda.batch import RendererBatch
+from gn0.render.light import LightCondition
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import load_scene, save_scene
+from gn0.sim.device_env import VectorEnvDevice
+from gn0.sim.maps_ahead import draw_maps_ahead
+
+
+@pytest.mark.slow
+def test_they_are_drawn_once_with_the_same_bytes(own_cache, tmp_path: Path, monkeypatch) -> None:
+    """Two flats, each as it was made and in the evening; then nothing is left to draw."""
+    if not shutil.which("g++"):
+        pytest.skip("the host emulation needs g++")
+    lights = (None, LightCondition("evening", exposure=-1.0, kelvin=3500))
+    scenes, episodes = [], []
+    for name in ("one", "two"):
+        save_scene(replace(build_example_scene(), id=name), tmp_path / name)
+        scenes.append(load_scene(tmp_path / name))
+        floor = NavigationMap(scenes[-1].grid, 0.2)
+        for light, one in zip(lights, sample_goal_episodes(scenes[-1], floor, 2, 0), strict=True):
+            episodes.append(msgspec.structs.replace(one, light=light))
+    told: list[tuple[int, int | None]] = []
+
+    def open_env(*sensors: str) -> VectorEnvDevice:
+        device = DeviceHost(2)
+        return VectorEnvDevice(
+            4, scenes, episodes=episodes, device=device, preset="tiny_128", sensors=sensors,
+            renderer=RendererBatch(device), map_view={"squares": [{"size": 48}]},
+        )  # fmt: skip
+
+    def see(env: VectorEnvDevice) -> np.ndarray:
+        seen, _ = env.reset(seed=0, options={"episode": np.arange(4)})
+        return seen["ego_map"].numpy().copy()
+
+    def cache(name: str) -> Path:
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "emulation").symlink_to(own_cache / "emulation")
+        monkeypatch.setenv("GN0_CACHE", str(folder))
+        return folder / "bev"
+
+    cache("alone")
+    alone = see(open_env("ego_map"))
+    kept, env = cache("ahead"), open_env("ego_map")
+    assert draw_maps_ahead(env) == 0  # so few are left to the environment
+    drawn = draw_maps_ahead(env, processes=2, few=0, progress=lambda _, *n: told.append(n))
+    assert drawn == 4 and told[-1] == (2, 2)
+    assert len(list(kept.iterdir())) == 2  # the flats are alike
+    assert draw_maps_ahead(open_env("ego_map"), processes=2, few=0) == 0
+    assert draw_maps_ahead(open_env("goal_vector"), few=0) == 0
+    monkeypatch.setattr(RendererBatch, "render", None)  # is not asked any more
+    assert (see(env) == alone).all() and len(np.unique(alone)) > 20
+    for file in kept.iterdir():
+        file.unlink()
+    (tmp_path / "two" / "point_cloud.ply").write_bytes(b"no splats")
+    with pytest.raises(FormatError, match="two"):
+        draw_maps_ahead(open_env("ego_map"), processes=2, few=0)

@@ -16,9 +16,10 @@ pytest.importorskip("transformers")
 from gn0.bench.results import load_results  # noqa: E402
 from gn0.cli.main import main  # noqa: E402
 from gn0.data.answer_form import AnswerForm  # noqa: E402
-from gn0.errors import TrainingError  # noqa: E402
+from gn0.errors import JobError, TrainingError  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
+from gn0.training import worlds  # noqa: E402
 from gn0.training.exams import examination, recurrent_examination  # noqa: E402
 from gn0.training.exams.policy_examination import WalkJob, examine_policy  # noqa: E402
 from gn0.training.exams.walks_folder import load_walks  # noqa: E402
@@ -211,3 +212,21 @@ def test_a_run_examines_itself_all_over_the_suite(monkeypatch) -> None:
     )
     other()
     assert asked == [[0, 1, 3, 4]] * 2
+
+
+def test_map_pictures_that_cannot_be_drawn_ahead_are_drawn_in_their_turn(monkeypatch) -> None:
+    """A card without room for further processes, say: nothing is lost but time."""
+    told: list[str] = []
+
+    def fail(env) -> int:
+        raise JobError("flat 3 failed", remedy="look")
+
+    monkeypatch.setattr(worlds, "draw_maps_ahead", fail)
+    worlds._draw_maps(None, told.append)
+    monkeypatch.setattr(worlds, "draw_maps_ahead", lambda env: 1200)
+    worlds._draw_maps(None, told.append)
+    monkeypatch.setattr(worlds, "draw_maps_ahead", lambda env: 0)
+    worlds._draw_maps(None, told.append)
+    first, second = told
+    assert "one after another" in first and "flat 3 failed" in first
+    assert second == "drew 1,200 map pictures in 0 s"

@@ -33,10 +33,6 @@ fi
 . runs/offline.sh
 open_offline "$OUT/site" || exit 1
 
-figure() { # NAME: its board is in OUT/figures/NAME
-  "$PYTHON" -m gn0 figures "$1" --out "$OUT/figures/$1"
-}
-
 quickest() { # words of the speed with most samples a second, of those that need no trying out of products
   "$PYTHON" - "$OUT/figures/train.speed/figures.json" <<'END'
 import json, re, sys
@@ -56,16 +52,17 @@ END
 beside() { # figures on the second card, each by itself: one that breaks off takes no other with it
   local one
   export CUDA_VISIBLE_DEVICES=1
-  for one in $BESIDE; do figure "$one" > "$OUT/figures/$one.log" 2>&1; done
+  for one in $BESIDE; do "$PYTHON" -m gn0 figures "$one" --out "$OUT/figures/$one" > "$OUT/figures/$one.log" 2>&1; done
 }
 
+set -m  # all of it is one process group, which ends with this script
 {
+  set +m
   # shellcheck disable=SC2086
   runs/ablation.sh "$OUT" "$SIZE" ${HOMES:-homes-a homes-exam} &
   homes=$!
-  export -f figure
-  export OUT
-  [ -f "$OUT/figures/$FIGURE/figures.json" ] || timeout "${SECONDS_OF_FIGURE:-290}" bash -c 'figure "$1"' _ "$FIGURE"
+  [ -f "$OUT/figures/$FIGURE/figures.json" ] ||
+    timeout --foreground "${SECONDS_OF_FIGURE:-290}" "$PYTHON" -m gn0 figures "$FIGURE" --out "$OUT/figures/$FIGURE"
   SPEED=${SPEED:-$(quickest)}
   export SPEED
   echo "speed $SPEED"
@@ -80,4 +77,7 @@ beside() { # figures on the second card, each by itself: one that breaks off tak
   fi
   runs/ablation.sh "$OUT" "$SIZE" "shipped-$LEG" 'homes-*' && POLICY=shipped-$LEG runs/ablation.sh "$OUT" "$SIZE" pack &&
     cp -r "$OUT/figures" "$OUT/pack"
-} 2>&1 | tee "$OUT/leg.log"
+} > >(tee "$OUT/leg.log") 2>&1 &
+leg=$!
+trap 'kill -- "-$leg" 2> /dev/null; wait; exit 130' INT TERM
+wait "$leg"

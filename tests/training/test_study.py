@@ -530,6 +530,43 @@ def test_jobs_of_the_ablation_are_done_once_and_fail_by_name(tmp_path: Path) -> 
     assert call("no-such-job").returncode == 2
 
 
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_leg_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
+    """Neither its figure nor a job of its chain, whose stand-ins would go on for a minute."""
+    (tmp_path / "python").write_text(f"""#!/bin/bash
+case "$*" in *metadata*) exit ;; -c*) echo 0 && exit ;; esac
+echo $$ "$3" >> {tmp_path}/begun && exec sleep 60
+""")
+    (tmp_path / "python").chmod(0o755)
+    leg = subprocess.Popen(
+        ["bash", str(ROOT / "runs/leg.sh"), str(tmp_path / "out")],
+        env={**os.environ, "PYTHON": str(tmp_path / "python"), "SIZE": "tiny"},
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    begun, until = tmp_path / "begun", time.monotonic() + 30
+    while time.monotonic() < until and (
+        not begun.exists() or len(begun.read_text().splitlines()) < 2
+    ):
+        time.sleep(0.05)
+    lines = [line.split() for line in begun.read_text().splitlines()]
+    assert {verb for _, verb in lines} == {"figures", "scene"}
+    leg.terminate()
+    assert leg.wait(timeout=30) == 130
+    left, until = {int(process) for process, _ in lines}, time.monotonic() + 15
+    while left and time.monotonic() < until:
+        time.sleep(0.1)
+        left = {process for process in left if _is_alive(process)}
+    assert not left
+
+
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_a_job_alone_has_all_homes_that_join_and_nothing_that_is_done(tmp_path: Path) -> None:
     """A trunk waits for later lots; a leg that is there does not want those before it."""

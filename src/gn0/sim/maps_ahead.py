@@ -24,7 +24,8 @@ from gn0.sim.look_map import add_look, draw_map
 from gn0.sim.open import name_look, split_look
 
 FEW = 64  # pictures that are drawn as soon by one process, which need not start
-PROCESSES = 12  # at most: each has a context of the card, half a gigabyte
+PROCESSES = 12  # at most
+ROOM = 2**30  # bytes of a card for each: its context and a scene
 
 
 def draw_maps_ahead(
@@ -36,7 +37,8 @@ def draw_maps_ahead(
 
     Args:
         env: before its first reset.
-        processes: at most; a third of the cores, up to a dozen, when 0.
+        processes: at most; when 0 a third of the cores, up to a dozen, and as many as the card has
+            room for.
         few: so many pictures are left to the environment.
         progress: is told of scenes.
 
@@ -58,6 +60,7 @@ def draw_maps_ahead(
     count = sum(map(len, lacking.values()))
     if count <= few:
         return 0
+    fit = min(count_cores() // 3, PROCESSES, int(env.device.memory()[0] // ROOM))
     cut, background = eyes.map_settings
     scenes = list(lacking)
     if getattr(env.device, "ordinal", 0) % 2:  # two cards meet in the middle
@@ -75,7 +78,7 @@ def draw_maps_ahead(
     run_jobs(
         "gn0.sim.maps_ahead:draw_maps",
         payloads,
-        workers=processes or max(1, min(count_cores() // 3, PROCESSES)),
+        workers=processes or max(1, fit),
         names=scenes,
         what="map pictures of scenes",
         progress=progress,

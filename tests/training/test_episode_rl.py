@@ -186,11 +186,13 @@ def test_what_was_said_after_the_end_changes_nothing(stage) -> None:
 
 
 def test_the_batch_is_filled_up_with_what_does_not_count(stage, flats_suite, start) -> None:
-    plain = _learn(stage, stage.walk(0))
+    """In float64: Adam goes by signs, so what is rounding in a gradient is none in a weight."""
     other = open_small(make_job(flats_suite.folder, start, batch=3))
+    for one in (stage, other):
+        one.pupil.model.double()
+    plain = _learn(stage, stage.walk(0))
     for one, two in zip(plain, _learn(other, other.walk(0)), strict=True):
-        # Adam goes by signs: where a gradient is all rounding, a weight may go the other way
-        assert ((one - two).abs() > 1e-6).float().mean() < 1e-3
+        assert torch.allclose(one, two, atol=2e-5)
     assert any(
         weight.requires_grad for weight in stage.pupil.model.model.visual.merger.parameters()
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import re
@@ -159,17 +160,17 @@ def test_the_twin_draws_the_same_answers(nano) -> None:
 
 
 def test_eight_answers_share_their_pictures(nano) -> None:
+    """In float64: in which order a product is summed up hangs on processor and shape."""
     made, _ = nano
     layout, ids, pictures = prompts(made, 2)
-    ours = ForwardConstant(made.model, layout, 4)
+    ours = ForwardConstant(copy.deepcopy(made.model).double(), layout, 4)
     seen = [torch.from_numpy(some) for some in pictures]
     rows = torch.from_numpy(ids).repeat_interleave(8, 0)
     answer = torch.from_numpy(np.random.default_rng(0).integers(0, 900, (16, 4)))
     with torch.no_grad():
         shared = ours.logits(ours.encode(seen).repeat(8), rows, answer)
         each = ours.encode([some.repeat_interleave(8, 0) for some in seen])
-        # float32: a product of 16 pictures may be summed up in another order than one of two
-        assert (shared - ours.logits(each, rows, answer)).abs().max() <= 1e-5
+        assert (shared - ours.logits(each, rows, answer)).abs().max() <= 1e-6
 
 
 def test_sampled_chances_are_those_of_the_logits(nano) -> None:

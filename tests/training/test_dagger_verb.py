@@ -27,6 +27,7 @@ pytest.importorskip("transformers")
 from gn0.data.answer_form import AnswerForm
 from gn0.policies.bae.policy_settings import PolicySettings, load_policy_settings
 from gn0.sim.ego_map import EgoSquare, MapView
+from gn0.training import dapo
 from gn0.training.pupil import build_pupil
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.worlds import load_lessons
@@ -185,6 +186,33 @@ def test_a_policy_goes_on_with_prompts_as_long_as_it_knows_them(start, tmp_path,
     assert main(_words(every, tmp_path / "none", *own, *short)) == 2
     told = capsys.readouterr().err
     assert "all 5 episodes have more than" in told and "--text-length" in told
+
+
+@pytest.mark.slow
+def test_the_expert_rescues_on_request_where_states_are_gathered_once(
+    suite, start, tmp_path, monkeypatch
+) -> None:
+    """In DAgger and in DAPO; in a run that says nothing of it the policy drives alone."""
+    own = ["--start", start, "--agents", 4]
+    driven, told = [], []
+    for more in ([], ["--rescue", 1]):
+        out = tmp_path / f"dagger{len(more)}"
+        assert main(_words(suite, out, *own, "--states", 24, "--epochs", 1, *more)) == 0
+        driven.append(_read(out)[0]["driven"])
+    assert driven[1] < driven[0]
+    plain = dapo.collect_states
+
+    def collect(*args, **settings):
+        told.append(settings["rescue"])
+        return plain(*args, **settings)
+
+    monkeypatch.setattr(dapo, "collect_states", collect)
+    words = ["train", "dapo", str(suite), "--split", "all", "--held-out", "", "--states", "8",
+             "--prompts", "4", "--answers", "2", "--epochs", "1", "--minibatches", "1", "--device",
+             "host", *map(str, own)]  # fmt: skip
+    for more in ([], ["--rescue", "3"]):
+        assert main([*words, "--out", str(tmp_path / f"dapo{len(more)}"), *more]) == 0
+    assert told == [0, 3]
 
 
 @pytest.mark.slow

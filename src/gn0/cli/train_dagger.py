@@ -55,7 +55,7 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
         beta: chance that the expert drives an agent until the next decision, by default 0 (not with
             --live).
         rescue: actions that led nowhere after which the expert drives an agent until the next
-            decision, so that one at a wall is not hundreds of states; 0: never, by default 16 (not
+            decision, so that one at a wall is not hundreds of states; 0: never, as by default (not
             with --live).
         samples: to learn from (--live; by default 8,000,000).
         minutes: of training at most; the rate falls in time for it (--live).

@@ -78,7 +78,7 @@ class Args(PolicyFlags, frozen=True, kw_only=True):
     reference: Literal["policy", "expert"] = "expert"
     states: Count = 22_000
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
-    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 16
+    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
     epochs: Count = 2
     prompts: Count = 64

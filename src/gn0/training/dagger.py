@@ -42,7 +42,7 @@ from gn0.training.streams.samples import Stream
 from gn0.training.streams.step_ring import StepRing
 from gn0.training.streams.stream_collected import StreamCollected, count_steps
 from gn0.training.streams.stream_dataset import StreamDataset
-from gn0.training.streams.stream_live import RESCUE, StreamLive
+from gn0.training.streams.stream_live import StreamLive
 from gn0.training.worlds import leave_out_long, list_maps, load_lessons, open_world
 
 SLOT = re.compile(r"entropy_action_[0-9]+")  # of an examination, in the default input
@@ -83,7 +83,7 @@ class DaggerJob(ImitationJob, frozen=True, kw_only=True):
     beta: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0
     executed: Annotated[int, msgspec.Meta(ge=0, le=64)] = 0
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
-    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = RESCUE
+    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

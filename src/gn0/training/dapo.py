@@ -36,7 +36,6 @@ from gn0.training.stage_run import (
     open_place,
     open_stage_run,
 )
-from gn0.training.streams.stream_live import RESCUE
 from gn0.training.worlds import Lessons, leave_out_long, open_world
 
 # constant rates; nothing of what SFT does to labels
@@ -81,7 +80,7 @@ class DapoJob(PolicyJob, frozen=True, kw_only=True):
     walks: Whose = "policy"
     reference: Whose = "expert"
     stop_share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
-    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = RESCUE
+    rescue: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
     states: Annotated[int, msgspec.Meta(ge=1)] = 22_000
     agents: Annotated[int, msgspec.Meta(ge=1, le=65536)] = 128
     epochs: Annotated[int, msgspec.Meta(ge=1)] = 2

@@ -24,7 +24,7 @@ from gn0.training.rewards import PlanWalks
 from gn0.training.rl.plan_walker import PlanWalker
 from gn0.training.streams.samples import LabelledStates, SampleMaker
 from gn0.training.streams.step_ring import StepRing
-from gn0.training.streams.stream_live import RESCUE, LiveCounts, StreamLive
+from gn0.training.streams.stream_live import LiveCounts, StreamLive
 from gn0.training.worlds import list_squares
 
 Whose = Literal["policy", "expert"]
@@ -82,7 +82,7 @@ def collect_states(
     walks: Whose = "policy",
     reference: Whose = "expert",
     stop_share: float = 0.2,
-    rescue: int = RESCUE,
+    rescue: int = 0,
     dtype: torch.dtype | None = None,
     log: Mapping[str, Any] | None = None,
     say: Callable[[str], None] = lambda _: None,

@@ -45,7 +45,6 @@ from gn0.training.streams.samples import LabelledStates
 from gn0.training.streams.step_ring import StepRing
 
 STOP_DISTANCE = 1.0  # m, of the labels that policies are trained on
-RESCUE = 16  # actions that lead nowhere, where states are gathered once: more than a turn about
 Driver = Callable[..., Tensor]  # of `LabelledStates`, and of draws where there are any
 
 

@@ -185,7 +185,7 @@ def test_a_policy_goes_on_with_prompts_as_long_as_it_knows_them(start, tmp_path,
         assert ("it answers worse until" in told) == longer
     assert main(_words(every, tmp_path / "none", *own, *short)) == 2
     told = capsys.readouterr().err
-    assert "all 5 episodes have more than" in told and "--text-length" in told
+    assert "all 5 episodes say more than" in told and "--text-length" in told
 
 
 @pytest.mark.slow

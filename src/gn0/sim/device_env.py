@@ -234,11 +234,6 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
         self._expert: ExpertDevice | None = None
         self._begun = False
 
-    @property
-    def eyes(self) -> EyesDevice | None:
-        """What draws the agents' pictures; None where they are shown none."""
-        return self._eyes
-
     @cached_property
     def observation_space(self) -> spaces.Space[Any]:  # type: ignore[override]
         """Of all environments; made when asked for, as its bounds take as much as the pictures."""

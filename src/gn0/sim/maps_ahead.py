@@ -48,7 +48,7 @@ def draw_maps_ahead(
     Raises:
         JobError: a process died twice. Gn0Error: a scene is damaged, or the card is too small.
     """
-    eyes = env.eyes
+    eyes = env._eyes
     if eyes is None or not eyes.shows_map:
         return 0
     lacking: dict[str, list[str]] = defaultdict(list)
@@ -60,7 +60,10 @@ def draw_maps_ahead(
     count = sum(map(len, lacking.values()))
     if count <= few:
         return 0
-    fit = min(count_cores() // 3, PROCESSES, int(env.device.memory()[0] // ROOM))
+    if not processes:
+        processes = min(count_cores() // 3, PROCESSES, int(env.device.memory()[0] // ROOM))
+    if processes < 2:  # no quicker than the environment itself
+        return 0
     cut, background = eyes.map_settings
     scenes = list(lacking)
     if getattr(env.device, "ordinal", 0) % 2:  # two cards meet in the middle
@@ -78,7 +81,7 @@ def draw_maps_ahead(
     run_jobs(
         "gn0.sim.maps_ahead:draw_maps",
         payloads,
-        workers=processes or max(1, fit),
+        workers=processes,
         names=scenes,
         what="map pictures of scenes",
         progress=progress,

@@ -142,10 +142,9 @@ class Imitation(StageRun):
         known = {own.text_length for own in load_policy_settings(start).by_input.values()}
         others = {own.text_length for own in pupil.settings.by_input.values()} - known
         if others:
-            lengths = " and ".join(f"{max(some)}" for some in (others, known))
             self.say(
-                f"room for texts: {lengths} tokens in {start}: it answers worse until it has "
-                "learned the new length"
+                f"prompts have {max(others)} tokens for what an episode says, where {start} knows "
+                f"{max(known)}: it answers worse until it has learned the new length"
             )
 
     def open_growing(self, pupil: Pupil, open_part: OpenPart) -> StreamGrowing:

@@ -234,10 +234,10 @@ def leave_out_long(lessons: Lessons, pupil: Pupil, say: Callable[[str], None]) -
     kept = tuple(e for e in lessons.episodes if len(words.encode(e.instruction)) <= longest)
     if not kept:
         raise ConfigError(
-            f"all {len(lessons.episodes)} episodes have more than {longest} tokens, which is what "
-            "the policy's prompt has room for",
+            f"all {len(lessons.episodes)} episodes say more than {longest} tokens, for which the "
+            "policy's prompt has room",
             where=", ".join(suite.name for suite in lessons.suites),
-            remedy="give shorter ones, or let it learn longer prompts (--text-length)",
+            remedy="give others, or teach it longer prompts first (gn0 train dagger --text-length)",
         )
     if len(kept) < len(lessons.episodes):
         say(f"left out {len(lessons.episodes) - len(kept)} episodes of more than {longest} tokens")

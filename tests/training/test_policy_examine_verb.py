@@ -6,7 +6,6 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -16,16 +15,12 @@ pytest.importorskip("transformers")
 from gn0.bench.results import load_results  # noqa: E402
 from gn0.cli.main import main  # noqa: E402
 from gn0.data.answer_form import AnswerForm  # noqa: E402
-from gn0.errors import JobError, TrainingError  # noqa: E402
+from gn0.errors import TrainingError  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
-from gn0.training import worlds  # noqa: E402
-from gn0.training.exams import examination, recurrent_examination  # noqa: E402
 from gn0.training.exams.policy_examination import WalkJob, examine_policy  # noqa: E402
 from gn0.training.exams.walks_folder import load_walks  # noqa: E402
 from gn0.training.pupil import build_pupil  # noqa: E402
-from gn0.training.streams.live_counts import LiveCounts  # noqa: E402
-from gn0.training.worlds import pick_evenly  # noqa: E402
 
 VIEW = MapView(squares=(EgoSquare(32, 0.24, content="occupancy"),))
 SETTINGS = PolicySettings(
@@ -175,58 +170,3 @@ def test_what_cannot_be_examined_is_told(policy, flats_suite, tmp_path: Path, ca
     assert _examine(policy, flats_suite, out) == 2
     assert "something else" in capsys.readouterr().err
     assert (out / "notes.txt").read_text() == "mine"
-
-
-def test_few_episodes_are_spread_over_all() -> None:
-    assert pick_evenly(10, 0) == list(range(10))
-    assert pick_evenly(10, 4) == [0, 2, 5, 7]
-    assert pick_evenly(3, 10) == [0, 1, 2]
-    assert pick_evenly(0, 5) == []
-    # homes stand first in a suite, houses last: an examination of some is one of all kinds
-    assert pick_evenly(2381, 512)[-1] > 2370
-
-
-def test_a_run_examines_itself_all_over_the_suite(monkeypatch) -> None:
-    """Houses stand last: a first part of the episodes would be the small homes alone."""
-    lessons = SimpleNamespace(episodes=range(6))
-    asked = []
-
-    class Loop:
-        counts = LiveCounts()
-
-        def __init__(self, *_) -> None: ...
-
-        def play(self, picked):
-            asked.append(list(picked))
-            return []
-
-    for module in (examination, recurrent_examination):
-        monkeypatch.setattr(module, "summarise_walks", lambda walks: {})
-    own = object.__new__(examination.Examination)
-    vars(own).update(_lessons=lessons, _loops={"": Loop()}, episodes=4)
-    own._walk("")
-    monkeypatch.setattr(recurrent_examination, "ClosedLoopRecurrent", Loop)
-    other = object.__new__(recurrent_examination.RecurrentExamination)
-    vars(other).update(
-        _lessons=lessons, _env=None, net=None, tokenizer=None, autocast=None, episodes=4
-    )
-    other()
-    assert asked == [[0, 1, 3, 4]] * 2
-
-
-def test_map_pictures_that_cannot_be_drawn_ahead_are_drawn_in_their_turn(monkeypatch) -> None:
-    """A card without room for further processes, say: nothing is lost but time."""
-    told: list[str] = []
-
-    def fail(env) -> int:
-        raise JobError("flat 3 failed", remedy="look")
-
-    monkeypatch.setattr(worlds, "draw_maps_ahead", fail)
-    worlds._draw_maps(None, told.append)
-    monkeypatch.setattr(worlds, "draw_maps_ahead", lambda env: 1200)
-    worlds._draw_maps(None, told.append)
-    monkeypatch.setattr(worlds, "draw_maps_ahead", lambda env: 0)
-    worlds._draw_maps(None, told.append)
-    first, second = told
-    assert "one after another" in first and "flat 3 failed" in first
-    assert second == "drew 1,200 map pictures in 0 s"

@@ -1,0 +1,86 @@
+"""Worlds of training: which episodes are walked, and how their scenes are opened."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("transformers")
+
+from gn0.data.answer_form import AnswerForm
+from gn0.errors import JobError
+from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.training import worlds
+from gn0.training.exams import examination, recurrent_examination
+from gn0.training.streams.live_counts import LiveCounts
+from gn0.training.worlds import pick_evenly
+
+
+def test_few_episodes_are_spread_over_all() -> None:
+    assert pick_evenly(10, 0) == list(range(10))
+    assert pick_evenly(10, 4) == [0, 2, 5, 7]
+    assert pick_evenly(3, 10) == [0, 1, 2]
+    assert pick_evenly(0, 5) == []
+    # homes stand first in a suite, houses last: an examination of some is one of all kinds
+    assert pick_evenly(2381, 512)[-1] > 2370
+
+
+def test_a_run_examines_itself_all_over_the_suite(monkeypatch) -> None:
+    """Houses stand last: a first part of the episodes would be the small homes alone."""
+    lessons = SimpleNamespace(episodes=range(6))
+    asked = []
+
+    class Loop:
+        counts = LiveCounts()
+
+        def __init__(self, *_) -> None: ...
+
+        def play(self, picked):
+            asked.append(list(picked))
+            return []
+
+    for module in (examination, recurrent_examination):
+        monkeypatch.setattr(module, "summarise_walks", lambda walks: {})
+    own = object.__new__(examination.Examination)
+    vars(own).update(_lessons=lessons, _loops={"": Loop()}, episodes=4)
+    own._walk("")
+    monkeypatch.setattr(recurrent_examination, "ClosedLoopRecurrent", Loop)
+    other = object.__new__(recurrent_examination.RecurrentExamination)
+    vars(other).update(
+        _lessons=lessons, _env=None, net=None, tokenizer=None, autocast=None, episodes=4
+    )
+    other()
+    assert asked == [[0, 1, 3, 4]] * 2
+
+
+def test_a_card_has_map_pictures_drawn_ahead_and_goes_on_without(monkeypatch) -> None:
+    """Where that fails, nothing is lost but time; the emulation draws them in their turn."""
+    told: list[str] = []
+    form = AnswerForm(layout="compact")
+    shown = PolicySettings(prompt="short", pictures=("near",), form=form)
+    about = SimpleNamespace(agent=None, max_steps=9, success_radius=3.0)
+    lessons = SimpleNamespace(
+        suites=(SimpleNamespace(about=about, map_mode="prior"),), scene_folders=[1, 2], episodes=()
+    )
+
+    def open_on(kind: str, draw) -> None:
+        env = SimpleNamespace(device=SimpleNamespace(kind=kind))
+        monkeypatch.setattr(worlds, "VectorEnvDevice", lambda *_, **settings: env)
+        monkeypatch.setattr(worlds, "draw_maps_ahead", draw)
+        told.clear()
+        assert worlds.open_world(lessons, shown, 5, say=told.append) is env
+
+    def fail(env) -> int:
+        raise JobError("flat 3 failed", remedy="look")
+
+    opened = "opening 2 scenes for 5 agents"
+    open_on("cuda", fail)
+    assert told[0] == opened and "one after another" in told[1] and "flat 3 failed" in told[1]
+    open_on("cuda", lambda env: 1200)
+    assert told == [opened, "drew 1,200 map pictures in 0 s"]
+    open_on("cuda", lambda env: 0)
+    assert told == [opened]
+    open_on("host", fail)
+    assert told == [opened]

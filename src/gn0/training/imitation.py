@@ -17,7 +17,11 @@ import msgspec
 from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.policies.bae.checkpoint import load_checkpoint
-from gn0.policies.bae.policy_settings import FILE, load_policy_settings, save_policy_settings
+from gn0.policies.bae.policy_settings import (
+    holds_policy,
+    load_policy_settings,
+    save_policy_settings,
+)
 from gn0.policies.qwen.weights import hash_shards
 from gn0.seeds import derive_seed
 from gn0.suites.suite import SUITE_FILE
@@ -137,7 +141,7 @@ class Imitation(StageRun):
     def _tell_length(self, pupil: Pupil) -> None:
         """Say it where prompts are longer or shorter than the policy that goes on knows them."""
         start = self.job.start
-        if not start or not (Path(start) / FILE).is_file():
+        if not start or not holds_policy(start):
             return
         known = {own.text_length for own in load_policy_settings(start).by_input.values()}
         others = {own.text_length for own in pupil.settings.by_input.values()} - known

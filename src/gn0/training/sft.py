@@ -17,7 +17,7 @@ import msgspec
 from gn0.device.device import Device
 from gn0.errors import ConfigError
 from gn0.policies.bae.checkpoint import load_checkpoint
-from gn0.policies.bae.policy_settings import FILE, PolicySettings
+from gn0.policies.bae.policy_settings import PolicySettings, holds_policy
 from gn0.sim.history import LENGTH as MOSAIC
 from gn0.training.imitation import Imitation, ImitationJob, open_imitation
 from gn0.training.learner import open_learner
@@ -101,7 +101,7 @@ def train_sft(
         TrainingError: a loss is not finite, or the folder holds another run.
         DeviceError, DeviceMemoryError, StorageError: see their texts.
     """
-    if job.start and (Path(job.start) / FILE).is_file():  # a policy, no model as released
+    if job.start and holds_policy(job.start):
         check_going_on(job.start, job.settings)
     with open_imitation(
         job, "sft", out, device=device, fresh=fresh, command=command, say=say,
@@ -133,7 +133,7 @@ def _make_pupil(job: SftJob, run: Imitation) -> Pupil:
         texts = StreamDataset(job.suites, job.settings.shown).texts
     else:
         texts = run.load_texts()
-    if job.start and (Path(job.start) / FILE).is_file():
+    if job.start and holds_policy(job.start):
         pupil = ask_anew(job.start, job.settings, texts)
         return fit_texts(pupil, texts, shorten=False) if job.source == "dataset" else pupil
     if job.start:

@@ -265,6 +265,11 @@ def frame_of(square: EgoSquare) -> EgoFrame:
     return EgoFrame(square.size, square.metres_per_pixel, square.ahead)
 
 
+def holds_policy(folder: Path | str) -> bool:
+    """Whether a folder is a trained policy, and no model as it was released."""
+    return (Path(folder) / FILE).is_file()
+
+
 def load_policy_settings(folder: Path | str) -> PolicySettings:
     """The settings of a checkpoint's folder.
 

@@ -27,8 +27,9 @@
 #   BATCH, RATE  of the trunks, where the sweep found better ones than the recipe's; RATE of the legs, too (from the second
 #             on 5e-4: what begins from weights alone is no fine-tuning)
 #   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
-#   JOINS     samples at which lots a, b and c join (0,500000,3000000)
-#   LOT_C     flats, apartments and houses of lot c (150 76 26): what a leg finds hard may have more homes
+#   JOINS     samples at which lots a, b and c join (0,500000,3000000); none: a leg of the chain begins with all of them
+#   LOT_C     flats, apartments and houses of lot c (150 76 26)
+#   LOT_D     the same of a lot that legs of the chain alone have, of what they find hard (none); it joins after lot c
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
 #   WORKERS   homes made at a time (all cores but one)
 #   LEGS      jobs of the chain for the policy in the box (6); FROM, LEG: the policy that leg LEG goes on from, where
@@ -74,14 +75,14 @@ within=()
 [ "$MINUTES" = 0 ] || within=(--minutes "$MINUTES")
 if [ "$SIZE" = tiny ]; then
   LOTS=("a train 2 0 0" "exam val_unseen 1 0 0" "b train 1 0 0")
-  SUITES=("$OUT/suites/a" "$OUT/suites/b")
+  SUITES=("$OUT/suites/a" "$OUT/suites/b") joins=${JOINS:-0,32}
   small=(--report 2 --save 4 --examined 2 --asked 32 --device host)
   SFT=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 --joins "${JOINS:-0,64}" "${small[@]}")
   FIRST=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 "${small[@]}")  # of one lot
   ROUND=(--states "${STATES:-64}" --epochs 1 --batch 16 --agents 8 "${small[@]}")
-  AGAIN=(--joins "${JOINS:-0,32}")
+  AGAIN=()
   LIVE=(--samples 64 --batch 16 --agents 16 --kept 320 --beta-from 0 --beta-to 32 "${small[@]}")
-  NEW=(--size nano --samples 96 --batch 16 --agents 16 --kept 320 --joins "${JOINS:-0,64}" --beta-from 32 --beta-to 64 "${small[@]}")
+  NEW=(--size nano --samples 96 --batch 16 --agents 16 --kept 320 --beta-from 32 --beta-to 64 "${small[@]}")
   DAPO=(--states 32 --prompts 8 --answers 4 --minibatches 2 --epochs 1 --agents 8 --report 1 --save 2 --examined 2 --asked 32 --device host)
   RL=(--updates "${UPDATES:-2}" --episodes 2 --group 4 --max-steps 24 --batch 16 --minibatches 2 --save 1 --examined 2 --asked 32 --device host)
   BASELINE=(--size nano --samples 64 --agents 4 --steps 8 --rounds 1 --report 1 --save 1 --examined 2 --device host)
@@ -89,20 +90,26 @@ if [ "$SIZE" = tiny ]; then
   UNTRAINED=(--limit 4)
 else
   LOTS=("a train 30 14 4" "exam val_unseen 60 30 10" "b train 60 30 10" "c train ${LOT_C:-150 76 26}")
-  SUITES=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c")
+  SUITES=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c") joins=${JOINS:-0,500000,3000000}
   own=(--examined "${EXAMINED:-512}" --shard-mb 15) kept=(--save 500 "${own[@]}")
   SFT=(--samples "${SAMPLES:-8000000}" --joins "${JOINS:-0,500000,3000000}" "${within[@]}" "${kept[@]}")
   FIRST=(--samples "${SAMPLES:-8000000}" "${within[@]}" "${kept[@]}")
   ROUND=(--states "${STATES:-300000}" --epochs 5 "${kept[@]}")
   LIVE=(--samples 1500000 --beta-from 0 --beta-to 500000 "${within[@]}" "${kept[@]}")
-  NEW=(--samples 50000000 --joins "${JOINS:-0,500000,3000000}" --beta-from 250000 --beta-to 2500000 "${within[@]}" "${kept[@]}")
-  AGAIN=(--joins "${JOINS:-0,500000,3000000}" --samples 50000000 --rate "${RATE:-5e-4}" --confirm-stop)  # of a leg that goes on
+  NEW=(--samples 50000000 --beta-from 250000 --beta-to 2500000 "${within[@]}" "${kept[@]}")
+  AGAIN=(--samples 50000000 --rate "${RATE:-5e-4}" --confirm-stop)  # of a leg that goes on
   DAPO=("${within[@]}" --save 50 "${own[@]}")
   RL=(--updates "${UPDATES:-200}" --save 3 "${own[@]}")
   BASELINE=(--samples "${SAMPLES:-8000000}")
   WALK=(--episodes "${EPISODES:-0}")
   UNTRAINED=()
 fi
+LEG_SUITES=("${SUITES[@]}") LOT_D=${LOT_D:-}
+if [ -n "$LOT_D" ]; then
+  LEG_SUITES+=("$OUT/suites/d")
+  [ -n "${JOINS:-}" ] || joins+=,$((${joins##*,} * 4 / 3))
+fi
+[ "$joins" = none ] || { AGAIN+=(--joins "$joins"); NEW+=(--joins "$joins"); }
 if [ -n "${SPEED:-}" ]; then
   for kind in SFT FIRST ROUND LIVE NEW; do
     declare -n flags=$kind
@@ -203,9 +210,9 @@ shipped() { # LEG: one policy for all inputs, live; goes on from the weights of 
   local leg=$1 start=$OUT/runs/shipped-$(($1 - 1))/policy
   [ "$leg" != "$LEG" ] || [ -z "$FROM" ] || start=$FROM
   if [ "$leg" = 1 ] && [ -z "$FROM" ]; then
-    train dagger "shipped-1" "${SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter --draw-after "$DRAW_AFTER" "${NEW[@]}"
+    train dagger "shipped-1" "${LEG_SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter --draw-after "$DRAW_AFTER" "${NEW[@]}"
   else
-    train dagger "shipped-$leg" "${SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter --draw-after "$DRAW_AFTER" "${LIVE[@]}" \
+    train dagger "shipped-$leg" "${LEG_SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter --draw-after "$DRAW_AFTER" "${LIVE[@]}" \
       "${AGAIN[@]}" $([ "$SIZE" = tiny ] || echo --beta-to "${BETA_TO:-$((leg == 2 ? 2000000 : 1))}")
   fi
 }
@@ -279,6 +286,7 @@ job() {
 ALL=${EACH:-$((${#CARDS[@]} > 1 ? ${#CARDS[@]} : 1))}  # cards of a trunk
 rest=$(printf ',homes-%s' "${LOTS[@]%% *}")
 rest=${rest:1}
+chain_rest=$rest${LOT_D:+,homes-d}
 
 arms() { # INPUT SEED: a cell, a trunk and then its arms side by side
   local cell=$1 seed=$2
@@ -305,7 +313,7 @@ row() { # NAME WHAT ...: a trunk of the input `all` with something else, one see
 }
 
 # 1. scenes and missions, made beside the learner; nobody waits for more than lot a
-for one in "${LOTS[@]}"; do job "homes-${one%% *}" "" 0 lot $one; done
+for one in "${LOTS[@]}" ${LOT_D:+"d train $LOT_D"}; do job "homes-${one%% *}" "" 0 lot $one; done
 job known homes-exam 0 missions "$OUT/homes/exam" known --phrasings known
 [ -z "${IMPORTED:-}" ] || job imported homes-exam 0 imported
 job untrained homes-exam 0 untrained
@@ -314,7 +322,7 @@ job untrained homes-exam 0 untrained
 for input in "${INPUTS[@]}"; do arms "$input" "${SEEDS[0]}"; done
 for ((leg = LEG; leg <= LEGS; leg++)); do
   before=homes-a,homes-exam  # all others join
-  [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$rest
+  [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$chain_rest
   job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done
 [ -z "${DOES[shipped-2]:-}" ] || job legs.walks "shipped-2,$rest" 1 legs_walks shipped-2
@@ -427,7 +435,10 @@ choose() { # JOB: it and all that it is made from
   CHOSEN[$1]=yes
   ! is_done "$1" || return 0  # nor does what it was made from matter any more
   local before=${AFTER[$1]}
-  case ${DOES[$1]} in sft\ * | few\ * | shipped\ *) before+=" ${rest//,/ }" ;; esac  # they join while it learns
+  case ${DOES[$1]} in  # they join while it learns
+    sft\ * | few\ *) before+=" ${rest//,/ }" ;;
+    shipped\ *) before+=" ${chain_rest//,/ }" ;;
+  esac
   for one in $before; do
     [ -n "${DOES[$one]:-}" ] || continue  # made elsewhere
     choose "$one"

@@ -66,8 +66,8 @@ def draw_maps_ahead(
         return 0
     cut, background = eyes.map_settings
     scenes = list(lacking)
-    if getattr(env.device, "ordinal", 0) % 2:  # two cards meet in the middle
-        scenes.reverse()
+    begin = int(_spread(getattr(env.device, "ordinal", 0)) * len(scenes))
+    scenes = scenes[begin:] + scenes[:begin]  # each of several cards begins with others
     payloads = [
         {
             "scene": scene,
@@ -105,6 +105,11 @@ def draw_maps(payload: dict[str, Any]) -> dict[str, Any]:
 def _open(device: str) -> Renderer:
     """The renderer of this process."""
     return open_renderer("cuda", device=open_device(device))
+
+
+def _spread(number: int) -> float:
+    """0, 1/2, 1/4, 3/4, 1/8 and so on: evenly over [0, 1), however many numbers there are."""
+    return int(f"{number:b}"[::-1], 2) / (1 << number.bit_length())
 
 
 def _name_device(device: Device) -> str:

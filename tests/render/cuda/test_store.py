@@ -6,6 +6,7 @@ import shutil
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -193,8 +194,9 @@ def test_unknown_keys_and_failing_loaders_are_errors() -> None:
     store.open("a")
 
 
-def test_the_next_cloud_is_loaded_while_one_is_drawn() -> None:
-    """One ahead and no more, each once and in order, whatever fits beside what."""
+def test_the_next_cloud_is_loaded_while_one_is_drawn(monkeypatch) -> None:
+    """Of large ones one ahead and no more, each once and in order, whatever fits beside what."""
+    monkeypatch.setattr("gn0.render.cuda.store._AHEAD", ONE - 1)
     store, loaders, _ = store_of("abcd", ONE)
     ahead = threading.Event()
 
@@ -209,6 +211,23 @@ def test_the_next_cloud_is_loaded_while_one_is_drawn() -> None:
     assert [list(group) for group in groups] == [["b"], ["c"], ["d"]]
     assert [loader.times for loader in loaders.values()] == [1, 1, 1, 1]
     assert store.holds("d") and not store.holds("a")
+
+
+def test_small_clouds_are_loaded_several_at_a_time(monkeypatch) -> None:
+    """As many as the host's room holds by the size of the last; they come in order all the same."""
+    monkeypatch.setattr("gn0.render.cuda.store._AHEAD", 3 * ONE)
+    monkeypatch.setattr("gn0.render.cuda.store.count_cores", lambda: 3)
+    store, loaders, _ = store_of("abcdefg", 10 * ONE)
+    three = threading.Barrier(3)
+
+    def wait_for_others(loader: Loader) -> GaussianCloud:
+        three.wait(20)
+        return loader()
+
+    for key in "bcdefg":
+        store.add(key, partial(wait_for_others, loaders[key]), "another hash")
+    assert [list(group) for group in store.groups("abcdefg")] == [list("abcdefg")]
+    assert [loader.times for loader in loaders.values()] == [1] * 7
 
 
 def test_a_cloud_that_cannot_be_loaded_ahead_is_said_at_its_turn() -> None:

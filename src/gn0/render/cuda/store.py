@@ -8,19 +8,22 @@ once, so a scene that was swapped on disk is never shown as it was.
 from __future__ import annotations
 
 import contextlib
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 
 from gn0.device.device import Device
 from gn0.errors import DeviceMemoryError, RenderError
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.jobs.process import count_cores
 from gn0.render.cuda.cloud import CloudDevice
 from gn0.render.cuda.pack import CloudReady, cloud_bytes, prepare_cloud, upload_cloud
 
 _SMALLER = "use backend 'cpu', or a scene with fewer splats or a lower SH degree"
 SHARE = 0.6  # of the memory that is free at the start, for clouds; the rest is for drawing
+_AHEAD, _THREADS = 2**28, 8  # bytes of clouds that are loaded before their turn, by how many
 Load = Callable[[], GaussianCloud | CloudReady]
 
 
@@ -250,22 +253,33 @@ class CloudStore:
 def _load_ahead(
     loads: Mapping[str, Load],
 ) -> Generator[tuple[str, GaussianCloud | CloudReady], None, None]:
-    """What some loaders give, in order; each runs while the one before is made use of.
+    """What some loaders give, in order; those that follow run while one is made use of.
 
-    One at a time, and one ahead at most: that is what the host must have room for.
+    One of them at least, and as many as `_AHEAD` bytes of host memory hold, by the last one's size.
     """
     if len(loads) < 2:
         yield from ((key, load()) for key, load in loads.items())
         return
-    with ThreadPoolExecutor(1, "load clouds") as pool:
-        waiting: tuple[str, Future[CloudReady]] | None = None
-        for key, load in loads.items():
-            begun = key, pool.submit(_get_ready, load)
-            if waiting is not None:
-                yield waiting[0], waiting[1].result()
-            waiting = begun
-        assert waiting is not None
-        yield waiting[0], waiting[1].result()
+    most = min(_THREADS, count_cores())
+    with ThreadPoolExecutor(most, "load clouds") as pool:
+        coming = iter(loads.items())
+        waiting: deque[tuple[str, Future[CloudReady]]] = deque()
+
+        def begin(count: int) -> None:
+            for key, load in islice(coming, max(0, count - len(waiting))):
+                waiting.append((key, pool.submit(_get_ready, load)))
+
+        begin(2)
+        try:
+            while waiting:
+                key, begun = waiting.popleft()
+                ready = begun.result()
+                size = cloud_bytes(len(ready), ready.sh_degree)
+                begin(max(1, min(most, _AHEAD // max(size, 1))))
+                yield key, ready
+        finally:  # an error, or nobody wants the others
+            for _, begun in waiting:
+                begun.cancel()
 
 
 def _get_ready(load: Load) -> CloudReady:

@@ -94,6 +94,26 @@ def test_other_shapes_are_refused(pupil, draw_states) -> None:
         act(pupil, 0)
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a card")
+def test_recorded_actors_of_a_card_compute_in_the_same_memory(pupil, draw_states) -> None:
+    """Whoever was asked between, the answers are those that the same actor gave alone."""
+    batch, model = pupil.maker.make(draw_states(12)), pupil.model.cuda()
+    pictures, ids = [one.cuda() for one in batch.pictures], batch.ids.cuda()
+    thirds = [([one[at : at + 4] for one in pictures], ids[at : at + 4]) for at in (0, 4, 8)]
+    want = act(pupil, 12, recorded=False).decide(pictures, ids).ids
+    some = [act(pupil, 4, recorded=False).decide(*third).ids for third in thirds]
+    wide, tight = act(pupil, 12), act(pupil, 4)
+    assert torch.equal(wide.decide(pictures, ids).ids, want)
+    torch.cuda.empty_cache()
+    before = torch.cuda.memory_reserved()
+    for _ in range(3):
+        for third, own in zip(thirds, some, strict=True):
+            assert torch.equal(tight.decide(*third).ids, own)
+        assert torch.equal(wide.decide(pictures, ids).ids, want)
+    assert torch.cuda.memory_reserved() - before < 2**26
+    model.cpu()
+
+
 def test_a_card_that_is_too_small_is_told_in_bytes(pupil, draw_states, monkeypatch) -> None:
     batch = pupil.maker.make(draw_states(4))
     actor = act(pupil, 4)
@@ -103,6 +123,10 @@ def test_a_card_that_is_too_small_is_told_in_bytes(pupil, draw_states, monkeypat
 
     monkeypatch.setattr(actor.forward, "sample", lacks)
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**20, 80 * 2**30))
-    with pytest.raises(DeviceMemoryError, match=r"4 agents.*1048576 of its 85899345920") as caught:
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 30 * 2**30)
+    with pytest.raises(
+        DeviceMemoryError,
+        match=r"4 agents.*1048576 of its 85899345920.* 32212254720 are the model's",
+    ) as caught:
         actor.decide(batch.pictures, batch.ids)
     assert "--agents" in caught.value.remedy

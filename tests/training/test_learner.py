@@ -151,6 +151,7 @@ def test_a_card_that_is_too_small_is_told_in_bytes(pupil, draw_states, monkeypat
 
     monkeypatch.setattr(learner, "descend", lacks)
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**20, 80 * 2**30))
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 30 * 2**30)
     with pytest.raises(DeviceMemoryError, match="1048576 of its 85899345920") as caught:
         learner.step(pupil.maker.make(draw_states(2)), 1.0)
     assert "--batch" in caught.value.remedy

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
@@ -50,6 +51,18 @@ class Decisions:
     tokens: Tensor
     logprobs: Tensor
     entropy: Tensor
+
+
+@cache
+def share_pool(card: int) -> tuple[int, int]:
+    """The memory in which all actors of a card compute.
+
+    They decide one after another, and what one says is copied before the next is asked; a model
+    that is asked in six ways needs the memory of the largest, not of all six.
+    """
+    with torch.cuda.device(card):
+        pool: tuple[int, int] = torch.cuda.graph_pool_handle()
+    return pool
 
 
 class Actor:
@@ -189,7 +202,8 @@ class Actor:
         torch.cuda.current_stream(self.device).wait_stream(side)
         graph = torch.cuda.CUDAGraph()
         graph.register_generator_state(self._generator)
-        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+        pool = share_pool(self.device.index or 0)
+        with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
             self._said = self._compute()
         self._graph = graph
 

@@ -26,8 +26,10 @@ def refuse_full_card(device: torch.device | str, what: str, remedy: str) -> Iter
         yield
     except torch.OutOfMemoryError as error:
         free, whole = torch.cuda.mem_get_info(device)
+        ours = torch.cuda.memory_reserved(device)
         raise DeviceMemoryError(
-            f"{what} does not fit on the card: {free} of its {whole} bytes are free",
+            f"{what} does not fit on the card: {free} of its {whole} bytes are free, {ours} are "
+            f"the model's and its steps', {whole - free - ours} scenes' and others'",
             where=str(device),
             remedy=remedy,
         ) from error

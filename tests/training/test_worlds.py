@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -10,12 +12,17 @@ pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.data.answer_form import AnswerForm
-from gn0.errors import JobError
+from gn0.errors import JobError, StorageError
+from gn0.maps.navigation import NavigationMap
+from gn0.missions.goal import sample_goal_episodes
 from gn0.policies.bae.policy_settings import PolicySettings
+from gn0.scenes.example import build_example_scene
+from gn0.scenes.folder import load_scene, save_scene
+from gn0.suites.suite import save_suite
 from gn0.training import worlds
 from gn0.training.exams import examination, recurrent_examination
 from gn0.training.streams.live_counts import LiveCounts
-from gn0.training.worlds import pick_evenly
+from gn0.training.worlds import load_lessons, pick_evenly
 
 
 def test_few_episodes_are_spread_over_all() -> None:
@@ -53,6 +60,21 @@ def test_a_run_examines_itself_all_over_the_suite(monkeypatch) -> None:
     )
     other()
     assert asked == [[0, 1, 3, 4]] * 2
+
+
+def test_a_suite_is_read_once_as_long_as_it_is_as_it_was(tmp_path) -> None:
+    scene = build_example_scene()
+    save_scene(replace(scene, id="flat"), tmp_path / "flat")
+    scene = load_scene(tmp_path / "flat")
+    episodes = sample_goal_episodes(scene, NavigationMap(scene.grid, 0.2), 3, 0)
+    folder = save_suite(tmp_path / "suite", [scene], episodes, name="one").folder
+    first = load_lessons(folder).suites[0]
+    assert load_lessons([folder]).suites[0] is first
+    shutil.rmtree(folder)
+    with pytest.raises(StorageError, match="suite"):
+        load_lessons(folder)
+    save_suite(folder, [scene], episodes[:2], name="one")
+    assert len(load_lessons(folder).episodes) == 2
 
 
 def test_a_card_has_map_pictures_drawn_ahead_and_goes_on_without(monkeypatch) -> None:

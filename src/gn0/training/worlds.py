@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol, TypedDict
 
@@ -16,7 +17,7 @@ from gn0.sim.device_env import VectorEnvDevice
 from gn0.sim.ego_map import MapView
 from gn0.sim.maps_ahead import draw_maps_ahead
 from gn0.storage import content_hash
-from gn0.suites.suite import SUITE_FILE, Suite, load_suite
+from gn0.suites.suite import EPISODE_FILE, SUITE_FILE, Suite, load_suite
 from gn0.training.pupil import Pupil
 
 _POLL = 0.5  # s
@@ -81,7 +82,7 @@ def load_lessons(suites: Path | str | Sequence[Path | str], splits: Sequence[str
         BenchError, FormatError, StorageError: one is no suite, or cannot be read.
     """
     paths = [suites] if isinstance(suites, Path | str) else list(suites)
-    opened = tuple(load_suite(path) for path in paths)
+    opened = tuple(_open_suite(path) for path in paths)
     known = sorted({episode.split for suite in opened for episode in suite.episodes})
     for name in splits:
         if name not in known:
@@ -105,6 +106,24 @@ def load_lessons(suites: Path | str | Sequence[Path | str], splits: Sequence[str
             )
     episodes = (e for suite in opened for e in suite.episodes if not splits or e.split in splits)
     return Lessons(opened, tuple(splits), tuple(episodes))
+
+
+def _open_suite(path: Path | str) -> Suite:
+    """A suite; one that was opened before and is as it was is not read again.
+
+    A stage asks for its lessons several times, and tens of thousands of episodes take 10 s each.
+    """
+    try:
+        folder = Path(path).resolve()
+        looks = [(folder / name).stat() for name in (SUITE_FILE, EPISODE_FILE)]
+    except (OSError, ValueError):
+        return load_suite(path)  # says what is wrong; or it is a URL
+    return _load_as_it_was(folder, *((one.st_mtime_ns, one.st_size) for one in looks))
+
+
+@lru_cache(maxsize=16)
+def _load_as_it_was(folder: Path, *stamps: tuple[int, int]) -> Suite:
+    return load_suite(folder)
 
 
 def wait_for_suites(

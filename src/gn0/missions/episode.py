@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from itertools import chain
 from typing import Literal
 
 import msgspec
@@ -223,8 +224,8 @@ def check_episode(episode: Episode) -> Episode:
         EpisodeError: non-finite pose, goal or path, empty instruction, unsafe id.
     """
     where = f"episode {episode.id!r}"
-    values = [*episode.start, *episode.goal, *(v for point in episode.path for v in point)]
-    if not all(math.isfinite(v) for v in values):
+    values = chain(episode.start, episode.goal, chain.from_iterable(episode.path))
+    if not all(map(math.isfinite, values)):
         raise EpisodeError(
             "start, goal or path holds NaN or infinity", where=where, remedy="rebuild the suite"
         )

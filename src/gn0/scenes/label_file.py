@@ -165,25 +165,35 @@ def box_from_corners(corners: F64, file: Path, index: int) -> ObjectBox:
             field="bounding_box",
             remedy="correct the box, or leave it out",
         )
-    face, other = corners[:4], corners[4:]
-    if face[:, 2].mean() > other[:, 2].mean():
-        face, other = other, face
-    middle = corners.mean(axis=0)
-    ring = _counter_clockwise(face)
-    along = (ring[1, :2] - ring[0, :2] + ring[2, :2] - ring[3, :2]) / 2
-    across = (ring[2, :2] - ring[1, :2] + ring[3, :2] - ring[0, :2]) / 2
+    # in plain numbers: a scene has hundreds of boxes, and arrays of four cost ten times as much
+    rows: list[list[float]] = corners.tolist()
+    face, other = rows[:4], rows[4:]
+    floor, top = _mean([z for *_, z in face]), _mean([z for *_, z in other])
+    if floor > top:
+        face, floor, top = other, top, floor
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = _counter_clockwise([(x, y) for x, y, _ in face])
+    along = ((bx - ax + cx - dx) / 2, (by - ay + cy - dy) / 2)
+    across = ((cx - bx + dx - ax) / 2, (cy - by + dy - ay) / 2)
     sx, sy = float(np.hypot(*along)), float(np.hypot(*across))
     if sx > 0:
         yaw = math.atan2(along[1], along[0])
     else:
         yaw = math.atan2(across[1], across[0]) - math.pi / 2 if sy > 0 else 0.0
-    sz = float(other[:, 2].mean() - face[:, 2].mean())
-    centre = (round(middle[0], 6), round(middle[1], 6), round(middle[2], 6))
+    # to whole micrometres as NumPy has it, whose last bit decides in stored scenes
+    middle = [round(_mean([row[axis] for row in rows]) * 1e6) / 1e6 for axis in range(3)]
     return ObjectBox(
-        centre=(float(centre[0]), float(centre[1]), float(centre[2])),
-        size=(round(sx, 6), round(sy, 6), round(sz, 6)),
+        centre=(middle[0], middle[1], middle[2]),
+        size=(round(sx, 6), round(sy, 6), round(top - floor, 6)),
         yaw=_rounded_yaw(yaw),
     )
+
+
+def _mean(values: list[float]) -> float:
+    """Summed from the first on: `sum` is more exact in some versions of Python than in others."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total / len(values)
 
 
 def _rounded_yaw(yaw: float) -> float:
@@ -192,14 +202,15 @@ def _rounded_yaw(yaw: float) -> float:
     return -3.141592 if abs(rounded) > 3.141592 else rounded
 
 
-def _counter_clockwise(face: F64) -> F64:
-    """A face's corners [4, 3] from the given first one round counter-clockwise."""
-    xy = face[:, :2]
-    size = np.abs(xy - xy.mean(axis=0)).max()
-    if np.abs(xy[0] + xy[2] - xy[1] - xy[3]).max() <= 1e-3 * size + 1e-9:
+def _counter_clockwise(face: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """A face's corners (4) from the given first one round counter-clockwise."""
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = face
+    mx, my = _mean([ax, bx, cx, dx]), _mean([ay, by, cy, dy])
+    size = max(max(abs(x - mx), abs(y - my)) for x, y in face)
+    if max(abs(ax + cx - bx - dx), abs(ay + cy - by - dy)) <= 1e-3 * size + 1e-9:
         # already a ring: opposite corners share their middle (also of a box without depth)
-        a, b = xy[2] - xy[0], xy[3] - xy[1]
-        return face if a[0] * b[1] - a[1] * b[0] >= 0 else face[[0, 3, 2, 1]]
-    offset = xy - xy.mean(axis=0)
-    turn = np.arctan2(offset[:, 1], offset[:, 0])
-    return face[np.argsort(np.mod(turn - turn[0] + 1e-9, 2 * math.pi), kind="stable")]
+        turns_left = (cx - ax) * (dy - by) - (cy - ay) * (dx - bx) >= 0
+        return face if turns_left else [face[0], face[3], face[2], face[1]]
+    turn = np.arctan2([y - my for _, y in face], [x - mx for x, _ in face])
+    order = np.argsort(np.mod(turn - turn[0] + 1e-9, 2 * math.pi), kind="stable")
+    return [face[k] for k in order.tolist()]

@@ -21,7 +21,15 @@ from gn0.training.runs.progress_line import (
     format_seconds,
 )
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
-from gn0.training.runs.run_folder import CHECKPOINTS, EVENTS, LOG, METRICS, open_run, read_run
+from gn0.training.runs.run_folder import (
+    CHECKPOINTS,
+    EVENTS,
+    LOG,
+    METRICS,
+    count_card_seconds,
+    open_run,
+    read_run,
+)
 from gn0.training.runs.state_folder import STATE, name_state
 
 FACTS = {
@@ -246,3 +254,19 @@ def test_the_line_says_rate_losses_and_time_left() -> None:
     report = TrainingReport(1, 0, 60, 1.0, {}, 0.0, walks=shares)
     assert format_report(report, 0.0, None).endswith("first action 0.0% · agrees 50%")
     assert [format_seconds(s) for s in (7, 725, 11045)] == ["0:07", "12:05", "3:04:05"]
+
+
+def test_seconds_are_counted_once_for_each_card(tmp_path: Path) -> None:
+    """A run that four cards began and one went on with, from a state before the last report."""
+    with opened(tmp_path, processes=4, device="H100") as run:
+        run.report(0, {"seconds": 0.0})
+        assert count_card_seconds(tmp_path) is None
+        for step, seconds in ((1, 30.0), (2, 40.0), (3, 55.0)):
+            run.report(step, {"seconds": seconds})
+        put_state(tmp_path, 2)
+    assert count_card_seconds(tmp_path) == 220
+    with opened(tmp_path, device="H100") as run:
+        run.report(4, {"seconds": 47.0})
+    assert count_card_seconds(tmp_path) == 4 * 40 + 7
+    assert [one.devices for one in read_run(tmp_path).sessions] == ["4 × H100", "H100"]
+    assert "begins at step 0 on 4 × H100" in (tmp_path / LOG).read_text()

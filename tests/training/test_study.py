@@ -26,6 +26,7 @@ from gn0.cli.main import main
 from gn0.errors import ConfigError, FormatError, TrainingError
 from gn0.training.exams.walks import Walk
 from gn0.training.exams.walks_folder import WalksAbout
+from gn0.training.runs.run_folder import RunRecord, RunSession
 from gn0.training.study.claims import find_difference, find_mean, judge_claim
 from gn0.training.study.crossed_intervals import (
     Estimate,
@@ -48,7 +49,7 @@ tables:
   - {name: maps, title: Maps}
 figures:
   - {title: entropy, key: entropy}
-  - {title: GPU minutes, key: seconds, factor: 0.016666667}
+  - {title: GPU minutes, key: card_seconds, factor: 0.016666667}
 paper:
   - name: SFT
     line: 1062
@@ -120,6 +121,9 @@ def _report(folder: Path, entropy: float) -> None:
     folder.mkdir(parents=True)
     lines = [{"step": 1, "loss": 2.0}, {"step": 2, "entropy": entropy, "seconds": 60.0}]
     (folder / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    session = RunSession(began="", command=[], device="card", versions={}, step=0, processes=4)
+    record = RunRecord(stage="sft", recipe={}, hashes={}, sessions=[session])
+    (folder / "run.json").write_text(json.dumps(msgspec.to_builtins(record)))
 
 
 @pytest.fixture

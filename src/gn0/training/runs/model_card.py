@@ -141,7 +141,7 @@ def _list_facts(record: RunRecord, last: Mapping[str, Any]) -> list[tuple[str, s
         facts.append(("samples", f"{int(last['samples']):,} in {int(last['step']):,} steps"))
     if last.get("seconds"):
         facts.append(("time of training", f"{last['seconds'] / 60:.1f} min"))
-    devices = dict.fromkeys(session.device for session in record.sessions)
+    devices = dict.fromkeys(session.devices for session in record.sessions)
     facts.append(("on", ", ".join(devices)))
     versions = record.sessions[-1].versions if record.sessions else {}
     facts.append(("with", ", ".join(f"{k} {v}" for k, v in sorted(versions.items())) or "not told"))

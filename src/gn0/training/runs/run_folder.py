@@ -50,6 +50,7 @@ class RunSession(Config, frozen=True):
         device: as `name_device` says it.
         versions: of packages.
         step: that it went on from; 0 at the beginning.
+        processes: that trained together, each on a device of its own.
     """
 
     began: str
@@ -57,6 +58,12 @@ class RunSession(Config, frozen=True):
     device: str
     versions: dict[str, str]
     step: int
+    processes: int = 1
+
+    @property
+    def devices(self) -> str:
+        """The device, and how many of them."""
+        return f"{self.processes} × {self.device}" if self.processes > 1 else self.device
 
 
 class RunRecord(Config, frozen=True):
@@ -102,7 +109,7 @@ class RunFolder:
             self._log = (folder / LOG).open("a", encoding="utf-8")
         except OSError as error:
             raise storage_error(error, folder, "write") from error
-        self.log(f"begins at step {step} on {record.sessions[-1].device}")
+        self.log(f"begins at step {step} on {record.sessions[-1].devices}")
         for note in notes:
             self.log(note)
 
@@ -193,6 +200,7 @@ def open_run(
     command: list[str],
     device: str,
     versions: Mapping[str, str],
+    processes: int = 1,
     free: Collection[str] = (),
     fresh: bool = False,
     from_step: int | None = None,
@@ -209,6 +217,7 @@ def open_run(
         command: as `describe_command` gives it.
         device: as `name_device` says it.
         versions: of packages.
+        processes: that train together.
         free: fields of the recipe that may differ from those of the run so far.
         fresh: forget what was trained there before.
         from_step: go on from the state of this step, and give up later ones; None: from the last.
@@ -239,6 +248,7 @@ def open_run(
             device=device,
             versions=dict(versions),
             step=read_step(resumed) if resumed else 0,
+            processes=processes,
         )
         done = before.finished if before and before.finished == session.step else None
         record = RunRecord(
@@ -268,6 +278,24 @@ def read_run(folder: Path) -> RunRecord:
             f"no training run: there is no {RUN}", where=folder, remedy="give the --out of a run"
         )
     return load_json(folder / RUN, RunRecord)
+
+
+def count_card_seconds(folder: Path) -> float | None:
+    """Seconds of training of a run, times the cards that it had then; None before its first report.
+
+    Raises:
+        TrainingError: the folder holds no run.
+        StorageError, FormatError: a file cannot be read.
+    """
+    lines = [line for line in read_metrics(folder / METRICS) if line.get("seconds")]
+    if not lines:
+        return None
+    sessions, total, before = read_run(folder).sessions, 0.0, 0.0
+    for line in lines:
+        begun = [one for one in sessions if one.step < line["step"]] or sessions[:1]
+        total += (line["seconds"] - before) * begun[-1].processes
+        before = line["seconds"]
+    return total
 
 
 def write_run_page(folder: Path | str) -> Path:

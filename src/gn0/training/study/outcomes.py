@@ -20,10 +20,10 @@ from gn0.suites.run_files import SUMMARY
 from gn0.training.exams.walks import MEANS, Walk
 from gn0.training.exams.walks_folder import ABOUT, WalksAbout, load_walks
 from gn0.training.runs.metrics_file import read_metrics
-from gn0.training.runs.run_folder import METRICS
+from gn0.training.runs.run_folder import METRICS, count_card_seconds
 from gn0.training.study.study_file import Arm, Figure, Study
 
-VISIBLE = "visible"
+VISIBLE, CARD_SECONDS = "visible", "card_seconds"
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +114,14 @@ class Found:
         Raises:
             StorageError: a file cannot be read.
         """
-        found = {}
+        found: dict[int, float] = {}
         for seed in arm.seeds if arm.run else ():
-            path = self.folder / arm.folder(arm.run, seed) / METRICS
+            run = self.folder / arm.folder(arm.run, seed)
+            if figure.key == CARD_SECONDS:
+                seconds = count_card_seconds(run) if (run / METRICS).is_file() else None
+                found |= {} if seconds is None else {seed: seconds}
+                continue
+            path = run / METRICS
             values = [line[figure.key] for line in read_metrics(path) if _is_number(line, figure)]
             if values:
                 pick = {"first": values[0], "last": values[-1]}

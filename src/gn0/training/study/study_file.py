@@ -63,7 +63,6 @@ class Arm(Config, frozen=True, kw_only=True):
             {exam} are filled in.
         run: folder of the training run, likewise; "" for none of its own.
         trained: whether seeds mean anything to it; one that is not stands against every seed.
-        cards: that trained side by side.
         paper: name of the paper's row.
     """
 
@@ -76,7 +75,6 @@ class Arm(Config, frozen=True, kw_only=True):
     walks: str = "walks/{arm}-{seed}/{exam}"
     run: str = ""
     trained: bool = True
-    cards: Annotated[int, msgspec.Meta(ge=1)] = 1
     paper: str = ""
 
     def folder(self, pattern: str, seed: int, exam: str = "") -> str:
@@ -147,7 +145,7 @@ class Figure(Config, frozen=True, kw_only=True):
 
     Attributes:
         title: of the column.
-        key: in `metrics.jsonl`.
+        key: in `metrics.jsonl`; or card_seconds, seconds times the cards that trained together.
         at: which of its reports: first, last, lowest or highest.
         factor: it is shown times this.
     """

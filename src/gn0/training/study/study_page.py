@@ -272,8 +272,7 @@ def _tell_stages(found: Found) -> Iterator[str]:
         cells = []
         for figure in figures:
             values = list(found.figures(arm, figure).values())
-            cards = arm.cards if figure.key == "seconds" else 1
-            mean = cards * figure.factor * sum(values) / len(values) if values else math.nan
+            mean = figure.factor * sum(values) / len(values) if values else math.nan
             cells.append(f"{mean:.4g}" if values else "")
         name = f"{arm.title} (`{arm.name}`)"
         rows.append((name, *(cells if any(cells) else [f"*{NOT_RUN}*", *cells[1:]])))

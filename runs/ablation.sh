@@ -16,6 +16,8 @@
 #   EACH      cards of a trunk or a leg (all), so that two of them may be trained side by side
 #   GPUS      cards to use, as 0,1,2,3 (all that nvidia-smi lists; none: jobs run one after another on the CPU)
 #   MINUTES   of a training job at most (9; 0 for none); its rate falls in time. DAgger in rounds and RL count otherwise
+#   LEG_MINUTES  of a leg of the chain (as MINUTES); UNTIL: seconds since 1970 by which its training ends, whatever came
+#             before it took
 #   WALL      minutes after which this call stops what runs, to be gone on with in the next; of `watch`: after which it
 #             looks no longer (0: never)
 #   INPUTS    that have arms (all views maps; in miniature maps): all is view, mosaic, near and far map; views is view and
@@ -206,25 +208,32 @@ untrained() {
   for one in random straight wall_follower oracle parse_then_astar; do bench "$one" "$one" --workers "$WORKERS" "${UNTRAINED[@]}"; done
 }
 
+leg_minutes() { # flags of a leg's length
+  local most=${LEG_MINUTES:-$MINUTES} left
+  [ "$SIZE" = full ] || return 0
+  if [ -n "${UNTIL:-}" ]; then
+    left=$((UNTIL - $(date +%s)))
+    most=$(awk -v left="$left" -v most="$most" 'BEGIN {left = left > 60 ? left / 60 : 1; print most == 0 || left < most ? left : most}')
+  fi
+  [ "$most" = 0 ] || echo "--minutes $most"
+}
+
 shipped() { # LEG: one policy for all inputs, live; goes on from the weights of the leg before, wherever they were made
   local leg=$1 start=$OUT/runs/shipped-$(($1 - 1))/policy
   [ "$leg" != "$LEG" ] || [ -z "$FROM" ] || start=$FROM
   if [ "$leg" = 1 ] && [ -z "$FROM" ]; then
-    train dagger "shipped-1" "${LEG_SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter --draw-after "$DRAW_AFTER" "${NEW[@]}"
+    train dagger "shipped-1" "${LEG_SUITES[@]}" --live --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed 1 --jitter --draw-after "$DRAW_AFTER" "${NEW[@]}" $(leg_minutes)
   else
     train dagger "shipped-$leg" "${LEG_SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter --draw-after "$DRAW_AFTER" "${LIVE[@]}" \
-      "${AGAIN[@]}" $([ "$SIZE" = tiny ] || echo --beta-to "${BETA_TO:-$((leg == 2 ? 2000000 : 1))}")
+      "${AGAIN[@]}" $([ "$SIZE" = tiny ] || echo --beta-to "${BETA_TO:-$((leg == 2 ? 2000000 : 1))}" $(leg_minutes))
   fi
 }
 
-shipped_walks() { # RUN: asked in each of its ways
-  local input
-  for input in all views maps; do
-    walk "shipped-$input" "$1" exam val_unseen unseen --inputs "$input"
-    walk "shipped-$input" "$1" b val_seen seen --inputs "$input"
-    walk "shipped-$input" "$1" known val_unseen known --inputs "$input"
-    [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "shipped-$input" "$1" imported all imported --inputs "$input"
-  done
+shipped_walks() { # RUN INPUT: asked in one of its ways
+  ln -sfn "$1" "$OUT/runs/shipped" # whichever leg is the last
+  walk "shipped-$2" "$1" exam val_unseen unseen --inputs "$2"
+  walk "shipped-$2" "$1" b val_seen seen --inputs "$2"
+  [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "shipped-$2" "$1" imported all imported --inputs "$2"
 }
 
 legs_walks() { # RUN: a leg on one input, as it lies in the box
@@ -326,7 +335,10 @@ for ((leg = LEG; leg <= LEGS; leg++)); do
   job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done
 [ -z "${DOES[shipped-2]:-}" ] || job legs.walks "shipped-2,$rest" 1 legs_walks shipped-2
-job shipped.walks "shipped-$LEGS,$rest,known" 1 shipped_walks "shipped-$LEGS"
+for input in all views maps; do
+  job "shipped-$input.walks" "shipped-$LEGS,$rest" 1 shipped_walks "shipped-$LEGS" "$input"
+  job "shipped-$input.known" "shipped-$LEGS,known" 1 walk "shipped-$input" "shipped-$LEGS" known val_unseen known --inputs "$input"
+done
 for seed in "${SEEDS[@]:1}"; do arms "${INPUTS[0]}" "$seed"; done
 
 # 3. the recipe, baselines and the ceiling of perception

@@ -396,7 +396,36 @@ def test_every_row_of_the_study_has_its_jobs(tmp_path: Path) -> None:
         assert any(fnmatch(name, pattern) for name in jobs), arm.name
         for seed in arm.seeds:
             run = arm.folder(arm.run, seed).removeprefix("runs/")
-            assert not run or run in jobs, f"{arm.name}: no job makes {run}"
+            there = run in jobs or run in ("", "shipped")  # the last leg, whichever it is
+            assert there, f"{arm.name}: no job makes {run}"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Path) -> None:
+    """The study's arms learn from lots a, b and c whatever a leg is given beside them."""
+    out, told = tmp_path / "out", tmp_path / "told"
+    (tmp_path / "python").write_text(f"""#!/bin/bash
+echo "$*" >> {told}
+case "$3 $4" in missions*) mkdir -p "${{@: -1}}" && echo {{}} > "${{@: -1}}/manifest.json" ;; esac
+""")
+    (tmp_path / "python").chmod(0o755)
+    for job in ("shipped-3", "maps-sft-0", "shipped-maps.walks"):
+        subprocess.run(
+            ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", job], capture_output=True,
+            env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0", "LEG": "3",
+                 "LEGS": "3", "FROM": "there", "LOT_D": "0 6 6", "LEG_MINUTES": "18",
+                 "UNTIL": str(int(time.time()) + 600)}, check=True,
+        )  # fmt: skip
+    lines = told.read_text().splitlines()
+    leg, trunk = (
+        next(one for one in lines if f"train {verb} " in one) for verb in ("dagger", "sft")
+    )
+    suites = [f"{out}/suites/{lot}" for lot in "abcd"]
+    assert " ".join(suites) in leg and "--joins 0,500000,3000000,4000000" in leg
+    assert " ".join([*suites[:3], "--exam"]) in trunk and "--joins 0,500000,3000000 " in trunk
+    assert 8 < float(leg.split("--minutes")[-1].split()[0]) <= 10
+    assert trunk.split("--minutes")[-1].split()[0] == "9"
+    assert (out / "runs/shipped").readlink() == Path("shipped-3")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")

@@ -125,6 +125,8 @@ def test_dagger_goes_on_in_mid_collection_and_in_mid_epoch(
     assert main(_words(suite, whole, *own)) == 0
     told = capsys.readouterr().out
     assert "collecting: step 16 of 20" in told and "collected 20 states of the policy's" in told
+    alike = _read(whole)[0]["different"] < 0.75
+    assert ("--rescue 16" in told) == alike and _read(whole)[0]["episodes"] >= 1
     assert Counter(drawn) == dict.fromkeys(range(20), 2)
     assert Counter(drawn[:20]) == dict.fromkeys(range(20), 1)
     first, *others = _read(whole)
@@ -327,6 +329,8 @@ def test_two_processes_gather_a_share_each_and_go_on(suite, start, tmp_path) -> 
     _forget(parts, 2)
     together(parts)
     _same(whole, parts)
+    sessions = json.loads((parts / "run.json").read_text())["sessions"]
+    assert [one["processes"] for one in sessions] == [2, 2]
 
 
 @pytest.mark.slow

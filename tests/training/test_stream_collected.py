@@ -50,6 +50,19 @@ def test_an_epoch_has_every_state_once(make) -> None:
     assert (numbers[0] != numbers[1]).any() and (numbers[1] != numbers[2]).any()
 
 
+def test_states_that_are_alike_count_once(make) -> None:
+    stream = make()
+    stream.collect()
+    drawn = [stream.draw(8) for _ in range(5)]
+    own = {
+        (number, *(round(1000 * value) for value in pose))
+        for one in drawn
+        for number, pose in zip(one.episode.tolist(), one.pose.tolist(), strict=True)
+    }
+    assert stream.count_variety() == (len(own), len({number for number, *_ in own}))
+    assert len(own) < 40  # whoever turns to and fro comes back
+
+
 def test_samples_are_the_states_of_the_first_steps(make) -> None:
     stream = make()
     stream.collect()

@@ -47,6 +47,7 @@ from gn0.training.worlds import leave_out_long, list_maps, load_lessons, open_wo
 
 SLOT = re.compile(r"entropy_action_[0-9]+")  # of an examination, in the default input
 WALKS = "walks.json"  # how far collecting has come, in the run's folder
+VARIOUS = 0.75  # of the collected states that are different: with fewer, what helps is told
 STATES: dict[Kind, int] = {"scratch": 300_000, "pretrained": 284_000}
 DAGGER_RECIPES: dict[Kind, Recipe] = {
     "scratch": msgspec.structs.replace(RECIPES["scratch"], rate=1e-4),  # a tenth of SFT's
@@ -231,15 +232,27 @@ def _collect(
 
     counts = walks.collect(save)
     live.driver = None  # its memory is the learner's now
-    means = processes.mean(asdict(counts), run.where)
-    found = share_counts(means) | {"collected": float(job.whole)}
+    different, episodes = walks.count_variety()
+    shares = {"different": different / walks.states, "episodes": float(episodes)}
+    means = processes.mean(asdict(counts) | shares, run.where)
+    various = {"different": means["different"], "episodes": means["episodes"] * processes.count}
+    found = share_counts(means) | various | {"collected": float(job.whole)}
     text = ", ".join(
         f"{name.removeprefix('walks_').replace('_', ' ')} {share:.1%}"
         for name, share in share_counts(means).items()
         if not math.isnan(share)
     )
-    text = f"collected {job.whole:,} states of the {job.driver}'s walks: {text}"
+    text = (
+        f"collected {job.whole:,} states of the {job.driver}'s walks, {found['different']:.0%} of "
+        f"them different, in {found['episodes']:,.0f} episodes: {text}"
+    )
     run.say(text)
+    if found["different"] < VARIOUS:
+        run.say(
+            "many of these are alike, as of agents at a wall, and a policy that learns from them "
+            "may forget: --rescue 16 lets the expert drive such agents on, more --agents begin "
+            "more episodes, and with --beta the expert drives now and then"
+        )
     run.folder.log(text)
     return found
 

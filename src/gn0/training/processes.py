@@ -203,7 +203,7 @@ def open_run_together(
         TrainingError, StorageError: see `open_run`.
     """
     if processes.leads:
-        with open_run(out, **options) as folder:
+        with open_run(out, processes=processes.count, **options) as folder:
             told = (str(folder.resumed or ""), folder.notes, folder.finished)
             processes.gather(told, where)
             yield folder

@@ -271,7 +271,6 @@ def open_stage_run(
         command=describe_command(command),
         device=device,
         versions=list_versions(),
-        processes=place.processes.count,
         free=free,
         fresh=fresh,
     ) as folder:

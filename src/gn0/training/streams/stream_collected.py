@@ -87,6 +87,18 @@ class StreamCollected:
             self.live.step()
         return self.live.tell(reset=False)
 
+    def count_variety(self) -> tuple[int, int]:
+        """Different states (episode and pose, to a mm and a mrad), and different episodes.
+
+        Waits for the device.
+        """
+        ring = self.live.ring
+        episode, pose = (
+            ring[name].flatten(0, 1)[: self.states].cpu().numpy() for name in ("episode", "pose")
+        )
+        rows = np.column_stack([episode, np.rint(1000 * pose).astype(np.int64)])
+        return len(np.unique(rows, axis=0)), len(np.unique(episode))
+
     def draw(self, count: int) -> LabelledStates:
         """The next states.
 

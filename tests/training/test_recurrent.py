@@ -184,7 +184,7 @@ def test_it_learns_to_do_what_it_was_told_step_by_step(graph) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("graph", ["cma", "seq2seq"])
 def test_it_learns_eight_walks_by_heart_and_walks_them(graph, make_env) -> None:
-    """In 300 updates; after 150 both have a loss of 0.07 to 0.27 of the first, as seeds differ."""
+    """In 400 updates: how soon the loss falls hangs on seed and processor, by a hundred or so."""
     view = MapView(squares=(EgoSquare(32, 0.15),))
     env = make_env(8, sensors=("ego_map",), map_view=view)
     texts = [episode.instruction for episode in env.episodes]
@@ -194,8 +194,8 @@ def test_it_learns_eight_walks_by_heart_and_walks_them(graph, make_env) -> None:
     stream.begin(0, [])
     learner = RecurrentLearner(net, table, 8, RECIPE)
     losses = []
-    for step in range(300):
-        found, _ = learner.step(stream.draw(), min(1.0, (step + 1) / 10, (310 - step) / 40))
+    for step in range(400):
+        found, _ = learner.step(stream.draw(), min(1.0, (step + 1) / 10, (410 - step) / 40))
         losses.append(float(found.loss.detach()))
     assert np.mean(losses[-10:]) < 0.1 * losses[0]
     walks = ClosedLoopRecurrent(env, net.eval(), TokenizerFile(words)).play()

@@ -19,7 +19,13 @@ from gn0.render.light import LightCondition
 from gn0.scenes.example import build_example_scene
 from gn0.scenes.folder import load_scene, save_scene
 from gn0.sim.device_env import VectorEnvDevice
-from gn0.sim.maps_ahead import draw_maps_ahead
+from gn0.sim.maps_ahead import draw_maps_ahead, place_evenly
+
+
+def test_each_of_several_cards_begins_with_other_scenes() -> None:
+    """Two, four or eight of them share the scenes out evenly, none of them knowing how many."""
+    for cards in (1, 2, 4, 8):
+        assert sorted(map(place_evenly, range(cards))) == [k / cards for k in range(cards)]
 
 
 @pytest.mark.slow

@@ -66,7 +66,7 @@ def draw_maps_ahead(
         return 0
     cut, background = eyes.map_settings
     scenes = list(lacking)
-    begin = int(_spread(getattr(env.device, "ordinal", 0)) * len(scenes))
+    begin = int(place_evenly(getattr(env.device, "ordinal", 0)) * len(scenes))
     scenes = scenes[begin:] + scenes[:begin]  # each of several cards begins with others
     payloads = [
         {
@@ -107,7 +107,7 @@ def _open(device: str) -> Renderer:
     return open_renderer("cuda", device=open_device(device))
 
 
-def _spread(number: int) -> float:
+def place_evenly(number: int) -> float:
     """0, 1/2, 1/4, 3/4, 1/8 and so on: evenly over [0, 1), however many numbers there are."""
     return int(f"{number:b}"[::-1], 2) / (1 << number.bit_length())
 

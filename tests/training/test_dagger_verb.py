@@ -126,7 +126,7 @@ def test_dagger_goes_on_in_mid_collection_and_in_mid_epoch(
     told = capsys.readouterr().out
     assert "collecting: step 16 of 20" in told and "collected 20 states of the policy's" in told
     alike = _read(whole)[0]["different"] < 0.75
-    assert ("--rescue 16" in told) == alike and _read(whole)[0]["episodes"] >= 1
+    assert ("--rescue 16" in told) == alike and _read(whole)[0]["collected_episodes"] >= 1
     assert Counter(drawn) == dict.fromkeys(range(20), 2)
     assert Counter(drawn[:20]) == dict.fromkeys(range(20), 1)
     first, *others = _read(whole)

@@ -19,13 +19,15 @@ def _train(folder: Path, *, done: bool = True, name: str = "<b>sft</b>") -> None
         "hashes": {"corpus": "abc"},
     }
     with open_run(
-        folder, stage="sft", command=["gn0", "train", "sft"], device="cpu",
+        folder, stage="sft", command=["gn0", "train", "sft"], device="card", processes=4,
         versions={"torch": "2.13"}, **how,
     ) as run:  # fmt: skip
         for step in range(1, 41):
             values = {"loss": 2 / step, "loss_action": 1 / step, "samples": 4.0 * step, "odd": 3.5}
             if step % 20 == 0:
                 values |= {"first_action": step / 50, "SR": 0.25, "SR_goal": 0.5, "NE_goal": 1.0}
+            if step == 1:
+                values |= {"collected": 300032.0, "walks_arrived": 0.7594}
             run.report(step, values)
         run.report(41, {"loss": float("nan"), "samples": 164.0})
         if done:
@@ -51,11 +53,15 @@ def test_a_stage_that_is_done_has_its_page(tmp_path: Path) -> None:
         "success by mission",
         "odd",
     ]
+    once = page[page.index("Reported once") : page.index("Examinations")]
+    assert re.findall("<td.*?>(.*?)</td>", once) == [
+        "collected", "1", "300,032", "walks arrived", "1", "0.759"
+    ]  # fmt: skip
     examined = page[page.index("Examinations") : page.index("Recipe")]
     assert re.findall("<td class=n>(.*?)</td>", examined) == [
         "20", "80", "0.400", "0.250", "40", "160", "0.800", "0.250"
     ]  # fmt: skip
-    for told in ("plan.samples", "corpus", "abc", "gn0 train sft", "torch 2.13"):
+    for told in ("plan.samples", "corpus", "abc", "gn0 train sft", "torch 2.13", "4 × card"):
         assert told in page
 
 

@@ -233,10 +233,13 @@ def _collect(
     counts = walks.collect(save)
     live.driver = None  # its memory is the learner's now
     different, episodes = walks.count_variety()
-    shares = {"different": different / walks.states, "episodes": float(episodes)}
+    shares = {"different": different / walks.states, "collected_episodes": float(episodes)}
     means = processes.mean(asdict(counts) | shares, run.where)
-    various = {"different": means["different"], "episodes": means["episodes"] * processes.count}
-    found = share_counts(means) | various | {"collected": float(job.whole)}
+    found = share_counts(means) | {
+        "different": means["different"],
+        "collected": float(job.whole),
+        "collected_episodes": means["collected_episodes"] * processes.count,
+    }
     text = ", ".join(
         f"{name.removeprefix('walks_').replace('_', ' ')} {share:.1%}"
         for name, share in share_counts(means).items()
@@ -244,7 +247,7 @@ def _collect(
     )
     text = (
         f"collected {job.whole:,} states of the {job.driver}'s walks, {found['different']:.0%} of "
-        f"them different, in {found['episodes']:,.0f} episodes: {text}"
+        f"them different, in {found['collected_episodes']:,.0f} episodes: {text}"
     )
     run.say(text)
     if found["different"] < VARIOUS:

@@ -7,6 +7,7 @@ One file that opens from disk, without network or scripts; written at the end of
 from __future__ import annotations
 
 import html
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -73,6 +74,14 @@ def _list_lines(
     for heading, series in charts:
         yield f"<figure><figcaption>{_say(heading)}</figcaption>{draw_chart(series)}</figure>"
     yield "</div>" if charts else ""
+    once = [(name, values[0]) for name, values in _list_others(lines) if len(values) == 1]
+    if once:
+        yield "<h2>Reported once</h2><table><tr><th>figure</th><th class=n>step</th>"
+        yield "<th class=n>value</th></tr>"
+        for heading, (step, value) in once:
+            yield f"<tr><td>{_say(heading)}</td><td class=n>{step}</td>"
+            yield f"<td class=n>{_tell_value(value)}</td></tr>"
+        yield "</table>"
     yield from _list_examinations(lines)
     yield "<h2>Recipe</h2>"
     yield from _draw_pairs(_flatten(record["recipe"]))
@@ -82,9 +91,10 @@ def _list_lines(
     yield "<th>device</th><th>command</th><th>packages</th></tr>"
     for one in record["sessions"]:
         packages = ", ".join(f"{package} {version}" for package, version in one["versions"].items())
+        several = f"{one['processes']} × " if one["processes"] > 1 else ""
         yield (
             f"<tr><td>{_say(one['began'])}</td><td class=n>{one['step']}</td>"
-            f"<td>{_say(one['device'])}</td>"
+            f"<td>{_say(several + one['device'])}</td>"
             f"<td><code>{_say(' '.join(one['command']))}</code></td><td>{_say(packages)}</td></tr>"
         )
     yield "</table></body></html>"
@@ -109,16 +119,34 @@ def _tell_state(record: Mapping[str, Any], lines: Sequence[Mapping[str, Any]]) -
 
 def _list_charts(lines: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, list[Series]]]:
     """Headings, and what is drawn below each."""
-    names = dict.fromkeys(name for line in lines for name in line if name not in _AXES)
-    left = [name for name in names if any(_is_number(line.get(name)) for line in lines)]
+    left = _list_names(lines)
     for heading, patterns in _CHARTS.items():
         own = [name for name in left if _matches(name, patterns)]
         left = [name for name in left if name not in own]
         if own:
             yield heading, [_take(lines, name) for name in own]
-    for name in left:
-        if not _matches(name, _HIDDEN):
-            yield name.replace("_", " "), [_take(lines, name)]
+    for heading, points in _list_others(lines):
+        if len(points) > 1:
+            yield heading, [Series(heading.replace(" ", "_"), points)]
+
+
+def _list_others(
+    lines: Sequence[Mapping[str, Any]],
+) -> Iterator[tuple[str, tuple[tuple[float, float], ...]]]:
+    """What has a chart of its own, or is told in words where it was reported once."""
+    known = (*_HIDDEN, *itertools.chain.from_iterable(_CHARTS.values()))
+    for name in _list_names(lines):
+        if not _matches(name, known):
+            yield name.replace("_", " "), _take(lines, name).points
+
+
+def _list_names(lines: Sequence[Mapping[str, Any]]) -> list[str]:
+    names = dict.fromkeys(name for line in lines for name in line if name not in _AXES)
+    return [name for name in names if any(_is_number(line.get(name)) for line in lines)]
+
+
+def _tell_value(value: float) -> str:
+    return f"{value:,.0f}" if value == round(value) else f"{value:.3f}"
 
 
 def _matches(name: str, patterns: Sequence[str]) -> bool:

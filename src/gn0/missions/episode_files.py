@@ -361,7 +361,7 @@ def read_column(table: pa.Table, name: str, kind: pa.DataType, path: Path | str)
         raise FormatError(
             f"column is {column.type}, expected {kind}", file=path, field=name, remedy="convert it"
         )
-    values = _list_values(column) or column.to_pylist()
+    values = column.to_pylist()
     for row, value in enumerate(values, 1):
         hole = value is None or (isinstance(value, list) and None in value)
         if hole:
@@ -371,22 +371,6 @@ def read_column(table: pa.Table, name: str, kind: pa.DataType, path: Path | str)
         if kind == _TEXT and not isinstance(value, str):
             values[row - 1] = str(value)
     return values
-
-
-def _list_values(column: pa.ChunkedArray) -> list[Any]:
-    """The lists of a column of numbers without nulls, some times faster than Arrow; else none."""
-    if not (pa.types.is_list(column.type) or pa.types.is_large_list(column.type)):
-        return []
-    lists = column.combine_chunks()
-    numbers = lists.flatten()
-    plain = pa.types.is_integer(numbers.type) or pa.types.is_floating(numbers.type)
-    if not plain or lists.null_count or numbers.null_count:
-        return []
-    flat, found, begin = numbers.to_numpy().tolist(), [], 0
-    for count in lists.value_lengths().to_pylist():
-        found.append(flat[begin : begin + count])
-        begin += count
-    return found
 
 
 def _fits(found: pa.DataType, wanted: pa.DataType) -> bool:

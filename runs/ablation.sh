@@ -54,6 +54,8 @@ read -ra INPUTS <<< "${INPUTS:-$([ "$SIZE" = tiny ] && echo maps || echo all vie
 read -ra SEEDS <<< "${SEEDS:-0 1 2}"
 MIX=${MIX:-all:0.5,views:0.3,maps:0.2}
 LEGS=${LEGS:-6} LEG=${LEG:-1} FROM=${FROM:-} DRAW_AFTER=${DRAW_AFTER:-6}
+TRUNK_JOINS=${JOINS:-}
+[ "$TRUNK_JOINS" != none ] || TRUNK_JOINS=
 WORKERS=${WORKERS:-$(($(nproc) > 1 ? $(nproc) - 1 : 1))}
 HERE=$(cd "$(dirname "$0")" && pwd)
 case $SIZE in tiny | full) ;; *) echo "sizes are tiny and full, not $SIZE" >&2; exit 2 ;; esac
@@ -79,7 +81,7 @@ if [ "$SIZE" = tiny ]; then
   LOTS=("a train 2 0 0" "exam val_unseen 1 0 0" "b train 1 0 0")
   SUITES=("$OUT/suites/a" "$OUT/suites/b") joins=${JOINS:-0,32}
   small=(--report 2 --save 4 --examined 2 --asked 32 --device host)
-  SFT=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 --joins "${JOINS:-0,64}" "${small[@]}")
+  SFT=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 --joins "${TRUNK_JOINS:-0,64}" "${small[@]}")
   FIRST=(--size nano --samples "${SAMPLES:-96}" --batch 16 --agents 16 --kept 320 "${small[@]}")  # of one lot
   ROUND=(--states "${STATES:-64}" --epochs 1 --batch 16 --agents 8 "${small[@]}")
   AGAIN=()
@@ -94,7 +96,7 @@ else
   LOTS=("a train 30 14 4" "exam val_unseen 60 30 10" "b train 60 30 10" "c train ${LOT_C:-150 76 26}")
   SUITES=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c") joins=${JOINS:-0,500000,3000000}
   own=(--examined "${EXAMINED:-512}" --shard-mb 15) kept=(--save 500 "${own[@]}")
-  SFT=(--samples "${SAMPLES:-8000000}" --joins "${JOINS:-0,500000,3000000}" "${within[@]}" "${kept[@]}")
+  SFT=(--samples "${SAMPLES:-8000000}" --joins "${TRUNK_JOINS:-0,500000,3000000}" "${within[@]}" "${kept[@]}")
   FIRST=(--samples "${SAMPLES:-8000000}" "${within[@]}" "${kept[@]}")
   ROUND=(--states "${STATES:-300000}" --epochs 5 "${kept[@]}")
   LIVE=(--samples 1500000 --beta-from 0 --beta-to 500000 "${within[@]}" "${kept[@]}")
@@ -227,10 +229,10 @@ shipped() { # LEG: one policy for all inputs, live; goes on from the weights of 
     train dagger "shipped-$leg" "${LEG_SUITES[@]}" --live --start "$start" --exam "$OUT/suites/exam" --text-length 120 --inputs "$MIX" --seed "$leg" --jitter --draw-after "$DRAW_AFTER" "${LIVE[@]}" \
       "${AGAIN[@]}" $([ "$SIZE" = tiny ] || echo --beta-to "${BETA_TO:-$((leg == 2 ? 2000000 : 1))}" $(leg_minutes))
   fi
+  ln -sfn "shipped-$leg" "$OUT/runs/shipped"  # the last leg, whichever it is
 }
 
 shipped_walks() { # RUN INPUT: asked in one of its ways
-  ln -sfn "$1" "$OUT/runs/shipped" # whichever leg is the last
   walk "shipped-$2" "$1" exam val_unseen unseen --inputs "$2"
   walk "shipped-$2" "$1" b val_seen seen --inputs "$2"
   [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "shipped-$2" "$1" imported all imported --inputs "$2"

@@ -67,10 +67,6 @@ set -m  # all of it is one process group, which ends with this script
   export SPEED
   echo "speed $SPEED"
   wait "$homes" || exit 1
-  if [ -n "${UNTIL:-}" ]; then
-    MINUTES=$(awk -v left=$((UNTIL - $(date +%s))) -v most="$MINUTES" 'BEGIN {left /= 60; print left < most ? left : most}')
-    echo "$MINUTES minutes"
-  fi
   if [ -n "$BESIDE" ]; then
     export GPUS=0
     beside &

@@ -377,6 +377,17 @@ def test_the_study_of_the_repository_is_one() -> None:
     assert all(arm.command for arm in study.arms)
 
 
+def _pretend_python(folder: Path) -> Path:
+    """FOLDER/python, which makes empty suites and nothing else; the file of what it was told."""
+    told = folder / "told"
+    (folder / "python").write_text(f"""#!/bin/bash
+echo "$*" >> {told}
+case "$3 $4" in missions*) mkdir -p "${{@: -1}}" && echo {{}} > "${{@: -1}}/manifest.json" ;; esac
+""")
+    (folder / "python").chmod(0o755)
+    return told
+
+
 def _plan(out: Path) -> set[str]:
     """Names of the jobs of runs/ablation.sh."""
     told = subprocess.run(
@@ -403,29 +414,30 @@ def test_every_row_of_the_study_has_its_jobs(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Path) -> None:
     """The study's arms learn from lots a, b and c whatever a leg is given beside them."""
-    out, told = tmp_path / "out", tmp_path / "told"
-    (tmp_path / "python").write_text(f"""#!/bin/bash
-echo "$*" >> {told}
-case "$3 $4" in missions*) mkdir -p "${{@: -1}}" && echo {{}} > "${{@: -1}}/manifest.json" ;; esac
-""")
-    (tmp_path / "python").chmod(0o755)
-    for job in ("shipped-3", "maps-sft-0", "shipped-maps.walks"):
+    out, told = tmp_path / "out", _pretend_python(tmp_path)
+
+    def call(job: str, **more: str) -> str:
+        """The command line of its training."""
+        told.write_text("")
         subprocess.run(
             ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", job], capture_output=True,
             env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0", "LEG": "3",
                  "LEGS": "3", "FROM": "there", "LOT_D": "0 6 6", "LEG_MINUTES": "18",
-                 "UNTIL": str(int(time.time()) + 600)}, check=True,
+                 "UNTIL": str(int(time.time()) + 600), **more}, check=True,
         )  # fmt: skip
-    lines = told.read_text().splitlines()
-    leg, trunk = (
-        next(one for one in lines if f"train {verb} " in one) for verb in ("dagger", "sft")
-    )
+        return next(line for line in told.read_text().splitlines() if " train " in line)
+
+    leg, trunk = call("shipped-3"), call("maps-sft-0")
     suites = [f"{out}/suites/{lot}" for lot in "abcd"]
     assert " ".join(suites) in leg and "--joins 0,500000,3000000,4000000" in leg
     assert " ".join([*suites[:3], "--exam"]) in trunk and "--joins 0,500000,3000000 " in trunk
     assert 8 < float(leg.split("--minutes")[-1].split()[0]) <= 10
     assert trunk.split("--minutes")[-1].split()[0] == "9"
     assert (out / "runs/shipped").readlink() == Path("shipped-3")
+    for job in ("shipped-3", "maps-sft-0"):
+        (out / "jobs" / f"{job}.done").unlink()
+    assert "--joins" not in call("shipped-3", JOINS="none")
+    assert "--joins 0,500000,3000000 " in call("maps-sft-0", JOINS="none")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
@@ -603,12 +615,7 @@ echo $$ "$3" >> {tmp_path}/begun && exec sleep 60
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_a_job_alone_has_all_homes_that_join_and_nothing_that_is_done(tmp_path: Path) -> None:
     """A trunk waits for later lots; a leg that is there does not want those before it."""
-    out, told = tmp_path / "out", tmp_path / "told"
-    (tmp_path / "python").write_text(f"""#!/bin/bash
-echo "$*" >> {told}
-case "$3 $4" in missions*) mkdir -p "${{@: -1}}" && echo {{}} > "${{@: -1}}/manifest.json" ;; esac
-""")
-    (tmp_path / "python").chmod(0o755)
+    out, told = tmp_path / "out", _pretend_python(tmp_path)
 
     def call(job: str) -> list[str]:
         told.write_text("")

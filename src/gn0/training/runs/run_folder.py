@@ -23,7 +23,7 @@ from gn0.storage import storage_error, write_json, write_text
 from gn0.training.runs.event_log import open_event_log
 from gn0.training.runs.metrics_file import MetricsFile, read_metrics
 from gn0.training.runs.recipe_text import list_recipe_differences
-from gn0.training.runs.run_page import draw_run_page
+from gn0.training.runs.run_page import draw_run_page, name_devices
 from gn0.training.runs.state_folder import (
     STATE,
     discard_states_after,
@@ -63,7 +63,7 @@ class RunSession(Config, frozen=True):
     @property
     def devices(self) -> str:
         """The device, and how many of them."""
-        return f"{self.processes} × {self.device}" if self.processes > 1 else self.device
+        return name_devices(self.device, self.processes)
 
 
 class RunRecord(Config, frozen=True):

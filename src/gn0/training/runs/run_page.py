@@ -74,12 +74,13 @@ def _list_lines(
     for heading, series in charts:
         yield f"<figure><figcaption>{_say(heading)}</figcaption>{draw_chart(series)}</figure>"
     yield "</div>" if charts else ""
-    once = [(name, values[0]) for name, values in _list_others(lines) if len(values) == 1]
+    once = [one for one in _list_others(lines) if len(one.points) == 1]
     if once:
         yield "<h2>Reported once</h2><table><tr><th>figure</th><th class=n>step</th>"
         yield "<th class=n>value</th></tr>"
-        for heading, (step, value) in once:
-            yield f"<tr><td>{_say(heading)}</td><td class=n>{step}</td>"
+        for one in once:
+            step, value = one.points[0]
+            yield f"<tr><td>{_say(_head(one))}</td><td class=n>{step}</td>"
             yield f"<td class=n>{_tell_value(value)}</td></tr>"
         yield "</table>"
     yield from _list_examinations(lines)
@@ -91,13 +92,17 @@ def _list_lines(
     yield "<th>device</th><th>command</th><th>packages</th></tr>"
     for one in record["sessions"]:
         packages = ", ".join(f"{package} {version}" for package, version in one["versions"].items())
-        several = f"{one['processes']} × " if one["processes"] > 1 else ""
         yield (
             f"<tr><td>{_say(one['began'])}</td><td class=n>{one['step']}</td>"
-            f"<td>{_say(several + one['device'])}</td>"
+            f"<td>{_say(name_devices(one['device'], one['processes']))}</td>"
             f"<td><code>{_say(' '.join(one['command']))}</code></td><td>{_say(packages)}</td></tr>"
         )
     yield "</table></body></html>"
+
+
+def name_devices(device: str, processes: int) -> str:
+    """The device of a session, and how many of them."""
+    return f"{processes} × {device}" if processes > 1 else device
 
 
 def _say(text: object) -> str:
@@ -125,19 +130,17 @@ def _list_charts(lines: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, list
         left = [name for name in left if name not in own]
         if own:
             yield heading, [_take(lines, name) for name in own]
-    for heading, points in _list_others(lines):
-        if len(points) > 1:
-            yield heading, [Series(heading.replace(" ", "_"), points)]
+    yield from ((_head(one), [one]) for one in _list_others(lines) if len(one.points) > 1)
 
 
-def _list_others(
-    lines: Sequence[Mapping[str, Any]],
-) -> Iterator[tuple[str, tuple[tuple[float, float], ...]]]:
-    """What has a chart of its own, or is told in words where it was reported once."""
+def _list_others(lines: Sequence[Mapping[str, Any]]) -> list[Series]:
+    """What has a chart of its own, or a row where it was reported once."""
     known = (*_HIDDEN, *itertools.chain.from_iterable(_CHARTS.values()))
-    for name in _list_names(lines):
-        if not _matches(name, known):
-            yield name.replace("_", " "), _take(lines, name).points
+    return [_take(lines, name) for name in _list_names(lines) if not _matches(name, known)]
+
+
+def _head(series: Series) -> str:
+    return series.name.replace("_", " ")
 
 
 def _list_names(lines: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -204,6 +204,9 @@ def test_intervals_alone_decide_claims(study: Path, capsys: pytest.CaptureFixtur
     ]  # fmt: skip
     assert "* Held: DAgger helps; words that are known do not help; DAgger raises entropy." in page
     assert "Not run yet: `rl` − `dagger`." in page
+    stages = page[page.index("## Stages of training") :]
+    row = next(line for line in stages.splitlines() if "`sft`" in line)
+    assert [cell.strip() for cell in row.split("|")][2:4] == ["0.11", "4"]  # a minute of four cards
     again = study / "again.md"
     write_study(study / "study.yaml", study, again)
     assert again.read_text() == page

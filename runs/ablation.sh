@@ -5,7 +5,8 @@
 #   runs/ablation.sh OUT                           everything, in the order of the table below, on all cards
 #   runs/ablation.sh OUT tiny                      the same in miniature, models of 2 M weights, on a CPU
 #   runs/ablation.sh OUT full plan                 the table: what is done, failed, cut or still to be done
-#   runs/ablation.sh OUT full 'all-*-0*'           some jobs, by name or pattern, and what they are made from
+#   runs/ablation.sh OUT full 'all-*-0*'           some jobs, by name or pattern, in the order they are given in, and what they
+#                                                  are made from
 #   runs/ablation.sh OUT full watch                how the jobs of a call that runs in the background are going, each minute
 #   runs/ablation.sh OUT full pack                 what travels home: tables and logs, and the weights of one policy
 #
@@ -232,10 +233,14 @@ shipped() { # LEG: one policy for all inputs, live; goes on from the weights of 
   ln -sfn "shipped-$leg" "$OUT/runs/shipped"  # the last leg, whichever it is
 }
 
-shipped_walks() { # RUN INPUT: asked in one of its ways
-  walk "shipped-$2" "$1" exam val_unseen unseen --inputs "$2"
-  walk "shipped-$2" "$1" b val_seen seen --inputs "$2"
-  [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "shipped-$2" "$1" imported all imported --inputs "$2"
+asked_in() { # INPUT: the flag that asks a leg in one of its ways; a leg of one input has no other
+  [ "${MIX%%:*}" = "$1" ] && [[ $MIX != *,* ]] || echo --inputs "$1"
+}
+
+shipped_walks() { # RUN INPUT
+  walk "shipped-$2" "$1" exam val_unseen unseen $(asked_in "$2")
+  walk "shipped-$2" "$1" b val_seen seen $(asked_in "$2")
+  [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "shipped-$2" "$1" imported all imported $(asked_in "$2")
 }
 
 legs_walks() { # RUN: a leg on one input, as it lies in the box
@@ -283,7 +288,8 @@ study() {
   return $code
 }
 
-# ---- the table: name, what must be done before (commas between), cards, what to do; what stands first goes first
+# ---- the table: name, what must be done before (commas between), cards, what to do; of jobs under one pattern, what
+# stands first goes first
 
 NAMES=()
 declare -A AFTER=() NEEDS=() DOES=()
@@ -339,7 +345,7 @@ done
 [ -z "${DOES[shipped-2]:-}" ] || job legs.walks "shipped-2,$rest" 1 legs_walks shipped-2
 for input in all views maps; do
   job "shipped-$input.walks" "shipped-$LEGS,$rest" 1 shipped_walks "shipped-$LEGS" "$input"
-  job "shipped-$input.known" "shipped-$LEGS,known" 1 walk "shipped-$input" "shipped-$LEGS" known val_unseen known --inputs "$input"
+  job "shipped-$input.known" "shipped-$LEGS,known" 1 walk "shipped-$input" "shipped-$LEGS" known val_unseen known $(asked_in "$input")
 done
 for seed in "${SEEDS[@]:1}"; do arms "${INPUTS[0]}" "$seed"; done
 
@@ -352,6 +358,11 @@ done
 for one in "cma_views --pictures rgb,depth" "cma_maps --pictures rgb,depth,near" "cma_blind --model cma_blind" "seq2seq --model seq2seq"; do
   job "${one%% *}-0" "$rest" 1 baseline "${one%% *}-0" ${one#* }
   job "${one%% *}-0.walks" "${one%% *}-0" 1 bench "${one%% *}" cma --policy-option "checkpoint=$OUT/runs/${one%% *}-0/policy" "${UNTRAINED[@]}"
+done
+for input in "${INPUTS[@]}"; do  # DAgger once, of states that are less alike
+  spread=$input-dagger_spread-${SEEDS[0]} trunk=$input-sft-${SEEDS[0]}
+  job "$spread" "$trunk,$rest" 1 after_trunk dagger "$spread" "$trunk" "${SEEDS[0]}" "${ROUND[@]}" --rescue 16 $([ "$SIZE" = tiny ] || echo --agents 4096)
+  job "$spread.walks" "$spread,$rest" 1 walks "$spread"
 done
 row oracle_map sft --map-paint categories
 row paper_inputs sft --without paper
@@ -443,11 +454,15 @@ watch() { # last lines of what runs, until nothing does
 }
 
 declare -A CHOSEN=() PID=() SINCE=() HOLDS=() TRIED=()
-choose() { # JOB: it and all that it is made from
+ORDER=()
+choose() { # JOB: behind all that it is made from
   local one
   [ -z "${CHOSEN[$1]:-}" ] || return 0
   CHOSEN[$1]=yes
-  ! is_done "$1" || return 0  # nor does what it was made from matter any more
+  if is_done "$1"; then  # nor does what it was made from matter any more
+    ORDER+=("$1")
+    return 0
+  fi
   local before=${AFTER[$1]}
   case ${DOES[$1]} in  # they join while it learns
     sft\ * | few\ *) before+=" ${rest//,/ }" ;;
@@ -457,6 +472,7 @@ choose() { # JOB: it and all that it is made from
     [ -n "${DOES[$one]:-}" ] || continue  # made elsewhere
     choose "$one"
   done
+  ORDER+=("$1")
 }
 
 ready() { # JOB: 0 if all before it is done
@@ -505,7 +521,7 @@ run_jobs() {
     done
     [ -n "$matched" ] || { echo "no job is named $pattern; see: $0 $OUT $SIZE plan" >&2; return 2; }
   done
-  FREE=("${CARDS[@]}")
+  NAMES=("${ORDER[@]}") FREE=("${CARDS[@]}")
   local deadline=$((SECONDS + WALL)) failed=0
   while :; do
     for name in "${!PID[@]}"; do

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+
 import pytest
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.errors import ConfigError, DeviceMemoryError  # noqa: E402
-from gn0.policies.bae.actor import Actor  # noqa: E402
+from gn0.policies.bae.actor import Actor, share_pool  # noqa: E402
 from gn0.policies.bae.questions import find_place, list_allowed  # noqa: E402
 
 
@@ -112,6 +114,26 @@ def test_recorded_actors_of_a_card_compute_in_the_same_memory(pupil, draw_states
         assert torch.equal(wide.decide(pictures, ids).ids, want)
     assert torch.cuda.memory_reserved() - before < 2**26
     model.cpu()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a card")
+def test_the_memory_that_actors_share_outlives_them() -> None:
+    """A stage's actor may go while something that it computed stays, and the next one comes."""
+    number = torch.ones(1000, device="cuda")
+
+    def record() -> tuple[torch.cuda.CUDAGraph, torch.Tensor]:
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph, pool=share_pool(0).id):
+            twice = number * 2
+        graph.replay()
+        return graph, twice
+
+    first, said = record()
+    del first
+    gc.collect()
+    second, again = record()
+    second.replay()
+    assert torch.equal(said, again)
 
 
 def test_a_card_that_is_too_small_is_told_in_bytes(pupil, draw_states, monkeypatch) -> None:

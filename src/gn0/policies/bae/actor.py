@@ -54,15 +54,15 @@ class Decisions:
 
 
 @cache
-def share_pool(card: int) -> tuple[int, int]:
-    """The memory in which all actors of a card compute.
+def share_pool(card: int) -> torch.cuda.MemPool:
+    """The memory in which all actors of a card compute, kept as long as the process lives.
 
     They decide one after another, and what one says is copied before the next is asked; a model
-    that is asked in six ways needs the memory of the largest, not of all six.
+    that is asked in six ways needs the memory of the largest, not of all six. It outlives its
+    graphs: a mere handle is void once the last graph is gone while an answer is still held.
     """
     with torch.cuda.device(card):
-        pool: tuple[int, int] = torch.cuda.graph_pool_handle()
-    return pool
+        return torch.cuda.MemPool()
 
 
 class Actor:
@@ -203,7 +203,7 @@ class Actor:
         graph = torch.cuda.CUDAGraph()
         graph.register_generator_state(self._generator)
         pool = share_pool(self.device.index or 0)
-        with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
+        with torch.cuda.graph(graph, pool=pool.id, capture_error_mode="thread_local"):
             self._said = self._compute()
         self._graph = graph
 

@@ -188,6 +188,10 @@ walks() { # RUN: the exams of a policy
   [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "$1" "$1" imported all imported
 }
 
+drawn() { # RUN: the first exam again, as what lies in the box walks it: a policy that turns to and fro gets out of it
+  walk "$1" "$1" exam val_unseen drawn --draw-after "$DRAW_AFTER"
+}
+
 controls() { # RUN: without words, with others', without pictures, in phrasings that training knows
   local one
   for one in no_words shuffled no_pictures; do walk "$1-$one" "$1" exam val_unseen unseen --control "$one"; done
@@ -243,11 +247,11 @@ shipped_walks() { # RUN INPUT
   [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "shipped-$2" "$1" imported all imported $(asked_in "$2")
 }
 
-legs_walks() { # RUN: a leg on one input, as it lies in the box
-  local one
-  walk legs-maps "$1" exam val_unseen unseen
-  walk legs-maps "$1" b val_seen seen
-  for one in no_words shuffled; do walk "legs-maps-$one" "$1" exam val_unseen unseen --control "$one"; done
+legs_walks() { # LEG: on one input
+  local one run=shipped-$1 name=legs$1-maps
+  walk "$name" "$run" exam val_unseen unseen
+  walk "$name" "$run" b val_seen seen
+  for one in no_words shuffled; do walk "$name-$one" "$run" exam val_unseen unseen --control "$one"; done
 }
 
 lot() { # NAME SPLIT FLATS HOMES HOUSES
@@ -316,6 +320,7 @@ arms() { # INPUT SEED: a cell, a trunk and then its arms side by side
   local arm
   for arm in sft longer dagger dapo live dagger_dapo; do
     job "$cell-$arm-$seed.walks" "$cell-$arm-$seed,$rest" 1 walks "$cell-$arm-$seed"
+    job "$cell-$arm-$seed.drawn" "$cell-$arm-$seed,homes-exam" 1 drawn "$cell-$arm-$seed"
   done
   for arm in dagger_dapo live; do
     job "$cell-$arm-$seed.controls" "$cell-$arm-$seed,known" 1 controls "$cell-$arm-$seed"
@@ -342,7 +347,10 @@ for ((leg = LEG; leg <= LEGS; leg++)); do
   [ "$leg" -gt "$LEG" ] && before=shipped-$((leg - 1)),$chain_rest
   job "shipped-$leg" "$before" "$ALL" shipped "$leg"
 done
-[ -z "${DOES[shipped-2]:-}" ] || job legs.walks "shipped-2,$rest" 1 legs_walks shipped-2
+for ((leg = LEG > 2 ? LEG : 2; leg <= (LEGS < 3 ? LEGS : 3); leg++)); do
+  job "legs$leg.walks" "shipped-$leg,$rest" 1 legs_walks "$leg"
+  job "legs$leg.known" "shipped-$leg,known" 1 walk "legs$leg-maps" "shipped-$leg" known val_unseen known
+done
 for input in all views maps; do
   job "shipped-$input.walks" "shipped-$LEGS,$rest" 1 shipped_walks "shipped-$LEGS" "$input"
   job "shipped-$input.known" "shipped-$LEGS,known" 1 walk "shipped-$input" "shipped-$LEGS" known val_unseen known $(asked_in "$input")
@@ -363,6 +371,7 @@ for input in "${INPUTS[@]}"; do  # DAgger once, of states that are less alike
   spread=$input-dagger_spread-${SEEDS[0]} trunk=$input-sft-${SEEDS[0]}
   job "$spread" "$trunk,$rest" 1 after_trunk dagger "$spread" "$trunk" "${SEEDS[0]}" "${ROUND[@]}" --rescue 16 $([ "$SIZE" = tiny ] || echo --agents 4096)
   job "$spread.walks" "$spread,$rest" 1 walks "$spread"
+  job "$spread.drawn" "$spread,homes-exam" 1 drawn "$spread"
 done
 row oracle_map sft --map-paint categories
 row paper_inputs sft --without paper

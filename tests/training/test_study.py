@@ -633,7 +633,7 @@ def test_a_job_alone_has_all_homes_that_join_and_nothing_that_is_done(tmp_path: 
     assert sorted(made) == ["a", "b", "exam"]
     assert sum("train sft" in line for line in called) == 1
     (out / "jobs" / "shipped-2.done").write_text("elsewhere")
-    called = call("legs.walks")
+    called = call("legs2.walks")
     assert [line.split()[2:4] for line in called] == [["policy", "examine"]] * 4
 
 

@@ -145,7 +145,12 @@ def _list_facts(record: RunRecord, last: Mapping[str, Any]) -> list[tuple[str, s
     facts.append(("on", ", ".join(devices)))
     versions = record.sessions[-1].versions if record.sessions else {}
     facts.append(("with", ", ".join(f"{k} {v}" for k, v in sorted(versions.items())) or "not told"))
-    facts += [(f"hash of the {what}", digest) for what, digest in sorted(record.hashes.items())]
+    # suites that join later are not there yet when it is hashed; they follow from their specs
+    named = {"corpus": "corpus, as training began"}
+    facts += [
+        (f"hash of the {named.get(what, what)}", digest)
+        for what, digest in sorted(record.hashes.items())
+    ]
     return facts
 
 

@@ -32,7 +32,7 @@
 #   SPEED     of SFT and DAgger, as `--speed` of `gn0 train sft` has it
 #   JOINS     samples at which lots a, b and c join (0,500000,3000000); none: a leg of the chain begins with all of them
 #   LOT_C     flats, apartments and houses of lot c (150 76 26)
-#   LOT_D     the same of a lot that legs of the chain alone have, of what they find hard (none); it joins after lot c
+#   LOT_D     the same of a lot that legs of the chain alone have, of what they find hard (none); it joins with lot c
 #   PATHS     walks a home to train in (40), EXAM_PATHS: a home never seen (8), each told in three ways
 #   WORKERS   homes made at a time (all cores but one)
 #   LEGS      jobs of the chain for the policy in the box (6); FROM, LEG: the policy that leg LEG goes on from, where
@@ -112,7 +112,7 @@ fi
 LEG_SUITES=("${SUITES[@]}") LOT_D=${LOT_D:-}
 if [ -n "$LOT_D" ]; then
   LEG_SUITES+=("$OUT/suites/d")
-  [ -n "${JOINS:-}" ] || joins+=,$((${joins##*,} * 4 / 3))
+  [ -n "${JOINS:-}" ] || joins=${joins%,*},$((${joins##*,} - 1)),${joins##*,}  # in the step of lot c: scenes open once
 fi
 [ "$joins" = none ] || { AGAIN+=(--joins "$joins"); NEW+=(--joins "$joins"); }
 if [ -n "${SPEED:-}" ]; then

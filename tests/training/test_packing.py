@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.data.answer_form import AnswerForm  # noqa: E402
-from gn0.errors import CheckpointError, StorageError, TrainingError  # noqa: E402
+from gn0.errors import CheckpointError, FormatError, StorageError, TrainingError  # noqa: E402
 from gn0.geometry import Pose2D  # noqa: E402
 from gn0.policies.bae.policy_bae import PolicyBae, digest_checkpoint  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
@@ -25,6 +25,7 @@ from gn0.training.packing import pack_policy  # noqa: E402
 from gn0.training.pupil import build_pupil, load_pupil  # noqa: E402
 from gn0.training.runs.model_card import build_card  # noqa: E402
 from gn0.training.runs.run_folder import open_run  # noqa: E402
+from gn0.training.runs.stage_chain import read_stages  # noqa: E402
 from gn0.training.study.walks_table import build_walks_table  # noqa: E402
 
 SETTINGS = PolicySettings(
@@ -104,6 +105,28 @@ def test_the_card_tells_the_whole_chain_and_no_place(run: Path, tmp_path: Path) 
     assert load_pupil(drawn.folder).settings.draw_after == 6
     assert card.count("gn0 train sft …/suite --held-out ''") == 2  # a line a stage
     assert "somebody" not in card
+
+
+def test_a_policy_that_travels_alone_takes_its_stages_along(run: Path, tmp_path: Path) -> None:
+    """Its runs stay behind; whoever goes on from it elsewhere tells them again."""
+    packed = pack_policy(run, tmp_path / "packed").folder
+    again = pack_policy(packed, tmp_path / "again").folder
+    third = tmp_path / "third"
+    make_run(third, load_pupil(again), start=str(again), suites=["/home/somebody/houses"])
+    card = (pack_policy(third, tmp_path / "shipped").folder / "README.md").read_text("utf-8")
+    after = card[card.index("Stages before it") :]
+    assert 0 < after.index("…/offices; 20 samples in 5 steps") < after.index("…/flats; 20 samples")
+    assert card.count("gn0 train sft …/suite --held-out ''") == 3 and "somebody" not in card
+    assert [one.stage for one in read_stages(tmp_path / "shipped")] == ["sft"] * 3
+
+
+@pytest.mark.parametrize("damaged", ["[", '[{"stage": 1}]', '{"a": []}', "[" * 100_000])
+def test_stages_that_cannot_be_read_are_told(run: Path, tmp_path: Path, damaged: str) -> None:
+    packed = pack_policy(run, tmp_path / "packed").folder
+    (packed / "stages.json").write_text(damaged)
+    with pytest.raises(FormatError, match="no list of stages") as caught:
+        pack_policy(packed, tmp_path / "again")
+    assert "stages.json" in caught.value.file
 
 
 def test_the_card_has_a_row_of_walks_for_each_kind_of_missions(run: Path) -> None:

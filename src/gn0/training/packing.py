@@ -18,6 +18,7 @@ from gn0.storage import check_replaceable, read_bytes
 from gn0.training.pupil import load_pupil
 from gn0.training.runs.model_card import build_card
 from gn0.training.runs.run_folder import RUN
+from gn0.training.runs.stage_chain import list_stages, read_stages, write_stages
 from gn0.training.study.walks_table import build_walks_table
 
 SHARD_MB, LIMIT_MB = 15, 36  # 10⁶ bytes: of a file, of everything
@@ -96,11 +97,15 @@ def pack_policy(
         card = build_card(
             home, pupil.settings, name=folder.resolve().name, weights=weights, tables=tables
         )
+        stages = list_stages(home)
     else:
+        stages = read_stages(source)
         own = source / "README.md"
         card = read_bytes(own, _CARD_LIMIT).decode("utf-8", "replace") if own.is_file() else ""
         card += f"\n{tables.strip()}\n" if tables.strip() else ""
     pupil.save(folder, card=card, shard_mb=shard_mb, dtype=kind, overwrite=overwrite)
+    if stages:
+        write_stages(folder, stages)
     files = sorted(path for path in folder.iterdir() if path.is_file())
     total = sum(path.stat().st_size for path in files)
     return PackedPolicy(folder, tuple(path.name for path in files), total)

@@ -38,6 +38,7 @@ from gn0.training.runs.model_card import build_card
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
 from gn0.training.runs.run_folder import RunFolder
+from gn0.training.runs.stage_chain import list_stages, write_stages
 from gn0.training.runs.training_state import (
     TrainingCounters,
     TrainingState,
@@ -182,6 +183,7 @@ class StageRun(StagePlace):
                     merge_adapters(pupil.model)
                 card = build_card(self.folder.folder, pupil.settings, results=found)
                 pupil.save(self.policy, card=card, shard_mb=size, overwrite=True)
+                write_stages(self.policy, list_stages(self.folder.folder))
         self.folder.finish(stage.counters.step, found)
         return self.policy
 

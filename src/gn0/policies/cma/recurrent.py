@@ -1,7 +1,7 @@
 """The graphs of CMA and Seq2Seq, over walks of N agents in T steps at once.
 
     words ─ embedding ─ LSTM ──────────── text ◄─┐
-    picture ─ ResNet18 ─ 16 places ◄─────────┐   │ attends
+    picture ─ encoder ── 16 places ◄─────────┐   │ attends
        └─ mean ─┐                            │   │
     action ─────┴─ GRU 1 ─ state ── attends ─┴───┘
                              └─ state, text, pictures, action ─ GRU 2 ─ 4 actions
@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gn0.policies.cma.cma_settings import DEPTH, CmaSettings
+from gn0.policies.cma.efficientnet_lite import EfficientNetLite0
 from gn0.policies.cma.resnet import ResNet18, count_groups, pool_map, scale_colours, scale_depth
 
 ACTIONS = 4
@@ -92,7 +93,11 @@ class Eye(nn.Module):
         super().__init__()
         sizes = settings.sizes
         self.is_depth, self.reach = name == DEPTH, settings.depth_range
-        self.net = ResNet18(1 if self.is_depth else 3, sizes.planes)
+        self.net: ResNet18 | EfficientNetLite0
+        if name == "rgb" and settings.encoder == "efficientnet_lite0":
+            self.net = EfficientNetLite0()
+        else:
+            self.net = ResNet18(1 if self.is_depth else 3, sizes.planes)
         planes, self.width = self.net.planes, sizes.depth if self.is_depth else sizes.colour
         self.squeeze: nn.Module = nn.Identity()
         if self.is_depth:

@@ -303,6 +303,18 @@ def test_a_policy_of_maps_goes_on_with_other_inputs_that_drive_in_turn(
     assert load_policy_settings(tmp_path / "shown/policy").pictures == ("near",)
 
 
+def test_stages_before_that_cannot_be_read_are_told_before_training(
+    suite, start, tmp_path, capsys
+) -> None:
+    shutil.copytree(start, tmp_path / "start")
+    (tmp_path / "start" / "stages.json").write_text("[{}]")
+    words = _words(suite, tmp_path / "run", "--start", tmp_path / "start", "--agents", 1)
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "no list of stages" in told and "stages.json" in told
+    assert not (tmp_path / "run").exists()
+
+
 def test_answers_of_another_layout_do_not_go_on(suite, start, tmp_path, capsys) -> None:
     words = ["train", "sft", suite, "--split", "all", "--start", start, "--layout", "json",
              "--held-out", "", "--device", "host", "--out", tmp_path / "out"]  # fmt: skip

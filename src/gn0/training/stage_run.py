@@ -38,7 +38,7 @@ from gn0.training.runs.model_card import build_card
 from gn0.training.runs.recipe_text import describe_command, describe_recipe
 from gn0.training.runs.resume_checks import check_resume
 from gn0.training.runs.run_folder import RunFolder
-from gn0.training.runs.stage_chain import list_stages, write_stages
+from gn0.training.runs.stage_chain import list_before, list_stages, write_stages
 from gn0.training.runs.training_state import (
     TrainingCounters,
     TrainingState,
@@ -259,10 +259,12 @@ def open_stage_run(
 
     Raises:
         CheckpointError: a state is damaged, or of another recipe or corpus.
+        FormatError: the stages before this one cannot be read.
         TrainingError: the folder holds another run, or one of another stage.
         StorageError: the system refuses.
     """
     corpus, recipe, device = hashes["corpus"], describe_recipe(job), name_device(place.where)
+    list_before(recipe)  # the card tells them at the end: too late for a file that is damaged
     with open_run_together(
         place.processes,
         place.where,

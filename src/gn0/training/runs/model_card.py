@@ -140,8 +140,7 @@ def _list_facts(record: RunRecord, last: Mapping[str, Any]) -> list[tuple[str, s
         facts.append(("samples", f"{int(last['samples']):,} in {int(last['step']):,} steps"))
     if last.get("seconds"):
         facts.append(("time of training", f"{last['seconds'] / 60:.1f} min"))
-    devices = dict.fromkeys(session.devices for session in record.sessions)
-    facts.append(("on", ", ".join(devices)))
+    facts.append(("on", record.devices))
     versions = record.sessions[-1].versions if record.sessions else {}
     facts.append(("with", ", ".join(f"{k} {v}" for k, v in sorted(versions.items())) or "not told"))
     # suites that join later are not there yet when it is hashed; they follow from their specs

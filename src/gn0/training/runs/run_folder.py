@@ -85,6 +85,11 @@ class RunRecord(Config, frozen=True):
     finished: int | None = None
     results: dict[str, Any] = msgspec.field(default_factory=dict)
 
+    @property
+    def devices(self) -> str:
+        """The devices of its sessions, each once."""
+        return ", ".join(dict.fromkeys(session.devices for session in self.sessions))
+
 
 class RunFolder:
     """The folder of a run that is being written; see `open_run`.

@@ -44,21 +44,27 @@ def list_stages(run: Path) -> list[StageTold]:
         TrainingError: the folder holds no run.
         StorageError, FormatError: a file cannot be read.
     """
-    found: list[StageTold] = []
-    home: Path | None = run
-    while home is not None and len(found) < _CHAIN:
-        record = read_run(home)
-        found.insert(0, _tell(record, home))
-        start = str(record.recipe.get("start") or "")
-        place, home = Path(start), None
-        if not start:
-            break
-        before = place.parent if place.name == TRAINED else place
-        if (before / RUN).is_file():
-            home = before
-        else:
-            found[:0] = read_stages(place)
-    return found[-_CHAIN:]
+    record = read_run(run)
+    return [*list_before(record.recipe), _tell(record, run)]
+
+
+def list_before(recipe: Mapping[str, Any], most: int = _CHAIN) -> list[StageTold]:
+    """The stages before a run of this recipe, as far as they are told.
+
+    They are told by runs, where these are on this machine, and by the policy that it began from.
+
+    Raises:
+        StorageError, FormatError: a file cannot be read.
+    """
+    start = str(recipe.get("start") or "")
+    if not start or not most:
+        return []
+    place = Path(start)
+    home = place.parent if place.name == TRAINED else place
+    if not (home / RUN).is_file():
+        return read_stages(place)[-most:]
+    record = read_run(home)
+    return [*list_before(record.recipe, most - 1), _tell(record, home)]
 
 
 def read_stages(policy: Path) -> list[StageTold]:
@@ -104,8 +110,7 @@ def _tell(record: RunRecord, home: Path) -> StageTold:
     if "samples" in last:
         told.append(f"{int(last['samples']):,} samples in {int(last['step']):,} steps")
     if last.get("seconds"):
-        devices = ", ".join(dict.fromkeys(session.devices for session in record.sessions))
-        told.append(f"{last['seconds'] / 60:.1f} min on {devices}")
+        told.append(f"{last['seconds'] / 60:.1f} min on {record.devices}")
     told.append(f"seed {recipe.get('seed', 'not told')}")
     told += [f"{what} {digest}" for what, digest in sorted(record.hashes.items())]
     words = [

@@ -293,7 +293,7 @@ study() {
 }
 
 # ---- the table: name, what must be done before (commas between), cards, what to do; of jobs under one pattern, what
-# stands first goes first
+# stands first goes first, of those that need not wait
 
 NAMES=()
 declare -A AFTER=() NEEDS=() DOES=()

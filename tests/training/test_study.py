@@ -444,6 +444,40 @@ def test_legs_of_the_chain_may_have_a_lot_and_a_length_of_their_own(tmp_path: Pa
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_jobs_are_begun_in_the_order_that_they_are_named_in(tmp_path: Path) -> None:
+    """Each behind what it is made from; under one pattern as the table has them."""
+    out = tmp_path / "out"
+    _pretend_python(tmp_path)
+    _have_homes(out, "a", "b", "c", "exam")
+    done = subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "maps-live-0.walks",
+         "maps-dapo-0", "maps-[sl]*-0.drawn"],
+        env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0"},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    began = re.findall(r"begin (maps-\S+)", done.stdout)
+    assert began == [
+        "maps-sft-0", "maps-live-0", "maps-live-0.walks", "maps-dapo-0", "maps-sft-0.drawn",
+        "maps-longer-0", "maps-longer-0.drawn", "maps-live-0.drawn",
+    ]  # fmt: skip
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
+@pytest.mark.parametrize(("mix", "asked"), [("maps:1", False), ("all:0.5,maps:0.5", True)])
+def test_a_leg_of_one_input_is_asked_in_no_other_way(tmp_path: Path, mix, asked) -> None:
+    out, told = tmp_path / "out", _pretend_python(tmp_path)
+    _have_homes(out, "a", "b", "c", "exam")
+    (out / "jobs" / "shipped-3.done").write_text("elsewhere")
+    subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "shipped-maps.walks"],
+        env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0", "LEGS": "3",
+             "MIX": mix}, capture_output=True, check=True,
+    )  # fmt: skip
+    walked = told.read_text().splitlines()
+    assert len(walked) == 2 and all(("--inputs maps" in line) == asked for line in walked)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_a_leg_waits_for_the_first_lot_alone_wherever_the_leg_before_was_made(
     tmp_path: Path,
 ) -> None:

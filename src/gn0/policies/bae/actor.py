@@ -59,7 +59,8 @@ def share_pool(card: int) -> torch.cuda.MemPool:
 
     They decide one after another, and what one says is copied before the next is asked; a model
     that is asked in six ways needs the memory of the largest, not of all six. It outlives its
-    graphs: a mere handle is void once the last graph is gone while an answer is still held.
+    graphs: a mere handle is void once the last graph is gone while something in it is still held,
+    be it an answer or, as far as we know, what cuBLAS works in and keeps.
     """
     with torch.cuda.device(card):
         return torch.cuda.MemPool()

@@ -51,6 +51,9 @@ class FrozenConvolution(nn.Module):
         groups: of planes that are kept apart.
     """
 
+    weight: Tensor
+    bias: Tensor
+
     def __init__(
         self, before: int, planes: int, side: int, stride: int = 1, groups: int = 1
     ) -> None:
@@ -64,8 +67,7 @@ class FrozenConvolution(nn.Module):
         more = [max(self.side - 1 - (size - 1) % self.stride, 0) for size in x.shape[-2:]]
         (top, left), (bottom, right) = ([one // 2 for one in more], [-(-one // 2) for one in more])
         x = functional.pad(x, (left, right, top, bottom))
-        weight, bias = self.get_buffer("weight"), self.get_buffer("bias")
-        return functional.conv2d(x, weight, bias, self.stride, groups=self.groups)
+        return functional.conv2d(x, self.weight, self.bias, self.stride, groups=self.groups)
 
 
 class FrozenBlock(nn.Module):
@@ -148,8 +150,8 @@ def _fill(
     }
     scale = found["weight"] / (found["running_var"] + _EPSILON).sqrt()
     own = torch.from_numpy(read[f"{weight}.weight"].astype(np.float64))
-    into.get_buffer("weight").copy_(own * scale[:, None, None, None])
-    into.get_buffer("bias").copy_(found["bias"] - found["running_mean"] * scale)
+    into.weight.copy_(own * scale[:, None, None, None])
+    into.bias.copy_(found["bias"] - found["running_mean"] * scale)
 
 
 def find_file() -> Path:

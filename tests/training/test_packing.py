@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,10 +13,17 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
 from gn0.data.answer_form import AnswerForm  # noqa: E402
-from gn0.errors import CheckpointError, FormatError, StorageError, TrainingError  # noqa: E402
+from gn0.errors import (  # noqa: E402
+    CheckpointError,
+    ConfigError,
+    FormatError,
+    PolicyError,
+    StorageError,
+    TrainingError,
+)
 from gn0.geometry import Pose2D  # noqa: E402
 from gn0.policies.bae.policy_bae import PolicyBae, digest_checkpoint  # noqa: E402
-from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
+from gn0.policies.bae.policy_settings import PolicySettings, join_inputs  # noqa: E402
 from gn0.policies.qwen.weights import open_weights  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
 from gn0.sim.state import Observation  # noqa: E402
@@ -105,6 +113,33 @@ def test_the_card_tells_the_whole_chain_and_no_place(run: Path, tmp_path: Path) 
     assert load_pupil(drawn.folder).settings.draw_after == 6
     assert card.count("gn0 train sft …/suite --held-out ''") == 2  # a line a stage
     assert "somebody" not in card
+
+
+def test_another_input_may_be_the_default_of_what_is_shipped(tmp_path: Path) -> None:
+    views = PolicySettings(
+        prompt="short", pictures=("rgb",), form=AnswerForm(layout="compact", points=0)
+    )
+    both = join_inputs({"views": views, "maps": SETTINGS})
+    make_run(tmp_path / "run", build_pupil("nano", both, ["go to the sofa"], seed=2))
+    before = tmp_path / "run" / "policy"
+    with pytest.raises(ConfigError, match="no inputs 'sound'"):
+        pack_policy(tmp_path / "run", tmp_path / "packed", default="sound")
+    packed = pack_policy(tmp_path / "run", tmp_path / "packed", default="maps").folder
+    settings = load_pupil(packed).settings
+    assert (settings.input, list(settings.inputs)) == ("maps", ["views"])
+    assert settings.pictures == ("near", "far") and settings.inputs["views"].pictures == ("rgb",)
+    card = (packed / "README.md").read_text("utf-8")
+    assert "input `maps`, the default | near, far; 13 points |" in card
+    assert "what has no input in its name is of `views`" in card
+    for name in ("views", "maps"):  # the same weights are asked the same
+        own = PolicySettings.choose(load_pupil(before).settings, name)
+        assert msgspec.structs.replace(settings.choose(name), preset=own.preset) == own
+    with pytest.raises(PolicyError, match=r"needs no camera|inputs=maps"):
+        blind = PolicyBae(str(packed), backend="numpy", inputs="views")
+        blind.reset_batch([0], ["go to the sofa"], [np.random.default_rng(0)])
+        blind.act_batch(
+            [0], [Observation(0, 0.0, "", pose=Pose2D(0, 0, 0), rgb=np.zeros((9, 9, 3), np.uint8))]
+        )
 
 
 def test_a_policy_that_travels_alone_takes_its_stages_along(run: Path, tmp_path: Path) -> None:

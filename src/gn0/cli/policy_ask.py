@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """  gn0 policy ask bae out/flat "go to the sofa" --out out/ask
   gn0 policy ask bae apartment:7 "find the fridge in the kitchen" --out out/fridge
+  gn0 policy ask bae out/flat "go to the sofa" --inputs views --out out/seen
   gn0 policy ask out/sft/policy room.ply "walk to the window" --start 1.5,2,90 --out out/window"""
 MARKER, FILM, PAGE, POSTER, SCENE = "walk.json", "walk.mp4", "index.html", "end.png", "scene"
 
@@ -38,6 +39,8 @@ class Args(Config, frozen=True):
         start: X,Y,DEGREES where it begins; a free place by the seed without.
         seed: of the start.
         steps: actions at most.
+        inputs: in which of its ways a checkpoint is asked that was trained in several; its default
+            when empty.
         executed: actions of an answer that are carried out; 0 for as many as the checkpoint says.
         computed_by: torch, numpy, or auto: torch where it is installed.
         backend: what draws pictures: cpu, cuda, or the best available (auto).
@@ -51,6 +54,7 @@ class Args(Config, frozen=True):
     start: str = ""
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
     steps: Annotated[int, msgspec.Meta(ge=1, le=5000)] = 200
+    inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0, le=6)] = 0
     computed_by: Literal["auto", "torch", "numpy"] = "auto"
     backend: Literal["auto", "cpu", "cuda"] = "auto"
@@ -67,7 +71,9 @@ def run(args: Args) -> int:
 
     out = Path(args.out)
     start = read_pose(args.start, "--start") if args.start else None
-    policy = PolicyBae(args.checkpoint, executed=args.executed, backend=args.computed_by)
+    policy = PolicyBae(
+        args.checkpoint, inputs=args.inputs, executed=args.executed, backend=args.computed_by
+    )
     words = check_errand(policy, args.text)
     overwrite = args.overwrite or _is_unfinished(out)
     check_replaceable(out, overwrite=overwrite, marker=MARKER)

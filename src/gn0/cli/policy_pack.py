@@ -16,6 +16,7 @@ from gn0.config import Config
 EXAMPLES = """  gn0 policy pack out/sft --out release/bae-tiny
   gn0 policy pack out/sft --walks out/sft-walks out/sft-seen --out out/packed --overwrite
   gn0 policy pack out/sft --tables out/study.md --out out/packed --overwrite
+  gn0 policy pack out/every --default maps --out out/packed --overwrite
   gn0 policy pack out/sft-4b --limit-mb 9000 --shard-mb 2000 --out out/packed-4b"""
 
 
@@ -33,6 +34,7 @@ class Args(Config, frozen=True):
         tables: a file of Markdown that goes with the card's numbers.
         draw_after: actions without getting anywhere after which the packed policy's answers are
             drawn as probable as it holds them; 0: never, -1: as the run's policy has it.
+        default: which of several inputs the packed policy is asked in where none is named.
         overwrite: replace an earlier packed policy there.
     """
 
@@ -44,6 +46,7 @@ class Args(Config, frozen=True):
     walks: tuple[str, ...] = ()
     tables: str = ""
     draw_after: Annotated[int, msgspec.Meta(ge=-1, le=10_000)] = -1
+    default: str = ""
     overwrite: bool = False
 
 
@@ -69,6 +72,7 @@ def run(args: Args) -> int:
             tables=tables,
             walks=args.walks,
             draw_after=args.draw_after,
+            default=args.default,
             overwrite=args.overwrite,
         )
     print(f"{packed.size / 1e6:.1f} MB in {len(packed.files)} files: {', '.join(packed.files)}")

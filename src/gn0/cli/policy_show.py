@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from gn0.viewer.episode_stage import EpisodeStage
 
 EXAMPLES = """  gn0 policy show bae out/suite --out decision.png
+  gn0 policy show bae out/suite --inputs views --out seen.png
   gn0 policy show out/sft/policy out/suite --episode flat_0003 --step 12 --out decision.png
   gn0 policy show out/sft/policy out/suite --episode flat_0003 --pose 1.5,2,90 --out there.png
   gn0 policy show out/sft/policy out/suite --episode flat_0003 --steps all --out walk.png
@@ -46,6 +47,8 @@ class Args(Config, frozen=True):
             file of JSON lines with `episode` and `success`.
         pick: how many successes and how many failures of it.
         seed: decides which ones.
+        inputs: in which of its ways a checkpoint is asked that was trained in several; its default
+            when empty.
         executed: actions of an answer that are carried out; 0 for as many as the checkpoint says.
         computed_by: torch, numpy, or auto: torch where it is installed.
         backend: what draws pictures: cpu, cuda, or the best available (auto).
@@ -61,6 +64,7 @@ class Args(Config, frozen=True):
     from_: Annotated[str, tyro.conf.arg(name="from")] = ""
     pick: Annotated[int, msgspec.Meta(ge=1, le=20)] = 3
     seed: int = 0
+    inputs: str = ""
     executed: Annotated[int, msgspec.Meta(ge=0, le=6)] = 0
     computed_by: Literal["auto", "torch", "numpy"] = "auto"
     backend: Literal["auto", "cpu", "cuda"] = "auto"
@@ -80,7 +84,12 @@ def run(args: Args) -> int:
     with draw_progress("drawing") as progress:
         suite = open_suite(args.suite)
         outcomes = read_outcomes(args.from_) if args.from_ else {}
-        policy = PolicyBae(args.checkpoint, executed=args.executed, backend=args.computed_by)
+        policy = PolicyBae(
+            args.checkpoint,
+            inputs=args.inputs,
+            executed=args.executed,
+            backend=args.computed_by,
+        )
         is_sheet = bool(args.from_) or args.steps == "all"
         size = SHEET_MAP if is_sheet else DECISION_MAP
         stage = EpisodeStage(suite, policy, args.backend, size)

@@ -15,7 +15,7 @@ from gn0.policies.bae.draws import check_draw_after
 from gn0.policies.bae.policy_bae import digest_checkpoint
 from gn0.policies.bae.shipped import find_checkpoint
 from gn0.storage import check_replaceable, read_bytes
-from gn0.training.pupil import load_pupil
+from gn0.training.pupil import choose_default, load_pupil
 from gn0.training.runs.model_card import build_card
 from gn0.training.runs.run_folder import RUN
 from gn0.training.runs.stage_chain import list_stages, read_stages, write_stages
@@ -50,6 +50,7 @@ def pack_policy(
     tables: str = "",
     walks: Sequence[Path | str] = (),
     draw_after: int = -1,
+    default: str = "",
     overwrite: bool = False,
 ) -> PackedPolicy:
     """Write a run's policy as it is shipped.
@@ -65,10 +66,13 @@ def pack_policy(
             card's numbers.
         draw_after: actions without getting anywhere after which the packed policy's answers are
             drawn; 0: never, -1: as the run's policy has it.
+        default: which of several inputs the packed policy is asked in where none is named; that
+            of the run's policy when empty.
         overwrite: replace an earlier one.
 
     Raises:
         CheckpointError: there is no policy, or it is larger than the limit.
+        ConfigError: it has no such input.
         TrainingError: walks are missing or unfinished, or of another policy.
         StorageError: the folder cannot be written, or holds something else.
     """
@@ -84,6 +88,10 @@ def pack_policy(
     if walks:  # else gigabytes need not be read
         tables = f"{build_walks_table(walks, digest_checkpoint(source))}\n{tables}"
     pupil = replace(pupil, settings=msgspec.structs.replace(pupil.settings, draw_after=drawn))
+    if default not in ("", pupil.settings.input):
+        was = pupil.settings.input
+        pupil = choose_default(pupil, default)
+        tables = f"In the table above, what has no input in its name is of `{was}`.\n\n{tables}"
     kind = torch.float32 if dtype == "float32" else torch.bfloat16
     weights = sum(array.numel() for array in pupil.model.parameters())
     size = weights * kind.itemsize + (source / "tokenizer.json").stat().st_size

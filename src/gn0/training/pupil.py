@@ -186,6 +186,19 @@ class Pupil:
         save_policy_settings(folder, self.settings, self.template, self.others)
 
 
+def choose_default(pupil: Pupil, name: str) -> Pupil:
+    """The same policy, asked in another of its inputs where none is named.
+
+    Raises:
+        ConfigError: it has no such input; lists those that it has.
+    """
+    pupil.settings.choose(name)
+    first, others = pupil.inputs[name], {k: p for k, p in pupil.inputs.items() if k != name}
+    settings = join_inputs({name: first.settings, **{k: p.settings for k, p in others.items()}})
+    prompts = {other: one.template for other, one in others.items()}
+    return Pupil(pupil.checkpoint, settings, first.template, prompts)
+
+
 def build_pupil(
     size: str,
     settings: PolicySettings,

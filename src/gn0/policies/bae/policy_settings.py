@@ -35,7 +35,8 @@ INPUT_NAME = re.compile("[a-z][a-z0-9_]{0,31}")
 MAPS = ("bev", "occupancy")
 """Whole maps, as prompts name them."""
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=4096)]
-_VIEWS = ("rgb", "history", "goal_picture")
+VIEWS = ("rgb", "history", "goal_picture")
+"""Pictures that need a camera, as prompts name them."""
 _OPEN_TO = ("task", "pictures", "points", "layout", "frame")
 
 
@@ -111,7 +112,7 @@ class PolicySettings(PolicyInput, frozen=True):
                 )
 
     def _check(self, own: PolicyInput, where: str) -> None:
-        known = (*_VIEWS, *MAPS, *SQUARE_NAMES[: len(self.view.squares)])
+        known = (*VIEWS, *MAPS, *SQUARE_NAMES[: len(self.view.squares)])
         for name in own.pictures:
             if name not in known:
                 raise ConfigError(

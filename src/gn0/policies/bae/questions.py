@@ -18,6 +18,7 @@ from gn0.geometry import Pose2D
 from gn0.policies.bae.policy_settings import (
     MAPS,
     SQUARE_NAMES,
+    VIEWS,
     PolicySettings,
     load_policy_settings,
 )
@@ -57,6 +58,11 @@ class Questions:
         every = load_policy_settings(folder)
         self.inputs = tuple(every.by_input) if every.input else ()
         self.settings: PolicySettings = every.choose(inputs)
+        self._without_cameras = [
+            name
+            for name, own in every.by_input.items()
+            if name and not {*own.pictures}.intersection(VIEWS)
+        ]
         self.architecture = load_architecture(folder)
         try:
             self.template = self.settings.load_template(folder)
@@ -175,7 +181,12 @@ class Questions:
                     f"picture {name!r} is {got}, the checkpoint was trained on "
                     f"{size.width}×{size.height} px",
                     where=self.folder,
-                    remedy=f"use camera preset {settings.preset} and the checkpoint's ego map",
+                    remedy=f"use camera preset {settings.preset} and the checkpoint's ego map"
+                    + (
+                        f"; inputs={self._without_cameras[0]} needs no camera"
+                        if name in VIEWS and self._without_cameras
+                        else ""
+                    ),
                 )
             shown.append(picture)
         return shown

@@ -106,8 +106,17 @@ def _list_settings(settings: PolicySettings) -> list[tuple[str, str]]:
     squares = ", ".join(
         f"{s.size} px of {s.metres_per_pixel:g} m ({s.content})" for s in settings.view.squares
     )
+    pictures = [("pictures", ", ".join(settings.pictures))]
+    if settings.inputs:  # it may be asked in several ways
+        pictures = [
+            (
+                f"pictures of input `{name}`{', the default' if name == settings.input else ''}",
+                f"{', '.join(own.pictures)}; {own.form.points} points",
+            )
+            for name, own in settings.by_input.items()
+        ]
     rows = [
-        ("pictures", ", ".join(settings.pictures)),
+        *pictures,
         ("cameras", settings.preset),
         ("squares of the ego map", squares),
         ("prompt", f"{settings.prompt}, digest {settings.prompt_digest[:12] or 'not told'}"),

@@ -256,6 +256,10 @@ def test_runs_of_the_benchmark_stand_beside_walks(
     gain = find_difference(found, Difference(a="sft", b="straight", missions="visible"))
     assert gain is not None and (gain.value, gain.episodes) == (0.0, 12)
     assert gain.unit == "episode"  # of two scenes, episodes speak
+    (tmp_path / "walks/straight-0/unseen/trajectories.jsonl").unlink()  # as `pack` leaves it behind
+    write_study(tmp_path / "study.yaml", tmp_path, tmp_path / "page.md")
+    row = next(l for l in (tmp_path / "page.md").read_text().splitlines() if "`straight`" in l)
+    assert row.endswith("| – |")  # FORWARDs that nobody counted are not a share
 
 
 def _write(folder: Path) -> Path:

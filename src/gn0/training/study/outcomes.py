@@ -16,7 +16,7 @@ from gn0.config import load_json
 from gn0.errors import ConfigError
 from gn0.geometry import F64
 from gn0.sim.state import Action
-from gn0.suites.run_files import SUMMARY
+from gn0.suites.run_files import SUMMARY, TRAJECTORIES
 from gn0.training.exams.walks import MEANS, Walk
 from gn0.training.exams.walks_folder import ABOUT, WalksAbout, load_walks
 from gn0.training.runs.metrics_file import read_metrics
@@ -161,8 +161,11 @@ def _load(path: Path, say: Callable[[str], None]) -> Outcomes | None:
 
 
 def _load_run(path: Path) -> Outcomes:
-    """Scored episodes of `gn0 bench run` as walks; what it does not tell is NaN, or 0."""
-    traces = load_traces(path)
+    """Scored episodes of `gn0 bench run` as walks; what it does not tell is NaN, or 0.
+
+    FORWARDs are counted in its trajectories, which may have stayed where it ran.
+    """
+    traces = load_traces(path) if (path / TRAJECTORIES).is_file() else {}
     walks = {}
     for one in load_results(path):
         m = one.metrics
@@ -191,8 +194,8 @@ def _load_run(path: Path) -> Outcomes:
             spl_straight=share * m.success_euclid,
             spl_near=share * near,
             oracle=m.oracle_success,
-            forwards=traces[one.episode].actions.count(Action.FORWARD),
-            cut_short=m.collisions,
+            forwards=traces[one.episode].actions.count(Action.FORWARD) if traces else 0,
+            cut_short=m.collisions if traces else 0,
             decisions=m.steps,
             seconds=math.nan,
         )

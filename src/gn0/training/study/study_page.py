@@ -200,7 +200,8 @@ def _tell_not_run(arm: Arm) -> str:
 
 def _tell_cut(found: Found, arm: Arm, exam: str) -> str:
     walks = [w for own in found.outcomes(arm, exam).values() for w in own.walks.values()]
-    return f"{100 * sum(w.cut_short for w in walks) / max(1, sum(w.forwards for w in walks)):.1f}"
+    forwards = sum(w.forwards for w in walks)
+    return f"{100 * sum(w.cut_short for w in walks) / forwards:.1f}" if forwards else "–"
 
 
 def _tell_paper(study: Study, name: str, exam: str) -> tuple[str, ...]:

@@ -247,6 +247,11 @@ shipped_walks() { # RUN INPUT
   [ ! -f "$OUT/suites/imported/manifest.json" ] || walk "shipped-$2" "$1" imported all imported $(asked_in "$2")
 }
 
+shipped_controls() { # RUN INPUT
+  local one
+  for one in no_words shuffled; do walk "shipped-$2-$one" "$1" exam val_unseen unseen $(asked_in "$2") --control "$one"; done
+}
+
 legs_walks() { # LEG: on one input
   local one run=shipped-$1 name=legs$1-maps
   walk "$name" "$run" exam val_unseen unseen
@@ -353,6 +358,7 @@ for ((leg = LEG > 2 ? LEG : 2; leg <= (LEGS < 3 ? LEGS : 3); leg++)); do
 done
 for input in all views maps; do
   job "shipped-$input.walks" "shipped-$LEGS,$rest" 1 shipped_walks "shipped-$LEGS" "$input"
+  job "shipped-$input.controls" "shipped-$LEGS,homes-exam" 1 shipped_controls "shipped-$LEGS" "$input"
   job "shipped-$input.known" "shipped-$LEGS,known" 1 walk "shipped-$input" "shipped-$LEGS" known val_unseen known $(asked_in "$input")
 done
 for seed in "${SEEDS[@]:1}"; do arms "${INPUTS[0]}" "$seed"; done

@@ -112,7 +112,7 @@ fi
 LEG_SUITES=("${SUITES[@]}") LOT_D=${LOT_D:-}
 if [ -n "$LOT_D" ]; then
   LEG_SUITES+=("$OUT/suites/d")
-  [ -n "${JOINS:-}" ] || joins=${joins%,*},$((${joins##*,} - 1)),${joins##*,}  # in the step of lot c: scenes open once
+  [ -n "${JOINS:-}" ] || joins=$joins,${joins##*,}  # with lot c: scenes open once
 fi
 [ "$joins" = none ] || { AGAIN+=(--joins "$joins"); NEW+=(--joins "$joins"); }
 if [ -n "${SPEED:-}" ]; then

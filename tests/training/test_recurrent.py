@@ -30,6 +30,7 @@ from gn0.training.recurrent_learner import (  # noqa: E402
     RecurrentRecipe,
     WordTable,
     judge_stretch,
+    look,
     weigh_turns,
 )
 from gn0.training.recurrent_stage import RoundPlan  # noqa: E402
@@ -102,6 +103,24 @@ def test_each_text_of_a_stretch_is_read_once_and_as_a_driver_reads_it() -> None:
     assert found.there.sum(1).tolist() == [table.counts[k] for k in (2, 0, 0, 0, 2)]
     blind, _ = make_net(texts, words=False)
     assert table.read(blind, asked) is None and table.read_all(blind) is None
+
+
+@pytest.mark.parametrize("pictures", [("rgb", "depth", "near"), ()])
+def test_encoders_can_be_compiled_as_a_whole(pictures) -> None:
+    """Traced without a compiler: nothing in them breaks the graph, and they see the same."""
+    net, _ = make_net(["go"], pictures=pictures)
+    draws = torch.manual_seed(0)
+    shown = {
+        "rgb": torch.randint(0, 256, (5, 128, 128, 3), dtype=torch.uint8, generator=draws),
+        "depth": torch.rand((5, 128, 128), generator=draws) * 9,
+        "near": torch.randint(0, 256, (5, 32, 32, 3), dtype=torch.uint8, generator=draws),
+    }
+    see = torch.compile(net.see, backend="eager", fullgraph=True, dynamic=False)
+    given = [shown[name] for name in pictures]
+    plain, found = look(net, given, torch.bfloat16), look(net, given, torch.bfloat16, see)
+    assert len(found) == len(pictures)
+    for one, other in zip(plain, found, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
 
 
 def test_what_is_learned_from_is_what_would_be_done(make_env) -> None:

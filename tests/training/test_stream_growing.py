@@ -45,6 +45,19 @@ def test_each_lot_joins_at_its_number() -> None:
     assert stream.texts == ("part 2",)
 
 
+@pytest.mark.parametrize("joins, parts", [((0, 8, 8), "002222"), ((0, 0, 8), "112222")])
+def test_lots_of_one_number_join_together(joins: tuple[int, ...], parts: str) -> None:
+    opened = []
+
+    def open_part(part: int) -> tuple[Numbers, str]:
+        opened.append(part)
+        return _open(part)
+
+    drawn = _draw_all(StreamGrowing(open_part, joins), 6)
+    assert "".join(str(part) for part, _ in drawn) == parts
+    assert len(opened) == 2  # scenes are opened once a number
+
+
 @pytest.mark.parametrize("stop", range(6))
 def test_it_goes_on_where_it_was_left(stop: int) -> None:
     whole = _draw_all(StreamGrowing(_open, [0, 8, 13]), 6)
@@ -56,7 +69,7 @@ def test_it_goes_on_where_it_was_left(stop: int) -> None:
 
 
 def test_joins_that_make_no_sense_and_foreign_states_are_refused() -> None:
-    for joins in ((), (4,), (0, 8, 8), (0, 8, 4)):
+    for joins in ((), (4,), (0, 8, 4), (0, -1)):
         with pytest.raises(ConfigError, match="join at"):
             StreamGrowing(_open, joins)
     with pytest.raises(FormatError, match="lots of scenes"):

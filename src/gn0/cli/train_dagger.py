@@ -67,8 +67,8 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
         draw_after: actions without getting anywhere after which answers are drawn as probable as
             the policy holds them, when it walks and when it is examined; 0: never, by default as
             the policy of --start does (--live).
-        joins: samples drawn when each suite joins, with commas between; a suite that is not there
-            yet is waited for (--live).
+        joins: samples drawn when each suite joins, with commas between; those of one number join
+            together, and a suite that is not there yet is waited for (--live).
         kept: states that batches are drawn from (--live; by default 200,000).
         ratio: new states a sample (--live; by default 0.5).
         size: of a model from random weights: nano or tiny (--live without --start, as --layout and

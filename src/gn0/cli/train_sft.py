@@ -34,8 +34,9 @@ class Args(ImitationFlags, frozen=True, kw_only=True):
 
     Attributes:
         suite: suite folders, as `gn0 missions generate` writes; datasets' with --source dataset.
-        joins: samples drawn when each suite joins, with commas between; a suite that is not there
-            yet is waited for. By default all are there from the first sample on.
+        joins: samples drawn when each suite joins, with commas between; those of one number join
+            together, and a suite that is not there yet is waited for. By default all are there from
+            the first sample on.
         source: where states come from: walks of the expert, uniform over the scenes, or datasets.
         shares: of the samples, one a dataset with commas between; by their sizes by default.
         recipe: how it learns: scratch, from random weights; pretrained, the paper's rates.

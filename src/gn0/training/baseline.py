@@ -119,7 +119,9 @@ def train_baseline(
         )  # fmt: skip
         table = WordTable(tokenizer, stream.texts, settings.text_length, where)
         autocast = find_autocast(where)
-        learner = RecurrentLearner(net, table, job.agents, job.recipe, autocast=autocast)
+        learner = RecurrentLearner(
+            net, table, job.agents, job.recipe, autocast=autocast, compiled=where.type == "cuda"
+        )
         stage = RecurrentStage(
             learner, stream, checkpoint.tokenizer, job.plan, job.told, run.recipe, run.corpus
         )

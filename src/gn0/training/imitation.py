@@ -35,7 +35,7 @@ from gn0.training.stage import StagePlan
 from gn0.training.stage_run import PolicyJob, StageRun, open_place, open_stage_run
 from gn0.training.streams.picture_jitter import PictureJitter
 from gn0.training.streams.samples import Stream
-from gn0.training.streams.stream_growing import StreamGrowing
+from gn0.training.streams.stream_growing import StreamGrowing, check_joins
 from gn0.training.streams.stream_jittered import StreamJittered
 from gn0.training.worlds import Lessons, leave_out_long, load_lessons, wait_for_suites
 
@@ -46,8 +46,8 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
     """What is learned in and how, whatever the states come from; see `PolicyJob` for the rest.
 
     Attributes:
-        joins: samples drawn when each suite joins; those that are not there yet are waited for. One
-            number: all from the first sample on.
+        joins: samples drawn when each suite joins; those that are not there yet are waited for,
+            and those of one number join together. One number: all from the first sample on.
         inputs: shares of the steps, by name of the policy's inputs; where there are several, it
             learns the default alone when empty.
         recipe: how it learns.
@@ -83,6 +83,7 @@ class ImitationJob(PolicyJob, frozen=True, kw_only=True):
                 where="joins",
                 remedy="give one number a suite, or 0",
             )
+        check_joins(self.joins)
 
     @property
     def reads_dataset(self) -> bool:

@@ -7,7 +7,7 @@ than before, a walk the mean over its weights, and beside it the progress monito
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, fields
 from typing import Annotated, Literal
@@ -185,11 +185,14 @@ class DriverNet:
 
 
 def look(
-    net: RecurrentNet, pictures: Sequence[Tensor], autocast: torch.dtype | None
+    net: RecurrentNet,
+    pictures: Sequence[Tensor],
+    autocast: torch.dtype | None,
+    see: Callable[[Sequence[Tensor]], list[Tensor]] | None = None,
 ) -> list[Tensor]:
-    """`RecurrentNet.see`, its convolutions in another type where one is given."""
+    """`RecurrentNet.see`, compiled where `see` is; its convolutions in another type if given."""
     with nullcontext() if autocast is None else torch.autocast(net.device.type, autocast):
-        return net.see(pictures)
+        return (see or net.see)(pictures)
 
 
 class RecurrentLearner:
@@ -201,6 +204,7 @@ class RecurrentLearner:
         count: agents of a stretch.
         recipe: how it learns.
         autocast: type of the encoders' numbers (bfloat16 on a card); None for float32.
+        compiled: whether what the encoders compute is, for all steps; up to a minute at the first.
 
     Attributes:
         memory: of the agents at the end of the last stretch, [GRUs, N, H].
@@ -214,8 +218,10 @@ class RecurrentLearner:
         recipe: RecurrentRecipe,
         *,
         autocast: torch.dtype | None = None,
+        compiled: bool = False,
     ) -> None:
         self.net, self.table, self.recipe, self.autocast = net, table, recipe, autocast
+        self._see = torch.compile(net.see, dynamic=False) if compiled else net.see
         self.device = net.device
         self.weights = {n: w for n, w in net.named_parameters() if w.requires_grad}
         self.optimiser = torch.optim.Adam(
@@ -233,7 +239,7 @@ class RecurrentLearner:
         shape = stretch.texts.shape
         pictures = [stretch.pictures[name].flatten(0, 1) for name in self.net.settings.pictures]
         words = self.table.read(self.net, stretch.texts.flatten())
-        seen = look(self.net, pictures, self.autocast)
+        seen = look(self.net, pictures, self.autocast, self._see)
         assert stretch.last.shape == shape
         logits, progress, memory = self.net(words, seen, stretch.last, self.memory)
         self.memory = memory.detach()

@@ -17,31 +17,42 @@ from gn0.training.streams.live_counts import LiveCounts
 from gn0.training.streams.samples import LabelledStates, Stream, find_frames
 
 
+def check_joins(joins: Sequence[int]) -> None:
+    """Refuse numbers of samples at which scenes cannot join.
+
+    The first is 0, and they do not fall: lots of one number join together.
+
+    Raises:
+        ConfigError: they are others; says which.
+    """
+    rising = all(a <= b for a, b in pairwise(joins))
+    if not joins or joins[0] != 0 or not rising:
+        raise ConfigError(
+            f"scenes that join at {', '.join(map(str, joins)) or 'nothing'} samples",
+            where="joins",
+            remedy="give numbers that begin with 0 and do not fall",
+        )
+
+
 class StreamGrowing:
     """One stream after the other, each of more scenes than the one before.
 
     Args:
         open_part: opens the k-th stream, with the first k + 1 lots of scenes, and says their hash;
             waits until they are there.
-        joins: samples drawn when each lot joins; the first is 0, and they rise.
+        joins: samples drawn when each lot joins, see `check_joins`.
 
     Raises:
-        ConfigError: joins that do not begin at 0 or do not rise.
+        ConfigError: joins that make no sense.
     """
 
     def __init__(
         self, open_part: Callable[[int], tuple[Stream, str]], joins: Sequence[int]
     ) -> None:
-        rising = all(a < b for a, b in pairwise(joins))
-        if not joins or joins[0] != 0 or not rising:
-            raise ConfigError(
-                f"scenes that join at {', '.join(map(str, joins)) or 'nothing'} samples",
-                where="joins",
-                remedy="give numbers that begin with 0 and rise",
-            )
+        check_joins(joins)
         self._open, self.joins = open_part, tuple(joins)
-        self.part, self.drawn = 0, 0
-        self._stream, self.hash = open_part(0)
+        self.part, self.drawn = self._find_part(0), 0
+        self._stream, self.hash = open_part(self.part)
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -55,7 +66,7 @@ class StreamGrowing:
 
     def draw(self, count: int) -> LabelledStates:
         """The next states; first the scenes that are due join."""
-        due = sum(join <= self.drawn for join in self.joins) - 1
+        due = self._find_part(self.drawn)
         if due > self.part:
             self._enter(due)
         self.drawn += count
@@ -69,6 +80,9 @@ class StreamGrowing:
         tell = getattr(self._stream, "tell", LiveCounts)
         found: LiveCounts = tell()
         return found
+
+    def _find_part(self, drawn: int) -> int:
+        return sum(join <= drawn for join in self.joins) - 1
 
     def _enter(self, part: int) -> None:
         del self._stream  # its maps and pictures make room on the device

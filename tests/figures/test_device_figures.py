@@ -245,6 +245,7 @@ def _sleeper(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_script_runs_groups_and_says_what_is_done(tmp_path: Path) -> None:
     root = Path(__file__).resolve().parents[2]
     script = [str(root / "runs" / "gpu-figures.sh"), str(tmp_path / "out")]

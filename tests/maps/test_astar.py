@@ -146,7 +146,10 @@ def check_scenario(data: Path, name: str, stride: int) -> int:
     return len(queries)
 
 
-@pytest.mark.parametrize("name", scenarios())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if "maze" in n else ()) for n in scenarios()],
+)
 def test_each_tenth_query_of_movingai_has_the_listed_optimum(shared_data, name):
     assert check_scenario(shared_data, name, 10) > 0
 

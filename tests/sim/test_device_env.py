@@ -123,6 +123,7 @@ def test_thousands_of_steps_are_those_of_the_vector_env(plans, order) -> None:
     play(env, twin, 10)
 
 
+@pytest.mark.slow
 def test_no_thread_reads_what_another_may_be_writing(plans) -> None:
     env, twin = build_pair(*plans, 40, device=DeviceHost(2, checked=True), sensors=SENSORS)
     assert_same_reset(env, env.reset(seed=1), twin.reset(seed=1))

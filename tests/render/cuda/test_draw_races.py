@@ -63,6 +63,7 @@ def test_views_that_only_the_device_knows() -> None:
     assert pictures.numpy().rgb.any()
 
 
+@pytest.mark.slow
 def test_visible_sets() -> None:
     device = DeviceHost(seed=3, checked=True)
     floor = OccupancyGrid(np.zeros((8, 12), np.uint8), 0.1, (2.0, 2.0))

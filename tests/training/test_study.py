@@ -475,12 +475,17 @@ def test_a_leg_of_one_input_is_asked_in_no_other_way(tmp_path: Path, mix, asked)
     _have_homes(out, "a", "b", "c", "exam")
     (out / "jobs" / "shipped-3.done").write_text("elsewhere")
     subprocess.run(
-        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "shipped-maps.walks"],
+        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "shipped-maps.walks",
+         "shipped-maps.controls"],
         env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0", "LEGS": "3",
              "MIX": mix}, capture_output=True, check=True,
     )  # fmt: skip
     walked = told.read_text().splitlines()
-    assert len(walked) == 2 and all(("--inputs maps" in line) == asked for line in walked)
+    assert len(walked) == 4 and all(("--inputs maps" in line) == asked for line in walked)
+    controls = [line.split("--control")[1].split()[0] for line in walked[2:]]
+    assert controls == ["no_words", "shuffled"]
+    assert all(f"walks/shipped-maps-{one}/unseen" in line
+               for one, line in zip(controls, walked[2:], strict=True))  # fmt: skip
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")

@@ -92,7 +92,7 @@ if [ "$SIZE" = tiny ]; then
   RL=(--updates "${UPDATES:-2}" --episodes 2 --group 4 --max-steps 24 --batch 16 --minibatches 2 --save 1 --examined 2 --asked 32 --device host)
   BASELINE=(--size nano --samples 64 --agents 4 --steps 8 --rounds 1 --report 1 --save 1 --examined 2 --device host)
   WALK=(--episodes "${EPISODES:-2}" --agents 2 --device host)
-  UNTRAINED=(--limit 4) RETRAINED=(--limit 4)
+  UNTRAINED=(--limit 4)
 else
   LOTS=("a train 30 14 4" "exam val_unseen 60 30 10" "b train 60 30 10" "c train ${LOT_C:-150 76 26}")
   SUITES=("$OUT/suites/a" "$OUT/suites/b" "$OUT/suites/c") joins=${JOINS:-0,500000,3000000}
@@ -107,7 +107,7 @@ else
   RL=(--updates "${UPDATES:-200}" --save 3 "${own[@]}")
   BASELINE=(--samples "${SAMPLES:-8000000}")
   WALK=(--episodes "${EPISODES:-0}")
-  UNTRAINED=() RETRAINED=(--workers 4 --agents 128)  # asked together, on one card
+  UNTRAINED=()
 fi
 LEG_SUITES=("${SUITES[@]}") LOT_D=${LOT_D:-}
 if [ -n "$LOT_D" ]; then
@@ -371,7 +371,7 @@ for batch in 512 2048; do
 done
 for one in "cma_views --pictures rgb,depth" "cma_maps --pictures rgb,depth,near" "cma_blind --model cma_blind" "seq2seq --model seq2seq"; do
   job "${one%% *}-0" "$rest" 1 baseline "${one%% *}-0" ${one#* }
-  job "${one%% *}-0.walks" "${one%% *}-0" 1 bench "${one%% *}" cma --policy-option "checkpoint=$OUT/runs/${one%% *}-0/policy" "${RETRAINED[@]}"
+  job "${one%% *}-0.walks" "${one%% *}-0,homes-exam" 1 walk "${one%% *}-0" "${one%% *}-0" exam val_unseen unseen
 done
 for input in "${INPUTS[@]}"; do  # DAgger once, of states that are less alike
   spread=$input-dagger_spread-${SEEDS[0]} trunk=$input-sft-${SEEDS[0]}

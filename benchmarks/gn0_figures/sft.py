@@ -37,7 +37,7 @@ from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least
 from gn0_figures.device import is_emulation
 
 AIMS = {1: 10_000.0, 2: 7_000.0, 4: 4_000.0}  # samples a second, by pictures
-INPUTS = (("near", "far"), ("near",), ("rgb", "history", "near", "far"), ("rgb", "history"))
+INPUTS = (("near", "far"), ("rgb", "history", "near", "far"), ("near",), ("rgb", "history"))
 HOMES = 4
 ENOUGH = 215.0  # s after which no further thing is compiled
 QUICKEST = "whole,joined,narrow"  # on an H100, says train.speed

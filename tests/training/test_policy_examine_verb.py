@@ -16,9 +16,18 @@ from gn0.bench.results import load_results  # noqa: E402
 from gn0.cli.main import main  # noqa: E402
 from gn0.data.answer_form import AnswerForm  # noqa: E402
 from gn0.errors import TrainingError  # noqa: E402
+from gn0.missions.controls import CONTROL_TEXT  # noqa: E402
 from gn0.policies.bae.policy_settings import PolicySettings  # noqa: E402
+from gn0.policies.bae.tokenizer import train_tokenizer  # noqa: E402
+from gn0.policies.cma.cma_checkpoint import (  # noqa: E402
+    CmaCheckpoint,
+    build_net,
+    save_cma_checkpoint,
+)
+from gn0.policies.cma.cma_settings import SIZES, CmaSettings  # noqa: E402
 from gn0.sim.ego_map import EgoSquare, MapView  # noqa: E402
 from gn0.training.exams.policy_examination import WalkJob, examine_policy  # noqa: E402
+from gn0.training.exams.walks import Walk  # noqa: E402
 from gn0.training.exams.walks_folder import load_walks  # noqa: E402
 from gn0.training.pupil import build_pupil  # noqa: E402
 
@@ -78,9 +87,18 @@ def test_its_walks_are_those_of_the_benchmark(
          f"checkpoint={policy}", "--policy-option", "backend=torch", *theirs, "--no-report",
          "--out", str(tmp_path / "bench")]
     ) == 0  # fmt: skip
-    about, walks = load_walks(tmp_path / "walks")
-    scored = {one.episode: one for one in load_results(tmp_path / "bench")}
-    assert [walk.episode for walk in walks] == [e.id for e in flats_suite.episodes]
+    for walk in _compare(tmp_path, flats_suite):
+        carried = 1 if "--executed" in own else 3
+        assert walk.decisions >= -(-walk.steps // carried)
+        if "--confirm-stop" not in own:
+            assert walk.decisions == -(-walk.steps // carried)
+
+
+def _compare(folder: Path, suite) -> list[Walk]:
+    """Walks of a folder, held against the results of the benchmark beside them."""
+    about, walks = load_walks(folder / "walks")
+    scored = {one.episode: one for one in load_results(folder / "bench")}
+    assert [walk.episode for walk in walks] == [e.id for e in suite.episodes]
     assert about.finished and about.episodes == len(scored) == 12
     for walk in walks:
         metrics = scored[walk.episode].metrics
@@ -96,10 +114,52 @@ def test_its_walks_are_those_of_the_benchmark(
         share = metrics.shortest_length / max(metrics.shortest_length, metrics.trajectory_length)
         assert walk.spl_straight == pytest.approx(share * walk.success_straight, abs=1e-6)
         assert walk.spl_near == pytest.approx(share * walk.success_near, abs=1e-6)
-        carried = 1 if "--executed" in own else 3
-        assert walk.decisions >= -(-walk.steps // carried)
-        if "--confirm-stop" not in own:
-            assert walk.decisions == -(-walk.steps // carried)
+    return walks
+
+
+@pytest.fixture(scope="module")
+def baseline(flats_suite, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recurrent baseline that does not know where to go, but goes; in the folder of its run."""
+    texts = [episode.instruction for episode in flats_suite.episodes]
+    tokenizer = train_tokenizer([*texts, CONTROL_TEXT], 40).backend_tokenizer
+    settings = CmaSettings(
+        pictures=("near",), sizes=SIZES["nano"], view=VIEW,
+        vocabulary=tokenizer.get_vocab_size(with_added_tokens=True),
+    )  # fmt: skip
+    net = build_net(settings, 3)
+    with torch.no_grad():
+        net.choose.weight.mul_(200)  # unlike actions in unlike places
+        net.choose.bias[0] = -2.0
+    run = tmp_path_factory.mktemp("baseline")
+    save_cma_checkpoint(run / "policy", CmaCheckpoint(net, tokenizer.to_str().encode()))
+    return run
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("control", ["none", "shuffled", "no_pictures"])
+def test_a_recurrent_baseline_walks_as_in_the_benchmark(
+    control, baseline: Path, flats_suite, tmp_path: Path, worker_here: None
+) -> None:
+    with_control = ["--control", control] if control != "none" else []
+    assert _examine(str(baseline), flats_suite, tmp_path / "walks", *with_control) == 0
+    assert main(
+        ["bench", "run", str(flats_suite.folder), "--policy", "cma", "--policy-option",
+         f"checkpoint={baseline / 'policy'}", *with_control, "--no-report",
+         "--out", str(tmp_path / "bench")]
+    ) == 0  # fmt: skip
+    walks = _compare(tmp_path, flats_suite)
+    assert all(walk.decisions == walk.steps for walk in walks)
+    if control != "no_pictures":  # in the dark it does the same everywhere
+        assert len({walk.length for walk in walks}) > 2
+
+
+def test_a_recurrent_baseline_says_one_action(baseline: Path, flats_suite, tmp_path: Path, capsys):
+    for odd in (["--executed", "3"], ["--inputs", "maps"], ["--draw-after", "6"],
+                ["--confirm-stop"], ["--carried", "waypoints"]):  # fmt: skip
+        assert _examine(str(baseline), flats_suite, tmp_path / "walks", *odd) == 2
+        said = capsys.readouterr().err
+        assert "one action" in said and odd[0][2:].replace("-", "_") in said
+    assert not (tmp_path / "walks").exists()
 
 
 def test_an_examination_goes_on_and_is_of_one_policy(

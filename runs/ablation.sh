@@ -173,7 +173,7 @@ after_trunk() { # VERB RUN START SEED [FLAG ...]
 baseline() { # RUN [FLAG ...]
   local run=$1
   shift
-  train baseline "$run" "${SUITES[@]}" --exam "$OUT/suites/exam" --text-length 120 "${BASELINE[@]}" "$@"
+  train baseline "$run" "${SUITES[@]}" --exam "$OUT/suites/exam" "${BASELINE[@]}" "$@"  # all of its words are read
 }
 
 walk() { # NAME RUN SUITE SPLIT EXAM [FLAG ...]

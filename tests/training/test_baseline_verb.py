@@ -89,6 +89,17 @@ def test_a_stopped_run_ends_in_the_same_policy(suite, tmp_path, emulation, capsy
 
 
 @pytest.mark.slow
+def test_it_keeps_to_its_minutes(suite, tmp_path, emulation) -> None:
+    out = tmp_path / "out"
+    assert train(suite, out, "--samples", "12000000", "--minutes", "0.05", "--save", "0") == 0
+    lines = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    assert {line["round"] for line in lines} == {0, 1, 2}
+    shares = [line["share_of_rate"] for line in lines]
+    assert 0 < shares[-1] < 0.3
+    assert (out / "policy" / "cma.json").is_file()
+
+
+@pytest.mark.slow
 def test_it_is_examined_in_closed_loop(suite, tmp_path, emulation) -> None:
     out = tmp_path / "out"
     assert train(suite, out, "--samples", "12", "--rounds", "0", "--held-out", "test",

@@ -87,6 +87,18 @@ def test_samples_are_shared_out_among_rounds() -> None:
     alone = RoundPlan(samples=10, rounds=0)
     assert {alone.find_round(step, 10) for step in range(1, 11)} == {0}
     assert [plan.find_round(step, 2) for step in (1, 2)] == [0, 1]
+    assert plan.find_round_at(1e9) == 0  # no limit
+
+
+def test_so_is_the_time_where_minutes_are_given() -> None:
+    plan = RoundPlan(samples=10**9, minutes=10, rounds=3, forced=0.4)
+    rounds = [plan.find_round_at(60 * minute) for minute in np.arange(0.05, 10, 0.1)]
+    assert [rounds.count(k) for k in range(4)] == [40, 20, 20, 20]
+    assert rounds == sorted(rounds)
+    assert plan.find_round_at(60 * 11) == 3
+    assert RoundPlan(minutes=10, rounds=0).find_round_at(500) == 0
+    assert RoundPlan(minutes=10, forced=1).find_round_at(599) == 0
+    assert RoundPlan(minutes=10, forced=0, rounds=2).find_round_at(0) == 1
 
 
 def test_each_text_of_a_stretch_is_read_once_and_as_a_driver_reads_it() -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """  gn0 train baseline out/suite --out out/cma
   gn0 train baseline out/suite --model cma_blind --out out/cma-blind
+  gn0 train baseline out/suite --minutes 20 --out out/cma-quick
   gn0 train baseline out/suite --without depth --out out/cma-colour
   gn0 train baseline out/suite --pictures rgb,depth,near --out out/cma-maps
   gn0 train baseline out/suite --encoder efficientnet_lite0 --out out/cma-frozen
@@ -45,6 +46,7 @@ class Args(StageFlags, frozen=True, kw_only=True):
             ones; as long as the longest, and at least 96, by default.
         preset: of the cameras, as in `gn0 list presets`.
         samples: states to learn from, over all rounds.
+        minutes: of training at most; rounds and the rate keep to it.
         rounds: of DAgger, after teacher forcing.
         forced: share of the samples that teacher forcing has.
         mix: p: in round r the expert drives a step with chance p^r.
@@ -68,6 +70,7 @@ class Args(StageFlags, frozen=True, kw_only=True):
     text_length: Annotated[int, msgspec.Meta(ge=0, le=4096)] = 0
     preset: str = "tiny_128"
     samples: Annotated[int, msgspec.Meta(ge=1)] = 8_000_000
+    minutes: Annotated[float, msgspec.Meta(ge=0)] = 0
     rounds: Annotated[int, msgspec.Meta(ge=0, le=64)] = 3
     forced: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.4
     mix: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.75
@@ -102,7 +105,12 @@ def run(args: Args) -> int:
             progress_weight=args.progress_weight,
             mix=args.mix,
         ),
-        plan=RoundPlan(samples=args.samples, rounds=args.rounds, forced=args.forced),
+        plan=RoundPlan(
+            samples=args.samples,
+            minutes=args.minutes or None,
+            rounds=args.rounds,
+            forced=args.forced,
+        ),
         told=ReportPlan(**args.list_plan(), report=args.report),
         agents=args.agents,
         steps=args.steps,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,19 +28,24 @@ from gn0.training.runs.training_state import TrainingCounters, TrainingState, na
 from gn0.training.schedule import Schedule
 from gn0.training.streams.stream_walks import StreamWalks
 
-_DRIVER, _WALKS, _MEMORY = "driver_{}/", "walks/", "memory"
+_DRIVER, _WALKS, _MEMORY, _SCHEDULE = "driver_{}/", "walks/", "memory", "schedule"
+
+MOST = 1.05  # of a plan's minutes, where the rate falls more slowly than was thought
 
 
 class RoundPlan(Config, frozen=True):
     """How the samples of a run are shared out among its rounds.
 
     Attributes:
-        samples: states to learn from, over all rounds; rounded up to whole stretches.
+        samples: states to learn from, over all rounds, at most; rounded up to whole stretches.
+        minutes: of training at most: rounds and the rate's fall keep to whichever of the two is
+            farther on. None: no limit.
         rounds: of DAgger, after teacher forcing.
         forced: share of the samples that teacher forcing has; the rounds share the rest evenly.
     """
 
     samples: Annotated[int, msgspec.Meta(ge=1)] = 8_000_000
+    minutes: Annotated[float, msgspec.Meta(gt=0)] | None = None
     rounds: Annotated[int, msgspec.Meta(ge=0, le=64)] = 3
     forced: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.4
 
@@ -53,6 +59,16 @@ class RoundPlan(Config, frozen=True):
         if step <= first:
             return 0
         return 1 + (step - first - 1) * self.rounds // (end - first)
+
+    def find_round_at(self, seconds: float) -> int:
+        """The round by the clock, after so many seconds of training; 0 without a limit."""
+        if self.minutes is None:
+            return 0
+        gone, whole = seconds / 60, self.minutes
+        if gone < self.forced * whole or not self.rounds:
+            return 0
+        share = (gone / whole - self.forced) / max(1 - self.forced, 1e-9)
+        return 1 + min(int(share * self.rounds), self.rounds - 1)
 
 
 class ReportPlan(Config, frozen=True):
@@ -82,6 +98,7 @@ class RecurrentStage:
         recipe: of the whole run, as `describe_recipe` gives it.
         corpus: hash of what the stream draws from.
         counters: how far it is.
+        schedule: its rate.
     """
 
     learner: RecurrentLearner
@@ -92,6 +109,7 @@ class RecurrentStage:
     recipe: Mapping[str, Any]
     corpus: str
     counters: TrainingCounters = field(default_factory=TrainingCounters)
+    schedule: Schedule = field(default_factory=Schedule)
 
     def __post_init__(self) -> None:
         self._nets: list[RecurrentNet] = []  # as they were when their rounds began
@@ -143,7 +161,7 @@ class RecurrentStage:
             device=name_device(learner.device),
             optimiser=capture_optimiser(learner.optimiser, learner.weights.items()),
             generators=capture_generators(),
-            source=self.stream.state(),
+            source=self.stream.state() | {_SCHEDULE: asdict(self.schedule)},
             arrays=arrays,
         )
 
@@ -159,6 +177,7 @@ class RecurrentStage:
             raise CheckpointError("the state has no optimiser", remedy="train anew: --fresh")
         restore_optimiser(learner.optimiser, state.optimiser, learner.weights.items())
         said = restore_generators(state.generators)
+        self.schedule = Schedule(**state.source[_SCHEDULE])
         number = int(state.source["round"])
         self._nets = [self._restore_net(arrays, _DRIVER.format(k)) for k in range(number)]
         own = _take(arrays, _WALKS)
@@ -199,20 +218,26 @@ class RecurrentStage:
             StorageError: a checkpoint cannot be written.
         """
         learner, plan, told, recipe = self.learner, self.plan, self.told, self.learner.recipe
-        end = plan.count_steps(self.batch)
-        schedule = Schedule().end_at(end, recipe)
+        planned = plan.count_steps(self.batch)
+        if self.schedule.end is None:
+            self.schedule = self.schedule.end_at(planned, recipe)
         tally, guard = RecurrentTally(learner.device), LossGuard(folder.resumed)
         line = ProgressLine(say)
         begun, before = time.monotonic(), self.counters.seconds
         mark, marked = begun, self.counters.samples
         found: dict[str, float] = {}
         minutes = self._count_minutes()
-        for step in range(self.counters.step + 1, end + 1):
-            number = plan.find_round(step, end)
+        for step in itertools.count(self.counters.step + 1):
+            end = self.schedule.end
+            assert end is not None
+            if step > end:
+                break
+            number = max(plan.find_round(step, planned), self.stream.round)
+            number = max(number, plan.find_round_at(self.counters.seconds))
             if not self._begun or number != self.stream.round:
                 self._begin(number)
                 folder.log(f"round {number} begins at step {step}")
-            share = schedule.share(step - 1, recipe)
+            share = self.schedule.share(step - 1, recipe)
             losses, norm = learner.step(self.stream.draw(), share)
             tally.add(losses, norm)
             where = f"of samples {self.counters.samples} and on"
@@ -221,7 +246,8 @@ class RecurrentStage:
             self.counters = msgspec.structs.replace(
                 self.counters, step=step, samples=step * self.batch, seconds=seconds, epoch=number
             )
-            over = step == end
+            self._shorten(seconds)
+            over = step == self.schedule.end
             looks = over or (told.examine and step % told.examine == 0)
             saves = over or (told.save and step % told.save == 0)
             if looks or step % told.report == 0:
@@ -244,6 +270,17 @@ class RecurrentStage:
                 guard.settle()
                 guard.last_good = self.save(folder)
         return {**found, "gpu_minutes": minutes}
+
+    def _shorten(self, seconds: float) -> None:
+        """Let the rate fall from now on if time is running out, and end where it has run out."""
+        minutes, recipe, step = self.plan.minutes, self.learner.recipe, self.counters.step
+        tail = self.schedule.tail
+        if minutes is None or tail is None:
+            return
+        if step < tail and seconds >= minutes * 60 * (1 - recipe.tail):
+            self.schedule = self.schedule.end_soon(step, recipe)
+        elif seconds >= minutes * 60 * MOST:  # steps of later rounds take longer
+            self.schedule = replace(self.schedule, end=step)
 
     def _count_minutes(self) -> float:
         """Of training on a card; 0 on a CPU."""

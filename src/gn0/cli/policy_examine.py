@@ -1,7 +1,7 @@
 """Let a policy walk the episodes of a suite on a device, thousands at once, and keep every walk.
 
-Success, steps and SPL are those of `gn0 bench run --policy bae`, episode for episode; what the
-benchmark has beyond them (trajectories, report, other policies) is left out, and it is faster. An
+Success, steps and SPL are those of `gn0 bench run --policy bae`, or `cma` for a baseline of
+`gn0 train baseline`, episode for episode; what the benchmark has beyond them (trajectories, report, other policies) is left out, and it is faster. An
 examination that was stopped goes on when the same command is given again; the folder is of one
 policy, one suite and one way of asking.
 """
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 EXAMPLES = """  gn0 policy examine out/sft/policy out/suite --out out/sft-walks
   gn0 policy examine out/sft/policy out/suite --split val_seen --out out/sft-seen
   gn0 policy examine out/sft/policy out/suite --control no_words --out out/sft-no-words
+  gn0 policy examine out/cma/policy out/suite --out out/cma-walks
   gn0 policy examine out/sft/policy out/suite --executed 1 --confirm-stop --out out/sft-careful
   gn0 policy examine bae out/suite --split all --episodes 8 --device host --out out/tried"""
 
@@ -32,7 +33,8 @@ class Args(Config, frozen=True):
     """Which policy, where, and how it is asked.
 
     Attributes:
-        checkpoint: the folder of a policy, as training wrote it; `bae` for the one in the box.
+        checkpoint: the folder of a policy or a baseline, as training wrote it; `bae` for the one in
+            the box.
         suite: a suite folder, as `gn0 missions generate` writes.
         out: the folder of the walks; an interrupted examination there goes on.
         split: splits of the suite, with commas between; all for all.

@@ -1,9 +1,9 @@
 """Let a policy walk the episodes of a suite on a device, thousands at once, and keep every walk.
 
 Success, steps and SPL are those of `gn0 bench run --policy bae`, or `cma` for a baseline of
-`gn0 train baseline`, episode for episode; what the benchmark has beyond them (trajectories, report, other policies) is left out, and it is faster. An
-examination that was stopped goes on when the same command is given again; the folder is of one
-policy, one suite and one way of asking.
+`gn0 train baseline`, episode for episode; what the benchmark has beyond them (trajectories, report,
+other policies) is left out, and it is faster. An examination that was stopped goes on when the same
+command is given again; the folder is of one policy, one suite and one way of asking.
 """
 
 from __future__ import annotations

@@ -489,6 +489,23 @@ def test_a_leg_of_one_input_is_asked_in_no_other_way(tmp_path: Path, mix, asked)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs bash")
+def test_a_baseline_reads_all_words_and_is_walked_as_any_policy(tmp_path: Path) -> None:
+    """By the clock, as all jobs, and on the card."""
+    out, told = tmp_path / "out", _pretend_python(tmp_path)
+    _have_homes(out, "a", "b", "c", "exam")
+    subprocess.run(
+        ["bash", str(ROOT / "runs/ablation.sh"), str(out), "full", "cma_maps-0.walks"],
+        env={**os.environ, "PYTHON": str(tmp_path / "python"), "GPUS": "0", "EPISODES": "64"},
+        capture_output=True, check=True,
+    )  # fmt: skip
+    trained, walked = told.read_text().splitlines()
+    assert "train baseline" in trained and "--pictures rgb,depth,near" in trained
+    assert "--minutes 9" in trained and "--text-length" not in trained
+    assert f"policy examine {out}/runs/cma_maps-0/policy {out}/suites/exam" in walked
+    assert f"--out {out}/walks/cma_maps-0/unseen --episodes 64" in walked
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs bash")
 def test_a_leg_waits_for_the_first_lot_alone_wherever_the_leg_before_was_made(
     tmp_path: Path,
 ) -> None:

@@ -97,6 +97,17 @@ def test_baked_scenes_are_lit_as_if_baked_again(condition: LightCondition) -> No
     assert np.abs(lit.rgb() - again)[unclipped].max() < 2e-3
 
 
+def test_each_splat_is_lit_alone_whoever_is_lit_beside_it() -> None:
+    """To the bit; only contrast asks what light is usual in the scene."""
+    cloud, condition = baked(20_001), LightCondition(exposure=0.7, kelvin=4000.0, saturation=0.8)
+    whole = relight_cloud(cloud, condition)
+    for some in (slice(0, 5), slice(8_190, 8_195), slice(20_000, 20_001), slice(3, None, 7)):
+        part = relight_cloud(cloud.select(some), condition)
+        assert part.sh.tobytes() == np.ascontiguousarray(whole.sh[some]).tobytes()
+        assert part.irradiance is not None and whole.irradiance is not None
+        assert (part.irradiance == whole.irradiance[some]).all()
+
+
 def _numbers(condition: LightCondition) -> dict[str, float]:
     return {f: getattr(condition, f) for f in condition.__struct_fields__ if f != "name"}
 

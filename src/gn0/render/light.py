@@ -9,6 +9,7 @@ image here: left and right would change places under the instruction.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated
 
@@ -25,6 +26,7 @@ POWER = 2.2  # of display values over linear light, where nothing better is know
 DAYLIGHT = 5500.0  # K: what scenes are balanced for
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 _CLIPPED = 0.995  # display values above have lost what they were
+_ROWS = 8192  # splats at a time
 
 
 class LightCondition(Config, frozen=True):
@@ -151,32 +153,44 @@ def relight_cloud(cloud: GaussianCloud, condition: LightCondition) -> GaussianCl
 
 def _relight_baked(cloud: GaussianCloud, condition: LightCondition, gain: F64) -> GaussianCloud:
     assert cloud.albedo is not None and cloud.irradiance is not None
+    albedo, shown = cloud.albedo, cloud.rgb()
     light = np.maximum(cloud.irradiance.astype(np.float64), 1e-6)
-    change = np.broadcast_to(gain, light.shape)
+    lift: F64 | None = None
     if condition.contrast != 1.0:
         # towards or away from the light that is usual here, in stops
         level = light @ _LUMA
         usual = math.exp(float(np.log(level).mean()))
-        change = change * ((usual / level) ** (1.0 - condition.contrast))[:, None]
-    reflected = cloud.albedo.astype(np.float64) * light
-    shown = cloud.rgb().astype(np.float64)
-    film = _is_film(shown, reflected)
-    exposed = expose_film(shown) if film else decode_srgb(shown).astype(np.float64)
-    # where the curve had clipped, the light is what fell on it
-    exposed = np.where(shown >= _CLIPPED, np.maximum(exposed, reflected), exposed)
-    colour = develop_film(exposed * change) if film else encode_srgb(exposed * change)
+        lift = (usual / level) ** (1.0 - condition.contrast)
+    film = _is_film(shown, albedo, light)
+    colour, new = (np.empty(light.shape, np.float32) for _ in range(2))
+    for at in _cut(len(light)):
+        change = gain if lift is None else gain * lift[at, None]
+        own = shown[at].astype(np.float64)
+        exposed = expose_film(own) if film else decode_srgb(own).astype(np.float64)
+        # where the curve had clipped, the light is what fell on it
+        reflected = albedo[at].astype(np.float64) * light[at]
+        exposed = np.where(own >= _CLIPPED, np.maximum(exposed, reflected), exposed)
+        colour[at] = develop_film(exposed * change) if film else encode_srgb(exposed * change)
+        new[at] = light[at] * change
     sh = ((colour - np.float32(0.5)) / np.float32(SH_C0))[:, None, :]
     if condition.saturation != 1.0:
         sh = _saturate(sh, condition.saturation)
-    new = (light * change).astype(np.float32)
     return replace(cloud, sh=np.ascontiguousarray(sh, np.float32), irradiance=new)
 
 
-def _is_film(shown: F64, reflected: F64) -> bool:
+def _is_film(shown: F32, albedo: F32, light: F64) -> bool:
     """Whether colours went through the film curve of the bake, rather than the sRGB curve alone."""
-    film = np.abs(develop_film(reflected) - shown).mean()
-    plain = np.abs(encode_srgb(reflected) - shown).mean()
-    return bool(film <= plain)
+    film, plain = (np.empty(light.shape) for _ in range(2))
+    for at in _cut(len(light)):
+        reflected, own = albedo[at].astype(np.float64) * light[at], shown[at].astype(np.float64)
+        film[at] = np.abs(develop_film(reflected) - own)
+        plain[at] = np.abs(encode_srgb(reflected) - own)
+    return bool(film.mean() <= plain.mean())
+
+
+def _cut(count: int) -> Iterator[slice]:
+    """Rows in pieces: what is computed of one stays in the cache, not in ever new memory."""
+    return (slice(begin, begin + _ROWS) for begin in range(0, count, _ROWS))
 
 
 def _saturate(sh: F32, amount: float) -> F32:

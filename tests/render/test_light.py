@@ -106,6 +106,10 @@ def test_each_splat_is_lit_alone_whoever_is_lit_beside_it() -> None:
         assert part.sh.tobytes() == np.ascontiguousarray(whole.sh[some]).tobytes()
         assert part.irradiance is not None and whole.irradiance is not None
         assert (part.irradiance == whole.irradiance[some]).all()
+    times, harder = 25, LightCondition(contrast=0.4)
+    few, many = baked(), baked().select(np.tile(np.arange(400), times))
+    lit = np.tile(relight_cloud(few, harder).sh, (times, 1, 1))
+    assert np.abs(relight_cloud(many, harder).sh - lit).max() < 1e-5  # the same light is usual
 
 
 def _numbers(condition: LightCondition) -> dict[str, float]:

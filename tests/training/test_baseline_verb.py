@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -89,13 +91,21 @@ def test_a_stopped_run_ends_in_the_same_policy(suite, tmp_path, emulation, capsy
 
 
 @pytest.mark.slow
-def test_it_keeps_to_its_minutes(suite, tmp_path, emulation) -> None:
+def test_it_keeps_to_its_minutes(suite, tmp_path, emulation, monkeypatch) -> None:
+    """By a clock that goes on by a second each time that it is looked at."""
+    ticks = itertools.count()
+    clock = SimpleNamespace(monotonic=lambda: float(next(ticks)))
+    monkeypatch.setattr("gn0.training.recurrent_stage.time", clock)
     out = tmp_path / "out"
-    assert train(suite, out, "--samples", "12000000", "--minutes", "0.05", "--save", "0") == 0
+    assert train(suite, out, "--samples", "12000000", "--minutes", "1", "--save", "0") == 0
     lines = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
-    assert {line["round"] for line in lines} == {0, 1, 2}
-    shares = [line["share_of_rate"] for line in lines]
-    assert 0 < shares[-1] < 0.3
+    begun = {k: next(one["seconds"] for one in lines if one["round"] == k) for k in range(3)}
+    step = 3  # it looks three times: a round begins with the next one, and is told at its end
+    assert 24 <= begun[1] <= 24 + 2 * step  # --forced is 0.4, and rounds share the rest
+    assert 42 <= begun[2] <= 42 + 2 * step
+    assert 60 - step <= lines[-1]["seconds"] <= 63 + step
+    shares = [line["share_of_rate"] for line in lines if line["seconds"] > 48 + step]
+    assert shares == sorted(shares, reverse=True) and 0 < shares[-1] < 0.2
     assert (out / "policy" / "cma.json").is_file()
 
 

@@ -105,7 +105,7 @@ else
   AGAIN=(--samples 50000000 --rate "${RATE:-5e-4}" --confirm-stop)  # of a leg that goes on
   DAPO=("${within[@]}" --save 50 "${own[@]}")
   RL=(--updates "${UPDATES:-200}" --save 3 "${own[@]}")
-  BASELINE=(--samples "${SAMPLES:-8000000}" "${within[@]}")
+  BASELINE=(--samples "${SAMPLES:-8000000}" "${within[@]}" --agents 256 --steps 16)
   WALK=(--episodes "${EPISODES:-0}")
   UNTRAINED=()
 fi

@@ -500,7 +500,7 @@ def test_a_baseline_reads_all_words_and_is_walked_as_any_policy(tmp_path: Path) 
     )  # fmt: skip
     trained, walked = told.read_text().splitlines()
     assert "train baseline" in trained and "--pictures rgb,depth,near" in trained
-    assert "--minutes 9" in trained and "--text-length" not in trained
+    assert "--minutes 9 --agents 256 --steps 16" in trained and "--text-length" not in trained
     assert f"policy examine {out}/runs/cma_maps-0/policy {out}/suites/exam" in walked
     assert f"--out {out}/walks/cma_maps-0/unseen --episodes 64" in walked
 

@@ -1,0 +1,1 @@
+"""Files of MakeHuman: its base mesh hm08, shape targets, rig and clothes."""

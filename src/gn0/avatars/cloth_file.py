@@ -85,7 +85,7 @@ def load_cloth(name: str) -> Cloth:
         faces=faces,
         uv=uv,
         covers=np.flatnonzero(np.unpackbits(arrays.read(f"{name}/covers"))).astype(np.int32),
-        depth=int(arrays.read(f"{name}/depth")),
+        depth=int(arrays.read(f"{name}/depth").item()),
     )
 
 

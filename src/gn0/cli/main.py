@@ -27,6 +27,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene visible": ("scene_visible", "find which splats show from where, for quicker pictures"),
     "scene inspect": ("scene_inspect", "what a splat file of any format holds"),
     "scene convert": ("scene_convert", "any splat file as .ply or .compressed.ply"),
+    "avatar generate": ("avatar_generate", "dressed people from a seed, and a page of them"),
     "view": ("view", "walk through a scene in the browser, or replay runs side by side"),
     "bench run": ("bench_run", "run a policy over a suite, or over a scene folder"),
     "bench report": ("bench_report", "one HTML page from one or more runs"),
@@ -72,6 +73,7 @@ VERBS: dict[str, tuple[str, str]] = {
 }
 GROUPS = {
     "scene": "make, import, check and look at scenes",
+    "avatar": "people for scenes: make, look at, check",
     "missions": "generate, import and look at episodes",
     "data": "make samples for training, balance and check them",
     "bench": "run policies, compare and report",

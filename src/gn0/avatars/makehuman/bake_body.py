@@ -73,7 +73,7 @@ def bake_body(
         skin = vertices[:BODY_END, 1]
         if not HEIGHTS[0] <= skin.max() - skin.min() <= HEIGHTS[1]:
             continue
-        origin = np.array([joints[0, 0], vertices[soles, 1].mean(), joints[0, 2]])
+        origin = np.array([0.0, vertices[soles, 1].mean(), joints[0, 2]])
         rows.append(np.concatenate([vertices - origin, joints - origin]).ravel())
         traits.append(trait_terms(adult))
         progress("sampling adults", len(rows), _ADULTS)

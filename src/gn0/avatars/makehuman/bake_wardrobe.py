@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from gn0.avatars.makehuman.mhclo import Binding, Cloth, load_mhclo
 from gn0.geometry import F64
@@ -101,9 +102,14 @@ def choose_part(cloth: Cloth, sculpted: F64, part: str, *, keep_uv: bool) -> Clo
     used = np.unique(faces)
     renumber = np.zeros(len(points), np.int32)
     renumber[used] = np.arange(len(used))
+    covers = cloth.covers
+    if len(used) < len(points) and len(covers):  # of an outfit: what lies nearer to this part
+        others = np.setdiff1d(np.arange(len(points)), used)
+        near = cKDTree(points[used]).query(sculpted[covers])[0]
+        covers = covers[near <= cKDTree(points[others]).query(sculpted[covers])[0]]
     b = cloth.binding
     binding = Binding(b.refs[used], b.shares[used], b.offsets[used], b.lengths, b.units)
-    return replace(cloth, binding=binding, faces=renumber[faces], uv=uv)
+    return replace(cloth, binding=binding, faces=renumber[faces], uv=uv, covers=covers)
 
 
 def _connected(quads: NDArray[np.integer], count: int) -> NDArray[np.int32]:

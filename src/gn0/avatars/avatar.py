@@ -1,0 +1,183 @@
+"""A person as Gaussians that joints carry: posed, they are a cloud for a renderer.
+
+At rest they stand in the body's frame (y up, +z front); posed, in GN0's: x to the front, y to the
+left, z up, metres. Centres move by linear blend skinning, orientations by the sign-fixed blend of
+the joints' quaternions, sizes stay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.avatars.body import check_pose
+from gn0.avatars.layer import PARTS
+from gn0.avatars.skeleton import INDEX
+from gn0.avatars.skinning import SkinWeights, pose_joints
+from gn0.errors import DataError
+from gn0.gaussians.cloud import SH_C0, GaussianCloud, join_clouds
+from gn0.gaussians.film import encode_srgb
+from gn0.geometry import F32, F64, quaternion_from_rotation
+from gn0.jit import njit, prange
+
+TO_WORLD: F64 = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of the body's axes
+TO_WORLD.setflags(write=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Avatar:
+    """A dressed person at rest.
+
+    Attributes:
+        name: how it is called.
+        points, normals: centres and unit normals [N, 3], m, body frame.
+        quats: (w, x, y, z) [N, 4]; scales [N, 3] m; opacities [N].
+        albedo: linear base colour [N, 3] 0..1, self-shadow in it, no light.
+        part: number of each splat's part in `gn0.avatars.layer.PARTS` [N] int32.
+        weights: which joints carry each splat.
+        joints: of the body at rest [55, 3] m.
+        betas, shape_space: its shape.
+        record: what can be said of it, as words.
+        source, licence: where it comes from.
+    """
+
+    name: str
+    points: F32
+    normals: F32
+    quats: F32
+    scales: F32
+    opacities: F32
+    albedo: F32
+    part: NDArray[np.int32]
+    weights: SkinWeights
+    joints: F64
+    betas: F64
+    shape_space: str = "gn0"
+    record: dict[str, str] = field(default_factory=dict)
+    source: str = "gn0"
+    licence: str = "CC0-1.0"
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        for name, width in (("points", 3), ("normals", 3), ("quats", 4), ("scales", 3), ("albedo", 3)):
+            if getattr(self, name).shape != (count, width):
+                raise DataError(
+                    f"{name} has shape {getattr(self, name).shape}, expected ({count}, {width})",
+                    where=f"avatar {self.name}",
+                )
+        if self.joints.shape != (55, 3) or len(self.weights) != count:
+            raise DataError(
+                f"{len(self.weights)} skin weights and {len(self.joints)} joints for {count} splats",
+                where=f"avatar {self.name}",
+            )
+
+    def pose(
+        self,
+        pose: NDArray[np.floating] | None = None,
+        shift: NDArray[np.floating] | None = None,
+        *,
+        shadow: bool = True,
+    ) -> GaussianCloud:
+        """The person in a pose, as a cloud in GN0's axes, facing +x.
+
+        Args:
+            pose: axis-angle of each joint in its parent's axes [55, 3] rad; at rest without one.
+            shift: added after the pose, in the body's axes [3] m.
+            shadow: a few dark splats on the floor z = 0 where feet are near it.
+
+        Raises:
+            DataError: the pose has another number of joints, or is not finite.
+        """
+        angles = np.zeros((55, 3)) if pose is None else check_pose(pose)
+        transforms, joints = pose_joints(self.joints, angles, shift)
+        world = np.einsum("ab,jbc->jac", TO_WORLD, transforms)
+        turns = quaternion_from_rotation(world[:, :, :3])
+        means, quats, normals = (np.empty((len(self), k), np.float32) for k in (3, 4, 3))
+        _pose(
+            self.points, self.normals, self.quats, self.weights.joint,
+            self.weights.weight.astype(np.float32), world, turns, means, quats, normals,
+        )  # fmt: skip
+        cloud = GaussianCloud(
+            means=means,
+            quats=quats,
+            scales=self.scales,
+            opacities=self.opacities,
+            sh=((encode_srgb(self.albedo) - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
+            label=self.part,
+            albedo=self.albedo,
+            normal=normals,
+        )
+        return join_clouds([cloud, contact_shadow(joints)]) if shadow else cloud
+
+
+def contact_shadow(joints: F64) -> GaussianCloud:
+    """Dark flat splats on the floor under a posed body of joints [55, 3] m, body frame.
+
+    One under each foot, fading as it is lifted, and a wide faint one under the pelvis.
+    """
+    at = np.array(
+        [joints[INDEX["left_foot"]], joints[INDEX["right_foot"]], joints[INDEX["pelvis"]]]
+    )
+    lifted = np.maximum(at[:2, 1] - 0.02, 0.0)
+    strength = np.array([*(0.42 * np.exp(-lifted / 0.08)), 0.22 * np.exp(-max(at[2, 1] - 0.9, 0.0))])
+    means = (at * (1.0, 0.0, 1.0)) @ TO_WORLD.T + (-0.03, 0.0, 0.004)
+    sizes = np.array([(0.10, 0.075, 0.001), (0.10, 0.075, 0.001), (0.21, 0.19, 0.001)])
+    dark = np.full((3, 3), 0.012, np.float32)
+    return GaussianCloud(
+        means=means.astype(np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1)),
+        scales=sizes.astype(np.float32),
+        opacities=strength.astype(np.float32),
+        sh=((encode_srgb(dark) - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
+        label=np.full(3, PARTS.index("shadow"), np.int32),
+        albedo=dark,
+        normal=np.tile(np.array([0, 0, 1], np.float32), (3, 1)),
+    )
+
+
+@njit(parallel=True)
+def _pose(points, normals, quats, joint, weight, world, turns, out, turned, faced):  # type: ignore[no-untyped-def]
+    for n in prange(points.shape[0]):
+        first = joint[n, 0]
+        w = x = y = z = 0.0
+        p0 = p1 = p2 = 0.0
+        a, b, c = points[n, 0], points[n, 1], points[n, 2]
+        for k in range(joint.shape[1]):
+            share = weight[n, k]
+            if share <= 0.0:
+                continue
+            j = joint[n, k]
+            m = world[j]
+            p0 += share * (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3])
+            p1 += share * (m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3])
+            p2 += share * (m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3])
+            q = turns[j]
+            r = turns[first]
+            # of the two quaternions of a turn, the one on the side of the heaviest joint's
+            if q[0] * r[0] + q[1] * r[1] + q[2] * r[2] + q[3] * r[3] < 0.0:
+                share = -share
+            w += share * q[0]
+            x += share * q[1]
+            y += share * q[2]
+            z += share * q[3]
+        length = np.sqrt(w * w + x * x + y * y + z * z)
+        w, x, y, z = w / length, x / length, y / length, z / length
+        out[n, 0], out[n, 1], out[n, 2] = p0, p1, p2
+        a, b, c, d = quats[n, 0], quats[n, 1], quats[n, 2], quats[n, 3]
+        turned[n, 0] = w * a - x * b - y * c - z * d
+        turned[n, 1] = w * b + x * a + y * d - z * c
+        turned[n, 2] = w * c - x * d + y * a + z * b
+        turned[n, 3] = w * d + x * c - y * b + z * a
+        a, b, c = normals[n, 0], normals[n, 1], normals[n, 2]
+        # v + 2 q × (q × v + w v)
+        e = y * c - z * b + w * a
+        f = z * a - x * c + w * b
+        g = x * b - y * a + w * c
+        faced[n, 0] = a + 2.0 * (y * g - z * f)
+        faced[n, 1] = b + 2.0 * (z * e - x * g)
+        faced[n, 2] = c + 2.0 * (x * f - y * e)

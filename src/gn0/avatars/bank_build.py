@@ -1,0 +1,144 @@
+"""Make a bank of people from a seed, in parallel, going on where an earlier run stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from gn0.avatars.bank import (
+    BANK_FILE,
+    LAYOUT,
+    BankEntry,
+    BankList,
+    digest_avatar,
+    load_avatar,
+    save_avatar,
+)
+from gn0.avatars.identity import Identity, draw_people
+from gn0.avatars.person import build_person
+from gn0.errors import ConfigError, FormatError, StorageError
+from gn0.jobs import ExecutorName, run_jobs
+from gn0.locked_folder import LOCK, lock_folder, sweep_folder
+from gn0.progress import Progress, no_progress
+from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
+
+JOURNAL_FILE = "bank.journal"
+_BUILD = "gn0.avatars.bank_build:build_bank_avatar"
+
+
+def generate_bank(
+    out: Path | str,
+    *,
+    count: int = 20,
+    seed: int = 0,
+    density: float = 1.0,
+    workers: int = 1,
+    executor: ExecutorName = "process",
+    progress: Progress = no_progress,
+) -> BankList:
+    """Make `count` people who can be told apart; the same seed gives the same bytes.
+
+    Args:
+        out: folder of the bank; what an earlier run of the same settings left is kept.
+        count: number of people.
+        seed: who they are.
+        density: splats a person, relative to about 35,000.
+        workers: people made at a time.
+        executor: "process" or "ray".
+        progress: progress sink.
+
+    Raises:
+        ConfigError: settings out of range, or the folder holds another bank.
+        StorageError: the folder holds something else, or cannot be written.
+    """
+    out = Path(out)
+    if not 1 <= count <= 100_000 or not 0.02 <= density <= 4.0:
+        raise ConfigError(
+            f"{count} people at density {density:g}", where="generate_bank",
+            remedy="1 to 100,000 people, density 0.02 to 4",
+        )  # fmt: skip
+    made: dict[str, int | float | str] = {"seed": seed, "count": count, "density": density}
+    people = draw_people(seed, count)
+    digest = content_hash(msgspec.json.encode([made, people]))
+    check_contained(out)
+    _read_journal(out, digest)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(error, out, "make the folder") from error
+    names = [f"p{k:04}" for k in range(count)]
+    with lock_folder(out, writer="bank"):
+        sweep_folder(out)
+        done = _read_journal(out, digest)
+        todo = [(name, who) for name, who in zip(names, people, strict=True) if name not in done]
+        with Journal(out / JOURNAL_FILE) as journal:
+            if not journal.read():
+                journal.append({"bank": digest})
+
+            def note(index: int, answer: dict[str, Any]) -> None:
+                done[todo[index][0]] = answer
+                journal.append({"avatar": todo[index][0], **answer})
+
+            run_jobs(
+                _BUILD,
+                [
+                    {"name": name, "who": msgspec.to_builtins(who), "density": density,
+                     "path": str((out / f"{name}.npz").resolve())}
+                    for name, who in todo
+                ],
+                workers=workers,
+                executor=executor,
+                names=[f"person {name}" for name, _ in todo],
+                done=note,
+                what="people",
+                progress=progress,
+            )  # fmt: skip
+        entries = [
+            BankEntry(
+                name=name, splats=done[name]["splats"], digest=done[name]["digest"],
+                record=who.words(),
+            )
+            for name, who in zip(names, people, strict=True)
+        ]  # fmt: skip
+        listed = BankList(
+            layout=LAYOUT, made=made, avatars=entries,
+            hash=content_hash(*(entry.digest for entry in entries)),
+        )  # fmt: skip
+        write_json(out / BANK_FILE, msgspec.to_builtins(listed))
+    return listed
+
+
+def build_bank_avatar(payload: dict[str, Any]) -> dict[str, Any]:
+    """One person of a bank, written to its file: what the journal notes of it."""
+    who = msgspec.convert(payload["who"], Identity)
+    avatar = build_person(who, name=payload["name"], density=payload["density"])
+    kept = save_avatar(payload["path"], avatar)
+    return {"splats": len(kept), "digest": digest_avatar(kept)}
+
+
+def _read_journal(out: Path, digest: str) -> dict[str, dict[str, Any]]:
+    """What earlier runs of the same settings have made, by name."""
+    records = Journal(out / JOURNAL_FILE).read()
+    if not records:
+        if out.exists() and any(p.name not in (JOURNAL_FILE, LOCK) for p in out.iterdir()):
+            raise StorageError(
+                "the folder holds something else", where=out, remedy="choose another --out"
+            )
+        return {}
+    if records[0].get("bank") != digest:
+        raise ConfigError(
+            "the folder holds another bank",
+            where=out,
+            remedy="choose another --out, or give the settings that it was begun with",
+        )
+    found = {r.pop("avatar"): r for r in (dict(record) for record in records[1:])}
+    kept = {}
+    for name, record in found.items():
+        try:
+            if digest_avatar(load_avatar(out / f"{name}.npz")) == record["digest"]:
+                kept[name] = record
+        except (FormatError, StorageError):
+            continue  # made again
+    return kept

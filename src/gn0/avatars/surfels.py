@@ -1,0 +1,277 @@
+"""A dressed person as Gaussians: sheets covered with discs, what nobody sees left out.
+
+Discs are laid, and light falls, in the pose in which body and clothes were modelled: there cloth is
+neither stretched nor squeezed. Then they are taken back to rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.avatars.layer import PARTS, Fitting, Layer, smooth_normals
+from gn0.avatars.sampling import SheetPoints, spread_points
+from gn0.avatars.skinning import SkinWeights, pack_weights, skin_points
+from gn0.geometry import F32, F64, quaternion_from_rotation, rotation_from_quaternion
+from gn0.scenes.mesh import join_meshes
+from gn0.scenes.rays import RayCaster
+
+SIGMA = 0.76  # standard deviation of a disc, in mean distances of neighbours
+THICKNESS = 0.0012  # of a disc [m]
+STRANDS = {  # standard deviations along and across, and thickness [m]
+    "hair": (0.011, 0.0022, THICKNESS),
+    "brows": (0.0030, 0.0007, 0.0005),
+    "lashes": (0.0014, 0.0003, 0.0003),
+}
+_STRAND_SPACING = 0.0042  # for which sizes of hair are [m]
+_SHEETS_MOST = 6  # that a ray goes through
+_TILT = 0.75  # of the rays beside the normal that tell what is hidden
+_LIFT = 3e-4  # [m]
+_OUT = 0.008  # how far what belongs under a sheet may stick out of it [m]
+_OPEN_RAYS, _OPEN_REACH = 24, 0.45  # of self-shadow [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Surfels:
+    """N discs at rest, before they have a colour.
+
+    Attributes:
+        layer: number of the sheet of each [N] int32.
+        sheet: where on its sheet [N].
+        points: centres at rest [N, 3] m, by which patterns go.
+        normals: [N, 3].
+        quats, scales, opacities: as in `GaussianCloud`.
+        weights: which joints carry each.
+        openness: share of light from all round that reaches each in the sculpted pose [N], 0..1.
+    """
+
+    layer: NDArray[np.int32]
+    sheet: SheetPoints
+    points: F64
+    normals: F64
+    quats: F32
+    scales: F32
+    opacities: F32
+    weights: SkinWeights
+    openness: F64
+
+    def part(self, layers: Sequence[Layer]) -> NDArray[np.int32]:
+        """Number in `PARTS` of each disc [N]."""
+        return np.array([PARTS.index(layer.part) for layer in layers], np.int32)[self.layer]
+
+
+@dataclass(frozen=True, eq=False)
+class DressedBody:
+    """The sheets of a person in the sculpted pose, joined for rays.
+
+    Attributes:
+        layers: the sheets.
+        posed: their vertices in that pose.
+        caster: of all of them.
+        owner: number of the sheet of each triangle.
+        rest: corners of all triangles at rest [T, 3, 3] m.
+    """
+
+    layers: Sequence[Layer]
+    posed: Sequence[F64]
+    caster: RayCaster
+    owner: NDArray[np.int64]
+    rest: F64
+
+    @classmethod
+    def of(cls, layers: Sequence[Layer], transforms: F64) -> DressedBody:
+        """The sheets, posed by transforms [55, 3, 4]."""
+        posed = [skin_points(layer.vertices, layer.weights, transforms) for layer in layers]
+        meshes = [la.mesh(k, v) for k, (la, v) in enumerate(zip(layers, posed, strict=True))]
+        owner = np.concatenate([np.full(len(la.triangles), k) for k, la in enumerate(layers)])
+        rest = np.concatenate([layer.vertices[layer.triangles] for layer in layers])
+        return cls(layers, posed, RayCaster(join_meshes(meshes)), owner, rest)
+
+    def hidden(self, points: F64, normals: F64, number: int) -> NDArray[np.bool_]:
+        """Which points of sheet `number` lie under others, or stick out of them a little.
+
+        A point lies under if each of five rays outwards meets a sheet that is over it; near a hem
+        the tilted rays get out, so that some of what is under it is kept. It sticks out if such a
+        sheet lies close below it.
+        """
+        over = np.array([-1.0 if layer.strands else layer.over for layer in self.layers])
+        reach = np.array([layer.reach for layer in self.layers])
+        counts = over > self.layers[number].over
+        if not counts.any():
+            return np.zeros(len(points), bool)
+        hidden = np.ones(len(points), bool)
+        first = _tangents(normals, np.zeros_like(normals))
+        second = np.cross(normals, first)
+        for tilt in (0 * normals, first, -first, second, -second):
+            left = np.flatnonzero(hidden)
+            direction = normals[left] + _TILT * tilt[left]
+            direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+            start = points[left] + _LIFT * normals[left]
+            hidden[left] = self._meets(start, direction, counts, reach)
+        inwards = self._meets(points - _LIFT * normals, -normals, counts, np.minimum(reach, _OUT))
+        return hidden | inwards
+
+    def _meets(
+        self, start: F64, direction: F64, counts: NDArray[np.bool_], reach: F64
+    ) -> NDArray[np.bool_]:
+        """Which rays meet a sheet that counts, through those that do not."""
+        met = np.zeros(len(start), bool)
+        gone = np.zeros(len(start))
+        alive = np.arange(len(start))
+        start = start.copy()
+        for _ in range(_SHEETS_MOST):
+            face, t, uv = self.caster.cast(start[alive], direction[alive], reach.max())
+            hit = face >= 0
+            alive, face, t, uv = alive[hit], face[hit], t[hit].astype(np.float64), uv[hit]
+            if not len(alive):
+                break
+            gone[alive] += t
+            which = self.owner[face]
+            good = counts[which] & (gone[alive] <= reach[which])
+            shares = np.stack([1 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1)
+            rest = np.einsum("nk,nka->na", shares, self.rest[face])
+            for k in np.unique(which[good]):
+                here = good & (which == k)
+                good[here] = self.layers[k].kept(rest[here])
+            met[alive[good]] = True
+            start[alive] += (t + _LIFT)[:, None] * direction[alive]
+            gone[alive] += _LIFT
+            alive = alive[~good & (gone[alive] < reach.max())]
+            if not len(alive):
+                break
+        return met
+
+    def shown(self, number: int) -> NDArray[np.bool_]:
+        """Which triangles of a sheet are there and not hidden, by their middles [T]."""
+        layer = self.layers[number]
+        keep = layer.kept(layer.vertices[layer.triangles].mean(axis=1)) & ~layer.covered_triangles()
+        vertices = self.posed[number]
+        middle = vertices[layer.triangles].mean(axis=1)
+        normal = smooth_normals(vertices, layer.triangles)[layer.triangles].mean(axis=1)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        keep[keep] &= ~self.hidden(middle[keep], normal[keep], number)
+        return keep
+
+
+def cover_layers(
+    layers: Sequence[Layer],
+    spacing: Sequence[F64],
+    fitting: Fitting,
+    stream: np.random.Generator,
+) -> Surfels:
+    """Discs on all sheets of a person.
+
+    Args:
+        layers: the sheets.
+        spacing: mean distance of discs in each triangle of each sheet [T] m.
+        fitting: the body, in the pose in which discs are laid.
+        stream: where points are drawn.
+    """
+    dressed = DressedBody.of(layers, fitting.transforms)
+    sheets, points, normals, along, dense, number = [], [], [], [], [], []
+    for k, layer in enumerate(layers):
+        vertices = dressed.posed[k]
+        sheet = spread_points(
+            vertices, layer.triangles, spacing[k], stream, even=not layer.strands
+        )
+        sheet = sheet.select(~layer.covered_triangles()[sheet.triangle])
+        sheet = sheet.select(layer.kept(sheet.blend(layer.vertices, layer.triangles)))
+        point = sheet.blend(vertices, layer.triangles)
+        normal = sheet.blend(smooth_normals(vertices, layer.triangles), layer.triangles)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        shown = ~dressed.hidden(point, normal, k)
+        sheet = sheet.select(shown)
+        sheets.append(sheet)
+        points.append(point[shown])
+        normals.append(normal[shown])
+        along.append(_along(layer, vertices, sheet))
+        dense.append(sheet.blend(layer.weights.dense(), layer.triangles))
+        number.append(np.full(len(sheet.triangle), k, np.int32))
+    weights = pack_weights(np.concatenate(dense), 4)
+    posed, outward = np.concatenate(points), np.concatenate(normals)
+    layer_of = np.concatenate(number)
+    spaced = np.concatenate([sheet.spacing for sheet in sheets])
+    first = _tangents(outward, np.concatenate(along))
+    rotation = np.stack([first, np.cross(outward, first), outward], axis=2)
+    back = blended_turns(weights, fitting.transforms).transpose(0, 2, 1)
+    strand = np.array([layer.strands for layer in layers])[layer_of]
+    flat = np.stack([SIGMA * spaced, SIGMA * spaced, np.full(len(posed), THICKNESS)], axis=1)
+    sizes = np.array([STRANDS.get(layer.part, STRANDS["hair"]) for layer in layers])[layer_of]
+    sizes[:, :2] *= np.maximum(spaced / _STRAND_SPACING, 1.0)[:, None]  # fewer are wider
+    return Surfels(
+        layer=layer_of,
+        sheet=SheetPoints(
+            np.concatenate([sheet.triangle for sheet in sheets]),
+            np.concatenate([sheet.bary for sheet in sheets]),
+            spaced,
+        ),
+        points=fitting.undo(posed, weights),
+        normals=np.einsum("nab,nb->na", back, outward),
+        quats=quaternion_from_rotation(back @ rotation).astype(np.float32),
+        scales=np.where(strand[:, None], sizes, flat).astype(np.float32),
+        opacities=np.where(strand, 0.85, 0.995).astype(np.float32),
+        weights=weights,
+        openness=_openness(dressed, posed, outward, strand),
+    )
+
+
+def blended_turns(weights: SkinWeights, transforms: F64) -> F64:
+    """Rotations [N, 3, 3] by the sign-fixed blend of the joints' quaternions, as posing turns."""
+    quats = quaternion_from_rotation(transforms[:, :, :3])[weights.joint]
+    sign = np.where(np.einsum("nka,na->nk", quats, quats[:, 0]) < 0, -1.0, 1.0)
+    blended = np.einsum("nk,nka->na", weights.weight * sign, quats)
+    return rotation_from_quaternion(blended / np.linalg.norm(blended, axis=1, keepdims=True))
+
+
+def _along(layer: Layer, vertices: F64, sheet: SheetPoints) -> F64:
+    """Where a strand runs at each point [N, 3]: along v of its texture; zeros for other sheets."""
+    if not layer.strands:
+        return np.zeros((len(sheet.triangle), 3))
+    p, uv = vertices[layer.triangles], layer.uv
+    e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    det = d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1]
+    safe = np.where(np.abs(det) > 1e-12, det, 1.0)
+    run = (d1[:, :1] * e2 - d2[:, :1] * e1) / safe[:, None]
+    run[np.abs(det) <= 1e-12] = 0.0
+    return run[sheet.triangle]
+
+
+def _tangents(normals: F64, along: F64) -> F64:
+    """Unit vectors square to normals [N, 3], as near to `along` as they can be."""
+    wish = along - np.einsum("na,na->n", along, normals)[:, None] * normals
+    short = np.linalg.norm(wish, axis=1) < 1e-9
+    other = np.where(np.abs(normals[:, 1:2]) < 0.8, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+    other = other - np.einsum("na,na->n", other, normals)[:, None] * normals
+    wish = np.where(short[:, None], other, wish)
+    return wish / np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1e-12)
+
+
+def _openness(
+    dressed: DressedBody, points: F64, outward: F64, strand: NDArray[np.bool_]
+) -> F64:
+    """Share of a cosine-weighted half sphere that is open [N]; the floor below counts as open."""
+    caster = RayCaster(
+        join_meshes(
+            [
+                layer.mesh(k, dressed.posed[k]).select(dressed.shown(k))
+                for k, layer in enumerate(dressed.layers)
+                if layer.part not in ("brows", "lashes")
+            ]
+        )
+    )
+    first = _tangents(outward, np.zeros_like(outward))
+    second = np.cross(outward, first)
+    start = points + (0.004 + 0.012 * strand)[:, None] * outward
+    free = np.zeros(len(points))
+    for k in range(_OPEN_RAYS):
+        # a spiral of cosine-weighted directions, turned from point to point
+        turn = 2.399963 * k + 2.0 * np.pi * ((np.arange(len(points)) * 0.754877666) % 1.0)
+        sine = np.sqrt((k + 0.5) / _OPEN_RAYS)
+        side = sine * (np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second)
+        direction = side + np.sqrt(1.0 - sine**2) * outward
+        free += ~caster.occluded(start, direction, _OPEN_REACH)
+    return free / _OPEN_RAYS

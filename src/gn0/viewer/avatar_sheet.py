@@ -1,0 +1,103 @@
+"""A page of a bank of avatars: each from the front and from behind, with what is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from gn0.avatars.avatar import Avatar
+from gn0.geometry import F64, U8
+from gn0.progress import Progress, no_progress
+from gn0.render.camera import Camera
+from gn0.render.cpu import RendererCpu
+from gn0.render.renderer import RenderOptions
+
+WIDTH, HEIGHT, FOOT, COLUMNS = 110, 230, 40, 8  # px of a picture, of its words; people a row
+INK, SOFT, PAPER = (24, 26, 30), (110, 114, 122), (222, 222, 220)
+_EYE, _AIM, _FAR = 1.35, 0.93, 3.6  # height of the eye and what it looks at, distance [m]
+_TURNS = (0.35, 3.5)  # from where a person is seen [rad]
+_SLOPE = 28.0  # field of view [degrees]
+
+
+def draw_avatars(
+    avatars: Sequence[Avatar], poses: Sequence[F64 | None] | None = None, *, columns: int = COLUMNS,
+    progress: Progress = no_progress,
+) -> Image.Image:
+    """A tile a person: front and back side by side, its clothes in words below.
+
+    Args:
+        avatars: who is drawn.
+        poses: of each [55, 3] rad; standing with arms lowered without them.
+        columns: people a row.
+        progress: progress sink.
+    """
+    columns = min(columns, max(len(avatars), 1))
+    rows = -(-len(avatars) // columns)
+    wide = WIDTH * len(_TURNS)
+    sheet = Image.new("RGB", (columns * wide, max(rows, 1) * (HEIGHT + FOOT)), PAPER)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(10)
+    for number, avatar in enumerate(avatars):
+        progress("drawing", number, len(avatars))
+        pose = standing_pose() if poses is None else poses[number]
+        left, top = number % columns * wide, number // columns * (HEIGHT + FOOT)
+        for k, picture in enumerate(draw_avatar(avatar, pose, _TURNS)):
+            sheet.paste(Image.fromarray(picture), (left + k * WIDTH, top))
+        for line, text in enumerate(describe_avatar(avatar)):
+            draw.text((left + 5, top + HEIGHT + 1 + 12 * line), text, SOFT if line else INK, font)
+    progress("drawing", len(avatars), len(avatars))
+    return sheet
+
+
+def describe_avatar(avatar: Avatar) -> tuple[str, str, str]:
+    """Name and three short lines of what can be seen."""
+    r = avatar.record
+    if not r:
+        return (avatar.name, f"{len(avatar):,} splats", avatar.source[:36])
+
+    def worn(what: str) -> str:
+        pattern = r.get(f"{what}_pattern", "plain")
+        words = (r.get(f"{what}_colour", ""), "" if pattern == "plain" else pattern, r.get(what, ""))
+        return " ".join(word.replace("_", " ") for word in words if word)
+
+    extra = "" if r.get("extra", "none") == "none" else f" + {r['extra_colour']} {r['extra']}"
+    return (
+        f"{avatar.name} {r.get('age', '')} {r.get('sex', '')}, {r.get('build', '')}",
+        worn("top") + extra,
+        "" if r.get("bottom") == "none" else worn("bottom"),
+    )
+
+
+def draw_avatar(avatar: Avatar, pose: F64 | None, turns: Sequence[float]) -> list[U8]:
+    """Pictures [HEIGHT, WIDTH, 3] of a person seen from angles `turns` [rad], 0 its front."""
+    renderer = RendererCpu(
+        avatar.pose(pose), RenderOptions(background=tuple(c / 255 for c in PAPER))  # type: ignore[arg-type]
+    )
+    views = np.array([_view(turn) for turn in turns])
+    result = renderer.render(Camera.from_vfov(WIDTH, HEIGHT, _SLOPE), views, outputs=("rgb",))
+    assert result.rgb is not None
+    return list(result.rgb)
+
+
+def _view(turn: float) -> F64:
+    eye = np.array([_FAR * np.cos(turn), _FAR * np.sin(turn), _EYE])
+    forward = np.array([0.0, 0.0, _AIM]) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    view = np.eye(4)
+    view[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    view[:3, 3] = -view[:3, :3] @ eye
+    return view
+
+
+def standing_pose() -> F64:
+    """Standing with the arms lowered [55, 3] rad."""
+    from gn0.avatars.skeleton import INDEX
+
+    pose = np.zeros((55, 3))
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        pose[INDEX[f"{side}_shoulder"]] = (0.0, 0.10 * sign, -1.18 * sign)
+        pose[INDEX[f"{side}_elbow"]] = (0.0, -0.25 * sign, 0.0)
+    return pose

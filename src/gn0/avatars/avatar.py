@@ -64,7 +64,13 @@ class Avatar:
 
     def __post_init__(self) -> None:
         count = len(self.points)
-        for name, width in (("points", 3), ("normals", 3), ("quats", 4), ("scales", 3), ("albedo", 3)):
+        for name, width in (
+            ("points", 3),
+            ("normals", 3),
+            ("quats", 4),
+            ("scales", 3),
+            ("albedo", 3),
+        ):
             if getattr(self, name).shape != (count, width):
                 raise DataError(
                     f"{name} has shape {getattr(self, name).shape}, expected ({count}, {width})",
@@ -124,7 +130,9 @@ def contact_shadow(joints: F64) -> GaussianCloud:
         [joints[INDEX["left_foot"]], joints[INDEX["right_foot"]], joints[INDEX["pelvis"]]]
     )
     lifted = np.maximum(at[:2, 1] - 0.02, 0.0)
-    strength = np.array([*(0.42 * np.exp(-lifted / 0.08)), 0.22 * np.exp(-max(at[2, 1] - 0.9, 0.0))])
+    strength = np.array(
+        [*(0.42 * np.exp(-lifted / 0.08)), 0.22 * np.exp(-max(at[2, 1] - 0.9, 0.0))]
+    )
     means = (at * (1.0, 0.0, 1.0)) @ TO_WORLD.T + (-0.03, 0.0, 0.004)
     sizes = np.array([(0.10, 0.075, 0.001), (0.10, 0.075, 0.001), (0.21, 0.19, 0.001)])
     dark = np.full((3, 3), 0.012, np.float32)

@@ -1,7 +1,7 @@
 """A folder of avatars: one file each, a list of who they are, one hash of all.
 
-    bank.json            names, records, digests of files, hash of the bank
-    NAME.npz             a person at rest: splats, skin weights, joints
+bank.json            names, records, digests of files, hash of the bank
+NAME.npz             a person at rest: splats, skin weights, joints
 """
 
 from __future__ import annotations
@@ -114,7 +114,9 @@ def load_avatar(path: Path | str) -> Avatar:
     weight = floats("weight", joint.shape[1])
     total = weight.sum(axis=1, keepdims=True)
     if count and (not length.all() or not total.all() or joint.min() < 0 or joint.max() > 54):
-        raise FormatError("a splat has no orientation, or hangs on no joint", file=path, remedy=_REMEDY)
+        raise FormatError(
+            "a splat has no orientation, or hangs on no joint", file=path, remedy=_REMEDY
+        )
     try:
         about = msgspec.json.decode(arrays.read("about").tobytes(), type=_About)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

@@ -30,7 +30,11 @@ NAMES = tuple(PROTOTYPES)
 NEIGHBOURS = (("grey", "black"), ("beige", "white"))
 _WEIGHTS = np.array([0.55, 1.0, 1.0])  # of lightness, a*, b*
 _TO_XYZ = np.array(
-    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.072175], [0.0193339, 0.119192, 0.9503041]]
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.072175],
+        [0.0193339, 0.119192, 0.9503041],
+    ]
 )  # of linear sRGB, IEC 61966-2-1
 _WHITE = np.array([0.95047, 1.0, 1.08883])
 
@@ -38,7 +42,9 @@ _WHITE = np.array([0.95047, 1.0, 1.08883])
 def lab_of(linear: NDArray[np.floating]) -> F64:
     """CIE L*a*b* (D65) [..., 3] of linear sRGB [..., 3]."""
     xyz = np.asarray(linear, np.float64) @ _TO_XYZ.T / _WHITE
-    f = np.where(xyz > (6 / 29) ** 3, np.cbrt(np.maximum(xyz, 0.0)), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
+    f = np.where(
+        xyz > (6 / 29) ** 3, np.cbrt(np.maximum(xyz, 0.0)), xyz / (3 * (6 / 29) ** 2) + 4 / 29
+    )
     x, y, z = f[..., 0], f[..., 1], f[..., 2]
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
@@ -58,7 +64,9 @@ def draw_colour(name: str, stream: np.random.Generator) -> F64:
     codes = PROTOTYPES[name]
     base = np.array(linear_colour(codes[int(stream.integers(len(codes)))]))
     for _ in range(8):
-        tried = np.clip(base * np.exp(stream.normal(0.0, 0.07) + stream.normal(0.0, 0.03, 3)), 0.004, 0.86)
+        tried = np.clip(
+            base * np.exp(stream.normal(0.0, 0.07) + stream.normal(0.0, 0.03, 3)), 0.004, 0.86
+        )
         if name_colour(tried) == name:
             return tried
     return base

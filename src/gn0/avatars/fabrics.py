@@ -118,7 +118,9 @@ def _print(at: ClothPlaces, colour: F64, second: F64, seed: int, fp: float) -> F
     if kind == 0:
         word = _WORDS[(seed // 3) % len(_WORDS)]
         size = 0.22 / max(len(word), 3) / 6.0
-        ink = draw_text(word, (u + 0.5 * len(word) * 6 * size) / size, v / size + 3.0, fp / size, 0.9)
+        ink = draw_text(
+            word, (u + 0.5 * len(word) * 6 * size) / size, v / size + 3.0, fp / size, 0.9
+        )
     elif kind == 1:
         ink = 1 - step(np.hypot(u, v) - 0.075, fp)
     else:

@@ -112,7 +112,9 @@ def draw_identity(seed: int, number: int) -> Identity:
     if pattern == "denim":
         top_colour = "blue"
     if top in ("suit", "collar_jacket", "coat", "long_coat", "parka"):
-        top_colour = pick(("black", "grey", "beige", "brown", "green", "blue", "red"), (3, 3, 2, 2, 2, 3, 1))
+        top_colour = pick(
+            ("black", "grey", "beige", "brown", "green", "blue", "red"), (3, 3, 2, 2, 2, 3, 1)
+        )
         if top == "suit":
             bottom_colour = top_colour
     second = pick(c for c in _CLOTH if c != top_colour)
@@ -179,7 +181,9 @@ def traits_of(identity: Identity) -> Traits:
     african = float(np.clip((dark - 0.45) * 1.7, 0.0, 0.95))
     asian = float((1.0 - african) * looks[1] * (0.9 if identity.tone < 7 else 0.2))
     return Traits(
-        male=float(stream.uniform(0.86, 1.0) if identity.sex == "man" else stream.uniform(0.0, 0.12)),
+        male=float(
+            stream.uniform(0.86, 1.0) if identity.sex == "man" else stream.uniform(0.0, 0.12)
+        ),
         old=float(stream.uniform(low, high)),
         muscle=float(np.clip(muscle + stream.normal(0, 0.06), 0, 1)),
         weight=float(np.clip(weight + stream.normal(0, 0.06), 0, 1)),

@@ -186,7 +186,9 @@ def _widen_legs(vertices: F64, marks: _Marks, least: float) -> F64:
         ease = np.clip((marks.crotch - y) / 0.15, 0.0, 1.0)
         # the legs must not meet in the middle
         most = np.where(away[:, 0] * side < 0, np.abs(axis[:, 0]) - 0.006, np.inf)
-        wanted = np.minimum(np.maximum(radius, radius + ease * (least - radius)), np.maximum(most, radius))
+        wanted = np.minimum(
+            np.maximum(radius, radius + ease * (least - radius)), np.maximum(most, radius)
+        )
         out[np.ix_(here, [0, 2])] = axis + away * (wanted / radius)[:, None]
     return out
 

@@ -144,13 +144,17 @@ def covered_skin(identity: Identity, layers: list[Layer]) -> NDArray[np.bool_]:
     for layer in layers:
         if layer.cut is not None and layer.part in ("top", "bottom") and layer.reach < _LOOSE:
             inside = layer.kept(skin)
-            for shift in _MARGIN * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]):
+            for shift in _MARGIN * np.array(
+                [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+            ):
                 inside &= layer.kept(skin + shift)
             covered |= inside
     return covered
 
 
-def cloth_pieces(fitting: Fitting, name: str, part: str, over: float, reach: float = 0.04) -> list[Layer]:
+def cloth_pieces(
+    fitting: Fitting, name: str, part: str, over: float, reach: float = 0.04
+) -> list[Layer]:
     """The sheet of a piece of the wardrobe."""
     return [cloth_layer(fitting, load_cloth(name), part, over, reach=reach)]
 
@@ -181,9 +185,13 @@ def space_layers(layers: list[Layer], shape: BodyShape, density: float) -> list[
     spacing = [space_layer(layer, shape) for layer in layers]
     counts, fine = [], []
     for layer, apart in zip(layers, spacing, strict=True):
-        shown = ~layer.covered_triangles() & layer.kept(layer.vertices[layer.triangles].mean(axis=1))
+        shown = ~layer.covered_triangles() & layer.kept(
+            layer.vertices[layer.triangles].mean(axis=1)
+        )
         counts.append(layer.mesh().areas() / apart**2 * shown)
-        fine.append(apart < HAND if layer.part in ("skin", "eyes", "brows", "lashes") else apart < 0)
+        fine.append(
+            apart < HAND if layer.part in ("skin", "eyes", "brows", "lashes") else apart < 0
+        )
     kept = sum(float(c[f].sum()) for c, f in zip(counts, fine, strict=True))
     rest = sum(float(c.sum()) for c in counts) - kept
     coarser = np.sqrt(max(rest / (_MOST - kept), 1.0))
@@ -225,11 +233,15 @@ def paint_surfels(
         for name in ("top_colour", "second_colour", "bottom_colour", "shoes_colour", "extra_colour")
     }
     hair = np.array(linear_colour(HAIR_COLOURS[identity.hair_colour]))
-    iris = np.array(linear_colour(EYES[int(stream.integers(len(EYES) if identity.tone < 5 else 2))]))
+    iris = np.array(
+        linear_colour(EYES[int(stream.integers(len(EYES) if identity.tone < 5 else 2))])
+    )
     young = identity.age == "young"
     marks = FaceMarks(
         tone=identity.tone,
-        lips=float(stream.uniform(0.4, 1.0) if identity.sex == "woman" else stream.uniform(0.0, 0.35)),
+        lips=float(
+            stream.uniform(0.4, 1.0) if identity.sex == "woman" else stream.uniform(0.0, 0.35)
+        ),
         stubble=float(stream.choice((0.0, 0.25, 0.6, 1.0))) if identity.sex == "man" else 0.0,
         freckles=float(stream.choice((0.0, 0.0, 0.8)) if identity.tone < 4 and young else 0.0),
         blush=float(stream.uniform(0.2, 0.8)),
@@ -288,7 +300,9 @@ def _paint_garment(
             painted[tie] = colours["second_colour"]
     if layer.part == "shoes":
         sole = at.points[:, 1] < at.points[:, 1].min() + 0.018
-        painted[sole] = np.array((0.035, 0.033, 0.031)) if colour.mean() > 0.1 else np.array((0.3, 0.29, 0.27))
+        painted[sole] = (
+            np.array((0.035, 0.033, 0.031)) if colour.mean() > 0.1 else np.array((0.3, 0.29, 0.27))
+        )
     return painted
 
 
@@ -303,7 +317,12 @@ def _under_hair(points: F64, normals: F64, layers: list[Layer]) -> NDArray[np.bo
     hair = sheets[0]
     caster = RayCaster(hair.mesh())
     found = np.zeros(len(points), bool)
-    for tilt in ((0.0, 0.0, 0.0), (0.9, 0.2, 0.0), (-0.9, 0.2, 0.0), (0.0, 0.2, 0.9)):  # a parting, too
+    for tilt in (
+        (0.0, 0.0, 0.0),
+        (0.9, 0.2, 0.0),
+        (-0.9, 0.2, 0.0),
+        (0.0, 0.2, 0.9),
+    ):  # a parting, too
         found |= caster.occluded(points + 1e-3 * normals, normals + np.array(tilt), 0.035)
     low = hair.vertices[:, 1].min()
     return found & (points[:, 1] > low) & hair.kept(points)

@@ -30,7 +30,9 @@ def separate_layers(layers: Sequence[Layer], fitting: Fitting) -> list[Layer]:
         layer = done[number]
         if layer.part in _STILL or layer.over <= 0:
             continue
-        under = [k for k in range(len(done)) if done[k].over < layer.over and done[k].part not in _STILL]
+        under = [
+            k for k in range(len(done)) if done[k].over < layer.over and done[k].part not in _STILL
+        ]
         posed = skin_points(layer.vertices, layer.weights, fitting.transforms)
         moved = posed
         for _ in range(_ROUNDS):

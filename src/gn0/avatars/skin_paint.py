@@ -88,7 +88,11 @@ def paint_skin(points: F64, normals: F64, face: FacePlaces, marks: FaceMarks, se
         colour *= (1.0 - 0.16 * near)[:, None]
     u, v = x / 0.0255, (y - face.mouth[1]) / 0.0098
     bow = 0.18 * np.exp(-((x / 0.005) ** 2)) * (v > 0)
-    lips = (1 - step(np.hypot(u, v + bow) - 0.95, 0.3)) * (z > face.mouth[2] - 0.030) * (normals[:, 2] > -0.2)
+    lips = (
+        (1 - step(np.hypot(u, v + bow) - 0.95, 0.3))
+        * (z > face.mouth[2] - 0.030)
+        * (normals[:, 2] > -0.2)
+    )
     lip_colour = base * np.array([0.86, 0.56, 0.56]) * (0.85 + 0.15 * light)
     colour += (lips * (0.45 + 0.5 * marks.lips))[:, None] * (lip_colour - colour)
     if marks.stubble > 0:

@@ -23,8 +23,8 @@ SIGMA = 0.76  # standard deviation of a disc, in mean distances of neighbours
 THICKNESS = 0.0012  # of a disc [m]
 STRANDS = {  # standard deviations along and across, and thickness [m]
     "hair": (0.011, 0.0022, THICKNESS),
-    "brows": (0.0030, 0.0007, 0.0005),
-    "lashes": (0.0014, 0.0003, 0.0003),
+    "brows": (0.0026, 0.0006, 0.0004),
+    "lashes": (0.0008, 0.00022, 0.0002),
 }
 _STRAND_SPACING = 0.0042  # for which sizes of hair are [m]
 _SHEETS_MOST = 6  # that a ray goes through
@@ -174,9 +174,7 @@ def cover_layers(
     sheets, points, normals, along, dense, number = [], [], [], [], [], []
     for k, layer in enumerate(layers):
         vertices = dressed.posed[k]
-        sheet = spread_points(
-            vertices, layer.triangles, spacing[k], stream, even=not layer.strands
-        )
+        sheet = spread_points(vertices, layer.triangles, spacing[k], stream, even=not layer.strands)
         sheet = sheet.select(~layer.covered_triangles()[sheet.triangle])
         sheet = sheet.select(layer.kept(sheet.blend(layer.vertices, layer.triangles)))
         point = sheet.blend(vertices, layer.triangles)
@@ -250,9 +248,7 @@ def _tangents(normals: F64, along: F64) -> F64:
     return wish / np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1e-12)
 
 
-def _openness(
-    dressed: DressedBody, points: F64, outward: F64, strand: NDArray[np.bool_]
-) -> F64:
+def _openness(dressed: DressedBody, points: F64, outward: F64, strand: NDArray[np.bool_]) -> F64:
     """Share of a cosine-weighted half sphere that is open [N]; the floor below counts as open."""
     caster = RayCaster(
         join_meshes(

@@ -16,13 +16,16 @@ from gn0.render.renderer import RenderOptions
 
 WIDTH, HEIGHT, FOOT, COLUMNS = 110, 230, 40, 8  # px of a picture, of its words; people a row
 INK, SOFT, PAPER = (24, 26, 30), (110, 114, 122), (222, 222, 220)
-_EYE, _AIM, _FAR = 1.35, 0.93, 3.6  # height of the eye and what it looks at, distance [m]
+_EYE, _AIM, _FAR = 1.35, 0.93, 4.4  # height of the eye and what it looks at, distance [m]
 _TURNS = (0.35, 3.5)  # from where a person is seen [rad]
 _SLOPE = 28.0  # field of view [degrees]
 
 
 def draw_avatars(
-    avatars: Sequence[Avatar], poses: Sequence[F64 | None] | None = None, *, columns: int = COLUMNS,
+    avatars: Sequence[Avatar],
+    poses: Sequence[F64 | None] | None = None,
+    *,
+    columns: int = COLUMNS,
     progress: Progress = no_progress,
 ) -> Image.Image:
     """A tile a person: front and back side by side, its clothes in words below.
@@ -58,7 +61,11 @@ def describe_avatar(avatar: Avatar) -> tuple[str, str, str]:
 
     def worn(what: str) -> str:
         pattern = r.get(f"{what}_pattern", "plain")
-        words = (r.get(f"{what}_colour", ""), "" if pattern == "plain" else pattern, r.get(what, ""))
+        words = (
+            r.get(f"{what}_colour", ""),
+            "" if pattern == "plain" else pattern,
+            r.get(what, ""),
+        )
         return " ".join(word.replace("_", " ") for word in words if word)
 
     extra = "" if r.get("extra", "none") == "none" else f" + {r['extra_colour']} {r['extra']}"
@@ -72,7 +79,8 @@ def describe_avatar(avatar: Avatar) -> tuple[str, str, str]:
 def draw_avatar(avatar: Avatar, pose: F64 | None, turns: Sequence[float]) -> list[U8]:
     """Pictures [HEIGHT, WIDTH, 3] of a person seen from angles `turns` [rad], 0 its front."""
     renderer = RendererCpu(
-        avatar.pose(pose), RenderOptions(background=tuple(c / 255 for c in PAPER))  # type: ignore[arg-type]
+        avatar.pose(pose),
+        RenderOptions(background=tuple(c / 255 for c in PAPER)),  # type: ignore[arg-type]
     )
     views = np.array([_view(turn) for turn in turns])
     result = renderer.render(Camera.from_vfov(WIDTH, HEIGHT, _SLOPE), views, outputs=("rgb",))

@@ -78,7 +78,7 @@ class Avatar:
                 )
         if self.joints.shape != (55, 3) or len(self.weights) != count:
             raise DataError(
-                f"{len(self.weights)} skin weights and {len(self.joints)} joints for {count} splats",
+                f"{len(self.weights)} weights, {len(self.joints)} joints for {count} splats",
                 where=f"avatar {self.name}",
             )
 

@@ -31,7 +31,7 @@ class BankEntry(Config, frozen=True):
     name: str
     splats: int
     digest: str
-    record: dict[str, str] = {}
+    record: dict[str, str] = msgspec.field(default_factory=dict)
     source: str = "gn0"
     licence: str = "CC0-1.0"
 

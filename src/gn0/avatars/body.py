@@ -60,7 +60,7 @@ class BodyModel:
             DataError: coefficients of another space, too many, or not finite.
         """
         if betas is None:
-            return BodyShape(self, self.template, self.joints)
+            return BodyShape(self, self.template, self.joints, np.zeros(0))
         b = np.asarray(betas, np.float64).reshape(-1)
         if space != self.shape_space:
             raise DataError(
@@ -70,13 +70,14 @@ class BodyModel:
             )
         if len(b) > self.shape_dirs.shape[2] or not np.isfinite(b).all():
             raise DataError(
-                f"{len(b)} shape coefficients, expected at most {self.shape_dirs.shape[2]}, all finite",
+                f"{len(b)} coefficients, expected at most {self.shape_dirs.shape[2]}, all finite",
                 where="betas",
             )
         return BodyShape(
             self,
             self.template + self.shape_dirs[:, :, : len(b)] @ b,
             self.joints + self.joint_dirs[:, :, : len(b)] @ b,
+            b,
         )
 
     @cached_property
@@ -94,11 +95,18 @@ class BodyModel:
 
 @dataclass(frozen=True, eq=False)
 class BodyShape:
-    """A body of one person at rest: vertices [V, 3] and joints [55, 3] m in T-pose."""
+    """A body of one person at rest.
+
+    Attributes:
+        model: what it is a shape of.
+        vertices, joints: in T-pose, [V, 3] and [55, 3] m.
+        betas: its shape coefficients.
+    """
 
     model: BodyModel
     vertices: F64
     joints: F64
+    betas: F64
 
     def pose(
         self, pose: NDArray[np.floating], shift: NDArray[np.floating] | None = None

@@ -37,7 +37,7 @@ def save_body(path: Path | str, baked: BakedBody, base: BaseMesh) -> None:
     """
     shown = ~np.char.startswith(np.array(base.mesh.groups), "joint")
     keep = shown[base.mesh.group]
-    arrays = {
+    arrays: dict[str, np.ndarray] = {
         "template": baked.template.astype(np.float32),
         # one direction after the other, and one axis: they pack better
         "shape_dirs": np.round(baked.shape_dirs / _STEP).astype(np.int16).transpose(2, 1, 0),

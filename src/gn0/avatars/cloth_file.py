@@ -27,7 +27,7 @@ def save_cloths(path: Path | str, cloths: Mapping[str, Cloth]) -> None:
     Raises:
         StorageError: the file cannot be written.
     """
-    arrays = {}
+    arrays: dict[str, np.ndarray] = {}
     for name, cloth in cloths.items():
         b = cloth.binding
         arrays |= {
@@ -39,7 +39,7 @@ def save_cloths(path: Path | str, cloths: Mapping[str, Cloth]) -> None:
             f"{name}/faces": cloth.faces.astype(np.uint16).T,
             f"{name}/uv": _pack_uv(cloth),
             f"{name}/covers": np.packbits(np.isin(np.arange(VERTEX_COUNT), cloth.covers)),
-            f"{name}/depth": np.int32(cloth.depth),
+            f"{name}/depth": np.array(cloth.depth, np.int32),
         }
     write_atomic(path, lambda stream: write_arrays(stream, arrays))
 

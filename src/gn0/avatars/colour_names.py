@@ -49,7 +49,9 @@ def lab_of(linear: NDArray[np.floating]) -> F64:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
 
-_TABLE = np.array([lab_of(linear_colour(code)) for codes in PROTOTYPES.values() for code in codes])
+_TABLE = np.array(
+    [lab_of(np.array(linear_colour(code))) for codes in PROTOTYPES.values() for code in codes]
+)
 _OWNER = [name for name, codes in PROTOTYPES.items() for _ in codes]
 
 

@@ -16,13 +16,32 @@ BUILDS = ("slim", "average", "heavy", "muscular")
 STATURES = ("short", "medium", "tall")
 # heights [m] between which a person of that stature is drawn
 HEIGHTS = {
-    ("woman", "short"): (1.50, 1.58), ("woman", "medium"): (1.60, 1.70), ("woman", "tall"): (1.72, 1.82),
-    ("man", "short"): (1.60, 1.69), ("man", "medium"): (1.71, 1.81), ("man", "tall"): (1.83, 1.95),
-}  # fmt: skip
+    ("woman", "short"): (1.50, 1.58),
+    ("woman", "medium"): (1.60, 1.70),
+    ("woman", "tall"): (1.72, 1.82),
+    ("man", "short"): (1.60, 1.69),
+    ("man", "medium"): (1.71, 1.81),
+    ("man", "tall"): (1.83, 1.95),
+}
 VISIBLE = (
-    "sex", "age", "build", "stature", "tone", "hair", "hair_colour", "top", "top_colour",
-    "top_pattern", "bottom", "bottom_colour", "bottom_pattern", "shoes", "shoes_colour", "hat", "extra",
-)  # fmt: skip
+    "sex",
+    "age",
+    "build",
+    "stature",
+    "tone",
+    "hair",
+    "hair_colour",
+    "top",
+    "top_colour",
+    "top_pattern",
+    "bottom",
+    "bottom_colour",
+    "bottom_pattern",
+    "shoes",
+    "shoes_colour",
+    "hat",
+    "extra",
+)
 _CLOTH = tuple(name for name in NAMES)
 _BOTTOM_SHARES = {
     "black": 4, "grey": 3, "white": 1.5, "beige": 2.5, "brown": 2, "red": 1, "pink": 0.6,
@@ -152,8 +171,10 @@ def draw_identity(seed: int, number: int) -> Identity:
 
 
 def draw_people(seed: int, count: int, *, most_alike: int = 8) -> list[Identity]:
-    """`count` people who can be told apart: any two differ in at least two visible attributes,
-    and no cut of top, bottom and hair occurs more than `most_alike` times in 200 of them.
+    """`count` people who can be told apart.
+
+    Any two differ in at least two visible attributes, and no cut of top, bottom and hair occurs
+    more than `most_alike` times in 200 of them.
     """
     found: list[Identity] = []
     seen: dict[tuple[str, str, str], int] = {}

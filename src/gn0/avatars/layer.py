@@ -38,6 +38,7 @@ class Layer:
         cut: which of its points are there; all without one.
         covered: vertices that what is worn over it covers for certain [V]; none without.
         reach: how far from what it hides it may hang [m].
+        hangs: heights [m] between which legs are out of sight in it: a skirt.
         strands: hair: splats lie along it, light falls through, and it hides nothing.
         about: what its colour asks for, as `fabric`, `colour`.
     """
@@ -51,6 +52,7 @@ class Layer:
     cut: Cut | None = None
     covered: NDArray[np.bool_] | None = None
     reach: float = 0.03
+    hangs: tuple[float, float] | None = None
     strands: bool = False
     about: dict[str, object] = field(default_factory=dict)
 
@@ -77,7 +79,10 @@ class Layer:
 
     def kept(self, points: F64) -> NDArray[np.bool_]:
         """Which points of it [M, 3] m are there."""
-        return np.ones(len(points), bool) if self.cut is None else self.cut(points)
+        if self.cut is None:
+            return np.ones(len(points), bool)
+        kept: NDArray[np.bool_] = self.cut(points)
+        return kept
 
 
 def smooth_normals(vertices: F64, triangles: NDArray[np.integer]) -> F64:
@@ -141,7 +146,7 @@ class Fitting:
         return cls(shape, sculpted, transforms, shape.model.weights.dense())
 
     def undo(self, points: F64, weights: SkinWeights) -> F64:
-        """Points at rest [N, 3] m of points in the sculpted pose, so that posing gives them again."""
+        """Points at rest [N, 3] m of points in the sculpted pose; posing gives them again."""
         blended = np.einsum("nk,nkab->nab", weights.weight, self.transforms[weights.joint])
         turned = np.linalg.inv(blended[:, :, :3])
         return np.einsum("nab,nb->na", turned, points - blended[:, :, 3])

@@ -16,6 +16,7 @@ from gn0.avatars.layer import Cut, Fitting, Layer, body_layer
 from gn0.avatars.skeleton import INDEX
 from gn0.geometry import F64
 
+_SEEN = 0.03  # of a leg within the hem of a skirt [m]
 SUIT, SKIRT = "helper-tights", "helper-skirt"
 
 
@@ -153,7 +154,8 @@ def sew_skirt(fitting: Fitting, part: str, over: float, cut: Tailoring) -> list[
             inside &= (p[:, 2] > marks.neck[2] - 0.01) & (np.abs(p[:, 0]) < 0.20)
         return inside
 
-    return [replace(skirt, vertices=vertices, cut=kept)]
+    hangs = None if cut.front_only else (end + _SEEN, marks.waist)
+    return [replace(skirt, vertices=vertices, cut=kept, hangs=hangs)]
 
 
 def sew_scarf(fitting: Fitting, over: float, stream: np.random.Generator) -> list[Layer]:
@@ -189,7 +191,7 @@ def _widen_legs(vertices: F64, marks: _Marks, least: float) -> F64:
         wanted = np.minimum(
             np.maximum(radius, radius + ease * (least - radius)), np.maximum(most, radius)
         )
-        out[np.ix_(here, [0, 2])] = axis + away * (wanted / radius)[:, None]
+        out[here[:, None], np.array([0, 2])] = axis + away * (wanted / radius)[:, None]
     return out
 
 

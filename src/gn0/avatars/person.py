@@ -11,28 +11,19 @@ from gn0.avatars.avatar import Avatar
 from gn0.avatars.body import BodyShape
 from gn0.avatars.body_file import load_body, load_trait_map
 from gn0.avatars.cloth_file import load_cloth
-from gn0.avatars.colour_names import draw_colour
-from gn0.avatars.fabrics import fold_depth, paint_cloth, place_points
 from gn0.avatars.identity import HEIGHTS, Identity, traits_of
-from gn0.avatars.layer import PARTS, Cut, Fitting, Layer, body_layer, cloth_layer
+from gn0.avatars.layer import Cut, Fitting, Layer, body_layer, cloth_layer
 from gn0.avatars.makehuman.bake_body import trait_terms
+from gn0.avatars.person_paint import paint_surfels
+from gn0.avatars.separation import separate_layers
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.skin_paint import (
-    EYES,
-    HAIR_COLOURS,
-    FaceMarks,
     FacePlaces,
     find_face,
-    paint_eye,
-    paint_hair,
-    paint_skin,
 )
-from gn0.avatars.separation import separate_layers
-from gn0.avatars.surfels import Surfels, cover_layers
+from gn0.avatars.surfels import cover_layers
 from gn0.avatars.wardrobe import BOTTOMS, TOPS, dress_extras
 from gn0.geometry import F64
-from gn0.scenes.procedural.palette import linear_colour
-from gn0.scenes.rays import RayCaster
 from gn0.seeds import random_stream
 
 SPACING = 0.0086  # of discs on clothes and limbs [m]
@@ -41,8 +32,6 @@ _MARGIN = 0.016  # skin that is kept inside a hem [m]
 _LOOSE = 0.2  # reach of what hangs off the body: a skirt covers nothing for certain
 _MOST = 42_000  # discs, before those that are hidden are left out
 _RAISED = 0.0018  # brows and lashes before the skin, which has a thickness of its own [m]
-_SHADOW = 0.55  # of self-shadow that is baked: the rest is left to the scene's light
-_INKED = (0.004, 0.004, 0.005)  # of lashes
 
 
 def shape_identity(identity: Identity) -> BodyShape:
@@ -86,7 +75,6 @@ def build_person(identity: Identity, *, name: str = "", density: float = 1.0) ->
     spacing = space_layers(layers, shape, density)
     surfels = cover_layers(layers, spacing, fitting, random_stream(identity.seed, "surfels"))
     albedo = paint_surfels(identity, layers, surfels, shape, face, stream)
-    betas = np.zeros(0)
     return Avatar(
         name=name or f"gn0-{identity.seed}",
         points=surfels.points.astype(np.float32),
@@ -98,7 +86,7 @@ def build_person(identity: Identity, *, name: str = "", density: float = 1.0) ->
         part=surfels.part(layers),
         weights=surfels.weights,
         joints=shape.joints,
-        betas=betas,
+        betas=shape.betas,
         record=identity.words(),
     )
 
@@ -128,6 +116,7 @@ def dress_identity(identity: Identity, fitting: Fitting, face: FacePlaces) -> li
     layers = separate_layers(layers, fitting)
     layers.append(replace(hair, cut=_hair_cut(face, hat)))
     layers[0] = replace(layers[0], covered=covered_skin(identity, layers))
+    layers = [replace(layer, covered=_out_of_sight(layer, layers)) for layer in layers]
     return layers
 
 
@@ -149,6 +138,18 @@ def covered_skin(identity: Identity, layers: list[Layer]) -> NDArray[np.bool_]:
             ):
                 inside &= layer.kept(skin + shift)
             covered |= inside
+    return covered
+
+
+def _out_of_sight(layer: Layer, layers: list[Layer]) -> NDArray[np.bool_] | None:
+    """What is covered of a sheet, and what of legs is under a skirt: a stride would show it."""
+    covered = layer.covered
+    for other in layers:
+        if other.hangs is not None and other.over > layer.over and not layer.strands:
+            low, high = other.hangs
+            level = layer.vertices[:, 1]
+            inside = (level > low) & (level < high)
+            covered = inside if covered is None else covered | inside
     return covered
 
 
@@ -217,112 +218,3 @@ def space_layer(layer: Layer, shape: BodyShape) -> F64:
     if layer.part == "shoes":
         spacing[:] = 0.0070
     return spacing
-
-
-def paint_surfels(
-    identity: Identity,
-    layers: list[Layer],
-    surfels: Surfels,
-    shape: BodyShape,
-    face: FacePlaces,
-    stream: np.random.Generator,
-) -> F64:
-    """Linear albedo [N, 3] of all discs, self-shadow in it."""
-    colours = {
-        name: draw_colour(getattr(identity, name), stream)
-        for name in ("top_colour", "second_colour", "bottom_colour", "shoes_colour", "extra_colour")
-    }
-    hair = np.array(linear_colour(HAIR_COLOURS[identity.hair_colour]))
-    iris = np.array(
-        linear_colour(EYES[int(stream.integers(len(EYES) if identity.tone < 5 else 2))])
-    )
-    young = identity.age == "young"
-    marks = FaceMarks(
-        tone=identity.tone,
-        lips=float(
-            stream.uniform(0.4, 1.0) if identity.sex == "woman" else stream.uniform(0.0, 0.35)
-        ),
-        stubble=float(stream.choice((0.0, 0.25, 0.6, 1.0))) if identity.sex == "man" else 0.0,
-        freckles=float(stream.choice((0.0, 0.0, 0.8)) if identity.tone < 4 and young else 0.0),
-        blush=float(stream.uniform(0.2, 0.8)),
-    )
-    hat_colour = draw_colour(("black", "brown", "grey", "beige")[int(stream.integers(4))], stream)
-    albedo = np.empty((len(surfels.points), 3))
-    eye = 0
-    for number, layer in enumerate(layers):
-        here = surfels.layer == number
-        points, normals = surfels.points[here], surfels.normals[here]
-        if layer.part == "skin":
-            colour = paint_skin(points, normals, face, marks, identity.seed % 2**31)
-            under = _under_hair(points, normals, layers)
-            colour = np.where(under[:, None], paint_hair(points, normals, hair * 0.8, 5), colour)
-        elif layer.part == "eyes":
-            colour = paint_eye(points, face.eyes[eye], iris)
-            eye += 1
-        elif layer.part in ("hair", "brows"):
-            colour = paint_hair(points, normals, hair * (0.8 if layer.part == "brows" else 1.0), 7)
-        elif layer.part == "lashes":
-            colour = np.tile(np.array(_INKED), (len(points), 1))
-        else:
-            colour = _paint_garment(identity, layer, surfels, here, shape, colours, hat_colour)
-        albedo[here] = colour
-    openness = np.where(surfels.part(layers) == PARTS.index("eyes"), 0.8, surfels.openness)
-    return albedo * (1.0 - _SHADOW * (1.0 - openness))[:, None]
-
-
-def _paint_garment(
-    identity: Identity,
-    layer: Layer,
-    surfels: Surfels,
-    here: NDArray[np.bool_],
-    shape: BodyShape,
-    colours: dict[str, F64],
-    hat_colour: F64,
-) -> F64:
-    at = place_points(surfels.points[here], shape.joints)
-    seed = identity.seed + 31 * PARTS.index(layer.part)
-    pattern, colour, second = {
-        "top": (identity.top_pattern, colours["top_colour"], colours["second_colour"]),
-        "bottom": (identity.bottom_pattern, colours["bottom_colour"], colours["second_colour"]),
-        "shoes": ("leather", colours["shoes_colour"], colours["shoes_colour"]),
-        "scarf": ("knitted", colours["extra_colour"], colours["extra_colour"]),
-        "hat": ("plain", hat_colour, hat_colour),
-        "socks": ("knitted", np.array((0.55, 0.55, 0.55)), np.array((0.5, 0.5, 0.5))),
-    }[layer.part]
-    painted = paint_cloth(at, pattern, colour, second, seed, SPACING)
-    inner = TOPS[identity.top].inner if layer.part == "top" else None
-    if inner is not None:
-        island = layer.uv[surfels.sheet.triangle[here], 0, 0]
-        shirt = np.isin(island, _SHIRT_ISLANDS[identity.top])
-        painted[shirt] = np.array(inner) * (1 - 0.1 * fold_depth(at, seed)[shirt, None])
-        if identity.top == "suit":
-            tie = shirt & (np.abs(at.points[:, 0]) < 0.021)
-            painted[tie] = colours["second_colour"]
-    if layer.part == "shoes":
-        sole = at.points[:, 1] < at.points[:, 1].min() + 0.018
-        painted[sole] = (
-            np.array((0.035, 0.033, 0.031)) if colour.mean() > 0.1 else np.array((0.3, 0.29, 0.27))
-        )
-    return painted
-
-
-_SHIRT_ISLANDS = {"suit": (4,), "parka": (5, 6)}
-
-
-def _under_hair(points: F64, normals: F64, layers: list[Layer]) -> NDArray[np.bool_]:
-    """Where hair lies over the skin: there the skin is a scalp."""
-    sheets = [layer for layer in layers if layer.part == "hair"]
-    if not sheets:
-        return np.zeros(len(points), bool)
-    hair = sheets[0]
-    caster = RayCaster(hair.mesh())
-    found = np.zeros(len(points), bool)
-    for tilt in (
-        (0.0, 0.0, 0.0),
-        (0.9, 0.2, 0.0),
-        (-0.9, 0.2, 0.0),
-        (0.0, 0.2, 0.9),
-    ):  # a parting, too
-        found |= caster.occluded(points + 1e-3 * normals, normals + np.array(tilt), 0.035)
-    low = hair.vertices[:, 1].min()
-    return found & (points[:, 1] > low) & hair.kept(points)

@@ -27,6 +27,8 @@ STRANDS = {  # standard deviations along and across, and thickness [m]
     "lashes": (0.0008, 0.00022, 0.0002),
 }
 _STRAND_SPACING = 0.0042  # for which sizes of hair are [m]
+# fine strands are widened to a pixel by renderers: they must be faint to look as dark as they are
+OPACITIES = {"hair": 0.85, "brows": 0.5, "lashes": 0.12}
 _SHEETS_MOST = 6  # that a ray goes through
 _TILT = 0.75  # of the rays beside the normal that tell what is hidden
 _LIFT = 3e-4  # [m]
@@ -197,6 +199,7 @@ def cover_layers(
     back = blended_turns(weights, fitting.transforms).transpose(0, 2, 1)
     strand = np.array([layer.strands for layer in layers])[layer_of]
     flat = np.stack([SIGMA * spaced, SIGMA * spaced, np.full(len(posed), THICKNESS)], axis=1)
+    opacity = np.array([OPACITIES.get(layer.part, 0.995) for layer in layers])[layer_of]
     sizes = np.array([STRANDS.get(layer.part, STRANDS["hair"]) for layer in layers])[layer_of]
     sizes[:, :2] *= np.maximum(spaced / _STRAND_SPACING, 1.0)[:, None]  # fewer are wider
     return Surfels(
@@ -210,7 +213,7 @@ def cover_layers(
         normals=np.einsum("nab,nb->na", back, outward),
         quats=quaternion_from_rotation(back @ rotation).astype(np.float32),
         scales=np.where(strand[:, None], sizes, flat).astype(np.float32),
-        opacities=np.where(strand, 0.85, 0.995).astype(np.float32),
+        opacities=opacity.astype(np.float32),
         weights=weights,
         openness=_openness(dressed, posed, outward, strand),
     )

@@ -77,39 +77,90 @@ TOPS: dict[str, Garment] = {
     "tee": _worn("T-shirt", "top/tee", 3.0, _TEE, women=False),
     "loose_tee": _worn("T-shirt", "top/loose_tee", 3.0, _TEE, women=False),
     "sweater": _worn("sweater", "top/sweater", 3.0, ("knitted", "striped", "plain")),
-    "collar_jacket": _worn("jacket", "top/collar_jacket", 3.2, ("plain", "leather", "denim"), women=False
+    "collar_jacket": _worn(
+        "jacket", "top/collar_jacket", 3.2, ("plain", "leather", "denim"), women=False
     ),
-    "parka": _worn("parka", "top/parka", 3.2, ("plain", "patched"), women=False,
+    "parka": _worn(
+        "parka",
+        "top/parka",
+        3.2,
+        ("plain", "patched"),
+        women=False,
         inner=(0.55, 0.55, 0.53),
     ),
-    "suit": _worn("suit jacket", "top/suit", 3.2, ("plain", "checked"), women=False,
+    "suit": _worn(
+        "suit jacket",
+        "top/suit",
+        3.2,
+        ("plain", "checked"),
+        women=False,
         inner=(0.80, 0.80, 0.80),
     ),
     "vest": Garment("vest", _top(sleeve=-1.0, hem=0.75, neck=0.055, lift=0.005), _TEE),
     "long_sleeve": Garment(
-        "long-sleeved shirt", _top(sleeve=0.97, hem=0.7, neck=0.022, lift=0.006), ("plain", "striped", "printed")
+        "long-sleeved shirt",
+        _top(sleeve=0.97, hem=0.7, neck=0.022, lift=0.006),
+        ("plain", "striped", "printed"),
     ),
-    "shirt": Garment("shirt", _top(sleeve=0.98, hem=0.95, neck=0.0, v_neck=0.05, lift=0.010, wide=0.052), _SHIRT),
-    "short_shirt": Garment("short-sleeved shirt", _top(sleeve=0.36, hem=0.9, neck=0.0, v_neck=0.05, lift=0.010, wide=0.062), _SHIRT),
-    "turtleneck": Garment("turtleneck", _top(sleeve=0.98, hem=0.65, neck=-0.06, lift=0.009), ("knitted", "plain")),
-    "v_sweater": Garment("V-neck sweater", _top(sleeve=0.97, hem=0.75, neck=0.01, v_neck=0.10, lift=0.010), ("knitted", "plain")),
+    "shirt": Garment(
+        "shirt", _top(sleeve=0.98, hem=0.95, neck=0.0, v_neck=0.05, lift=0.010, wide=0.052), _SHIRT
+    ),
+    "short_shirt": Garment(
+        "short-sleeved shirt",
+        _top(sleeve=0.36, hem=0.9, neck=0.0, v_neck=0.05, lift=0.010, wide=0.062),
+        _SHIRT,
+    ),
+    "turtleneck": Garment(
+        "turtleneck", _top(sleeve=0.98, hem=0.65, neck=-0.06, lift=0.009), ("knitted", "plain")
+    ),
+    "v_sweater": Garment(
+        "V-neck sweater",
+        _top(sleeve=0.97, hem=0.75, neck=0.01, v_neck=0.10, lift=0.010),
+        ("knitted", "plain"),
+    ),
     "coat": Garment(
-        "coat", _top(over=3.3, sleeve=1.0, hem=0.25, neck=-0.01, v_neck=0.16, lift=0.022, wide=0.062, skirt=0.55),
+        "coat",
+        _top(
+            over=3.3,
+            sleeve=1.0,
+            hem=0.25,
+            neck=-0.01,
+            v_neck=0.16,
+            lift=0.022,
+            wide=0.062,
+            skirt=0.55,
+        ),
         ("plain", "checked"),
     ),
     "long_coat": Garment(
-        "long coat", _top(over=3.3, sleeve=1.0, hem=0.25, neck=-0.02, v_neck=0.12, lift=0.022, wide=0.064, skirt=0.78),
+        "long coat",
+        _top(
+            over=3.3,
+            sleeve=1.0,
+            hem=0.25,
+            neck=-0.02,
+            v_neck=0.12,
+            lift=0.022,
+            wide=0.064,
+            skirt=0.78,
+        ),
         ("plain",),
     ),
     "dress": Garment(
-        "dress", _top(sleeve=0.30, hem=0.2, neck=0.045, lift=0.007, skirt=0.52),
-        ("plain", "dotted", "striped", "checked", "patched"), men=False, bare=True,
+        "dress",
+        _top(sleeve=0.30, hem=0.2, neck=0.045, lift=0.007, skirt=0.52),
+        ("plain", "dotted", "striped", "checked", "patched"),
+        men=False,
+        bare=True,
     ),
     "long_dress": Garment(
-        "long dress", _top(sleeve=-1.0, hem=0.2, neck=0.05, v_neck=0.04, lift=0.007, skirt=0.86),
-        ("plain", "dotted", "patched"), men=False, bare=True,
+        "long dress",
+        _top(sleeve=-1.0, hem=0.2, neck=0.05, v_neck=0.04, lift=0.007, skirt=0.86),
+        ("plain", "dotted", "patched"),
+        men=False,
+        bare=True,
     ),
-}  # fmt: skip
+}
 
 BOTTOMS: dict[str, Garment] = {
     "slim": _worn("jeans", "bottom/slim", 2.6, ("denim", "plain"), men=False),
@@ -117,13 +168,28 @@ BOTTOMS: dict[str, Garment] = {
     "suit_trousers": _worn("suit trousers", "bottom/suit", 2.6, ("plain",), women=False),
     "shorts": _worn("shorts", "bottom/shorts", 2.6, ("plain", "denim"), men=False),
     "leggings": Garment("leggings", _legs(over=2.4, leg=0.97, lift=0.003), ("plain",), men=False),
-    "wide_trousers": Garment("wide trousers", _legs(leg=1.03, lift=0.008, wide=0.105), ("plain", "striped")),
-    "straight_trousers": Garment("trousers", _legs(leg=1.03, lift=0.010, wide=0.082), ("plain", "denim", "checked")),
-    "knee_shorts": Garment("shorts", _legs(leg=0.46, lift=0.012, wide=0.10), ("plain", "denim", "patched"), women=False),
-    "short_skirt": Garment("short skirt", _skirt(skirt=0.42, lift=0.004), ("plain", "checked", "denim"), men=False),
-    "skirt": Garment("skirt", _skirt(skirt=0.56, lift=0.004, wide=0.05), ("plain", "dotted", "striped"), men=False),
-    "long_skirt": Garment("long skirt", _skirt(skirt=0.9, lift=0.004, wide=-0.06), ("plain", "patched"), men=False),
-}  # fmt: skip
+    "wide_trousers": Garment(
+        "wide trousers", _legs(leg=1.03, lift=0.008, wide=0.105), ("plain", "striped")
+    ),
+    "straight_trousers": Garment(
+        "trousers", _legs(leg=1.03, lift=0.010, wide=0.082), ("plain", "denim", "checked")
+    ),
+    "knee_shorts": Garment(
+        "shorts", _legs(leg=0.46, lift=0.012, wide=0.10), ("plain", "denim", "patched"), women=False
+    ),
+    "short_skirt": Garment(
+        "short skirt", _skirt(skirt=0.42, lift=0.004), ("plain", "checked", "denim"), men=False
+    ),
+    "skirt": Garment(
+        "skirt",
+        _skirt(skirt=0.56, lift=0.004, wide=0.05),
+        ("plain", "dotted", "striped"),
+        men=False,
+    ),
+    "long_skirt": Garment(
+        "long skirt", _skirt(skirt=0.9, lift=0.004, wide=-0.06), ("plain", "patched"), men=False
+    ),
+}
 
 SHOES: dict[str, str] = {"trainers": "trainers", "laced": "shoes", "boots": "boots"}
 HATS: dict[str, str] = {"hat": "hat", "cocked_hat": "hat"}

@@ -65,7 +65,7 @@ def bake_body(
 
     rows, traits = [], []
     stream = random_stream(seed, "adults")
-    for draw in range(20 * _ADULTS):
+    for _ in range(20 * _ADULTS):
         adult = draw_traits(stream)
         vertices, joints = _rest(
             base, targets.shape(base.mesh.vertices, adult), turned, blended, weights.dense()
@@ -81,7 +81,7 @@ def bake_body(
             break
     else:
         raise DataError(
-            f"of {draw + 1} adults only {len(rows)} are {HEIGHTS[0]} to {HEIGHTS[1]} m tall",
+            f"of {20 * _ADULTS} adults only {len(rows)} are {HEIGHTS[0]} to {HEIGHTS[1]} m tall",
             where="shape targets",
             remedy="name the macrodetails of MPFB2, heights included",
         )

@@ -1,8 +1,8 @@
 """MakeHuman's base mesh hm08: its shape targets, the Mixamo rig, and adults by their traits.
 
 Units of the files are decimetres, y up, z to the front, +x the person's left; ours are metres.
-Sources: `data/3dobjs/base.obj`, `data/targets/macrodetails` and `data/rigs/standard` of MPFB2 (CC0);
-rules of the macro targets: `macrodetails/macro.json` there.
+Sources: `3dobjs/base.obj`, `targets/macrodetails` and `rigs/standard` of MPFB2 (CC0); the rules of
+the macro targets are those of `macrodetails/macro.json` there.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -86,9 +87,9 @@ def load_base(folder: Path | str) -> BaseMesh:
         )
     mesh = QuadMesh(raw.vertices * METRES, raw.faces, raw.uv, raw.group, raw.groups)
     rig_path = root / "rigs" / "standard" / "rig.mixamo.json"
-    bones = _read_json(rig_path).get("bones")
+    bones = _read_json(rig_path).get("bones", {})
     weight_path = root / "rigs" / "standard" / "weights.mixamo.json"
-    table = _read_json(weight_path).get("weights")
+    table = _read_json(weight_path).get("weights", {})
     joint_from = np.zeros((JOINT_COUNT, VERTEX_COUNT))
     weights = np.zeros((VERTEX_COUNT, JOINT_COUNT))
     try:
@@ -122,7 +123,7 @@ def _cube(mesh: QuadMesh, name: str) -> list[int]:
     return np.unique(mesh.group_faces(name)).tolist()
 
 
-def _read_json(path: Path) -> dict:  # type: ignore[type-arg]
+def _read_json(path: Path) -> dict[str, Any]:
     try:
         found = msgspec.json.decode(read_bytes(path, _BYTES_MOST))
     except (msgspec.DecodeError, RecursionError) as error:

@@ -73,7 +73,7 @@ def load_obj(path: Path | str) -> QuadMesh:
             elif key == "f":
                 if not 4 <= len(words) <= 5:
                     raise ValueError(f"a face of {len(words) - 1} corners")
-                pairs = [(word.split("/") + [""])[:2] for word in words[1:]]
+                pairs = [[*word.split("/"), ""][:2] for word in words[1:]]
                 face = [int(pair[0]) for pair in pairs]
                 corner = [int(pair[1]) if pair[1] else 0 for pair in pairs]
                 faces.append(face + face[-1:] * (4 - len(face)))

@@ -190,7 +190,7 @@ def _binding(rows: F64, heads: dict[str, list[str]], file: Path) -> Binding:
             lengths[axis] = int(words[0]), int(words[1])
             units[axis] = float(words[2])
             if not (
-                0 <= lengths[axis].min() and lengths[axis].max() < VERTEX_COUNT and units[axis] > 0
+                lengths[axis].min() >= 0 and lengths[axis].max() < VERTEX_COUNT and units[axis] > 0
             ):
                 raise ValueError(" ".join(words))
         except (ValueError, IndexError, OverflowError) as error:

@@ -217,3 +217,16 @@ class AvatarBank:
                 )
             self._known[name] = avatar
         return self._known[name]
+
+
+def open_avatars(source: Path | str, name: str = "") -> list[Avatar]:
+    """The avatars of a bank, one of them by its name, or that of a file.
+
+    Raises:
+        StorageError, FormatError: there is nothing of that name, or it is damaged.
+    """
+    path = Path(source)
+    if path.is_file() and not name:
+        return [load_avatar(path)]
+    bank = AvatarBank(path)
+    return [bank.load(one) for one in ([name] if name else bank.names)]

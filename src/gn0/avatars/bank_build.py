@@ -23,8 +23,11 @@ from gn0.jobs import ExecutorName, run_jobs
 from gn0.locked_folder import LOCK, lock_folder, sweep_folder
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
+from gn0.version import source_version
 
 JOURNAL_FILE = "bank.journal"
+# what decides the bytes: half a bank is not gone on with by other code
+_DECIDING = ("avatars", "seeds.py", "scenes/rays.py", "scenes/procedural/noise.py")
 _BUILD = "gn0.avatars.bank_build:build_bank_avatar"
 
 
@@ -61,7 +64,7 @@ def generate_bank(
         )  # fmt: skip
     made: dict[str, int | float | str] = {"seed": seed, "count": count, "density": density}
     people = draw_people(seed, count)
-    digest = content_hash(msgspec.json.encode([made, people]))
+    digest = content_hash(msgspec.json.encode([made, people]), source_version(_DECIDING))
     check_contained(out)
     _read_journal(out, digest)
     try:

@@ -38,21 +38,26 @@ def save_body(path: Path | str, baked: BakedBody, base: BaseMesh) -> None:
     shown = ~np.char.startswith(np.array(base.mesh.groups), "joint")
     keep = shown[base.mesh.group]
     arrays: dict[str, np.ndarray] = {
-        "template": baked.template.astype(np.float32),
+        "template": _rounded(baked.template).astype(np.float32),
         # one direction after the other, and one axis: they pack better
         "shape_dirs": np.round(baked.shape_dirs / _STEP).astype(np.int16).transpose(2, 1, 0),
-        "joints": baked.joints,
-        "joint_dirs": baked.joint_dirs,
+        "joints": _rounded(baked.joints),
+        "joint_dirs": _rounded(baked.joint_dirs),
         "joint_index": baked.joint_index,
         "joint_weight": np.round(baked.joint_weight * _WEIGHT_STEPS).astype(np.uint8),
         "faces": base.mesh.faces[keep].astype(np.uint16),
         "group": base.mesh.group[keep].astype(np.uint8),
         "groups": np.array(base.mesh.groups),
-        "sculpted": baked.sculpted,
-        "traits_to_betas": baked.traits_to_betas,
-        "residual": baked.residual,
+        "sculpted": _rounded(baked.sculpted),
+        "traits_to_betas": _rounded(baked.traits_to_betas),
+        "residual": _rounded(baked.residual),
     }
     write_atomic(path, lambda stream: write_arrays(stream, arrays))
+
+
+def _rounded(values: F64) -> F64:
+    """To a micrometre: what the last bits are hangs on how many threads added them up."""
+    return np.round(values, 6)
 
 
 @lru_cache(maxsize=1)

@@ -90,13 +90,13 @@ def _denim(at: ClothPlaces, colour: F64, second: F64, seed: int, fp: float) -> F
 
 
 def _bands(at: ClothPlaces, colour: F64, second: F64, seed: int, fp: float) -> F64:
-    share = stripes(at.along / 0.07, 0.4, fp / 0.07)[:, None]
+    share = stripes(at.along / 0.085, 0.3, fp / 0.085)[:, None]
     return _plain(at, colour, second, seed, fp) * (1 - share) + second * share
 
 
 def _checks(at: ClothPlaces, colour: F64, second: F64, seed: int, fp: float) -> F64:
-    one = stripes(at.along / 0.075, 0.42, fp / 0.075)
-    two = stripes(at.around / 0.075, 0.42, fp / 0.075)
+    one = stripes(at.along / 0.09, 0.26, fp / 0.09)
+    two = stripes(at.around / 0.09, 0.26, fp / 0.09)
     share = (0.5 * (one + two))[:, None] * 0.85
     return _plain(at, colour, second, seed, fp) * (1 - share) + second * share
 
@@ -135,7 +135,7 @@ def _leather(at: ClothPlaces, colour: F64, second: F64, seed: int, fp: float) ->
 
 def _camouflage(at: ClothPlaces, colour: F64, second: F64, seed: int, fp: float) -> F64:
     patches = fractal(at.along / 0.11, at.around / 0.11, seed, octaves=3)
-    share = step(patches - 0.12, 0.06)[:, None]
+    share = step(patches - 0.30, 0.06)[:, None]
     return _plain(at, colour, second, seed, fp) * (1 - share) + second * share
 
 

@@ -22,7 +22,7 @@ from gn0.gaussians.film import decode_srgb
 from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
-from gn0.viewer.avatar_sheet import standing_pose
+from gn0.viewer.avatar_sheet import standing_pose, view_person
 
 SKIN, TOP, BOTTOM = (PARTS.index(name) for name in ("skin", "top", "bottom"))
 _CAMERA = Camera.from_vfov(480, 360, 70.0)
@@ -104,19 +104,6 @@ def score_colour(said: str, read: str) -> float:
     if said == read:
         return 1.0
     return 0.5 if {said, read} in [set(pair) for pair in NEIGHBOURS] else 0.0
-
-
-def view_person(turn: float, distance: float, height: float = 1.3, aim: float = 0.95) -> F64:
-    """View [4, 4] of a person at the origin from an angle [rad] and a distance [m]."""
-    eye = np.array([distance * np.cos(turn), distance * np.sin(turn), height])
-    forward = np.array([0.0, 0.0, aim]) - eye
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    view = np.eye(4)
-    view[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    view[:3, 3] = -view[:3, :3] @ eye
-    return view
 
 
 def check_avatar(avatar: Avatar, poses: Sequence[F64 | None]) -> list[AvatarFinding]:

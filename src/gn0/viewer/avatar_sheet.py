@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gn0.avatars.avatar import Avatar
+from gn0.avatars.skeleton import INDEX
 from gn0.geometry import F64, U8
 from gn0.progress import Progress, no_progress
 from gn0.render.camera import Camera
@@ -78,19 +79,17 @@ def describe_avatar(avatar: Avatar) -> tuple[str, str, str]:
 
 def draw_avatar(avatar: Avatar, pose: F64 | None, turns: Sequence[float]) -> list[U8]:
     """Pictures [HEIGHT, WIDTH, 3] of a person seen from angles `turns` [rad], 0 its front."""
-    renderer = RendererCpu(
-        avatar.pose(pose),
-        RenderOptions(background=tuple(c / 255 for c in PAPER)),  # type: ignore[arg-type]
-    )
-    views = np.array([_view(turn) for turn in turns])
+    renderer = RendererCpu(avatar.pose(pose), _options())
+    views = np.array([view_person(turn, _FAR) for turn in turns])
     result = renderer.render(Camera.from_vfov(WIDTH, HEIGHT, _SLOPE), views, outputs=("rgb",))
     assert result.rgb is not None
     return list(result.rgb)
 
 
-def _view(turn: float) -> F64:
-    eye = np.array([_FAR * np.cos(turn), _FAR * np.sin(turn), _EYE])
-    forward = np.array([0.0, 0.0, _AIM]) - eye
+def view_person(turn: float, distance: float, height: float = _EYE, aim: float = _AIM) -> F64:
+    """View [4, 4] of a person at the origin, from an angle [rad], a distance and a height [m]."""
+    eye = np.array([distance * np.cos(turn), distance * np.sin(turn), height])
+    forward = np.array([0.0, 0.0, aim]) - eye
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
@@ -100,10 +99,40 @@ def _view(turn: float) -> F64:
     return view
 
 
+def draw_portrait(avatar: Avatar) -> Image.Image:
+    """One person from four sides, in a stride and seated, and the face."""
+    stand, stride, seat = trial_poses()
+    cells = draw_avatar(avatar, stand, (0.0, 0.8, 1.6, 3.14))
+    cells += draw_avatar(avatar, stride, (0.4,)) + draw_avatar(avatar, seat, (0.4,))
+    sheet = Image.new("RGB", (len(cells) * WIDTH + 2 * HEIGHT, 2 * HEIGHT), PAPER)
+    for number, cell in enumerate(cells):
+        sheet.paste(Image.fromarray(cell), (number * WIDTH, HEIGHT // 2))
+    head = float(avatar.joints[INDEX["head"], 1])
+    near = view_person(0.35, 0.95, head + 0.12, head + 0.03)
+    renderer = RendererCpu(avatar.pose(stand), _options())
+    face = renderer.render(
+        Camera.from_vfov(2 * HEIGHT, 2 * HEIGHT, 34.0), near[None], outputs=("rgb",)
+    )
+    assert face.rgb is not None
+    sheet.paste(Image.fromarray(face.rgb[0]), (len(cells) * WIDTH, 0))
+    return sheet
+
+
+def _options() -> RenderOptions:
+    return RenderOptions(background=tuple(c / 255 for c in PAPER))  # type: ignore[arg-type]
+
+
+def trial_poses() -> tuple[F64, F64, F64]:
+    """Standing, a long stride, seated [55, 3] rad: what clothes are tried in."""
+    stride, seat = standing_pose(), standing_pose()
+    for side, hip, knee in (("left", -0.5, 0.2), ("right", 0.4, 0.6)):
+        stride[INDEX[f"{side}_hip"], 0], stride[INDEX[f"{side}_knee"], 0] = hip, knee
+        seat[INDEX[f"{side}_hip"], 0], seat[INDEX[f"{side}_knee"], 0] = -1.5, 1.5
+    return standing_pose(), stride, seat
+
+
 def standing_pose() -> F64:
     """Standing with the arms lowered [55, 3] rad."""
-    from gn0.avatars.skeleton import INDEX
-
     pose = np.zeros((55, 3))
     for side, sign in (("left", 1.0), ("right", -1.0)):
         pose[INDEX[f"{side}_shoulder"]] = (0.0, 0.10 * sign, -1.18 * sign)

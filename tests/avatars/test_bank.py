@@ -1,0 +1,105 @@
+"""A bank of avatars: made again to the byte, gone on with, and never quietly another."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gn0.avatars.bank import AvatarBank, load_avatar, open_avatars
+from gn0.avatars.bank_build import generate_bank
+from gn0.cli.main import main
+from gn0.errors import ConfigError, FormatError, StorageError
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {
+        p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.suffix in (".npz", ".json")
+    }
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bank") / "people"
+    generate_bank(folder, count=3, seed=1, density=0.05)
+    return folder
+
+
+def test_a_bank_is_the_same_however_it_was_made(bank: Path, tmp_path: Path) -> None:
+    generate_bank(tmp_path / "two", count=3, seed=1, density=0.05, workers=2)
+    assert files(tmp_path / "two") == files(bank)
+
+
+def test_a_bank_that_was_cut_goes_on(bank: Path, tmp_path: Path) -> None:
+    generate_bank(tmp_path / "b", count=3, seed=1, density=0.05)
+    (tmp_path / "b" / "p0001.npz").write_bytes(b"half")
+    (tmp_path / "b" / "bank.json").unlink()
+    kept = (tmp_path / "b" / "p0000.npz").stat().st_mtime_ns
+    generate_bank(tmp_path / "b", count=3, seed=1, density=0.05)
+    assert files(tmp_path / "b") == files(bank)
+    assert (tmp_path / "b" / "p0000.npz").stat().st_mtime_ns == kept
+
+
+def test_another_bank_is_not_mixed_in(bank: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="another bank"):
+        generate_bank(bank, count=4, seed=1, density=0.05)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(StorageError, match="something else"):
+        generate_bank(tmp_path, count=1, density=0.05)
+    with pytest.raises(ConfigError, match="1 to 100,000 people"):
+        generate_bank(tmp_path / "x", count=0)
+
+
+def test_avatars_are_read_as_they_were_written(bank: Path) -> None:
+    opened = AvatarBank(bank)
+    avatar = opened.load("p0002")
+    assert avatar.name == "p0002" and avatar.record == opened.entry("p0002").record
+    assert avatar.shape_space == "gn0" and len(avatar.betas) == 10
+    assert len(open_avatars(bank)) == 3 and open_avatars(bank / "p0002.npz")[0].name == "p0002"
+    with pytest.raises(FormatError, match="no avatar is named 'p9'"):
+        opened.load("p9")
+
+
+def test_a_changed_avatar_is_not_taken_for_the_bank_s(bank: Path, tmp_path: Path) -> None:
+    for path in bank.iterdir():
+        if path.suffix in (".npz", ".json"):
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "p0000.npz").write_bytes((bank / "p0001.npz").read_bytes())
+    with pytest.raises(FormatError, match="another than the bank's list says"):
+        AvatarBank(tmp_path).load("p0000")
+    listed = json.loads((bank / "bank.json").read_text())
+    (tmp_path / "bank.json").write_text(json.dumps({**listed, "layout": 9}))
+    with pytest.raises(FormatError, match="layout 9"):
+        AvatarBank(tmp_path)
+    (tmp_path / "bank.json").write_text("{}")
+    with pytest.raises(FormatError, match="not a bank"):
+        AvatarBank(tmp_path)
+
+
+@pytest.mark.parametrize("cut", [0, 30, 2000])
+def test_a_damaged_avatar_gives_our_error(bank: Path, tmp_path: Path, cut: int) -> None:
+    data = bytearray((bank / "p0000.npz").read_bytes())
+    if cut == 2000:
+        data[cut : cut + 400] = np.random.default_rng(0).bytes(400)
+    else:
+        data = data[:cut]
+    (tmp_path / "a.npz").write_bytes(data)
+    with pytest.raises(FormatError):
+        load_avatar(tmp_path / "a.npz")
+
+
+def test_the_command_line_makes_shows_and_checks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "bank")
+    assert main(["avatar", "generate", "--count", "2", "--density", "0.3", "--out", out]) == 0
+    assert (tmp_path / "bank" / "people.jpg").stat().st_size > 5_000
+    assert "people.jpg" in capsys.readouterr().out
+    picture = tmp_path / "p.png"
+    assert main(["avatar", "show", out, "--name", "p0001", "--out", str(picture)]) == 0
+    assert picture.read_bytes()[:4] == b"\x89PNG" and "hair_colour" in capsys.readouterr().out
+    assert main(["avatar", "check", out, "--name", "p0001"]) in (0, 1)
+    assert "1 avatars" in capsys.readouterr().out
+    assert main(["avatar", "show", str(tmp_path / "none"), "--out", str(picture)]) == 2

@@ -1,0 +1,168 @@
+"""Dressed people: told apart by eye, clothed as their records say, the same to the byte."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from gn0.avatars.avatar import Avatar, contact_shadow
+from gn0.avatars.colour_names import NAMES, draw_colour, lab_of, name_colour
+from gn0.avatars.identity import Identity, draw_people
+from gn0.avatars.layer import PARTS
+from gn0.avatars.person import build_person, shape_identity
+from gn0.avatars.skeleton import INDEX
+from gn0.avatars.wardrobe import BOTTOMS, TOPS
+from gn0.errors import DataError
+from gn0.seeds import random_stream
+from gn0.viewer.avatar_check import (
+    BOTTOM,
+    TOP,
+    check_avatar,
+    measure_skin,
+    read_colour,
+    score_colour,
+)
+from gn0.viewer.avatar_sheet import describe_avatar, draw_avatars, draw_portrait, trial_poses
+
+WOMAN = Identity(seed=11, top="sweater", top_colour="red", top_pattern="knitted", bottom="slim")
+MAN = Identity(
+    seed=12, sex="man", build="heavy", hair="short01", top="shirt", top_colour="green",
+    bottom="straight_trousers", bottom_colour="grey", shoes="boots", shoes_colour="brown",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def woman() -> Avatar:
+    return build_person(WOMAN, name="w")
+
+
+def test_two_hundred_people_are_told_apart() -> None:
+    people = draw_people(0, 200)
+    assert min(a.differences(b) for a, b in combinations(people, 2)) >= 2
+    assert max(Counter(person.silhouette() for person in people).values()) <= 8
+    assert {person.sex for person in people} == {"woman", "man"}
+    assert len({person.top for person in people}) == len(TOPS)
+    assert len({person.bottom for person in people}) >= len(BOTTOMS)
+    assert people == draw_people(0, 200)
+    assert people[:20] == draw_people(0, 20) or len(draw_people(0, 20)) == 20
+
+
+def test_bodies_have_the_height_that_is_said() -> None:
+    for person in draw_people(4, 12):
+        height = shape_identity(person).height()
+        assert 1.49 <= height <= 1.96
+        short, tall = (1.61, 1.70) if person.sex == "woman" else (1.70, 1.82)
+        assert (height < short) == (person.stature == "short") or person.stature == "medium"
+        assert (height > tall) == (person.stature == "tall") or person.stature == "medium"
+
+
+def test_a_person_is_made_the_same_again(woman: Avatar) -> None:
+    again = build_person(WOMAN, name="w")
+    for name in ("points", "normals", "quats", "scales", "opacities", "albedo", "part"):
+        assert getattr(again, name).tobytes() == getattr(woman, name).tobytes(), name
+    assert again.record == woman.record and woman.record["top"] == "sweater"
+
+
+def test_a_person_has_all_parts_and_stands_on_the_floor(woman: Avatar) -> None:
+    assert 20_000 <= len(woman) <= 42_000
+    worn = {PARTS[k] for k in np.unique(woman.part)}
+    assert {"skin", "eyes", "brows", "hair", "top", "bottom", "shoes"} <= worn
+    cloud = woman.pose(shadow=False)
+    assert -0.06 < cloud.means[:, 2].min() < 0.03  # shoes have soles
+    assert cloud.means[:, 0].max() > 0.1  # toes point along +x
+    hand = woman.weights.joint[:, 0] == INDEX["left_middle1"]
+    assert (cloud.means[hand, 1] > 0.4).all()  # the left is at +y
+    head = cloud.means[woman.part == PARTS.index("eyes")]
+    assert (head[:, 0] > 0.03).all()  # eyes look forward
+    assert np.allclose(np.linalg.norm(cloud.normal, axis=1), 1.0, atol=1e-4)
+
+
+def test_a_turn_of_the_root_turns_all_splats_rigidly(woman: Avatar) -> None:
+    turn = np.zeros((55, 3))
+    turn[0] = (0.0, 0.7, 0.0)
+    still, turned = woman.pose(shadow=False), woman.pose(turn, shadow=False)
+    c, s = np.cos(0.7), np.sin(0.7)
+    about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    pelvis = np.array([woman.joints[0, 2], woman.joints[0, 0], woman.joints[0, 1]])
+    want = (still.means - pelvis) @ about_z.T + pelvis
+    assert np.abs(turned.means - want).max() < 2e-6
+    assert np.abs(turned.normal - still.normal @ about_z.T).max() < 2e-6
+
+
+def test_poses_of_another_skeleton_are_refused(woman: Avatar) -> None:
+    with pytest.raises(DataError, match=r"expected \[55, 3\]"):
+        woman.pose(np.zeros((24, 3)))
+
+
+def test_a_shadow_fades_as_feet_are_lifted(woman: Avatar) -> None:
+    on_floor = contact_shadow(woman.joints)
+    lifted = contact_shadow(woman.joints + np.array([0.0, 0.3, 0.0]))
+    assert (lifted.opacities < on_floor.opacities).all()
+    assert (np.abs(on_floor.means[:, 2]) < 0.01).all()
+
+
+@pytest.mark.parametrize("who", [WOMAN, MAN], ids=["woman", "man"])
+def test_no_skin_shows_through_clothes(who: Identity) -> None:
+    skin, cloth = measure_skin(build_person(who), trial_poses())
+    assert cloth > 10_000 and skin < 1e-3 * cloth
+
+
+@pytest.mark.slow
+def test_skirts_and_coats_hold_in_a_stride() -> None:
+    shown = {}
+    for top, bottom in (
+        ("dress", "none"), ("long_dress", "none"), ("coat", "slim"), ("tee_slim", "skirt"),
+        ("vest", "short_skirt"), ("turtleneck", "long_skirt"),
+    ):  # fmt: skip
+        who = Identity(seed=5, top=top, bottom=bottom, top_colour="blue", bottom_colour="red")
+        skin, cloth = measure_skin(build_person(who), trial_poses())
+        shown[top, bottom] = skin / cloth
+    assert sum(share < 1e-3 for share in shown.values()) >= 4, shown
+    assert max(shown.values()) < 4e-3, shown
+
+
+@pytest.mark.slow
+def test_colours_are_read_from_pictures() -> None:
+    scores = []
+    for person in draw_people(2, 24):
+        avatar = build_person(person, density=0.5)
+        for part, name in ((TOP, "top"), (BOTTOM, "bottom")):
+            read = read_colour(avatar, part) if (avatar.part == part).any() else ""
+            if read:  # a coat hides what is under it
+                scores.append(score_colour(getattr(person, f"{name}_colour"), read))
+    assert len(scores) > 30 and np.mean(scores) >= 0.95
+
+
+def test_names_of_colours_are_drawn_and_read_back() -> None:
+    stream = random_stream(0, "colours")
+    for name in NAMES:
+        for _ in range(20):
+            assert name_colour(draw_colour(name, stream)) == name
+    # the white point and the primaries of sRGB in CIE L*a*b* (D65), as tables have them
+    assert np.allclose(lab_of(np.ones(3)), (100, 0, 0), atol=0.02)
+    assert np.allclose(lab_of(np.array([1.0, 0, 0])), (53.24, 80.09, 67.20), atol=0.05)
+    assert np.allclose(lab_of(np.array([0, 0, 1.0])), (32.30, 79.19, -107.86), atol=0.05)
+    assert score_colour("grey", "black") == 0.5 and score_colour("red", "blue") == 0.0
+
+
+def test_a_check_finds_what_is_wrong(woman: Avatar) -> None:
+    from dataclasses import replace
+
+    assert check_avatar(woman, trial_poses()[:1]) == []
+    bare = replace(woman, part=np.where(woman.part == PARTS.index("shoes"), 0, woman.part))
+    high = replace(woman, points=woman.points + np.float32([0, 0.5, 0]))
+    wrong = replace(woman, record={**woman.record, "top_colour": "blue"})
+    found = [{f.code for f in check_avatar(a, trial_poses()[:1])} for a in (bare, high, wrong)]
+    assert "barefoot" in found[0] and "off-floor" in found[1] and "colour" in found[2]
+
+
+def test_pages_show_everybody(woman: Avatar) -> None:
+    sheet = draw_avatars([woman, woman])
+    half = np.asarray(sheet)[:, : sheet.width // 2]
+    assert np.array_equal(half, np.asarray(sheet)[:, sheet.width // 2 :])
+    assert half.std() > 20  # somebody is there
+    assert describe_avatar(woman)[1] == "red knitted sweater"
+    assert np.asarray(draw_portrait(woman)).std() > 10

@@ -290,7 +290,7 @@ def snap_axis(direction: F64, degrees: float) -> F64:
 
 
 def axis_name(direction: F64) -> str:
-    """ "x", "-z", …; "" for a direction along no axis."""
+    """The name of an axis, "x" or "-z"; "" for a direction along none."""
     k = int(np.argmax(np.abs(direction)))
     if abs(direction[k]) < 0.999999:
         return ""

@@ -11,6 +11,7 @@ Retargetting Motion to New Characters (1998), without its solver.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,7 @@ _UNITS = (
     (1.0, "metres"), (0.01, "centimetres"), (0.1, "decimetres"), (0.001, "millimetres"),
     (0.0254, "inches"), (0.3048, "feet"), (0.056444, "the units of CMU (0.0564 m)"),
 )  # fmt: skip
-_ADULT = (0.7, 1.15)  # m, hips of adults
+_ADULT = (0.7, 1.35)  # m, hips of adults, tall cartoons included
 
 
 def bone_ends(joints: JointMap) -> dict[int, int]:
@@ -58,7 +59,7 @@ def bone_ends(joints: JointMap) -> dict[int, int]:
     ends: dict[int, int] = {}
     for chain in _CHAINS:
         held = [INDEX[name] for name in chain if name in joints]
-        for start, end in zip(held, held[1:], strict=False):
+        for start, end in pairwise(held):
             if start != _CHEST:
                 ends[start] = end
     return ends

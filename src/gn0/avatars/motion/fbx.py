@@ -357,9 +357,9 @@ def _move(
             if (model, path, axis) in curves
         }
         with np.errstate(all="ignore"):  # what is not finite is named by its frame
-            local, size = _local_matrices(settings, moving, times)
-            still, still_size = _local_matrices(settings, {}, times[:1])
-            matrix, default = local, still[0]
+            local = _local_matrices(settings, moving, times)
+            default = _local_matrices(settings, {}, times[:1])[0]
+            matrix = local
             if parents[k] >= 0:
                 above, above_rest = full[parents[k]], rest[parents[k]]
                 if _value(settings, "InheritType", 0) == _RELATIVE:
@@ -395,8 +395,8 @@ def _euler(degrees: F64, order: str) -> F64:
 
 def _local_matrices(
     settings: Properties, moving: dict[tuple[str, int], FbxCurve], times: F64
-) -> tuple[F64, F64]:
-    """Matrices [N, 4, 4] of a joint in its parent's axes, and its scales [N, 3]."""
+) -> F64:
+    """Matrices [N, 4, 4] of a joint in its parent's axes."""
 
     def channel(path: str, name: str, default: float) -> F64:
         values = np.tile(_vector(settings, name, default), (len(times), 1))
@@ -426,7 +426,7 @@ def _local_matrices(
         + np.einsum("tab,tb->ta", turn, inner)
     )
     matrix[:, 3, 3] = 1.0
-    return matrix, size
+    return matrix
 
 
 def _bind_matrices(document: FbxDocument, objects: _Objects) -> dict[int, F64]:

@@ -7,6 +7,7 @@ and appendix C (interpolation).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,8 +127,7 @@ class _Keys:
                 - back * u**2 * (1 - u)
             )
         if turns:
-            xyzw = slerp(first, last, u[:, 0])  # the order of the four is all the same to it
-            return xyzw
+            return slerp(first, last, u[:, 0])  # the order of the four is all the same to it
         return first + (last - first) * u
 
 
@@ -322,7 +322,12 @@ def _joint_order(rig: _Rig, skin: _Skin, source: MotionSource) -> tuple[list[int
     return list(order), above
 
 
-def _read_keys(animation, wanted, rows, source):  # type: ignore[no-untyped-def]
+def _read_keys(
+    animation: _Animation,
+    wanted: set[int],
+    rows: Callable[[int, int, str], F64],
+    source: MotionSource,
+) -> dict[tuple[int, str], _Keys]:
     """Keys by (node, path)."""
     keys: dict[tuple[int, str], _Keys] = {}
     for channel in animation.channels:
@@ -348,7 +353,7 @@ def _read_keys(animation, wanted, rows, source):  # type: ignore[no-untyped-def]
         sound = np.isfinite(times).all() and np.isfinite(values).all()
         if not sound or (np.diff(times) < 0).any() or np.abs(times).max() > _LONGEST:
             raise source.refuse(
-                f"keys of node {node} are not finite, fall in time, or are beyond a million seconds",
+                f"keys of node {node} are not finite, fall in time, or are beyond {_LONGEST:g} s",
                 None,
                 field="samplers",
                 remedy="cut what the capture lost, and export again",
@@ -430,7 +435,14 @@ def _matrices(
     return matrix
 
 
-def _rest(rig, skin, order, at_rest, rows, source):  # type: ignore[no-untyped-def]
+def _rest(
+    rig: _Rig,
+    skin: _Skin,
+    order: list[int],
+    at_rest: dict[int, F64],
+    rows: Callable[[int, int, str], F64],
+    source: MotionSource,
+) -> tuple[F64, list[str]]:
     """Matrices at rest [J, 4, 4] in the scene's axes, and what to say of them.
 
     The bind pose is known up to where the mesh stood. Where the nodes stand as they were bound, all
@@ -459,7 +471,7 @@ def _rest(rig, skin, order, at_rest, rows, source):  # type: ignore[no-untyped-d
     notes = []
     if not agree:
         meshes = [k for k, node in enumerate(rig.nodes) if node.skin is not None]
-        shown = [k for k in meshes if rig.skins[rig.nodes[k].skin % len(rig.skins)] is skin]
+        shown = [k for k in meshes if rig.nodes[k].skin == rig.skins.index(skin)]
         middle = _placed(rig, shown[0], source) if shown else np.eye(4)
         notes.append("its nodes stand in another pose than the skin was bound in")
     bound = middle @ np.linalg.inv(inverse)

@@ -44,9 +44,10 @@ _CHAINS: tuple[tuple[str, ...], ...] = (
     ),
 )
 _CHEST = INDEX["spine3"]
+_CMU = 0.056444  # m; they left an inch of 0.45 in their files
 _UNITS = (
     (1.0, "metres"), (0.01, "centimetres"), (0.1, "decimetres"), (0.001, "millimetres"),
-    (0.0254, "inches"), (0.3048, "feet"), (0.056444, "the units of CMU (0.0564 m)"),
+    (0.0254, "inches"), (0.3048, "feet"), (_CMU, "the units of CMU (0.0564 m)"),
 )  # fmt: skip
 _ADULT = (0.7, 1.35)  # m, hips of adults, tall cartoons included
 
@@ -267,7 +268,8 @@ def _unit_note(rig: RigMotion, hips: float) -> str:
     if rig.metres is not None and _ADULT[0] <= hips * rig.metres <= _ADULT[1]:
         return f"a unit is {rig.metres:g} m, hips {hips * rig.metres:.2f} m high"
     for metres, name in _UNITS:
-        if _ADULT[0] <= hips * metres <= _ADULT[1]:
+        most = 1.1 if metres == _CMU else _ADULT[1]
+        if _ADULT[0] <= hips * metres <= most:
             return f"{said}by its hips, {hips * metres:.2f} m high, it is in {name}"
     return f"{said}hips {hips:.3g} units high; scaled by them alone"
 

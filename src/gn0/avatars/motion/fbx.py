@@ -34,7 +34,7 @@ _RATES = {
 }  # fmt: skip
 _CUSTOM = 14
 _OBJECT_LIMIT = 1 << 16  # of each kind
-_KEY_LIMIT = 1 << 21
+_KEY_LIMIT = 1 << 20  # of any file; larger files may have more
 _CONTROLS = ("IKEffector", "FKEffector")  # handles of an animator, no joints
 _PATHS = {"Lcl Translation": "t", "Lcl Rotation": "r", "Lcl Scaling": "s"}
 _CHANNELS = {"d|X": 0, "d|Y": 1, "d|Z": 2}
@@ -80,7 +80,8 @@ def decode_fbx(data: bytes, file: Path | str) -> RigMotion:
     objects = _collect(document, roots["Objects"])
     _connect(document, roots["Connections"], objects)
     order = _joint_order(document, objects)
-    take, curves, notes = _choose_take(document, objects, set(order))
+    take, chosen, notes = _choose_take(document, objects, set(order))
+    curves = {place: decode_curve(document, record) for place, record in chosen.items()}
     template = _template(document, roots.get("Definitions"))
     fps, notes_of_rate = _rate(settings)
     start, count = _frames(document, curves, fps, len(order))
@@ -151,8 +152,11 @@ def _collect(document: FbxDocument, record: FbxRecord) -> _Objects:
             objects.poses.append(found)
         elif found.name in tables:
             tables[found.name][number] = found
-        sizes = (objects.models, objects.nodes, objects.curves, objects.clusters, objects.poses)
-        if max(len(objects.stacks), len(objects.layers), *map(len, sizes)) > _OBJECT_LIMIT:
+        most = max(
+            len(objects.models), len(objects.nodes), len(objects.curves), len(objects.clusters),
+            len(objects.poses), len(objects.stacks), len(objects.layers),
+        )  # fmt: skip
+        if most > _OBJECT_LIMIT:
             raise document.refuse(
                 f"more than {_OBJECT_LIMIT} objects of one kind", found.at, remedy=REEXPORT
             )
@@ -243,7 +247,7 @@ def _choose_take(
             remedy="export with animation, baked to the joints",
         )
     best = max(keys, key=lambda stack: keys[stack])
-    if keys[best] > _KEY_LIMIT:
+    if keys[best] > _KEY_LIMIT + len(document.data) // 8:
         raise document.refuse(f"a take of {keys[best]} keys is not read", field="AnimationCurve")
     notes = []
     if len(objects.stacks) > 1:
@@ -282,8 +286,8 @@ def _template(document: FbxDocument, definitions: FbxRecord | None) -> Propertie
 
 
 def _value(settings: Properties, name: str, default: float) -> float:
-    values = settings.get(name, ())
-    usable = values and isinstance(values[0], int | float)
+    values = settings.get(name, [])
+    usable = bool(values) and isinstance(values[0], int | float)
     return float(values[0]) if usable else default
 
 
@@ -318,15 +322,13 @@ def _up(settings: Properties) -> str:
 
 def _frames(
     document: FbxDocument,
-    curves: dict[tuple[int, str, int], FbxRecord],
+    curves: dict[tuple[int, str, int], FbxCurve],
     fps: float,
     joints: int,
 ) -> tuple[float, int]:
     """First time [s] of the take, and how many frames it has."""
-    start, stop = np.inf, -np.inf
-    for record in curves.values():
-        times = decode_curve(document, record).times
-        start, stop = min(start, float(times[0])), max(stop, float(times[-1]))
+    start = min(float(curve.times[0]) for curve in curves.values())
+    stop = max(float(curve.times[-1]) for curve in curves.values())
     count = int((stop - start) * fps + 1e-4) + 1
     check_rig_size(joints, count, len(document.data), document.file)
     return start, count
@@ -337,7 +339,7 @@ def _move(
     objects: _Objects,
     order: list[int],
     parents: tuple[int, ...],
-    curves: dict[tuple[int, str, int], FbxRecord],
+    curves: dict[tuple[int, str, int], FbxCurve],
     template: Properties,
     times: F64,
 ) -> tuple[F64, F64, F64]:
@@ -351,7 +353,7 @@ def _move(
     for k, model in enumerate(order):
         settings = template | _properties70(document, objects.models[model][2])
         moving = {
-            (path, axis): decode_curve(document, curves[model, path, axis])
+            (path, axis): curves[model, path, axis]
             for path in "trs"
             for axis in range(3)
             if (model, path, axis) in curves
@@ -363,12 +365,12 @@ def _move(
             if parents[k] >= 0:
                 above, above_rest = full[parents[k]], rest[parents[k]]
                 if _value(settings, "InheritType", 0) == _RELATIVE:
-                    local[:, :3, :3] /= _scale_of(above)[:, None, :]
-                    default[:3, :3] /= _scale_of(above_rest[None])[0]
+                    local[:, :3, :3] /= _scale_of(above)[:, :, None]
+                    default[:3, :3] /= _scale_of(above_rest[None])[0][:, None]
                 matrix, default = above @ local, above_rest @ default
             rest[k] = bound.get(model, default)
             full[k] = matrix
-            sound = np.isfinite(matrix).all(axis=(1, 2))
+            sound = np.asarray(np.isfinite(matrix).all(axis=(1, 2)))
             turn = nearest_rotations(np.where(sound[:, None, None], matrix[:, :3, :3], np.eye(3)))
         turned[:, k] = np.where(sound[:, None, None], turn, np.nan)
         placed[:, k] = np.where(sound[:, None], matrix[:, :3, 3], np.nan)
@@ -386,6 +388,8 @@ def _scale_of(matrices: F64) -> F64:
 
 def _euler(degrees: F64, order: str) -> F64:
     """Rotations [N, 3, 3] of angles [N, 3]; the first axis of `order` turns first."""
+    if not degrees.any():
+        return np.tile(np.eye(3), (len(degrees), 1, 1))
     angles = np.deg2rad(np.where(np.abs(degrees) < 1e9, degrees, np.nan))
     turn = np.array([1.0, 0.0, 0.0, 0.0])
     for axis in order:

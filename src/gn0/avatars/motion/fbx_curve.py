@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.avatars.motion.fbx_document import FbxDocument, FbxRecord
+from gn0.avatars.motion.turns import as_numbers
 from gn0.geometry import F64
 
 TICKS = 46_186_158_000  # a second of FBX time
@@ -88,9 +89,8 @@ def decode_curve(document: FbxDocument, record: FbxRecord) -> FbxCurve:
             raise refuse("attributes of keys do not add up to the keys", "KeyAttrRefCount")
         flags = np.repeat(kinds.astype(np.int64), counts)
         if more is not None and len(more) == 4 * len(kinds):
-            four = np.ascontiguousarray(more).view("<f4").reshape(-1, 4)[:, :2]
-            steady = np.where(np.isfinite(four) & (np.abs(four) < 1e9), four, 0.0)
-            slopes = np.repeat(steady.astype(np.float64), counts, axis=0)
+            four = as_numbers(np.ascontiguousarray(more).view("<f4")).reshape(-1, 4)[:, :2]
+            slopes = np.repeat(np.where(np.abs(four) < 1e9, four, 0.0), counts, axis=0)
         else:
             flags = flags & ~_CUBIC
-    return FbxCurve(times, values.astype(np.float64), flags, slopes)
+    return FbxCurve(times, as_numbers(values), flags, slopes)

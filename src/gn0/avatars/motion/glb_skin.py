@@ -25,7 +25,7 @@ from gn0.avatars.motion.rig import (
     local_frames,
     tidy_rate,
 )
-from gn0.avatars.motion.turns import matrices_of, nearest_rotations, slerp
+from gn0.avatars.motion.turns import as_numbers, matrices_of, nearest_rotations, slerp
 from gn0.gaussians.cloud_source import REFETCH, little
 from gn0.gaussians.gltf_buffers import FileBuffer, GltfBuffer, open_buffer
 from gn0.gaussians.gltf_document import GltfDocument, find_rows
@@ -234,7 +234,7 @@ def _read(
         found = find_rows(document, buffers, number, (width,), field, source)
         if found.count * width > _RATIO:
             raise source.refuse(f"accessor {number} of {found.count} rows is not read", field=field)
-        return found.read(0, found.count).astype(np.float64)
+        return as_numbers(found.read(0, found.count))
 
     skin = max(rig.skins, key=lambda skin: len(skin.joints))
     if not 1 <= len(skin.joints) <= JOINT_LIMIT:
@@ -264,7 +264,7 @@ def _read(
                 matrix = full[parents[k]] @ matrix
                 default = at_rest[order[parents[k]]] @ default
         full[k], at_rest[node] = matrix, default
-        sound = np.isfinite(matrix).all(axis=(1, 2))[:, None]
+        sound = np.asarray(np.isfinite(matrix).all(axis=(1, 2)))[:, None]
         turn = nearest_rotations(np.where(sound[..., None], matrix[:, :3, :3], np.eye(3)))
         turned[:, k] = np.where(sound[..., None], turn, np.nan)
         placed[:, k] = np.where(sound, matrix[:, :3, 3], np.nan)
@@ -293,13 +293,13 @@ def _read(
 def _joint_order(rig: _Rig, skin: _Skin, source: MotionSource) -> tuple[list[int], dict[int, int]]:
     """Joints of a skin and all nodes above them, parents first, and the parent of each node."""
     above: dict[int, int] = {}
-    for node, entry in enumerate(rig.nodes):
+    for holder, entry in enumerate(rig.nodes):
         for child in entry.children:
             if not 0 <= child < len(rig.nodes) or child in above:
                 raise source.refuse(
                     f"node {child} is missing, or hangs on two others", None, field="nodes.children"
                 )
-            above[child] = node
+            above[child] = holder
     order: dict[int, None] = {}
     for joint in skin.joints:
         if not 0 <= joint < len(rig.nodes):

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.avatars.motion.motion import Motion, build_motion, check_finite
+from gn0.avatars.motion.motion import FAR, TURNS, Motion, build_motion, check_finite
 from gn0.avatars.motion.smplx_motion import PLAIN_FPS, Y_DOWN, turn_frame
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS, hip_height_of
 from gn0.avatars.skeleton import JOINT_COUNT
@@ -135,7 +135,8 @@ def _motion(
     joints: NDArray[np.floating] | None,
     notes: list[str],
 ) -> Motion:
-    check_finite(poses, file, "poses")
+    check_finite(poses, file, "poses", TURNS)
+    check_finite(shift, file, "trans", FAR)
     body = STANDING_JOINTS if joints is None else np.asarray(joints, np.float64)
     poses, shift = turn_frame(poses, shift, Y_DOWN, body[0])
     name = file.parent.name if file.name == FOLDER else file.stem

@@ -1,4 +1,4 @@
-"""What SAM 3D Body writes of one picture, by the body model MHR: looked at, and refused with reason.
+"""What SAM 3D Body writes of one picture by the body model MHR: looked at, refused with reason.
 
 Such an .npz holds the parameters and 127 joints of one moment. MHR's rig, which says what the
 joints are called and how they hang together, is not in it, and one moment does not move.

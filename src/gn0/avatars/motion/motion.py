@@ -21,8 +21,8 @@ from gn0.geometry import F64
 
 FPS_RANGE = (1.0, 1000.0)
 _HIP_RANGE = (0.1, 10.0)  # m, dwarfs and giants included
-_FAR = 1e4  # m, beyond any capture hall
-_TURNS = 1e3  # rad
+FAR = 1e4  # m, beyond any capture hall
+TURNS = 1e3  # rad, of one joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +96,19 @@ def build_motion(file: Path | str, **fields: Any) -> Motion:
         raise FormatError(error.what, file=file, field=field, remedy=error.remedy) from None
 
 
-def check_finite(values: NDArray[np.floating], file: Path | str, field: str) -> None:
-    """Refuse values [T, …] of which one is not finite.
+def check_finite(
+    values: NDArray[np.floating], file: Path | str, field: str, most: float = math.inf
+) -> None:
+    """Refuse values [T, …] of which one is not finite, or `most` or beyond.
 
     Raises:
         FormatError: names the first frame that is at fault.
     """
-    fault = _unsound_frame(values, math.inf)
+    fault = _unsound_frame(values, most)
     if fault is not None:
         raise FormatError(
-            f"frame {fault} holds a value that is not finite",
+            f"frame {fault} holds a value that is not finite"
+            + (f", or beyond {most:g}" if math.isfinite(most) else ""),
             file=file,
             field=field,
             remedy="cut the frames that the capture lost, or fill them",
@@ -133,7 +136,7 @@ def _find_fault(motion: Motion) -> tuple[str, str, str] | None:
         )
     if shift.shape != (frames, 3):
         return f"shape {shift.shape}, not ({frames}, 3)", "shift", "give one shift a frame"
-    for field, values, most in (("poses", poses, _TURNS), ("shift", shift, _FAR)):
+    for field, values, most in (("poses", poses, TURNS), ("shift", shift, FAR)):
         frame = _unsound_frame(values, most)
         if frame is not None:
             what = f"frame {frame} holds a value that is not finite, or beyond {most:g}"

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gn0.avatars.motion.turns import as_numbers
 from gn0.errors import FormatError
 from gn0.gaussians.cloud_source import CloudSource
 from gn0.gaussians.sog_zip import ZipEntry, load_zip_directory, read_zip_entry
@@ -152,7 +153,7 @@ class NpzArrays:
                 field=name,
                 remedy=REWRITE,
             )
-        return values.astype(np.float64)
+        return as_numbers(values)
 
     def text(self, name: str) -> str:
         """A member that is one text; "" where it is not there."""

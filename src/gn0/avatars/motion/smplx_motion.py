@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gn0.avatars.motion.motion import Motion, build_motion, check_finite
+from gn0.avatars.motion.motion import FAR, TURNS, Motion, build_motion, check_finite
 from gn0.avatars.motion.npy_arrays import NpzArrays, read_npy
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS, hip_height_of
 from gn0.avatars.motion.turns import (
+    as_numbers,
     matrices_of,
     multiply,
     quats_of,
@@ -151,8 +152,8 @@ def widen_poses(values: NDArray[np.floating], file: Path | str) -> F64:
 
 
 def _check_numbers(poses: F64, shift: F64, file: Path | str) -> None:
-    check_finite(poses, file, "poses")
-    check_finite(shift, file, "trans")
+    check_finite(poses, file, "poses", TURNS)
+    check_finite(shift, file, "trans", FAR)
 
 
 def decode_plain_poses(
@@ -175,7 +176,8 @@ def decode_plain_poses(
             f"an array {values.shape} is no motion", file=file, remedy="give poses (T, 55, 3)"
         )
     body = STANDING_JOINTS if joints is None else np.asarray(joints, np.float64)
-    poses = widen_poses(values.reshape(len(values), math.prod(values.shape[1:])), file)
+    flat = as_numbers(values).reshape(len(values), math.prod(values.shape[1:]))
+    poses = widen_poses(flat, file)
     shift = np.zeros((len(poses), 3))
     _check_numbers(poses, shift, file)
     up = matrices_of(quats_of(poses[:, 0]))[:, 1, 1]

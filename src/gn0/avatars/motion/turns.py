@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -109,8 +111,22 @@ def least_turns(start: NDArray[np.floating], end: NDArray[np.floating]) -> F64:
     return matrices_of(quats / np.linalg.norm(quats, axis=-1, keepdims=True))
 
 
+def as_numbers(values: NDArray[Any]) -> F64:
+    """Values as float64, silent about NaNs that would signal; checks name them by their frame."""
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64)
+
+
 def nearest_rotations(matrices: NDArray[np.floating]) -> F64:
     """Rotations [..., 3, 3] of matrices that may also scale [..., 3, 3]; none for flat ones."""
+    given = np.asarray(matrices, np.float64)
+    products = given @ np.swapaxes(given, -1, -2)
+    if (
+        given.size
+        and np.abs(products - np.eye(3)).max() < 1e-12
+        and (np.linalg.det(given) > 0).all()
+    ):
+        return given  # as most are
     u, values, vt = np.linalg.svd(np.asarray(matrices, np.float64))
     turn = u @ vt
     flip = np.linalg.det(turn) < 0

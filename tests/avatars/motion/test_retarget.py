@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ BONES = [
         *((f"{s}_{f}1", f"{s}_{f}2", f"{s}_{f}3") for s in ("left", "right")
           for f in ("index", "middle", "pinky", "ring", "thumb")),
     )
-    for a, b in zip(chain, chain[1:], strict=False)
+    for a, b in pairwise(chain)
 ]  # fmt: skip
 
 
@@ -159,9 +160,11 @@ def test_frame_rate_does_not_matter():
         made[fps] = retarget(decode_fbx(build_fbx(puppet), "a"), STANDING_JOINTS)
         assert made[fps].fps == fps
     a, b = posed(made[24])[::4], posed(made[30])[::5]
-    assert np.abs(a - b).max() < 1e-9
+    floors = b[0, 0] - a[0, 0]  # the lowest frame of one is between two of the other
+    assert np.abs(floors).max() < 1e-3
+    assert np.abs(a + floors - b).max() < 1e-9
     up, down = resample(made[24], 120), resample(made[30], 120)
-    assert np.abs(posed(up) - posed(down)).max() < 0.004
+    assert np.abs(posed(up) - posed(down)).max() < 0.006
 
 
 @pytest.mark.parametrize(
@@ -192,7 +195,7 @@ def test_formats_agree(reader):
 
 def test_feet_stand_on_the_floor():
     puppet = make_puppet(8, 40)
-    lifted = replace(puppet, hips=puppet.hips + [0, 3.0, 0])
+    lifted = replace(puppet, hips=puppet.hips + np.array([0, 3.0, 0]))
     motion = retarget(decode_fbx(build_fbx(lifted), "a"), STANDING_JOINTS)
     feet = [INDEX[f"{s}_{p}"] for s in ("left", "right") for p in ("ankle", "foot")]
     low = (posed(motion)[:, feet, 1] - STANDING_JOINTS[feet, 1]).min()

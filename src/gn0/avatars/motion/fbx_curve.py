@@ -51,7 +51,7 @@ class FbxCurve:
             - back * u**2 * (1 - u)
         )
         held = np.where(((flags & _HOLD_NEXT) != 0) & (u > 0), last, first)
-        held = np.where(u >= 1.0, last, held)
+        held = np.where(u >= 0.999, last, held)  # frames are not quite on keys
         value = np.where((flags & _CUBIC) != 0, cubic, straight)
         return np.where((flags & _CONSTANT) != 0, held, value)
 

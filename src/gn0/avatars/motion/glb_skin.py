@@ -37,6 +37,7 @@ _ENTRIES = 1 << 17  # objects and lists in the JSON; each costs a hundred times 
 _COMMAS = 1 << 20
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _STANDARD_FPS = 30.0
+_THERE = 0.999  # of the way to a key: times are float32, and frames are not quite on them
 _LONGEST = 1e6  # s
 _MOST_FPS = 120.0
 _RATIO = 1 << 22  # values of one accessor; 4 million numbers are a day of one joint
@@ -117,7 +118,7 @@ class _Keys:
         u = np.clip((times - self.times[k]) / np.where(span > 0, span, 1.0), 0.0, 1.0)[:, None]
         first, last = middle[k], middle[k + 1]
         if self.kind == "STEP":
-            return np.where(u >= 1.0, last, first)
+            return np.where(u >= _THERE, last, first)
         if self.kind == "CUBICSPLINE":
             out, back = self.values[k, 2] * span[:, None], self.values[k + 1, 0] * span[:, None]
             return (

@@ -29,7 +29,7 @@ _PARTS = (
     ("reye_pose", 24, 1), ("lhand_pose", 25, 15), ("rhand_pose", 40, 15),
 )  # fmt: skip
 
-Numbers = list[float] | list[list[float]]
+Numbers = list[float | list[float]]
 
 
 class LhmFrame(msgspec.Struct, frozen=True):

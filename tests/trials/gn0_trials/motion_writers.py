@@ -237,7 +237,7 @@ def build_fbx(
         ]
         if still:
             settings = [*settings[:2], setting("Lcl Translation", *map(float, offsets[k]))]
-        model = ("Model", [1000 + k, f"{name}\0\x01Model", "LimbNode"],
+        model: Record = ("Model", [1000 + k, f"{name}\0\x01Model", "LimbNode"],
                  [("Properties70", [], settings)])  # fmt: skip
         objects.append(model)
         parent = puppet.parents[k]
@@ -264,7 +264,7 @@ def build_fbx(
             link("OP", node, 1000 + k, path)
             for axis in range(3):
                 curve = node * 10 + axis
-                row = [
+                row: list[Record] = [
                     ("KeyTime", [times], []),
                     ("KeyValueFloat", [values[:, axis].astype("<f8")], []),
                     ("KeyAttrFlags", [np.array([0x404], "<i4")], []),
@@ -331,7 +331,8 @@ def build_glb(puppet: Puppet, kind: str = "LINEAR", clip: str = "Walk") -> bytes
         zero = np.zeros_like(values)
         return np.stack([zero, values, zero], 1).reshape(-1, values.shape[1])
 
-    channels, samplers = [], []
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
     for k in range(len(nodes)):
         own = Rotation.from_euler("xyz", puppet.axes[k], degrees=True)
         turns = (own * Rotation.from_euler("xyz", puppet.angles[:, k], degrees=True)).as_quat()

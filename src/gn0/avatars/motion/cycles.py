@@ -32,8 +32,7 @@ _LIMBS = np.array(
     [INDEX[f"{side}_{part}"] for side in ("left", "right")
      for part in ("knee", "ankle", "foot", "elbow", "wrist")] + [INDEX["spine3"], INDEX["head"]]
 )  # fmt: skip
-_SWING = 0.10  # m that some limb must be away from where it was, half a cycle before
-_ALIKE = 0.5  # cosine of how all limbs go at both ends of a cycle
+_SWING = 0.10  # m that some limb must be away from where it was, part of a cycle before
 _TURN = 0.5  # rad; a bend is no cycle
 _STEPS = 0.3  # m; a cycle on the spot whose feet go less does not walk
 _SEEN = 6000  # fine frames that are looked at, a minute
@@ -101,8 +100,6 @@ def find_cycles(
     count = min((len(motion) - 1) * times_finer + 1, _SEEN)
     fine = sample(motion, np.arange(count) / fps)
     limbs, heading, hips = _shapes(fine, rest)
-    pace = np.gradient(limbs, 1.0 / fps, axis=0).reshape(count, -1)
-    pace /= np.maximum(np.linalg.norm(pace, axis=1, keepdims=True), 1e-9)
     found: list[tuple[float, int, int]] = []
     for lag in range(max(2, round(shortest * fps)), min(count - 1, round(longest * fps)) + 1):
         gap = np.linalg.norm(limbs[lag:] - limbs[:-lag], axis=-1).max(axis=1)
@@ -111,8 +108,10 @@ def find_cycles(
         swing = np.linalg.norm(limbs[half : half + len(gap)] - limbs[: len(gap)], axis=-1).max(
             axis=1
         )
-        # a leg that swings back comes through the same place, the other way
-        other = (pace[lag:] * pace[:-lag]).sum(axis=1) < _ALIKE
+        # what swings out and back ends where it began, but is the same a quarter before as after
+        quarter = lag // 4
+        there, back = limbs[quarter:][: len(gap)], limbs[lag - quarter :][: len(gap)]
+        other = np.linalg.norm(there - back, axis=-1).max(axis=1) < _SWING
         gap = np.where(bent | other | (swing < _SWING), np.inf, gap)
         best = int(np.argmin(gap))
         found += [(float(gap[k]), int(k), lag) for k in np.flatnonzero(gap <= closure)[:50]]

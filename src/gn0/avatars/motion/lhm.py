@@ -7,6 +7,7 @@ body than ours. Source: `aigc3d/LHM`, engine/pose_estimation/video2motion.py (re
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -73,7 +74,7 @@ def decode_lhm_frame(data: bytes, file: Path | str) -> tuple[F64, F64]:
     return pose, shift
 
 
-def _numbers(given: Numbers, count: int, name: str, file: Path | str) -> F64:
+def _numbers(given: Sequence[float | list[float]], count: int, name: str, file: Path | str) -> F64:
     flat: list[float] = []
     for item in given:
         flat.extend(item if isinstance(item, list) else [item])

@@ -341,6 +341,9 @@ def test_plain_poses(tmp_path):
         np.save(tmp_path / "a.npy", values)
         motion = load_motion(tmp_path / "a.npy")
         assert np.abs(motion.poses - POSES).max() < 1e-6 and motion.fps == 30
+    np.save(tmp_path / "a.npy", POSES[:0])
+    with pytest.raises(FormatError, match="0 frames"):
+        load_motion(tmp_path / "a.npy")
     np.save(tmp_path / "a.npy", POSES[:, :50])
     with pytest.raises(FormatError, match="no motion"):
         load_motion(tmp_path / "a.npy")

@@ -148,6 +148,21 @@ def test_up_axis_does_not_matter():
     assert any(note == "z is up" for note in two.notes)
 
 
+def test_rest_may_lie_while_the_motion_stands():
+    """Offsets along z, and a root that turns them up to y: BVH from programs with z up."""
+    base = make_puppet(2, 12, twisted=False)
+    angles = np.zeros_like(base.angles)
+    angles[:, 0, 0] = -90.0
+    lying = Rotation.from_euler("x", 90, degrees=True).apply(base.places)
+    motion = retarget(
+        decode_bvh(build_bvh(replace(base, places=lying, angles=angles), "XYZ"), "a"),
+        STANDING_JOINTS,
+    )
+    ours = posed(motion)
+    assert (ours[:, INDEX["head"], 1] - ours[:, INDEX["left_ankle"], 1] > 1.3).all()
+    assert any("stands along y in motion" in note for note in motion.notes)
+
+
 def test_frame_rate_does_not_matter():
     """The same movement, keyed 24 and 30 times a second, is one motion at whole sixths."""
     times = {fps: np.arange(fps + 1) / fps for fps in (24, 30)}

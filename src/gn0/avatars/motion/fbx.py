@@ -441,7 +441,7 @@ def _bind_matrices(document: FbxDocument, objects: _Objects) -> dict[int, F64]:
         values = document.array(record, "d")
         if values is None or model not in objects.models:
             return
-        if values.shape != (16,) or not np.isfinite(values).all():
+        if values.shape != (16,) or not (np.abs(values) < 1e9).all():
             raise document.refuse("a bind matrix is no finite 4 × 4", field="TransformLink")
         found.setdefault(model, values.reshape(4, 4).T.astype(np.float64))
 

@@ -33,8 +33,8 @@ from gn0.geometry import F64
 
 _T = TypeVar("_T")
 MAGIC = b"glTF"
-_ENTRIES = 1 << 17  # objects and lists in the JSON; each costs a hundred times its bytes
-_COMMAS = 1 << 20
+_ENTRIES = 1 << 16  # objects and lists in the JSON; each costs a hundred times its bytes
+_COMMAS = 1 << 19
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 _STANDARD_FPS = 30.0
 _THERE = 0.999  # of the way to a key: times are float32, and frames are not quite on them
@@ -188,10 +188,11 @@ def _chunks(source: MotionSource) -> tuple[bytes, FileBuffer | None]:
 
 
 def _check_text(text: bytes, source: MotionSource) -> None:
-    entries = text.count(b"{") + text.count(b"[")
-    if entries > _ENTRIES or text.count(b",") > _COMMAS:
+    entries, values = text.count(b"{") + text.count(b"["), text.count(b",")
+    if entries > _ENTRIES or values > _COMMAS:
         raise source.refuse(
-            f"its JSON has {entries} objects and lists, more than any person needs",
+            f"its JSON has {entries} objects and lists and {values} values, more than any person "
+            "needs",
             remedy="export the skeleton of one person",
         )
 

@@ -116,6 +116,8 @@ def check_finite(
 
 
 def _unsound_frame(values: NDArray[np.floating], most: float) -> int | None:
+    if not len(values):
+        return None
     flat = values.reshape(len(values), -1)
     with np.errstate(invalid="ignore"):
         sound = (np.abs(flat) < most).all(axis=1) if flat.size else np.ones(len(values), bool)

@@ -15,7 +15,8 @@ from gn0.errors import FormatError
 from gn0.geometry import F64
 
 JOINT_LIMIT = 1024  # rigs of people have 20 to 200
-_PLAIN = 1 << 19  # joints × frames of any file, about 30 MB; larger files may hold more
+_PLAIN = 1 << 18  # joints × frames of any file, about 50 MB; larger files may hold more
+_LEAST = 32  # joints that each frame counts for: it becomes a pose of 55
 _FAR = 1e9  # units
 
 
@@ -68,7 +69,7 @@ def check_rig_size(joints: int, frames: int, size: int, file: Path | str) -> Non
             field="joints",
             remedy="export the skeleton of one person",
         )
-    most = (_PLAIN + size // 16) // joints
+    most = (_PLAIN + size // 16) // max(joints, _LEAST)
     if not 1 <= frames <= most:
         raise FormatError(
             f"a motion of {frames} frames is not read (1 to {most} are, of {joints} joints)",

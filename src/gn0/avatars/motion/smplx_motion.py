@@ -125,7 +125,7 @@ def _poses(arrays: NpzArrays) -> F64:
                     f"{len(part)} frames, and {len(root)} of root_orient", None, field=name
                 )
             whole[:, first : first + width] = part
-    return whole.reshape(-1, JOINT_COUNT, 3)
+    return whole.reshape(len(whole), JOINT_COUNT, 3)
 
 
 def widen_poses(values: NDArray[np.floating], file: Path | str) -> F64:
@@ -136,7 +136,7 @@ def widen_poses(values: NDArray[np.floating], file: Path | str) -> F64:
     """
     width = values.shape[1]
     if width == JOINT_COUNT * 3:
-        return np.asarray(values, np.float64).reshape(-1, JOINT_COUNT, 3)
+        return np.asarray(values, np.float64).reshape(len(values), JOINT_COUNT, 3)
     if width not in (156, 66):
         raise FormatError(
             f"{width} numbers a frame are no poses of SMPL-X (165), SMPL-H (156) or a body (66)",
@@ -145,9 +145,9 @@ def widen_poses(values: NDArray[np.floating], file: Path | str) -> F64:
             remedy="give axis-angles of 55, 52 or 22 joints",
         )
     whole = np.zeros((len(values), JOINT_COUNT, 3))
-    whole[:, :_BODY] = values[:, : _BODY * 3].reshape(-1, _BODY, 3)
+    whole[:, :_BODY] = values[:, : _BODY * 3].reshape(len(values), _BODY, 3)
     if width == 156:  # no jaw and no eyes; the hands follow the body, in the order of SMPL-X
-        whole[:, _HANDS:] = values[:, _BODY * 3 :].reshape(-1, 30, 3)
+        whole[:, _HANDS:] = values[:, _BODY * 3 :].reshape(len(values), 30, 3)
     return whole
 
 
@@ -182,9 +182,10 @@ def decode_plain_poses(
     _check_numbers(poses, shift, file)
     up = matrices_of(quats_of(poses[:, 0]))[:, 1, 1]
     notes = [f"a plain array says no rate: {PLAIN_FPS:g} frames a second were taken; on the spot"]
-    if np.median(up) < -0.5:
+    standing = float(np.median(up)) if len(up) else 1.0
+    if standing < -0.5:
         notes.append("upside down in a frame with y up: perhaps it is a camera's, with y down")
-    elif np.median(up) < 0.5:
+    elif standing < 0.5:
         notes.append("does not stand in a frame with y up: perhaps z is up there")
     return build_motion(
         file,

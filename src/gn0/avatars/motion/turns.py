@@ -120,7 +120,8 @@ def as_numbers(values: NDArray[Any]) -> F64:
 def nearest_rotations(matrices: NDArray[np.floating]) -> F64:
     """Rotations [..., 3, 3] of matrices that may also scale [..., 3, 3]; none for flat ones."""
     given = np.asarray(matrices, np.float64)
-    products = given @ np.swapaxes(given, -1, -2)
+    with np.errstate(all="ignore"):
+        products = given @ np.swapaxes(given, -1, -2)
     if (
         given.size
         and np.abs(products - np.eye(3)).max() < 1e-12

@@ -92,11 +92,11 @@ BVH = build_bvh(CORE)
         (BVH.replace(b"Frames: 4", b"Frames: 9"), "cut off"),
         (BVH.replace(b"Frames: 4", b"Frames: 999999999999"), "not read"),
         (BVH.replace(b"Frames: 4", b"Frames: 0"), "0 frames"),
-        (BVH.replace(b"Frame Time: 0.03", b"Frame Time: nan"), "no number"),
+        (BVH.replace(b"Frame Time: 0.03", b"Frame Time: nan"), "not a number"),
         (BVH.replace(b"Frame Time: 0.0", b"Frame Time: 9.0"), "a frame takes"),
         (BVH.replace(b"Zrotation", b"Qrotation", 1), "not known"),
         (BVH.replace(b"CHANNELS 6", b"CHANNELS 7", 1), "7 channels"),
-        (BVH.replace(b"OFFSET", b"OFFSET x", 1), "no number"),
+        (BVH.replace(b"OFFSET", b"OFFSET x", 1), "not a number"),
         (BVH.replace(b"\n}", b"\n", 1).replace(b"}\nMOTION", b"\nMOTION"), "open|place"),
         (BVH[:-200], "numbers, not|cut off"),
         (b"HIERARCHY\n" + b"ROOT a {\n" * 9 + b"MOTION\nFrames: 1\nFrame Time: 1", "place"),
@@ -128,7 +128,7 @@ def test_bad_fbx_is_named():
     good = build_fbx(TWISTED)
     cases = {
         "as text": b"; FBX 7.3.0 project file\nFBXHeaderExtension:  {\n",
-        "no binary FBX": b"hello",
+        "not a binary FBX": b"hello",
         "no take has keys": build_fbx(TWISTED, keys=False),
         "version 9000": good[:23] + struct.pack("<I", 9000) + good[27:],
         "another way": fbx_bytes([("Takes", [], [("Take", ["Take 001"], [])])], 6100),
@@ -345,7 +345,7 @@ def test_plain_poses(tmp_path):
     with pytest.raises(FormatError, match="0 frames"):
         load_motion(tmp_path / "a.npy")
     np.save(tmp_path / "a.npy", POSES[:, :50])
-    with pytest.raises(FormatError, match="no motion"):
+    with pytest.raises(FormatError, match="not a motion"):
         load_motion(tmp_path / "a.npy")
 
 

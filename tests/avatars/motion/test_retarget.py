@@ -144,7 +144,7 @@ def test_up_axis_does_not_matter():
     wrong = retarget(decode_fbx(build_fbx(puppet.z_up(), up=1), "a"), STANDING_JOINTS)
     for other in (two, wrong):
         assert np.abs(posed(one) - posed(other)).max() < 1e-9
-    assert any("mended" in note for note in wrong.notes)
+    assert any("corrected" in note for note in wrong.notes)
     assert any(note == "z is up" for note in two.notes)
 
 

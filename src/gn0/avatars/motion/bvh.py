@@ -190,7 +190,7 @@ def _number(word: bytes, file: Path | str, offset: int, what: str) -> float:
         value = math.nan
     if not math.isfinite(value) or b"_" in word:
         raise FormatError(
-            f"{word[:40].decode('utf-8', 'replace')!r} is no number",
+            f"{word[:40].decode('utf-8', 'replace')!r} is not a number",
             file=file,
             offset=offset,
             field=what,
@@ -233,7 +233,7 @@ def _rows(data: bytes, start: int, frames: int, width: int, file: Path | str) ->
                 rows[row] = [float(word) for word in words]
             except ValueError:
                 raise FormatError(
-                    f"frame {row} holds something that is no number",
+                    f"frame {row} holds something that is not a number",
                     file=file,
                     offset=at,
                     field=f"frame {row}",

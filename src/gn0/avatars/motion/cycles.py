@@ -236,7 +236,7 @@ def walk_cycle(cycle: Motion, distances: NDArray[np.floating], fps: float) -> Mo
     way = cycle.displacement
     if not cycle.loop or way is None or not way[-1] > 0:
         raise DataError(
-            "is no loop that goes somewhere",
+            "is not a loop that goes somewhere",
             where=f"motion {cycle.name!r}",
             remedy="cut a cycle of a walk, by cut_cycle",
         )

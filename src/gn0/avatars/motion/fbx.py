@@ -442,7 +442,9 @@ def _bind_matrices(document: FbxDocument, objects: _Objects) -> dict[int, F64]:
         if values is None or model not in objects.models:
             return
         if values.shape != (16,) or not (np.abs(values) < 1e9).all():
-            raise document.refuse("a bind matrix is no finite 4 × 4", field="TransformLink")
+            raise document.refuse(
+                "a bind matrix is not a finite 4 × 4 matrix", field="TransformLink"
+            )
         found.setdefault(model, values.reshape(4, 4).T.astype(np.float64))
 
     for cluster, record in objects.clusters.items():

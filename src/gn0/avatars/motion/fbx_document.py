@@ -70,7 +70,7 @@ class FbxDocument:
         if not data.startswith(MAGIC):
             text = data.lstrip()[:1] == b";" or b"FBXHeaderExtension" in data[:4096]
             raise FormatError(
-                "is FBX as text, which is not read" if text else "is no binary FBX",
+                "is FBX as text, which is not read" if text else "is not a binary FBX",
                 file=file,
                 offset=0,
                 remedy=REEXPORT,

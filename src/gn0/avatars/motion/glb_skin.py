@@ -365,7 +365,9 @@ def _read_keys(
             middle = values[:, each // 2]
             size = np.linalg.norm(middle, axis=1, keepdims=True)
             if not (size > 1e-6).all():
-                raise source.refuse(f"a rotation of node {node} is none", None, field="samplers")
+                raise source.refuse(
+                    f"a rotation of node {node} has no length", None, field="samplers"
+                )
             values[:, each // 2] = middle / size if each == 1 else middle
         keys[node, path] = _Keys(times, values, sampler.interpolation)
     if not keys:

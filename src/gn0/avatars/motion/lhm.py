@@ -61,7 +61,7 @@ def decode_lhm_frame(data: bytes, file: Path | str) -> tuple[F64, F64]:
         frame = msgspec.json.decode(data, type=LhmFrame)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FormatError(
-            f"is no frame of LHM: {error}", file=file, remedy="write the frame again"
+            f"is not a frame of LHM: {error}", file=file, remedy="write the frame again"
         ) from None
     pose = np.zeros((JOINT_COUNT, 3))
     for name, first, count in _PARTS:

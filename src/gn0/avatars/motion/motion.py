@@ -134,7 +134,7 @@ def _find_fault(motion: Motion) -> tuple[str, str, str] | None:
         return (
             f"a motion of {frames} frame{'s' * (frames != 1)} does not move",
             "poses",
-            "give at least two frames; a still pose is no motion",
+            "give at least two frames; a still pose does not move",
         )
     if shift.shape != (frames, 3):
         return f"shape {shift.shape}, not ({frames}, 3)", "shift", "give one shift a frame"

@@ -244,7 +244,7 @@ def rest_axes(rig: RigMotion, joints: JointMap, file: Path | str) -> tuple[F64, 
     legs = np.linalg.norm(place[joints["left_hip"]] - place[joints["left_ankle"]])
     if not float((hips - ankles) @ up) > 0.3 * legs:
         raise FormatError(
-            "the rest pose is no person who stands",
+            "the rest pose is not a standing person",
             file=file,
             field="rest",
             remedy="export the bind pose, or a BVH whose offsets make a standing body",

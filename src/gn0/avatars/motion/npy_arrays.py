@@ -63,7 +63,7 @@ def read_npy(data: bytes, file: Path | str, field: str = "") -> NDArray[Any]:
         return FormatError(what, file=file, offset=offset, field=field, remedy=remedy)
 
     if data[:6] != MAGIC or len(data) < 10:
-        raise refuse("is no .npy array")
+        raise refuse("is not an .npy array")
     wide = data[6] >= 2
     start = 12 if wide else 10
     length = int.from_bytes(data[8:start], "little")

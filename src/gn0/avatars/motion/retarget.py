@@ -229,7 +229,9 @@ def _world_axes(
             notes.append(f"stands along {axis_name(middle)} in motion and {stands or '?'} at rest")
             return to_rest @ turn, notes
     if rig.up and stands and rig.up != stands:
-        notes.append(f"the file says {rig.up} is up, but its people stand along {stands}: mended")
+        notes.append(
+            f"the file says {rig.up} is up, but its people stand along {stands}: corrected"
+        )
     else:
         notes.append(f"{stands or 'a slanting axis'} is up")
     return to_rest, notes

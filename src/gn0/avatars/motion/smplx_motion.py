@@ -139,7 +139,7 @@ def widen_poses(values: NDArray[np.floating], file: Path | str) -> F64:
         return np.asarray(values, np.float64).reshape(len(values), JOINT_COUNT, 3)
     if width not in (156, 66):
         raise FormatError(
-            f"{width} numbers a frame are no poses of SMPL-X (165), SMPL-H (156) or a body (66)",
+            f"{width} numbers a frame are not poses of SMPL-X (165), SMPL-H (156) or a body (66)",
             file=file,
             field="poses",
             remedy="give axis-angles of 55, 52 or 22 joints",
@@ -167,13 +167,13 @@ def decode_plain_poses(
     values: NDArray[Any] = read_npy(data, file)
     if values.dtype.kind not in "fiu" or values.ndim not in (2, 3):
         raise FormatError(
-            f"an array {values.shape} of {values.dtype.str} is no motion",
+            f"an array {values.shape} of {values.dtype.str} is not a motion",
             file=file,
             remedy="give poses (T, 165) or (T, 55, 3), in radians",
         )
     if values.ndim == 3 and values.shape[1:] != (JOINT_COUNT, 3):
         raise FormatError(
-            f"an array {values.shape} is no motion", file=file, remedy="give poses (T, 55, 3)"
+            f"an array {values.shape} is not a motion", file=file, remedy="give poses (T, 55, 3)"
         )
     body = STANDING_JOINTS if joints is None else np.asarray(joints, np.float64)
     flat = as_numbers(values).reshape(len(values), math.prod(values.shape[1:]))

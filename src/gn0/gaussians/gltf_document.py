@@ -15,7 +15,7 @@ from gn0.gaussians.gltf_buffers import GltfBuffer
 from gn0.geometry import F32, F64
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _DEPTH_LIMIT = 1000
 
 

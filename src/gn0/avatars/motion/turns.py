@@ -1,0 +1,142 @@
+"""Rotations as motion needs them: quaternions (w, x, y, z) of many frames at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gn0.geometry import F64
+
+_AXES = {"x": 1, "y": 2, "z": 3}
+
+
+def quats_of(vectors: NDArray[np.floating]) -> F64:
+    """Unit quaternions [..., 4] of axis-angle vectors [..., 3] rad; exact near zero."""
+    v = np.asarray(vectors, np.float64)
+    half = np.linalg.norm(v, axis=-1, keepdims=True) / 2.0
+    return np.concatenate([np.cos(half), v * (np.sinc(half / np.pi) / 2.0)], axis=-1)
+
+
+def vectors_of_quats(quats: NDArray[np.floating]) -> F64:
+    """Axis-angle vectors [..., 3] rad, of length 0..π, of unit quaternions [..., 4]."""
+    q = np.asarray(quats, np.float64)
+    q = np.where(q[..., :1] < 0, -q, q)
+    length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(length, q[..., :1])
+    safe = np.where(length > 1e-12, length, 1.0)
+    return np.where(length > 1e-12, angle / safe, 2.0) * q[..., 1:]
+
+
+def multiply(a: NDArray[np.floating], b: NDArray[np.floating]) -> F64:
+    """Products [..., 4] of quaternions: first `b` turns, then `a`."""
+    w, x, y, z = np.moveaxis(np.asarray(a, np.float64), -1, 0)
+    p, q, r, s = np.moveaxis(np.asarray(b, np.float64), -1, 0)
+    return np.stack(
+        [
+            w * p - x * q - y * r - z * s,
+            w * q + x * p + y * s - z * r,
+            w * r - x * s + y * p + z * q,
+            w * s + x * r - y * q + z * p,
+        ],
+        axis=-1,
+    )
+
+
+def about_axis(axis: str, angles: NDArray[np.floating]) -> F64:
+    """Quaternions [..., 4] of turns by `angles` [...] rad about "x", "y" or "z"."""
+    half = np.asarray(angles, np.float64) / 2.0
+    quats = np.zeros((*half.shape, 4))
+    quats[..., 0], quats[..., _AXES[axis]] = np.cos(half), np.sin(half)
+    return quats
+
+
+def slerp(a: NDArray[np.floating], b: NDArray[np.floating], share: NDArray[np.floating]) -> F64:
+    """Quaternions [..., 4] the `share` [...] of the shorter way from `a` to `b`."""
+    first, second = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    cosine = (first * second).sum(axis=-1, keepdims=True)
+    second = np.where(cosine < 0, -second, second)
+    # the angle by its chords, which keeps its digits where the arc cosine has none
+    angle = 2.0 * np.arctan2(
+        np.linalg.norm(first - second, axis=-1, keepdims=True),
+        np.linalg.norm(first + second, axis=-1, keepdims=True),
+    )
+    t = np.asarray(share, np.float64)[..., None]
+    scale = np.sinc(angle / np.pi)
+    left = (1.0 - t) * np.sinc((1.0 - t) * angle / np.pi) / scale
+    right = t * np.sinc(t * angle / np.pi) / scale
+    mixed = left * first + right * second
+    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+
+
+def matrices_of(quats: NDArray[np.floating]) -> F64:
+    """Rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
+    from gn0.geometry import rotation_from_quaternion
+
+    q = np.asarray(quats, np.float64)
+    return rotation_from_quaternion(q).reshape(*q.shape[:-1], 3, 3)
+
+
+def quats_of_matrices(matrices: NDArray[np.floating]) -> F64:
+    """Unit quaternions [..., 4] of rotation matrices [..., 3, 3]."""
+    from gn0.geometry import quaternion_from_rotation
+
+    m = np.asarray(matrices, np.float64)
+    return quaternion_from_rotation(m).reshape(*m.shape[:-2], 4)
+
+
+def least_turns(start: NDArray[np.floating], end: NDArray[np.floating]) -> F64:
+    """The smallest rotations [..., 3, 3] that turn directions `start` into `end` [..., 3].
+
+    None where a direction has no length; half a turn about some axis where they are opposite.
+    """
+    a, b = np.broadcast_arrays(np.asarray(start, np.float64), np.asarray(end, np.float64))
+    lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        u = a / np.linalg.norm(a, axis=-1, keepdims=True)
+        v = b / np.linalg.norm(b, axis=-1, keepdims=True)
+    known = lengths > 1e-18
+    u, v = np.where(known[..., None], u, 0.0), np.where(known[..., None], v, 0.0)
+    middle = u + v
+    opposite = known & (np.linalg.norm(middle, axis=-1) < 1e-9)
+    side = np.eye(3)[np.argmin(np.abs(u), axis=-1)]
+    side = np.cross(u, side)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        side = side / np.linalg.norm(side, axis=-1, keepdims=True)
+    quats = np.concatenate([1.0 + (u * v).sum(-1, keepdims=True), np.cross(u, v)], axis=-1)
+    half = np.concatenate([np.zeros_like(side[..., :1]), side], axis=-1)
+    quats = np.where(opposite[..., None], half, quats)
+    quats = np.where(known[..., None], quats, [1.0, 0.0, 0.0, 0.0])
+    return matrices_of(quats / np.linalg.norm(quats, axis=-1, keepdims=True))
+
+
+def as_numbers(values: NDArray[Any]) -> F64:
+    """Values as float64, silent about NaNs that would signal; checks name them by their frame."""
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64)
+
+
+def nearest_rotations(matrices: NDArray[np.floating]) -> F64:
+    """Rotations [..., 3, 3] of matrices that may also scale [..., 3, 3]; none for flat ones."""
+    given = np.asarray(matrices, np.float64)
+    with np.errstate(all="ignore"):
+        products = given @ np.swapaxes(given, -1, -2)
+    if (
+        given.size
+        and np.abs(products - np.eye(3)).max() < 1e-12
+        and (np.linalg.det(given) > 0).all()
+    ):
+        return given  # as most are
+    u, values, vt = np.linalg.svd(np.asarray(matrices, np.float64))
+    turn = u @ vt
+    flip = np.linalg.det(turn) < 0
+    u[..., :, 2] = np.where(flip[..., None], -u[..., :, 2], u[..., :, 2])
+    flat = values[..., 1] <= 1e-12 * np.maximum(values[..., 0], 1e-300)
+    return np.where(flat[..., None, None], np.eye(3), u @ vt)
+
+
+def angles_between(a: NDArray[np.floating], b: NDArray[np.floating]) -> F64:
+    """Angles [...] rad between directions [..., 3]; exact for small ones."""
+    cross = np.linalg.norm(np.cross(a, b), axis=-1)
+    return np.arctan2(cross, (np.asarray(a) * np.asarray(b)).sum(axis=-1))

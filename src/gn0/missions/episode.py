@@ -126,7 +126,7 @@ class AgentSpec(
             default it stands in no file and no hash, so that those of before there was one stay.
 
     Raises:
-        EpisodeError: a value out of range, or a time that is no multiple of 0.1 s.
+        EpisodeError: a value out of range, or a time that is not a multiple of 0.1 s.
     """
 
     # Defaults by a factory are always written, and so is all that files have always had; of

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from gn0.errors import ConfigError, FormatError
+from gn0.errors import ConfigError, FormatError, Gn0Error
 from gn0.storage import read_bytes
 
 T = TypeVar("T")
@@ -39,9 +39,13 @@ def decode_json(data: bytes | str, type_: type[T], *, file: str | Path = "") -> 
 
     Raises:
         FormatError: not JSON, or a field is missing, unknown or of the wrong type.
+        Gn0Error: what a type's own checks raise, with the file before where they found it.
     """
     try:
         return msgspec.json.decode(data, type=type_)
+    except Gn0Error as error:
+        error.where = f"{file}, {error.where}".strip(", ")
+        raise
     except msgspec.ValidationError as error:
         raise FormatError(str(error), file=file, remedy="correct the named field") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -22,6 +22,16 @@ def card_of(suite: Suite, **fields: object) -> dict[str, str]:
     return dict(protocol_card(suite, card, "1.0+abc"))
 
 
+def test_the_card_tells_how_long_an_action_takes_where_it_is_not_half_a_second(
+    flats_suite: Suite,
+) -> None:
+    """Such runs are not compared with others: their rows of actions differ."""
+    quick = msgspec.structs.replace(flats_suite.about.agent, step_seconds=0.2)
+    about = msgspec.structs.replace(flats_suite.about, agent=quick)
+    other = card_of(Suite(flats_suite.folder, about, flats_suite.episodes))["actions"]
+    assert other == card_of(flats_suite)["actions"] + ", 0.2 s an action"
+
+
 def test_the_card_tells_an_oracle_from_a_robot(flats_suite: Suite) -> None:
     oracle = card_of(flats_suite, privileged=True)["the policy sees"]
     told = card_of(flats_suite, sensors=("goal_vector",))["the policy sees"]

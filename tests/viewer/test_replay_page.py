@@ -20,19 +20,28 @@ from gn0.viewer.replay_live import ReplayView
 pytestmark = pytest.mark.usefixtures("workers_here")
 
 pytest.importorskip("viser")
-STEP = 0.5  # s of simulated time that a step takes: docs/simulator.md
+STEPS = {"gn_bench": 0.5, "follower": 0.2}  # s of simulated time that a step of the body takes
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("page")
+def record(root: Path, camera: str) -> Path:
     save_scene(build_example_scene(spacing=0.1), root / "flat")
-    suite = build_suite([root / "flat"], root / "suite", count=1, seed=1, max_steps=40)
+    suite = build_suite(
+        [root / "flat"], root / "suite", count=1, seed=1, max_steps=40, camera=camera
+    )
     run_suite(suite, "oracle", root / "oracle", workers=1)
     return root / "oracle"
 
 
-def test_a_replay_goes_on_from_where_it_was_in_simulated_time(run: Path) -> None:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("page"), "gn_bench")
+
+
+@pytest.mark.parametrize("camera", STEPS)
+def test_a_replay_goes_on_from_where_it_was_in_simulated_time(
+    run: Path, camera: str, tmp_path: Path
+) -> None:
+    run = run if camera == "gn_bench" else record(tmp_path, camera)
     with open_server(port=0) as live:
         page = ReplayView(live, LiveLoop(), replay=load_replay([run]), splats=2000)
         page.open()
@@ -41,11 +50,12 @@ def test_a_replay_goes_on_from_where_it_was_in_simulated_time(run: Path) -> None
         assert page.tick(5.0) is None  # nothing plays, nothing is due
         page._toggle()
         page.speed = 1.0
+        step = STEPS[camera]
         wait = page.tick(100.0)  # whatever the clock says when it begins
-        assert page.step == 0 and wait == pytest.approx(STEP / 2)  # looks twice a step
-        page.tick(100.0 + 2.1 * STEP)
+        assert page.step == 0 and wait == pytest.approx(step / 2)  # looks twice a step
+        page.tick(100.0 + 2.1 * step)
         assert page.step == 2
-        page.tick(100.0 + 1000 * STEP)
+        page.tick(100.0 + 1000 * step)
         assert page.step == page.replay.length(page.episode) and not page.playing
 
 

@@ -11,7 +11,7 @@ import msgspec
 from gn0.bench.identity import tell_identity
 from gn0.bench.results import Isolation, Moves, PolicyCard
 from gn0.missions.controls import CONTROL_WORDS, Control
-from gn0.missions.episode import PathSource
+from gn0.missions.episode import PathSource, tell_pace
 from gn0.render.open import name_drawing
 from gn0.render.renderer import VISIBLE_BACKENDS
 from gn0.sim.presets import find_preset
@@ -178,7 +178,8 @@ def protocol_card(
         ),
         (
             "actions",
-            f"STOP, FORWARD {agent.forward_step:g} m, LEFT and RIGHT {agent.turn_degrees:g}°",
+            f"STOP, FORWARD {agent.forward_step:g} m, LEFT and RIGHT {agent.turn_degrees:g}°"
+            + tell_pace(agent),
         ),
         ("moves", describe_moves(suite, moves)),
         (

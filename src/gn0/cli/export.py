@@ -32,7 +32,8 @@ class Args(Config, frozen=True):
         split: only episodes of this split.
         limit: at most so many episodes; 0 means all.
         quality: quality of JPEG pictures, 1 to 100.
-        fps: frames a second in videos and time stamps; by default the format's own.
+        fps: frames a second in videos and time stamps; by default the format's own, in LeRobot a
+            frame an action.
         every: ask at every so-many-th decision (navid, uninavid, navila).
         spacing: metres between frames of a navdp trajectory; 0 means the dataset's own poses.
         views: camera presets of an interndata-n1 export.

@@ -79,7 +79,7 @@ def _presets() -> Iterator[tuple[str, str]]:
             name,
             f"{width}x{height} colour, {preset.depth.width}x{preset.depth.height} depth; body of "
             f"{agent.radius:g} m, eye {agent.camera_height:g} m, step {agent.forward_step:g} m, "
-            f"turn {agent.turn_degrees:g}°",
+            f"turn {agent.turn_degrees:g}°, {agent.step_seconds:g} s an action",
         )
 
 

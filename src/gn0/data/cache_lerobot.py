@@ -32,6 +32,7 @@ from gn0.data.lerobot_schema import (
     Surroundings,
     describe_columns,
     fit_map,
+    frame_rate,
     label_columns,
     read_sensor,
 )
@@ -79,6 +80,7 @@ def film_of(dataset: Dataset, settings: PictureSettings) -> Film:
         maps=settings.maps == "every",
         goals=any(isinstance(episode.mission, MissionGoal) for episode in dataset.episodes),
         depth=(preset.depth.width, preset.depth.height) if settings.depth else None,
+        fps=frame_rate(dataset.about.agent.step_seconds),
         tile=preset.history_tile,
     )
 
@@ -339,7 +341,7 @@ def _episode_row(dataset: Dataset, episode_id: str) -> dict[str, Any]:
     return row
 
 
-def read_video(dataset: Dataset, episode_id: str, name: str, fps: int) -> list[U8]:
+def read_video(dataset: Dataset, episode_id: str, name: str) -> list[U8]:
     """An episode's frames of a video, as stored (AV1 loses some).
 
     Raises:
@@ -347,6 +349,7 @@ def read_video(dataset: Dataset, episode_id: str, name: str, fps: int) -> list[U
     """
     import av
 
+    fps = frame_rate(dataset.about.agent.step_seconds)
     row, key = _episode_row(dataset, episode_id), f"videos/{VIDEOS[name]}"
     number = row[f"{key}/chunk_index"] * 1000 + row[f"{key}/file_index"]
     path = safe_join(cache_folder(dataset.folder, LAYOUT), file_path(name, number))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from gn0.data.cache_lerobot import read_depth, read_video
 from gn0.data.cache_webdataset import ShardReader
 from gn0.data.dataset import Dataset
-from gn0.data.lerobot_schema import FPS
 from gn0.data.part_pictures import eyes_of
 from gn0.data.picture_cache import load_manifest
 from gn0.data.sample_pictures import BATCH, draw_episode, goal_picture, map_picture
@@ -92,7 +91,7 @@ def _find_cached(
     if manifest is not None:
         name = rows.episode_id
         cached: dict[str, Iterator[NDArray[Any]]] = {
-            key: iter(read_video(dataset, name, key, FPS)) for key in sensors & _FILMED
+            key: iter(read_video(dataset, name, key)) for key in sensors & _FILMED
         }
         if DEPTH in sensors and manifest.settings.depth:
             cached[DEPTH] = read_depth(dataset, name)

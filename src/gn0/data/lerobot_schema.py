@@ -1,7 +1,8 @@
 """LeRobot v3.0 as GN0 writes it: the features of a sample, for the data cache and for exports.
 
-One schema: the same names, the same two frames a second (an action takes half a second), the same
-AV1 videos. Pictures are videos, depth is a 16-bit PNG a frame inside the tables, the rest columns:
+One schema: the same names, the same AV1 videos, a frame an action: two a second for a body whose
+actions take half a second (`AgentSpec.step_seconds`), five for `follower`. Pictures are videos,
+depth is a 16-bit PNG a frame inside the tables, the rest columns:
 
     observation.images.rgb        the view
     observation.images.history    the mosaic of the last sixteen views, newest at the top left
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -25,13 +27,12 @@ from numpy.typing import NDArray
 
 from gn0.data.sample_table import EpisodeRows
 from gn0.geometry import F64, U8, wrap_angle
+from gn0.missions.episode import STEP_SECONDS, TICKS_A_SECOND
 from gn0.paper import ACTIONS_AHEAD, POINTS
 from gn0.render.depth import to_metres
 from gn0.sim.history import TILE, mosaic_size, reduce_picture
-from gn0.sim.simulator import STEP_SECONDS
 
 VERSION = "v3.0"
-FPS = round(1 / STEP_SECONDS)
 FILES_A_CHUNK = 1000
 DATA_MB, VIDEO_MB = 100, 200  # LeRobot's own limits of a file
 VIDEOS = {
@@ -46,6 +47,21 @@ VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.m
 EPISODES, TASKS = "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"
 INFO, STATS = "meta/info.json", "meta/stats.json"
 TEXT = "string"
+Rate = int | Fraction
+
+
+def frame_rate(step_seconds: float) -> Rate:
+    """Frames a second, one an action of so many seconds: a whole number where there is one."""
+    rate = Fraction(TICKS_A_SECOND, round(step_seconds * TICKS_A_SECOND))
+    return rate.numerator if rate.denominator == 1 else rate
+
+
+def tell_rate(rate: Rate) -> int | float:
+    """The same as JSON has it."""
+    return rate if isinstance(rate, int) else float(rate)
+
+
+FPS = frame_rate(STEP_SECONDS)  # of most bodies
 
 
 @dataclass(frozen=True)
@@ -93,12 +109,12 @@ class Film:
     Attributes:
         sizes: (width, height) [px] of each video, by its short name.
         depth: (width, height) [px] of depth pictures; None where there are none.
-        fps: frames a second.
+        fps: frames a second, see `frame_rate`.
     """
 
     sizes: Mapping[str, tuple[int, int]]
     depth: tuple[int, int] | None = None
-    fps: int = FPS
+    fps: Rate = FPS
 
     @classmethod
     def of(
@@ -108,7 +124,7 @@ class Film:
         maps: bool = True,
         goals: bool = True,
         depth: tuple[int, int] | None = None,
-        fps: int = FPS,
+        fps: Rate = FPS,
         tile: tuple[int, int] = TILE,
     ) -> Film:
         """The usual: views and goals of one size, mosaics of tiles, maps on their canvas."""
@@ -207,11 +223,13 @@ def motions(poses: F64) -> NDArray[np.float32]:
     return np.column_stack([ahead, left, turned]).astype(np.float32)
 
 
-def count_columns(length: int, fps: float, episode: int, first: int, task: int) -> dict[str, Any]:
+def count_columns(
+    length: int, fps: Rate | float, episode: int, first: int, task: int
+) -> dict[str, Any]:
     """The columns of `COUNTERS` for an episode; `first` is its first frame's over all episodes."""
     frames = np.arange(length, dtype=np.int64)
     return {
-        "timestamp": (frames / fps).astype(np.float32),
+        "timestamp": (frames / float(fps)).astype(np.float32),
         "frame_index": frames,
         "episode_index": np.full(length, episode, np.int64),
         "index": frames + first,
@@ -228,8 +246,8 @@ def describe_features(film: Film) -> dict[str, Any]:
             "names": ["height", "width", "channels"],
             "info": {
                 "video.height": height, "video.width": width, "video.codec": "av1",
-                "video.pix_fmt": "yuv420p", "video.is_depth_map": False, "video.fps": film.fps,
-                "video.channels": 3, "has_audio": False,
+                "video.pix_fmt": "yuv420p", "video.is_depth_map": False,
+                "video.fps": tell_rate(film.fps), "video.channels": 3, "has_audio": False,
             },
         }
         for name, (width, height) in film.sizes.items()

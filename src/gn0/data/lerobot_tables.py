@@ -31,10 +31,12 @@ from gn0.data.lerobot_schema import (
     VIDEOS,
     Feature,
     Film,
+    Rate,
     count_columns,
     describe_columns,
     describe_features,
     join_stats,
+    tell_rate,
 )
 
 ARROW = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_(), TEXT: pa.string()}
@@ -118,7 +120,7 @@ def _column(values: Any, feature: Feature) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(flat, feature.size)
 
 
-def number_table(labels: pa.Table, fps: int, episode: int, first: int, task: int) -> pa.Table:
+def number_table(labels: pa.Table, fps: Rate, episode: int, first: int, task: int) -> pa.Table:
     """The frames of an episode with the columns that count."""
     table = labels
     counted = count_columns(len(labels), fps, episode, first, task)
@@ -203,8 +205,8 @@ def episode_rows(entries: Sequence[EpisodeEntry], film: Film) -> list[dict[str, 
             row |= {
                 f"{key}/chunk_index": span.file // FILES_A_CHUNK,
                 f"{key}/file_index": span.file % FILES_A_CHUNK,
-                f"{key}/from_timestamp": span.first / film.fps,
-                f"{key}/to_timestamp": (span.first + entry.length) / film.fps,
+                f"{key}/from_timestamp": float(span.first / film.fps),
+                f"{key}/to_timestamp": float((span.first + entry.length) / film.fps),
             }
         for name, stats in sorted(entry.stats.items()):  # notes of a part come back in any order
             row |= {f"stats/{name}/{what}": value for what, value in sorted(stats.items())}
@@ -230,7 +232,7 @@ def describe_info(entries: Sequence[EpisodeEntry], tasks: int, film: Film) -> di
     return {
         "codebase_version": VERSION,
         "robot_type": "gn0",
-        "fps": film.fps,
+        "fps": tell_rate(film.fps),
         "total_episodes": len(entries),
         "total_frames": sum(entry.length for entry in entries),
         "total_tasks": tasks,

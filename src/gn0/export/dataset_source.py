@@ -59,6 +59,7 @@ def open_source(path: Path | str, *, exact: bool = False) -> ExportSource:
         grid=lambda scene: _grid(dataset, scene),
         eyes=DatasetEyes(dataset, exact),
         depth=about.stores_depth,
+        step_seconds=about.agent.step_seconds,
     )
 
 

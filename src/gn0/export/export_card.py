@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gn0.export.trips import ExportSource
+from gn0.missions.episode import tell_pace
 from gn0.storage import write_text
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def write_card(
             (
                 "agent",
                 f"steps of {body.forward_step:g} m, turns of {body.turn_degrees:g}°, eye at "
-                f"{body.camera_height:g} m, radius {body.radius:g} m",
+                f"{body.camera_height:g} m, radius {body.radius:g} m{tell_pace(body)}",
             )
         )
     if exporter.pictures:

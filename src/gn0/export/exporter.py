@@ -33,7 +33,7 @@ class ExportSettings(Config, frozen=True):
         split: only episodes of this split; "" means all.
         limit: at most so many episodes; 0 means all.
         quality: quality of JPEG pictures, 1 to 100.
-        fps: frames a second in videos; 0 means the format's own.
+        fps: frames a second in videos; 0 means the format's own, in LeRobot a frame an action.
         every: a sample at every so-many-th decision (NaVid, Uni-NaVid, NaVILA).
         spacing: metres between frames of a NavDP trajectory; 0 means the dataset's own poses.
         views: camera presets of an InternData-N1 export.

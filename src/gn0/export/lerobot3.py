@@ -21,16 +21,17 @@ from gn0.data.cache_webdataset import DISC_RADIUS, draw_dots
 from gn0.data.lerobot_schema import (
     DATA_MB,
     DEPTH_KEY,
-    FPS,
     MOVING,
     STILLS,
     VIDEO_MB,
     VIDEOS,
     Film,
     PixelSums,
+    Rate,
     Surroundings,
     describe_columns,
     fit_map,
+    frame_rate,
     label_columns,
     read_sensor,
 )
@@ -140,7 +141,7 @@ class ExporterLeRobot3(OwnPoses):
             (head["picture"][0], head["picture"][1]),
             goals=any(record["beside"][2] for record in records),
             depth=None if head["depth"] is None else (head["depth"][0], head["depth"][1]),
-            fps=job.settings.fps or FPS,
+            fps=_rate(job),
             tile=job.settings.preset(job.source).history_tile,
         )
         spans: list[dict[str, Span]] = [{} for _ in records]
@@ -176,6 +177,11 @@ class ExporterLeRobot3(OwnPoses):
         return load_folder(folder)
 
 
+def _rate(job: Job) -> Rate:
+    """Frames a second: those asked for, else a frame an action of the body that walked."""
+    return job.settings.fps or frame_rate(job.source.step_seconds)
+
+
 def _part(folder: Path, name: str) -> Path:
     return folder / PARTS / name
 
@@ -205,7 +211,7 @@ def _known_walk(job: Job, way: str) -> dict[str, Any] | None:
 def _film_walk(trip: Trip, job: Job, way: str, maps: Iterator[U8]) -> dict[str, Any]:
     """Write the clips of a walk, and its depth; sizes and statistics."""
     preset = job.settings.preset(job.source)
-    film = Film.of(preset.picture_size, fps=job.settings.fps or FPS, tile=preset.history_tile)
+    film = Film.of(preset.picture_size, fps=_rate(job), tile=preset.history_tile)
     writer, history = WalkWriter(film, MOVING, CRF), History(size=preset.history_tile)
     deep, sums, depth = _deep(job), PixelSums(1), []
     for seen, plan in zip(

@@ -50,7 +50,7 @@ class Info(msgspec.Struct):
     total_episodes: int
     total_frames: int
     total_tasks: int
-    fps: int
+    fps: float
     data_path: str
     video_path: str
     features: dict[str, dict[str, Any]]
@@ -329,7 +329,7 @@ def _check_stats(info: Info, folder: Path, faults: Faults) -> None:
 def _recover(row: EpisodeRow, info: Info, folder: Path) -> Recovered:
     table = _data(folder, row.data, info)
     mask = np.asarray(table.column("episode_index").to_numpy()) == row.index
-    if int(mask.sum()) != row.length or row.length < 1 or info.fps < 1:
+    if int(mask.sum()) != row.length or row.length < 1 or info.fps <= 0:
         raise FormatError(f"frames of episode {row.index} are missing", file=folder)
     own = table.filter(pa.array(mask)).combine_chunks()
     state = pa.concat_arrays([c.flatten() for c in own.column("observation.state").chunks])

@@ -18,7 +18,7 @@ from gn0.data.sample_table import EpisodeRows
 from gn0.errors import EpisodeError
 from gn0.geometry import F32, F64, U8
 from gn0.maps.grid import OccupancyGrid
-from gn0.missions.episode import Episode
+from gn0.missions.episode import STEP_SECONDS, Episode
 from gn0.paper import FORWARD, LEFT, RIGHT, STOP
 from gn0.progress import Progress
 from gn0.sim.presets import CameraPreset
@@ -174,6 +174,7 @@ class ExportSource:
         grid: the map of a scene.
         eyes: makes pictures.
         depth: whether the dataset stores depth.
+        step_seconds: what an action took in its walks [s].
     """
 
     name: str
@@ -184,6 +185,7 @@ class ExportSource:
     grid: Callable[[str], OccupancyGrid]
     eyes: Eyes
     depth: bool = False
+    step_seconds: float = STEP_SECONDS
 
     def frames(self, trip: Trip, preset: CameraPreset, sensors: Sensors) -> Iterator[Frame]:
         """The pictures at a trip's poses through a camera, the dataset's own where it is that."""

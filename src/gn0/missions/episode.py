@@ -9,7 +9,7 @@ from typing import Literal
 
 import msgspec
 
-from gn0.errors import EpisodeError
+from gn0.errors import EpisodeError, brief
 from gn0.geometry import Pose2D
 from gn0.maps.goal_places import GoalSet
 from gn0.paper import BODY_RADIUS, EYE_HEIGHT, FORWARD_STEP, TURN_DEGREES
@@ -91,6 +91,9 @@ class MissionFollow(msgspec.Struct, frozen=True, kw_only=True, tag="follow"):
 
 INSIDE = sys.float_info.min  # m: less than this is 0
 VISIBLE_FROM_ABOVE = "visible from above"
+STEP_SECONDS = 0.5  # that an action takes unless the body says otherwise
+TICKS_A_SECOND = 10  # people move in ticks: an action takes a whole number of them
+LONGEST_STEP = 60.0  # s
 PathSource = Literal["", "truth", "file", "resampled"]
 Mission = MissionGoal | MissionInstruction | MissionFollow
 
@@ -107,23 +110,33 @@ def mission_name(mission: Mission) -> str:
     return f"{kind}/{style}" if style else kind
 
 
-class AgentSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An embodiment: what collides, where the eye is, how far an action goes.
+class AgentSpec(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
+):
+    """An embodiment: what collides, where the eye is, how far an action goes and how long it takes.
 
     Attributes:
-        radius: footprint radius [m].
-        camera_height: eye above the floor [m].
-        forward_step: length of FORWARD [m].
-        turn_degrees: angle of LEFT and RIGHT [degrees].
+        radius: footprint radius [m]; 0.20 unless given.
+        camera_height: eye above the floor [m]; 1.30 unless given.
+        forward_step: length of FORWARD [m]; 0.25 unless given.
+        turn_degrees: angle of LEFT and RIGHT [degrees]; 15 unless given.
         sliding: what is left of a cut move goes on along the wall (`gn0.maps.slide`); not there
             for bodies that stop at it, which is the paper's Eq. collision.
+        step_seconds: simulated time that an action takes [s], a multiple of 0.1 up to 60. At its
+            default it stands in no file and no hash, so that those of before there was one stay.
+
+    Raises:
+        EpisodeError: a value out of range, or a time that is not a multiple of 0.1 s.
     """
 
-    radius: float = BODY_RADIUS
-    camera_height: float = EYE_HEIGHT
-    forward_step: float = FORWARD_STEP
-    turn_degrees: float = TURN_DEGREES
+    # Defaults by a factory are always written, and so is all that files have always had; of
+    # `step_seconds` alone msgspec knows the default, and leaves it out.
+    radius: float = msgspec.field(default_factory=lambda: BODY_RADIUS)
+    camera_height: float = msgspec.field(default_factory=lambda: EYE_HEIGHT)
+    forward_step: float = msgspec.field(default_factory=lambda: FORWARD_STEP)
+    turn_degrees: float = msgspec.field(default_factory=lambda: TURN_DEGREES)
     sliding: bool | msgspec.UnsetType = msgspec.UNSET
+    step_seconds: float = STEP_SECONDS
 
     def __post_init__(self) -> None:
         if not self.sliding:  # one way to say no, and suites keep the hash that they had
@@ -132,6 +145,51 @@ class AgentSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise EpisodeError(f"agent radius {self.radius} m or camera {self.camera_height} m")
         if not (0 < self.forward_step <= 10 and 0 < self.turn_degrees <= 180):
             raise EpisodeError(f"agent step {self.forward_step} m, turn {self.turn_degrees}°")
+        # one float for each duration: 3 * 0.1 is 0.3, and half a second is the default itself
+        msgspec.structs.force_setattr(self, "step_seconds", _whole_ticks(self.step_seconds))
+
+    def __repr__(self) -> str:
+        """As it would be built; a time at its default is left out, as digests are made of this."""
+        known = {name: getattr(self, name) for name in self.__struct_fields__}
+        if self.step_seconds == STEP_SECONDS:
+            del known["step_seconds"]
+        return f"AgentSpec({', '.join(f'{name}={value!r}' for name, value in known.items())})"
+
+    @property
+    def step_ticks(self) -> int:
+        """Ticks of 0.1 s that an action takes."""
+        return round(self.step_seconds * TICKS_A_SECOND)
+
+    def time_after(self, actions: int) -> float:
+        """Seconds that so many actions take: of whole ticks, so that no error adds up."""
+        return actions * self.step_ticks / TICKS_A_SECOND
+
+
+def _whole_ticks(seconds: float) -> float:
+    """A duration [s] as the nearest float to its whole number of ticks.
+
+    Raises:
+        EpisodeError: it has none, or is out of range.
+    """
+    try:
+        ticks = round(seconds * TICKS_A_SECOND)
+        fits = 1 <= ticks <= LONGEST_STEP * TICKS_A_SECOND and not isinstance(seconds, bool)
+        if fits and abs(seconds * TICKS_A_SECOND - ticks) <= 1e-6:
+            found = ticks / TICKS_A_SECOND
+            return STEP_SECONDS if found == STEP_SECONDS else found
+    except (TypeError, ValueError, OverflowError):  # a text, NaN, infinity
+        pass
+    raise EpisodeError(
+        f"step_seconds is {brief(seconds)}",
+        where="agent",
+        remedy="give the seconds that an action takes: a multiple of 0.1, from 0.1 to "
+        f"{LONGEST_STEP:g}; most bodies take {STEP_SECONDS}",
+    )
+
+
+def tell_pace(agent: AgentSpec) -> str:
+    """How long an action takes, as a clause; "" at the default, which older cards do not tell."""
+    return "" if agent.step_seconds == STEP_SECONDS else f", {agent.step_seconds:g} s an action"
 
 
 class Episode(msgspec.Struct, frozen=True, kw_only=True):

@@ -24,6 +24,7 @@ from gn0.geometry import F64, wrap_angle
 from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import OccupancyGrid
 from gn0.missions.episode import (
+    STEP_SECONDS,
     AgentSpec,
     Episode,
     GoalPicture,
@@ -96,9 +97,10 @@ LATER_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
     ("agent_sliding", _TEXT, ""),  # "yes" for a body that slides along walls
 )
 # written only where an episode has something to say, so that other files stay as they were
-RARE_COLUMNS: tuple[tuple[str, pa.DataType, str], ...] = (
+RARE_COLUMNS: tuple[tuple[str, pa.DataType, str | float], ...] = (
     ("goal_set", _TEXT, ""),  # JSON of a GoalSet; "" where there is one goal
     ("tier", _TEXT, ""),
+    ("agent_step_seconds", _REAL, STEP_SECONDS),
 )
 
 
@@ -164,7 +166,10 @@ def save_episodes(
         StorageError: the file cannot be written.
     """
     check_unique(episodes)
-    schema = _schema([name for name, *_ in RARE_COLUMNS if any(getattr(e, name) for e in episodes)])
+    used = [name for name in ("goal_set", "tier") if any(getattr(e, name) for e in episodes)]
+    if any(episode.agent.step_seconds != STEP_SECONDS for episode in episodes):
+        used.append("agent_step_seconds")
+    schema = _schema(used)
     rows: dict[str, list[Any]] = {name: [] for name in schema.names}
     for episode in episodes:
         check_episode(episode)
@@ -266,6 +271,7 @@ def gn_matrix_row(episode: Episode, grid: OccupancyGrid) -> dict[str, Any]:
         "agent_sliding": "yes" if agent.sliding else "",
         "goal_set": encode_goal_set(episode.goal_set),
         "tier": episode.tier,
+        "agent_step_seconds": agent.step_seconds,
     }
 
 
@@ -460,6 +466,7 @@ def _our_episode(cells: dict[str, Any]) -> Episode:
             forward_step=float(cells["agent_forward_step"]),
             turn_degrees=float(cells["agent_turn_degrees"]),
             sliding=_sliding(cells["agent_sliding"]),
+            step_seconds=float(cells["agent_step_seconds"]),
         ),
         path_id=cells["path_id"],
         light=_light(cells["light"]),

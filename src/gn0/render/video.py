@@ -64,7 +64,9 @@ class VideoWriter:
         RenderError: this PyAV was built without the codec.
     """
 
-    def __init__(self, size: tuple[int, int], crf: int, fps: int, codec: VideoCodec = AV1) -> None:
+    def __init__(
+        self, size: tuple[int, int], crf: int, fps: int | Fraction, codec: VideoCodec = AV1
+    ) -> None:
         os.environ.setdefault("SVT_LOG", "1")  # errors only
         import av
 
@@ -102,7 +104,7 @@ class VideoWriter:
                 remedy="give all pictures one size",
             )
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
-        frame.pts, frame.time_base = self._count, Fraction(1, self._fps)
+        frame.pts, frame.time_base = self._count, 1 / Fraction(self._fps)
         self._container.mux(self._video.encode(frame))
         self._count += 1
 
@@ -114,7 +116,9 @@ class VideoWriter:
         return self._stream.getvalue()
 
 
-def encode_video(frames: Sequence[U8], crf: int, fps: int, codec: VideoCodec = AV1) -> bytes:
+def encode_video(
+    frames: Sequence[U8], crf: int, fps: int | Fraction, codec: VideoCodec = AV1
+) -> bytes:
     """All of `frames` [H, W, 3] as one video: see `VideoWriter`."""
     height, width = frames[0].shape[:2]
     video = VideoWriter((width, height), crf, fps, codec)
@@ -123,7 +127,9 @@ def encode_video(frames: Sequence[U8], crf: int, fps: int, codec: VideoCodec = A
     return video.finish()
 
 
-def join_videos(clips: Sequence[bytes], fps: int, take: Sequence[int] | None = None) -> bytes:
+def join_videos(
+    clips: Sequence[bytes], fps: int | Fraction, take: Sequence[int] | None = None
+) -> bytes:
     """One MP4 of clips one after another; packets are copied, times run on without a gap.
 
     Args:
@@ -134,7 +140,8 @@ def join_videos(clips: Sequence[bytes], fps: int, take: Sequence[int] | None = N
     import av
 
     stream, done = io.BytesIO(), 0
-    ticks = fps  # a second, as FFmpeg takes them for a stream that it encodes: enough, and whole
+    # a second, as FFmpeg takes them for a stream that it encodes: enough, and whole
+    ticks = Fraction(fps).numerator
     while ticks < 10_000:
         ticks *= 2
     options = {"video_track_timescale": str(ticks)}
@@ -151,7 +158,7 @@ def join_videos(clips: Sequence[bytes], fps: int, take: Sequence[int] | None = N
                     if packet.dts is None or (take is not None and taken >= take[number]):
                         continue
                     packet.stream = target
-                    packet.time_base = Fraction(1, fps)
+                    packet.time_base = 1 / Fraction(fps)
                     packet.pts = packet.dts = done + taken
                     packet.duration = 1
                     out.mux(packet)

@@ -19,7 +19,7 @@ from gn0.sim.sensor.sensor import MAP_SIDE
 from gn0.sim.sensors import SensorConfig
 from gn0.sim.simulator import goal_record, goal_view
 from gn0.sim.standpoint import Standpoint
-from gn0.sim.state import OBSERVED, STEP_SECONDS
+from gn0.sim.state import OBSERVED
 
 if TYPE_CHECKING:
     from gn0.sim.sensors import SensorSuite
@@ -185,7 +185,7 @@ class BatchEyes:
             ):  # fmt: skip
                 suite, place = self._suites[scene], (scene, pose.tobytes())
                 if suite.motion is not None:
-                    moment = suite.moment_at(steps * STEP_SECONDS)
+                    moment = suite.moment_at(self._agent.time_after(steps))
                     place = (scene, pose.tobytes() + moment.key)
                     moments[place] = moment
                 rows.append((agent, place))
@@ -279,6 +279,7 @@ class BatchEyes:
         )
         place.pose = pose = Pose2D(*snapshot.poses[k].tolist())
         place.episode, place.steps = snapshot.episodes[k], snapshot.steps[k]
+        place.time = self._agent.time_after(place.steps)
         if self._explores:
             if kept.mapper is None:
                 kept.mapper = Mapper(

@@ -48,7 +48,6 @@ from gn0.sim.sensors import (
     SensorConfig,
     check_map_mode,
 )
-from gn0.sim.simulator import STEP_SECONDS
 from gn0.sim.tasks import load_tasks
 from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
 
@@ -186,7 +185,7 @@ class VectorEnvDevice(gymnasium.vector.VectorEnv[Observations, Any, DeviceArray]
                     motions,
                     sorted(self.tasks.scenes),
                     num_envs,
-                    STEP_SECONDS,
+                    self.tasks.agent,
                     self.tasks.max_steps,
                 )
             self._eyes = EyesDevice(

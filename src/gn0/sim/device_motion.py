@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gn0.device.device import Device
 from gn0.errors import SimError
 from gn0.gaussians.cloud import GaussianCloud
+from gn0.missions.episode import AgentSpec
 from gn0.render.instance import Instance, PartsDevice, digest_part
 from gn0.sim.device_records import MotionTables, MotionTargets
 from gn0.sim.motion import Moment, Motion, take_moment
@@ -33,7 +34,7 @@ class MotionDevice:
         motions: scene id → what moves there.
         scene_ids: scenes by number.
         count: agents.
-        step_seconds: that a step takes.
+        agent: the body, which says how long a step takes.
         max_steps: of an episode.
 
     Attributes:
@@ -50,10 +51,10 @@ class MotionDevice:
         motions: Mapping[str, Motion],
         scene_ids: Sequence[str],
         count: int,
-        step_seconds: float,
+        agent: AgentSpec,
         max_steps: int,
     ) -> None:
-        self._motions, self._seconds = dict(motions), step_seconds
+        self._motions, self._agent = dict(motions), agent
         self.clouds: dict[str, GaussianCloud] = {}
         self._names: dict[tuple[int, str], str] = {}  # of a motion's cloud, here
         different = list({id(motion): motion for motion in self._motions.values()}.values())
@@ -64,7 +65,7 @@ class MotionDevice:
                 self.clouds[digest] = cloud
         times = max_steps + 1
         moments = [
-            [take_moment(motion, step * step_seconds) for step in range(times)]
+            [take_moment(motion, agent.time_after(step)) for step in range(times)]
             for motion in different
         ]
         self._parts = max((len(m.parts) for rows in moments for m in rows), default=0)
@@ -121,7 +122,7 @@ class MotionDevice:
     def parts_at(self, scene_id: str, step: int) -> tuple[Instance, ...]:
         """The same of one agent, for who knows its step."""
         motion = self._motions.get(scene_id)
-        moment: Moment = take_moment(motion, step * self._seconds)
+        moment: Moment = take_moment(motion, self._agent.time_after(step))
         return tuple(
             replace(part, cloud=self._names[id(motion), part.cloud]) for part in moment.parts
         )

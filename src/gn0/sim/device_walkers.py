@@ -117,7 +117,7 @@ class WalkersDevice:
             )
             for agent, number in zip(which.tolist(), numbers, strict=True)
         ]
-        return build_observations(stands, wanted, found, facts)
+        return build_observations(self.agent, stands, wanted, found, facts)
 
     def _rows(self, name: str, values: DeviceArray, which: Numbers) -> Sequence[np.ndarray]:
         """What agents `which` see; pictures of maps in the size of their own scene."""

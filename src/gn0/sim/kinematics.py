@@ -97,10 +97,11 @@ class Journey(NamedTuple):
         turns = self._turns(abs(self.before) + abs(self.after))
         return max(1, min(strides, self._strides(self.length)) + turns)
 
-    def part(self, steps: int) -> tuple[float, float]:
+    def part(self, steps: float) -> tuple[float, float]:
         """How far it comes in fewer steps than it needs: metres gone, yaw there [rad].
 
-        It turns to its bearing, goes as far as the steps last, and turns with what is left.
+        It turns to its bearing, goes as far as the steps last, and turns with what is left. Parts
+        of a step are as much of a turn or a stride.
         """
         turn = math.radians(self.agent.turn_degrees)
         first = self._turns(abs(self.before))

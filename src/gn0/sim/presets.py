@@ -1,8 +1,8 @@
 """Camera presets by name: the cameras of well-known benchmarks' robots.
 
-A preset says which pictures a policy gets and how far an action goes. It never changes physics:
-motion is always clipped by the paper's Eq. collision, also where the original harness slides. The
-body of VLN-CE's tasks, sliding included, is profile `vlnce` of a suite.
+A preset says which pictures a policy gets, how far an action goes and how long it takes. It never
+changes physics: motion is always clipped by the paper's Eq. collision, also where the original
+harness slides. The body of VLN-CE's tasks, sliding included, is profile `vlnce` of a suite.
 Sources of the numbers: GN-Bench and VLN-CE configurations; what a source leaves open is noted in
 `CameraPreset.note` and chosen by us.
 """
@@ -31,7 +31,7 @@ class CameraPreset(Config, frozen=True):
         name: name in results and on the command line.
         rgb: camera of the colour picture.
         depth: camera of the depth picture; its own size.
-        agent: radius, camera height, step and turn.
+        agent: radius, camera height, step, turn and the time they take.
         rgb_size: (width, height) [px] the colour picture is reduced to by area averaging after
             rendering; None leaves it as rendered.
         pitch_degrees: how far the cameras look up (negative: down).
@@ -96,6 +96,8 @@ def _with_vfov(name: str, size: tuple[int, int], vfov: float, **more: object) ->
 _BODY_15 = AgentSpec()  # the body of gn0.paper
 _VLNCE_EYE = AgentSpec(camera_height=1.25)
 _RXR = AgentSpec(radius=0.18, camera_height=0.88, turn_degrees=30.0)
+# 1.25 m/s and 75 °/s: behind somebody who walks at 1 m/s, bends included
+_FOLLOWER = AgentSpec(radius=0.25, step_seconds=0.2)
 _N1_NOTE = "picture size and field of view as streamvln; the source names height and pitch only"
 
 
@@ -160,6 +162,10 @@ _PRESETS = (
     _with_hfov(
         "rgbd_224", (224, 224), 90.0, agent=_VLNCE_EYE, background=BLACK,
         note="no benchmark's: for training, colour and depth of one small size in one drawing",
+    ),
+    _with_vfov(
+        "follower", CAMERA_SIZE, CAMERA_VFOV, agent=_FOLLOWER,
+        note="no benchmark's: cameras of gn_bench, and a body quick enough to follow a person",
     ),
     _tiny(128),
     _tiny(160),

@@ -1,9 +1,10 @@
 """The simulator: one agent in one scene, driven by actions, answering with observations.
 
-Time is counted in steps: each takes `STEP_SECONDS`, the 0.25 m of a FORWARD at 0.5 m/s, whether it
-moves, turns or collides. A Teleport or Displacement takes the steps that the body would need to
-turn and walk there, unless moves are said to take one step. Nothing survives
-from one episode to the next.
+Time is counted in actions: each takes the body's `step_seconds`, half a second for most (the 0.25 m
+of a FORWARD at 0.5 m/s), whether it moves, turns or collides. A Teleport or Displacement lasts as
+many actions as the body would need to turn and walk there, and takes as many steps, unless moves
+are said to take one step: then it lasts as long and counts as one. Nothing survives from one
+episode to the next.
 """
 
 from __future__ import annotations
@@ -30,13 +31,15 @@ from gn0.sim.sensors import SensorConfig, SensorSuite
 from gn0.sim.standpoint import Standpoint
 from gn0.sim.state import (
     OBSERVED,
-    STEP_SECONDS,
     Action,
     AnyAction,
     Displacement,
     Observation,
     StepResult,
     Teleport,
+)
+from gn0.sim.state import (
+    STEP_SECONDS as STEP_SECONDS,
 )
 
 if TYPE_CHECKING:
@@ -61,6 +64,8 @@ class SimState:
         over: the episode has ended.
         tiles: history tiles, newest first.
         explored: the agent's own map, in map mode `explored`.
+        spent: what the steps lasted, in actions: more than `steps` only where moves of any length
+            take one step; None: as many.
     """
 
     episode: Episode
@@ -74,6 +79,7 @@ class SimState:
     over: bool
     tiles: tuple[U8, ...]
     explored: ExploredState | None = None
+    spent: int | None = None
 
 
 class Simulator:
@@ -89,8 +95,8 @@ class Simulator:
             in an episode says what the episode was planned for.
         max_steps: steps until an episode is truncated.
         motion: what moves in the scene, by the time since the episode began.
-        one_step_moves: a Teleport or Displacement takes one step whatever its length, as in the
-            paper's global action space.
+        one_step_moves: a Teleport or Displacement counts as one step whatever its length, as in
+            the paper's global action space; it lasts as long as otherwise.
 
     Raises:
         SimError: a sensor lacks its renderer or picture, the map was inflated for another
@@ -199,6 +205,11 @@ class Simulator:
         return self._steps if self._episode is not None else 0
 
     @property
+    def time(self) -> float:
+        """Simulated seconds since reset."""
+        return self.agent.time_after(self._spent) if self._episode is not None else 0.0
+
+    @property
     def over(self) -> bool:
         """Whether the episode has ended, or none has begun."""
         return self._over
@@ -231,7 +242,7 @@ class Simulator:
         self._want(wanted)
         if self._mapper is not None:
             self._mapper.reset()
-        self._steps = 0
+        self._steps = self._spent = 0
         self._collided = False
         self._over = False
         self._history.clear()
@@ -246,8 +257,8 @@ class Simulator:
         FORWARD, Teleport and Displacement are cut at the first blocked cell (paper, Eq.
         collision); a teleport takes its yaw, a displacement its turn in any case. They take the
         steps of `gn0.sim.kinematics.Journey`, and end where the episode's steps do; cut, they are
-        one collision. STOP ends the episode (`terminated`); reaching `max_steps` without STOP
-        truncates it.
+        one collision. Each of those steps lasts as long as an action. STOP ends the episode
+        (`terminated`); reaching `max_steps` without STOP truncates it.
 
         Raises:
             SimError: before reset, after the end, or not a valid action (unknown, or holds NaN).
@@ -257,7 +268,7 @@ class Simulator:
                 "no episode is in progress" if self._episode is None else "the episode is over",
                 remedy="call reset(episode) first",
             )
-        moved, collided, stop, steps = 0.0, False, False, 1
+        moved, collided, stop, spent = 0.0, False, False, 1
         x, y = self._x, self._y
         if self._actuation is not None and isinstance(action, Displacement | Teleport):
             raise SimError(
@@ -270,7 +281,7 @@ class Simulator:
         if isinstance(action, Teleport):
             check_finite("teleport", *action)
             self._keep_view()
-            moved, collided, steps = self._go(*map(float, action))
+            moved, collided, spent = self._go(*map(float, action))
         else:
             code = action_code(action)
             if self._keeps_views:
@@ -286,7 +297,9 @@ class Simulator:
                 stop = True
             else:
                 self._turn(1 if code == 2 else -1)
+        steps = 1 if self.one_step_moves else spent
         self._steps += steps
+        self._spent += spent
         self._collided = collided
         truncated = not stop and self._steps >= self.max_steps
         self._over = stop or truncated
@@ -316,19 +329,17 @@ class Simulator:
         return move.moved, move.collided
 
     def _go(self, x1: float, y1: float, yaw: float) -> tuple[float, bool, int]:
-        """Move to (x1, y1) [m] and look along `yaw` [rad]: metres covered, cut, steps taken."""
+        """Move to (x1, y1) [m] and look along `yaw` [rad]: metres covered, cut, actions it took."""
         x, y = self._x, self._y
         move = move_agent(self.navigation, x, y, x1, y1, self.agent)
-        steps = 1
-        if not self.one_step_moves:
-            journey = plan_journey(Pose2D(x, y, self._yaw), x1, y1, yaw, self.agent)
-            left = self.max_steps - self._steps
-            steps = journey.steps_until(move.moved) if move.collided else journey.steps
-            if steps > left:  # the episode ends on the way
-                steps = left
-                gone, yaw = journey.part(left)
-                target = step_forward(x, y, journey.bearing, gone)
-                move = move_agent(self.navigation, x, y, *target, self.agent)
+        journey = plan_journey(Pose2D(x, y, self._yaw), x1, y1, yaw, self.agent)
+        steps = journey.steps_until(move.moved) if move.collided else journey.steps
+        left = self.max_steps - self._steps
+        if steps > left and not self.one_step_moves:  # the episode ends on the way
+            steps = left
+            gone, yaw = journey.part(left)
+            target = step_forward(x, y, journey.bearing, gone)
+            move = move_agent(self.navigation, x, y, *target, self.agent)
         self._place(move.x, move.y, wrap_angle(yaw), 0)
         return move.moved, move.collided, steps
 
@@ -365,6 +376,7 @@ class Simulator:
             over=self._over,
             tiles=self._history.tiles,
             explored=None if self._mapper is None else self._mapper.save(),
+            spent=self._spent,
         )
 
     def restore_state(self, state: SimState) -> None:
@@ -374,6 +386,7 @@ class Simulator:
         if self._mapper is not None and state.explored is not None:
             self._mapper.restore(state.explored)
         self._steps, self._collided, self._over = state.steps, state.collided, state.over
+        self._spent = state.steps if state.spent is None else state.spent
         self._history = History(state.tiles, self.config.preset.history_tile)
         self._last_look = None
         self._goal_picture = None
@@ -403,7 +416,7 @@ class Simulator:
     def _look(self) -> dict[str, NDArray[Any]]:
         """Pictures here and now; not drawn again while nothing moves, the agent included."""
         pose, last = Pose2D(self._x, self._y, self._yaw), self._last_look
-        moment = self._suite.moment_at(self._steps * STEP_SECONDS)
+        moment = self._suite.moment_at(self.agent.time_after(self._spent))
         if last is None or last[0] != pose or last[1] != moment.key:
             last = (pose, moment.key, self._suite.look(pose, self._outputs, moment))
             self._last_look = last
@@ -422,18 +435,16 @@ class Simulator:
 
     def _observe(self) -> Observation:
         assert self._episode is not None
-        step = self._steps
+        step, time = self._steps, self.agent.time_after(self._spent)
         here = self._here
         here.pose = pose = Pose2D(self._x, self._y, self._yaw)
         if not self._wanted:
-            return Observation(
-                step, step * STEP_SECONDS, self._episode.instruction, collided=self._collided
-            )
+            return Observation(step, time, self._episode.instruction, collided=self._collided)
         episode = self._episode
         if self._maps and self._mapper is not None:
             seen = self._look()
             self._mapper.update(pose, seen["depth"], seen.get("rgb"))
-        here.episode, here.steps = episode, step
+        here.episode, here.steps, here.time = episode, step, time
         fields: dict[str, Any] = {name: read(here) for name, read in self._fields}
         if self._scaled:
             frame = self._suite.map_frame
@@ -443,7 +454,7 @@ class Simulator:
             fields["more"] = {s.name: s.measure(here, space) for s, space in self._others}
         return Observation(
             step=step,
-            time=step * STEP_SECONDS,
+            time=time,
             instruction=episode.instruction,
             collided=self._collided,
             **fields,

@@ -13,7 +13,6 @@ from gn0.geometry import F32, U8, Pose2D
 from gn0.missions.episode import Episode
 from gn0.seeds import random_stream
 from gn0.sim.history import build_mosaic
-from gn0.sim.state import STEP_SECONDS
 
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
@@ -40,6 +39,7 @@ class Standpoint:
         pose: where it stands.
         episode: that it plays.
         steps: that it has taken.
+        time: seconds since its episode began.
         mapper: its own map, in map mode `explored`.
     """
 
@@ -55,6 +55,7 @@ class Standpoint:
         self.pose = Pose2D(0.0, 0.0, 0.0)
         self.episode: Episode
         self.steps = 0
+        self.time = 0.0
         self.mapper: Mapper | None = None
 
     @property
@@ -70,11 +71,6 @@ class Standpoint:
     def goal(self) -> tuple[float, float]:
         """The place it is sent to [m]."""
         return self.episode.goal
-
-    @property
-    def time(self) -> float:
-        """Seconds since its episode began."""
-        return self.steps * STEP_SECONDS
 
     @property
     def navigation(self) -> NavigationMap:

@@ -12,8 +12,7 @@ import numpy as np
 
 from gn0 import paper
 from gn0.geometry import F32, U8, Pose2D
-
-STEP_SECONDS = 0.5  # of simulated time
+from gn0.missions.episode import STEP_SECONDS as STEP_SECONDS  # where it was looked for before
 
 MapMode = Literal["prior", "explored", "none"]
 """What the sensors bev and occupancy show: `prior`, the whole scene, as a robot that was here

@@ -14,7 +14,7 @@ from gn0.sim.batch import SimulatorBatch
 from gn0.sim.sensor.sensor import Sensor
 from gn0.sim.sensor.table import carry_sensors
 from gn0.sim.standpoint import Standpoint
-from gn0.sim.state import OBSERVED, STEP_SECONDS, Observation
+from gn0.sim.state import OBSERVED, Observation
 
 Numbers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -148,7 +148,7 @@ class WalkersHost:
             )
             for agent in which.tolist()
         ]
-        return build_observations(stands, wanted, found, maps)
+        return build_observations(self.agent, stands, wanted, found, maps)
 
 
 MAP_FACTS = ("bev_metres_per_pixel", "map_origin")
@@ -162,6 +162,7 @@ def spelt_sensors(names: frozenset[str]) -> list[Sensor]:
 
 
 def build_observations(
+    agent: AgentSpec,
     stands: Sequence[Stand],
     wanted: frozenset[str],
     found: Mapping[str, Any],
@@ -170,6 +171,7 @@ def build_observations(
     """Observations of agents, with what was read of all of them at once.
 
     Args:
+        agent: the body of all of them.
         stands: [K] where they are.
         wanted: names of the sensors to tell of.
         found: [K, …] by sensor.
@@ -184,6 +186,7 @@ def build_observations(
                 value.setflags(write=False)
         here = Standpoint(None)
         here.pose, here.episode, here.steps = stand.pose, stand.episode, stand.steps
+        here.time = agent.time_after(stand.steps)
         fields |= {sensor.name: sensor.read(here) for sensor in spelt}
         more = {name: fields.pop(name) for name in [*fields] if name not in OBSERVED}
         if maps:
@@ -191,7 +194,7 @@ def build_observations(
         observations.append(
             Observation(
                 step=stand.steps,
-                time=stand.steps * STEP_SECONDS,
+                time=here.time,
                 instruction=stand.episode.instruction,
                 collided=stand.collided,
                 more=more,

@@ -182,6 +182,7 @@ def build_toy_source(trips: Sequence[Trip], grids: dict[str, OccupancyGrid]) -> 
         trips=lambda: iter(trips),
         grid=grids.__getitem__,
         eyes=ToyEyes(grids),
+        step_seconds=trips[0].episode.agent.step_seconds,
     )
 
 

@@ -17,7 +17,6 @@ from gn0.render.open import build_renderer
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
-from gn0.sim.simulator import STEP_SECONDS
 from gn0.suites.suite import load_suite_scene
 from gn0.viewer.floor_plan import font
 from gn0.viewer.live import PANEL, ceiling_cut, hear
@@ -234,14 +233,14 @@ class ReplayView:
         self._show(int(self._slider.value))
 
     def tick(self, now: float) -> float | None:
-        """Go on to the step that is due; one step takes half a simulated second."""
+        """Go on to the step that is due: at speed 1x, each takes as long as the body's actions."""
         if not self._drawn:
             self._draw()
         if not self.playing:
             return None
         if not self._began[0]:
             self._began = (now, self._began[1])
-        pace = self.speed / STEP_SECONDS
+        pace = self.speed / self.agent.step_seconds
         due = self._began[1] + int((now - self._began[0]) * pace)
         last = self.replay.length(self.episode)
         if due > self.step:

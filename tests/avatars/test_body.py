@@ -24,11 +24,33 @@ from gn0.errors import DataError, FormatError
 
 ROOT = Path(__file__).resolve().parents[2]
 # the order that SMPL-X publishes (smplx/joint_names.py), first 25
-SMPLX_FIRST = (
-    "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 "
-    "left_foot right_foot neck left_collar right_collar head left_shoulder right_shoulder "
-    "left_elbow right_elbow left_wrist right_wrist jaw left_eye_smplhf right_eye_smplhf"
-).split()
+SMPLX_FIRST = [
+    "pelvis",
+    "left_hip",
+    "right_hip",
+    "spine1",
+    "left_knee",
+    "right_knee",
+    "spine2",
+    "left_ankle",
+    "right_ankle",
+    "spine3",
+    "left_foot",
+    "right_foot",
+    "neck",
+    "left_collar",
+    "right_collar",
+    "head",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "jaw",
+    "left_eye_smplhf",
+    "right_eye_smplhf",
+]
 
 
 def body() -> BodyModel:

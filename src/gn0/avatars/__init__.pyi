@@ -1,0 +1,11 @@
+from gn0.avatars.avatar import Avatar as Avatar
+from gn0.avatars.bank import AvatarBank as AvatarBank
+from gn0.avatars.bank import load_avatar as load_avatar
+from gn0.avatars.bank_build import generate_bank as generate_bank
+from gn0.avatars.body_file import load_body as load_body
+from gn0.avatars.body_file import load_smplx_body as load_smplx_body
+from gn0.avatars.identity import Identity as Identity
+from gn0.avatars.identity import draw_people as draw_people
+from gn0.avatars.motion.motion import Motion as Motion
+from gn0.avatars.motion.open_motion import load_motion as load_motion
+from gn0.avatars.person import build_person as build_person

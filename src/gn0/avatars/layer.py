@@ -75,7 +75,8 @@ class Layer:
         """Triangles whose corners are all covered [T]."""
         if self.covered is None:
             return np.zeros(len(self.triangles), bool)
-        return self.covered[self.triangles].all(axis=1)
+        covered: NDArray[np.bool_] = self.covered[self.triangles].all(axis=1)
+        return covered
 
     def kept(self, points: F64) -> NDArray[np.bool_]:
         """Which points of it [M, 3] m are there."""

@@ -1,4 +1,4 @@
-"""What can be wrong with an avatar: skin through clothes, feet off the floor, a wrong colour's name.
+"""What can be wrong with an avatar: skin through clothes, feet off the floor, wrong colours.
 
 Pictures are drawn with each splat's part for its object, so that what a pixel shows can be counted.
 """

@@ -154,7 +154,7 @@ def _row(words: list[str], file: Path, number: int) -> list[float]:
             raise ValueError(f"vertices {words[:3]} of {VERTEX_COUNT}")
     except ValueError as error:
         raise FormatError(
-            f"line {number} is no row of a garment: {error}",
+            f"line {number} is not a row of a garment: {error}",
             file=file,
             field="verts",
             remedy="a row is i j k wi wj wk dx dy dz, or i alone",
@@ -177,7 +177,7 @@ def _ranges(words: list[str], file: Path, number: int) -> list[int]:
             found += range(first, last + 1)
     except (ValueError, IndexError) as error:
         raise FormatError(
-            f"line {number} is no list of body vertices: {error}", file=file, field="delete_verts"
+            f"line {number} does not list body vertices: {error}", file=file, field="delete_verts"
         ) from None
     return found
 
@@ -213,4 +213,4 @@ def _whole(words: list[str], file: Path) -> int:
     try:
         return int(float(words[0]))
     except (ValueError, IndexError, OverflowError):
-        raise FormatError("this is no number", file=file, field="z_depth") from None
+        raise FormatError("this is not a number", file=file, field="z_depth") from None

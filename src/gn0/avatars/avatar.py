@@ -136,15 +136,15 @@ class Avatar:
             below = contact_shadow(joints)
             means[count:], quats[count:], normals[count:] = below.means, below.quats, below.normal
             opacities[count:] = below.opacities
-        scales, sh, label, albedo = (array[:total] for array in self._kept)
+        scales, sh, label, albedo = self._kept
         return GaussianCloud(
             means=means,
             quats=quats,
-            scales=scales,
+            scales=scales[:total],
             opacities=opacities,
-            sh=sh,
-            label=label,
-            albedo=albedo,
+            sh=sh[:total],
+            label=label[:total],
+            albedo=albedo[:total],
             normal=normals,
         )
 

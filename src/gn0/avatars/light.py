@@ -40,6 +40,8 @@ _BODY = (0.2, 0.4, 0.3, 0.1)  # what each height counts for somebody who stands
 _REMEDY = "give a scene with free floor"
 _GREYS = np.array([0.08, 0.2, 0.45])  # albedos for which a gain is to be right
 _UPRIGHT = 0.75  # how much less a normal counts that points up or down: people are upright
+# the exposure of a generated scene adapts to each place, and so evens out its bright and dark sides
+_SIDES = 1.12
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 _NO_CHANGE = LightCondition()
 
@@ -85,7 +87,10 @@ class LightProbes:
             while len(self._gains) >= 8:
                 self._gains.pop(next(iter(self._gains)))
             body = np.einsum("h,chnk->cnk", np.array(_BODY), self.light.astype(np.float64))
-            self._gains[condition] = fit_gains(body, condition, film=self.film)
+            gains = fit_gains(body, condition, film=self.film)
+            if self.film:
+                gains[:, 1:] *= _SIDES
+            self._gains[condition] = gains
         return self._gains[condition]
 
     def _columns_round(self, x: float, y: float) -> tuple[NDArray[np.int64], F64]:

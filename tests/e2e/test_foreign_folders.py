@@ -19,6 +19,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from gn0.avatars.bank_build import generate_bank
 from gn0.bench.runner import run_suite
 from gn0.cli.main import VERBS, main
 from gn0.data.build import build_dataset, build_shard
@@ -88,6 +89,11 @@ SHARDS = {
     "data merge": ["{it}", "--balance", "weights", "--out", "{new}"],
     "data build into it": ["{suite}", "--layout", "none", "--shard", "1/1", "--out", "{it}"],
 }
+BANKS = {
+    "avatar show": ["{it}", "--out", "{new}.png"],
+    "avatar check": ["{it}"],
+    "avatar generate into it": ["--count", "2", "--density", "0.05", "--no-sheet", "--out", "{it}"],
+}
 EXPORTS = {
     "export check": ["{it}"],
     "export into it": ["vlnce-r2r", "{data}", "--out", "{it}"],
@@ -106,6 +112,7 @@ CASES = [
         ("data", DATASETS),
         ("export", EXPORTS),
         ("shard", SHARDS),
+        ("bank", BANKS),
     )
     for case in cases
     for links in (False, True)
@@ -192,8 +199,10 @@ def home(canary: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> di
     driven = DaggerSettings(policy="random", max_steps=20, halting="none")
     build_dagger(suite, root / "data", msgspec.structs.replace(plain, dagger=driven))
     assert main(["export", "vlnce-r2r", str(root / "sound"), "--out", str(root / "export")]) == 0
+    generate_bank(root / "bank", count=2, density=0.05)
     return {
-        name: root / name for name in ("flat", "suite", "run", "data", "export", "sound", "shard")
+        name: root / name
+        for name in ("flat", "suite", "run", "data", "export", "sound", "shard", "bank")
     }
 
 
@@ -245,6 +254,9 @@ def spoil(kind: str, it: Path, canary: dict[str, Any]) -> None:
         shard = msgspec.structs.replace(shard, about=about)
         shard = msgspec.structs.replace(shard, seal=compute_seal(shard))
         (it / "shard.json").write_bytes(msgspec.json.encode(shard))
+    elif kind == "bank":
+        secret = os.path.relpath(canary["outside"] / "secret", it)
+        edit(it / "bank.json", lambda about: about["avatars"][0].update(name=secret))
     else:
         edit(it / "export.json", lambda about: about.update(format=f"{MODULE}:Exporter"))
 
@@ -270,7 +282,7 @@ def test_a_strangers_folder_neither_dials_nor_imports_nor_reads_outside_itself(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for name in ("suite", "run", "data", "sound", "export", "shard"):
+    for name in ("suite", "run", "data", "sound", "export", "shard", "bank"):
         shutil.copytree(home[name], tmp_path / name)
     it = tmp_path / kind
     if links:
@@ -282,6 +294,7 @@ def test_a_strangers_folder_neither_dials_nor_imports_nor_reads_outside_itself(
     places = {name: str(tmp_path / name) for name in ("suite", "run", "new")}
     places |= {"it": str(it), "data": str(tmp_path / "sound"), "scene": str(home["flat"])}
     tables = {"run": RUNS, "suite": SUITES, "data": DATASETS, "export": EXPORTS, "shard": SHARDS}
+    tables["bank"] = BANKS
     told = [word.format(**places) for word in tables[kind][case]]
     watch: Watch = canary["watch"]
     watch.seen.clear()

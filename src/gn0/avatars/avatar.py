@@ -8,6 +8,7 @@ the joints' quaternions, sizes stay.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,14 @@ from gn0.avatars.layer import PARTS
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.skinning import SkinWeights, pose_joints
 from gn0.errors import DataError
-from gn0.gaussians.cloud import SH_C0, GaussianCloud, join_clouds
+from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.gaussians.film import encode_srgb
 from gn0.geometry import F32, F64, quaternion_from_rotation
 from gn0.jit import njit, prange
 
 TO_WORLD: F64 = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of the body's axes
 TO_WORLD.setflags(write=False)
+SHADOWS = 3  # splats of the contact shadow, after all others
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,24 @@ class Avatar:
                 where=f"avatar {self.name}",
             )
 
+    @cached_property
+    def _kept(self) -> tuple[F32, F32, NDArray[np.int32], F32]:
+        """What no pose changes, the shadow's splats last: scales, SH, parts, albedo.
+
+        All posed clouds share these arrays, which is most of what they are.
+        """
+        shadow = contact_shadow(self.joints)
+        assert shadow.label is not None and shadow.albedo is not None
+        kept = (
+            np.concatenate([self.scales, shadow.scales]),
+            np.concatenate([colour_sh(self.albedo), shadow.sh]),
+            np.concatenate([self.part, shadow.label]),
+            np.concatenate([self.albedo, shadow.albedo]),
+        )
+        for array in kept:
+            array.setflags(write=False)
+        return kept
+
     def pose(
         self,
         pose: NDArray[np.floating] | None = None,
@@ -103,22 +123,35 @@ class Avatar:
         transforms, joints = pose_joints(self.joints, angles, shift)
         world = np.einsum("ab,jbc->jac", TO_WORLD, transforms)
         turns = quaternion_from_rotation(world[:, :, :3])
-        means, quats, normals = (np.empty((len(self), k), np.float32) for k in (3, 4, 3))
+        count = len(self)
+        total = count + SHADOWS if shadow else count
+        means, quats, normals = (np.empty((total, k), np.float32) for k in (3, 4, 3))
+        opacities = np.empty(total, np.float32)
+        opacities[:count] = self.opacities
         _pose(
             self.points, self.normals, self.quats, self.weights.joint,
             self.weights.weight.astype(np.float32), world, turns, means, quats, normals,
         )  # fmt: skip
-        cloud = GaussianCloud(
+        if shadow:
+            below = contact_shadow(joints)
+            means[count:], quats[count:], normals[count:] = below.means, below.quats, below.normal
+            opacities[count:] = below.opacities
+        scales, sh, label, albedo = self._kept
+        return GaussianCloud(
             means=means,
             quats=quats,
-            scales=self.scales,
-            opacities=self.opacities,
-            sh=((encode_srgb(self.albedo) - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
-            label=self.part,
-            albedo=self.albedo,
+            scales=scales[:total],
+            opacities=opacities,
+            sh=sh[:total],
+            label=label[:total],
+            albedo=albedo[:total],
             normal=normals,
         )
-        return join_clouds([cloud, contact_shadow(joints)]) if shadow else cloud
+
+
+def colour_sh(albedo: F32) -> F32:
+    """The coefficient [N, 1, 3] of splats that show the display colour of an albedo [N, 3]."""
+    return ((encode_srgb(albedo) - np.float32(0.5)) / np.float32(SH_C0))[:, None, :]
 
 
 def contact_shadow(joints: F64) -> GaussianCloud:
@@ -141,7 +174,7 @@ def contact_shadow(joints: F64) -> GaussianCloud:
         quats=np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1)),
         scales=sizes.astype(np.float32),
         opacities=strength.astype(np.float32),
-        sh=((encode_srgb(dark) - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
+        sh=colour_sh(dark),
         label=np.full(3, PARTS.index("shadow"), np.int32),
         albedo=dark,
         normal=np.tile(np.array([0, 0, 1], np.float32), (3, 1)),

@@ -16,7 +16,7 @@ from gn0.avatars.npz_arrays import ArrayFile, write_arrays
 from gn0.avatars.skinning import SkinWeights
 from gn0.config import Config
 from gn0.errors import FormatError
-from gn0.storage import content_hash, read_bytes, safe_join, write_atomic
+from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_atomic
 
 BANK_FILE = "bank.json"
 LAYOUT = 1
@@ -163,6 +163,7 @@ class AvatarBank:
 
     def __init__(self, folder: Path | str) -> None:
         self.folder = Path(folder)
+        check_contained(self.folder)
         path = self.folder / BANK_FILE
         try:
             self.list = msgspec.json.decode(read_bytes(path, _LIST_MOST), type=BankList)

@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from gn0.avatars.body import BodyShape
 from gn0.avatars.makehuman.mesh_obj import triangles_of
 from gn0.avatars.makehuman.mhclo import Cloth
-from gn0.avatars.skinning import SkinWeights, pack_weights, pose_joints, skin_points
+from gn0.avatars.skinning import (
+    SkinWeights,
+    pack_weights,
+    pose_joints,
+    skin_points,
+    unskin_points,
+)
 from gn0.geometry import F64
 from gn0.scenes.mesh import SceneMesh
 
@@ -148,9 +154,7 @@ class Fitting:
 
     def undo(self, points: F64, weights: SkinWeights) -> F64:
         """Points at rest [N, 3] m of points in the sculpted pose; posing gives them again."""
-        blended = np.einsum("nk,nkab->nab", weights.weight, self.transforms[weights.joint])
-        turned = np.linalg.inv(blended[:, :, :3])
-        return np.einsum("nab,nb->na", turned, points - blended[:, :, 3])
+        return unskin_points(points, weights, self.transforms)
 
 
 def cloth_layer(fitting: Fitting, cloth: Cloth, part: str, over: float, **more: object) -> Layer:

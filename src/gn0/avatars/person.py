@@ -26,7 +26,7 @@ from gn0.avatars.wardrobe import BOTTOMS, TOPS, dress_extras
 from gn0.geometry import F64
 from gn0.seeds import random_stream
 
-SPACING = 0.0086  # of discs on clothes and limbs [m]
+DISC_SPACING = 0.0086  # of discs on clothes and limbs [m]
 FACE, HAND, EYE, BROW, HAIR_SPACING = 0.0042, 0.0055, 0.0016, 0.0020, 0.0040
 _MARGIN = 0.016  # skin that is kept inside a hem [m]
 _LOOSE = 0.2  # reach of what hangs off the body: a skirt covers nothing for certain
@@ -206,7 +206,7 @@ def space_layer(layer: Layer, shape: BodyShape) -> F64:
     """How far apart the discs of each triangle lie [T] m: close on faces and hands."""
     middle = layer.vertices[layer.triangles].mean(axis=1)
     fine = {"eyes": EYE, "brows": BROW, "lashes": 1.5 * BROW, "hair": HAIR_SPACING}
-    spacing = np.full(len(middle), fine.get(layer.part, SPACING))
+    spacing = np.full(len(middle), fine.get(layer.part, DISC_SPACING))
     if layer.part == "skin":
         head = middle[:, 1] > shape.joints[INDEX["head"], 1] - 0.015
         spacing[head] = FACE

@@ -138,6 +138,15 @@ def skin_points(
     return out
 
 
+def unskin_points(
+    points: NDArray[np.floating], weights: SkinWeights, transforms: NDArray[np.floating]
+) -> F64:
+    """Points at rest [N, 3] m which transforms [55, 3, 4] take to points [N, 3]."""
+    blended = np.einsum("nk,nkab->nab", weights.weight, np.asarray(transforms)[weights.joint])
+    turned = np.linalg.inv(blended[:, :, :3])
+    return np.einsum("nab,nb->na", turned, points - blended[:, :, 3])
+
+
 @njit(parallel=True)
 def _skin(points, joint, weight, transforms, out):  # type: ignore[no-untyped-def]
     for n in prange(points.shape[0]):

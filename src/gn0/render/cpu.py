@@ -39,6 +39,7 @@ from gn0.render.renderer import (
     check_views,
 )
 from gn0.render.visible_mark import mark_tiles
+from gn0.render.who import WhoPictures, judge_seen
 
 STAGES = ("project", "bin", "raster")
 
@@ -195,6 +196,44 @@ class RendererCpu:
                 self.stage_seconds["raster"] += time.perf_counter() - start
         labels = {} if shown is None else split_codes(shown, outputs)
         return RenderResult(rgb, depth, alpha, **labels)
+
+    def render_who(
+        self, camera: Camera, views: NDArray[np.floating], *, parts: Parts
+    ) -> WhoPictures:
+        """Which instance each pixel of `views` shows, and how much of each is seen.
+
+        The scene needs no labels. Each instance is also drawn alone: for measures and truth.
+
+        Raises:
+            RenderError: a view is not finite or not rigid, or `parts` are wrong.
+        """
+        matrices = check_views(views)
+        instances = check_parts(parts, len(matrices), self._named)
+        shape = (camera.height, camera.width)
+        size = (-(-camera.width // TILE), camera.width, camera.height)
+        numbers = np.zeros((len(matrices), *shape), np.uint32)
+        nobody = np.zeros(self.size, np.uint32)
+        wants = np.array([False, False, False, True])
+        no_u8, no_f32 = np.empty((1, 1, 3), np.uint8), np.empty((1, 1, 3), np.float32)
+        no_map, colour = np.empty((1, 1), np.float32), np.zeros(3, np.float32)
+        seen = []
+        with _threads(self.options.threads):
+            for v, matrix in enumerate(matrices):
+                placed = self._named.place(instances[v], self.size)
+                lists = self.arrange(camera, matrix, [(self.cloud, 0)], placed)
+                codes = [np.full(len(p.codes), k, np.uint32) for k, p in enumerate(placed, 1)]
+                moving = np.concatenate([nobody[:0], *codes])
+                label_tiles(
+                    *lists, *size, False, nobody, moving, self.size, self.label_slots, numbers[v]
+                )
+                alone = []
+                for part in placed:
+                    opacity = np.empty(shape, np.float32)
+                    lists = self.arrange(camera, matrix, [], [part])
+                    raster_tiles(*lists, *size, colour, wants, no_u8, no_f32, no_map, opacity)
+                    alone.append(opacity)
+                seen.append(judge_seen(numbers[v], alone))
+        return WhoPictures(numbers, seen)
 
     @cached_property
     def _codes(self) -> U32:

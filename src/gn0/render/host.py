@@ -37,6 +37,7 @@ from gn0.render.renderer import (
     check_outputs,
     check_views,
 )
+from gn0.render.who import WhoPictures
 
 KEPT = 4  # scenes that are loaded at a time
 Build = Callable[[GaussianCloud, RenderOptions], SceneRenderer]
@@ -214,6 +215,39 @@ class RendererHost:
         return whole.in_millimetres() if millimetres else whole
 
     render = draw
+
+    def render_who(
+        self,
+        camera: Camera,
+        views: NDArray[np.floating],
+        keys: Sequence[str] | str = ALONE,
+        *,
+        parts: Parts,
+        visible: bool = False,
+    ) -> WhoPictures:
+        """Which instance each pixel shows, and how much of each is seen; arguments as for `draw`.
+
+        Raises:
+            RenderError: as `draw`, or the backend cannot tell.
+        """
+        views = check_views(views)
+        names = [keys] * len(views) if isinstance(keys, str) else list(keys)
+        if len(names) != len(views):
+            raise RenderError(f"{len(names)} keys for {len(views)} views", where="keys")
+        moving = check_parts(parts, len(views), self._parts)
+        numbers = np.zeros((len(views), camera.height, camera.width), np.uint32)
+        seen = []
+        for rows in _find_runs(names):
+            renderer: Any = self._open(names[rows.start], visible)
+            if not hasattr(renderer, "render_who"):
+                raise RenderError(
+                    f"renderer {self.name!r} cannot tell who is who", remedy="use backend 'cpu'"
+                )
+            self._tell(renderer, moving[rows])
+            found = renderer.render_who(camera, views[rows], parts=moving[rows])
+            numbers[rows] = found.numbers
+            seen += found.seen
+        return WhoPictures(numbers, seen)
 
     def _tell(self, renderer: Any, moving: Sequence[Sequence[Instance]]) -> None:
         """Make the clouds of some instances known to a renderer of one scene."""

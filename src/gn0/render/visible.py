@@ -32,6 +32,7 @@ from gn0.render.renderer import OUTPUTS, VISIBLE, Output, RenderResult, check_vi
 from gn0.render.visible_files import VisibleFiles
 from gn0.render.visible_mark import gather_chunks
 from gn0.render.visible_places import MEMORY, VisibleOptions, key_of_sets
+from gn0.render.who import WhoPictures
 
 _PER_SPLAT = (FIELDS + 1) * 4  # bytes of a packed splat
 
@@ -109,6 +110,12 @@ class RendererVisible:
             RenderError: see `RendererCpu.name_cloud`.
         """
         self.full.name_cloud(name, cloud)
+
+    def render_who(
+        self, camera: Camera, views: NDArray[np.floating], *, parts: Parts
+    ) -> WhoPictures:
+        """Which instance each pixel shows; of the whole scene, see `RendererCpu.render_who`."""
+        return self.full.render_who(camera, views, parts=parts)
 
     def render(
         self,

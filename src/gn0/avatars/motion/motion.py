@@ -45,7 +45,7 @@ class Motion:
         displacement: way gone since the first frame, which is not in `shift` [T] m; None where all
             is in `shift`.
         contacts: whether the left and the right foot stand [T, 2]; None where unknown.
-        notes: what a reader found out or mended.
+        notes: what a reader found out or put right.
 
     Raises:
         DataError: arrays of the wrong shape, not finite (the frame is named) or out of range, one

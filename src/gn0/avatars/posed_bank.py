@@ -1,0 +1,137 @@
+"""Posed people that are kept: a cloud is made when it is first asked for, the oldest make room.
+
+A walk repeats itself: who has gone through a cycle is posed no more. Clouds have names for a
+renderer. A name that became free is given to another cloud of about its size, so that what a
+renderer keeps by name stays bounded as well.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from gn0.errors import ConfigError
+from gn0.gaussians.cloud import GaussianCloud
+
+BUDGET = 512 * 2**20  # of posed clouds [bytes]
+SPLAT_BYTES = 136  # of a splat: 44 that a pose changes, 92 as a renderer packs it again
+
+Pose = Callable[[], GaussianCloud]
+
+
+@dataclass(frozen=True, eq=False)
+class PosedCloud:
+    """A posed cloud and the name by which a renderer knows it, until another cloud has the name.
+
+    Attributes:
+        key: what was asked for.
+        name: for `Renderer.name_cloud` and `Instance`.
+        cloud: the splats.
+    """
+
+    key: Hashable
+    name: str
+    cloud: GaussianCloud
+
+
+class _NamesClouds(Protocol):
+    def name_cloud(self, name: str, cloud: GaussianCloud) -> None: ...
+
+
+class PosedBank:
+    """Posed clouds by key, under a budget. For one thread.
+
+    A key tells all that a cloud depends on, as (digest of the avatar, clip, phase, level of
+    detail, yaw of the head): equal keys, equal clouds.
+
+    Args:
+        budget: bytes of all clouds together, as posed and as a renderer packs them; the arrays
+            that an avatar's clouds share are not counted.
+        prefix: how names begin.
+
+    Attributes:
+        hits, misses: how many clouds were there when they were asked for, and how many not.
+
+    Raises:
+        ConfigError: the budget is not above 0.
+    """
+
+    def __init__(self, budget: int = BUDGET, *, prefix: str = "posed") -> None:
+        if budget <= 0:
+            raise ConfigError(
+                f"{budget} bytes for posed people", where="PosedBank", remedy="give more than 0"
+            )
+        self.budget, self.prefix = budget, prefix
+        self.hits = self.misses = 0
+        self._held: OrderedDict[Hashable, PosedCloud] = OrderedDict()  # least recent first
+        self._bytes = 0
+        self._free: dict[int, list[str]] = {}  # names, by size
+        self._given: dict[int, int] = {}  # names so far, by size
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._held
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of all clouds, never above the budget."""
+        return self._bytes
+
+    @property
+    def hit_rate(self) -> float:
+        """Share of clouds that were there when they were asked for; 0 before any was."""
+        return self.hits / max(self.hits + self.misses, 1)
+
+    def fetch(self, wanted: Sequence[tuple[Hashable, Pose]]) -> list[PosedCloud]:
+        """The clouds of one picture, made where they are not here.
+
+        They stay, and keep their names, until the next call; what was asked for least recently
+        makes room for them.
+
+        Args:
+            wanted: a key and the function that poses it, for each; keys may repeat.
+
+        Raises:
+            ConfigError: together they are larger than the budget; nothing is kept of this call
+                beyond what fitted.
+        """
+        now = {key for key, _ in wanted}
+        for key, pose in wanted:
+            if key in self._held:
+                self._held.move_to_end(key)
+                self.hits += 1
+                continue
+            self.misses += 1
+            cloud = pose()
+            size = SPLAT_BYTES * len(cloud)
+            self._make_room(size, now)
+            sort = len(cloud).bit_length()
+            free = self._free.setdefault(sort, [])
+            if not free:
+                number = self._given[sort] = self._given.get(sort, 0) + 1
+                free.append(f"{self.prefix}/{sort}/{number}")
+            self._held[key] = PosedCloud(key, free.pop(), cloud)
+            self._bytes += size
+        return [self._held[key] for key, _ in wanted]
+
+    def tell(self, renderer: _NamesClouds, posed: Sequence[PosedCloud]) -> None:
+        """Make clouds known to a renderer, under their names; those it knows cost nothing."""
+        for each in posed:
+            renderer.name_cloud(each.name, each.cloud)
+
+    def _make_room(self, size: int, now: set[Hashable]) -> None:
+        while self._bytes + size > self.budget:
+            oldest = next((key for key in self._held if key not in now), None)
+            if oldest is None:
+                raise ConfigError(
+                    f"the people of one picture need more than {self.budget:,} bytes",
+                    where="PosedBank.fetch",
+                    remedy="give a larger budget, or draw people at coarser levels of detail",
+                )
+            gone = self._held.pop(oldest)
+            self._bytes -= SPLAT_BYTES * len(gone.cloud)
+            self._free.setdefault(len(gone.cloud).bit_length(), []).append(gone.name)

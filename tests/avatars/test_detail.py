@@ -1,0 +1,143 @@
+"""Levels of detail: what merging keeps of a person, and which level is chosen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gn0.avatars.bank import digest_avatar
+from gn0.avatars.detail import (
+    GRAIN,
+    REACH_PX,
+    SHARES,
+    build_levels,
+    choose_level,
+    diagonalise,
+    merge_avatar,
+)
+from gn0.avatars.layer import PARTS
+from gn0.errors import ConfigError
+from gn0.gaussians.cloud import GaussianCloud
+from gn0.geometry import F64, view_from_pose
+from gn0.render.camera import Camera
+from gn0.render.cpu import RendererCpu
+from gn0.render.renderer import RenderOptions, RenderResult
+from gn0_trials.people_small import small_person, stride_pose
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from((1.0, 1e-3, 1e-9, 0.0)))
+def test_eigenvectors_give_the_matrix_again(seed: int, thin: float) -> None:
+    stream = np.random.default_rng(seed)
+    root = stream.normal(size=(20, 3, 3)) * (1.0, 1.0, thin)
+    matrices = root @ root.transpose(0, 2, 1)
+    values, vectors = diagonalise(matrices)
+    again = vectors @ (values[:, :, None] * vectors.transpose(0, 2, 1))
+    np.testing.assert_allclose(again, matrices, atol=1e-10 * max(matrices.max(), 1.0))
+    np.testing.assert_allclose(np.linalg.det(vectors), 1.0, atol=1e-9)
+    assert (np.diff(values, axis=1) <= 1e-12).all()
+
+
+def test_eigenvectors_of_a_multiple_of_one_are_a_rotation() -> None:
+    values, vectors = diagonalise(np.tile(2.0 * np.eye(3), (2, 1, 1)))
+    np.testing.assert_array_equal(values, 2.0)
+    np.testing.assert_allclose(np.linalg.det(vectors), 1.0)
+
+
+def moments(avatar_cloud: GaussianCloud) -> tuple[F64, F64, F64]:
+    """Mean, spread and mean colour, weighted by surface and opacity."""
+    sizes = np.sort(avatar_cloud.scales.astype(np.float64), axis=1)
+    weight = sizes[:, 1] * sizes[:, 2] * avatar_cloud.opacities
+    weight /= weight.sum()
+    mean = weight @ avatar_cloud.means
+    return mean, weight @ (avatar_cloud.means - mean) ** 2, weight @ avatar_cloud.rgb()
+
+
+def test_levels_have_their_counts_and_every_part() -> None:
+    levels = build_levels(small_person())
+    full = levels[0]
+    assert full is small_person() and len(levels) == len(SHARES)
+    for share, level in zip(SHARES[1:], levels[1:], strict=True):
+        assert 0.9 * share * len(full) <= len(level) <= share * len(full) + 1
+        large = [p for p in np.unique(full.part) if (full.part == p).sum() > 60]
+        assert set(large) <= set(level.part.tolist()), [PARTS[p] for p in large]
+        assert np.isfinite(level.points).all() and (level.scales > 0).all()
+        np.testing.assert_allclose(np.linalg.norm(level.normals, axis=1), 1.0, atol=1e-4)
+        np.testing.assert_allclose(level.weights.weight.sum(axis=1), 1.0)
+        assert level.record == full.record
+
+
+def test_merging_keeps_place_spread_and_colour() -> None:
+    """But for what overlaps: large splats have more surface than those that they were."""
+    full, merged = small_person(), merge_avatar(small_person(), 1500)
+    pose = stride_pose()
+    (mean, spread, colour), (other, wide, shown) = (
+        moments(a.pose(pose, shadow=False)) for a in (full, merged)
+    )
+    np.testing.assert_allclose(other, mean, atol=0.05)
+    np.testing.assert_allclose(wide, spread, rtol=0.15)
+    np.testing.assert_allclose(shown, colour, atol=0.02)
+
+
+def test_parts_do_not_mix() -> None:
+    """Each merged splat's colour lies within the colours of its own part."""
+    full, merged = small_person(), merge_avatar(small_person(), 600)
+    for part in np.unique(merged.part):
+        own, mixed = full.albedo[full.part == part], merged.albedo[merged.part == part]
+        assert (mixed >= own.min(axis=0) - 1e-4).all() and (mixed <= own.max(axis=0) + 1e-4).all()
+
+
+def test_merging_again_gives_the_same_bytes() -> None:
+    one, two = (merge_avatar(small_person(), 700) for _ in range(2))
+    assert digest_avatar(one) == digest_avatar(two)
+    assert merge_avatar(one, len(one)) is one
+    with pytest.raises(ConfigError, match="0 splats"):
+        merge_avatar(one, 0)
+
+
+@given(st.floats(0.1, 100.0), st.floats(0.1, 100.0), st.floats(30.0, 2000.0))
+def test_farther_people_and_smaller_pictures_are_coarser(
+    near: float, far: float, focal: float
+) -> None:
+    near, far = min(near, far), max(near, far)
+    assert choose_level(near, focal) <= choose_level(far, focal)
+    assert choose_level(near, 2 * focal) <= choose_level(near, focal)
+    assert choose_level(0.0, focal) == 0 and choose_level(1e6, focal) == len(SHARES) - 1
+    assert choose_level(far, focal) == choose_level(2 * far, 2 * focal)
+
+
+def psnr(one: RenderResult, two: RenderResult) -> float:
+    """Of colours where `one` is opaque [dB]."""
+    assert one.alpha is not None and one.rgb is not None and two.rgb is not None
+    inside = one.alpha > 0.95
+    error = np.clip(one.rgb, 0, 1)[inside] - np.clip(two.rgb, 0, 1)[inside]
+    return float(-10 * np.log10((error**2).mean()))
+
+
+def test_levels_look_like_the_level_before_where_they_begin() -> None:
+    """Inside the outline; and more like the full person than as many of its splats by chance."""
+    camera = Camera.from_hfov(160, 160, 90.0)
+    levels = build_levels(small_person(density=1.0))
+    clouds = [level.pose(stride_pose()) for level in levels]
+    stream = np.random.default_rng(1)
+    least = (0.0, 32.0, 26.0, 23.0)  # dB
+    for number in (1, 2, 3):
+        distance = 1.001 * GRAIN[number] * camera.fx / REACH_PX[number]
+        assert choose_level(distance, camera.fx) == number
+        views = np.stack(
+            [
+                view_from_pose(distance * np.cos(a), distance * np.sin(a), 1.2, a + np.pi)
+                for a in (0.3, 2.0, 4.0)
+            ]
+        )
+        chance = clouds[0].select(stream.permutation(len(clouds[0]))[: len(clouds[number])])
+        full, before, here, some = (
+            RendererCpu(cloud, RenderOptions(rgb_float=True)).render(
+                camera, views, background=(0.5, 0.5, 0.5)
+            )
+            for cloud in (clouds[0], *clouds[number - 1 : number + 1], chance)
+        )
+        assert psnr(before, here) > least[number], number
+        assert psnr(full, here) > psnr(full, some), number

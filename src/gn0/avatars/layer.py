@@ -81,8 +81,8 @@ class Layer:
         """Triangles whose corners are all covered [T]."""
         if self.covered is None:
             return np.zeros(len(self.triangles), bool)
-        covered: NDArray[np.bool_] = self.covered[self.triangles].all(axis=1)
-        return covered
+        corner = self.covered[self.triangles]
+        return corner[:, 0] & corner[:, 1] & corner[:, 2]
 
     def kept(self, points: F64) -> NDArray[np.bool_]:
         """Which points of it [M, 3] m are there."""

@@ -13,6 +13,7 @@ from gn0.avatars.colour_names import NAMES, draw_colour, lab_of, name_colour
 from gn0.avatars.identity import Identity, draw_people
 from gn0.avatars.layer import PARTS
 from gn0.avatars.person import build_person, shape_identity
+from gn0.avatars.poses import trial_poses
 from gn0.avatars.skeleton import INDEX
 from gn0.avatars.wardrobe import BOTTOMS, TOPS
 from gn0.errors import DataError
@@ -25,7 +26,7 @@ from gn0.viewer.avatar_check import (
     read_colour,
     score_colour,
 )
-from gn0.viewer.avatar_sheet import describe_avatar, draw_avatars, draw_portrait, trial_poses
+from gn0.viewer.avatar_sheet import describe_avatar, draw_avatars, draw_portrait
 
 WOMAN = Identity(seed=11, top="sweater", top_colour="red", top_pattern="knitted", bottom="slim")
 MAN = Identity(

@@ -10,7 +10,6 @@ from gn0.errors import FormatError
 from gn0.seeds import random_stream
 from gn0_trials.fuzz import TARGETS, FuzzTarget, find_target, fuzz_reader, main, mutate
 
-
 # clips that take milliseconds each: hundreds with every change, thousands in the slow run
 DEAR = {"fbx": 600, "glb-skin": 1_000}
 

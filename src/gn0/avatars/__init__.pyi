@@ -4,8 +4,13 @@ from gn0.avatars.bank import load_avatar as load_avatar
 from gn0.avatars.bank_build import generate_bank as generate_bank
 from gn0.avatars.body_file import load_body as load_body
 from gn0.avatars.body_file import load_smplx_body as load_smplx_body
+from gn0.avatars.detail import build_levels as build_levels
+from gn0.avatars.detail import choose_level as choose_level
 from gn0.avatars.identity import Identity as Identity
 from gn0.avatars.identity import draw_people as draw_people
+from gn0.avatars.light import find_probes as find_probes
 from gn0.avatars.motion.motion import Motion as Motion
 from gn0.avatars.motion.open_motion import load_motion as load_motion
 from gn0.avatars.person import build_person as build_person
+from gn0.avatars.posed_bank import PosedBank as PosedBank
+from gn0.avatars.poses import standing_pose as standing_pose

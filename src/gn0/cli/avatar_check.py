@@ -31,9 +31,9 @@ class Args(Config, frozen=True):
 def run(args: Args) -> int:
     """Print the findings, person by person."""
     from gn0.avatars.bank import open_avatars
+    from gn0.avatars.poses import trial_poses
     from gn0.cli.console import draw_progress
     from gn0.viewer.avatar_check import check_avatar
-    from gn0.viewer.avatar_sheet import trial_poses
 
     avatars = open_avatars(args.source, args.name)
     found = {}

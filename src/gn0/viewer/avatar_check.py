@@ -15,6 +15,7 @@ from scipy import ndimage
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.colour_names import NEIGHBOURS, name_colour
 from gn0.avatars.layer import PARTS
+from gn0.avatars.poses import standing_pose
 from gn0.avatars.skeleton import JOINTS
 from gn0.config import Config
 from gn0.gaussians.cloud import GaussianCloud
@@ -22,7 +23,7 @@ from gn0.gaussians.film import decode_srgb
 from gn0.geometry import F64
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
-from gn0.viewer.avatar_sheet import standing_pose, view_person
+from gn0.viewer.avatar_sheet import view_person
 
 SKIN, TOP, BOTTOM = (PARTS.index(name) for name in ("skin", "top", "bottom"))
 _CAMERA = Camera.from_vfov(480, 360, 70.0)

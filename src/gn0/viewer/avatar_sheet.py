@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gn0.avatars.avatar import Avatar
+from gn0.avatars.poses import standing_pose, trial_poses
 from gn0.avatars.skeleton import INDEX
 from gn0.geometry import F64, U8
 from gn0.progress import Progress, no_progress
@@ -120,21 +121,3 @@ def draw_portrait(avatar: Avatar) -> Image.Image:
 
 def _options() -> RenderOptions:
     return RenderOptions(background=tuple(c / 255 for c in PAPER))  # type: ignore[arg-type]
-
-
-def trial_poses() -> tuple[F64, F64, F64]:
-    """Standing, a long stride, seated [55, 3] rad: what clothes are tried in."""
-    stride, seat = standing_pose(), standing_pose()
-    for side, hip, knee in (("left", -0.5, 0.2), ("right", 0.4, 0.6)):
-        stride[INDEX[f"{side}_hip"], 0], stride[INDEX[f"{side}_knee"], 0] = hip, knee
-        seat[INDEX[f"{side}_hip"], 0], seat[INDEX[f"{side}_knee"], 0] = -1.5, 1.5
-    return standing_pose(), stride, seat
-
-
-def standing_pose() -> F64:
-    """Standing with the arms lowered [55, 3] rad."""
-    pose = np.zeros((55, 3))
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        pose[INDEX[f"{side}_shoulder"]] = (0.0, 0.10 * sign, -1.18 * sign)
-        pose[INDEX[f"{side}_elbow"]] = (0.0, -0.25 * sign, 0.0)
-    return pose

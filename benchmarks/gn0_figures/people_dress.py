@@ -1,0 +1,78 @@
+"""Whether people can be told apart, wear what they are said to wear, and how long one takes."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from itertools import combinations
+
+import numpy as np
+
+from gn0.avatars.body_file import BODY_FILE
+from gn0.avatars.cloth_file import WARDROBE_FILE
+from gn0.avatars.identity import draw_people
+from gn0.avatars.person import build_person
+from gn0.avatars.poses import trial_poses
+from gn0.viewer.avatar_check import (
+    BOTTOM,
+    TOP,
+    measure_skin,
+    read_colour,
+    score_colour,
+)
+from gn0_figures.board import Figure, FigureContext, FigureRow, row_at_least, row_at_most
+
+SEED, BUILT, BANK = 7, 60, 200  # people who are built; of whom records are compared
+_SKIRTS = ("skirt", "short_skirt", "long_skirt")
+_DRESSES = ("dress", "long_dress", "coat", "long_coat")
+
+
+def measure_dress(ctx: FigureContext) -> list[FigureRow]:
+    """Names of colours, skin through clothes, differences, time, bytes."""
+    bank = draw_people(SEED, BANK)
+    least = min(a.differences(b) for a, b in combinations(bank, 2))
+    most = max(Counter(person.silhouette() for person in bank).values())
+    scores: list[float] = []
+    shown: dict[str, list[float]] = {"trousers": [], "skirts": []}
+    seconds, splats = [], []
+    for number, person in enumerate(bank[:BUILT]):
+        ctx.progress("dressing people", number, BUILT)
+        start = time.perf_counter()
+        avatar = build_person(person)
+        seconds.append(time.perf_counter() - start)
+        splats.append(len(avatar))
+        for part, name in ((TOP, "top"), (BOTTOM, "bottom")):
+            read = read_colour(avatar, part) if (avatar.part == part).any() else ""
+            if read:
+                scores.append(score_colour(getattr(person, f"{name}_colour"), read))
+        skin, cloth = measure_skin(avatar, trial_poses())
+        hangs = person.bottom in _SKIRTS or person.top in _DRESSES
+        shown["skirts" if hangs else "trousers"].append(100.0 * skin / max(cloth, 1))
+    poses = "standing, a long stride, seated; from four sides at 2 m"
+    who = f"people of seed {SEED}"
+    rows = [
+        row_at_least("least difference of two people", least, 2, "attributes", f"{BANK} {who}"),
+        row_at_most("most alike in cut of top, bottom and hair", most, 8, "people", f"of {BANK}"),
+        row_at_least(
+            "names of colours read from pictures", 100.0 * float(np.mean(scores)), 95, "%",
+            f"{len(scores)} garments in view of {BUILT} {who}; 480 x 360 at 3 m, even light; half "
+            "points for grey or black, beige or white",
+        ),
+    ]  # fmt: skip
+    for name, shares in shown.items():
+        about = f"{len(shares)} people, {poses}"
+        rows.append(
+            row_at_most(f"skin through {name}, mean", float(np.mean(shares)), 0.1, "%", about)
+        )
+        worst = f"skin through {name}, the worst of them"
+        rows.append(row_at_most(worst, float(np.max(shares)), 0.1, "%", about))
+    size = (BODY_FILE.stat().st_size + WARDROBE_FILE.stat().st_size) / 2**20
+    rows += [
+        row_at_most("body and wardrobe in the wheel", size, 6, "MiB"),
+        FigureRow(name="splats a person, median", value=float(np.median(splats)), unit="splats"),
+        FigureRow(name="time to build one, median", value=float(np.median(seconds)), unit="s"),
+    ]
+    return rows
+
+
+FIGURES = [Figure("avatars.dress", "People: told apart, dressed as said", measure_dress, 3.0)]

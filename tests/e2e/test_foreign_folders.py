@@ -102,7 +102,7 @@ EXPORTS = {
 OTHERS = {
     "demo", "doctor", "figures", "scene generate", "scene import", "scene corpus", "scene check",
     "scene show", "scene light", "scene visible", "scene inspect", "scene convert", "list",
-    "scene furniture", "completion", "policy ask", "policy pack", "policy study",
+    "scene furniture", "completion", "avatar import", "policy ask", "policy pack", "policy study",
 }  # fmt: skip
 CASES = [
     (kind, case, links)

@@ -14,6 +14,7 @@ import numpy as np
 from gn0.avatars.avatar import Avatar
 from gn0.avatars.npz_arrays import ArrayFile, write_arrays
 from gn0.avatars.skinning import SkinWeights
+from gn0.avatars.splat_person import load_splat_person
 from gn0.config import Config
 from gn0.errors import FormatError
 from gn0.storage import check_contained, content_hash, read_bytes, safe_join, write_atomic
@@ -223,11 +224,13 @@ class AvatarBank:
 def open_avatars(source: Path | str, name: str = "") -> list[Avatar]:
     """The avatars of a bank, one of them by its name, or that of a file.
 
+    A file is one of ours (`.npz`), or splats with a `binding.npz` beside them.
+
     Raises:
         StorageError, FormatError: there is nothing of that name, or it is damaged.
     """
     path = Path(source)
     if path.is_file() and not name:
-        return [load_avatar(path)]
+        return [load_avatar(path) if path.suffix == ".npz" else load_splat_person(path)]
     bank = AvatarBank(path)
     return [bank.load(one) for one in ([name] if name else bank.names)]

@@ -26,6 +26,7 @@ Cut = Callable[[F64], NDArray[np.bool_]]  # points [M, 3] m at rest: which of th
 PARTS: tuple[str, ...] = (
     "skin", "eyes", "brows", "lashes", "hair", "hat", "top", "bottom", "socks", "shoes", "scarf",
     "shadow",
+    "person",
 )  # fmt: skip
 _INFLUENCES = 4
 

@@ -29,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene convert": ("scene_convert", "any splat file as .ply or .compressed.ply"),
     "avatar generate": ("avatar_generate", "dressed people from a seed, and a page of them"),
     "avatar show": ("avatar_show", "draw an avatar, or a page of a bank of them"),
+    "avatar import": ("avatar_import", "a person of splats, as LHM makes them"),
     "avatar check": ("avatar_check", "skin through clothes, feet off the floor, wrong colours"),
     "view": ("view", "walk through a scene in the browser, or replay runs side by side"),
     "bench run": ("bench_run", "run a policy over a suite, or over a scene folder"),

@@ -1,0 +1,205 @@
+"""A person as a splat file at rest, and beside it what carries it: the form of LHM's output.
+
+    person.ply           Gaussians of the T-pose, body frame, SH degree 0, in the fields of LHM
+    binding.npz          weights_idx [N, 4], weights [N, 4], joints [55, 3] or betas, T_align [4, 4]
+
+LHM's own `.ply` carries no skinning and no shape; `binding.npz` is where whoever fitted a body to
+it says so. Fields of the `.ply`: LHM `runners/infer/human_lrm.py`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gn0.avatars.avatar import Avatar
+from gn0.avatars.body import SHAPE_SPACES, BodyModel
+from gn0.avatars.body_file import load_body
+from gn0.avatars.layer import PARTS
+from gn0.avatars.npz_arrays import ArrayFile, write_arrays
+from gn0.avatars.skeleton import JOINT_COUNT
+from gn0.avatars.skinning import pack_weights, pose_joints, unskin_points
+from gn0.avatars.surfels import blended_turns
+from gn0.errors import DataError, FormatError
+from gn0.gaussians.cloud import SH_C0, GaussianCloud
+from gn0.gaussians.film import decode_srgb, encode_srgb
+from gn0.gaussians.ply import save_ply
+from gn0.gaussians.splat_files import load_cloud
+from gn0.gaussians.transform import transform_cloud
+from gn0.geometry import F64, quaternion_from_rotation, rotation_from_quaternion
+from gn0.storage import write_atomic
+
+BINDING_FILE = "binding.npz"
+_REMEDY = "fit a body to it and write weights_idx, weights and joints (or betas) to binding.npz"
+_TALL = (0.5, 2.6)  # what a person may measure in T-pose [m]
+
+
+def save_splat_person(folder: Path | str, avatar: Avatar) -> Path:
+    """Write an avatar at rest as `NAME.ply` and `binding.npz`; the path of the `.ply`.
+
+    Raises:
+        StorageError: the folder cannot be written.
+    """
+    path = Path(folder) / f"{avatar.name}.ply"
+    cloud = GaussianCloud(
+        means=avatar.points,
+        quats=avatar.quats,
+        scales=avatar.scales,
+        opacities=avatar.opacities,
+        sh=((encode_srgb(avatar.albedo) - np.float32(0.5)) / np.float32(SH_C0))[:, None, :],
+    )
+    save_ply(cloud, path, comments=[f"avatar {avatar.name}", f"licence {avatar.licence}"])
+    arrays: dict[str, np.ndarray] = {
+        "weights_idx": avatar.weights.joint,
+        "weights": avatar.weights.weight.astype(np.float32),
+        "joints": avatar.joints,
+        "betas": avatar.betas,
+        "shape_space": np.array(avatar.shape_space),
+        "T_align": np.eye(4),
+        "scale": np.array(1.0),
+        "canonical_pose": np.zeros((JOINT_COUNT, 3)),
+        "normals": avatar.normals,
+        "part": avatar.part.astype(np.uint8),
+        "source": np.array(avatar.source),
+        "licence": np.array(avatar.licence),
+    }
+    write_atomic(path.parent / BINDING_FILE, lambda stream: write_arrays(stream, arrays))
+    return path
+
+
+def load_splat_person(
+    path: Path | str, *, body: BodyModel | None = None, binding: Path | str | None = None
+) -> Avatar:
+    """A person from a splat file of its T-pose and the `binding.npz` beside it.
+
+    Args:
+        path: the splats, in any format that GN0 reads.
+        body: whose betas the binding has, where it has no joints; GN0's own for `gn0` betas.
+        binding: the side-car, if it lies elsewhere.
+
+    Raises:
+        StorageError: a file cannot be read.
+        FormatError: the binding is missing, of another number of splats, or of no known body; the
+            splats are those of a room.
+    """
+    file = Path(path)
+    found = load_cloud(file)
+    side = Path(binding) if binding is not None else file.parent / BINDING_FILE
+    if not side.is_file():
+        raise FormatError(
+            "no binding says which joints carry its splats", file=side, remedy=_REMEDY
+        )
+    arrays = ArrayFile(side)
+    arrays.require(("weights_idx", "weights"), "a binding", _REMEDY)
+    count = found.stored
+    if found.dropped:
+        raise FormatError(
+            f"{found.dropped} of {count} splats are not finite: the binding's rows do not fit",
+            file=file,
+            remedy="repair the file first",
+        )
+    index = arrays.read_floats("weights_idx", (count, None))
+    weight = arrays.read_floats("weights", (count, index.shape[1]))
+    if count and (
+        index.min() < 0 or index.max() >= JOINT_COUNT or (index != np.floor(index)).any()
+    ):
+        raise FormatError(f"a joint is not one of {JOINT_COUNT}", file=side, field="weights_idx")
+    cloud = _aligned(found.cloud, arrays, side)
+    height = float(np.ptp(cloud.means[:, 1])) if count else 0.0
+    if not _TALL[0] <= height <= _TALL[1]:
+        raise FormatError(
+            f"it is {height:.2f} m tall in T-pose (y up), a person {_TALL[0]} to {_TALL[1]} m",
+            file=file,
+            remedy="is this a person, in metres, y up? T_align and scale of the binding turn it",
+        )
+    betas = arrays.read_floats("betas", (None,)) if "betas" in arrays else np.zeros(0)
+    space = _word(arrays, "shape_space", "gn0")
+    joints = _joints(arrays, side, betas, space, body)
+    dense = np.zeros((count, JOINT_COUNT))
+    np.add.at(dense, (np.arange(count)[:, None], index.astype(np.int64)), weight)
+    try:
+        weights = pack_weights(dense, 4)
+    except DataError as error:
+        raise FormatError(f"{error.what}: {error.where}", file=side, field="weights") from None
+    points, quats = cloud.means.astype(np.float64), cloud.quats.astype(np.float64)
+    if "canonical_pose" in arrays:
+        pose = arrays.read_floats("canonical_pose", (JOINT_COUNT, 3))
+        if pose.any():  # splats stand in another pose than the T-pose: taken back
+            transforms, _ = pose_joints(joints, pose)
+            points = unskin_points(points, weights, transforms)
+            back = blended_turns(weights, transforms).transpose(0, 2, 1)
+            quats = quaternion_from_rotation(back @ rotation_from_quaternion(quats))
+    normals = (
+        arrays.read_floats("normals", (count, 3)) if "normals" in arrays
+        else _flat_normals(points, quats, cloud)
+    )  # fmt: skip
+    part = (
+        arrays.read_floats("part", (count,)).astype(np.int32) if "part" in arrays
+        else np.full(count, PARTS.index("person"), np.int32)
+    )  # fmt: skip
+    if count and not 0 <= part.min() <= part.max() < len(PARTS):
+        raise FormatError("a part is not known", file=side, field="part")
+    return Avatar(
+        name=file.stem,
+        points=points.astype(np.float32),
+        normals=normals.astype(np.float32),
+        quats=quats.astype(np.float32),
+        scales=cloud.scales,
+        opacities=cloud.opacities,
+        albedo=decode_srgb(np.clip(cloud.rgb(), 0.0, 1.0)),
+        part=part,
+        weights=weights,
+        joints=joints,
+        betas=betas,
+        shape_space=space,
+        source=_word(arrays, "source", str(file.name)),
+        licence=_word(arrays, "licence", "unknown"),
+    )
+
+
+def _aligned(cloud: GaussianCloud, arrays: ArrayFile, side: Path) -> GaussianCloud:
+    """The splats in the body's frame: x' = scale · R x + t."""
+    matrix = arrays.read_floats("T_align", (4, 4)) if "T_align" in arrays else np.eye(4)
+    scale = float(arrays.read("scale").reshape(-1)[0]) if "scale" in arrays else 1.0
+    turn = matrix[:3, :3]
+    if not (np.isfinite(scale) and scale > 0) or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-4:
+        raise FormatError(
+            "not a rotation, a shift and a positive scale", file=side, field="T_align, scale"
+        )
+    u, _, v = np.linalg.svd(turn)
+    return transform_cloud(cloud, rotation=u @ v, scale=scale, shift=matrix[:3, 3])
+
+
+def _joints(arrays: ArrayFile, side: Path, betas: F64, space: str, body: BodyModel | None) -> F64:
+    if space not in SHAPE_SPACES:
+        raise FormatError(f"no body has shapes of {space!r}", file=side, field="shape_space")
+    if "joints" in arrays:
+        return arrays.read_floats("joints", (JOINT_COUNT, 3))
+    if body is None and space != "gn0":
+        raise FormatError(
+            "it names a shape of SMPL-X, but no joints",
+            file=side,
+            field="joints",
+            remedy="name the body that the shape is of: load_smplx_body(SMPLX_NEUTRAL.npz)",
+        )
+    try:
+        return (body or load_body()).shape(betas, space).joints
+    except DataError as error:
+        raise FormatError(error.what, file=side, field="betas", remedy=error.remedy) from None
+
+
+def _flat_normals(points: F64, quats: F64, cloud: GaussianCloud) -> F64:
+    """Each splat's thinnest axis, pointing away from the body's middle line."""
+    axes = rotation_from_quaternion(quats)[np.arange(len(points)), :, cloud.scales.argmin(axis=1)]
+    outward = points - np.median(points, axis=0) * (1.0, 0.0, 1.0) - points * (0.0, 1.0, 0.0)
+    return np.where(np.einsum("na,na->n", axes, outward)[:, None] < 0, -axes, axes)
+
+
+def _word(arrays: ArrayFile, name: str, default: str) -> str:
+    if name not in arrays:
+        return default
+    found = arrays.read(name, 65_536)
+    if found.dtype.kind not in "US" or found.size != 1:
+        raise FormatError("this is not a word", file=arrays.path, field=name)
+    return str(found.reshape(-1)[0])

@@ -1,0 +1,122 @@
+"""People that others made: splats and a binding become an avatar, and come out as they went in."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gn0.avatars.avatar import Avatar
+from gn0.avatars.bank import load_avatar, open_avatars
+from gn0.avatars.npz_arrays import ArrayFile, write_arrays
+from gn0.avatars.poses import trial_poses
+from gn0.avatars.skinning import pose_joints, skin_points
+from gn0.avatars.splat_person import load_splat_person, save_splat_person
+from gn0.cli.main import main
+from gn0.errors import FormatError
+from gn0_trials.people_small import small_person
+
+
+@pytest.fixture(scope="module")
+def person() -> Avatar:
+    return small_person(density=0.05)
+
+
+@pytest.fixture
+def folder(person: Avatar, tmp_path: Path) -> Path:
+    save_splat_person(tmp_path, person)
+    return tmp_path
+
+
+def change(folder: Path, **arrays: np.ndarray | None) -> None:
+    file = ArrayFile(folder / "binding.npz")
+    kept = {name: file.read(name) for name in file.names if name not in arrays}
+    kept |= {name: value for name, value in arrays.items() if value is not None}
+    with open(folder / "binding.npz", "wb") as stream:
+        write_arrays(stream, kept)
+
+
+def test_a_person_comes_back_as_it_was_written(person: Avatar, folder: Path) -> None:
+    again = load_splat_person(folder / f"{person.name}.ply")
+    assert np.array_equal(again.points, person.points)
+    assert np.array_equal(again.part, person.part)
+    assert np.abs(again.albedo - person.albedo).max() < 1e-5
+    stride = trial_poses()[1]
+    assert np.abs(again.pose(stride).means - person.pose(stride).means).max() < 1e-6
+    assert open_avatars(folder / f"{person.name}.ply")[0].name == person.name
+
+
+def test_axes_scale_and_pose_of_others_are_taken_back(person: Avatar, folder: Path) -> None:
+    from gn0.gaussians.ply import save_ply
+    from gn0.gaussians.splat_files import load_cloud
+    from gn0.gaussians.transform import transform_cloud
+
+    path = folder / f"{person.name}.ply"
+    pose = np.zeros((55, 3))
+    pose[16, 2], pose[17, 2] = -0.8, 0.8  # arms lowered, as a fitted A-pose
+    transforms, _ = pose_joints(person.joints, pose)
+    cloud = load_cloud(path).cloud
+    posed = skin_points(person.points, person.weights, transforms).astype(np.float32)
+    from dataclasses import replace
+
+    # z up, in centimetres, a metre aside
+    up = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+    theirs = transform_cloud(
+        replace(cloud, means=posed), rotation=up, scale=100.0, shift=(100.0, 0.0, 0.0)
+    )
+    save_ply(theirs, path)
+    align = np.eye(4)
+    align[:3, :3] = up.T
+    align[:3, 3] = up.T @ (-1.0, 0.0, 0.0)
+    change(folder, T_align=align, scale=np.array(0.01), canonical_pose=pose)
+    again = load_splat_person(path)
+    assert np.abs(again.points - person.points).max() < 2e-5
+
+
+def test_a_person_without_parts_or_joints_hangs_on_our_body(person: Avatar, folder: Path) -> None:
+    change(folder, part=None, normals=None, joints=None, licence=None)
+    again = load_splat_person(folder / f"{person.name}.ply")
+    assert np.abs(again.joints - person.joints).max() < 1e-3  # joints follow from betas
+    assert again.licence == "unknown" and len(set(again.part.tolist())) == 1
+    agree = np.abs(np.einsum("na,na->n", again.normals, person.normals))
+    assert np.median(agree) > 0.99
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"weights": None}, "weights missing"),
+        ({"weights_idx": np.zeros((3, 4), np.uint8)}, "expected numbers"),
+        ({"T_align": np.diag([2.0, 1, 1, 1])}, "not a rotation"),
+        ({"scale": np.array(100.0)}, "m tall"),
+        ({"shape_space": np.array("flame")}, "no body has shapes of 'flame'"),
+        ({"shape_space": np.array("smplx"), "joints": None}, "no joints"),
+        ({"part": np.array([200], np.uint8)}, "expected numbers"),
+        ({"licence": np.zeros(3)}, "not a word"),
+    ],
+)
+def test_bad_bindings_say_what_is_wrong(
+    person: Avatar, folder: Path, arrays: dict[str, np.ndarray], said: str
+) -> None:
+    change(folder, **arrays)
+    with pytest.raises(FormatError, match=said):
+        load_splat_person(folder / f"{person.name}.ply")
+
+
+def test_a_room_or_a_lone_ply_is_refused(person: Avatar, folder: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    shutil.copy(folder / f"{person.name}.ply", alone / "x.ply")
+    with pytest.raises(FormatError, match="no binding says which joints"):
+        load_splat_person(alone / "x.ply")
+
+
+def test_the_command_line_brings_a_person(
+    person: Avatar, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = folder / "p.npz"
+    assert main(["avatar", "import", str(folder / f"{person.name}.ply"), "--out", str(out)]) == 0
+    assert "CC0-1.0" in capsys.readouterr().out
+    assert len(load_avatar(out)) == len(person)

@@ -14,7 +14,7 @@ from gn0.avatars.identity import draw_people
 from gn0.avatars.light import NORMALS, find_probes
 from gn0.avatars.person import build_person
 from gn0.avatars.posed_bank import PosedBank
-from gn0.avatars.skeleton import INDEX, JOINTS
+from gn0.avatars.poses import stride_pose
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.gaussians.film import develop_film, encode_srgb, expose_film
 from gn0.geometry import F64, view_from_pose
@@ -261,15 +261,6 @@ def _stand(view: F64, ahead: float, right: float) -> F64:
     pose = np.eye(4)
     pose[:3, 3] = (np.linalg.inv(view) @ (right, 0.0, ahead, 1.0))[:3]
     pose[2, 3] = 0.0
-    return pose
-
-
-def stride_pose() -> F64:
-    """Axis-angle [55, 3] of somebody in mid-stride, arms down."""
-    pose = np.zeros((len(JOINTS), 3))
-    pose[INDEX["left_shoulder"], 2], pose[INDEX["right_shoulder"], 2] = -1.1, 1.1
-    pose[INDEX["left_hip"], 0], pose[INDEX["right_hip"], 0] = -0.4, 0.3
-    pose[INDEX["right_knee"], 0] = 0.5
     return pose
 
 

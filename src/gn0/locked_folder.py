@@ -7,11 +7,11 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
-from gn0.errors import Gn0Error, StorageError
+from gn0.errors import ConfigError, Gn0Error, StorageError
 from gn0.leftovers import TEMPORARY_PREFIX, is_held_name, remove_dead
-from gn0.storage import check_contained, storage_error
+from gn0.storage import Journal, check_contained, storage_error
 
 LOCK = ".lock"
 PROBE = ".gn0-probe"  # what `check_room` writes, and takes away
@@ -142,3 +142,35 @@ def check_room(out: Path, needed: int) -> None:
             out,
             "write results",
         )
+
+
+def read_begun(
+    folder: Path, journal: str, kind: str, digest: str, settings: str
+) -> list[dict[str, Any]]:
+    """What earlier runs noted in a folder that is made bit by bit, after its first line.
+
+    Args:
+        folder: may be absent or empty.
+        journal: its journal, whose first line tells what is made: `{kind: digest}`.
+        kind: what is made there, in a word.
+        digest: of all that decides it.
+        settings: what has to be the same again, in words.
+
+    Raises:
+        StorageError: the folder holds something else.
+        ConfigError: another of its kind was begun there.
+    """
+    records = Journal(folder / journal).read()
+    if not records:
+        if folder.exists() and any(p.name not in (journal, LOCK) for p in folder.iterdir()):
+            raise StorageError(
+                "the folder holds something else", where=folder, remedy="choose another --out"
+            )
+        return []
+    if records[0].get(kind) != digest:
+        raise ConfigError(
+            f"the folder holds another {kind}",
+            where=folder,
+            remedy=f"choose another --out, or give the {settings} that it was begun with",
+        )
+    return [dict(record) for record in records[1:]]

@@ -18,13 +18,14 @@ from gn0.avatars.detail import (
     merge_avatar,
 )
 from gn0.avatars.layer import PARTS
+from gn0.avatars.poses import stride_pose
 from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import F64, view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.renderer import RenderOptions, RenderResult
-from gn0_trials.people_small import small_person, stride_pose
+from gn0_trials.people_small import small_person
 
 
 @settings(max_examples=60, deadline=None)

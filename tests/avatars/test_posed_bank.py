@@ -8,13 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gn0.avatars.posed_bank import SPLAT_BYTES, PosedBank
+from gn0.avatars.poses import stride_pose
 from gn0.errors import ConfigError
 from gn0.gaussians.cloud import GaussianCloud
 from gn0.geometry import view_from_pose
 from gn0.render.camera import Camera
 from gn0.render.cpu import RendererCpu
 from gn0.render.instance import Instance
-from gn0_trials.people_small import small_person, stride_pose
+from gn0_trials.people_small import small_person
 
 
 def dots(count: int, shade: float = 0.0) -> GaussianCloud:

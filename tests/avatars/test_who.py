@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gn0.avatars.poses import stride_pose
 from gn0.errors import RenderError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
 from gn0.geometry import view_from_pose
@@ -13,7 +14,7 @@ from gn0.render.cpu import RendererCpu
 from gn0.render.instance import Instance
 from gn0.render.open import open_renderer
 from gn0.render.renderer import Renderer
-from gn0_trials.people_small import small_person, stride_pose
+from gn0_trials.people_small import small_person
 
 CAMERA = Camera.from_hfov(160, 160, 90.0)
 VIEW = view_from_pose(0.0, 0.0, 1.2, 0.0)  # looks along +x

@@ -20,7 +20,7 @@ from gn0.avatars.identity import Identity, draw_people
 from gn0.avatars.person import build_person
 from gn0.errors import ConfigError, FormatError, StorageError
 from gn0.jobs import ExecutorName, run_jobs
-from gn0.locked_folder import LOCK, lock_folder, sweep_folder
+from gn0.locked_folder import lock_folder, read_begun, sweep_folder
 from gn0.progress import Progress, no_progress
 from gn0.storage import Journal, check_contained, content_hash, storage_error, write_json
 from gn0.version import source_version
@@ -123,20 +123,8 @@ def build_bank_avatar(payload: dict[str, Any]) -> dict[str, Any]:
 
 def _read_journal(out: Path, digest: str) -> dict[str, dict[str, Any]]:
     """What earlier runs of the same settings have made, by name."""
-    records = Journal(out / JOURNAL_FILE).read()
-    if not records:
-        if out.exists() and any(p.name not in (JOURNAL_FILE, LOCK) for p in out.iterdir()):
-            raise StorageError(
-                "the folder holds something else", where=out, remedy="choose another --out"
-            )
-        return {}
-    if records[0].get("bank") != digest:
-        raise ConfigError(
-            "the folder holds another bank",
-            where=out,
-            remedy="choose another --out, or give the settings that it was begun with",
-        )
-    found = {r.pop("avatar"): r for r in (dict(record) for record in records[1:])}
+    records = read_begun(out, JOURNAL_FILE, "bank", digest, "settings")
+    found = {record.pop("avatar"): record for record in records}
     kept = {}
     for name, record in found.items():
         try:

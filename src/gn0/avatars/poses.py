@@ -24,3 +24,12 @@ def trial_poses() -> tuple[F64, F64, F64]:
         stride[INDEX[f"{side}_hip"], 0], stride[INDEX[f"{side}_knee"], 0] = hip, knee
         seat[INDEX[f"{side}_hip"], 0], seat[INDEX[f"{side}_knee"], 0] = -1.5, 1.5
     return standing_pose(), stride, seat
+
+
+def stride_pose() -> F64:
+    """Axis-angle [55, 3] of somebody in mid-stride, arms down."""
+    pose = np.zeros((JOINT_COUNT, 3))
+    pose[INDEX["left_shoulder"], 2], pose[INDEX["right_shoulder"], 2] = -1.1, 1.1
+    pose[INDEX["left_hip"], 0], pose[INDEX["right_hip"], 0] = -0.4, 0.3
+    pose[INDEX["right_knee"], 0] = 0.5
+    return pose

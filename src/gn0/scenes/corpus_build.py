@@ -12,9 +12,9 @@ import msgspec
 
 from gn0 import __version__
 from gn0.config import check_config
-from gn0.errors import ConfigError, SceneError, StorageError
+from gn0.errors import SceneError
 from gn0.jobs import ExecutorName, run_jobs
-from gn0.locked_folder import LOCK, lock_folder, sweep_folder
+from gn0.locked_folder import lock_folder, read_begun, sweep_folder
 from gn0.progress import Progress, no_progress
 from gn0.scenes.corpus import (
     CORPUS_FILE,
@@ -117,20 +117,8 @@ def generate_corpus(
 
 def _read_journal(out: Path, digest: str) -> dict[str, dict[str, Any]]:
     """What earlier runs of the same spec have made, by scene id."""
-    records = Journal(out / JOURNAL_FILE).read()
-    if not records:
-        if out.exists() and any(p.name not in (JOURNAL_FILE, LOCK) for p in out.iterdir()):
-            raise StorageError(
-                "the folder holds something else", where=out, remedy="choose another --out"
-            )
-        return {}
-    if records[0].get("corpus") != digest:
-        raise ConfigError(
-            "the folder holds another corpus",
-            where=out,
-            remedy="choose another --out, or give the spec that it was begun with",
-        )
-    found = {r.pop("scene"): r for r in (dict(record) for record in records[1:])}
+    records = read_begun(out, JOURNAL_FILE, "corpus", digest, "spec")
+    found = {record.pop("scene"): record for record in records}
     return {id: r for id, r in found.items() if (out / SCENE_FOLDER / id / "scene.json").is_file()}
 
 

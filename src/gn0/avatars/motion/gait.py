@@ -2,8 +2,8 @@
 
 A cycle has 64 phases that advance by distance, so that a planted foot stays where it is at any
 pace. A foot lands on its heel, lies flat, leaves from its tip; the pelvis is as high as the legs
-let it be. Steps grow with speed and leg as people's do: s / h = 1.04 (v / √(g h))^0.42, h the height
-of the hips (fit of ours through usual cadences, 50 to 130 steps a minute at 0.3 to 1.6 m/s).
+let it be. Steps grow with speed and leg as people's do: s / h = 1.04 (v / √(g h))^0.42, h the
+height of the hips (fit of ours through usual cadences, 50 to 130 steps a minute at 0.3 to 1.6 m/s).
 """
 
 from __future__ import annotations
@@ -175,13 +175,33 @@ def track(build: Build, style: Style) -> float:
     return 0.62 * float(np.abs(build.joints[HIPS, 0]).mean()) * style.width
 
 
+def clear_floor(build: Build, ankles: F64, feet: F64, u: F64) -> F64:
+    """Ankles [N, 3] m of a foot in the air, lifted so that neither heel nor tip drags.
+
+    Args:
+        build: of the body.
+        ankles, feet: places [N, 3] and turns [N, 4] of the foot.
+        u: how much of its way it has gone [N], 0..1.
+    """
+    # up and down quickly
+    bump = 1.0 - (2.0 * np.clip(u, 0.0, 1.0) - 1.0) ** 4
+    inner = (u > 0.1) & (u < 0.9)
+    lifted = ankles.copy()
+    if inner.any():
+        lack = _CLEAR - lowest_of_feet(build, ankles, feet)[inner] / bump[inner]
+        lifted[:, 1] += max(float(lack.max()), 0.0) * bump
+    return lifted
+
+
 def swing_feet(
     build: Build, gait: Gait, style: Style, s: F64, side: int
 ) -> tuple[F64, F64, F64, F64]:
     """Ankles [N, 3] m, turns [N, 4], toes [N] rad and whether it stands [N] of one foot.
 
     Args:
-        build, gait, style: whose, and how fast.
+        build: of the body.
+        gait: how fast.
+        style: whose.
         s: phase since the foot landed [N], 0..1.
         side: 0 left, 1 right.
     """
@@ -212,14 +232,9 @@ def swing_feet(
     toes = toes_of(pitch)
     toes[swing] *= (1.0 - u) ** 2
     feet = multiply(about_axis("y", np.full(len(s), yaw)), about_axis("x", -pitch))
-    bump = 1.0 - (2.0 * u - 1.0) ** 4  # up and down quickly, so that it does not drag
     if gait.runs:
         places[swing, 1] += 0.16 * build.hip_height * np.sin(np.pi * np.minimum(u * 1.25, 1)) ** 2
-    low = lowest_of_feet(build, places[swing], feet[swing])
-    inner = (u > 0.12) & (u < 0.88)
-    if inner.any():
-        lack = (_CLEAR * bump - low)[inner] / bump[inner]
-        places[swing, 1] += max(float(lack.max()), 0.0) * bump
+    places[swing] = clear_floor(build, places[swing], feet[swing], u)
     # on its heel or the tip of its toes a foot rolls, and is about to stand or to go
     return places, feet, toes, ~swing & (pitch < _ROLLS) & (pitch > -BALL)
 

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gn0.avatars.motion.legs import (
     ANKLES,
@@ -180,7 +181,8 @@ def clear_floor(build: Build, ankles: F64, feet: F64, u: F64) -> F64:
 
     Args:
         build: of the body.
-        ankles, feet: places [N, 3] and turns [N, 4] of the foot.
+        ankles: places of the ankle [N, 3] m.
+        feet: turns of the foot [N, 4].
         u: how much of its way it has gone [N], 0..1.
     """
     # up and down quickly
@@ -195,7 +197,7 @@ def clear_floor(build: Build, ankles: F64, feet: F64, u: F64) -> F64:
 
 def swing_feet(
     build: Build, gait: Gait, style: Style, s: F64, side: int
-) -> tuple[F64, F64, F64, F64]:
+) -> tuple[F64, F64, F64, NDArray[np.bool_]]:
     """Ankles [N, 3] m, turns [N, 4], toes [N] rad and whether it stands [N] of one foot.
 
     Args:
@@ -242,8 +244,9 @@ def swing_feet(
 def _plan_level(build: Build, gait: Gait, style: Style, phases: F64) -> Plan:
     """As `plan_gait`, its pelvis at one height."""
     count = len(phases)
-    feet = [swing_feet(build, gait, style, np.mod(phases + 0.5 * k, 1.0), k) for k in (0, 1)]
-    ankles, turns, toes, stands = (np.stack([f[j] for f in feet], axis=1) for j in range(4))
+    left, right = (swing_feet(build, gait, style, np.mod(phases + 0.5 * k, 1.0), k) for k in (0, 1))
+    ankles, turns = np.stack([left[0], right[0]], axis=1), np.stack([left[1], right[1]], axis=1)
+    toes, stands = np.stack([left[2], right[2]], axis=1), np.stack([left[3], right[3]], axis=1)
     wave, quick = 2.0 * np.pi * phases, min(gait.speed / 1.3, 1.6)
     cosine, sine = np.cos(wave), np.sin(wave)
     yaw = -0.09 * quick * cosine  # the hip of the leading leg to the front

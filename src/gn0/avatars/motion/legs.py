@@ -179,7 +179,8 @@ def rolled_ankles(build: Build, flat: F64, yaw: F64, pitch: F64) -> F64:
 
     none = np.zeros_like(down)
     heel = np.stack([none, down, none - build.heel + 0.015], axis=-1)
-    ball = np.stack([none, none + joint[1], none + joint[2]], axis=-1)
+    hinge = 0.7 * joint[1] + 0.3 * down  # soles slide least about a point below the joint
+    ball = np.stack([none, hinge, none + joint[2]], axis=-1)
     tip = np.stack([none, down, none + build.tip - 0.012], axis=-1)
     bent = np.clip(pitch, -BALL, 0.0)
     moved = (

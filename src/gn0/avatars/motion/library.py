@@ -18,6 +18,7 @@ from gn0.avatars.motion.gait import (
     PHASES,
     RUN_SPEED,
     SPEEDS,
+    Style,
     close_loop,
     draw_style,
     open_motion_of,
@@ -31,7 +32,6 @@ from gn0.avatars.motion.standing import (
     GESTURES,
     IDLES,
     SEAT,
-    ease,
     plan_gesture,
     plan_idle,
     plan_seated,
@@ -44,7 +44,7 @@ from gn0.errors import DataError
 from gn0.geometry import F64
 
 CATEGORIES: dict[str, str] = {
-    "walk": "walk", "run": "run", **{name: "stand" for name in IDLES}, "turn_left": "turn",
+    "walk": "walk", "run": "run", **dict.fromkeys(IDLES, "stand"), "turn_left": "turn",
     "turn_right": "turn", "start": "start", "stop": "stop", "step_left": "step aside",
     "step_right": "step aside", **{name: name for name in GESTURES}, "sit_down": "sit down",
     "sit": "sit", "stand_up": "stand up",
@@ -136,7 +136,7 @@ class ClipLibrary:
         self._tables: dict[tuple[str, float], tuple[F64, F64]] = {}
 
     @cached_property
-    def style(self):  # type: ignore[no-untyped-def]
+    def style(self) -> Style:
         """How the person moves."""
         return draw_style(self.seed)
 
@@ -227,8 +227,8 @@ class ClipLibrary:
     ) -> tuple[F64, F64]:
         """Pose [55, 3] rad and shift [3] m between two clips, each (name, at, speed).
 
-        Take `ease(t / T)` of a blend of T seconds as its `share`. Feet that stand in both stay;
-        of two walks take phases that `aligned_phase` gives, while one foot stands.
+        Take `standing.ease(t / T)` of a blend of T seconds as its `share`. Feet that stand in both
+        stay; of two walks take phases that `aligned_phase` gives, while one foot stands.
 
         Raises:
             DataError: no clip of that name.
@@ -260,7 +260,18 @@ class ClipLibrary:
     def alone(self, speed: float) -> tuple[float, float]:
         """Phases between which the left foot stands alone in a walk; of the right one, plus 0.5."""
         gait = shape_gait(self.build, SPEEDS[speed_class(speed)], self.style)
-        return max(gait.duty - 0.5, gait.landed), min(0.5, gait.leaves)
+        return max(gait.duty - 0.5, gait.landed), min(0.5, gait.leaves + 0.06)
+
+    def blend_seconds(self, speed: float, other: float) -> float:
+        """Time of a blend of two walks [s], 0.2 to 0.4, that fits while one foot stands alone.
+
+        Args:
+            speed: that is left [m/s].
+            other: that is taken up [m/s].
+        """
+        low, high = self.alone(speed)
+        room = (high - low) * self.clip("walk", speed).stride / (0.5 * (speed + other))
+        return float(np.clip(room, *BLEND_SECONDS))
 
     def motion(self, name: str, speed: float = 1.0) -> Motion:
         """A clip as a `Motion`; a loop ends with its first frame.
@@ -290,9 +301,3 @@ def _between(clip: Clip, at: float) -> Plan:
     return mix_plans(
         clip.plan.rows(np.array([low % count])), clip.plan.rows(np.array([high])), frame - low
     )
-
-
-__all__ = [
-    "BLEND_SECONDS", "BY_DISTANCE", "BY_SPEED", "CATEGORIES", "CLIPS", "LOOKS", "Clip",
-    "ClipLibrary", "ease", "look_class", "speed_class", "turn_head",
-]  # fmt: skip

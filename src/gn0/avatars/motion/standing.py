@@ -245,9 +245,7 @@ def plan_sitting_down(build: Build, style: Style, seat: float = SEAT, seconds: f
         turn_joint(plan.upper, name, about_axis("x", -0.25 * bow))
     for side in ("left", "right"):
         shoulder = INDEX[f"{side}_shoulder"]
-        plan.upper[:, shoulder] = multiply(
-            about_axis("x", -0.55 * bow), plan.upper[:, shoulder]
-        )
+        plan.upper[:, shoulder] = multiply(about_axis("x", -0.55 * bow), plan.upper[:, shoulder])
     plan = replace(plan, pelvis=pelvis, turn=turn)
     pelvis[:, 1] = np.minimum(pelvis[:, 1], highest_pelvis(build, plan, 0.998))
     return plan

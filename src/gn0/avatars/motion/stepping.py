@@ -6,7 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gn0.avatars.motion.gait import Gait, Style, hermite, plan_gait, shape_gait, swing_feet, track, clear_floor
+from gn0.avatars.motion.gait import (
+    Gait,
+    Style,
+    clear_floor,
+    hermite,
+    plan_gait,
+    shape_gait,
+    swing_feet,
+    track,
+)
 from gn0.avatars.motion.legs import (
     SIGN,
     Build,
@@ -73,9 +82,7 @@ def _speeding_up(gait: Gait, way: float) -> F64:
     return eased + gait.speed * np.maximum(t - seconds, 0.0)
 
 
-def _join(
-    build: Build, gait: Gait, style: Style, phases: F64, meet: float, *, start: bool
-) -> Plan:
+def _join(build: Build, gait: Gait, style: Style, phases: F64, meet: float, *, start: bool) -> Plan:
     """A walk at phases [T] that stands where its phase is `meet`, at its start or its end."""
     stand = plan_stance(build, style, len(phases))
     walk = plan_gait(build, gait, style, phases)
@@ -104,9 +111,7 @@ def _join(
     else:
         swings = own > gait.duty
         part = np.clip((own - gait.duty) / (meet + 0.5 - gait.duty), 0.0, 1.0)
-        ends, *_ = swing_feet(
-            build, gait, style, np.array([gait.duty - h, gait.duty]), 1
-        )
+        ends, *_ = swing_feet(build, gait, style, np.array([gait.duty - h, gait.duty]), 1)
         rate = (meet + 0.5 - gait.duty) / h
         from_at, to_at = ends[1], stand.ankles[0, 1]
         slopes = ((ends[1] - ends[0]) * rate, np.array([0.0, 0.0, -gait.stride * h * rate]))
@@ -160,9 +165,7 @@ class Footfall:
     yaw: float
 
 
-def plan_steps(
-    build: Build, style: Style, steps: tuple[Footfall, ...], seconds: float
-) -> Plan:
+def plan_steps(build: Build, style: Style, steps: tuple[Footfall, ...], seconds: float) -> Plan:
     """Feet step from stance to stance; the pelvis stays between them, over the one that stands."""
     count = round(seconds * FPS) + 1
     t = np.arange(count) / FPS

@@ -173,7 +173,7 @@ def hermite(u: F64, a: float, b: float, va: float, vb: float) -> F64:
 
 def track(build: Build, style: Style) -> float:
     """How far from the middle feet are put down [m], the same at all speeds."""
-    return 0.62 * float(np.abs(build.joints[HIPS, 0]).mean()) * style.width
+    return 0.70 * float(np.abs(build.joints[HIPS, 0]).mean()) * style.width
 
 
 def clear_floor(build: Build, ankles: F64, feet: F64, u: F64) -> F64:

@@ -31,7 +31,8 @@ HIPS, KNEES, ANKLES, TOES = (
     for part in ("hip", "knee", "ankle", "foot")
 )
 REACH = 0.997  # of a leg that is called straight: its knee is bent by 8 degrees
-BALL = 0.35  # rad that a heel rises over toes that lie flat; beyond, the foot stands on its tip
+BALL = 0.25  # rad that a heel rises over toes that lie flat; beyond, the foot stands on its tip
+_TOE_SKIN = 0.7  # weight of the toe joint at the tip of a foot
 # of feet whose skin is not known, in lengths from ankle to toe joint (bodies of the package)
 _SOLE, _HEEL, _TIP, _THIGH = 0.185, 0.43, 0.38, 0.125
 
@@ -182,6 +183,9 @@ def rolled_ankles(build: Build, flat: F64, yaw: F64, pitch: F64) -> F64:
     hinge = 0.7 * joint[1] + 0.3 * down  # soles slide least about a point below the joint
     ball = np.stack([none, hinge, none + joint[2]], axis=-1)
     tip = np.stack([none, down, none + build.tip - 0.012], axis=-1)
+    # toes are bent up by then, and their skin goes with them in part
+    lift = matrices_of(about_axis("x", np.asarray(-BALL)))
+    tip = tip + _TOE_SKIN * ((tip - ball) @ lift.T - (tip - ball))
     bent = np.clip(pitch, -BALL, 0.0)
     moved = (
         roll(heel, none, np.maximum(pitch, 0.0))

@@ -217,7 +217,7 @@ def plan_seated(build: Build, style: Style, frames: int, seat: float = SEAT) -> 
         turn_joint(upper, name, about_axis("x", np.full(frames, 0.05)))
     turn_joint(upper, "spine3", about_axis("x", -0.02 * air))
     turn_joint(upper, "head", about_axis("x", np.full(frames, -0.02)))
-    swing, bend = np.full((frames, 2), 0.30), np.full((frames, 2), 1.05)
+    swing, bend = np.full((frames, 2), 0.22), np.full((frames, 2), 0.98)
     hang_arms(build, upper, swing, bend, -0.10)
     return replace(plan, upper=upper, knees=np.broadcast_to(SIGN * 0.12, (frames, 2)))
 

@@ -28,6 +28,7 @@ from gn0.avatars.motion.turns import about_axis, matrices_of, multiply
 from gn0.geometry import F64
 
 _SOFT = 0.45  # of a cycle in which standing becomes walking
+_SINKS = 0.16  # of a cycle in which the pelvis comes to be as high as in a walk
 
 
 def _planted(build: Build, gait: Gait) -> float:
@@ -88,6 +89,8 @@ def _join(build: Build, gait: Gait, style: Style, phases: F64, meet: float, *, s
     walk = plan_gait(build, gait, style, phases)
     gone = np.abs(phases - meet)
     plan = mix_plans(stand, walk, ease(gone / _SOFT))
+    # legs that come to be straight all at once would jerk, so the pelvis sinks first
+    plan.pelvis[:, 1] = mix_plans(stand, walk, ease(gone / _SINKS)).pelvis[:, 1]
     ankles, feet, toes, stands = (
         walk.ankles.copy(), walk.feet.copy(), walk.toes.copy(), walk.stands.copy(),
     )  # fmt: skip
@@ -223,5 +226,5 @@ def plan_turn(build: Build, style: Style, angle: float) -> Plan:
 def plan_aside(build: Build, style: Style, side: int, way: float = 0.4) -> Plan:
     """A step to the left (0) or right (1) by `way` m, and the other foot after it."""
     x = SIGN[side] * way
-    steps = (Footfall(side, 0.15, 0.55, x, 0.0, 0.0), Footfall(1 - side, 0.60, 1.0, x, 0.0, 0.0))
-    return plan_steps(build, style, steps, 1.2)
+    steps = (Footfall(side, 0.15, 0.60, x, 0.0, 0.0), Footfall(1 - side, 0.62, 1.12, x, 0.0, 0.0))
+    return plan_steps(build, style, steps, 1.3)

@@ -162,6 +162,8 @@ def test_walks_stand_on_their_feet(skins: dict[str, Skin], speed: float) -> None
         bends = knee_bends(skin, motion)
         assert bends.min() > np.radians(3) and bends.max() < np.radians(85), who
         assert hands_clear(skin, motion) > 0.0, who
+        # nobody walks crouched: the leg that carries all comes to be nearly straight
+        assert bends[round(0.2 * PHASES) : round(0.36 * PHASES), 0].min() < np.radians(14), who
         assert motion.loop and len(motion) == PHASES + 1
         assert loop_closure(motion, skin.joints) == 0.0
         assert np.array_equal(motion.poses[0], motion.poses[-1])
@@ -213,7 +215,7 @@ def test_clips_keep_their_feet(skins: dict[str, Skin], who: str) -> None:
             frames = quats.reshape(len(motion), 55, 3, 3)
             turns = np.einsum("tkba,tkbc->tkac", frames[:-1], frames[1:])
             angles = np.arccos(np.clip((np.trace(turns, axis1=2, axis2=3) - 1) / 2, -1, 1))
-            assert angles.max() < np.radians(25), (name, speed)
+            assert angles.max() < np.radians(22), (name, speed)
 
 
 @pytest.mark.parametrize("pair", [(0.3, 0.5), (0.8, 1.0), (1.0, 1.3), (1.6, 1.3), (1.3, 0.8)])

@@ -79,7 +79,7 @@ def draw_style(seed: int) -> Style:
         step=1.0 + 0.05 * u[0],
         arms=1.0 + 0.25 * u[1],
         sway=1.0 + 0.3 * u[2],
-        bob=1.0 + 0.15 * u[3],
+        bob=1.0 + 0.10 * u[3],
         width=1.0 + 0.15 * u[4],
         toe_out=0.10 + 0.06 * u[5],
         lean=0.02 * u[6],
@@ -144,7 +144,7 @@ def shape_gait(build: Build, speed: float, style: Style = Style()) -> Gait:
         speed,
         stride,
         duty,
-        0.46 * duty * stride,
+        0.405 * duty * stride,
         landed=0.10,
         leaves=0.36 - 0.06 * quick,
         strike=0.08 + 0.26 * quick,
@@ -282,10 +282,10 @@ def _plan_level(build: Build, gait: Gait, style: Style, phases: F64) -> Plan:
 
 def _bob(build: Build, gait: Gait, style: Style, phases: F64) -> F64:
     """How the pelvis goes up and down [T] m: twice a cycle, over the leg that stands."""
-    middle = gait.duty / 2.0 if gait.runs else (gait.duty - 0.5) / 2.0 + 0.25
+    middle = gait.duty / 2.0 if gait.runs else (gait.duty - 0.5) / 2.0 + 0.22
     if gait.runs:  # a runner is lowest there
         middle += 0.25
-    amount = 0.036 if gait.runs else 0.008 + 0.015 * gait.speed
+    amount = 0.036 if gait.runs else 0.011 + 0.015 * gait.speed
     return amount * style.bob * build.hip_height / 0.9 * np.cos(4 * np.pi * (phases - middle))
 
 

@@ -216,10 +216,12 @@ def hips_of(build: Build, plan: Plan) -> F64:
     return plan.pelvis[:, None] + np.einsum("tab,kb->tka", matrices_of(plan.turn), offsets)
 
 
-def highest_pelvis(build: Build, plan: Plan, reach: float = REACH) -> F64:
-    """How high the pelvis may be [T] m for both legs to reach the ankles."""
+def highest_pelvis(build: Build, plan: Plan, reach: F64 | float = REACH) -> F64:
+    """How high the pelvis may be [T] m for both legs to reach the ankles, `reach` [T] of them."""
     thigh, shank = build.bones
-    length = reach * (np.linalg.norm(thigh, axis=1) + np.linalg.norm(shank, axis=1))
+    length = np.asarray(reach)[..., None] * (
+        np.linalg.norm(thigh, axis=1) + np.linalg.norm(shank, axis=1)
+    )
     hips = hips_of(build, plan)
     level = np.sum((hips - plan.ankles)[..., [0, 2]] ** 2, axis=-1)
     room = np.sqrt(np.maximum(length**2 - level, 0.0))
@@ -303,8 +305,6 @@ def hang_arms(build: Build, upper: F64, swing: F64, bend: F64, out: F64 | float 
             f"{side}_shoulder",
             about_axis("x", -swing[:, k]),
             about_axis("z", -sign * held[:, k]),
-            # palms face the thighs and elbows point back
-            about_axis("x", np.full(frames, 0.0)),
         )
         turn_joint(upper, f"{side}_elbow", about_axis("y", -sign * bend[:, k]))
         curl_fingers(upper, side, 0.28)

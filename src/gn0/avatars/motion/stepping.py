@@ -109,7 +109,7 @@ def _join(build: Build, gait: Gait, style: Style, phases: F64, meet: float, *, s
         rate = (1.0 - (meet + 0.5)) / h
         from_at, to_at = stand.ankles[0, 1], ends[0]
         slopes = (np.array([0.0, 0.0, -gait.stride * h * rate]), (ends[1] - ends[0]) * rate)
-        pitch = -0.35 * np.sin(np.pi * part) ** 2 * (1 - part) * 2
+        pitch = -0.16 * np.sin(np.pi * part) ** 2 * (1 - part) * 2
         pitch += gait.strike * ease((part - 0.4) / 0.6)
     else:
         swings = own > gait.duty
@@ -131,10 +131,11 @@ def _join(build: Build, gait: Gait, style: Style, phases: F64, meet: float, *, s
     at_rest = gone < 1e-9
     stands[at_rest] = True
     plan = replace(plan, ankles=ankles, feet=feet, toes=toes, stands=stands)
-    return lower_pelvis(build, plan)
+    # but where it stands, legs are kept a little from being straight
+    return lower_pelvis(build, plan, 0.998 - 0.006 * ease(gone / 0.1))
 
 
-def lower_pelvis(build: Build, plan: Plan, reach: float = 0.998) -> Plan:
+def lower_pelvis(build: Build, plan: Plan, reach: F64 | float = 0.998) -> Plan:
     """The plan with its pelvis no higher than legs reach, smoothed over a sixth of a second."""
     most = np.minimum(plan.pelvis[:, 1], highest_pelvis(build, plan, reach))
     half = 3

@@ -91,6 +91,7 @@ SHARDS = {
 }
 BANKS = {
     "avatar show": ["{it}", "--out", "{new}.png"],
+    "avatar animate": ["{it}", "--motion", "wave", "--fps", "5", "--out", "{new}"],
     "avatar check": ["{it}"],
     "avatar generate into it": ["--count", "2", "--density", "0.05", "--no-sheet", "--out", "{it}"],
 }

@@ -29,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "scene convert": ("scene_convert", "any splat file as .ply or .compressed.ply"),
     "avatar generate": ("avatar_generate", "dressed people from a seed, and a page of them"),
     "avatar show": ("avatar_show", "draw an avatar, or a page of a bank of them"),
+    "avatar animate": ("avatar_animate", "let an avatar walk, wave, sit or move by a file"),
     "avatar import": ("avatar_import", "a person of splats, as LHM makes them"),
     "avatar check": ("avatar_check", "skin through clothes, feet off the floor, wrong colours"),
     "view": ("view", "walk through a scene in the browser, or replay runs side by side"),
@@ -76,7 +77,7 @@ VERBS: dict[str, tuple[str, str]] = {
 }
 GROUPS = {
     "scene": "make, import, check and look at scenes",
-    "avatar": "people for scenes: make, look at, check",
+    "avatar": "people for scenes: make, look at, move, check",
     "missions": "generate, import and look at episodes",
     "data": "make samples for training, balance and check them",
     "bench": "run policies, compare and report",

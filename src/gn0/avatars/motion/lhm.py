@@ -1,5 +1,6 @@
 """Frames that LHM's pose estimation writes: smplx_params/00001.json, …, one person, one camera.
 
+A document of ours, smplx.json, holds such frames in one file, and their rate.
 The frame is the camera's, y down; it is turned by half about x. Betas are left: they shape another
 body than ours. Source: `aigc3d/LHM`, engine/pose_estimation/video2motion.py (read, not used).
 """
@@ -20,7 +21,7 @@ from gn0.avatars.motion.standing_joints import STANDING_JOINTS, hip_height_of
 from gn0.avatars.skeleton import JOINT_COUNT
 from gn0.errors import FormatError
 from gn0.geometry import F64
-from gn0.storage import read_bytes, storage_error
+from gn0.storage import read_bytes, storage_error, write_bytes
 
 FRAME_LIMIT = 1 << 16  # bytes of one frame; real ones have six thousand
 _MOST = 20_000  # frames
@@ -51,6 +52,84 @@ def is_lhm_frame(data: bytes) -> bool:
     return b'"root_pose"' in data and b'"body_pose"' in data
 
 
+class LhmDocument(msgspec.Struct, frozen=True):
+    """A motion in one file: frames a second, whose betas they are, frames."""
+
+    fps: float
+    frames: list[LhmFrame]
+    shape_space: str = "smplx"
+
+
+def is_lhm_document(data: bytes) -> bool:
+    """Whether JSON looks like a document of frames."""
+    head = data[:1024].lstrip()
+    return head.startswith(b"{") and b'"frames"' in head and is_lhm_frame(data[: 1 << 16])
+
+
+def save_lhm_document(
+    path: Path | str,
+    motion: Motion,
+    betas: NDArray[np.floating],
+    shape_space: str,
+    joints: NDArray[np.floating],
+) -> None:
+    """Write a motion as a document of frames, y down, which `load_motion` reads back.
+
+    Args:
+        path: the file to write.
+        motion: whose way is in its shift.
+        betas: shape of the body, the same in all frames.
+        shape_space: what the betas belong to, `gn0` or `smplx`.
+        joints: of the body at rest [55, 3] m.
+
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    pelvis = np.asarray(joints, np.float64)[0]
+    poses, shift = turn_frame(motion.poses, motion.shift, Y_DOWN, pelvis)
+    shape = [float(value) for value in np.asarray(betas).reshape(-1)]
+    frames = []
+    for pose, trans in zip(poses, shift, strict=True):
+        frame: dict[str, object] = {"betas": shape, "trans": trans.tolist()}
+        for name, first, count in _PARTS:
+            part = pose[first : first + count].tolist()
+            frame[name] = part[0] if count == 1 else part
+        frames.append(frame)
+    document = {"fps": motion.fps, "shape_space": shape_space, "frames": frames}
+    write_bytes(path, msgspec.json.encode(document) + b"\n")
+
+
+def decode_lhm_document(
+    data: bytes, file: Path | str, joints: NDArray[np.floating] | None = None
+) -> Motion:
+    """The motion of a document of frames.
+
+    Args:
+        data: its bytes.
+        file: for errors.
+        joints: joints of the body at rest [55, 3] m; an average body by default.
+
+    Raises:
+        FormatError: damaged, too many frames, or one that is no pose.
+    """
+    try:
+        document = msgspec.json.decode(data, type=LhmDocument)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise FormatError(
+            f"is not a document of LHM frames: {error}", file=file, remedy="write it again"
+        ) from None
+    if not 1 <= len(document.frames) <= _MOST:
+        raise FormatError(
+            f"holds {len(document.frames)} frames, not 1 to {_MOST}",
+            file=file,
+            field="frames",
+            remedy="cut it into parts",
+        )
+    found = [_frame_numbers(frame, file) for frame in document.frames]
+    poses, shift = (np.array([one[k] for one in found]) for k in (0, 1))
+    return _motion(poses, shift, document.fps, Path(file), joints, ["y down turned to y up"])
+
+
 def decode_lhm_frame(data: bytes, file: Path | str) -> tuple[F64, F64]:
     """Pose [55, 3] rad and place [3] m of one frame, in the camera's frame.
 
@@ -63,6 +142,10 @@ def decode_lhm_frame(data: bytes, file: Path | str) -> tuple[F64, F64]:
         raise FormatError(
             f"is not a frame of LHM: {error}", file=file, remedy="write the frame again"
         ) from None
+    return _frame_numbers(frame, file)
+
+
+def _frame_numbers(frame: LhmFrame, file: Path | str) -> tuple[F64, F64]:
     pose = np.zeros((JOINT_COUNT, 3))
     for name, first, count in _PARTS:
         given = getattr(frame, name)

@@ -12,7 +12,13 @@ from gn0.avatars.motion.fbx import decode_fbx
 from gn0.avatars.motion.fbx_document import MAGIC as FBX
 from gn0.avatars.motion.glb_skin import MAGIC as GLB
 from gn0.avatars.motion.glb_skin import decode_gltf_motion
-from gn0.avatars.motion.lhm import decode_lhm_frame, is_lhm_frame, load_lhm
+from gn0.avatars.motion.lhm import (
+    decode_lhm_document,
+    decode_lhm_frame,
+    is_lhm_document,
+    is_lhm_frame,
+    load_lhm,
+)
 from gn0.avatars.motion.mhr import KEYS as MHR
 from gn0.avatars.motion.mhr import refuse_mhr
 from gn0.avatars.motion.motion import Motion
@@ -28,7 +34,7 @@ from gn0.storage import read_bytes
 
 KNOWN = (
     "BVH, binary FBX, glTF with a skin, motion.npz, AMASS or SMPL-X .npz, poses (T, 165) as .npy, "
-    "and folders of LHM frames"
+    "folders of LHM frames and our smplx.json"
 )
 
 
@@ -53,6 +59,8 @@ def load_motion(
     rig = decode_rig(data, path, clip)
     if rig is not None:
         return retarget(rig, STANDING_JOINTS if joints is None else joints, path)
+    if is_lhm_document(data):
+        return decode_lhm_document(data, path, joints)
     if data.startswith(NPY):
         return decode_plain_poses(data, path, joints)
     if data.startswith(b"PK\x03\x04"):

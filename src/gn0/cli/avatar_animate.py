@@ -1,0 +1,98 @@
+"""Let an avatar move: a clip of the library or a file of motion, as poses, splats and a video."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import tyro
+
+from gn0.config import Config
+
+EXAMPLES = """  gn0 avatar animate out/bank --name p0003 --motion walk --out out/walk
+  gn0 avatar animate out/bank --name p0003 --motion sit_down --out out/sits
+  gn0 avatar animate out/bank/p0003.npz --motion dance.bvh --seconds 8 --ply --out out/dance"""
+
+
+class Args(Config, frozen=True):
+    """Who moves, how, and where to write it.
+
+    Attributes:
+        source: a bank, or the file of one avatar.
+        motion: a clip of the library (walk, run, idle_1, wave, sit, …), or a file of motion.
+        out: folder to write smplx.json, the video and splats into.
+        name: the avatar of the bank; the first without it.
+        speed: of walk, start and stop, in metres a second; the nearest of six classes is taken.
+        seconds: how long; a loop goes on for as long, other clips end before; 0 takes all of it.
+        fps: frames a second of what is written.
+        seed: how the person moves: style of steps, arms and gestures.
+        seat: height of the seat of sit, sit_down and stand_up, in metres.
+        ply: write the posed splats of each frame too.
+    """
+
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="BANK")]
+    motion: str
+    out: str
+    name: str = ""
+    speed: Annotated[float, msgspec.Meta(ge=0.2, le=2.0)] = 1.0
+    seconds: Annotated[float, msgspec.Meta(ge=0.0, le=600.0)] = 0.0
+    fps: Annotated[int, msgspec.Meta(ge=5, le=120)] = 30
+    seed: Annotated[int, msgspec.Meta(ge=0, le=2**62)] = 0
+    seat: Annotated[float, msgspec.Meta(ge=0.3, le=0.65)] = 0.45
+    ply: bool = False
+
+
+def run(args: Args) -> int:
+    """Pose, draw and write; say what was made."""
+    from gn0.avatars.bank import AvatarBank, load_avatar
+    from gn0.avatars.motion.legs import measure_build
+    from gn0.avatars.motion.lhm import save_lhm_document
+    from gn0.avatars.motion.library import CLIPS, ClipLibrary
+    from gn0.avatars.motion.open_motion import load_motion
+    from gn0.avatars.motion.play import play_motion
+    from gn0.cli.console import draw_progress
+    from gn0.errors import ConfigError
+    from gn0.gaussians.ply import save_ply
+    from gn0.storage import check_writable
+    from gn0.viewer.avatar_film import write_film
+
+    source = Path(args.source)
+    if args.motion not in CLIPS and not Path(args.motion).exists():
+        raise ConfigError(
+            f"{args.motion!r} is neither a clip of the library nor a file",
+            where="--motion",
+            remedy=f"clips are {', '.join(CLIPS)}",
+        )
+    if source.is_file() and not args.name:
+        avatar = load_avatar(source)
+    else:
+        bank = AvatarBank(source)
+        avatar = bank.load(args.name or bank.names[0])
+    if args.motion in CLIPS:
+        build = measure_build(avatar.joints, avatar.points, avatar.weights)
+        motion = ClipLibrary(build, args.seed, args.seat).motion(args.motion, args.speed)
+    else:
+        motion = load_motion(args.motion, avatar.joints)
+    played = play_motion(motion, args.fps, args.seconds)
+    out = Path(args.out)
+    check_writable(out / "smplx.json")
+    save_lhm_document(out / "smplx.json", played, avatar.betas, avatar.shape_space, avatar.joints)
+    with draw_progress() as progress:
+        if args.ply:
+            for k in range(len(played)):
+                progress("writing splats", k, len(played))
+                cloud = avatar.pose(played.poses[k], played.shift[k])
+                save_ply(cloud, out / f"frame{k + 1:05d}.ply")
+            progress("writing splats", len(played), len(played))
+        stem = args.motion if args.motion in CLIPS else Path(args.motion).stem
+        film = write_film(avatar, played, out, stem, progress=progress)
+    way = played.shift[-1] - played.shift[0]
+    print(f"{avatar.name}: {motion.name or stem}, {len(played)} frames at {played.fps:g} a second")
+    if motion.loop and motion.displacement is not None:
+        print(f"stride  {motion.displacement[-1]:.2f} m")
+    print(f"goes    {float((way[0] ** 2 + way[2] ** 2) ** 0.5):.2f} m")
+    for note in motion.notes:
+        print(f"note    {note}")
+    print(f"written to {out}: smplx.json, {film.name}" + (", frame00001.ply …" if args.ply else ""))
+    return 0

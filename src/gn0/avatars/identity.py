@@ -42,7 +42,6 @@ VISIBLE = (
     "hat",
     "extra",
 )
-_CLOTH = tuple(name for name in NAMES)
 _BOTTOM_SHARES = {
     "black": 4, "grey": 3, "white": 1.5, "beige": 2.5, "brown": 2, "red": 1, "pink": 0.6,
     "yellow": 0.4, "green": 1.2, "blue": 5, "purple": 0.6,
@@ -120,7 +119,7 @@ def draw_identity(seed: int, number: int) -> Identity:
         bottom = "suit_trousers"
     else:
         bottom = pick(k for k, g in BOTTOMS.items() if getattr(g, wears) and k != "suit_trousers")
-    top_colour = pick(_CLOTH, (2, 2, 2, 1.5, 1.2, 2, 1.2, 1.3, 2, 2.5, 1.3))
+    top_colour = pick(NAMES, (2, 2, 2, 1.5, 1.2, 2, 1.2, 1.3, 2, 2.5, 1.3))
     bottom_pattern = pick(BOTTOMS[bottom].patterns) if bottom != "none" else "plain"
     bottom_colour = pick(_BOTTOM_SHARES, _BOTTOM_SHARES.values())
     if bottom_pattern == "denim":
@@ -136,7 +135,7 @@ def draw_identity(seed: int, number: int) -> Identity:
         )
         if top == "suit":
             bottom_colour = top_colour
-    second = pick(c for c in _CLOTH if c != top_colour)
+    second = pick(c for c in NAMES if c != top_colour)
     hair = pick(k for k, (_, women, men) in HAIR.items() if (women if sex == "woman" else men))
     tone = int(stream.integers(len(TONES)))
     colours = list(HAIR_COLOURS)
@@ -166,7 +165,7 @@ def draw_identity(seed: int, number: int) -> Identity:
         shoes_colour=pick(("black", "white", "brown", "grey", "red", "blue"), (5, 4, 3, 2, 1, 1)),
         hat=pick(("none", *HATS), (12, 1, 1)),
         extra=pick(("none", "scarf", "apron"), (12, 1.5, 1)),
-        extra_colour=pick(_CLOTH),
+        extra_colour=pick(NAMES),
     )
 
 

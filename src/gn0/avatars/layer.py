@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,6 @@ class Layer:
         reach: how far from what it hides it may hang [m].
         hangs: heights [m] between which legs are out of sight in it: a skirt.
         strands: hair: splats lie along it, light falls through, and it hides nothing.
-        about: what its colour asks for, as `fabric`, `colour`.
     """
 
     part: str
@@ -61,7 +60,6 @@ class Layer:
     reach: float = 0.03
     hangs: tuple[float, float] | None = None
     strands: bool = False
-    about: dict[str, object] = field(default_factory=dict)
 
     def normals(self) -> F64:
         """Smooth unit normals of vertices [V, 3], weighted by area."""

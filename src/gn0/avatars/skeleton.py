@@ -6,8 +6,6 @@ The Mixamo rig has the same tree without jaw and eyes.
 
 from __future__ import annotations
 
-import numpy as np
-
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
 JOINTS: tuple[str, ...] = (
@@ -38,14 +36,3 @@ MIXAMO: dict[str, str] = {
     **{f"{s}_{f}{k}": f"{s.capitalize()}Hand{f.capitalize()}{k}"
        for s in ("left", "right") for f in _FINGERS for k in (1, 2, 3)},
 }  # fmt: skip
-
-
-def mirror_joints() -> np.ndarray:
-    """For each joint, the joint of the other side (or itself) [55] int64."""
-
-    def other(name: str) -> str:
-        if name.startswith("left_"):
-            return "right_" + name[5:]
-        return "left_" + name[6:] if name.startswith("right_") else name
-
-    return np.array([INDEX[other(name)] for name in JOINTS])

@@ -80,8 +80,8 @@ def test_a_person_without_parts_or_joints_hangs_on_our_body(person: Avatar, fold
     again = load_splat_person(folder / f"{person.name}.ply")
     assert np.abs(again.joints - person.joints).max() < 1e-3  # joints follow from betas
     assert again.licence == "unknown" and len(set(again.part.tolist())) == 1
-    agree = np.abs(np.einsum("na,na->n", again.normals, person.normals))
-    assert np.median(agree) > 0.99
+    agree = np.einsum("na,na->n", again.normals, person.normals)
+    assert np.median(agree) > 0.99 and (agree > 0).mean() > 0.85  # outward, limbs too
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ it says so. Fields of the `.ply`: LHM `runners/infer/human_lrm.py`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from gn0.avatars.body_file import load_body
 from gn0.avatars.layer import PARTS
 from gn0.avatars.npz_arrays import ArrayFile, write_arrays
 from gn0.avatars.skeleton import JOINT_COUNT
-from gn0.avatars.skinning import pack_weights, pose_joints, unskin_points
+from gn0.avatars.skinning import SkinWeights, pack_weights, pose_joints, unskin_points
 from gn0.avatars.surfels import blended_turns
 from gn0.errors import DataError, FormatError
 from gn0.gaussians.cloud import SH_C0, GaussianCloud
@@ -28,6 +29,7 @@ from gn0.gaussians.ply import save_ply
 from gn0.gaussians.splat_files import load_cloud
 from gn0.gaussians.transform import transform_cloud
 from gn0.geometry import F64, quaternion_from_rotation, rotation_from_quaternion
+from gn0.render.instance import find_normals
 from gn0.storage import write_atomic
 
 BINDING_FILE = "binding.npz"
@@ -130,9 +132,12 @@ def load_splat_person(
             points = unskin_points(points, weights, transforms)
             back = blended_turns(weights, transforms).transpose(0, 2, 1)
             quats = quaternion_from_rotation(back @ rotation_from_quaternion(quats))
+    rest = replace(
+        cloud, means=points.astype(np.float32), quats=quats.astype(np.float32), normal=None
+    )
     normals = (
         arrays.read_floats("normals", (count, 3)) if "normals" in arrays
-        else _flat_normals(points, quats, cloud)
+        else _turned_outward(rest, weights, joints)
     )  # fmt: skip
     part = (
         arrays.read_floats("part", (count,)).astype(np.int32) if "part" in arrays
@@ -189,11 +194,12 @@ def _joints(arrays: ArrayFile, side: Path, betas: F64, space: str, body: BodyMod
         raise FormatError(error.what, file=side, field="betas", remedy=error.remedy) from None
 
 
-def _flat_normals(points: F64, quats: F64, cloud: GaussianCloud) -> F64:
-    """Each splat's thinnest axis, pointing away from the body's middle line."""
-    axes = rotation_from_quaternion(quats)[np.arange(len(points)), :, cloud.scales.argmin(axis=1)]
-    outward = points - np.median(points, axis=0) * (1.0, 0.0, 1.0) - points * (0.0, 1.0, 0.0)
-    return np.where(np.einsum("na,na->n", axes, outward)[:, None] < 0, -axes, axes)
+def _turned_outward(cloud: GaussianCloud, weights: SkinWeights, joints: F64) -> F64:
+    """Each splat's thinnest axis, pointing away from the joints that carry it."""
+    axes = find_normals(cloud).astype(np.float64)
+    carried = np.einsum("nk,nka->na", weights.weight, joints[weights.joint])
+    inward = np.einsum("na,na->n", axes, cloud.means - carried) < 0
+    return np.where(inward[:, None], -axes, axes)
 
 
 def _word(arrays: ArrayFile, name: str, default: str) -> str:

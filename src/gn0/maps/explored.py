@@ -359,7 +359,7 @@ def _pass(marks, box, frame, pose, angles, near, far, margin, blind):  # type: i
 
 
 @njit
-def _paint(marks, box, cells, sums, greys, occupancy, bev):  # type: ignore[no-untyped-def]
+def _paint(marks, box, cells, sums, greys, unseen, occupancy, bev):  # type: ignore[no-untyped-def]
     """Redraw the box in both pictures (north up) and clear its marks; an empty `bev` is left."""
     tall = cells.shape[0]
     coloured = bev.shape[0] > 0
@@ -372,7 +372,9 @@ def _paint(marks, box, cells, sums, greys, occupancy, bev):  # type: ignore[no-u
                 count = sums[row, col, 3]
                 half = count // 2
                 for k in range(3):
-                    bev[tall - 1 - row, col, k] = (sums[row, col, k] + half) // count
+                    bev[tall - 1 - row, col, k] = (
+                        (sums[row, col, k] + half) // count if count else unseen
+                    )
             marks[row, col] = 0
 
 
@@ -551,5 +553,6 @@ class ExploredMap:
     def _repaint(self, box: NDArray[np.int64]) -> None:
         state = self._state
         _paint(
-            self._marks, box, state.cells, state.sums, self._greys, state.occupancy, state.bev
+            self._marks, box, state.cells, state.sums, self._greys, self._unseen,
+            state.occupancy, state.bev,
         )  # fmt: skip

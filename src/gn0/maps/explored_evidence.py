@@ -149,7 +149,7 @@ def settle_moving(  # type: ignore[no-untyped-def]
                     sure = sure or _beside(marks, row, col, BODY, True)
                     gain = SURE if sure else WEAK
                     new = max(old, KNOWN + gain)
-                    if sure and old <= CLEAR:
+                    if sure:
                         _take_back(marks, box, belief, cells, came, rises, row, col, frame, pose)
                 elif fresh:
                     if old >= 0 and rises[row, col] >= HIGH:
@@ -173,11 +173,11 @@ def settle_moving(  # type: ignore[no-untyped-def]
                     fade = 1
                 new = max(old - fade, LEAST)
                 if new < 0:
-                    rises[row, col] = came[row, col] = 0
-                    if coloured and old >= 0:
+                    if coloured and (old >= 0 or rises[row, col]):
                         top[row, col] = -1000
                         sums[row, col] = 0
-                        marks[row, col] = mark & ~SAW_COLOUR
+                        marks[row, col] |= SAW_COLOUR
+                    rises[row, col] = came[row, col] = 0
             belief[row, col] = new
             if new >= SOLID:
                 cells[row, col] = OCCUPIED

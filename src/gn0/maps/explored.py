@@ -156,6 +156,12 @@ def _find_blind(drop: float, forward: float, up: float) -> float:
     return drop * forward / -up if up < 0 < forward else (math.inf if up >= 0 else 0.0)
 
 
+def _find_rise(fan: DepthFan, row: int) -> float:
+    """What a row's rays rise [cm] a metre ahead; −inf for those that look straight down."""
+    forward, up = float(fan.forward[row]), float(fan.up[row])
+    return 100.0 * up / forward if forward > 0.0 else -math.inf
+
+
 @njit(inline="always")
 def _flag(marks, row, col, flag, box):  # type: ignore[no-untyped-def]
     """Note that a picture says something of a cell; box grows to hold it."""
@@ -543,9 +549,9 @@ class ExploredMap:
             settle_still(*seen)
         else:
             ticks = min(max(round(since * TICKS), 1), TICKS_MOST)
-            lowest = 100.0 * fan.height, 100.0 * fan.up[-1] / fan.forward[-1]
+            sight = 100.0 * fan.height, _find_rise(fan, -1), _find_rise(fan, 0)
             settle_moving(
-                *seen, ticks, self._frame, pose, lowest, state.top, state.sums, state.rises,
+                *seen, ticks, self._frame, pose, sight, state.top, state.sums, state.rises,
                 state.came,
             )  # fmt: skip
         self._repaint(box)

@@ -81,16 +81,24 @@ def _beside(marks, row, col, reach, sure):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _has_come(belief, came, rises, row, col):  # type: ignore[no-untyped-def]
+def _find_ahead(frame, pose, row, col):  # type: ignore[no-untyped-def]
+    """How far ahead of the eye a cell is [m]."""
+    x = frame[0] + (col + 0.5) / frame[2] - pose[0]
+    y = frame[1] + (row + 0.5) / frame[2] - pose[1]
+    return x * pose[2] + y * pose[3]
+
+
+@njit(inline="always")
+def _has_come(belief, came, rises, row, col, high, arm):  # type: ignore[no-untyped-def]
     """Whether what is hit here has come: on free floor, or beside what came; not at a wall."""
     if belief[row, col] > 0:
         return came[row, col] > 0
     tall, wide = belief.shape
-    beside = belief[row, col] <= CLEAR and rises[row, col] >= HIGH
+    beside = belief[row, col] <= CLEAR and rises[row, col] >= high
     for r in range(max(row - 1, 0), min(row + 2, tall)):
         for c in range(max(col - 1, 0), min(col + 2, wide)):
             if came[r, c]:
-                beside = beside or rises[row, col] >= ARM
+                beside = beside or rises[row, col] >= arm
             elif belief[r, c] >= SOLID:
                 return False
     return beside
@@ -121,15 +129,15 @@ def _take_back(marks, box, belief, cells, came, rises, row, col, frame, pose):  
 
 @njit
 def settle_moving(  # type: ignore[no-untyped-def]
-    marks, box, belief, seen_from, place, cells, ticks, frame, pose, lowest, top, sums, rises, came
+    marks, box, belief, seen_from, place, cells, ticks, frame, pose, sight, top, sums, rises, came
 ):
     """The same where people may be about, `ticks` of 0.1 s after the picture before.
 
     Colours of what has gone are forgotten with it. Marks stay for the painter.
 
-    lowest: height above the floor [cm] of the picture's lowest ray at the eye, and its rise [cm] a
-    metre ahead. rises [H, W] cm: the highest hit of each cell. came [H, W]: whether what is there
-    came while the agent looked.
+    sight: height of the eye [cm], and the rise [cm] a metre ahead of the picture's lowest and of
+    its highest ray. rises [H, W] cm: the highest hit of each cell. came [H, W]: whether what is
+    there came while the agent looked.
     """
     coloured = top.shape[0] > 0
     first_row, last_row, first_col, last_col = box[0], box[1], box[2], box[3]
@@ -142,9 +150,12 @@ def settle_moving(  # type: ignore[no-untyped-def]
             old = new = belief[row, col]
             if hits:
                 sure = mark & SAW_SURE != 0
+                ahead = _find_ahead(frame, pose, row, col)
+                seen = sight[0] + sight[2] * ahead - OVER  # no higher can be asked for
+                high = min(HIGH, seen)
                 fresh = seen_from[row, col] != place
                 seen_from[row, col] = place
-                if _has_come(belief, came, rises, row, col):
+                if _has_come(belief, came, rises, row, col, high, min(ARM, seen)):
                     came[row, col] = 1
                     sure = sure or _beside(marks, row, col, BODY, True)
                     gain = SURE if sure else WEAK
@@ -152,17 +163,15 @@ def settle_moving(  # type: ignore[no-untyped-def]
                     if sure:
                         _take_back(marks, box, belief, cells, came, rises, row, col, frame, pose)
                 elif fresh:
-                    if old >= 0 and rises[row, col] >= HIGH:
+                    if old >= 0 and rises[row, col] >= high:
                         sure = sure or _beside(marks, row, col, BODY, True)
                     new = min(old + (SURE if sure else WEAK), MOST)
                     if old < 0 and new >= SOLID:
                         came[row, col] = 1
             elif mark & (SAW_FLOOR | SAW_PAST | SAW_BLIND):
                 if not mark & (SAW_FLOOR | SAW_PAST):  # low things would not be seen
-                    x = frame[0] + (col + 0.5) / frame[2] - pose[0]
-                    y = frame[1] + (row + 0.5) / frame[2] - pose[1]
-                    ahead = x * pose[2] + y * pose[3]
-                    over = rises[row, col] < lowest[0] + lowest[1] * ahead + OVER
+                    ahead = _find_ahead(frame, pose, row, col)
+                    over = rises[row, col] < sight[0] + sight[1] * ahead + OVER
                     if old <= 0 or over:
                         if old <= 0:
                             belief[row, col] = min(old, -1)

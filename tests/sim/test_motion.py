@@ -160,6 +160,35 @@ def test_many_agents_see_what_one_sees(
     many.close()
 
 
+def test_their_own_maps_of_what_moves_are_the_same(flat, tiny) -> None:
+    """One agent and each of many; an agent that goes back to a saved state, and on."""
+    motion = roll(0.0, 3.0)
+    mine = build_point_episodes(flat, NavigationMap(flat.grid, 0.2), 2)
+    shared = {"max_steps": 8, "map_mode": "explored", "backend": "cpu", "preset": tiny}
+    many = VectorEnv(
+        2, flat, episodes=mine, sensors=("bev", "occupancy"), motions={flat.id: motion}, **shared
+    )
+    one = open_simulator(flat, sensors={"bev", "occupancy"}, motion=motion, **shared)
+    seen, infos = many.reset(seed=1, options={"episode": [0, 1]})
+    walk = [0, 2, 2, 1, 3, 1]  # the first is reset
+    for step in range(len(walk)):
+        for agent in range(2):
+            episode = next(e for e in mine if e.id == infos["episode_id"][agent])
+            want = one.reset(episode)
+            for k, action in enumerate(walk[1 : step + 1]):
+                if k == 1:
+                    kept = one.save_state()
+                    one.step(1)
+                    one.restore_state(kept)
+                want = one.step(action).observation
+            for name in ("bev", "occupancy"):
+                np.testing.assert_array_equal(seen[name][agent], getattr(want, name), err_msg=name)
+            assert one.save_state().explored.time == want.time
+        if step + 1 < len(walk):
+            seen, *_, infos = many.step(np.full(2, walk[step + 1]))
+    many.close()
+
+
 class RendererByHost(RendererBatch):
     """Is told by the host where eyes and parts are."""
 

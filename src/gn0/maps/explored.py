@@ -15,21 +15,28 @@ for bit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gn0.geometry import F32, F64, U8
 from gn0.jit import njit
-from gn0.maps.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from gn0.maps.explored_evidence import (
+    HIT,
+    LEAST,
+    SAW_BLIND,
+    SAW_COLOUR,
+    SAW_FLOOR,
+    SAW_PAST,
+    SAW_SURE,
+    TICKS,
+    TICKS_MOST,
+    settle_moving,
+    settle_still,
+)
+from gn0.maps.grid import FREE, UNKNOWN, OccupancyGrid
 
-# weights of one picture's evidence for a cell. A hit counts once a place: from there the same
-# mistake would be made again with every turn of the head
-SURE, WEAK, FLOOR, PASSED = 8, 3, -1, -1
-SOLID = 4  # belief from which a cell is occupied: one sure hit, or weak ones from two places
-MOST, LEAST = 20, -10  # belief is kept within
-HITS_NEEDED = 2  # pixels of one picture in a cell until they count as a hit
 COLUMNS, ROWS = 480, 180  # pixels of a picture that are looked at, at most about so many
 RAMP = 0.08  # m beside a silhouette in which expected depth slides from one surface to the other
 STEP, BEND = 1.0, 0.1  # a surface steps less a metre aside, and bends less, as a share of its slope
@@ -40,8 +47,6 @@ LEVEL, GAP = 0.02, 0.2  # m: two returns of a column this level and near are one
 LAYER = 80  # mm: colours this near to the highest point of a cell are averaged
 _BELOW = -0.3  # m: a return deeper than this below the floor is outside the building
 _SINK = 0.01  # m: a hit is placed this far behind its surface, inside what it belongs to
-# flags of a cell in one picture; hits are counted above them
-_PASSED, _BLIND, _FLOOR, _COLOUR, _SURE, _HIT = 1, 2, 4, 8, 16, 32
 _HITS_FULL = 60_000
 
 
@@ -151,6 +156,12 @@ def _find_blind(drop: float, forward: float, up: float) -> float:
     return drop * forward / -up if up < 0 < forward else (math.inf if up >= 0 else 0.0)
 
 
+def _find_rise(fan: DepthFan, row: int) -> float:
+    """What a row's rays rise [cm] a metre ahead; −inf for those that look straight down."""
+    forward, up = float(fan.forward[row]), float(fan.up[row])
+    return 100.0 * up / forward if forward > 0.0 else -math.inf
+
+
 @njit(inline="always")
 def _flag(marks, row, col, flag, box):  # type: ignore[no-untyped-def]
     """Note that a picture says something of a cell; box grows to hold it."""
@@ -219,14 +230,16 @@ def _find_veils(depth, focal, fan_rows, fan_cols):  # type: ignore[no-untyped-de
 @njit
 def _scan(  # type: ignore[no-untyped-def]
     depth, rgb, focal, fan_rows, fan_cols, forward, up, left, bins, height, limits, band, cut,
-    rgb_rows, rgb_cols, frame, pose, coloured, marks, box, near, far, top, sums,
+    rgb_rows, rgb_cols, frame, pose, coloured, marks, box, near, far, top, sums, rises,
 ):  # fmt: skip
     """Mark hits and floor, add colours, and find how far each direction was passed through.
 
     frame: origin x, y and cells a metre. pose: x, y, cos yaw, sin yaw. near, far [B] m: nearest
     obstacle and farthest return of each direction. sums [H, W, 4]: red, green, blue, count.
+    rises [H, W] cm: the highest hit of each cell; empty where nothing moves.
     """
     tall, wide = marks.shape
+    moving = rises.shape[0] > 0
     last_range = np.zeros(len(fan_cols))  # of the return in the row above, 0 if there was none
     last_rise = np.zeros(len(fan_cols))
     veil = _find_veils(depth, focal, fan_rows, fan_cols)
@@ -256,24 +269,24 @@ def _scan(  # type: ignore[no-untyped-def]
             kind = 0
             if rise < band[0]:
                 far[b] = max(far[b], reach)
-                kind = _FLOOR
+                kind = SAW_FLOOR
             elif rise <= band[1]:
                 near[b] = min(near[b], reach)
                 far[b] = max(far[b], reach)
-                kind = _HIT
+                kind = HIT
             else:
                 leave = (band[1] - height) / (rise - height) if height < band[1] else 0.0
                 far[b] = max(far[b], reach * leave)
             if kind == 0 and not (coloured and rise < cut):
                 continue
-            if kind == _HIT:
+            if kind == HIT:
                 sink = 1.0 + _SINK / max(reach, _SINK)
                 lead, side = lead * sink, side * sink
             count = 1
             if kind != 0:
                 last_range[j], last_rise[j] = reach, rise
                 gap = abs(before - reach)
-                most = 0.25 * reach if kind == _FLOOR else GAP
+                most = 0.25 * reach if kind == SAW_FLOOR else GAP
                 if before > 0.0 and abs(level - rise) < LEVEL and gap < most:
                     count = min(1 + int(gap * frame[2]), 64)  # one level surface: fill it
             r = g = bl = 0
@@ -293,13 +306,15 @@ def _scan(  # type: ignore[no-untyped-def]
                 row = math.floor((y - frame[1]) * frame[2])
                 if row < 0 or col < 0 or row >= tall or col >= wide:
                     continue
-                if kind == _HIT:
+                if kind == HIT:
                     if marks[row, col] < _HITS_FULL:
-                        marks[row, col] += _HIT
+                        marks[row, col] += HIT
                     if trust == 2:
-                        marks[row, col] |= _SURE
-                elif kind == _FLOOR:
-                    marks[row, col] |= _FLOOR
+                        marks[row, col] |= SAW_SURE
+                    if moving:
+                        rises[row, col] = max(rises[row, col], min(int(100.0 * rise), 255))
+                elif kind == SAW_FLOOR:
+                    marks[row, col] |= SAW_FLOOR
                 if paint:
                     if millimetres > top[row, col] + LAYER:
                         top[row, col] = millimetres
@@ -309,7 +324,7 @@ def _scan(  # type: ignore[no-untyped-def]
                         sums[row, col, 1] += g
                         sums[row, col, 2] += bl
                         sums[row, col, 3] += 1
-                        marks[row, col] |= _COLOUR
+                        marks[row, col] |= SAW_COLOUR
                 if marks[row, col]:
                     _flag(marks, row, col, 0, box)
 
@@ -338,7 +353,7 @@ def _pass(marks, box, frame, pose, angles, near, far, margin, blind):  # type: i
         next_y = ((row + 1 - v0) if dy > 0 else (v0 - row)) * per_y if dy != 0 else np.inf
         while 0 <= row < tall and 0 <= col < wide:
             leave = min(next_x, next_y)
-            _flag(marks, row, col, _PASSED if leave > blind * frame[2] else _BLIND, box)
+            _flag(marks, row, col, SAW_PAST if leave > blind * frame[2] else SAW_BLIND, box)
             if leave > limit:
                 break
             if next_x < next_y:
@@ -350,37 +365,7 @@ def _pass(marks, box, frame, pose, angles, near, far, margin, blind):  # type: i
 
 
 @njit
-def _settle(marks, box, belief, seen_from, place, cells):  # type: ignore[no-untyped-def]
-    """Turn the marks of one picture into belief and cells; colour flags stay for the painter."""
-    for row in range(box[0], box[1] + 1):
-        for col in range(box[2], box[3] + 1):
-            mark = marks[row, col]
-            if mark == 0:
-                continue
-            marks[row, col] = mark & _COLOUR
-            hits = mark // _HIT
-            old = new = belief[row, col]
-            if hits >= HITS_NEEDED:
-                if seen_from[row, col] != place:  # from one place the same mistake is made again
-                    new = min(old + (SURE if mark & _SURE else WEAK), MOST)
-                seen_from[row, col] = place
-            elif hits > 0:
-                continue
-            elif mark & _FLOOR:
-                new = max(old + FLOOR, LEAST)
-            elif mark & _PASSED:
-                new = max(old + PASSED, LEAST)
-            elif mark & _BLIND:
-                new = min(old, -1) if old <= 0 else old
-            belief[row, col] = new
-            if new >= SOLID:
-                cells[row, col] = OCCUPIED
-            elif new < 0:
-                cells[row, col] = FREE
-
-
-@njit
-def _paint(marks, box, cells, sums, greys, occupancy, bev):  # type: ignore[no-untyped-def]
+def _paint(marks, box, cells, sums, greys, unseen, occupancy, bev):  # type: ignore[no-untyped-def]
     """Redraw the box in both pictures (north up) and clear its marks; an empty `bev` is left."""
     tall = cells.shape[0]
     coloured = bev.shape[0] > 0
@@ -389,11 +374,13 @@ def _paint(marks, box, cells, sums, greys, occupancy, bev):  # type: ignore[no-u
             grey = greys[cells[row, col]]
             if occupancy[tall - 1 - row, col, 0] != grey:
                 occupancy[tall - 1 - row, col, :] = grey
-            if coloured and marks[row, col] & _COLOUR:
+            if coloured and marks[row, col] & SAW_COLOUR:
                 count = sums[row, col, 3]
                 half = count // 2
                 for k in range(3):
-                    bev[tall - 1 - row, col, k] = (sums[row, col, k] + half) // count
+                    bev[tall - 1 - row, col, k] = (
+                        (sums[row, col, k] + half) // count if count else unseen
+                    )
             marks[row, col] = 0
 
 
@@ -410,6 +397,9 @@ class ExploredState:
         top: [H, W] mm, the highest point seen below the cut.
         sums: [H, W, 4] red, green, blue and count of the colours near it.
         last: pose of the last picture.
+        time: of the last picture [s]; None where nothing moves.
+        rises: [H, W] cm, the highest hit of each cell; empty where nothing moves.
+        came: [H, W] whether what is in a cell came while the agent looked; likewise.
     """
 
     belief: NDArray[np.int8]
@@ -421,6 +411,9 @@ class ExploredState:
     top: NDArray[np.int16]
     sums: NDArray[np.uint32]
     last: tuple[float, float, float] | None
+    time: float | None = None
+    rises: U8 = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
+    came: U8 = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
 
     def copy(self) -> ExploredState:
         """An independent copy."""
@@ -433,6 +426,8 @@ class ExploredState:
             bev=self.bev.copy(),
             top=self.top.copy(),
             sums=self.sums.copy(),
+            rises=self.rises.copy(),
+            came=self.came.copy(),
         )
 
 
@@ -510,17 +505,30 @@ class ExploredMap:
         self._repaint(np.array([top, bottom, left, right], np.int64))
 
     def add_picture(
-        self, fan: DepthFan, depth: F32, rgb: U8 | None, x: float, y: float, yaw: float
+        self,
+        fan: DepthFan,
+        depth: F32,
+        rgb: U8 | None,
+        x: float,
+        y: float,
+        yaw: float,
+        time: float | None = None,
     ) -> None:
         """Add one depth picture, and its colours, seen from (x, y) m with `yaw` [rad].
 
         A picture from the very pose of the one before adds nothing: it is the same picture.
+        `time` [s] is given where people may be about: then only one of that time is the same, and
+        what is seen now weighs more than what was; see `explored_evidence`.
         """
         state = self._state
-        if state.last == (x, y, yaw):
+        if state.last == (x, y, yaw) and state.time == time:
             return
         moved = state.last is None or state.last[:2] != (x, y)
-        self._state = state = replace(state, last=(x, y, yaw), place=state.place + moved)
+        since = 0.0 if time is None or state.time is None else time - state.time
+        self._state = state = replace(state, last=(x, y, yaw), place=state.place + moved, time=time)
+        if time is not None and not len(state.came):
+            nothing = np.zeros(self._grid.shape, np.uint8)
+            self._state = state = replace(state, rises=nothing, came=nothing.copy())
         height, width = self._grid.shape
         box = np.array([height, -1, width, -1], np.int64)
         pose = np.array([x, y, math.cos(yaw), math.sin(yaw)])
@@ -532,14 +540,25 @@ class ExploredMap:
             depth, picture, fan.focal, fan.rows, fan.cols, fan.forward, fan.up, fan.left, fan.bins,
             fan.height, fan.limits, fan.band, fan.cut, fan.colour_rows, fan.colour_cols,
             self._frame, pose, coloured, self._marks, box, near, far, state.top, state.sums,
+            state.rises,
         )  # fmt: skip
         margin = 0.5 * self._grid.resolution
         _pass(self._marks, box, self._frame, pose, fan.angles, near, far, margin, fan.blind)
-        _settle(self._marks, box, state.belief, state.seen_from, state.place, state.cells)
+        seen = self._marks, box, state.belief, state.seen_from, state.place, state.cells
+        if time is None:
+            settle_still(*seen)
+        else:
+            ticks = min(max(round(since * TICKS), 1), TICKS_MOST)
+            sight = 100.0 * fan.height, _find_rise(fan, -1), _find_rise(fan, 0)
+            settle_moving(
+                *seen, ticks, self._frame, pose, sight, state.top, state.sums, state.rises,
+                state.came,
+            )  # fmt: skip
         self._repaint(box)
 
     def _repaint(self, box: NDArray[np.int64]) -> None:
         state = self._state
         _paint(
-            self._marks, box, state.cells, state.sums, self._greys, state.occupancy, state.bev
+            self._marks, box, state.cells, state.sums, self._greys, self._unseen,
+            state.occupancy, state.bev,
         )  # fmt: skip

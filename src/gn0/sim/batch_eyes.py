@@ -287,6 +287,7 @@ class BatchEyes:
                     coloured=self._coloured,
                 )
             if snapshot.due[k]:
-                kept.mapper.update(pose, seen["depth"], seen.get("rgb"))
+                time = place.time if suite.motion is not None else None
+                kept.mapper.update(pose, seen["depth"], seen.get("rgb"), time)
             place.mapper = kept.mapper
         return place

@@ -73,10 +73,14 @@ class Mapper:
         """Forget everything: a new episode."""
         self._map.clear()
 
-    def update(self, pose: Pose2D, depth: F32, rgb: U8 | None) -> None:
-        """Add what is seen from a pose: depth [Hd, Wd] m and, for the BEV, colours [H, W, 3]."""
+    def update(self, pose: Pose2D, depth: F32, rgb: U8 | None, time: float | None = None) -> None:
+        """Add what is seen from a pose: depth [Hd, Wd] m and, for the BEV, colours [H, W, 3].
+
+        `time` since the episode began [s] is given where things move: then what is seen now weighs
+        more than what was.
+        """
         self._map.add_standing(pose.x, pose.y, self._radius)
-        self._map.add_picture(self._fan, depth, rgb, pose.x, pose.y, pose.yaw)
+        self._map.add_picture(self._fan, depth, rgb, pose.x, pose.y, pose.yaw, time)
 
     @property
     def occupancy(self) -> U8:

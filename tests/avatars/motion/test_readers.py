@@ -19,10 +19,10 @@ from gn0.avatars.motion.fbx import decode_fbx
 from gn0.avatars.motion.glb_skin import decode_gltf_motion
 from gn0.avatars.motion.motion import Motion, resample
 from gn0.avatars.motion.motion_file import encode_motion, load_motion_npz, save_motion
-from gn0.avatars.motion.npy_arrays import read_npy
 from gn0.avatars.motion.open_motion import load_motion
 from gn0.avatars.motion.rig import global_frames
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS
+from gn0.avatars.npz_arrays import read_npy
 from gn0.avatars.skinning import pose_joints, rotations_of
 from gn0.errors import DataError, FormatError, Gn0Error, StorageError
 from gn0.seeds import random_stream

@@ -16,7 +16,7 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 
-from gn0.avatars.motion.npy_arrays import MotionSource, open_source
+from gn0.avatars.file_source import FileSource, open_source
 from gn0.avatars.motion.rig import (
     JOINT_LIMIT,
     RigMotion,
@@ -161,7 +161,7 @@ def decode_gltf_motion(
         return _read(rig, chosen, names, document, buffers, source), names
 
 
-def _chunks(source: MotionSource) -> tuple[bytes, FileBuffer | None]:
+def _chunks(source: FileSource) -> tuple[bytes, FileBuffer | None]:
     """The JSON, and the binary chunk of a .glb."""
     if source.read(0, min(4, source.size), "the first bytes") != MAGIC:
         return source.read(0, source.size, "the JSON"), None
@@ -187,7 +187,7 @@ def _chunks(source: MotionSource) -> tuple[bytes, FileBuffer | None]:
     return text, None
 
 
-def _check_text(text: bytes, source: MotionSource) -> None:
+def _check_text(text: bytes, source: FileSource) -> None:
     entries, values = text.count(b"{") + text.count(b"["), text.count(b",")
     if entries > _ENTRIES or values > _COMMAS:
         raise source.refuse(
@@ -197,7 +197,7 @@ def _check_text(text: bytes, source: MotionSource) -> None:
         )
 
 
-def _decode(text: bytes, kind: type[_T], source: MotionSource) -> _T:
+def _decode(text: bytes, kind: type[_T], source: FileSource) -> _T:
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError) as error:
@@ -205,7 +205,7 @@ def _decode(text: bytes, kind: type[_T], source: MotionSource) -> _T:
 
 
 def _open_buffers(
-    document: GltfDocument, source: MotionSource, binary: FileBuffer | None, stack: ExitStack
+    document: GltfDocument, source: FileSource, binary: FileBuffer | None, stack: ExitStack
 ) -> list[GltfBuffer]:
     buffers: list[GltfBuffer] = []
     for number, entry in enumerate(document.buffers):
@@ -230,7 +230,7 @@ def _read(
     names: tuple[str, ...],
     document: GltfDocument,
     buffers: list[GltfBuffer],
-    source: MotionSource,
+    source: FileSource,
 ) -> RigMotion:
     def rows(number: int, width: int, field: str) -> F64:
         found = find_rows(document, buffers, number, (width,), field, source)
@@ -292,7 +292,7 @@ def _read(
     return check_rig(result, source.file)
 
 
-def _joint_order(rig: _Rig, skin: _Skin, source: MotionSource) -> tuple[list[int], dict[int, int]]:
+def _joint_order(rig: _Rig, skin: _Skin, source: FileSource) -> tuple[list[int], dict[int, int]]:
     """Joints of a skin and all nodes above them, parents first, and the parent of each node."""
     above: dict[int, int] = {}
     for holder, entry in enumerate(rig.nodes):
@@ -328,7 +328,7 @@ def _read_keys(
     animation: _Animation,
     wanted: set[int],
     rows: Callable[[int, int, str], F64],
-    source: MotionSource,
+    source: FileSource,
 ) -> dict[tuple[int, str], _Keys]:
     """Keys by (node, path)."""
     keys: dict[tuple[int, str], _Keys] = {}
@@ -381,7 +381,7 @@ def _read_keys(
 
 
 def _frames(
-    keys: dict[tuple[int, str], _Keys], joints: int, source: MotionSource
+    keys: dict[tuple[int, str], _Keys], joints: int, source: FileSource
 ) -> tuple[float, float, int]:
     """First time [s], frames a second by the closest keys, number of frames."""
     start = min(float(held.times[0]) for held in keys.values())
@@ -407,7 +407,7 @@ def _matrices(
     node: int,
     keys: dict[tuple[int, str], _Keys],
     times: F64,
-    source: MotionSource,
+    source: FileSource,
 ) -> F64:
     """Matrices [N, 4, 4] of a node in its parent's axes."""
     entry = rig.nodes[node]
@@ -445,7 +445,7 @@ def _rest(
     order: list[int],
     at_rest: dict[int, F64],
     rows: Callable[[int, int, str], F64],
-    source: MotionSource,
+    source: FileSource,
 ) -> tuple[F64, list[str]]:
     """Matrices at rest [J, 4, 4] in the scene's axes, and what to say of them.
 
@@ -486,7 +486,7 @@ def _rest(
     return rest, notes
 
 
-def _placed(rig: _Rig, node: int, source: MotionSource) -> F64:
+def _placed(rig: _Rig, node: int, source: FileSource) -> F64:
     """Matrix [4, 4] of a node to the scene."""
     above = {child: parent for parent, entry in enumerate(rig.nodes) for child in entry.children}
     matrix = np.eye(4)

@@ -6,25 +6,24 @@ joints are called and how they hang together, is not in it, and one moment does 
 
 from __future__ import annotations
 
-from gn0.avatars.motion.npy_arrays import NpzArrays
+from gn0.avatars.npz_arrays import ArrayFile
 from gn0.errors import FormatError
 
 KEYS = frozenset({"mhr_model_params", "pred_global_rots"})
 
 
-def refuse_mhr(arrays: NpzArrays) -> FormatError:
+def refuse_mhr(arrays: ArrayFile) -> FormatError:
     """Why a pose of MHR is no motion.
 
     Raises:
         FormatError: the file is damaged besides.
     """
-    turns = arrays.numbers("pred_global_rots", (-1, 3, 3))
-    parameters = arrays.numbers("mhr_model_params", (-1,))
-    return arrays.source.refuse(
+    turns = arrays.read_numbers("pred_global_rots", (None, 3, 3))
+    parameters = arrays.read_numbers("mhr_model_params", (None,))
+    return arrays.refuse(
         f"is the pose of one picture by MHR ({len(turns)} joints without names or parents, "
         f"{len(parameters)} parameters): one frame does not move, and the rig that would name its "
         "joints is not in the file",
-        None,
         field="pred_global_rots",
         remedy="convert it to SMPL-X with the tools of MHR, and give poses (T, 165)",
     )

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gn0.avatars.motion.motion import Motion, build_motion
-from gn0.avatars.motion.npy_arrays import NpzArrays, open_npz
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS, hip_height_of
+from gn0.avatars.npz_arrays import ArrayFile
 from gn0.storage import read_bytes, write_bytes
 
 KEYS = frozenset({"poses", "trans", "fps", "loop"})
@@ -57,31 +57,31 @@ def load_motion_npz(path: Path | str) -> Motion:
         StorageError: missing, unreadable or too large.
         FormatError: damaged, members missing or of another shape, or no sound motion.
     """
-    return decode_motion(open_npz(read_bytes(path, LIMIT), path))
+    return decode_motion(ArrayFile(path, read_bytes(path, LIMIT)))
 
 
-def decode_motion(arrays: NpzArrays) -> Motion:
+def decode_motion(arrays: ArrayFile) -> Motion:
     """The motion of an open motion.npz.
 
     Raises:
         FormatError: as `load_motion_npz`.
     """
-    poses = arrays.numbers("poses", (-1, 55, 3))
-    way = arrays.numbers("displacement", (-1,)) if "displacement" in arrays.names else None
-    feet = arrays.numbers("contacts", (-1, 2)) if "contacts" in arrays.names else None
+    poses = arrays.read_numbers("poses", (None, 55, 3))
+    way = arrays.read_numbers("displacement", (None,)) if "displacement" in arrays.names else None
+    feet = arrays.read_numbers("contacts", (None, 2)) if "contacts" in arrays.names else None
     hips = (
-        float(arrays.numbers("hip_height", ()))
+        float(arrays.read_numbers("hip_height", ()))
         if "hip_height" in arrays.names
         else hip_height_of(STANDING_JOINTS)
     )
     notes = arrays.text("notes")
     return build_motion(
-        arrays.source.file,
+        arrays.path,
         poses=poses,
-        shift=arrays.numbers("trans", (-1, 3)),
-        fps=float(arrays.numbers("fps", ())),
+        shift=arrays.read_numbers("trans", (None, 3)),
+        fps=float(arrays.read_numbers("fps", ())),
         hip_height=hips,
-        loop=bool(arrays.numbers("loop", ())) if "loop" in arrays.names else False,
+        loop=bool(arrays.read_numbers("loop", ())) if "loop" in arrays.names else False,
         displacement=way,
         contacts=None if feet is None else feet != 0,
         notes=tuple(notes.split("\n")) if notes else (),

@@ -23,12 +23,12 @@ from gn0.avatars.motion.mhr import KEYS as MHR
 from gn0.avatars.motion.mhr import refuse_mhr
 from gn0.avatars.motion.motion import Motion
 from gn0.avatars.motion.motion_file import KEYS, LIMIT, decode_motion
-from gn0.avatars.motion.npy_arrays import MAGIC as NPY
-from gn0.avatars.motion.npy_arrays import open_npz
 from gn0.avatars.motion.retarget import retarget
 from gn0.avatars.motion.rig import RigMotion
 from gn0.avatars.motion.smplx_motion import decode_plain_poses, decode_smplx_npz, is_smpl
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS
+from gn0.avatars.npz_arrays import MAGIC as NPY
+from gn0.avatars.npz_arrays import ArrayFile
 from gn0.errors import FormatError
 from gn0.storage import read_bytes
 
@@ -64,14 +64,15 @@ def load_motion(
     if data.startswith(NPY):
         return decode_plain_poses(data, path, joints)
     if data.startswith(b"PK\x03\x04"):
-        arrays = open_npz(data, path)
-        if arrays.names >= KEYS:
+        arrays = ArrayFile(path, data)
+        names = frozenset(arrays.names)
+        if names >= KEYS:
             return decode_motion(arrays)
-        if arrays.names >= MHR:
+        if names >= MHR:
             raise refuse_mhr(arrays)
-        if is_smpl(arrays.names):
+        if is_smpl(names):
             return decode_smplx_npz(arrays, joints)
-        shown = ", ".join(sorted(name[:40] for name in arrays.names)[:12])
+        shown = ", ".join(sorted(name[:40] for name in names)[:12])
         raise unknown_motion(path, f"is an archive of {shown or 'nothing'}")
     raise unknown_motion(path, _what_else(data, path))
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gn0.avatars.motion.motion import FAR, TURNS, Motion, build_motion, check_finite
-from gn0.avatars.motion.npy_arrays import NpzArrays, read_npy
 from gn0.avatars.motion.standing_joints import STANDING_JOINTS, hip_height_of
 from gn0.avatars.motion.turns import (
     as_numbers,
@@ -25,6 +24,7 @@ from gn0.avatars.motion.turns import (
     quats_of_matrices,
     vectors_of_quats,
 )
+from gn0.avatars.npz_arrays import ArrayFile, read_npy
 from gn0.avatars.skeleton import INDEX, JOINT_COUNT
 from gn0.errors import FormatError
 from gn0.geometry import F64
@@ -62,7 +62,7 @@ def is_smpl(names: frozenset[str]) -> bool:
     return {"poses", "trans"} <= names or {"root_orient", "pose_body"} <= names
 
 
-def decode_smplx_npz(arrays: NpzArrays, joints: NDArray[np.floating] | None = None) -> Motion:
+def decode_smplx_npz(arrays: ArrayFile, joints: NDArray[np.floating] | None = None) -> Motion:
     """The motion of an AMASS .npz, z up: SMPL-H poses [T, 156], or SMPL-X [T, 165] or its parts.
 
     Args:
@@ -72,20 +72,20 @@ def decode_smplx_npz(arrays: NpzArrays, joints: NDArray[np.floating] | None = No
     Raises:
         FormatError: members missing or of other shapes, numbers that are not finite, or no rate.
     """
-    file, names = arrays.source.file, arrays.names
+    file, names = arrays.path, arrays.names
     body = STANDING_JOINTS if joints is None else np.asarray(joints, np.float64)
     poses = _poses(arrays)
     rate = next((name for name in _RATES if name in names), None)
     if rate is None:
-        raise arrays.source.refuse(
-            f"has no frame rate ({' or '.join(_RATES)})", None, remedy="add mocap_frame_rate"
+        raise arrays.refuse(
+            f"has no frame rate ({' or '.join(_RATES)})", remedy="add mocap_frame_rate"
         )
-    fps = float(arrays.numbers(rate, ()))
-    shift = arrays.numbers("trans", (-1, 3)) if "trans" in names else np.zeros((len(poses), 3))
+    fps = float(arrays.read_numbers(rate, ()))
+    shift = (
+        arrays.read_numbers("trans", (None, 3)) if "trans" in names else np.zeros((len(poses), 3))
+    )
     if len(shift) != len(poses):
-        raise arrays.source.refuse(
-            f"{len(shift)} places for {len(poses)} poses", None, field="trans"
-        )
+        raise arrays.refuse(f"{len(shift)} places for {len(poses)} poses", field="trans")
     _check_numbers(poses, shift, file)
     poses, shift = turn_frame(poses, shift, Z_UP, body[0])
     model = arrays.text("surface_model_type") or ("smplh" if _width(arrays) == 156 else "smplx")
@@ -100,29 +100,32 @@ def decode_smplx_npz(arrays: NpzArrays, joints: NDArray[np.floating] | None = No
     )
 
 
-def _width(arrays: NpzArrays) -> int:
+def _width(arrays: ArrayFile) -> int:
     shape = arrays.read("poses").shape if "poses" in arrays.names else ()
     return shape[1] if len(shape) == 2 else 0
 
 
-def _poses(arrays: NpzArrays) -> F64:
+def _poses(arrays: ArrayFile) -> F64:
     """Axis-angles [T, 55, 3] of whichever members there are."""
     names = arrays.names
     if "poses" in names:
-        values = arrays.numbers("poses", (-1, -1))
-        return widen_poses(values, arrays.source.file)
-    root = arrays.numbers("root_orient", (-1, 3))
-    parts = {"root_orient": root, "pose_body": arrays.numbers("pose_body", (-1, 63))}
+        values = arrays.read_numbers("poses", (None, None))
+        return widen_poses(values, arrays.path)
+    root = arrays.read_numbers("root_orient", (None, 3))
+    parts = {
+        "root_orient": root,
+        "pose_body": arrays.read_numbers("pose_body", (None, 63)),
+    }
     whole = np.zeros((len(root), JOINT_COUNT * 3))
     for name, width, first in (
         ("root_orient", 3, 0), ("pose_body", 63, 3), ("pose_jaw", 3, 66), ("pose_eye", 6, 69),
         ("pose_hand", 90, 75),
     ):  # fmt: skip
         if name in names:
-            part = parts[name] if name in parts else arrays.numbers(name, (-1, width))
+            part = parts[name] if name in parts else arrays.read_numbers(name, (None, width))
             if len(part) != len(root):
-                raise arrays.source.refuse(
-                    f"{len(part)} frames, and {len(root)} of root_orient", None, field=name
+                raise arrays.refuse(
+                    f"{len(part)} frames, and {len(root)} of root_orient", field=name
                 )
             whole[:, first : first + width] = part
     return whole.reshape(len(whole), JOINT_COUNT, 3)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import csv
 import html
+import io
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -174,6 +177,11 @@ def test_the_report_has_following_beside_the_rest(run: Path) -> None:
     assert [given["data-outcome"] for given in rows] == ["failure", "success", "success", "success"]
     assert "TR pooled" in text and "off the preferred distance" in text
     assert len(re.findall("<video", text)) == 2
+    table = base64.b64decode(re.findall(r'href="data:text/csv[^,]*,([^"]+)"', text)[0]).decode()
+    cells = list(csv.DictReader(io.StringIO(table)))
+    ends = {row["episode"]: row["follow_end"] for row in cells}
+    assert sorted(ends.values()) == ["", "over", "over", "over"]
+    assert {row["success"] for row in cells if row["follow_end"]} == {""}
 
 
 def test_a_run_without_following_says_nothing_of_it(flats_suite: Suite, tmp_path: Path) -> None:

@@ -19,7 +19,8 @@ from gn0.geometry import F64
 from gn0.missions.follow_rules import FOLLOW, FollowRules
 
 WIDTH, PLOT, ROW = 720.0, 132.0, 11.0  # SVG units: of the strip, of its plot's height, of a row
-LEFT, RIGHT, TOP = 64.0, 12.0, 20.0
+X0, X1, Y0 = 64.0, 708.0, 20.0  # SVG units: of the plot, left, right and top
+ACROSS = X1 - X0
 LANES = ("follows", "faced", "beyond", "other")
 HIGHEST = 12.0  # m: a distance beyond that is drawn at the edge
 LINKS = 10  # at most so many moments of a track are joined and numbered
@@ -120,27 +121,27 @@ def distance_strip(
     """
     times, far = steps.times, steps.distance
     ceiling = min(max(5.0, math.ceil(float(far.max()) + 0.2)), HIGHEST)
-    height = TOP + PLOT + len(LANES) * ROW + 26
+    height = Y0 + PLOT + len(LANES) * ROW + 26
     span = max(float(times[-1]), 1e-9)
 
     def across(t: float) -> float:
-        return LEFT + (WIDTH - LEFT - RIGHT) * t / span
+        return X0 + (ACROSS) * t / span
 
     def up(d: float) -> float:
-        return TOP + PLOT * (1 - min(d, ceiling) / ceiling)
+        return Y0 + PLOT * (1 - min(d, ceiling) / ceiling)
 
     box = f"0 0 {WIDTH:.0f} {height:.0f}"
     parts = [
         f'<svg class="strip" viewBox="{box}" data-whole="{box}" role="img" '
         f'aria-label="{escape(title or "distance to the person over time")}">',
         f'<rect class="strip-paper" width="{WIDTH:.0f}" height="{height:.0f}"/>',
-        f'<rect class="reach-zone" x="{LEFT}" y="{up(rules.reach):.1f}" '
-        f'width="{WIDTH - LEFT - RIGHT:.1f}" height="{up(0) - up(rules.reach):.1f}"/>',
+        f'<rect class="reach-zone" x="{X0}" y="{up(rules.reach):.1f}" '
+        f'width="{ACROSS:.1f}" height="{up(0) - up(rules.reach):.1f}"/>',
     ]
     for first, last in steps.breaks(rules.break_seconds):
         x0, x1 = across(times[first - 1]), across(times[last])
         parts.append(
-            f'<rect class="loss" x="{x0:.1f}" y="{TOP}" width="{x1 - x0:.1f}" height="{PLOT}"/>'
+            f'<rect class="loss" x="{x0:.1f}" y="{Y0}" width="{x1 - x0:.1f}" height="{PLOT}"/>'
         )
     parts += _frame(ceiling, span, across, up)
     parts += _levels(record, rules, across, up, span)
@@ -149,7 +150,7 @@ def distance_strip(
         parts.append(_dot("hit", np.array([across(times[row]), up(far[row])]), 4.5))
     parts += _lanes(steps, rules, across)
     end = END_WORDS[steps.end] + (": success" if steps.success else "")
-    parts.append(f'<text class="verdict" x="{WIDTH - RIGHT}" y="13">{end}</text>')
+    parts.append(f'<text class="verdict" x="{X1}" y="13">{end}</text>')
     return Markup("".join([*parts, "</svg>"]))  # noqa: S704 (numbers, and a title escaped above)
 
 
@@ -172,16 +173,16 @@ def _frame(ceiling: float, span: float, across: _Scale, up: _Scale) -> Iterator[
     """Axes with their numbers: metres to the left, seconds below."""
     for metres in range(0, int(ceiling) + 1, 1 if ceiling <= 6 else 2):
         y = up(metres)
-        yield f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
-        yield f'<text class="scale" x="{LEFT - 5}" y="{y + 3:.1f}">{metres}</text>'
-    yield f'<text class="axis" x="{LEFT}" y="13">distance [m]</text>'
-    foot = TOP + PLOT + len(LANES) * ROW + 6
+        yield f'<line class="grid" x1="{X0}" x2="{X1}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        yield f'<text class="scale" x="{X0 - 5}" y="{y + 3:.1f}">{metres}</text>'
+    yield f'<text class="axis" x="{X0}" y="13">distance [m]</text>'
+    foot = Y0 + PLOT + len(LANES) * ROW + 6
     every = _every(span)
     for t in range(0, math.floor(span + 1e-9) + 1, every):
         x = across(t)
-        yield f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP + PLOT}" y2="{foot}"/>'
+        yield f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{Y0 + PLOT}" y2="{foot}"/>'
         yield f'<text class="second" x="{x:.1f}" y="{foot + 12:.0f}">{t}</text>'
-    yield f'<text class="scale" x="{LEFT - 12}" y="{foot + 12:.0f}">time [s]</text>'
+    yield f'<text class="scale" x="{X0 - 12}" y="{foot + 12:.0f}">time [s]</text>'
 
 
 def _levels(
@@ -193,13 +194,13 @@ def _levels(
     for kind, d, word in levels:
         y = up(d)
         yield (
-            f'<line class="level {kind}" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" '
-            f'y2="{y:.1f}"/><text class="level-name" x="{LEFT + 4}" y="{y - 3:.1f}">{word}</text>'
+            f'<line class="level {kind}" x1="{X0}" x2="{X1}" y1="{y:.1f}" '
+            f'y2="{y:.1f}"/><text class="level-name" x="{X0 + 4}" y="{y - 3:.1f}">{word}</text>'
         )
     if record.over_at <= span:
         x = across(record.over_at)
-        yield f'<line class="track-over" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{TOP + PLOT}"/>'
-        yield f'<text class="note" x="{x - 4:.1f}" y="{TOP + 10}">track over</text>'
+        yield f'<line class="track-over" x1="{x:.1f}" x2="{x:.1f}" y1="{Y0}" y2="{Y0 + PLOT}"/>'
+        yield f'<text class="note" x="{x - 4:.1f}" y="{Y0 + 10}">track over</text>'
 
 
 def _line(steps: FollowSteps, across: _Scale, up: _Scale) -> Iterator[str]:
@@ -222,12 +223,9 @@ def _lanes(steps: FollowSteps, rules: FollowRules, across: _Scale) -> Iterator[s
     words = ("follows", "faced", f"> {rules.lost_beyond:g} m", "other one")
     held = (steps.follows, steps.faced, steps.distance > rules.lost_beyond, steps.wrong)
     for i, (lane, word, flags) in enumerate(zip(LANES, words, held, strict=True)):
-        y = TOP + PLOT + i * ROW + 4
-        yield f'<text class="scale" x="{LEFT - 5}" y="{y + 7:.1f}">{word}</text>'
-        yield (
-            f'<rect class="lane" x="{LEFT}" y="{y:.1f}" width="{WIDTH - LEFT - RIGHT:.1f}" '
-            f'height="{ROW - 3}"/>'
-        )
+        y = Y0 + PLOT + i * ROW + 4
+        yield f'<text class="scale" x="{X0 - 5}" y="{y + 7:.1f}">{word}</text>'
+        yield (f'<rect class="lane" x="{X0}" y="{y:.1f}" width="{ACROSS:.1f}" height="{ROW - 3}"/>')
         for first, last in spans(flags[1:]):
             x0, x1 = across(float(steps.times[first])), across(float(steps.times[last + 1]))
             yield (

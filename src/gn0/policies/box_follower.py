@@ -23,6 +23,8 @@ TALL = 1.70  # m: how tall somebody is of whom no head and feet were seen at onc
 FRESH = 1.0  # s after the last sight in which somebody must be near where it was
 STRANGE = 4.0  # of `unlikeness`: a box beyond it is somebody else
 LEARN = 0.1  # share of a look or a height that is new
+ROOM, AHEAD = 0.45, 35.0  # m, degrees: who is nearer ahead of its next step is let pass
+PATIENCE = 10  # steps that it waits for them, then it goes round
 GIVE_UP = 24  # turns that are looked round after a loss, a circle
 
 
@@ -153,6 +155,7 @@ class BoxFollower:
         self._queue: list[Action] = []
         self._turned = 0
         self._bumps = 0
+        self._waited = 0
         self._side = Action.LEFT  # to which the person was last going
 
     def act(self, boxes: Sequence[PersonBox], collided: bool) -> Action:
@@ -175,8 +178,21 @@ class BoxFollower:
             self._bumps = 0 if action == Action.FORWARD and not collided else self._bumps
         else:
             action = self._search()
+        if action == Action.FORWARD and any(self._in_the_way(other) for other in boxes):
+            self._waited += 1
+            action = Action.STOP
+            if self._waited >= PATIENCE:  # they stand there: round them
+                self._queue, self._waited = self._aside(), 0
+        elif action == Action.FORWARD:
+            self._waited = 0
         self._action = action
         return action
+
+    def _in_the_way(self, box: PersonBox) -> bool:
+        """Whether somebody stands so near ahead that a step could touch."""
+        tall = TALL if self.last is None else self.last.tall
+        near = self.view.distance(box, tall) < self.agent.radius + self.agent.forward_step + ROOM
+        return near and abs(self.view.bearing(box)) < math.radians(AHEAD)
 
     def _aside(self) -> list[Action]:
         """Away from the side of the person first, as a corner stands there; then the other side."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gn0.data.expert_labels import EXACT, LabelSettings, is_arrived, plan_from
+from gn0.data.expert_labels import LabelSettings, is_arrived, plan_from
 from gn0.data.follow import DesiredState, TargetTrack, desired_state, reference_state
 from gn0.errors import PlanError
 from gn0.geometry import Pose2D, wrap_angle
@@ -27,6 +27,8 @@ from gn0.sim.state import Action
 Place = tuple[float, float]
 
 FOLLOWER = find_preset("follower").agent  # 0.25 m, 15°, 0.2 s
+# the person walks on while the agent turns: a turn is worth the step that it takes the time of
+IN_TIME = LabelSettings(turn_cost=FOLLOWER.forward_step)
 
 MARGIN = 0.10  # m between the discs of agent and person that it leaves
 NEAREST, CLOSER = 0.9, 0.1  # m behind on the trail, at least, to see round a bend; in steps of
@@ -53,7 +55,7 @@ class FollowTask:
     lateral: float = 0.0
     agent: AgentSpec = FOLLOWER
     person_radius: float = 0.25
-    settings: LabelSettings = EXACT
+    settings: LabelSettings = IN_TIME
 
 
 def choose_following(
@@ -83,7 +85,7 @@ def choose_following(
     action = _towards(navigation, task, pose, wanted)
     if action == Action.FORWARD and not is_clear(pose, crowd, task.agent, task.person_radius):
         action = _face(bearing, task.agent)
-    return _keep_in_sight(navigation, task, pose, (px, py), action)
+    return _keep_in_sight(navigation, task, pose, crowd, action)
 
 
 def _wanted(navigation: NavigationMap, task: FollowTask, pose: Pose2D, time: float) -> DesiredState:
@@ -114,19 +116,38 @@ def _towards(
 
 
 def _keep_in_sight(
-    navigation: NavigationMap, task: FollowTask, pose: Pose2D, person: Place, action: Action
+    navigation: NavigationMap,
+    task: FollowTask,
+    pose: Pose2D,
+    crowd: Sequence[Place],
+    action: Action,
 ) -> Action:
-    """The action, unless it would lose from view a person who is near and not behind a wall."""
-    near = math.dist(person, (pose.x, pose.y)) <= SIGHT_REACH
-    if not near or not is_line_free(navigation.grid, person, (pose.x, pose.y)):
+    """The action, unless it would lose from view a person who is near and not behind a wall.
+
+    Then, too far off, a step towards the person, else a turn that faces it. The person is the last
+    of the crowd.
+    """
+    person, limit = crowd[-1], math.radians(SIGHT_DEGREES)
+    away = math.dist(person, (pose.x, pose.y))
+    if away > SIGHT_REACH or not is_line_free(navigation.grid, person, (pose.x, pose.y)):
         return action
-    x, y, yaw = after_action(pose, action, task.agent)
-    limit = math.radians(SIGHT_DEGREES)
-    then = wrap_angle(math.atan2(person[1] - y, person[0] - x) - yaw)
-    if abs(then) <= limit:
+
+    def bearing(at: Pose2D) -> float:
+        return wrap_angle(math.atan2(person[1] - at.y, person[0] - at.x) - at.yaw)
+
+    if abs(bearing(after_action(pose, action, task.agent))) <= limit:
         return action
-    return _face(wrap_angle(math.atan2(person[1] - pose.y, person[0] - pose.x) - pose.yaw),
-                 task.agent)  # fmt: skip
+    step = after_action(pose, Action.FORWARD, task.agent)
+    nears = math.dist(person, (step.x, step.y)) < away - task.agent.forward_step / 2
+    if (
+        nears
+        and abs(bearing(step)) <= limit
+        and away > task.distance + task.settings.stop_distance
+        and is_clear(pose, crowd, task.agent, task.person_radius)
+        and not navigation.move(pose.x, pose.y, step.x, step.y)[2]
+    ):
+        return Action.FORWARD
+    return _face(bearing(pose), task.agent)
 
 
 def _face(bearing: float, agent: AgentSpec) -> Action:

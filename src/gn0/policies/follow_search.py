@@ -23,6 +23,7 @@ from gn0.sim.state import Action
 BEAM = 96  # sequences kept after each step
 SAME = 0.02  # m: places nearer than this are one
 NEAR, FAR = 0.8, 2.9  # m: a person nearer fills the picture, one farther is not followed
+SHOULDER = 0.20  # m off the line of sight: somebody nearer to it hides the person
 HALF_VIEW = math.radians(37.0)  # of the axis: the person is well in view
 OFF_DISTANCE, OFF_REFERENCE, OFF_AXIS = 0.15, 0.05, 0.05  # worth lost a metre, a metre, half a view
 WAY_LEFT, WAY_FAR, SLACK = 1.0, 5.0, 0.75  # worth lost a metre that is left to walk; beyond slack
@@ -73,8 +74,22 @@ def search_steps(
 
 
 @njit
-def _worth(blocked, ox, oy, res, x, y, yaw, px, py, rx, ry, distance):  # type: ignore[no-untyped-def]
-    """What it is worth to be at a place, the person and the reference being where they are."""
+def _is_hidden(crowd, x, y):  # type: ignore[no-untyped-def]
+    """Whether somebody stands between a place and the person."""
+    dx, dy = crowd[1, 0, 0] - x, crowd[1, 0, 1] - y
+    square = max(dx * dx + dy * dy, 1e-9)
+    for p in range(1, crowd.shape[1]):
+        ex, ey = crowd[1, p, 0] - x, crowd[1, p, 1] - y
+        part = (ex * dx + ey * dy) / square
+        if 0.0 < part < 1.0 and abs(ex * dy - ey * dx) < SHOULDER * math.sqrt(square):
+            return True
+    return False
+
+
+@njit
+def _worth(blocked, ox, oy, res, x, y, yaw, crowd, rx, ry, distance):  # type: ignore[no-untyped-def]
+    """What it is worth to be at a place, people and the reference being where they are."""
+    px, py = crowd[1, 0, 0], crowd[1, 0, 1]
     dx, dy = px - x, py - y
     away = math.sqrt(dx * dx + dy * dy)
     off = abs((math.atan2(dy, dx) - yaw + math.pi) % (2 * math.pi) - math.pi)
@@ -83,7 +98,7 @@ def _worth(blocked, ox, oy, res, x, y, yaw, px, py, rx, ry, distance):  # type: 
     value -= OFF_AXIS * min(off / HALF_VIEW, 4.0)
     shown = NEAR <= away <= FAR and off <= HALF_VIEW
     if shown and not trace_points(blocked, ox, oy, res, px, py, x, y)[2]:
-        value += 1.0
+        value += 0.0 if _is_hidden(crowd, x, y) else 1.0
     return value
 
 
@@ -136,7 +151,6 @@ def _search(  # type: ignore[no-untyped-def]
     turns, firsts = np.zeros(1, np.int64), np.full(1, -1)
     totals = np.zeros(1)
     for k in range(len(refs)):
-        px, py = crowd[k, 1, 0, 0], crowd[k, 1, 0, 1]
         nx, ny = np.empty(4 * n), np.empty(4 * n)
         nt, nf = np.empty(4 * n, np.int64), np.empty(4 * n, np.int64)
         nv, nl = np.empty(4 * n), np.empty(4 * n)
@@ -160,7 +174,7 @@ def _search(  # type: ignore[no-untyped-def]
                 nx[m], ny[m], nt[m] = x1, y1, t
                 nf[m] = action if k == 0 else firsts[i]
                 nv[m] = totals[i] + _worth(
-                    hidden, hx, hy, hres, x1, y1, yaw + t * turn, px, py,
+                    hidden, hx, hy, hres, x1, y1, yaw + t * turn, crowd[k],
                     refs[k, 0], refs[k, 1], distance,
                 )  # fmt: skip
                 nl[m] = nv[m] - _way_left(label, roots, ox, oy, res, x1, y1)

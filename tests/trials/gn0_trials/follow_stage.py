@@ -2,7 +2,8 @@
 
 People are drawn as upright boxes in two colours, behind walls not at all; they walk their tracks
 whatever happens. Ticks of 0.1 s: everybody moves, and a move of the agent that would bring it
-nearer to somebody than their discs allow is cut there, which is a touch; who walks into it is no matter.
+nearer to somebody than their discs allow is cut there, which is a touch. Who walks into it passes
+through it.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from gn0.maps.distance import GeodesicField
 from gn0.maps.grid import OccupancyGrid
 from gn0.maps.ray import trace_points
 from gn0.missions.episode import AgentSpec
+from gn0.paper import FORWARD, LEFT, RIGHT
 from gn0.sim.state import Action
 
 BEAM = 96  # sequences kept after each step
@@ -28,8 +29,6 @@ HALF_VIEW = math.radians(37.0)  # of the axis: the person is well in view
 OFF_DISTANCE, OFF_REFERENCE, OFF_AXIS = 0.15, 0.05, 0.05  # worth lost a metre, a metre, half a view
 WAY_LEFT, WAY_FAR, SLACK = 1.0, 5.0, 0.75  # worth lost a metre that is left to walk; beyond slack
 CUT_OFF = 1000.0  # m
-
-STOP, FORWARD, LEFT_TURN, RIGHT_TURN = (int(action) for action in Action)
 
 
 def search_steps(
@@ -167,9 +166,9 @@ def _search(  # type: ignore[no-untyped-def]
                         continue
                     if not _is_room(crowd[k], xs[i], ys[i], x1, y1, room):
                         continue
-                elif action == LEFT_TURN:
+                elif action == LEFT:
                     t += 1
-                elif action == RIGHT_TURN:
+                elif action == RIGHT:
                     t -= 1
                 nx[m], ny[m], nt[m] = x1, y1, t
                 nf[m] = action if k == 0 else firsts[i]

@@ -248,3 +248,19 @@ def test_the_same_walk_twice() -> None:
     a, b = (corridor_stage(0.8, 3, seed=1).play(follow_boxes()) for _ in range(2))
     np.testing.assert_array_equal(a.poses, b.poses)
     assert score_steps(a).follows.tolist() == score_steps(b).follows.tolist()
+
+
+def test_the_oracle_waits_with_a_person_who_is_held_up() -> None:
+    """The person stands for 4 s in the middle of its way; its track knows nothing of that."""
+    stage = corridor_stage(0.8)
+    track = stage.tracks[0]
+    late = TargetTrack(
+        np.r_[track.times[:1], 3.0, 7.0, track.times[1:] + 4.0],
+        np.vstack([track.places[:1], track.place_at(3.0), track.place_at(3.0), track.places[1:]]),
+    )
+    stage.tracks[0] = late
+    oracle = FollowOracle(stage.navigation, FollowTask(track))
+    m = compute_follow_metrics(
+        stage.play(lambda now: oracle.act(now.pose, now.time, [], now.places(now.time)[0]))
+    )
+    assert m.success and m.following_rate >= 0.98 and m.distance_error < 0.3

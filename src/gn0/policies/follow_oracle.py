@@ -162,16 +162,31 @@ class FollowOracle:
         self._still: list[tuple[Place, float]] = []  # where each of the others is, since when
         self._seen: tuple[float, tuple[Place, ...]] = (0.0, ())  # when and where they were last
         self._last: tuple[Pose2D, Action] | None = None
+        self._clock = (0.0, 0.0)  # time since reset, and the time of the track that it was then
         self._around: tuple[tuple[Place, ...], NavigationMap] = ((), navigation)
 
-    def act(self, pose: Pose2D, time: float, others: Sequence[Place] = ()) -> Action:
-        """The next action; `others` are the places (x, y) m of everybody but the person, by number.
+    def act(
+        self,
+        pose: Pose2D,
+        time: float,
+        others: Sequence[Place] = (),
+        person: Place | None = None,
+    ) -> Action:
+        """The next action.
+
+        Args:
+            pose: of the agent.
+            time: since reset [s].
+            others: places (x, y) m of everybody but the person, by number.
+            person: where the person is [m], if it may be behind its track; None: it is on time.
 
         Raises:
             PlanError: the agent is cut off from the trail.
         """
         walkers = self._watch(time, others)
         walked = self._map_around(pose, time, others)
+        if person is not None:
+            time = self._time_on_track(time, person)
         barred = self._last == (pose, Action.FORWARD)
         try:
             action = choose_following(walked, self.task, pose, time, walkers, barred=barred)
@@ -182,6 +197,16 @@ class FollowOracle:
             action = choose_following(bare, self.task, pose, time, walkers, barred=barred)
         self._last = (pose, action)
         return action
+
+    def _time_on_track(self, time: float, person: Place) -> float:
+        """When the track is where the person is: whoever had to wait is later than it."""
+        (before, then), track = self._clock, self.task.track
+        moments = then + np.linspace(0.0, 1.5, 13) * (time - before)
+        off = np.array([math.dist(track.place_at(t), person) for t in moments])
+        near = np.flatnonzero(off <= off.min() + 1e-6)  # who stands is on time
+        on_time = near[np.abs(moments[near] - then - (time - before)).argmin()]
+        self._clock = (time, float(moments[on_time]))
+        return self._clock[1]
 
     def _watch(self, time: float, others: Sequence[Place]) -> list[Walker]:
         """Where the others are, and how they went since the last step."""

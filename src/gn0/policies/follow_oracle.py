@@ -67,6 +67,7 @@ def choose_following(
     time: float,
     others: Sequence[Walker] = (),
     *,
+    person: Walker | None = None,
     barred: bool = False,
 ) -> Action:
     """The next action of an agent that follows; STOP stands still.
@@ -78,8 +79,9 @@ def choose_following(
         navigation: map of the scene, inflated for the agent.
         task: whom it follows, and how.
         pose: of the agent.
-        time: now [s].
+        time: now on the track [s].
         others: where everybody else is, and how they walk: the agent steps on nobody.
+        person: where the person is, and how it walks, if that is not as its track has it.
         barred: not FORWARD, as that was just cut short.
 
     Raises:
@@ -90,12 +92,17 @@ def choose_following(
     wanted = [_wanted(navigation, task, pose, t) for t in moments[[0, -1]]]
     share = np.linspace(0.0, 1.0, STEPS_AHEAD)[:, None]
     ends = np.array([[w.x, w.y] for w in wanted])
-    crowd = np.empty((STEPS_AHEAD, 2, 1 + len(others), 2))
+    here = task.track.place_at(time)
+    walkers = [person or (*here, 0.0, 0.0), *others]
+    off = np.subtract(walkers[0][:2], here)  # who went round something is beside its track
+    crowd = np.empty((STEPS_AHEAD, 2, 1 + len(walkers), 2))
     for k, t in enumerate(moments):
         for part, at in enumerate((t - dt / 2, t)):
-            crowd[k, part, 0] = task.track.place_at(at)
-            for j, (x, y, vx, vy) in enumerate(others):
+            crowd[k, part, 0] = task.track.place_at(at) + off
+            for j, (x, y, vx, vy) in enumerate(walkers):
                 crowd[k, part, 1 + j] = x + vx * (at - time), y + vy * (at - time)
+    if person is None:
+        crowd[:, :, 1] = crowd[:, :, 0]
     free = navigation.nearest_free(wanted[1].x, wanted[1].y)
     if free is None:
         raise PlanError("nothing is walkable near the track", where=f"time {time:g} s")
@@ -183,18 +190,22 @@ class FollowOracle:
         Raises:
             PlanError: the agent is cut off from the trail.
         """
-        walkers = self._watch(time, others)
         walked = self._map_around(pose, time, others)
+        walkers, seen = self._watch(time, [*others, *([] if person is None else [person])]), None
         if person is not None:
-            time = self._time_on_track(time, person)
+            time, seen = self._time_on_track(time, person), walkers.pop()
         barred = self._last == (pose, Action.FORWARD)
         try:
-            action = choose_following(walked, self.task, pose, time, walkers, barred=barred)
+            action = choose_following(
+                walked, self.task, pose, time, walkers, person=seen, barred=barred
+            )
         except PlanError:  # shut in by people: wait for them
             if walked is self.navigation:
                 raise
             bare = self.navigation
-            action = choose_following(bare, self.task, pose, time, walkers, barred=barred)
+            action = choose_following(
+                bare, self.task, pose, time, walkers, person=seen, barred=barred
+            )
         self._last = (pose, action)
         return action
 

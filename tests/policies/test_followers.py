@@ -14,6 +14,7 @@ from gn0.bench.follow_metrics import compute_follow_metrics, score_steps, summar
 from gn0.data.follow import TargetTrack
 from gn0.errors import PolicyError
 from gn0.geometry import Pose2D
+from gn0.maps.navigation import NavigationMap
 from gn0.policies.box_follower import (
     BoxFollower,
     BoxGains,
@@ -54,16 +55,9 @@ def follow_all_knowing(stage: Stage) -> Choose:
     return lambda now: oracle.act(now.pose, now.time, now.places(now.time)[1:])
 
 
-def run_at_person() -> Choose:
-    runner = StraightAtPerson()
-
-    def choose(stage: Stage) -> Action:
-        x, y = stage.places(stage.time)[0]
-        dx, dy = x - stage.pose.x, y - stage.pose.y
-        c, s = math.cos(stage.pose.yaw), math.sin(stage.pose.yaw)
-        return runner.act((c * dx + s * dy, c * dy - s * dx), stage.collided)
-
-    return choose
+def run_at_person(navigation: NavigationMap | None = None) -> Choose:
+    runner = StraightAtPerson(navigation)
+    return lambda stage: runner.act(stage.pose, stage.places(stage.time)[0], stage.collided)
 
 
 def somebody(ahead: float, left: float, look: tuple = RED) -> Stage:  # type: ignore[type-arg]
@@ -182,8 +176,9 @@ def test_the_floors() -> None:
         stage = corridor_stage(speed, 2, seed=seed)
         stood = compute_follow_metrics(stage.play(lambda _: Action.STOP))
         assert not stood.success and stood.following_rate < 0.2
-        ran = compute_follow_metrics(stage.play(run_at_person()))
-        assert ran.touched and not ran.success
+        for navigation in (None, stage.navigation):
+            ran = compute_follow_metrics(stage.play(run_at_person(navigation)))
+            assert ran.touched and not ran.success
     assert PolicyAlwaysStop().act(Observation(step=0, time=0.0, instruction="")) == Action.STOP
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -64,7 +64,7 @@ def measure_words(ctx: FigureContext) -> list[FigureRow]:
                 if found:
                     groups.append(found[0])
     rows = []
-    for level, counts in verdicts.items():
+    for kind_of, counts in verdicts.items():
         told = counts.total() - counts["no such people"]
         detail = f"{told} meetings in four scenes, 480 x 360; " + ", ".join(
             f"{verdict} {count}" for verdict, count in sorted(counts.items())
@@ -72,7 +72,7 @@ def measure_words(ctx: FigureContext) -> list[FigureRow]:
         share = 100.0 * counts["fits"] / max(told, 1)
         rows.append(
             FigureRow(
-                name=f"words proven to fit one, {level}", value=share, unit="%", detail=detail
+                name=f"words proven to fit one, {kind_of}", value=share, unit="%", detail=detail
             )
         )
     start = time.perf_counter()
@@ -93,7 +93,7 @@ def meet(
     people: Sequence[Identity],
     level: Level,
     number: int,
-    fetch,  # type: ignore[no-untyped-def]
+    fetch: Callable[[Identity], Avatar],
 ) -> tuple[list[dict[str, str]], FollowText, WordsVerdict, Meeting, list[Avatar]] | None:
     """A meeting of a level with its words and what pictures say; None without such people."""
     count = draw_count(level, number)
@@ -119,7 +119,9 @@ def meet(
         return None
     avatars = [fetch(person) for person in group]
     moments = [show_meeting(place, meeting, avatars, seconds) for seconds in _MOMENTS]
-    verdict = judge_words(place.renderer, CAMERA, moments, text.said, 0, sight)
+    verdict = judge_words(
+        place.renderer, CAMERA, moments, text.said, 0, sight, ahead=text.doing == "ahead"
+    )
     return records, text, verdict, meeting, avatars
 
 

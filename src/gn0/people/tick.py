@@ -1,0 +1,520 @@
+"""One tick of the people of one episode, as kernels: `tick_people`, which batches call as well.
+
+Columns of the state are named here. See `gn0.people.crowd` for what it does.
+"""
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from gn0.jit import njit
+from gn0.people.route import ACCELERATION, BRAKE, SCRIPT
+
+# float64 columns: place, place a tick ago [m]; unit vector of heading; speed [m/s]; way along the
+# path from its start [m]; distance walked since the episode began [m], which is the gait's phase
+X, Y, X0, Y0, HX, HY, SPEED, WAY, WALKED = range(9)
+REALS = 9
+# int64 columns
+MODE = 0  # ON_PATH, ROUND or ARRIVED
+PIECE = 1  # of the path, counted from its first point
+DIRECTION = 2  # 1 out, −1 back
+HOLD = 3  # stops made so far
+HOLD_LEFT = 4  # ticks of the stop in progress
+WAIT = 5  # ticks that it has waited for somebody
+SIDE = 6  # on which it goes round: 1 left, −1 right, 0 not chosen
+ROUND_TICKS = 7  # that it has been going round
+BACK_LEFT = 8  # ticks until who turned back turns again
+CLIP = 9  # STILL or WALK
+CLIP_SINCE = 10  # ticks since it was something else
+BLOCKED_BY = 11  # row of the person who was in its way in the last tick, AGENT or NOBODY
+TURNED = 12  # times that it turned back for want of a way round
+WHOLES = 13
+
+ON_PATH, ROUND, ARRIVED = 0, 1, 2
+STILL, WALK = 0, 1
+NOBODY, AGENT = -2, -1
+
+_COMFORT = 0.10  # m that one stays away from who stands in one's way
+_SAFE = 1e-3  # m of every gap that nobody uses
+_SIGHT = 2.5  # m: others beyond are not looked at
+_SAMPLE = 0.25  # m between the places of the way ahead that are looked at
+_ALIGNED = 0.9  # cosine between heading and way from which one walks
+_SIDEWAYS = 0.5  # the same of who goes round
+_ROUND_SPEED = 0.6  # m/s at most, going round
+_ROUND_SECONDS = 4  # s of going round before one turns back
+_BACK_SECONDS = 5  # s of walking back before one turns again
+_ROOM = 0.06  # m that one keeps from others while one goes round
+_ARRIVED = 0.003  # m
+_MOVED = 0.05  # m/s: slower is standing
+# cosines and sines of 0, 20, 40, 60, 80, 100, 120 degrees
+_COS = (1.0, 0.9396926207859084, 0.766044443118978, 0.5, 0.17364817766693033,
+        -0.17364817766693033, -0.5)  # fmt: skip
+_SIN = (0.0, 0.3420201433256687, 0.6427876096865393, 0.8660254037844386, 0.984807753012208,
+        0.984807753012208, 0.8660254037844386)  # fmt: skip
+
+
+class Pace(NamedTuple):
+    """Length of a tick [s], cosine and sine of the most that a body turns in it, ticks a second."""
+
+    seconds: float
+    cos: float
+    sin: float
+    rate: int
+
+
+@njit
+def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e):
+    """Everybody's next tick in episode `e`, in place; rows without a route stay as they are."""
+    count = real.shape[1]
+    for p in range(count):
+        real[e, p, X0] = real[e, p, X]
+        real[e, p, Y0] = real[e, p, Y]
+    for p in range(count):
+        r = route[e, p]
+        if r < 0:
+            continue
+        was = whole[e, p, CLIP]
+        if routes.behaviour[r] == SCRIPT:
+            whole[e, p, BLOCKED_BY] = NOBODY
+            if whole[e, p, BACK_LEFT] > 0:
+                whole[e, p, BACK_LEFT] -= 1
+                if whole[e, p, BACK_LEFT] == 0 and whole[e, p, MODE] == ON_PATH:
+                    whole[e, p, DIRECTION] = 1
+                elif whole[e, p, BACK_LEFT] == 0:
+                    whole[e, p, BACK_LEFT] = 1
+            if whole[e, p, MODE] == ROUND:
+                _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p)
+            else:
+                _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p)
+            dx, dy = real[e, p, X] - real[e, p, X0], real[e, p, Y] - real[e, p, Y0]
+            gone = math.sqrt(dx * dx + dy * dy)
+            real[e, p, WALKED] += gone
+            limit = _MOVED * pace.seconds
+            whole[e, p, CLIP] = WALK if gone > limit else STILL
+        if whole[e, p, CLIP] != was:
+            whole[e, p, CLIP_SINCE] = 0
+        else:
+            whole[e, p, CLIP_SINCE] += 1
+
+
+@njit
+def _turn(real, pace, e, p, tx, ty):
+    """Turn towards a unit vector, by as much as a body may; the cosine that is left."""
+    hx, hy = real[e, p, HX], real[e, p, HY]
+    cosine = hx * tx + hy * ty
+    if cosine >= pace.cos:
+        real[e, p, HX], real[e, p, HY] = tx, ty
+        return 1.0
+    sine = pace.sin if hx * ty - hy * tx >= 0.0 else -pace.sin
+    nx, ny = hx * pace.cos - hy * sine, hx * sine + hy * pace.cos
+    size = math.sqrt(nx * nx + ny * ny)
+    nx, ny = nx / size, ny / size
+    real[e, p, HX], real[e, p, HY] = nx, ny
+    return nx * tx + ny * ty
+
+
+@njit
+def _cap(v, after, room, dt):
+    """Fastest speed after a tick that still brakes to `after` [m/s] within `room` [m]."""
+    half = 0.5 * BRAKE * dt
+    inside = half * half + after * after + 2.0 * BRAKE * room - BRAKE * dt * v
+    return max(math.sqrt(inside) - half, 0.0) if inside > 0.0 else 0.0
+
+
+@njit
+def _allowed(real, route, agent, radius, e, p, nx, ny):
+    """Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least."""
+    x, y = real[e, p, X0], real[e, p, Y0]
+    sx, sy = nx - x, ny - y
+    share, who = 1.0, NOBODY
+    for j in range(-1, real.shape[1]):
+        if j == p:
+            continue
+        if j < 0:
+            if agent[e, 2] < 0.0:
+                continue
+            dx, dy, reach = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2]
+        else:
+            if route[e, j] < 0:
+                continue
+            dx, dy, reach = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius
+        square = dx * dx + dy * dy
+        near = reach + 0.5
+        if square > near * near:
+            continue
+        along = sx * dx + sy * dy
+        if along <= 0.0:
+            continue
+        apart = math.sqrt(square)
+        if apart <= 0.0:
+            return 0.0, j
+        gap = apart - reach - _SAFE
+        along = along / apart
+        half = 0.5 * gap
+        if along > half:
+            part = half / along if half > 0.0 else 0.0
+            if part < share:
+                share, who = part, j
+    return share, who
+
+
+@njit
+def _crowded(real, route, agent, e, p):
+    """Whether anybody is near enough to be looked at."""
+    x, y = real[e, p, X0], real[e, p, Y0]
+    if agent[e, 2] >= 0.0:
+        dx, dy = agent[e, 0] - x, agent[e, 1] - y
+        if dx * dx + dy * dy < _SIGHT * _SIGHT:
+            return True
+    for j in range(real.shape[1]):
+        if j != p and route[e, j] >= 0:
+            dx, dy = real[e, j, X0] - x, real[e, j, Y0] - y
+            if dx * dx + dy * dy < _SIGHT * _SIGHT:
+                return True
+    return False
+
+
+@njit
+def _at(routes, r, way, piece):
+    """(x, y) of a way along a path, the piece that it is on, and its tangent."""
+    first, last = routes.first[r], routes.first[r + 1] - 2
+    k = first + piece
+    while k < last and way >= routes.way[k + 1]:
+        k += 1
+    while k > first and way < routes.way[k]:
+        k -= 1
+    left = way - routes.way[k]
+    tx, ty = routes.tangent[k, 0], routes.tangent[k, 1]
+    return routes.place[k, 0] + tx * left, routes.place[k, 1] + ty * left, k - first, tx, ty
+
+
+@njit
+def _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach):
+    """Way [m] until somebody, on the path from `way` on, at most `reach`; and who it is."""
+    r = route[e, p]
+    length = routes.length[r]
+    gone = 0.0
+    while gone < reach:
+        at = way + sign * gone
+        if at > length:
+            if routes.after[r] != 2:
+                break
+            at -= length
+            piece = 0
+        elif at < 0.0:
+            break
+        x, y, piece, tx, ty = _at(routes, r, at, piece)
+        tx, ty = sign * tx, sign * ty
+        best, who = reach, NOBODY
+        for j in range(-1, real.shape[1]):
+            if j == p:
+                continue
+            if j < 0:
+                if agent[e, 2] < 0.0:
+                    continue
+                dx, dy, near = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2] + 0.02
+            else:
+                if route[e, j] < 0:
+                    continue
+                dx, dy, near = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius + 0.02
+            along = dx * tx + dy * ty
+            aside = dx * ty - dy * tx
+            under = near * near - aside * aside
+            if along <= 0.0 or under <= 0.0:
+                continue
+            room = along - math.sqrt(under)
+            if room < _SAMPLE:  # of this sample's own; what is farther, later ones find
+                found = gone + max(room, 0.0)
+                if found < best:
+                    best, who = found, j
+        if who != NOBODY:
+            return best, who
+        gone += _SAMPLE
+    return reach, NOBODY
+
+
+@njit
+def _free(walls, wall_arrays, e, x, y):
+    """Whether a person's centre may be there, as far as walls go."""
+    w = walls[e]
+    if w < 0:
+        return True
+    size = wall_arrays.frame[w, 2]
+    col = math.floor((x - wall_arrays.frame[w, 0]) / size)
+    row = math.floor((y - wall_arrays.frame[w, 1]) / size)
+    begin, rows, cols = wall_arrays.shape[w, 0], wall_arrays.shape[w, 1], wall_arrays.shape[w, 2]
+    if row < 0 or col < 0 or row >= rows or col >= cols:
+        return False
+    return not wall_arrays.blocked[begin + int(row) * cols + int(col)]
+
+
+@njit
+def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
+    """A tick on the path."""
+    r, dt = route[e, p], pace.seconds
+    sign = whole[e, p, DIRECTION]
+    way, v = real[e, p, WAY], real[e, p, SPEED]
+    length = routes.length[r]
+    hold = routes.hold_first[r] + whole[e, p, HOLD]
+    holds = sign > 0 and hold < routes.hold_first[r + 1]
+    if whole[e, p, HOLD_LEFT] > 0:
+        whole[e, p, HOLD_LEFT] -= 1
+        _turn(real, pace, e, p, routes.hold_face[hold, 0], routes.hold_face[hold, 1])
+        real[e, p, SPEED] = 0.0
+        if whole[e, p, HOLD_LEFT] == 0:
+            whole[e, p, HOLD] += 1
+        return
+    if holds and way >= routes.hold_at[hold] - _ARRIVED and v < 0.1:
+        whole[e, p, HOLD_LEFT] = routes.hold_ticks[hold]
+        real[e, p, SPEED] = 0.0
+        _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p)
+        return
+    if sign > 0 and way >= length:
+        if routes.after[r] == 2:
+            way, whole[e, p, PIECE], whole[e, p, HOLD] = way - length, 0, 0
+        elif routes.after[r] == 1:
+            whole[e, p, DIRECTION] = sign = -1
+        else:
+            whole[e, p, MODE] = ARRIVED
+            real[e, p, SPEED] = 0.0
+            return
+    elif sign < 0 and way <= 0.0 and routes.after[r] == 1:
+        whole[e, p, DIRECTION] = sign = 1
+        whole[e, p, HOLD] = 0
+    elif sign < 0 and way <= 0.0:  # turned back to the very start: wait there
+        real[e, p, SPEED] = 0.0
+        return
+    x, y, piece, tx, ty = _at(routes, r, way, whole[e, p, PIECE])
+    first = routes.first[r]
+    if sign < 0 and piece > 0 and way <= routes.way[first + piece]:
+        piece -= 1  # at a point one walks away from backwards
+        tx, ty = routes.tangent[first + piece, 0], routes.tangent[first + piece, 1]
+    aligned = _turn(real, pace, e, p, sign * tx, sign * ty) >= _ALIGNED
+    want = routes.speed[r] if aligned else 0.0
+    # bends: the next points, as far as this tick may come
+    k = piece + 1 if sign > 0 else piece
+    points = routes.first[r + 1] - first
+    room = 0.0
+    while 0 <= k < points and room < 0.2:
+        room = sign * (routes.way[first + k] - way)
+        if room > 0.0:
+            limit = routes.ahead[first + k] if sign > 0 else routes.behind[first + k]
+            want = min(want, _cap(v, limit, room, dt))
+        k += sign
+    end = length if sign > 0 else 0.0
+    if holds:
+        hold = routes.hold_first[r] + whole[e, p, HOLD]
+        if hold < routes.hold_first[r + 1]:
+            end = routes.hold_at[hold]
+            want = min(want, _cap(v, 0.0, max(end - way, 0.0), dt))
+    stands = sign < 0 or routes.after[r] != 2 or end < length
+    blocker = NOBODY
+    near = _crowded(real, route, agent, e, p)
+    if near:
+        reach = min(0.5 + v * v / (2.0 * BRAKE) + 0.25, _SIGHT)
+        ahead, blocker = _room_ahead(
+            real, route, routes, agent, radius, e, p, way, piece, sign, reach
+        )
+        if blocker != NOBODY:
+            want = min(want, _cap(v, 0.0, max(ahead - _COMFORT, 0.0), dt))
+    now = min(want, v + ACCELERATION * dt * 0.875)
+    now = max(now, v - ACCELERATION * dt, 0.0)
+    step = 0.5 * (v + now) * dt
+    left = sign * (end - way)
+    if stands and step >= left - _ARRIVED:
+        step = max(left, 0.0)
+        now = max(v - ACCELERATION * dt, 0.0)
+    there = way + sign * step
+    over = 0.0
+    if there > length and not stands:
+        over = there - length
+    nx, ny, npiece, tx, ty = _at(
+        routes, r, over if over > 0.0 else there, 0 if over > 0.0 else piece
+    )
+    if near and step > 0.0:
+        share, who = _allowed(real, route, agent, radius, e, p, nx, ny)
+        if share < 1.0:
+            blocker = who
+            step = step * share * 0.999
+            there = way + sign * step
+            over = there - length if there > length and not stands else 0.0
+            nx, ny, npiece, tx, ty = _at(
+                routes, r, over if over > 0.0 else there, 0 if over > 0.0 else piece
+            )
+            share, who = _allowed(real, route, agent, radius, e, p, nx, ny)
+            if share < 1.0:
+                step, there, nx, ny, npiece, over = 0.0, way, x, y, piece, 0.0
+            now = step / dt
+    if over > 0.0:
+        there, whole[e, p, HOLD] = over, 0
+    if stands and step > 0.0 and step == left:
+        there = end
+    real[e, p, X], real[e, p, Y], real[e, p, SPEED], real[e, p, WAY] = nx, ny, now, there
+    whole[e, p, PIECE], whole[e, p, BLOCKED_BY] = npiece, blocker
+    if blocker != NOBODY and step < _MOVED * dt:
+        whole[e, p, WAIT] += 1
+        if whole[e, p, WAIT] > routes.patience[r]:
+            whole[e, p, MODE], whole[e, p, ROUND_TICKS], whole[e, p, WAIT] = ROUND, 0, 0
+            whole[e, p, SIDE] = _choose_side(
+                real, route, walls, wall_arrays, agent, radius, e, p, sign * tx, sign * ty
+            )
+            real[e, p, SPEED] = 0.0
+    else:
+        whole[e, p, WAIT] = 0
+
+
+@njit
+def _clear(real, route, agent, radius, e, p, x, y):
+    """Least gap [m] to anybody from a place."""
+    least = _SIGHT
+    for j in range(-1, real.shape[1]):
+        if j == p:
+            continue
+        if j < 0:
+            if agent[e, 2] < 0.0:
+                continue
+            dx, dy, near = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2]
+        else:
+            if route[e, j] < 0:
+                continue
+            dx, dy, near = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius
+        least = min(least, math.sqrt(dx * dx + dy * dy) - near)
+    return least
+
+
+@njit
+def _choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
+    """The side with more free places beside the way ahead: 1 left, −1 right; right of equals."""
+    x, y = real[e, p, X], real[e, p, Y]
+    best, side = -1, -1
+    for s in (-1, 1):
+        free = 0
+        for a in range(1, 4):
+            for b in range(0, 4):
+                qx = x + tx * 0.3 * b - s * ty * 0.25 * a
+                qy = y + ty * 0.3 * b + s * tx * 0.25 * a
+                if not _free(walls, wall_arrays, e, qx, qy):
+                    break
+                if _clear(real, route, agent, radius, e, p, qx, qy) > _ROOM:
+                    free += 1
+        if free > best:
+            best, side = free, s
+    return side
+
+
+@njit
+def _nearest(routes, r, way, piece, sign, x, y):
+    """Nearest point of the path to (x, y), from `way` up to 3 m on: its way, distance, piece."""
+    first, last = routes.first[r], routes.first[r + 1] - 2
+    best, found, where = 1e30, way, piece
+    k = first + piece
+    gone = 0.0
+    while first <= k <= last and gone < 3.0:
+        low, high = routes.way[k], routes.way[k + 1]
+        if sign > 0:
+            low = max(low, way)
+        else:
+            high = min(high, way)
+        tx, ty = routes.tangent[k, 0], routes.tangent[k, 1]
+        at = routes.way[k] + (x - routes.place[k, 0]) * tx + (y - routes.place[k, 1]) * ty
+        at = min(max(at, low), high)
+        left = at - routes.way[k]
+        dx, dy = routes.place[k, 0] + tx * left - x, routes.place[k, 1] + ty * left - y
+        square = dx * dx + dy * dy
+        if square < best:
+            best, found, where = square, at, k - first
+        gone = high - way if sign > 0 else way - low
+        k += sign
+    return found, math.sqrt(best), where
+
+
+@njit
+def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
+    """A tick beside the path, around whoever is on it."""
+    r, dt = route[e, p], pace.seconds
+    sign, side = whole[e, p, DIRECTION], whole[e, p, SIDE]
+    x, y, v = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED]
+    length = routes.length[r]
+    whole[e, p, ROUND_TICKS] += 1
+    if whole[e, p, ROUND_TICKS] > _ROUND_SECONDS * pace.rate:
+        whole[e, p, ROUND_TICKS], whole[e, p, SIDE] = 0, -side
+        whole[e, p, DIRECTION] = sign = -sign
+        whole[e, p, TURNED] += 1
+        whole[e, p, BACK_LEFT] = 0
+        if sign < 0 and routes.after[r] != 1:
+            whole[e, p, BACK_LEFT] = _BACK_SECONDS * pace.rate + routes.patience[r]
+        side = -side
+    way, aside, piece = _nearest(routes, r, real[e, p, WAY], whole[e, p, PIECE], sign, x, y)
+    real[e, p, WAY], whole[e, p, PIECE] = way, piece
+    fastest = min(_ROUND_SPEED, routes.speed[r])
+    now = min(v + ACCELERATION * dt * 0.875, fastest)
+    step = 0.5 * (v + now) * dt
+    if aside <= step + 0.005:
+        _, who = _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, 0.6)
+        if who == NOBODY:
+            nx, ny, piece, tx, ty = _at(routes, r, way, piece)
+            share, _ = _allowed(real, route, agent, radius, e, p, nx, ny)
+            if share >= 1.0:
+                real[e, p, X], real[e, p, Y], real[e, p, SPEED] = nx, ny, aside / dt
+                whole[e, p, MODE], whole[e, p, PIECE], whole[e, p, WAIT] = ON_PATH, piece, 0
+                while (
+                    routes.hold_first[r] + whole[e, p, HOLD] < routes.hold_first[r + 1]
+                    and routes.hold_at[routes.hold_first[r] + whole[e, p, HOLD]] < way
+                ):
+                    whole[e, p, HOLD] += 1
+                _turn(real, pace, e, p, sign * tx, sign * ty)
+                return
+    carrot = min(max(aside + 0.3, 0.4), 1.2)
+    at = min(max(way + sign * carrot, 0.0), length)
+    cx, cy, _, _, _ = _at(routes, r, at, piece)
+    dx, dy = cx - x, cy - y
+    size = math.sqrt(dx * dx + dy * dy)
+    if size < 1e-6:
+        dx, dy = real[e, p, HX], real[e, p, HY]
+    else:
+        dx, dy = dx / size, dy / size
+    best, bx, by = -1e30, 0.0, 0.0
+    here = _clear(real, route, agent, radius, e, p, x, y)
+    for turn in range(-2, 7):
+        if turn >= 0:
+            cos, sin = _COS[turn], _SIN[turn] * side
+        else:
+            cos, sin = _COS[-turn], -_SIN[-turn] * side
+        ux, uy = dx * cos - dy * sin, dx * sin + dy * cos
+        score = cos + 0.3 * (ux * real[e, p, HX] + uy * real[e, p, HY])
+        if score <= best:
+            continue
+        reach = 0.35 if size > 0.35 else size
+        ok = True
+        for part in (0.34, 0.67, 1.0):
+            qx, qy = x + ux * reach * part, y + uy * reach * part
+            if not _free(walls, wall_arrays, e, qx, qy):
+                ok = False
+                break
+            clear = _clear(real, route, agent, radius, e, p, qx, qy)
+            if clear < _ROOM and clear < here + 0.2 * reach * part:
+                ok = False
+                break
+        if ok and not _free(walls, wall_arrays, e, x + ux * step, y + uy * step):
+            ok = False
+        if ok:
+            best, bx, by = score, ux, uy
+    if best < -1e29:
+        real[e, p, SPEED] = 0.0
+        _turn(real, pace, e, p, dx, dy)
+        return
+    if _turn(real, pace, e, p, bx, by) < _SIDEWAYS:
+        real[e, p, SPEED] = 0.0
+        return
+    nx, ny = x + bx * step, y + by * step
+    share, who = _allowed(real, route, agent, radius, e, p, nx, ny)
+    if share < 1.0:
+        whole[e, p, BLOCKED_BY] = who
+        now = 0.0
+        share = share * 0.999
+        nx, ny = x + bx * step * share, y + by * step * share
+        if not _free(walls, wall_arrays, e, nx, ny):
+            nx, ny = x, y
+    real[e, p, X], real[e, p, Y], real[e, p, SPEED] = nx, ny, now

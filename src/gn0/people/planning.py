@@ -17,6 +17,7 @@ from gn0.people.person import WALL_DISTANCE
 
 _ROUNDING = 0.35  # m of each side of a bend that a curve replaces, at most
 _PIECES = 6  # of such a curve
+_TOUCH = 1e-6  # cells: who comes so near to a cell touches it
 
 
 @lru_cache(maxsize=8)
@@ -30,31 +31,37 @@ def blocked_at(
 ) -> tuple[float, float] | None:
     """The first place (x, y) [m] of a path that is nearer than `distance` [m] to a wall, or None.
 
-    Places are looked at every quarter of a cell.
+    Every cell that the path meets or touches is looked at.
     """
     points = np.asarray(path, np.float64).reshape(-1, 2)
     near = people_map(grid, distance).inflated
-    dense = sample_path(points, 0.25 * grid.resolution)
-    cells = np.floor((dense - near.origin) / near.resolution)
-    inside = np.all((cells >= 0) & (cells < np.array(near.shape)[::-1]), axis=1)
-    cells = np.where(inside[:, None], cells, 0).astype(np.int64)
-    blocked: NDArray[np.bool_] = near.blocked
-    bad = np.logical_or(~inside, blocked[cells[:, 1], cells[:, 0]])
+    dense = cross_cells((points - near.origin) / near.resolution)
+    height, width = near.shape
+    blocked: NDArray[np.bool_] = np.pad(near.blocked, 1, constant_values=True)
+    bad = np.zeros(len(dense), np.bool_)
+    for dx, dy in ((-_TOUCH, -_TOUCH), (_TOUCH, -_TOUCH), (-_TOUCH, _TOUCH), (_TOUCH, _TOUCH)):
+        cells = np.floor(dense + (dx, dy)).astype(np.int64) + 1
+        bad |= blocked[cells[:, 1].clip(0, height + 1), cells[:, 0].clip(0, width + 1)]
     if not bad.any():
         return None
-    x, y = dense[int(np.argmax(bad))]
+    x, y = dense[int(np.argmax(bad))] * near.resolution + near.origin
     return float(x), float(y)
 
 
-def sample_path(points: F64, step: float) -> F64:
-    """Places [M, 2] of a path [N, 2] m, all its points among them, at most `step` [m] apart."""
-    if len(points) < 2:
-        return points
+def cross_cells(points: F64) -> F64:
+    """A place [M, 2] in each cell that a path [N, 2] meets, its own points among them, in cells."""
     rows = []
     for a, b in pairwise(points):
-        count = max(math.ceil(float(np.hypot(*(b - a))) / step), 1)
-        rows.append(a + (b - a) * (np.arange(count) / count)[:, None])
-    return np.concatenate([*rows, points[-1:]])
+        step = b - a
+        cuts = [np.array([0.0, 1.0])]
+        for k in range(2):
+            if step[k] != 0.0:
+                low, high = sorted((a[k], b[k]))
+                cuts.append((np.arange(math.ceil(low), math.floor(high) + 1) - a[k]) / step[k])
+        at = np.unique(np.clip(np.concatenate(cuts), 0.0, 1.0))
+        middle = 0.5 * (at[1:] + at[:-1])
+        rows.append(a + step * np.sort(np.concatenate([at[:-1], middle]))[:, None])
+    return np.concatenate([*rows, points[-1:]]) if rows else points
 
 
 def round_path(grid: OccupancyGrid, points: F64) -> F64:

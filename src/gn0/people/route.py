@@ -27,7 +27,7 @@ SHARP = 0.40  # length between unit tangents (23°) from which a bend is taken b
 CRAWL = 0.07  # m/s, at sharp bends: one tick of braking from rest
 _LAG = 0.25  # m over which a body may lag behind a bend of its path
 _LEAST = 1e-6  # m: points closer than that are one
-PATIENCE = (1.0, 2.5)  # s that one waits before one goes round, by the seed
+PATIENCE = (0.8, 1.8)  # s that one waits before one goes round, by the seed
 
 END, BACK, LOOP = 0, 1, 2
 SCRIPT, STAND, SIT = 0, 1, 2

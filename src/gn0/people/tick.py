@@ -30,7 +30,8 @@ CLIP = 9  # STILL or WALK
 CLIP_SINCE = 10  # ticks since it was something else
 BLOCKED_BY = 11  # row of the person who was in its way in the last tick, AGENT or NOBODY
 TURNED = 12  # times that it turned back for want of a way round
-WHOLES = 13
+ASIDE_LEFT = 13  # ticks that it still makes room, having found no way either way
+WHOLES = 14
 
 ON_PATH, ROUND, ARRIVED = 0, 1, 2
 STILL, WALK = 0, 1
@@ -44,8 +45,11 @@ _ALIGNED = 0.9  # cosine between heading and way from which one walks
 _SIDEWAYS = 0.5  # the same of who goes round
 _ROUND_SPEED = 0.6  # m/s at most, going round
 _ROUND_SECONDS = 4  # s of going round before one turns back
+_NO_WAY_SECONDS = 0.5  # s without any way on before one turns back
 _BACK_SECONDS = 5  # s of walking back before one turns again
 _ROOM = 0.06  # m that one keeps from others while one goes round
+_HOME = 0.3  # m from the path, from where one walks straight back to it
+_SHUFFLE = 0.1  # m that one goes sideways without turning
 _ARRIVED = 0.003  # m
 _MOVED = 0.05  # m/s: slower is standing
 # cosines and sines of 0, 20, 40, 60, 80, 100, 120 degrees
@@ -53,6 +57,9 @@ _COS = (1.0, 0.9396926207859084, 0.766044443118978, 0.5, 0.17364817766693033,
         -0.17364817766693033, -0.5)  # fmt: skip
 _SIN = (0.0, 0.3420201433256687, 0.6427876096865393, 0.8660254037844386, 0.984807753012208,
         0.984807753012208, 0.8660254037844386)  # fmt: skip
+# the same of 0, 30, … 180 degrees
+_ROUND_COS = (1.0, 0.8660254037844386, 0.5, 0.0, -0.5, -0.8660254037844386, -1.0)
+_ROUND_SIN = (0.0, 0.5, 0.8660254037844386, 1.0, 0.8660254037844386, 0.5, 0.0)
 
 
 class Pace(NamedTuple):
@@ -431,6 +438,60 @@ def _nearest(routes, r, way, piece, sign, x, y):
 
 
 @njit
+def _clear_line(walls, wall_arrays, e, x, y, u, v):
+    """Whether five places of a short line are free of walls."""
+    for k in range(1, 6):
+        if not _free(walls, wall_arrays, e, x + (u - x) * (0.2 * k), y + (v - y) * (0.2 * k)):
+            return False
+    return True
+
+
+@njit
+def _come_home(whole, routes, r, way, piece, e, p):
+    """Be on the path again; stops that were passed are left out."""
+    whole[e, p, MODE], whole[e, p, PIECE], whole[e, p, WAIT] = ON_PATH, piece, 0
+    first, last = routes.hold_first[r], routes.hold_first[r + 1]
+    while first + whole[e, p, HOLD] < last and routes.hold_at[first + whole[e, p, HOLD]] < way:
+        whole[e, p, HOLD] += 1
+
+
+@njit
+def _make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p):
+    """A tick away from everybody, wherever there is room."""
+    x, y, v, dt = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED], pace.seconds
+    now = min(v + ACCELERATION * dt * 0.875, 0.5)
+    step = 0.5 * (v + now) * dt
+    hx, hy = real[e, p, HX], real[e, p, HY]
+    best, bx, by = _clear(real, route, agent, radius, e, p, x, y) + 0.02, 0.0, 0.0
+    for turn in range(-6, 7):
+        cos, sin = _ROUND_COS[abs(turn)], _ROUND_SIN[abs(turn)]
+        if turn < 0:
+            sin = -sin
+        ux, uy = hx * cos - hy * sin, hx * sin + hy * cos
+        free = True
+        for part in (0.1, 0.2, 0.3):
+            if not _free(walls, wall_arrays, e, x + ux * part, y + uy * part):
+                free = False
+                break
+        if free and _free(walls, wall_arrays, e, x + ux * step, y + uy * step):
+            clear = _clear(real, route, agent, radius, e, p, x + ux * 0.3, y + uy * 0.3)
+            if clear > best:
+                best, bx, by = clear, ux, uy
+    real[e, p, SPEED] = 0.0
+    if bx == 0.0 and by == 0.0:
+        whole[e, p, ASIDE_LEFT] = 0
+        return
+    if _turn(real, pace, e, p, bx, by) < _SIDEWAYS:
+        return
+    nx, ny = x + bx * step, y + by * step
+    share, _ = _allowed(real, route, agent, radius, e, p, nx, ny)
+    if share >= 1.0:
+        real[e, p, X], real[e, p, Y], real[e, p, SPEED] = nx, ny, now
+    else:
+        whole[e, p, ASIDE_LEFT] = 0
+
+
+@njit
 def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
     """A tick beside the path, around whoever is on it."""
     r, dt = route[e, p], pace.seconds
@@ -438,7 +499,13 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
     x, y, v = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED]
     length = routes.length[r]
     whole[e, p, ROUND_TICKS] += 1
-    if whole[e, p, ROUND_TICKS] > _ROUND_SECONDS * pace.rate:
+    if (
+        whole[e, p, ROUND_TICKS] > _ROUND_SECONDS * pace.rate
+        or whole[e, p, WAIT] > _NO_WAY_SECONDS * pace.rate
+    ):
+        if whole[e, p, WAIT] > 0 and whole[e, p, TURNED] % 2 == 1:
+            whole[e, p, ASIDE_LEFT] = routes.patience[r]
+        whole[e, p, WAIT] = 0
         whole[e, p, ROUND_TICKS], whole[e, p, SIDE] = 0, -side
         whole[e, p, DIRECTION] = sign = -sign
         whole[e, p, TURNED] += 1
@@ -446,26 +513,35 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
         if sign < 0 and routes.after[r] != 1:
             whole[e, p, BACK_LEFT] = _BACK_SECONDS * pace.rate + routes.patience[r]
         side = -side
+    if whole[e, p, ASIDE_LEFT] > 0:
+        whole[e, p, ASIDE_LEFT] -= 1
+        _make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p)
+        return
     way, aside, piece = _nearest(routes, r, real[e, p, WAY], whole[e, p, PIECE], sign, x, y)
     real[e, p, WAY], whole[e, p, PIECE] = way, piece
     fastest = min(_ROUND_SPEED, routes.speed[r])
     now = min(v + ACCELERATION * dt * 0.875, fastest)
     step = 0.5 * (v + now) * dt
-    if aside <= step + 0.005:
+    bx, by, best = 0.0, 0.0, -1e30
+    if aside <= _HOME:
         _, who = _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, 0.6)
-        if who == NOBODY:
-            nx, ny, piece, tx, ty = _at(routes, r, way, piece)
+        nx, ny, piece, tx, ty = _at(routes, r, way, piece)
+        if who == NOBODY and _clear_line(walls, wall_arrays, e, x, y, nx, ny):
+            near = aside <= step + 0.005
+            ux, uy = 0.0, 0.0
+            if not near:
+                ux, uy = (nx - x) / aside, (ny - y) / aside
+                nx, ny = x + ux * step, y + uy * step
             share, _ = _allowed(real, route, agent, radius, e, p, nx, ny)
-            if share >= 1.0:
-                real[e, p, X], real[e, p, Y], real[e, p, SPEED] = nx, ny, aside / dt
-                whole[e, p, MODE], whole[e, p, PIECE], whole[e, p, WAIT] = ON_PATH, piece, 0
-                while (
-                    routes.hold_first[r] + whole[e, p, HOLD] < routes.hold_first[r + 1]
-                    and routes.hold_at[routes.hold_first[r] + whole[e, p, HOLD]] < way
-                ):
-                    whole[e, p, HOLD] += 1
+            if share >= 1.0 and (near or aside <= _SHUFFLE):
+                real[e, p, X], real[e, p, Y] = nx, ny
+                real[e, p, SPEED] = aside / dt if near else now
                 _turn(real, pace, e, p, sign * tx, sign * ty)
+                if near:
+                    _come_home(whole, routes, r, way, piece, e, p)
                 return
+            if share >= 1.0:
+                bx, by, best = ux, uy, 1.0
     carrot = min(max(aside + 0.3, 0.4), 1.2)
     at = min(max(way + sign * carrot, 0.0), length)
     cx, cy, _, _, _ = _at(routes, r, at, piece)
@@ -475,9 +551,10 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
         dx, dy = real[e, p, HX], real[e, p, HY]
     else:
         dx, dy = dx / size, dy / size
-    best, bx, by = -1e30, 0.0, 0.0
     here = _clear(real, route, agent, radius, e, p, x, y)
     for turn in range(-2, 7):
+        if best == 1.0:  # the path itself, near by and free
+            break
         if turn >= 0:
             cos, sin = _COS[turn], _SIN[turn] * side
         else:
@@ -502,6 +579,7 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
         if ok:
             best, bx, by = score, ux, uy
     if best < -1e29:
+        whole[e, p, WAIT] += 1
         real[e, p, SPEED] = 0.0
         _turn(real, pace, e, p, dx, dy)
         return
@@ -513,6 +591,7 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
     if share < 1.0:
         whole[e, p, BLOCKED_BY] = who
         now = 0.0
+        whole[e, p, WAIT] += 1
         share = share * 0.999
         nx, ny = x + bx * step * share, y + by * step * share
         if not _free(walls, wall_arrays, e, nx, ny):

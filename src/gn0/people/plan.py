@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from itertools import pairwise
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -145,9 +146,9 @@ class _Planner:
             self._walker(walls)
         return tuple(self.people)
 
-    def _add(self, **fields: object) -> None:
+    def _add(self, **fields: Any) -> None:
         number = len(self.people) + 1
-        person = EpisodePerson(  # type: ignore[arg-type]
+        person = EpisodePerson(
             number=number,
             identity=self.names[number - 1],
             seed=derive_seed(self.settings.seed, "person", self.episode.id, number) % 2**31,
@@ -174,14 +175,15 @@ class _Planner:
 
     def _seats(self) -> list[tuple[float, float, float, float]]:
         """Seats (x, y [m], yaw [rad], height [m]) beside which one can stand, in random order."""
-        found = []
+        found: list[tuple[float, float, float, float]] = []
         things = [thing for thing in self.scene.objects if thing.category in SEATS]
         order = self.stream.permutation(len(things))
         for k in order:
             seat = find_seat(self.scene, things[int(k)], float(self.stream.random()))
-            if seat is not None and self._far_enough(*seat[:2], apart=0.6):
-                if all(math.dist(seat[:2], other[:2]) >= 0.6 for other in found):
-                    found.append(seat)
+            if seat is None or not self._far_enough(*seat[:2], apart=0.6):
+                continue
+            if all(math.dist(seat[:2], other[:2]) >= 0.6 for other in found):
+                found.append(seat)
         return found
 
     def _group(self, count: int) -> None:
@@ -211,7 +213,6 @@ class _Planner:
 
     def _free_places(self, navigation: NavigationMap, count: int) -> F64:
         """Places [count, 2] m at random where people can be, in the agent's own region."""
-        row, col = self.near.grid.cell_of(*self.start)
         regions = navigation.regions
         here = navigation.nearest_free(*self.start)
         region = -1 if here is None else navigation.region_of(*here)
@@ -253,10 +254,8 @@ class _Planner:
             return
 
     def _join(self, walls: NavigationMap, corners: Sequence[Sequence[float]]) -> F64 | None:
-        legs = []
         try:
-            for a, b in zip(corners, corners[1:], strict=False):
-                legs.append(walls.plan((a[0], a[1]), (b[0], b[1])))
+            legs = [walls.plan((a[0], a[1]), (b[0], b[1])) for a, b in pairwise(corners)]
         except PlanError:
             return None
         joined = np.concatenate([leg[:-1] for leg in legs] + [legs[-1][-1:]])

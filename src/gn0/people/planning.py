@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,8 @@ def blocked_at(
     height, width = near.shape
     blocked: NDArray[np.bool_] = np.pad(near.blocked, 1, constant_values=True)
     bad = np.zeros(len(dense), np.bool_)
-    for dx, dy in ((-_TOUCH, -_TOUCH), (_TOUCH, -_TOUCH), (-_TOUCH, _TOUCH), (_TOUCH, _TOUCH)):
-        cells = np.floor(dense + (dx, dy)).astype(np.int64) + 1
+    for touch in product((-_TOUCH, _TOUCH), repeat=2):
+        cells = np.floor(dense + np.array(touch)).astype(np.int64) + 1
         bad |= blocked[cells[:, 1].clip(0, height + 1), cells[:, 0].clip(0, width + 1)]
     if not bad.any():
         return None

@@ -17,6 +17,7 @@ from gn0.sim.history import build_mosaic
 if TYPE_CHECKING:
     from gn0.maps.navigation import NavigationMap
     from gn0.sim.mapping import Mapper
+    from gn0.sim.people import Company
     from gn0.sim.sensors import SensorSuite
 
 
@@ -41,6 +42,7 @@ class Standpoint:
         steps: that it has taken.
         time: seconds since its episode began.
         mapper: its own map, in map mode `explored`.
+        company: the people around it.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class Standpoint:
         self.steps = 0
         self.time = 0.0
         self.mapper: Mapper | None = None
+        self.company: Company | None = None
 
     @property
     def _suite(self) -> SensorSuite:
@@ -96,7 +99,7 @@ class Standpoint:
 
     def ranges(self) -> F32:
         """The range ring [R] m."""
-        return self._suite.ranges(self.pose)
+        return self._suite.ranges(self.pose, self.company)
 
     def random(self, name: str) -> np.random.Generator:
         """A random stream of this episode, step and name."""

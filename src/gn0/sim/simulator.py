@@ -26,8 +26,10 @@ from gn0.sim.collision import Move, check_finite, check_places, move_agent
 from gn0.sim.history import History
 from gn0.sim.kinematics import Heading, heading_yaw, plan_journey, step_forward
 from gn0.sim.mapping import Mapper
+from gn0.sim.motion import Moment
 from gn0.sim.noise import sample_move
 from gn0.sim.people import Company
+from gn0.sim.people_eyes import PeopleEyes
 from gn0.sim.sensors import SensorConfig, SensorSuite
 from gn0.sim.standpoint import Standpoint
 from gn0.sim.state import (
@@ -100,6 +102,7 @@ class Simulator:
             in an episode says what the episode was planned for.
         max_steps: steps until an episode is truncated.
         motion: what moves in the scene, by the time since the episode began.
+        people: shows the people of episodes; generated ones alone when None.
         one_step_moves: a Teleport or Displacement counts as one step whatever its length, as in
             the paper's global action space; it lasts as long as otherwise.
 
@@ -121,6 +124,7 @@ class Simulator:
         max_steps: int = 500,
         one_step_moves: bool = False,
         motion: Motion | None = None,
+        people: PeopleEyes | None = None,
     ) -> None:
         config = sensors or SensorConfig()
         self.scene = scene
@@ -155,6 +159,9 @@ class Simulator:
         self._actuation = config.noise.actuation if config.noise.moves else None
         self._company = Company(navigation, self.agent)
         self._here.company = self._company
+        if people is None and renderer is not None:
+            people = PeopleEyes(scene, renderer)
+        self._people = people
         self._episode: Episode | None = None
         self._history = History(size=config.preset.history_tile)
         self._over = True
@@ -251,6 +258,8 @@ class Simulator:
                 remedy="open the simulator with them",
             )
         self._company.begin(episode)
+        if self._people is not None:
+            self._people.cast.check(episode.people, f"episode {episode.id!r}")
         self._episode = episode
         self._want(wanted)
         if self._mapper is not None:
@@ -450,11 +459,19 @@ class Simulator:
     def _look(self) -> dict[str, NDArray[Any]]:
         """Pictures here and now; not drawn again while nothing moves, the agent included."""
         pose, last = Pose2D(self._x, self._y, self._yaw), self._last_look
-        moment = self._suite.moment_at(self.agent.time_after(self._spent))
+        moment = self._moment(pose)
         if last is None or last[0] != pose or last[1] != moment.key:
             last = (pose, moment.key, self._suite.look(pose, self._outputs, moment))
             self._last_look = last
         return last[2]
+
+    def _moment(self, pose: Pose2D) -> Moment:
+        """Whatever moves, people among it, as an eye at a pose sees it now."""
+        moment = self._suite.moment_at(self.agent.time_after(self._spent))
+        if not self._company or self._people is None:
+            return moment
+        parts, _, key = self._people.show(self._company, pose, self.config.preset.rgb.fx)
+        return Moment(moment.time, (*moment.parts, *parts), key)
 
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from gn0.avatars.bank import AvatarBank
 from gn0.config import check_config
 from gn0.errors import SceneError
 from gn0.maps.navigation import NavigationMap
@@ -23,12 +22,14 @@ from gn0.scenes.scene import Scene
 from gn0.sim.ego_map import MapView, read_map_view
 from gn0.sim.motion import Motion
 from gn0.sim.noise import Noise
-from gn0.sim.people_eyes import PeopleEyes
 from gn0.sim.presets import CameraPreset, find_preset
 from gn0.sim.sensor.table import carry_sensors
 from gn0.sim.sensors import SensorConfig, check_map_mode
 from gn0.sim.simulator import Simulator
 from gn0.storage import content_hash
+
+if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
 
 
 def look_hash(scene: Scene, light: LightCondition | None = None) -> str:
@@ -69,7 +70,7 @@ def open_simulator(
     one_step_moves: bool = False,
     motion: Motion | None = None,
     noise: Noise | None = None,
-    people: AvatarBank | Path | str | None = None,
+    bank: AvatarBank | Path | str | None = None,
 ) -> Simulator:
     """A simulator of a scene with its map, renderer and BEV, as far as `sensors` need them.
 
@@ -93,7 +94,7 @@ def open_simulator(
         one_step_moves: see `Simulator`.
         motion: what moves in the scene, see `gn0.sim.motion`.
         noise: what the body adds to depth, pose and moves; nothing when None.
-        people: a bank, for people of episodes who have a name in one; generated ones need none.
+        bank: of the people of episodes who have names in one; generated ones need none.
 
     Raises:
         ConfigError: unknown preset, backend, sensor or map mode, or a map in mode none.
@@ -154,5 +155,6 @@ def open_simulator(
         max_steps=max_steps,
         one_step_moves=one_step_moves,
         motion=motion,
-        people=None if renderer is None else PeopleEyes(scene, renderer, people, light),
+        bank=bank,
+        light=light,
     )

@@ -13,13 +13,16 @@ import math
 import operator
 import weakref
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError, SimError
-from gn0.geometry import U8, Pose2D, wrap_angle
+from gn0.geometry import F32, U8, Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec, Episode, GoalPicture, MissionGoal, check_episode
+from gn0.people.person import PEOPLE_MOST
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.collision import Move, check_finite, check_places, move_agent
@@ -29,7 +32,6 @@ from gn0.sim.mapping import Mapper
 from gn0.sim.motion import Moment
 from gn0.sim.noise import sample_move
 from gn0.sim.people import Company
-from gn0.sim.people_eyes import PeopleEyes
 from gn0.sim.sensors import SensorConfig, SensorSuite
 from gn0.sim.standpoint import Standpoint
 from gn0.sim.state import (
@@ -47,12 +49,15 @@ from gn0.sim.state import (
 from gn0.sim.ticks import cut_journey, cut_move
 
 if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
     from gn0.maps.explored import ExploredState
     from gn0.maps.navigation import NavigationMap
     from gn0.people.crowd import CrowdState
     from gn0.render.bev import BevPicture
+    from gn0.render.light import LightCondition
     from gn0.render.renderer import DrawnScene
     from gn0.sim.motion import Motion
+    from gn0.sim.people_eyes import PeopleEyes
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +107,8 @@ class Simulator:
             in an episode says what the episode was planned for.
         max_steps: steps until an episode is truncated.
         motion: what moves in the scene, by the time since the episode began.
-        people: shows the people of episodes; generated ones alone when None.
+        bank: of the people who have names in one; generated ones need none.
+        light: how the renderer's scene is lit, for people in it; as it was made when None.
         one_step_moves: a Teleport or Displacement counts as one step whatever its length, as in
             the paper's global action space; it lasts as long as otherwise.
 
@@ -124,7 +130,8 @@ class Simulator:
         max_steps: int = 500,
         one_step_moves: bool = False,
         motion: Motion | None = None,
-        people: PeopleEyes | None = None,
+        bank: AvatarBank | Path | str | None = None,
+        light: LightCondition | None = None,
     ) -> None:
         config = sensors or SensorConfig()
         self.scene = scene
@@ -148,6 +155,7 @@ class Simulator:
             lambda output: own._look()[output],
             lambda: own._history.tiles,
             lambda: own._look_from_goal(),
+            lambda: own._who(),
         )
         self._mapper: Mapper | None = None
         if config.explores:
@@ -159,9 +167,9 @@ class Simulator:
         self._actuation = config.noise.actuation if config.noise.moves else None
         self._company = Company(navigation, self.agent)
         self._here.company = self._company
-        if people is None and renderer is not None:
-            people = PeopleEyes(scene, renderer)
-        self._people = people
+        self._bank, self._light = bank, light
+        self._people: PeopleEyes | None = None
+        self._numbers: tuple[int, ...] = ()
         self._episode: Episode | None = None
         self._history = History(size=config.preset.history_tile)
         self._over = True
@@ -258,8 +266,8 @@ class Simulator:
                 remedy="open the simulator with them",
             )
         self._company.begin(episode)
-        if self._people is not None:
-            self._people.cast.check(episode.people, f"episode {episode.id!r}")
+        if episode.people and self._suite.renderer is not None:
+            self._show_people(self._suite.renderer, episode)
         self._episode = episode
         self._want(wanted)
         if self._mapper is not None:
@@ -470,8 +478,39 @@ class Simulator:
         moment = self._suite.moment_at(self.agent.time_after(self._spent))
         if not self._company or self._people is None:
             return moment
-        parts, _, key = self._people.show(self._company, pose, self.config.preset.rgb.fx)
+        parts, self._numbers, key = self._people.show(
+            self._company, pose, self.config.preset.rgb.fx
+        )
         return Moment(moment.time, (*moment.parts, *parts), key)
+
+    def _show_people(self, renderer: DrawnScene, episode: Episode) -> None:
+        """Make sure that the people of an episode can be shown.
+
+        Raises:
+            EpisodeError: nobody plays one of them.
+        """
+        if self._people is None:
+            from gn0.sim.people_eyes import PeopleEyes  # bodies are needed only for pictures
+
+            self._people = PeopleEyes(self.scene, renderer, self._bank, self._light)
+        self._people.cast.check(episode.people, f"episode {episode.id!r}")
+
+    def _who(self) -> tuple[U8, F32]:
+        """Person numbers [H, W] of the colour camera, and how much is seen of each [16, 6]."""
+        pose = Pose2D(self._x, self._y, self._yaw)
+        camera, renderer = self.config.preset.rgb, self._suite.renderer
+        picture = np.zeros((camera.height, camera.width), np.uint8)
+        table = np.zeros((PEOPLE_MOST, 6), np.float32)
+        moment = self._moment(pose)
+        if renderer is None or not self._company or not moment.parts:
+            return picture, table
+        numbers = (*(0 for _ in moment.parts[len(self._numbers) :]), *self._numbers)
+        found = renderer.render_who(camera, self._suite.views_of([pose]), [moment.parts])
+        picture[:] = np.array((0, *numbers), np.uint8)[found.numbers[0]]
+        for number, seen in zip(numbers, found.seen[0], strict=True):
+            if number:
+                table[number - 1] = seen.share, seen.pixels, *(seen.box or (0, 0, 0, 0))
+        return picture, table
 
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""

@@ -69,6 +69,7 @@ def run(args: Args) -> int:
     agent = msgspec.structs.replace(
         find_preset(args.camera).agent, **{k: v for k, v in body.items() if v is not None}
     )
+    crowd = PeopleSettings(count=args.people, seed=args.people_seed)
     with draw_progress() as progress:
         suite = build_suite(
             args.scenes,
@@ -79,7 +80,9 @@ def run(args: Args) -> int:
             camera=args.camera,
             agent=agent,
             map_mode=args.map_mode,
-            people=PeopleSettings(count=args.people, seed=args.people_seed) if args.people else None,
+            people=PeopleSettings(count=args.people, seed=args.people_seed)
+            if args.people
+            else None,
             track=read_track(args.track),
             overwrite=args.overwrite,
             progress=progress,

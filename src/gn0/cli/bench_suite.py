@@ -80,9 +80,7 @@ def run(args: Args) -> int:
             camera=args.camera,
             agent=agent,
             map_mode=args.map_mode,
-            people=PeopleSettings(count=args.people, seed=args.people_seed)
-            if args.people
-            else None,
+            people=crowd if args.people else None,
             track=read_track(args.track),
             overwrite=args.overwrite,
             progress=progress,

@@ -12,6 +12,7 @@ from gn0.config import Config
 EXAMPLES = """  gn0 bench suite out/flat out/house --episodes 50 --minimum-length 5 --out out/suite
   gn0 bench suite out/flat --map-mode explored --out out/unknown-flat
   gn0 bench suite out/flat --track point+pose --out out/point-goals
+  gn0 bench suite out/flat --people 3 --people-seed 1 --out out/lived-in
   gn0 bench suite out/flat --radius 0.35 --camera-height 0.8 --out out/wide-robot"""
 
 
@@ -31,6 +32,8 @@ class Args(Config, frozen=True):
             seen (explored), or nothing (none).
         track: what a policy may be told: how the goal is given (object, instruction, image, point),
             and +pose where it may know its pose.
+        people: who walk, stand and sit in each episode.
+        people_seed: who they are and where they go.
         overwrite: replace an existing suite.
     """
 
@@ -46,6 +49,8 @@ class Args(Config, frozen=True):
     camera_height: Annotated[float, msgspec.Meta(gt=0, le=10)] | None = None
     map_mode: Literal["prior", "explored", "none"] = "prior"
     track: str = "object"
+    people: Annotated[int, msgspec.Meta(ge=0, le=16)] = 0
+    people_seed: int = 0
     overwrite: bool = False
 
 
@@ -53,6 +58,7 @@ def run(args: Args) -> int:
     """Sample, write, and say what came out."""
     from gn0.cli.console import draw_progress
     from gn0.errors import ConfigError
+    from gn0.people.settings import PeopleSettings
     from gn0.sim.presets import find_preset
     from gn0.suites.suite import build_suite
     from gn0.suites.track import read_track
@@ -63,6 +69,7 @@ def run(args: Args) -> int:
     agent = msgspec.structs.replace(
         find_preset(args.camera).agent, **{k: v for k, v in body.items() if v is not None}
     )
+    crowd = PeopleSettings(count=args.people, seed=args.people_seed)
     with draw_progress() as progress:
         suite = build_suite(
             args.scenes,
@@ -73,6 +80,7 @@ def run(args: Args) -> int:
             camera=args.camera,
             agent=agent,
             map_mode=args.map_mode,
+            people=crowd if args.people else None,
             track=read_track(args.track),
             overwrite=args.overwrite,
             progress=progress,

@@ -1,4 +1,4 @@
-"""The main job in one command: an apartment, its suite, its policies, one report to look at.
+"""The main job in one command: an apartment with people, its suite, its policies, one report.
 
 It needs nothing but this package and takes about a minute and a half on two cores. Everything lands
 in one folder; pictures of the apartment, the same as in the README, in `pictures`. Where a trained
@@ -24,6 +24,7 @@ EXAMPLES = """  gn0 demo --out out/demo
 MARKER = "demo.json"  # says that a folder is a demo's, and may be replaced by one
 POLICIES = ("oracle", "straight", "wall_follower", "random")
 STEPS = 150  # of an episode at most: twice what the longest way in a small apartment takes
+PEOPLE = 2  # in each episode, drawn from as many: each is built in a few seconds
 TRIED = 5  # episodes of the trained policy, which thinks for half a second
 
 
@@ -56,6 +57,7 @@ def run(args: Args) -> int:
     from gn0.cli.compile_ahead import compile_ahead
     from gn0.cli.console import draw_progress
     from gn0.cli.result_tables import print_summaries
+    from gn0.people.settings import PeopleSettings
     from gn0.scenes.procedural.generate import GenerateSettings, generate_scene
     from gn0.suites.suite import build_suite
 
@@ -68,7 +70,7 @@ def run(args: Args) -> int:
         settings = GenerateSettings(seed=args.seed, size="small", density=args.density)
         with compile_ahead():
             generate_scene(settings, out / "apartment", progress=progress)
-        _draw_pictures(out / "apartment", out / "pictures", progress)
+        _draw_pictures(out / "apartment", out / "pictures", args.seed, progress)
         suite = build_suite(
             [out / "apartment"],
             out / "suite",
@@ -76,6 +78,7 @@ def run(args: Args) -> int:
             seed=args.seed,
             camera=choose_camera(trained),
             max_steps=STEPS,
+            people=PeopleSettings(count=PEOPLE, seed=args.seed, variety=PEOPLE),
             progress=progress,
         )
         runs = [out / "runs" / name for name in POLICIES]
@@ -148,10 +151,11 @@ def claim_folder(out: Path, args: Args) -> None:
     write_json(out / MARKER, {name: getattr(args, name) for name in args.__struct_fields__})
 
 
-def _draw_pictures(scene_folder: Path, pictures: Path, progress: Progress) -> None:
-    """The sheet, and its four views as files of their own."""
+def _draw_pictures(scene_folder: Path, pictures: Path, seed: int, progress: Progress) -> None:
+    """The sheet, and its four views as files of their own, with people in some of them."""
     from gn0.render.open import build_renderer
     from gn0.scenes.folder import load_scene
+    from gn0.viewer.bystanders import show_bystanders
     from gn0.viewer.scene_sheet import render_sheet, render_views
     from gn0.viewer.viewpoints import choose_viewpoints
 
@@ -159,9 +163,10 @@ def _draw_pictures(scene_folder: Path, pictures: Path, progress: Progress) -> No
     scene = load_scene(scene_folder)
     renderer = build_renderer(scene.gaussians)
     pictures.mkdir(parents=True, exist_ok=True)
-    render_sheet(scene, renderer).save(pictures / "sheet.jpg", quality=90)
     poses = choose_viewpoints(scene, renderer=renderer)
-    views = render_views(renderer, poses, 800, 600)
+    people = show_bystanders(scene, renderer, poses, 800.0, seed=seed)
+    render_sheet(scene, renderer, people=people).save(pictures / "sheet.jpg", quality=90)
+    views = render_views(renderer, poses, 800, 600, people=people)
     for number, view in enumerate(views, 1):
         view.save(pictures / f"view_{number}.jpg", quality=90)
     progress("drawing the apartment", 1, 1)

@@ -31,6 +31,8 @@ from gn0.missions.episode_files import (
 )
 from gn0.missions.goal import MINIMUM_LENGTH, check_episode_fits, sample_goal_episodes
 from gn0.paper import MAX_STEPS, SUCCESS_RADIUS
+from gn0.people.plan import add_people
+from gn0.people.settings import PeopleSettings
 from gn0.progress import Progress, no_progress
 from gn0.remote import local_path
 from gn0.scenes.folder import load_scene
@@ -389,6 +391,7 @@ def build_suite(
     max_steps: int = MAX_STEPS,
     map_mode: str = "prior",
     track: Track | None = None,
+    people: PeopleSettings | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Suite:
@@ -407,6 +410,7 @@ def build_suite(
         max_steps: actions until an episode is truncated.
         map_mode: see `SuiteFile`.
         track: what a policy may be told; the object alone when None.
+        people: who walks, stands and sits in each episode; nobody when None.
         overwrite: replace an existing folder.
         progress: progress sink.
 
@@ -426,7 +430,7 @@ def build_suite(
     for number, path in enumerate(scene_paths):
         scene = load_scene(path)
         scenes.append(scene)
-        episodes += sample_goal_episodes(
+        sampled = sample_goal_episodes(
             scene,
             NavigationMap(scene.grid, body.radius),
             count,
@@ -437,6 +441,7 @@ def build_suite(
                 "episodes", n * total + done, total * len(scene_paths)
             ),
         )
+        episodes += sampled if people is None else add_people(scene, sampled, people)
     return save_suite(
         out,
         scenes,

@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw
 from gn0.geometry import Pose2D, view_from_pose
 from gn0.render.bev import render_bev
 from gn0.render.camera import Camera
+from gn0.render.instance import Parts
 from gn0.render.labels import colour_labels
 from gn0.render.renderer import Renderer
 from gn0.scenes.scene import Scene
@@ -29,6 +30,7 @@ def render_sheet(
     width: int = 1920,
     cut_height: float | None = None,
     labels: str = "",
+    people: Sequence[Parts] = (),
 ) -> Image.Image:
     """Plan with rooms and objects, BEV, and four views of a scene.
 
@@ -39,6 +41,7 @@ def render_sheet(
         cut_height: height [m] above which the BEV shows nothing; by default a little below the
             ceiling when it is known, else 2.0.
         labels: "semantic" or "instance": the views show these in false colours.
+        people: instances for each view, see `gn0.viewer.bystanders`.
     """
     x0, y0, x1, y1 = plan_bounds(scene)
     column = (width - 3 * _GAP) // 2
@@ -55,7 +58,7 @@ def render_sheet(
     bev = draw_bev(scene, renderer, column, tall, cut_height)
     sheet.paste(bev, (2 * _GAP + column, _TITLE))
     top = _TITLE + tall + _GAP
-    views = render_views(renderer, poses, view_width, view_height, labels=labels)
+    views = render_views(renderer, poses, view_width, view_height, labels=labels, people=people)
     for index, (pose, view) in enumerate(zip(poses, views, strict=True)):
         left = _GAP + index * (view_width + _GAP)
         sheet.paste(view, (left, top))
@@ -138,11 +141,13 @@ def render_views(
     height: int,
     pitches: Sequence[float] | None = None,
     labels: str = "",
+    people: Sequence[Parts] = (),
 ) -> list[Image.Image]:
     """A picture [width x height px] from each pose at eye height, smoothed by 1.5 x 1.5 samples.
 
     `pitches` [rad] say how far up each looks; slightly down when absent. With `labels`, semantic
-    or instance, the numbers in false colours instead, one ray a pixel.
+    or instance, the numbers in false colours instead, one ray a pixel, without `people`, which are
+    instances for each view.
     """
     if not poses:
         return []
@@ -155,7 +160,7 @@ def render_views(
         camera = Camera.from_hfov(width, height, 79.0)
         numbers = getattr(renderer.render(camera, views, outputs=(labels,)), labels)  # type: ignore[arg-type]
         return [Image.fromarray(colour_labels(picture)) for picture in numbers]
-    rgb = renderer.render(camera, views, outputs=("rgb",)).rgb
+    rgb = renderer.render(camera, views, outputs=("rgb",), parts=people or ()).rgb
     assert rgb is not None
     out = []
     for picture in rgb:

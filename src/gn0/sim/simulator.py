@@ -533,7 +533,7 @@ class Simulator:
         episode = self._episode
         if self._maps and self._mapper is not None:
             seen = self._look()
-            moving = self._suite.motion is not None
+            moving = self._suite.motion is not None or bool(episode.people)
             self._mapper.update(pose, seen["depth"], seen.get("rgb"), time if moving else None)
         here.episode, here.steps, here.time = episode, step, time
         fields: dict[str, Any] = {name: read(here) for name, read in self._fields}

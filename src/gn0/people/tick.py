@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from gn0.jit import njit
+from gn0.jit import njit_borrowing
 from gn0.people.route import ACCELERATION, BRAKE, SCRIPT
 
 # float64 columns: place, place a tick ago [m]; unit vector of heading; speed [m/s]; way along the
@@ -71,7 +71,7 @@ class Pace(NamedTuple):
     rate: int
 
 
-@njit
+@njit_borrowing
 def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e):
     """Everybody's next tick in episode `e`, in place; rows without a route stay as they are."""
     count = real.shape[1]
@@ -106,7 +106,7 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
             whole[e, p, CLIP_SINCE] += 1
 
 
-@njit
+@njit_borrowing
 def _turn(real, pace, e, p, tx, ty):
     """Turn towards a unit vector, by as much as a body may; the cosine that is left."""
     hx, hy = real[e, p, HX], real[e, p, HY]
@@ -122,7 +122,7 @@ def _turn(real, pace, e, p, tx, ty):
     return nx * tx + ny * ty
 
 
-@njit
+@njit_borrowing
 def _cap(v, after, room, dt):
     """Fastest speed after a tick that still brakes to `after` [m/s] within `room` [m]."""
     half = 0.5 * BRAKE * dt
@@ -130,7 +130,7 @@ def _cap(v, after, room, dt):
     return max(math.sqrt(inside) - half, 0.0) if inside > 0.0 else 0.0
 
 
-@njit
+@njit_borrowing
 def _allowed(real, route, agent, radius, e, p, nx, ny):
     """Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least."""
     x, y = real[e, p, X0], real[e, p, Y0]
@@ -167,7 +167,7 @@ def _allowed(real, route, agent, radius, e, p, nx, ny):
     return share, who
 
 
-@njit
+@njit_borrowing
 def _crowded(real, route, agent, e, p):
     """Whether anybody is near enough to be looked at."""
     x, y = real[e, p, X0], real[e, p, Y0]
@@ -183,7 +183,7 @@ def _crowded(real, route, agent, e, p):
     return False
 
 
-@njit
+@njit_borrowing
 def _at(routes, r, way, piece):
     """(x, y) of a way along a path, the piece that it is on, and its tangent."""
     first, last = routes.first[r], routes.first[r + 1] - 2
@@ -197,12 +197,33 @@ def _at(routes, r, way, piece):
     return routes.place[k, 0] + tx * left, routes.place[k, 1] + ty * left, k - first, tx, ty
 
 
-@njit
+@njit_borrowing
+def _near_by(real, route, agent, radius, e, p, x, y, reach):
+    """Bits of who may be met within `reach` [m] of way from (x, y): 0 the agent, then rows."""
+    found = 0
+    for j in range(-1, real.shape[1]):
+        if j == p:
+            continue
+        if j < 0:
+            if agent[e, 2] < 0.0:
+                continue
+            dx, dy, near = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2]
+        else:
+            if route[e, j] < 0:
+                continue
+            dx, dy, near = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius
+        far = reach + 2.0 * near + 0.5  # more than the samples' own reach
+        if dx * dx + dy * dy < far * far:
+            found |= 1 << (j + 1)
+    return found
+
+
+@njit_borrowing
 def _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach):
     """Way [m] until somebody, on the path from `way` on, at most `reach`; and who it is."""
     r = route[e, p]
     length = routes.length[r]
-    gone = 0.0
+    gone, near_by = 0.0, 0
     while gone < reach:
         at = way + sign * gone
         if at > length:
@@ -213,18 +234,18 @@ def _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reac
         elif at < 0.0:
             break
         x, y, piece, tx, ty = _at(routes, r, at, piece)
+        if gone == 0.0:  # nobody else can be on the way
+            near_by = _near_by(real, route, agent, radius, e, p, x, y, reach)
+            if near_by == 0:
+                break
         tx, ty = sign * tx, sign * ty
         best, who = reach, NOBODY
         for j in range(-1, real.shape[1]):
-            if j == p:
+            if near_by >> (j + 1) & 1 == 0:
                 continue
             if j < 0:
-                if agent[e, 2] < 0.0:
-                    continue
                 dx, dy, near = agent[e, 0] - x, agent[e, 1] - y, radius + agent[e, 2] + 0.02
             else:
-                if route[e, j] < 0:
-                    continue
                 dx, dy, near = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius + 0.02
             along = dx * tx + dy * ty
             aside = dx * ty - dy * tx
@@ -242,7 +263,7 @@ def _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reac
     return reach, NOBODY
 
 
-@njit
+@njit_borrowing
 def _free(walls, wall_arrays, e, x, y):
     """Whether a person's centre may be there, as far as walls go."""
     w = walls[e]
@@ -257,7 +278,7 @@ def _free(walls, wall_arrays, e, x, y):
     return not wall_arrays.blocked[begin + int(row) * cols + int(col)]
 
 
-@njit
+@njit_borrowing
 def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
     """A tick on the path."""
     r, dt = route[e, p], pace.seconds
@@ -372,9 +393,9 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
         whole[e, p, WAIT] = 0
 
 
-@njit
-def _clear(real, route, agent, radius, e, p, x, y):
-    """Least gap [m] to anybody from a place."""
+@njit_borrowing
+def _clear(real, route, agent, radius, e, p, x, y, most):
+    """Least gap [m] to anybody from a place; of gaps above `most` [m] no more than that."""
     least = _SIGHT
     for j in range(-1, real.shape[1]):
         if j == p:
@@ -387,11 +408,13 @@ def _clear(real, route, agent, radius, e, p, x, y):
             if route[e, j] < 0:
                 continue
             dx, dy, near = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius
-        least = min(least, math.sqrt(dx * dx + dy * dy) - near)
+        square, far = dx * dx + dy * dy, near + most + 1e-6
+        if square < far * far:
+            least = min(least, math.sqrt(square) - near)
     return least
 
 
-@njit
+@njit_borrowing
 def _choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
     """The side with more free places beside the way ahead: 1 left, −1 right; right of equals."""
     x, y = real[e, p, X], real[e, p, Y]
@@ -404,14 +427,14 @@ def _choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
                 qy = y + ty * 0.3 * b + s * tx * 0.25 * a
                 if not _free(walls, wall_arrays, e, qx, qy):
                     break
-                if _clear(real, route, agent, radius, e, p, qx, qy) > _ROOM:
+                if _clear(real, route, agent, radius, e, p, qx, qy, _ROOM) > _ROOM:
                     free += 1
         if free > best:
             best, side = free, s
     return side
 
 
-@njit
+@njit_borrowing
 def _nearest(routes, r, way, piece, sign, x, y):
     """Nearest point of the path to (x, y), from `way` up to 3 m on: its way, distance, piece."""
     first, last = routes.first[r], routes.first[r + 1] - 2
@@ -437,7 +460,7 @@ def _nearest(routes, r, way, piece, sign, x, y):
     return found, math.sqrt(best), where
 
 
-@njit
+@njit_borrowing
 def _clear_line(walls, wall_arrays, e, x, y, u, v):
     """Whether five places of a short line are free of walls."""
     for k in range(1, 6):
@@ -446,7 +469,7 @@ def _clear_line(walls, wall_arrays, e, x, y, u, v):
     return True
 
 
-@njit
+@njit_borrowing
 def _come_home(whole, routes, r, way, piece, e, p):
     """Be on the path again; stops that were passed are left out."""
     whole[e, p, MODE], whole[e, p, PIECE], whole[e, p, WAIT] = ON_PATH, piece, 0
@@ -455,14 +478,14 @@ def _come_home(whole, routes, r, way, piece, e, p):
         whole[e, p, HOLD] += 1
 
 
-@njit
+@njit_borrowing
 def _make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p):
     """A tick away from everybody, wherever there is room."""
     x, y, v, dt = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED], pace.seconds
     now = min(v + ACCELERATION * dt * 0.875, 0.5)
     step = 0.5 * (v + now) * dt
     hx, hy = real[e, p, HX], real[e, p, HY]
-    best, bx, by = _clear(real, route, agent, radius, e, p, x, y) + 0.02, 0.0, 0.0
+    best, bx, by = _clear(real, route, agent, radius, e, p, x, y, _SIGHT) + 0.02, 0.0, 0.0
     for turn in range(-6, 7):
         cos, sin = _ROUND_COS[abs(turn)], _ROUND_SIN[abs(turn)]
         if turn < 0:
@@ -474,7 +497,7 @@ def _make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p
                 free = False
                 break
         if free and _free(walls, wall_arrays, e, x + ux * step, y + uy * step):
-            clear = _clear(real, route, agent, radius, e, p, x + ux * 0.3, y + uy * 0.3)
+            clear = _clear(real, route, agent, radius, e, p, x + ux * 0.3, y + uy * 0.3, _SIGHT)
             if clear > best:
                 best, bx, by = clear, ux, uy
     real[e, p, SPEED] = 0.0
@@ -491,7 +514,7 @@ def _make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p
         whole[e, p, ASIDE_LEFT] = 0
 
 
-@njit
+@njit_borrowing
 def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
     """A tick beside the path, around whoever is on it."""
     r, dt = route[e, p], pace.seconds
@@ -551,7 +574,7 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
         dx, dy = real[e, p, HX], real[e, p, HY]
     else:
         dx, dy = dx / size, dy / size
-    here = _clear(real, route, agent, radius, e, p, x, y)
+    here = _clear(real, route, agent, radius, e, p, x, y, _ROOM)
     for turn in range(-2, 7):
         if best == 1.0:  # the path itself, near by and free
             break
@@ -570,7 +593,7 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
             if not _free(walls, wall_arrays, e, qx, qy):
                 ok = False
                 break
-            clear = _clear(real, route, agent, radius, e, p, qx, qy)
+            clear = _clear(real, route, agent, radius, e, p, qx, qy, _ROOM)
             if clear < _ROOM and clear < here + 0.2 * reach * part:
                 ok = False
                 break

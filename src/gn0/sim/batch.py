@@ -27,6 +27,7 @@ from gn0.sim.batch_kernels import (
     read_ranges,
     step_agents,
 )
+from gn0.sim.batch_people import CompanyBatch
 from gn0.sim.batch_tables import EpisodeTable, MapTable
 from gn0.sim.ground import GroundStore
 from gn0.sim.open import name_look
@@ -85,6 +86,7 @@ class AgentsHere:
             *(self._which, agents, self._batch.table.maps.arrays, episodes),
             *(rays, float(config.range_limit), out),
         )
+        self._batch.company.limit_ranges(self._which, agents, episodes, rays, out)
         return out
 
 
@@ -138,6 +140,7 @@ class SimulatorBatch:
             np.zeros(count, np.bool_),
             np.zeros(count),
         )
+        self.company = CompanyBatch(count, self.agent, ground, self.table.episodes)
         self._everyone = np.arange(count)
         self.eyes: BatchEyes | None = None
         self._at_once = tuple(s for s in config.carried.sensors if s.many is not None)
@@ -166,7 +169,9 @@ class SimulatorBatch:
         """
         table = self.table
         table.prepare(chosen, self.state.episode)
+        self.company.prepare(chosen, self.state.episode)
         place_agents(which, chosen, self.state, table.maps.arrays, table.fields, table.arrays)
+        self.company.place(which, chosen, self.state)
         table.touch(chosen)
         if self.eyes is not None:
             self.eyes.begin(which)
@@ -183,15 +188,26 @@ class SimulatorBatch:
         step = BatchStep(
             np.empty(self.count), np.empty(self.count, np.bool_), np.empty(self.count, np.bool_)
         )
-        table = self.table
-        step_agents(
-            *(codes, self.state, table.maps.arrays, table.fields, table.arrays),
-            self.agent.forward_step,
-            bool(self.agent.sliding),
-            self.max_steps,
-            *step,
-        )
+        self._move(codes, self.state, self.table.arrays, self.agent.forward_step, step)
         return step
+
+    def _move(
+        self,
+        codes: NDArray[np.int64],
+        agents: AgentArrays,
+        episodes: EpisodeArrays,
+        forward: float,
+        step: BatchStep,
+        shares: F64 | None = None,
+    ) -> None:
+        """Take one action each, people with it where an environment has some."""
+        table = self.table
+        known = (codes, agents, table.maps.arrays, table.fields, episodes)
+        body = forward, bool(self.agent.sliding), self.max_steps
+        if self.company:
+            self.company.step(*known, *body, step, shares)
+        else:
+            step_agents(*known, *body, *step)
 
     def poses(self, which: NDArray[np.int64] | None = None) -> F64:
         """Poses [K, 3] (x, y [m], yaw [rad]) of agents `which`, or of all."""

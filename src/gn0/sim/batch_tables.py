@@ -186,9 +186,9 @@ class EpisodeTable:
             pool = pool.astype(np.uint32)
         if self._label_end + len(labels) > len(pool):
             limit = self._memory // pool.itemsize
-            pool = _grown(pool, self._label_end + len(labels), limit)
+            pool = grow_rows(pool, self._label_end + len(labels), limit)
         if self._root_end + len(roots) > len(table):
-            table = _grown(table, self._root_end + len(roots))
+            table = grow_rows(table, self._root_end + len(roots))
         pool[self._label_end : self._label_end + len(labels)] = labels
         table[self._root_end : self._root_end + len(roots)] = roots
         self.fields = FieldArrays(pool, table)
@@ -239,7 +239,7 @@ class EpisodeTable:
             self._fields[destination_of(episode)].used = self._clock
 
 
-def _grown(array: NDArray[Any], need: int, limit: int = 2**62) -> NDArray[Any]:
+def grow_rows(array: NDArray[Any], need: int, limit: int = 2**62) -> NDArray[Any]:
     """A larger copy with room for `need` rows and half as many more, up to `limit`."""
     size = max(need, min(need + need // 2 + 1024, limit))
     grown = np.zeros((size, *array.shape[1:]), array.dtype)

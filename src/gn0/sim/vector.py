@@ -6,6 +6,11 @@ Environment i, seeded with s, plays exactly what `GoalNavEnv` seeded with s play
 episodes in the same order, the same observations, rewards and infos. An episode that ends is
 followed by the next in the same step (Gymnasium's `AutoresetMode.SAME_STEP`): the observation is
 the new episode's first, and `infos["final_obs"]`, `infos["final_info"]` hold the old one's last.
+
+Where episodes have people, infos also hold `people` [N, P, 4], x, y [m] and the unit vector of each
+one's heading (NaN for nobody), and of a move that was cut because of a person `hit_person`, its
+number (0 none), `hit_by`, who came nearer ("agent" or "person"), and `hit_tick`, the tick of the
+action, from 1, that the agent did not do (0 none).
 """
 
 from __future__ import annotations
@@ -213,6 +218,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
                 [e.instruction for e in listed],
             )
         )
+        self._most_people = max(len(e.people) for e in listed)
         if self._words is not None:
             self._words.extend(listed)
 
@@ -428,6 +434,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             "distance_to_goal": state.distance[which],
             "success": success[which],
         }
+        if self._most_people:
+            hits = self.batch.company.hits(which)
+            values |= {
+                "people": self.batch.company.places(which, self._most_people),
+                "hit_person": hits.number,
+                "hit_by": hits.by,
+                "hit_tick": hits.tick,
+            }
         infos: dict[str, Any] = {}
         for name, value in values.items():
             if len(which) == self.num_envs:

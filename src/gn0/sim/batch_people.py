@@ -36,7 +36,7 @@ from gn0.sim.ground import GroundStore
 ROUTE_MEMORY = 256 * 2**20  # bytes of packed routes
 CAME_WORDS = np.array(["agent", "person"], object)
 _POINTS = ("place", "tangent", "way", "ahead", "behind")
-_HOLDS = ("hold_at", "hold_ticks", "hold_face")
+_HOLDS = ("hold_at", "hold_seconds", "hold_face")
 
 
 class RouteTable:

@@ -13,19 +13,23 @@ import math
 import operator
 import weakref
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gn0.errors import EpisodeError, SimError
-from gn0.geometry import U8, Pose2D, wrap_angle
+from gn0.geometry import F32, U8, Pose2D, wrap_angle
 from gn0.missions.episode import AgentSpec, Episode, GoalPicture, MissionGoal, check_episode
+from gn0.people.person import PEOPLE_MOST
 from gn0.scenes.scene import Scene
 from gn0.seeds import random_stream
 from gn0.sim.collision import Move, check_finite, check_places, move_agent
 from gn0.sim.history import History
 from gn0.sim.kinematics import Heading, heading_yaw, plan_journey, step_forward
 from gn0.sim.mapping import Mapper
+from gn0.sim.motion import Moment
 from gn0.sim.noise import sample_move
 from gn0.sim.people import Company
 from gn0.sim.sensors import SensorConfig, SensorSuite
@@ -45,12 +49,15 @@ from gn0.sim.state import (
 from gn0.sim.ticks import cut_journey, cut_move
 
 if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
     from gn0.maps.explored import ExploredState
     from gn0.maps.navigation import NavigationMap
     from gn0.people.crowd import CrowdState
     from gn0.render.bev import BevPicture
+    from gn0.render.light import LightCondition
     from gn0.render.renderer import DrawnScene
     from gn0.sim.motion import Motion
+    from gn0.sim.people_eyes import PeopleEyes
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +107,8 @@ class Simulator:
             in an episode says what the episode was planned for.
         max_steps: steps until an episode is truncated.
         motion: what moves in the scene, by the time since the episode began.
+        bank: of the people who have names in one; generated ones need none.
+        light: how the renderer's scene is lit, for people in it; as it was made when None.
         one_step_moves: a Teleport or Displacement counts as one step whatever its length, as in
             the paper's global action space; it lasts as long as otherwise.
 
@@ -121,6 +130,8 @@ class Simulator:
         max_steps: int = 500,
         one_step_moves: bool = False,
         motion: Motion | None = None,
+        bank: AvatarBank | Path | str | None = None,
+        light: LightCondition | None = None,
     ) -> None:
         config = sensors or SensorConfig()
         self.scene = scene
@@ -144,6 +155,7 @@ class Simulator:
             lambda output: own._look()[output],
             lambda: own._history.tiles,
             lambda: own._look_from_goal(),
+            lambda: own._who(),
         )
         self._mapper: Mapper | None = None
         if config.explores:
@@ -155,6 +167,9 @@ class Simulator:
         self._actuation = config.noise.actuation if config.noise.moves else None
         self._company = Company(navigation, self.agent)
         self._here.company = self._company
+        self._bank, self._light = bank, light
+        self._people: PeopleEyes | None = None
+        self._numbers: tuple[int, ...] = ()
         self._episode: Episode | None = None
         self._history = History(size=config.preset.history_tile)
         self._over = True
@@ -251,6 +266,8 @@ class Simulator:
                 remedy="open the simulator with them",
             )
         self._company.begin(episode)
+        if episode.people and self._suite.renderer is not None:
+            self._show_people(self._suite.renderer, episode)
         self._episode = episode
         self._want(wanted)
         if self._mapper is not None:
@@ -450,11 +467,50 @@ class Simulator:
     def _look(self) -> dict[str, NDArray[Any]]:
         """Pictures here and now; not drawn again while nothing moves, the agent included."""
         pose, last = Pose2D(self._x, self._y, self._yaw), self._last_look
-        moment = self._suite.moment_at(self.agent.time_after(self._spent))
+        moment = self._moment(pose)
         if last is None or last[0] != pose or last[1] != moment.key:
             last = (pose, moment.key, self._suite.look(pose, self._outputs, moment))
             self._last_look = last
         return last[2]
+
+    def _moment(self, pose: Pose2D) -> Moment:
+        """Whatever moves, people among it, as an eye at a pose sees it now."""
+        moment = self._suite.moment_at(self.agent.time_after(self._spent))
+        if not self._company or self._people is None:
+            return moment
+        parts, self._numbers, key = self._people.show(
+            self._company, pose, self.config.preset.rgb.fx
+        )
+        return Moment(moment.time, (*moment.parts, *parts), key)
+
+    def _show_people(self, renderer: DrawnScene, episode: Episode) -> None:
+        """Make sure that the people of an episode can be shown.
+
+        Raises:
+            EpisodeError: nobody plays one of them.
+        """
+        if self._people is None:
+            from gn0.sim.people_eyes import PeopleEyes  # bodies are needed only for pictures
+
+            self._people = PeopleEyes(self.scene, renderer, self._bank, self._light)
+        self._people.cast.check(episode.people, f"episode {episode.id!r}")
+
+    def _who(self) -> tuple[U8, F32]:
+        """Person numbers [H, W] of the colour camera, and how much is seen of each [16, 6]."""
+        pose = Pose2D(self._x, self._y, self._yaw)
+        camera, renderer = self.config.preset.rgb, self._suite.renderer
+        picture = np.zeros((camera.height, camera.width), np.uint8)
+        table = np.zeros((PEOPLE_MOST, 6), np.float32)
+        moment = self._moment(pose)
+        if renderer is None or not self._company or not moment.parts:
+            return picture, table
+        numbers = (*(0 for _ in moment.parts[len(self._numbers) :]), *self._numbers)
+        found = renderer.render_who(camera, self._suite.views_of([pose]), [moment.parts])
+        picture[:] = np.array((0, *numbers), np.uint8)[found.numbers[0]]
+        for number, seen in zip(numbers, found.seen[0], strict=True):
+            if number:
+                table[number - 1] = seen.share, seen.pixels, *(seen.box or (0, 0, 0, 0))
+        return picture, table
 
     def _look_from_goal(self) -> U8:
         """The goal picture; drawn once an episode."""

@@ -35,6 +35,7 @@ class Standpoint:
         suite: its sensors; None for those that look at nothing but where it is.
         seen, views, goal_picture: what lies before its eyes by output, its earlier views, and the
             picture of its goal, when they are asked for.
+        who: which person each pixel of its picture shows, and how much is seen of each.
 
     Attributes:
         pose: where it stands.
@@ -51,9 +52,10 @@ class Standpoint:
         seen: Callable[[str], NDArray[Any]] = _nothing,
         views: Callable[[], tuple[U8, ...]] = _nothing,
         goal_picture: Callable[[], U8] = _nothing,
+        who: Callable[[], tuple[U8, F32]] = _nothing,
     ) -> None:
         self._measure = suite
-        self.seen, self.views, self.goal_picture = seen, views, goal_picture
+        self.seen, self.views, self.goal_picture, self.who = seen, views, goal_picture, who
         self.pose = Pose2D(0.0, 0.0, 0.0)
         self.episode: Episode
         self.steps = 0

@@ -80,7 +80,7 @@ class Pace(NamedTuple):
     parts: int
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e):
     """Everybody's next tick in episode `e`, in place; rows without a route stay as they are."""
     count = real.shape[1]
@@ -115,7 +115,7 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
             whole[e, p, CLIP_SINCE] += 1
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _turn(real, pace, e, p, tx, ty, seconds):
     """Turn towards a unit vector, by as much as a body may; the cosine that is left."""
     hx, hy = real[e, p, HX], real[e, p, HY]
@@ -138,7 +138,7 @@ def _turn(real, pace, e, p, tx, ty, seconds):
     return nx * tx + ny * ty
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _hold(real, whole, routes, pace, e, p, r, seconds):
     """Stand at a stop for so long, or begin to; the seconds that are left after it."""
     last = routes.hold_first[r + 1]
@@ -160,7 +160,7 @@ def _hold(real, whole, routes, pace, e, p, r, seconds):
     return seconds
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _cap(v, after, room, dt):
     """Fastest speed after a tick that still brakes to `after` [m/s] within `room` [m]."""
     half = 0.5 * BRAKE * dt
@@ -168,7 +168,7 @@ def _cap(v, after, room, dt):
     return max(math.sqrt(inside) - half, 0.0) if inside > 0.0 else 0.0
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _allowed(real, route, agent, radius, e, p, nx, ny):
     """Share of the step to (nx, ny) that half of every gap allows, 1 all; and who allows least."""
     x, y = real[e, p, X0], real[e, p, Y0]
@@ -205,7 +205,7 @@ def _allowed(real, route, agent, radius, e, p, nx, ny):
     return share, who
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _crowded(real, route, agent, e, p):
     """Whether anybody is near enough to be looked at."""
     x, y = real[e, p, X0], real[e, p, Y0]
@@ -221,7 +221,7 @@ def _crowded(real, route, agent, e, p):
     return False
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _piece(routes, r, way, piece):
     """The piece of a path that a way is on."""
     first, last = routes.first[r], routes.first[r + 1] - 2
@@ -233,7 +233,7 @@ def _piece(routes, r, way, piece):
     return k - first
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _at(routes, r, way, piece):
     """(x, y) of a way along a path, the piece that it is on, and its tangent."""
     k = routes.first[r] + _piece(routes, r, way, piece)
@@ -248,7 +248,7 @@ def _at(routes, r, way, piece):
     )
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _near_by(real, route, agent, radius, e, p, x, y, reach):
     """Bits of who may be met within `reach` [m] of way from (x, y): 0 the agent, then rows."""
     found = 0
@@ -269,7 +269,7 @@ def _near_by(real, route, agent, radius, e, p, x, y, reach):
     return found
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach):
     """Way [m] until somebody, on the path from `way` on, at most `reach`; and who it is."""
     r = route[e, p]
@@ -329,7 +329,7 @@ def _free(walls, wall_arrays, e, x, y):
     return not wall_arrays.blocked[begin + int(row) * cols + int(col)]
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
     """Walk, turn or stand on the path for a part of a tick, `ahead` [m] of it being free.
 
@@ -426,7 +426,7 @@ def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
     return step
 
 
-@njit_borrowing
+@njit_borrowing(forceinline=True)
 def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
     """A tick on the path."""
     r = route[e, p]

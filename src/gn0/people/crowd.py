@@ -122,10 +122,10 @@ def place_rows(real, whole, route, routes, row, numbers):  # type: ignore[no-unt
     for p in range(len(numbers)):
         r = numbers[p]
         route[row, p] = r
-        first = routes.first[r]
-        real[row, p, X] = real[row, p, X0] = routes.place[first, 0]
-        real[row, p, Y] = real[row, p, Y0] = routes.place[first, 1]
-        real[row, p, HX], real[row, p, HY] = routes.face[r, 0], routes.face[r, 1]
+        first = routes.table[r, 0]
+        real[row, p, X] = real[row, p, X0] = routes.points[first, 0]
+        real[row, p, Y] = real[row, p, Y0] = routes.points[first, 1]
+        real[row, p, HX], real[row, p, HY] = routes.lines[r, 2], routes.lines[r, 3]
         whole[row, p, DIRECTION] = 1
         whole[row, p, BLOCKED_BY] = NOBODY
         whole[row, p, CLIP_SINCE] = LONG_AGO

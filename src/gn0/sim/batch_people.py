@@ -35,8 +35,6 @@ from gn0.sim.ground import GroundStore
 
 ROUTE_MEMORY = 256 * 2**20  # bytes of packed routes
 CAME_WORDS = np.array(["agent", "person"], object)
-_POINTS = ("place", "tangent", "way", "ahead", "behind")
-_HOLDS = ("hold_at", "hold_seconds", "hold_face")
 
 
 class RouteTable:
@@ -44,7 +42,12 @@ class RouteTable:
 
     def __init__(self) -> None:
         self.arrays = build_routes(())
-        self.count = self._points = self._holds = 0
+        self._used = [0, 0, 0, 0]  # rows of each array
+
+    @property
+    def count(self) -> int:
+        """How many routes there are."""
+        return self._used[0]
 
     @property
     def nbytes(self) -> int:
@@ -54,24 +57,16 @@ class RouteTable:
     def add(self, people: Sequence[EpisodePerson]) -> int:
         """Pack the routes of people, in their order; the number of the first."""
         more, begin = build_routes(people), self.count
-        fields: dict[str, NDArray[Any]] = {}
-        for name, rows in more._asdict().items():
-            at = self.count
-            if name in ("first", "hold_first"):
-                rows, at = rows[1:] + (self._points if name == "first" else self._holds), at + 1
-            elif name in _POINTS:
-                at = self._points
-            elif name in _HOLDS:
-                at = self._holds
-            array = getattr(self.arrays, name)
-            if at + len(rows) > len(array):
-                array = grow_rows(array, at + len(rows))
-            array[at : at + len(rows)] = rows
-            fields[name] = array
-        self.arrays = Routes(**fields)
-        self.count += len(people)
-        self._points += len(more.way)
-        self._holds += len(more.hold_at)
+        points, holds = self._used[2:]
+        more.table[:, :4] += (points, points, holds, holds)
+        grown: list[NDArray[Any]] = []
+        for k, (array, rows) in enumerate(zip(self.arrays, more, strict=True)):
+            at = self._used[k]
+            self._used[k] = end = at + len(rows)
+            kept = array if end <= len(array) else grow_rows(array, end)
+            kept[at:end] = rows
+            grown.append(kept)
+        self.arrays = Routes(*grown)
         return begin
 
 

@@ -17,7 +17,7 @@ from gn0.geometry import F32, F64, Pose2D
 from gn0.maps.navigation import NavigationMap
 from gn0.missions.episode import AgentSpec
 from gn0.scenes.scene import Scene
-from gn0.sim.batch_eyes import BatchEyes, Snapshot
+from gn0.sim.batch_eyes import BatchEyes, OpenPeople, Snapshot
 from gn0.sim.batch_kernels import (
     AgentArrays,
     EpisodeArrays,
@@ -103,6 +103,7 @@ class SimulatorBatch:
         scenes_kept: picture-making scenes held while no agent is in them.
         field_memory: bytes that geodesic fields may take.
         navigation: scene id → a map that is there already; what is built of it is left with it.
+        open_people: scene id and its sensors → what shows people; needed for pictures of them.
 
     Raises:
         SimError: a number out of range, a turn that never comes full circle, or pictures asked
@@ -121,6 +122,7 @@ class SimulatorBatch:
         scenes_kept: int = 4,
         field_memory: int = FIELD_MEMORY,
         navigation: Mapping[str, NavigationMap] | None = None,
+        open_people: OpenPeople | None = None,
     ) -> None:
         if count < 1 or max_steps < 1:
             raise SimError(
@@ -154,7 +156,7 @@ class SimulatorBatch:
                     f"sensors {later} need pictures",
                     remedy="use VectorEnv, or hand open_suite to SimulatorBatch",
                 )
-            self.eyes = BatchEyes(count, config, open_suite, scenes_kept, self.agent)
+            self.eyes = BatchEyes(count, config, open_suite, scenes_kept, self.agent, open_people)
 
     @property
     def sensors(self) -> frozenset[str]:
@@ -250,7 +252,8 @@ class SimulatorBatch:
         episodes = [self.table.episodes[n] for n in self.state.episode[chosen].tolist()]
         scenes = [name_look(episode) for episode in episodes]
         steps = self.state.steps[chosen].tolist()
-        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), episodes, steps)
+        people = [self.company.state_of(i) for i in chosen.tolist()]
+        return self.eyes.snapshot(chosen, scenes, self.poses(chosen), episodes, steps, people)
 
     def draw(self, snapshots: Sequence[Snapshot]) -> list[dict[str, Any]]:
         """The pictures of snapshots, arrays or lists [K, …] a sensor; see `BatchEyes.draw`.

@@ -110,8 +110,7 @@ class CompanyBatch:
         ticks = agent.step_ticks
         self.shares = np.array([[k / ticks for k in range(1, ticks)] + [1.0]])
         self._table = RouteTable()
-        self._names: list[int] = []  # person's number by route
-        self._numbers = np.zeros(0, np.int64)
+        self._numbers = np.zeros(0, np.int64)  # person's number, by route
         self._first = np.zeros(0, np.int64)  # by episode
         self._count = np.zeros(0, np.int64)  # by episode; −1 before it is first played
         self._scene = np.zeros(0, np.int64)  # walls by episode
@@ -136,7 +135,8 @@ class CompanyBatch:
         missing = len(self._episodes) - len(self._count)
         if missing:
             self._first, self._scene = (
-                np.append(array, np.zeros(missing, np.int64)) for array in (self._first, self._scene)
+                np.append(array, np.zeros(missing, np.int64))
+                for array in (self._first, self._scene)
             )
             self._count = np.append(self._count, np.full(missing, -1))
         fresh = chosen[self._count[chosen] < 0]
@@ -186,9 +186,10 @@ class CompanyBatch:
         if number is None:
             number = self._wall_numbers[scene_id] = len(self._wall_numbers)
             old, new = self._walls, build_walls([self._ground.open(scene_id).grid])
+            new.shape[:, 0] += len(old.blocked)
             self._walls = Walls(
                 np.concatenate([old.blocked, new.blocked]),
-                np.vstack([old.shape, new.shape + (len(old.blocked), 0, 0)]),
+                np.vstack([old.shape, new.shape]),
                 np.vstack([old.frame, new.frame]),
             )
         return number
@@ -270,6 +271,8 @@ class CompanyBatch:
 
     def state_of(self, agent: int) -> CrowdState | None:
         """What the people around one agent do, as `Company.save` says it; None of nobody."""
+        if not self:
+            return None
         crowd = self.crowd
         count = int((crowd.route[agent] >= 0).sum())
         if not count:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -60,6 +60,10 @@ from gn0.sim.tasks import load_tasks
 from gn0.sim.walkers import WalkersHost
 from gn0.sim.words import Vocabulary, WordTable, split_sensors, word_spaces
 
+if TYPE_CHECKING:
+    from gn0.avatars.bank import AvatarBank
+    from gn0.sim.people_eyes import PeopleEyes
+
 _DRAWS = 64  # episodes that an environment draws ahead
 
 
@@ -95,10 +99,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         history_tile: (width, height) [px] of a view in the mosaic, instead of the preset's.
         vocabulary: how `instruction_tokens` are made, bytes when None; see
             `gn0.sim.words.Vocabulary`, whose fields it may also be.
+        bank: of the people of episodes who have names in one, its folder or itself.
 
     Raises:
         ConfigError: an unknown sensor, preset, backend, action space or render mode.
-        EpisodeError: no episode, or one of a scene that is not here.
+        EpisodeError: no episode, one of a scene that is not here, or with people whom nobody plays.
         SimError: num_envs < 1, or an agent whose turns never come full circle.
         StorageError, FormatError: a file is missing or broken.
     """
@@ -135,6 +140,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
         noise: Noise | None = None,
         history_tile: tuple[int, int] | None = None,
         vocabulary: Vocabulary | Mapping[str, Any] | None = None,
+        bank: AvatarBank | Path | str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"no render mode {render_mode!r}", remedy="give None or 'rgb_array'")
@@ -148,6 +154,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             scene, suite, episodes, preset=preset, agent=agent, max_steps=max_steps
         )
         self._motions = dict(motions or {})
+        self._bank = bank
         self.map_mode = check_map_mode(map_mode or self.tasks.map_mode, self.sensors)
         self._camera = camera = find_preset(self.tasks.preset, history_tile=history_tile)
         self.noise = noise or Noise()
@@ -175,6 +182,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             open_suite=self._open_suite,
             scenes_kept=scenes_kept,
             field_memory=field_memory,
+            open_people=self._open_people,
         )
         if self.batch.eyes is not None:
             self.batch.eyes.reuses = not copy
@@ -219,6 +227,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             )
         )
         self._most_people = max(len(e.people) for e in listed)
+        if self._most_people and self.batch.eyes is not None:
+            from gn0.people.cast import Cast  # bodies are needed only for pictures
+
+            cast = Cast(self._bank)
+            for episode in listed:
+                cast.check(episode.people, f"episode {episode.id!r}")
         if self._words is not None:
             self._words.extend(listed)
 
@@ -236,6 +250,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[dict[str, Any], NDArray[Any], NDArray
             light=light,
             motion=self._motions.get(scene_id),
         ).suite
+
+    def _open_people(self, look: str, suite: SensorSuite) -> PeopleEyes:
+        from gn0.sim.people_eyes import PeopleEyes  # bodies are needed only for pictures
+
+        scene_id, light = split_look(look)
+        assert suite.renderer is not None
+        return PeopleEyes(self.tasks.scenes[scene_id](), suite.renderer, self._bank, light)
 
     def reset(
         self,

@@ -23,7 +23,7 @@ from gn0.policies.box_follower import (
     steer,
 )
 from gn0.policies.follow_floors import PolicyAlwaysStop, StraightAtPerson
-from gn0.policies.follow_oracle import FollowOracle, FollowTask, is_clear, people_map
+from gn0.data.follow_oracle import FollowOracle, FollowTask, is_clear, people_map
 from gn0.policies.person_boxes import PersonBox, PictureView, find_boxes
 from gn0.sim.state import Action, Observation
 from gn0_trials.follow_stage import (

@@ -119,9 +119,15 @@ def place_people(state: CrowdState, episode: int, routes: Routes, numbers: Seque
 def find_pace(ticks_a_second: int = TICKS_A_SECOND) -> Pace:
     """Lengths of a tick, for the kernels."""
     if ticks_a_second == TICKS_A_SECOND:  # nine degrees, to the last bit
-        return Pace(0.1, 0.9876883405951378, 0.15643446504023087, 10)
+        return Pace(0.1, 0.9876883405951378, 0.15643446504023087, 10, 3)
     turn = np.pi / 2 / ticks_a_second
-    return Pace(1 / ticks_a_second, float(np.cos(turn)), float(np.sin(turn)), ticks_a_second)
+    return Pace(
+        1 / ticks_a_second,
+        float(np.cos(turn)),
+        float(np.sin(turn)),
+        ticks_a_second,
+        max(-(-30 // ticks_a_second), 1),
+    )
 
 
 PACE = find_pace()

@@ -120,6 +120,8 @@ class EpisodePerson(
 
     def _check_path(self, where: str) -> None:
         count = len(self.path)
+        plain = tuple((float(x), float(y)) for x, y in self.path)  # NumPy's own cannot be written
+        msgspec.structs.force_setattr(self, "path", plain)
         if not all(math.isfinite(x) and math.isfinite(y) for x, y in self.path):
             raise _fault(where, "path", "holds NaN or infinity", "finite metres")
         if self.behaviour != "script":

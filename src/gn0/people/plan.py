@@ -8,27 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
+import msgspec
 import numpy as np
 
 from gn0.avatars.identity import draw_numbers
-from gn0.config import Config
-from gn0.errors import ConfigError, PlanError
+from gn0.errors import PlanError
 from gn0.geometry import F64
 from gn0.maps.goal_places import GoalSet
 from gn0.maps.grid import OCCUPIED, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.paper import BODY_RADIUS
 from gn0.people.person import (
-    PEOPLE_MOST,
     RADIUS,
-    WALL_DISTANCE,
     EpisodePerson,
     PersonStop,
 )
 from gn0.people.planning import blocked_at, people_map, round_path
+from gn0.people.settings import PeopleSettings
+from gn0.progress import Progress, no_progress
 from gn0.scenes.scene import Scene, SceneObject
 from gn0.seeds import derive_seed, random_stream
 
@@ -43,51 +44,13 @@ _WALK_LENGTH = (3.0, 16.0)  # m
 _ACTS = ("", "", "", "wave", "point")  # what people of a group do, mostly nothing
 
 
-class PeopleSettings(Config, frozen=True):
-    """Who is put into episodes.
-
-    Attributes:
-        count: how many, 0 to 16.
-        seed: who they are and where they go.
-        groups: share of episodes with a standing group, of those that have people for one.
-        seated: share of people who sit, where there are seats.
-        speeds: m/s between which walkers are drawn.
-        stops: most stops on a way.
-        from_start: no one begins nearer to the agent [m].
-        bank: names of the people to draw from; generated ones where there are none.
-        bank_hash: of the bank that they are of.
-    """
-
-    count: int = 3
-    seed: int = 0
-    groups: float = 0.35
-    seated: float = 0.15
-    speeds: tuple[float, float] = (0.5, 1.3)
-    stops: int = 2
-    from_start: float = 1.2
-    bank: tuple[str, ...] = ()
-    bank_hash: str = ""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.count <= PEOPLE_MOST:
-            raise ConfigError(
-                f"{self.count} people in an episode", where="people.count",
-                remedy=f"0 to {PEOPLE_MOST}",
-            )  # fmt: skip
-        if not (0 <= self.groups <= 1 and 0 <= self.seated <= 1 and self.from_start >= 0.5):
-            raise ConfigError("shares are 0 to 1, the distance at least 0.5 m", where="people")
-        if not 0.4 <= self.speeds[0] <= self.speeds[1] <= 1.6 or not 0 <= self.stops <= 8:
-            raise ConfigError(
-                f"speeds {self.speeds} m/s, {self.stops} stops", where="people",
-                remedy="speeds within 0.4 and 1.6 m/s, 0 to 8 stops",
-            )  # fmt: skip
-
-
 class _Tasked(Protocol):
     """What people are planned around: an `Episode`, or something like one."""
 
     @property
     def id(self) -> str: ...
+    @property
+    def path_id(self) -> str: ...
     @property
     def start(self) -> tuple[float, float, float]: ...
     @property
@@ -97,7 +60,7 @@ class _Tasked(Protocol):
 def plan_people(
     scene: Scene, episode: _Tasked, settings: PeopleSettings, *, radius: float = BODY_RADIUS
 ) -> tuple[EpisodePerson, ...]:
-    """People for an episode; the same settings, scene and episode id give the same ones.
+    """People for an episode; the same settings, scene and path (or episode) give the same ones.
 
     Args:
         scene: where.
@@ -111,12 +74,54 @@ def plan_people(
     return _Planner(scene, episode, settings, radius).plan()
 
 
+class _Populated(_Tasked, Protocol):
+    """An episode that has room for people."""
+
+    @property
+    def agent(self) -> Any: ...
+
+
+_Episode = TypeVar("_Episode", bound=_Populated)
+
+
+def add_people(
+    scene: Scene,
+    episodes: Sequence[_Episode],
+    settings: PeopleSettings,
+    *,
+    progress: Progress = no_progress,
+) -> list[_Episode]:
+    """The episodes with people in them; those of one path have the same ones.
+
+    Args:
+        scene: of all of them.
+        episodes: in their order.
+        settings: how many people, and of what kind.
+        progress: progress sink.
+    """
+    known: dict[str, tuple[EpisodePerson, ...]] = {}
+    found = []
+    for done, episode in enumerate(episodes):
+        name = episode.path_id or episode.id
+        if name not in known:
+            known[name] = plan_people(scene, episode, settings, radius=episode.agent.radius)
+        found.append(msgspec.structs.replace(episode, people=known[name]))  # type: ignore[type-var]
+        progress("people", done + 1, len(episodes))
+    return found
+
+
+@lru_cache(8)
+def _draw(seed: int, count: int) -> tuple[int, ...]:
+    return tuple(draw_numbers(seed, count))
+
+
 class _Planner:
     def __init__(
         self, scene: Scene, episode: _Tasked, settings: PeopleSettings, radius: float
     ) -> None:
         self.scene, self.episode, self.settings, self.radius = scene, episode, settings, radius
-        self.stream = random_stream(settings.seed, "people", scene.id, episode.id)
+        self.name = name = episode.path_id or episode.id
+        self.stream = random_stream(settings.seed, "people", scene.id, name)
         self.start = (float(episode.start[0]), float(episode.start[1]))
         self.near = people_map(scene.grid)
         self.spots: list[tuple[float, float]] = []
@@ -127,8 +132,10 @@ class _Planner:
             order = self.stream.permutation(len(settings.bank))
             names = [settings.bank[int(order[k % len(order)])] for k in range(count)]
         else:
-            own = derive_seed(settings.seed, "who", scene.id, episode.id) % 2**31
-            names = [f"drawn:{own}:{number}" for number in draw_numbers(own, count)]
+            own = derive_seed(settings.seed, "who") % 2**31
+            known = _draw(own, max(settings.variety, count))
+            order = self.stream.permutation(len(known))[:count]
+            names = [f"drawn:{own}:{known[int(k)]}" for k in order]
         self.names = names
 
     def plan(self) -> tuple[EpisodePerson, ...]:
@@ -151,7 +158,7 @@ class _Planner:
         person = EpisodePerson(
             number=number,
             identity=self.names[number - 1],
-            seed=derive_seed(self.settings.seed, "person", self.episode.id, number) % 2**31,
+            seed=derive_seed(self.settings.seed, "person", self.name, number) % 2**31,
             bank=self.settings.bank_hash,
             **fields,
         )
@@ -188,7 +195,7 @@ class _Planner:
 
     def _group(self, count: int) -> None:
         """Two or three who stand around a space of their own."""
-        centres = self._free_places(self.near, _TRIES)
+        centres = self._free_places(self.near, _TRIES).tolist()
         for x, y in centres:
             size = 0.45 if count == 2 else 0.55
             begin = float(self.stream.uniform(-math.pi, math.pi))
@@ -357,6 +364,3 @@ def with_discs(grid: OccupancyGrid, discs: Sequence[tuple[float, float, float]])
 
 def _length(path: F64) -> float:
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-
-
-__all__ = ["WALL_DISTANCE", "PeopleSettings", "find_seat", "plan_people"]

@@ -45,7 +45,7 @@ class Routes(NamedTuple):
         place: [N, 2] m; tangent: [N, 2] of the piece that begins there, unit.
         way: [N] m from the start; ahead, behind: [N] m/s, the fastest at a point on the way out
             and on the way back.
-        hold_at: [K] m; hold_ticks: [K]; hold_face: [K, 2] unit vector.
+        hold_at: [K] m; hold_seconds: [K] s; hold_face: [K, 2] unit vector.
     """
 
     first: I64
@@ -62,7 +62,7 @@ class Routes(NamedTuple):
     ahead: F64
     behind: F64
     hold_at: F64
-    hold_ticks: I64
+    hold_seconds: F64
     hold_face: F64
 
 
@@ -96,7 +96,7 @@ def build_routes(people: Sequence[EpisodePerson], ticks_a_second: int = 10) -> R
         ahead=joined("ahead"),
         behind=joined("behind"),
         hold_at=joined("hold_at"),
-        hold_ticks=joined("hold_ticks").astype(np.int64),
+        hold_seconds=joined("hold_seconds"),
         hold_face=joined("hold_face", 2),
     )
 
@@ -114,7 +114,7 @@ def _build(person: EpisodePerson, rate: int) -> dict[str, F64]:
         return {
             "place": np.array(place, np.float64), "tangent": np.array([face]), "way": np.zeros(1),
             "ahead": np.zeros(1), "behind": np.zeros(1), "face": np.array(face),
-            "hold_at": none, "hold_ticks": none, "hold_face": np.zeros((0, 2)),
+            "hold_at": none, "hold_seconds": none, "hold_face": np.zeros((0, 2)),
             "patience": np.array(patience, np.float64),
         }  # fmt: skip
     steps = [(x - u, y - v) for (u, v), (x, y) in pairwise(place)]
@@ -150,7 +150,7 @@ def _build(person: EpisodePerson, rate: int) -> dict[str, F64]:
         "way": np.array(way), "ahead": np.array(ahead), "behind": np.array(behind),
         "face": np.array(tangent[0]),
         "hold_at": np.array([min(stop.at, way[-1]) for stop in person.stops], np.float64),
-        "hold_ticks": np.array([max(round(s.seconds * rate), 1) for s in person.stops], np.float64),
+        "hold_seconds": np.array([stop.seconds for stop in person.stops], np.float64),
         "hold_face": np.array(faces, np.float64).reshape(-1, 2),
         "patience": np.array(patience, np.float64),
     }  # fmt: skip

@@ -13,25 +13,25 @@ from gn0.jit import njit
 from gn0.people.route import ACCELERATION, BRAKE, SCRIPT
 
 # float64 columns: place, place a tick ago [m]; unit vector of heading; speed [m/s]; way along the
-# path from its start [m]; distance walked since the episode began [m], which is the gait's phase
-X, Y, X0, Y0, HX, HY, SPEED, WAY, WALKED = range(9)
-REALS = 9
+# path from its start [m]; distance walked since the episode began [m], which is the gait's phase;
+# what is left of the stop in progress [s]
+X, Y, X0, Y0, HX, HY, SPEED, WAY, WALKED, HOLD_LEFT = range(10)
+REALS = 10
 # int64 columns
 MODE = 0  # ON_PATH, ROUND or ARRIVED
 PIECE = 1  # of the path, counted from its first point
 DIRECTION = 2  # 1 out, −1 back
 HOLD = 3  # stops made so far
-HOLD_LEFT = 4  # ticks of the stop in progress
-WAIT = 5  # ticks that it has waited for somebody
-SIDE = 6  # on which it goes round: 1 left, −1 right, 0 not chosen
-ROUND_TICKS = 7  # that it has been going round
-BACK_LEFT = 8  # ticks until who turned back turns again
-CLIP = 9  # STILL or WALK
-CLIP_SINCE = 10  # ticks since it was something else
-BLOCKED_BY = 11  # row of the person who was in its way in the last tick, AGENT or NOBODY
-TURNED = 12  # times that it turned back for want of a way round
-ASIDE_LEFT = 13  # ticks that it still makes room, having found no way either way
-WHOLES = 14
+WAIT = 4  # ticks that it has waited for somebody
+SIDE = 5  # on which it goes round: 1 left, −1 right, 0 not chosen
+ROUND_TICKS = 6  # that it has been going round
+BACK_LEFT = 7  # ticks until who turned back turns again
+CLIP = 8  # STILL or WALK
+CLIP_SINCE = 9  # ticks since it was something else
+BLOCKED_BY = 10  # row of the person who was in its way in the last tick, AGENT or NOBODY
+TURNED = 11  # times that it turned back for want of a way round
+ASIDE_LEFT = 12  # ticks that it still makes room, having found no way either way
+WHOLES = 13
 
 ON_PATH, ROUND, ARRIVED = 0, 1, 2
 STILL, WALK = 0, 1
@@ -50,7 +50,7 @@ _BACK_SECONDS = 5  # s of walking back before one turns again
 _ROOM = 0.06  # m that one keeps from others while one goes round
 _HOME = 0.3  # m from the path, from where one walks straight back to it
 _SHUFFLE = 0.1  # m that one goes sideways without turning
-_ARRIVED = 0.003  # m
+_ARRIVED = 1e-4  # m
 _MOVED = 0.05  # m/s: slower is standing
 # cosines and sines of 0, 20, 40, 60, 80, 100, 120 degrees
 _COS = (1.0, 0.9396926207859084, 0.766044443118978, 0.5, 0.17364817766693033,
@@ -63,12 +63,21 @@ _ROUND_SIN = (0.0, 0.5, 0.8660254037844386, 1.0, 0.8660254037844386, 0.5, 0.0)
 
 
 class Pace(NamedTuple):
-    """Length of a tick [s], cosine and sine of the most that a body turns in it, ticks a second."""
+    """How long a tick is.
+
+    Attributes:
+        seconds: its length [s].
+        cos, sin: of the most that a body turns in it.
+        rate: ticks a second.
+        parts: that the way on a path is reckoned in, a thirtieth of a second or less each, so that
+            where people come to does not hang on how long ticks are.
+    """
 
     seconds: float
     cos: float
     sin: float
     rate: int
+    parts: int
 
 
 @njit
@@ -107,19 +116,48 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
 
 
 @njit
-def _turn(real, pace, e, p, tx, ty):
+def _turn(real, pace, e, p, tx, ty, seconds):
     """Turn towards a unit vector, by as much as a body may; the cosine that is left."""
     hx, hy = real[e, p, HX], real[e, p, HY]
     cosine = hx * tx + hy * ty
-    if cosine >= pace.cos:
+    cos, sin = pace.cos, pace.sin
+    if seconds < pace.seconds:  # so much of the arc of a tick, along its chord
+        share = seconds / pace.seconds
+        cos, sin = 1.0 - share + share * cos, share * sin
+        size = math.sqrt(cos * cos + sin * sin)
+        cos, sin = cos / size, sin / size
+    if cosine >= cos:
         real[e, p, HX], real[e, p, HY] = tx, ty
         return 1.0
-    sine = pace.sin if hx * ty - hy * tx >= 0.0 else -pace.sin
-    nx, ny = hx * pace.cos - hy * sine, hx * sine + hy * pace.cos
+    if hx * ty - hy * tx < 0.0:
+        sin = -sin
+    nx, ny = hx * cos - hy * sin, hx * sin + hy * cos
     size = math.sqrt(nx * nx + ny * ny)
     nx, ny = nx / size, ny / size
     real[e, p, HX], real[e, p, HY] = nx, ny
     return nx * tx + ny * ty
+
+
+@njit
+def _hold(real, whole, routes, pace, e, p, r, seconds):
+    """Stand at a stop for so long, or begin to; the seconds that are left after it."""
+    last = routes.hold_first[r + 1]
+    while seconds > 0.0:
+        hold = routes.hold_first[r] + whole[e, p, HOLD]
+        if real[e, p, HOLD_LEFT] <= 0.0:
+            if hold >= last or real[e, p, WAY] < routes.hold_at[hold] - _ARRIVED:
+                break
+            real[e, p, HOLD_LEFT] = routes.hold_seconds[hold]
+        use = min(real[e, p, HOLD_LEFT], seconds)
+        _turn(real, pace, e, p, routes.hold_face[hold, 0], routes.hold_face[hold, 1], use)
+        real[e, p, HOLD_LEFT] -= use
+        seconds -= use
+        if real[e, p, HOLD_LEFT] <= 1e-9:
+            real[e, p, HOLD_LEFT] = 0.0
+            whole[e, p, HOLD] += 1
+        if seconds < 1e-9:
+            seconds = 0.0
+    return seconds
 
 
 @njit
@@ -184,17 +222,30 @@ def _crowded(real, route, agent, e, p):
 
 
 @njit
-def _at(routes, r, way, piece):
-    """(x, y) of a way along a path, the piece that it is on, and its tangent."""
+def _piece(routes, r, way, piece):
+    """The piece of a path that a way is on."""
     first, last = routes.first[r], routes.first[r + 1] - 2
     k = first + piece
     while k < last and way >= routes.way[k + 1]:
         k += 1
     while k > first and way < routes.way[k]:
         k -= 1
+    return k - first
+
+
+@njit
+def _at(routes, r, way, piece):
+    """(x, y) of a way along a path, the piece that it is on, and its tangent."""
+    k = routes.first[r] + _piece(routes, r, way, piece)
     left = way - routes.way[k]
     tx, ty = routes.tangent[k, 0], routes.tangent[k, 1]
-    return routes.place[k, 0] + tx * left, routes.place[k, 1] + ty * left, k - first, tx, ty
+    return (
+        routes.place[k, 0] + tx * left,
+        routes.place[k, 1] + ty * left,
+        k - routes.first[r],
+        tx,
+        ty,
+    )
 
 
 @njit
@@ -258,49 +309,54 @@ def _free(walls, wall_arrays, e, x, y):
 
 
 @njit
-def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
-    """A tick on the path."""
-    r, dt = route[e, p], pace.seconds
-    sign = whole[e, p, DIRECTION]
-    way, v = real[e, p, WAY], real[e, p, SPEED]
-    length = routes.length[r]
-    hold = routes.hold_first[r] + whole[e, p, HOLD]
-    holds = sign > 0 and hold < routes.hold_first[r + 1]
-    if whole[e, p, HOLD_LEFT] > 0:
-        whole[e, p, HOLD_LEFT] -= 1
-        _turn(real, pace, e, p, routes.hold_face[hold, 0], routes.hold_face[hold, 1])
-        real[e, p, SPEED] = 0.0
-        if whole[e, p, HOLD_LEFT] == 0:
-            whole[e, p, HOLD] += 1
-        return
-    if holds and way >= routes.hold_at[hold] - _ARRIVED and v < 0.1:
-        whole[e, p, HOLD_LEFT] = routes.hold_ticks[hold]
-        real[e, p, SPEED] = 0.0
-        _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p)
-        return
+def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
+    """Walk, turn or stand on the path for a part of a tick, `ahead` [m] of it being free.
+
+    Ways, speed and heading change; the place on the plane is the caller's. Returns the way gone.
+    """
+    sign, way, v = whole[e, p, DIRECTION], real[e, p, WAY], real[e, p, SPEED]
+    length, first = routes.length[r], routes.first[r]
+    hold, last_hold = routes.hold_first[r] + whole[e, p, HOLD], routes.hold_first[r + 1]
+    holds = sign > 0 and hold < last_hold
+    if real[e, p, HOLD_LEFT] > 0.0 or (
+        holds and way >= routes.hold_at[hold] - _ARRIVED and v < 0.09
+    ):
+        real[e, p, SPEED] = v = 0.0
+        dt = _hold(real, whole, routes, pace, e, p, r, dt)
+        if dt <= 0.0:
+            return 0.0
+        hold = routes.hold_first[r] + whole[e, p, HOLD]
+        holds = hold < last_hold
     if sign > 0 and way >= length:
         if routes.after[r] == 2:
             way, whole[e, p, PIECE], whole[e, p, HOLD] = way - length, 0, 0
+            hold = routes.hold_first[r]
+            holds = hold < last_hold
         elif routes.after[r] == 1:
             whole[e, p, DIRECTION] = sign = -1
+            holds = False
         else:
             whole[e, p, MODE] = ARRIVED
             real[e, p, SPEED] = 0.0
-            return
+            return 0.0
     elif sign < 0 and way <= 0.0 and routes.after[r] == 1:
         whole[e, p, DIRECTION] = sign = 1
         whole[e, p, HOLD] = 0
+        hold = routes.hold_first[r]
+        holds = hold < last_hold
     elif sign < 0 and way <= 0.0:  # turned back to the very start: wait there
         real[e, p, SPEED] = 0.0
-        return
-    x, y, piece, tx, ty = _at(routes, r, way, whole[e, p, PIECE])
-    first = routes.first[r]
+        return 0.0
+    piece = _piece(routes, r, way, whole[e, p, PIECE])
     if sign < 0 and piece > 0 and way <= routes.way[first + piece]:
-        piece -= 1  # at a point one walks away from backwards
-        tx, ty = routes.tangent[first + piece, 0], routes.tangent[first + piece, 1]
-    aligned = _turn(real, pace, e, p, sign * tx, sign * ty) >= _ALIGNED
-    want = routes.speed[r] if aligned else 0.0
-    # bends: the next points, as far as this tick may come
+        piece -= 1  # at a point that one walks away from backwards
+    tx, ty = sign * routes.tangent[first + piece, 0], sign * routes.tangent[first + piece, 1]
+    before = real[e, p, HX] * tx + real[e, p, HY] * ty
+    aligned = _turn(real, pace, e, p, tx, ty, dt)
+    want = routes.speed[r] if aligned >= _ALIGNED else 0.0
+    if before < _ALIGNED <= aligned:  # who comes to face its way goes for what is left of the time
+        dt = dt * ((aligned - _ALIGNED) / (aligned - before))
+    # bends: the next points, as far as one may come
     k = piece + 1 if sign > 0 else piece
     points = routes.first[r + 1] - first
     room = 0.0
@@ -308,59 +364,92 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
         room = sign * (routes.way[first + k] - way)
         if room > 0.0:
             limit = routes.ahead[first + k] if sign > 0 else routes.behind[first + k]
-            want = min(want, _cap(v, limit, room, dt))
+            if 0.5 * (v + limit) * dt >= room:  # passed by then
+                want = min(want, limit)
+            else:
+                want = min(want, _cap(v, limit, room, dt))
         k += sign
     end = length if sign > 0 else 0.0
     if holds:
-        hold = routes.hold_first[r] + whole[e, p, HOLD]
-        if hold < routes.hold_first[r + 1]:
-            end = routes.hold_at[hold]
-            want = min(want, _cap(v, 0.0, max(end - way, 0.0), dt))
-    stands = sign < 0 or routes.after[r] != 2 or end < length
-    blocker = NOBODY
-    near = _crowded(real, route, agent, e, p)
-    if near:
-        reach = min(0.5 + v * v / (2.0 * BRAKE) + 0.25, _SIGHT)
-        ahead, blocker = _room_ahead(
-            real, route, routes, agent, radius, e, p, way, piece, sign, reach
-        )
-        if blocker != NOBODY:
-            want = min(want, _cap(v, 0.0, max(ahead - _COMFORT, 0.0), dt))
+        end = routes.hold_at[hold]
+    stands = holds or sign < 0 or routes.after[r] != 2
+    left = max(sign * (end - way), 0.0)
+    if stands:
+        want = min(want, _cap(v, 0.0, left, dt))
+    if ahead < _SIGHT:
+        want = min(want, _cap(v, 0.0, max(ahead - _COMFORT, 0.0), dt))
     now = min(want, v + ACCELERATION * dt * 0.875)
     now = max(now, v - ACCELERATION * dt, 0.0)
     step = 0.5 * (v + now) * dt
-    left = sign * (end - way)
+    there, spare = way + sign * step, 0.0
     if stands and step >= left - _ARRIVED:
-        step = max(left, 0.0)
-        now = max(v - ACCELERATION * dt, 0.0)
-    there = way + sign * step
-    over = 0.0
-    if there > length and not stands:
-        over = there - length
-    nx, ny, npiece, tx, ty = _at(
-        routes, r, over if over > 0.0 else there, 0 if over > 0.0 else piece
-    )
-    if near and step > 0.0:
-        share, who = _allowed(real, route, agent, radius, e, p, nx, ny)
-        if share < 1.0:
+        step, there, now = left, end, max(v - ACCELERATION * dt, 0.0)
+        if v + now > 0.0:
+            spare = max(dt - 2.0 * step / (v + now), 0.0)
+    elif sign > 0 and there > length:  # around a loop again
+        there, whole[e, p, HOLD], piece = there - length, 0, 0
+    real[e, p, WAY], real[e, p, SPEED] = there, now
+    whole[e, p, PIECE] = after = _piece(routes, r, there, piece)
+    if spare > 0.0 and now <= 0.0 and there == end:
+        if holds:
+            _hold(real, whole, routes, pace, e, p, r, spare)
+        elif routes.after[r] == 1:
+            _turn(real, pace, e, p, -tx, -ty, spare)
+    elif after != piece and now > 0.0:
+        tx = sign * routes.tangent[first + after, 0]
+        ty = sign * routes.tangent[first + after, 1]
+        if real[e, p, HX] * tx + real[e, p, HY] * ty < _ALIGNED:
+            # a sharp bend: turn for what is left of the time after it
+            bend = sign * (there - routes.way[first + (after if sign > 0 else after + 1)])
+            _turn(real, pace, e, p, tx, ty, min(max(bend, 0.0) / now, dt))
+    return step
+
+
+@njit
+def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, e, p):
+    """A tick on the path."""
+    r = route[e, p]
+    sign, way, piece = whole[e, p, DIRECTION], real[e, p, WAY], whole[e, p, PIECE]
+    held, hold_left, mode = whole[e, p, HOLD], real[e, p, HOLD_LEFT], whole[e, p, MODE]
+    v = real[e, p, SPEED]
+    ahead, blocker = _SIGHT, NOBODY
+    near = mode == ON_PATH and hold_left <= 0.0 and _crowded(real, route, agent, e, p)
+    if near:
+        reach = min(0.5 + v * v / (2.0 * BRAKE) + 0.25, _SIGHT - 0.01)
+        ahead, blocker = _room_ahead(
+            real, route, routes, agent, radius, e, p, way, piece, sign, reach
+        )
+        if blocker == NOBODY:
+            ahead = _SIGHT
+    gone = 0.0
+    for _ in range(pace.parts):
+        if whole[e, p, MODE] == ARRIVED:
+            break
+        gone += _advance(
+            real, whole, routes, pace, e, p, r, pace.seconds / pace.parts,
+            ahead - gone if ahead < _SIGHT else ahead,
+        )  # fmt: skip
+    x, y, _, tx, ty = _at(routes, r, real[e, p, WAY], whole[e, p, PIECE])
+    if near and gone > 0.0:
+        share, who = _allowed(real, route, agent, radius, e, p, x, y)
+        if share < 1.0:  # less of the way, as if the tick had brought no more
             blocker = who
-            step = step * share * 0.999
-            there = way + sign * step
-            over = there - length if there > length and not stands else 0.0
-            nx, ny, npiece, tx, ty = _at(
-                routes, r, over if over > 0.0 else there, 0 if over > 0.0 else piece
-            )
-            share, who = _allowed(real, route, agent, radius, e, p, nx, ny)
+            gone = gone * share * 0.999
+            there = way + sign * gone
+            if there > routes.length[r] or whole[e, p, DIRECTION] != sign:
+                gone, there = 0.0, way
+            x, y, after, tx, ty = _at(routes, r, there, piece)
+            share, who = _allowed(real, route, agent, radius, e, p, x, y)
             if share < 1.0:
-                step, there, nx, ny, npiece, over = 0.0, way, x, y, piece, 0.0
-            now = step / dt
-    if over > 0.0:
-        there, whole[e, p, HOLD] = over, 0
-    if stands and step > 0.0 and step == left:
-        there = end
-    real[e, p, X], real[e, p, Y], real[e, p, SPEED], real[e, p, WAY] = nx, ny, now, there
-    whole[e, p, PIECE], whole[e, p, BLOCKED_BY] = npiece, blocker
-    if blocker != NOBODY and step < _MOVED * dt:
+                gone, there = 0.0, way
+                x, y, after, tx, ty = _at(routes, r, way, piece)
+            whole[e, p, DIRECTION], whole[e, p, HOLD], whole[e, p, MODE] = sign, held, mode
+            real[e, p, HOLD_LEFT], whole[e, p, PIECE] = hold_left, after
+            real[e, p, WAY], real[e, p, SPEED] = there, gone / pace.seconds
+    if gone > 0.0:
+        real[e, p, X], real[e, p, Y] = x, y
+    whole[e, p, BLOCKED_BY] = blocker
+    if blocker != NOBODY and gone < _MOVED * pace.seconds:
         whole[e, p, WAIT] += 1
         if whole[e, p, WAIT] > routes.patience[r]:
             whole[e, p, MODE], whole[e, p, ROUND_TICKS], whole[e, p, WAIT] = ROUND, 0, 0
@@ -481,7 +570,7 @@ def _make_room(real, whole, route, walls, wall_arrays, pace, agent, radius, e, p
     if bx == 0.0 and by == 0.0:
         whole[e, p, ASIDE_LEFT] = 0
         return
-    if _turn(real, pace, e, p, bx, by) < _SIDEWAYS:
+    if _turn(real, pace, e, p, bx, by, pace.seconds) < _SIDEWAYS:
         return
     nx, ny = x + bx * step, y + by * step
     share, _ = _allowed(real, route, agent, radius, e, p, nx, ny)
@@ -536,7 +625,7 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
             if share >= 1.0 and (near or aside <= _SHUFFLE):
                 real[e, p, X], real[e, p, Y] = nx, ny
                 real[e, p, SPEED] = aside / dt if near else now
-                _turn(real, pace, e, p, sign * tx, sign * ty)
+                _turn(real, pace, e, p, sign * tx, sign * ty, pace.seconds)
                 if near:
                     _come_home(whole, routes, r, way, piece, e, p)
                 return
@@ -581,9 +670,9 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
     if best < -1e29:
         whole[e, p, WAIT] += 1
         real[e, p, SPEED] = 0.0
-        _turn(real, pace, e, p, dx, dy)
+        _turn(real, pace, e, p, dx, dy, pace.seconds)
         return
-    if _turn(real, pace, e, p, bx, by) < _SIDEWAYS:
+    if _turn(real, pace, e, p, bx, by, pace.seconds) < _SIDEWAYS:
         real[e, p, SPEED] = 0.0
         return
     nx, ny = x + bx * step, y + by * step

@@ -45,6 +45,7 @@ from gn0.missions.generate.settings import MissionSettings
 from gn0.missions.generate.texts import count_texts, write_path_texts
 from gn0.missions.language.providers import open_provider
 from gn0.paper import MAX_STEPS
+from gn0.people.plan import add_people
 from gn0.progress import Progress, no_progress
 from gn0.scenes.scene import Scene
 from gn0.sim.presets import find_preset
@@ -92,11 +93,11 @@ from gn0.version import source_version
 
 # what decides the bytes: half a generation is not gone on with by other code
 _DECIDING = (
-    "geometry.py", "paper.py", "seeds.py", "maps", "missions", "render/light.py", "sim/presets.py",
-    "suites/generation.py", "suites/generation_folder.py",
+    "geometry.py", "paper.py", "seeds.py", "maps", "missions", "people", "avatars/identity.py",
+    "render/light.py", "sim/presets.py", "suites/generation.py", "suites/generation_folder.py",
 )  # fmt: skip
 _DECIDING_FOLLOW = (
-    "avatars/identity.py", "avatars/likeness.py", "avatars/wardrobe.py", "people",
+    "avatars/likeness.py", "avatars/wardrobe.py",
     "data/expert_labels.py", "data/follow.py", "data/follow_missions.py", "data/follow_oracle.py",
     "data/follow_reference.py", "sim/collision.py", "sim/kinematics.py", "sim/people.py",
     "sim/simulator.py", "sim/ticks.py",
@@ -341,6 +342,8 @@ def build_part(payload: dict[str, Any], progress: Progress = no_progress) -> Sce
         camera=find_preset(request.camera).rgb,
         progress=progress,
     )
+    if settings.people:
+        episodes = add_people(scene, episodes, settings.people, progress=progress)
     report = msgspec.structs.replace(paths.report, fallbacks=fallbacks)
     return ScenePart(request, scene, navigation, paths, texts, episodes, report)
 

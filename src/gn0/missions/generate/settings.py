@@ -12,6 +12,7 @@ from gn0.config import Config
 from gn0.errors import ConfigError, FormatError
 from gn0.missions.generate.follow_settings import FollowSettings
 from gn0.missions.similarity import SimilaritySettings
+from gn0.people.settings import PeopleSettings
 from gn0.yaml_file import load_yaml
 
 Positive = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
@@ -60,6 +61,7 @@ class MissionSettings(Config, frozen=True):
         language: who writes the texts.
         phrasings: turns of phrase of the grammar: those kept for unseen splits in these and the
             others elsewhere, or the same everywhere. Paths are the same with any.
+        people: who else is in the episodes; the missions of one path share them. Nobody when unset.
         follow: which people are followed, and how; as by default when not there.
     """
 
@@ -86,6 +88,7 @@ class MissionSettings(Config, frozen=True):
     val_seen: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.1
     language: str = "template"
     phrasings: Phrasings = "by_split"
+    people: PeopleSettings | msgspec.UnsetType = msgspec.UNSET
     follow: FollowSettings | msgspec.UnsetType = msgspec.UNSET
 
     @property

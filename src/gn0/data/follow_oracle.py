@@ -12,28 +12,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gn0.data.expert_labels import LabelSettings, is_arrived, plan_from
 from gn0.data.follow import DesiredState, TargetTrack, desired_state, reference_state
+from gn0.data.follow_search import search_steps
 from gn0.errors import PlanError
-from gn0.geometry import Pose2D, wrap_angle
+from gn0.geometry import Pose2D
 from gn0.maps.grid import OCCUPIED, OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import AgentSpec
-from gn0.sim.kinematics import step_forward
 from gn0.sim.presets import find_preset
 from gn0.sim.state import Action
 
 Place = tuple[float, float]
+Walker = tuple[float, float, float, float]  # x, y [m] and how they go on, vx, vy [m/s]
 
 FOLLOWER = find_preset("follower").agent  # 0.25 m, 15°, 0.2 s
-# the person walks on while the agent turns: a turn is worth the step that it takes the time of
-IN_TIME = LabelSettings(turn_cost=FOLLOWER.forward_step)
 
 MARGIN = 0.10  # m between the discs of agent and person that it leaves
+STEPS_AHEAD = 14  # that the search looks ahead
 NEAREST, CLOSER = 0.9, 0.1  # m behind on the trail, at least, to see round a bend; in steps of
-SIGHT_DEGREES = 38.0  # the person is kept within it of the axis
-SIGHT_REACH = 2.5  # m: and farther off, walking comes first
+AHEAD = (0.0, 0.4, 0.8, 1.2, 1.6)  # s: when the person must be in sight from there
 AROUND = 3.0  # m: people beyond that are nobody to go round
 
 
@@ -47,7 +45,7 @@ class FollowTask:
         lateral: to keep to the person's right [m].
         agent: the body.
         person_radius: of people's discs [m].
-        settings: `stop_distance` is how near the reference is near enough.
+        sight: what the person is hidden behind; None: whatever the map has, low tables as well.
     """
 
     track: TargetTrack
@@ -55,7 +53,11 @@ class FollowTask:
     lateral: float = 0.0
     agent: AgentSpec = FOLLOWER
     person_radius: float = 0.25
-    settings: LabelSettings = IN_TIME
+    sight: OccupancyGrid | None = None
+
+    def sees(self, navigation: NavigationMap, eye: Place, person: Place) -> bool:
+        """Whether nothing stands between an eye and a person."""
+        return is_line_free(self.sight or navigation.grid, person, eye)
 
 
 def choose_following(
@@ -63,124 +65,74 @@ def choose_following(
     task: FollowTask,
     pose: Pose2D,
     time: float,
-    people: Sequence[Place] = (),
+    others: Sequence[Walker] = (),
+    *,
+    barred: bool = False,
 ) -> Action:
     """The next action of an agent that follows; STOP stands still.
+
+    The search of `follow_search` decides, by the worth of its steps and by how far they end from
+    where the agent should be then.
 
     Args:
         navigation: map of the scene, inflated for the agent.
         task: whom it follows, and how.
         pose: of the agent.
         time: now [s].
-        people: where everybody is now (x, y) m, the person to follow as well: it walks into nobody.
+        others: where everybody else is, and how they walk: the agent steps on nobody.
+        barred: not FORWARD, as that was just cut short.
 
     Raises:
         PlanError: the agent is cut off from the trail.
     """
-    soon = time + task.agent.step_seconds
-    px, py = task.track.place_at(soon)
-    crowd = [*people, (px, py)]
-    bearing = wrap_angle(math.atan2(py - pose.y, px - pose.x) - pose.yaw)
-    wanted = _wanted(navigation, task, pose, soon)
-    action = _towards(navigation, task, pose, wanted)
-    if action == Action.FORWARD and not is_clear(pose, crowd, task.agent, task.person_radius):
-        action = _face(bearing, task.agent)
-    return _keep_in_sight(navigation, task, pose, crowd, action)
+    dt = task.agent.step_seconds
+    moments = time + dt * np.arange(1, STEPS_AHEAD + 1)
+    wanted = [_wanted(navigation, task, pose, t) for t in moments[[0, -1]]]
+    share = np.linspace(0.0, 1.0, STEPS_AHEAD)[:, None]
+    ends = np.array([[w.x, w.y] for w in wanted])
+    crowd = np.empty((STEPS_AHEAD, 2, 1 + len(others), 2))
+    for k, t in enumerate(moments):
+        for part, at in enumerate((t - dt / 2, t)):
+            crowd[k, part, 0] = task.track.place_at(at)
+            for j, (x, y, vx, vy) in enumerate(others):
+                crowd[k, part, 1 + j] = x + vx * (at - time), y + vy * (at - time)
+    free = navigation.nearest_free(wanted[1].x, wanted[1].y)
+    if free is None:
+        raise PlanError("nothing is walkable near the track", where=f"time {time:g} s")
+    onward = navigation.geodesic(free, keep=False)
+    if not math.isfinite(onward.distance_at(pose.x, pose.y)):
+        raise PlanError("the agent is cut off from the trail", where=f"({pose.x:g}, {pose.y:g})")
+    return search_steps(
+        navigation.inflated, task.sight or navigation.grid, onward, pose, crowd,
+        ends[0] + share * (ends[1] - ends[0]), task.agent,
+        distance=task.distance, room=task.agent.radius + task.person_radius + MARGIN,
+        barred=barred,
+    )  # fmt: skip
 
 
 def _wanted(navigation: NavigationMap, task: FollowTask, pose: Pose2D, time: float) -> DesiredState:
-    """The reference; where the person is not seen from there, nearer on the trail until it is."""
-    wanted = reference_state(
+    """The reference; nearer on the trail where the person would soon be out of sight from there.
+
+    It comes nearer before the person goes round a corner, as it knows the track.
+    """
+    moments = [time + ahead for ahead in AHEAD]
+    people = [task.track.place_at(moment) for moment in moments]
+    arcs = [task.track.arc_at(moment) for moment in moments]
+
+    def sighted(distance: float) -> bool:
+        return all(
+            task.sees(navigation, task.track.place_on(max(arc - distance, 0.0)), person)
+            for arc, person in zip(arcs, people, strict=True)
+        )
+
+    distance = task.distance
+    while not sighted(distance) and distance > NEAREST:
+        distance = max(distance - CLOSER, NEAREST)
+    if distance < task.distance:
+        return desired_state(navigation, task.track, time, distance)
+    return reference_state(
         navigation, task.track, time, (pose.x, pose.y), task.distance, task.lateral
     )
-    person, distance = task.track.place_at(time), task.distance
-    while not is_line_free(navigation.grid, person, (wanted.x, wanted.y)):
-        distance -= CLOSER
-        if distance < NEAREST:
-            break
-        wanted = desired_state(navigation, task.track, time, distance)
-    return wanted
-
-
-def _towards(
-    navigation: NavigationMap, task: FollowTask, pose: Pose2D, wanted: DesiredState
-) -> Action:
-    free = navigation.nearest_free(wanted.x, wanted.y)
-    if free is None:
-        raise PlanError("nothing is walkable near the track", where=f"({pose.x:g}, {pose.y:g})")
-    field = navigation.geodesic(free, keep=False)
-    if is_arrived(field, pose.x, pose.y, task.settings.stop_distance):
-        return _face(wrap_angle(wanted.yaw - pose.yaw), task.agent)
-    plan = plan_from(field, np.array(pose), task.settings, task.agent)
-    return Action(int(plan[0])) if len(plan) else Action.STOP
-
-
-def _keep_in_sight(
-    navigation: NavigationMap,
-    task: FollowTask,
-    pose: Pose2D,
-    crowd: Sequence[Place],
-    action: Action,
-) -> Action:
-    """The action, unless it would lose from view a person who is near and not behind a wall.
-
-    Then, too far off, a step towards the person, else a turn that faces it. The person is the last
-    of the crowd.
-    """
-    person, limit = crowd[-1], math.radians(SIGHT_DEGREES)
-    away = math.dist(person, (pose.x, pose.y))
-    if away > SIGHT_REACH or not is_line_free(navigation.grid, person, (pose.x, pose.y)):
-        return action
-
-    def bearing(at: Pose2D) -> float:
-        return wrap_angle(math.atan2(person[1] - at.y, person[0] - at.x) - at.yaw)
-
-    if abs(bearing(after_action(pose, action, task.agent))) <= limit:
-        return action
-    step = after_action(pose, Action.FORWARD, task.agent)
-    nears = math.dist(person, (step.x, step.y)) < away - task.agent.forward_step / 2
-    if (
-        nears
-        and abs(bearing(step)) <= limit
-        and away > task.distance + task.settings.stop_distance
-        and is_clear(pose, crowd, task.agent, task.person_radius)
-        and not navigation.move(pose.x, pose.y, step.x, step.y)[2]
-    ):
-        return Action.FORWARD
-    return _face(bearing(pose), task.agent)
-
-
-def _face(bearing: float, agent: AgentSpec) -> Action:
-    """Turn towards a bearing [rad], or stand where half a turn would be too much."""
-    if abs(bearing) <= math.radians(agent.turn_degrees) / 2 * (1 + 1e-9):
-        return Action.STOP
-    return Action.LEFT if bearing > 0 else Action.RIGHT
-
-
-def after_action(pose: Pose2D, action: Action, agent: AgentSpec) -> Pose2D:
-    """Where an action leads that nothing cuts short."""
-    if action == Action.FORWARD:
-        return Pose2D(*step_forward(*pose, agent.forward_step), pose.yaw)
-    turns = (action == Action.LEFT) - (action == Action.RIGHT)
-    return Pose2D(pose.x, pose.y, wrap_angle(pose.yaw + turns * math.radians(agent.turn_degrees)))
-
-
-def is_clear(pose: Pose2D, people: Sequence[Place], agent: AgentSpec, person_radius: float) -> bool:
-    """Whether FORWARD keeps a margin of 0.10 m from everybody's disc, or leads away from them."""
-    end = after_action(pose, Action.FORWARD, agent)
-    least = agent.radius + person_radius + MARGIN
-    for person in people:
-        along = (person[0] - pose.x) * math.cos(pose.yaw) + (person[1] - pose.y) * math.sin(
-            pose.yaw
-        )
-        walked = min(max(along, 0.0), agent.forward_step)
-        x, y = step_forward(*pose, walked)
-        nearest = math.dist((x, y), person)
-        if nearest < least and nearest < math.dist((pose.x, pose.y), person):
-            return False
-        if math.dist((end.x, end.y), person) < least and along > 0:
-            return False
-    return True
 
 
 def people_map(navigation: NavigationMap, places: Sequence[Place], radius: float) -> NavigationMap:
@@ -208,6 +160,8 @@ class FollowOracle:
         self.navigation, self.task = navigation, task
         self.patience = patience
         self._still: list[tuple[Place, float]] = []  # where each of the others is, since when
+        self._seen: tuple[float, tuple[Place, ...]] = (0.0, ())  # when and where they were last
+        self._last: tuple[Pose2D, Action] | None = None
         self._around: tuple[tuple[Place, ...], NavigationMap] = ((), navigation)
 
     def act(self, pose: Pose2D, time: float, others: Sequence[Place] = ()) -> Action:
@@ -216,14 +170,27 @@ class FollowOracle:
         Raises:
             PlanError: the agent is cut off from the trail.
         """
+        walkers = self._watch(time, others)
         walked = self._map_around(pose, time, others)
-        here = self.task.track.place_at(time)
+        barred = self._last == (pose, Action.FORWARD)
         try:
-            return choose_following(walked, self.task, pose, time, [here, *others])
+            action = choose_following(walked, self.task, pose, time, walkers, barred=barred)
         except PlanError:  # shut in by people: wait for them
             if walked is self.navigation:
                 raise
-            return choose_following(self.navigation, self.task, pose, time, [here, *others])
+            bare = self.navigation
+            action = choose_following(bare, self.task, pose, time, walkers, barred=barred)
+        self._last = (pose, action)
+        return action
+
+    def _watch(self, time: float, others: Sequence[Place]) -> list[Walker]:
+        """Where the others are, and how they went since the last step."""
+        before, self._seen = self._seen, (time, tuple(others))
+        spent = time - before[0]
+        if len(before[1]) != len(others) or spent <= 0:
+            return [(x, y, 0.0, 0.0) for x, y in others]
+        pairs = zip(others, before[1], strict=True)
+        return [(x, y, (x - x0) / spent, (y - y0) / spent) for (x, y), (x0, y0) in pairs]
 
     def _map_around(self, pose: Pose2D, time: float, others: Sequence[Place]) -> NavigationMap:
         before = self._still

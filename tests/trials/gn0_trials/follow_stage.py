@@ -2,7 +2,8 @@
 
 People are drawn as upright boxes in two colours, behind walls not at all; they walk their tracks
 whatever happens. Ticks of 0.1 s: everybody moves, and a move of the agent that would bring it
-nearer to somebody than their discs allow is cut there, which is a touch.
+nearer to somebody than their discs allow is cut there, which is a touch. Who walks into it passes
+through it.
 """
 
 from __future__ import annotations
@@ -79,6 +80,7 @@ class Stage:
     looks: list[Colours]
     tall: float = 1.7
     preferred: float = 1.5
+    sight: OccupancyGrid | None = None  # what hides people; None: whatever the map has
     pose: Pose2D = field(init=False)
     time: float = 0.0
     collided: bool = False
@@ -91,9 +93,8 @@ class Stage:
         numbers = np.zeros((HEIGHT, WIDTH), np.uint8)
         rgb = np.full((HEIGHT, WIDTH, 3), 150, np.uint8)
         columns = np.arctan2(WIDTH / 2 - np.arange(WIDTH) - 0.5, FOCAL)
-        walls = cast_rays(
-            self.navigation.grid, self.pose.x, self.pose.y, self.pose.yaw + columns, 15.0
-        )
+        x, y, yaw = self.pose
+        walls = cast_rays(self.sight or self.navigation.grid, x, y, yaw + columns, 15.0)
         order = sorted(enumerate(self.places(self.time)), key=lambda p: -self._away(p[1]))
         for k, (x, y) in order:
             dx, dy = x - self.pose.x, y - self.pose.y
@@ -133,7 +134,7 @@ class Stage:
             people.append(here)
             pixels.append([int((numbers == k + 1).sum()) for k in range(len(here))])
             eye = (self.pose.x, self.pose.y)
-            sights.append([is_line_free(self.navigation.grid, eye, p) for p in here])
+            sights.append([is_line_free(self.sight or self.navigation.grid, eye, p) for p in here])
 
         note()
         for _ in range(steps):
@@ -165,7 +166,8 @@ class Stage:
         wanted = step_forward(x, y, yaw, BODY.forward_step * TICK / BODY.step_seconds)
         nx, ny, wall = self.navigation.move(x, y, *wanted)
         for k, place in enumerate(self.places(self.time)):
-            if math.dist((nx, ny), place) < BODY.radius + 0.25:
+            near = math.dist((nx, ny), place)
+            if near < BODY.radius + 0.25 and near < math.dist((x, y), place):
                 self.collided = True
                 return k
         self.pose, self.collided = Pose2D(nx, ny, yaw), wall

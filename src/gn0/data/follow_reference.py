@@ -18,11 +18,13 @@ from gn0.data.follow import TargetTrack
 from gn0.data.follow_oracle import FollowOracle, FollowTask
 from gn0.errors import PlanError
 from gn0.geometry import F64, wrap_angle
+from gn0.maps.grid import OccupancyGrid
 from gn0.maps.navigation import NavigationMap
 from gn0.maps.ray import is_line_free
 from gn0.missions.episode import Episode, MissionFollow
 from gn0.missions.follow_rules import FOLLOW, FollowRules
 from gn0.missions.generate.follow_settings import FollowSettings
+from gn0.missions.generate.follow_sight import sight_grid
 from gn0.people.person import EpisodePerson
 from gn0.people.tick import CLIP, HX, WALKED
 from gn0.people.walk import walk_alone
@@ -44,8 +46,12 @@ def person_track(person: EpisodePerson, seconds: float) -> TargetTrack:
     return TargetTrack(track.time, track.place, track.yaw)
 
 
-def follow_task(episode: Episode) -> FollowTask:
+def follow_task(episode: Episode, sight: OccupancyGrid | None = None) -> FollowTask:
     """What the all-knowing follower is told of an episode.
+
+    Args:
+        episode: whose person is to be followed.
+        sight: what hides people, see `gn0.missions.generate.follow_sight`; None: all there is.
 
     Raises:
         PlanError: the episode does not say whom to follow.
@@ -63,6 +69,7 @@ def follow_task(episode: Episode) -> FollowTask:
         distance=mission.distance or 1.5,
         lateral=mission.lateral,
         agent=episode.agent,
+        sight=sight,
     )
 
 
@@ -110,6 +117,7 @@ class FollowTracker:
     ) -> None:
         self.scene, self.navigation = scene, navigation
         self.settings, self.rules = settings, rules
+        self._sights: dict[float, OccupancyGrid] = {}
         self._simulator: Simulator | None = None
 
     def _open(self, episode: Episode) -> Simulator:
@@ -120,6 +128,12 @@ class FollowTracker:
             )  # fmt: skip
         self._simulator.reset(episode)
         return self._simulator
+
+    def _sight(self, episode: Episode) -> OccupancyGrid:
+        eye = episode.agent.camera_height
+        if eye not in self._sights:
+            self._sights[eye] = sight_grid(self.scene, eye)
+        return self._sights[eye]
 
     def steps_of(self, episode: Episode) -> int:
         """Steps that an undisturbed episode takes, by the rules."""
@@ -138,7 +152,8 @@ class FollowTracker:
             (reference, ""), or (None, the reason).
         """
         settings, count = self.settings, self.steps_of(episode)
-        simulator, task = self._open(episode), follow_task(episode)
+        simulator, sight = self._open(episode), self._sight(episode)
+        task = follow_task(episode, sight)
         oracle = FollowOracle(self.navigation, task)
         recorder = _Recorder(simulator, episode)
         longest = settings.violation_seconds / episode.agent.step_seconds
@@ -155,7 +170,7 @@ class FollowTracker:
                 return None, "touch"
             if not recorder.keeps(task.track):
                 return None, "person held up"
-            kind = self._violation(simulator, recorder.row)
+            kind = self._violation(simulator, recorder.row, sight)
             recorder.note(int(action), kind)
             run = run + 1 if kind >= 0 else 0
             bad += kind >= 0
@@ -169,15 +184,15 @@ class FollowTracker:
         """What the kept actions of an episode lead to."""
         mission = episode.mission
         assert isinstance(mission, MissionFollow)
-        simulator = self._open(episode)
+        simulator, sight = self._open(episode), self._sight(episode)
         recorder = _Recorder(simulator, episode)
         for code in mission.reference_actions:
             result = simulator.step(code)
-            kind = self._violation(simulator, recorder.row)
+            kind = self._violation(simulator, recorder.row, sight)
             recorder.note(code, kind, touched=result.info.get("hit_person") is not None)
         return recorder.done()
 
-    def _violation(self, simulator: Simulator, row: int) -> int:
+    def _violation(self, simulator: Simulator, row: int, sight: OccupancyGrid) -> int:
         """What is wrong with where agent and people are now (paper, Check); −1 nothing."""
         settings, pose = self.settings, simulator.pose
         places = simulator.company.places
@@ -188,7 +203,7 @@ class FollowTracker:
             return 0
         if gaps[row] > settings.range[1]:
             return 1
-        if not is_line_free(self.navigation.grid, (pose.x, pose.y), person):
+        if not is_line_free(sight, (pose.x, pose.y), person):
             return 2
         bearing = wrap_angle(math.atan2(person[1] - pose.y, person[0] - pose.x) - pose.yaw)
         if abs(bearing) > math.radians(settings.off_axis):

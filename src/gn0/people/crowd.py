@@ -109,8 +109,8 @@ def place_people(state: CrowdState, episode: int, routes: Routes, numbers: Seque
     state.real[episode], state.whole[episode] = 0.0, 0
     for row, route in enumerate(numbers):
         state.route[episode, row] = route
-        x, y = routes.place[routes.first[route]]
-        fx, fy = routes.face[route]
+        x, y = routes.points[routes.table[route, 0], :2]
+        fx, fy = routes.lines[route, 2:]
         state.real[episode, row, :6] = x, y, x, y, fx, fy
         now = state.whole[episode, row]
         now[DIRECTION], now[BLOCKED_BY], now[CLIP_SINCE] = 1, NOBODY, LONG_AGO

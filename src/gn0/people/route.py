@@ -36,34 +36,21 @@ _BEHAVIOUR = {"script": SCRIPT, "stand": STAND, "sit": SIT}
 
 
 class Routes(NamedTuple):
-    """Many routes in one table, for kernels; route r has the points `first[r]` to `first[r + 1]`.
+    """Many routes in few arrays, for kernels.
 
     Attributes:
-        first: [R + 1] of points; hold_first: [R + 1] of stops.
-        after, behaviour: [R] codes; patience: [R] ticks.
-        speed: [R] m/s; length: [R] m; face: [R, 2] unit vector at the beginning.
-        place: [N, 2] m; tangent: [N, 2] of the piece that begins there, unit.
-        way: [N] m from the start; ahead, behind: [N] m/s, the fastest at a point on the way out
-            and on the way back.
-        hold_at: [K] m; hold_seconds: [K] s; hold_face: [K, 2] unit vector.
+        table: int64 [R, 7] of each route: its first point and the one after its last, the same of
+            its stops, codes of what follows its end and of behaviour, ticks of patience.
+        lines: [R, 4] speed [m/s], length [m], unit vector of the heading it begins with.
+        points: [N, 7] x, y [m]; unit vector of the piece that begins there; way from the start
+            [m]; the fastest that it may be passed at on the way out, and on the way back [m/s].
+        holds: [K, 4] of each stop: way from the start [m], length [s], unit vector to look along.
     """
 
-    first: I64
-    hold_first: I64
-    after: I64
-    behaviour: I64
-    patience: I64
-    speed: F64
-    length: F64
-    face: F64
-    place: F64
-    tangent: F64
-    way: F64
-    ahead: F64
-    behind: F64
-    hold_at: F64
-    hold_seconds: F64
-    hold_face: F64
+    table: I64
+    lines: F64
+    points: F64
+    holds: F64
 
 
 def build_routes(people: Sequence[EpisodePerson], ticks_a_second: int = 10) -> Routes:
@@ -74,34 +61,32 @@ def build_routes(people: Sequence[EpisodePerson], ticks_a_second: int = 10) -> R
         ticks_a_second: rate of the ticks; 10 but where ticks themselves are examined.
     """
     parts = [_build(person, ticks_a_second) for person in people]
-    points = np.cumsum([0, *(len(p["way"]) for p in parts)]).astype(np.int64)
-    holds = np.cumsum([0, *(len(p["hold_at"]) for p in parts)]).astype(np.int64)
-
-    def joined(name: str, *shape: int) -> F64:
-        rows = [p[name] for p in parts]
-        return np.concatenate(rows) if rows else np.zeros((0, *shape))
-
+    points = np.cumsum([0, *(len(part.points) for part in parts)])
+    holds = np.cumsum([0, *(len(part.holds) for part in parts)])
+    table = [
+        (*points[k : k + 2], *holds[k : k + 2], _AFTER[one.after], _BEHAVIOUR[one.behaviour],
+         parts[k].patience)
+        for k, one in enumerate(people)
+    ]  # fmt: skip
+    lines = [
+        (one.speed, part.points[-1, 4], *part.face) for one, part in zip(people, parts, strict=True)
+    ]
     return Routes(
-        first=points,
-        hold_first=holds,
-        after=np.array([_AFTER[p.after] for p in people], np.int64),
-        behaviour=np.array([_BEHAVIOUR[p.behaviour] for p in people], np.int64),
-        patience=np.array([p["patience"] for p in parts], np.int64),
-        speed=np.array([p.speed for p in people], np.float64),
-        length=np.array([p["way"][-1] for p in parts], np.float64),
-        face=np.array([p["face"] for p in parts], np.float64).reshape(-1, 2),
-        place=joined("place", 2),
-        tangent=joined("tangent", 2),
-        way=joined("way"),
-        ahead=joined("ahead"),
-        behind=joined("behind"),
-        hold_at=joined("hold_at"),
-        hold_seconds=joined("hold_seconds"),
-        hold_face=joined("hold_face", 2),
+        table=np.array(table, np.int64).reshape(-1, 7),
+        lines=np.array(lines, np.float64).reshape(-1, 4),
+        points=np.concatenate([np.zeros((0, 7)), *(part.points for part in parts)]),
+        holds=np.concatenate([np.zeros((0, 4)), *(part.holds for part in parts)]),
     )
 
 
-def _build(person: EpisodePerson, rate: int) -> dict[str, F64]:
+class _Route(NamedTuple):
+    points: F64
+    holds: F64
+    face: tuple[float, float]
+    patience: int
+
+
+def _build(person: EpisodePerson, rate: int) -> _Route:
     waits = derive_seed(person.seed, "patience") % 1024 / 1024
     patience = round((PATIENCE[0] + (PATIENCE[1] - PATIENCE[0]) * waits) * rate)
     place = [person.path[0]]
@@ -110,13 +95,9 @@ def _build(person: EpisodePerson, rate: int) -> dict[str, F64]:
             place.append((x, y))
     if len(place) == 1:
         face = unit_of(person.yaw * (180.0 / 3.141592653589793))
-        none = np.zeros(0)
-        return {
-            "place": np.array(place, np.float64), "tangent": np.array([face]), "way": np.zeros(1),
-            "ahead": np.zeros(1), "behind": np.zeros(1), "face": np.array(face),
-            "hold_at": none, "hold_seconds": none, "hold_face": np.zeros((0, 2)),
-            "patience": np.array(patience, np.float64),
-        }  # fmt: skip
+        return _Route(
+            np.array([(*place[0], *face, 0.0, 0.0, 0.0)]), np.zeros((0, 4)), face, patience
+        )
     steps = [(x - u, y - v) for (u, v), (x, y) in pairwise(place)]
     long = [_long(x, y) for x, y in steps]
     tangent = [(x / d, y / d) for (x, y), d in zip(steps, long, strict=True)]
@@ -138,22 +119,24 @@ def _build(person: EpisodePerson, rate: int) -> dict[str, F64]:
     for k in range(len(long)):
         behind[k + 1] = min(behind[k + 1], _root(behind[k] * behind[k] + 2.0 * BRAKE * long[k]))
     tangent.append(tangent[0] if closed else tangent[-1])
-    faces = []
+    holds: list[tuple[float, float, float, float]] = []
     for stop in person.stops:
         k = 0
         while k + 2 < len(way) and way[k + 1] <= stop.at:
             k += 1
         (tx, ty), (cx, cy) = tangent[k], unit_of(stop.look)
-        faces.append((tx * cx - ty * cy, tx * cy + ty * cx))
-    return {
-        "place": np.array(place, np.float64), "tangent": np.array(tangent, np.float64),
-        "way": np.array(way), "ahead": np.array(ahead), "behind": np.array(behind),
-        "face": np.array(tangent[0]),
-        "hold_at": np.array([min(stop.at, way[-1]) for stop in person.stops], np.float64),
-        "hold_seconds": np.array([stop.seconds for stop in person.stops], np.float64),
-        "hold_face": np.array(faces, np.float64).reshape(-1, 2),
-        "patience": np.array(patience, np.float64),
-    }  # fmt: skip
+        at = min(stop.at, way[-1])
+        holds.append((at, stop.seconds, tx * cx - ty * cy, tx * cy + ty * cx))
+    rows = [
+        (*here, *along, gone, out, back)
+        for here, along, gone, out, back in zip(place, tangent, way, ahead, behind, strict=True)
+    ]
+    return _Route(
+        np.array(rows, np.float64),
+        np.array(holds, np.float64).reshape(-1, 4),
+        tangent[0],
+        patience,
+    )
 
 
 def _bend_speeds(

@@ -57,6 +57,7 @@ _COS = (1.0, 0.9396926207859084, 0.766044443118978, 0.5, 0.17364817766693033,
         -0.17364817766693033, -0.5)  # fmt: skip
 _SIN = (0.0, 0.3420201433256687, 0.6427876096865393, 0.8660254037844386, 0.984807753012208,
         0.984807753012208, 0.8660254037844386)  # fmt: skip
+_TURNS = (0, 1, -1, 2, -2, 3, 4, 5, 6)  # of these, to the side and back; the straightest first
 # the same of 0, 30, … 180 degrees
 _ROUND_COS = (1.0, 0.8660254037844386, 0.5, 0.0, -0.5, -0.8660254037844386, -1.0)
 _ROUND_SIN = (0.0, 0.5, 0.8660254037844386, 1.0, 0.8660254037844386, 0.5, 0.0)
@@ -92,7 +93,7 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
         if r < 0:
             continue
         was = whole[e, p, CLIP]
-        if routes.behaviour[r] == SCRIPT:
+        if routes.table[r, 5] == SCRIPT:
             whole[e, p, BLOCKED_BY] = NOBODY
             if whole[e, p, BACK_LEFT] > 0:
                 whole[e, p, BACK_LEFT] -= 1
@@ -119,6 +120,8 @@ def tick_people(real, whole, route, walls, routes, wall_arrays, pace, agent, rad
 def _turn(real, pace, e, p, tx, ty, seconds):
     """Turn towards a unit vector, by as much as a body may; the cosine that is left."""
     hx, hy = real[e, p, HX], real[e, p, HY]
+    if hx == tx and hy == ty:
+        return 1.0
     cosine = hx * tx + hy * ty
     cos, sin = pace.cos, pace.sin
     if seconds < pace.seconds:  # so much of the arc of a tick, along its chord
@@ -141,15 +144,15 @@ def _turn(real, pace, e, p, tx, ty, seconds):
 @njit
 def _hold(real, whole, routes, pace, e, p, r, seconds):
     """Stand at a stop for so long, or begin to; the seconds that are left after it."""
-    last = routes.hold_first[r + 1]
+    last = routes.table[r, 3]
     while seconds > 0.0:
-        hold = routes.hold_first[r] + whole[e, p, HOLD]
+        hold = routes.table[r, 2] + whole[e, p, HOLD]
         if real[e, p, HOLD_LEFT] <= 0.0:
-            if hold >= last or real[e, p, WAY] < routes.hold_at[hold] - _ARRIVED:
+            if hold >= last or real[e, p, WAY] < routes.holds[hold, 0] - _ARRIVED:
                 break
-            real[e, p, HOLD_LEFT] = routes.hold_seconds[hold]
+            real[e, p, HOLD_LEFT] = routes.holds[hold, 1]
         use = min(real[e, p, HOLD_LEFT], seconds)
-        _turn(real, pace, e, p, routes.hold_face[hold, 0], routes.hold_face[hold, 1], use)
+        _turn(real, pace, e, p, routes.holds[hold, 2], routes.holds[hold, 3], use)
         real[e, p, HOLD_LEFT] -= use
         seconds -= use
         if real[e, p, HOLD_LEFT] <= 1e-9:
@@ -206,17 +209,17 @@ def _allowed(real, route, agent, radius, e, p, nx, ny):
 
 
 @njit
-def _crowded(real, route, agent, e, p):
-    """Whether anybody is near enough to be looked at."""
+def _crowded(real, route, agent, e, p, reach):
+    """Whether anybody's middle is nearer than `reach` [m]."""
     x, y = real[e, p, X0], real[e, p, Y0]
     if agent[e, 2] >= 0.0:
         dx, dy = agent[e, 0] - x, agent[e, 1] - y
-        if dx * dx + dy * dy < _SIGHT * _SIGHT:
+        if dx * dx + dy * dy < reach * reach:
             return True
     for j in range(real.shape[1]):
         if j != p and route[e, j] >= 0:
             dx, dy = real[e, j, X0] - x, real[e, j, Y0] - y
-            if dx * dx + dy * dy < _SIGHT * _SIGHT:
+            if dx * dx + dy * dy < reach * reach:
                 return True
     return False
 
@@ -224,11 +227,11 @@ def _crowded(real, route, agent, e, p):
 @njit
 def _piece(routes, r, way, piece):
     """The piece of a path that a way is on."""
-    first, last = routes.first[r], routes.first[r + 1] - 2
+    first, last = routes.table[r, 0], routes.table[r, 1] - 2
     k = first + piece
-    while k < last and way >= routes.way[k + 1]:
+    while k < last and way >= routes.points[k + 1, 4]:
         k += 1
-    while k > first and way < routes.way[k]:
+    while k > first and way < routes.points[k, 4]:
         k -= 1
     return k - first
 
@@ -236,13 +239,13 @@ def _piece(routes, r, way, piece):
 @njit
 def _at(routes, r, way, piece):
     """(x, y) of a way along a path, the piece that it is on, and its tangent."""
-    k = routes.first[r] + _piece(routes, r, way, piece)
-    left = way - routes.way[k]
-    tx, ty = routes.tangent[k, 0], routes.tangent[k, 1]
+    k = routes.table[r, 0] + _piece(routes, r, way, piece)
+    left = way - routes.points[k, 4]
+    tx, ty = routes.points[k, 2], routes.points[k, 3]
     return (
-        routes.place[k, 0] + tx * left,
-        routes.place[k, 1] + ty * left,
-        k - routes.first[r],
+        routes.points[k, 0] + tx * left,
+        routes.points[k, 1] + ty * left,
+        k - routes.table[r, 0],
         tx,
         ty,
     )
@@ -252,12 +255,12 @@ def _at(routes, r, way, piece):
 def _room_ahead(real, route, routes, agent, radius, e, p, way, piece, sign, reach):
     """Way [m] until somebody, on the path from `way` on, at most `reach`; and who it is."""
     r = route[e, p]
-    length = routes.length[r]
+    length = routes.lines[r, 1]
     gone = 0.0
     while gone < reach:
         at = way + sign * gone
         if at > length:
-            if routes.after[r] != 2:
+            if routes.table[r, 4] != 2:
                 break
             at -= length
             piece = 0
@@ -315,64 +318,63 @@ def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
     Ways, speed and heading change; the place on the plane is the caller's. Returns the way gone.
     """
     sign, way, v = whole[e, p, DIRECTION], real[e, p, WAY], real[e, p, SPEED]
-    length, first = routes.length[r], routes.first[r]
-    hold, last_hold = routes.hold_first[r] + whole[e, p, HOLD], routes.hold_first[r + 1]
+    length, first = routes.lines[r, 1], routes.table[r, 0]
+    hold, last_hold = routes.table[r, 2] + whole[e, p, HOLD], routes.table[r, 3]
     holds = sign > 0 and hold < last_hold
     if real[e, p, HOLD_LEFT] > 0.0 or (
-        holds and way >= routes.hold_at[hold] - _ARRIVED and v < 0.09
+        holds and way >= routes.holds[hold, 0] - _ARRIVED and v < 0.09
     ):
         real[e, p, SPEED] = v = 0.0
         dt = _hold(real, whole, routes, pace, e, p, r, dt)
         if dt <= 0.0:
             return 0.0
-        hold = routes.hold_first[r] + whole[e, p, HOLD]
+        hold = routes.table[r, 2] + whole[e, p, HOLD]
         holds = hold < last_hold
     if sign > 0 and way >= length:
-        if routes.after[r] == 2:
+        if routes.table[r, 4] == 2:
             way, whole[e, p, PIECE], whole[e, p, HOLD] = way - length, 0, 0
-            hold = routes.hold_first[r]
+            hold = routes.table[r, 2]
             holds = hold < last_hold
-        elif routes.after[r] == 1:
+        elif routes.table[r, 4] == 1:
             whole[e, p, DIRECTION] = sign = -1
             holds = False
         else:
             whole[e, p, MODE] = ARRIVED
             real[e, p, SPEED] = 0.0
             return 0.0
-    elif sign < 0 and way <= 0.0 and routes.after[r] == 1:
+    elif sign < 0 and way <= 0.0 and routes.table[r, 4] == 1:
         whole[e, p, DIRECTION] = sign = 1
         whole[e, p, HOLD] = 0
-        hold = routes.hold_first[r]
+        hold = routes.table[r, 2]
         holds = hold < last_hold
     elif sign < 0 and way <= 0.0:  # turned back to the very start: wait there
         real[e, p, SPEED] = 0.0
         return 0.0
     piece = _piece(routes, r, way, whole[e, p, PIECE])
-    if sign < 0 and piece > 0 and way <= routes.way[first + piece]:
+    if sign < 0 and piece > 0 and way <= routes.points[first + piece, 4]:
         piece -= 1  # at a point that one walks away from backwards
-    tx, ty = sign * routes.tangent[first + piece, 0], sign * routes.tangent[first + piece, 1]
+    tx, ty = sign * routes.points[first + piece, 2], sign * routes.points[first + piece, 3]
     before = real[e, p, HX] * tx + real[e, p, HY] * ty
     aligned = _turn(real, pace, e, p, tx, ty, dt)
-    want = routes.speed[r] if aligned >= _ALIGNED else 0.0
+    want = routes.lines[r, 0] if aligned >= _ALIGNED else 0.0
     if before < _ALIGNED <= aligned:  # who comes to face its way goes for what is left of the time
         dt = dt * ((aligned - _ALIGNED) / (aligned - before))
-    # bends: the next points, as far as one may come
+    # bends: the next points
     k = piece + 1 if sign > 0 else piece
-    points = routes.first[r + 1] - first
-    room = 0.0
-    while 0 <= k < points and room < 0.2:
-        room = sign * (routes.way[first + k] - way)
+    points = routes.table[r, 1] - first
+    while 0 <= k < points:
+        room = sign * (routes.points[first + k, 4] - way)
         if room > 0.0:
-            limit = routes.ahead[first + k] if sign > 0 else routes.behind[first + k]
-            if 0.5 * (v + limit) * dt >= room:  # passed by then
-                want = min(want, limit)
-            else:
+            limit = routes.points[first + k, 5] if sign > 0 else routes.points[first + k, 6]
+            if 0.5 * (v + limit) * dt < room:  # limits there are such that all later ones are kept
                 want = min(want, _cap(v, limit, room, dt))
+                break
+            want = min(want, limit)  # passed by then
         k += sign
     end = length if sign > 0 else 0.0
     if holds:
-        end = routes.hold_at[hold]
-    stands = holds or sign < 0 or routes.after[r] != 2
+        end = routes.holds[hold, 0]
+    stands = holds or sign < 0 or routes.table[r, 4] != 2
     left = max(sign * (end - way), 0.0)
     if stands:
         want = min(want, _cap(v, 0.0, left, dt))
@@ -393,16 +395,44 @@ def _advance(real, whole, routes, pace, e, p, r, dt, ahead):
     if spare > 0.0 and now <= 0.0 and there == end:
         if holds:
             _hold(real, whole, routes, pace, e, p, r, spare)
-        elif routes.after[r] == 1:
+        elif routes.table[r, 4] == 1:
             _turn(real, pace, e, p, -tx, -ty, spare)
     elif after != piece and now > 0.0:
-        tx = sign * routes.tangent[first + after, 0]
-        ty = sign * routes.tangent[first + after, 1]
+        tx = sign * routes.points[first + after, 2]
+        ty = sign * routes.points[first + after, 3]
         if real[e, p, HX] * tx + real[e, p, HY] * ty < _ALIGNED:
             # a sharp bend: turn for what is left of the time after it
-            bend = sign * (there - routes.way[first + (after if sign > 0 else after + 1)])
+            bend = sign * (there - routes.points[first + (after if sign > 0 else after + 1), 4])
             _turn(real, pace, e, p, tx, ty, min(max(bend, 0.0) / now, dt))
     return step
+
+
+@njit
+def _cruise(real, whole, routes, pace, e, p, r):
+    """A tick straight on at full speed, where nothing else is to be done; whether it was."""
+    v = real[e, p, SPEED]
+    if v != routes.lines[r, 0] or real[e, p, HOLD_LEFT] > 0.0:
+        return False
+    sign, way, k = whole[e, p, DIRECTION], real[e, p, WAY], routes.table[r, 0] + whole[e, p, PIECE]
+    tx, ty = sign * routes.points[k, 2], sign * routes.points[k, 3]
+    if real[e, p, HX] != tx or real[e, p, HY] != ty:
+        return False
+    step = v * pace.seconds
+    room = routes.points[k + 1, 4] - way if sign > 0 else way - routes.points[k, 4]
+    limit = routes.points[k + 1, 5] if sign > 0 else routes.points[k, 6]
+    if room <= step or limit * limit + 2.0 * BRAKE * (room - step) < v * v:
+        return False
+    hold = routes.table[r, 2] + whole[e, p, HOLD]
+    if sign > 0 and hold < routes.table[r, 3]:
+        room = routes.holds[hold, 0] - way
+        if room <= step or 2.0 * BRAKE * (room - step) < v * v:
+            return False
+    real[e, p, WAY] = way = way + sign * step
+    left = way - routes.points[k, 4]
+    real[e, p, X] = routes.points[k, 0] + routes.points[k, 2] * left
+    real[e, p, Y] = routes.points[k, 1] + routes.points[k, 3] * left
+    whole[e, p, WAIT], whole[e, p, BLOCKED_BY] = 0, NOBODY
+    return True
 
 
 @njit
@@ -413,15 +443,21 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
     held, hold_left, mode = whole[e, p, HOLD], real[e, p, HOLD_LEFT], whole[e, p, MODE]
     v = real[e, p, SPEED]
     ahead, blocker = _SIGHT, NOBODY
-    near = mode == ON_PATH and hold_left <= 0.0 and _crowded(real, route, agent, e, p)
+    reach = min(0.5 + v * v / (2.0 * BRAKE) + 0.25, _SIGHT - 0.01)
+    near = (
+        mode == ON_PATH
+        and hold_left <= 0.0
+        and _crowded(real, route, agent, e, p, reach + 2.0 * radius + 0.1)
+    )
     if near:
-        reach = min(0.5 + v * v / (2.0 * BRAKE) + 0.25, _SIGHT - 0.01)
         ahead, blocker = _room_ahead(
             real, route, routes, agent, radius, e, p, way, piece, sign, reach
         )
         if blocker == NOBODY:
             ahead = _SIGHT
     gone = 0.0
+    if not near and v > 0.0 and _cruise(real, whole, routes, pace, e, p, r):
+        return
     for _ in range(pace.parts):
         if whole[e, p, MODE] == ARRIVED:
             break
@@ -436,7 +472,7 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
             blocker = who
             gone = gone * share * 0.999
             there = way + sign * gone
-            if there > routes.length[r] or whole[e, p, DIRECTION] != sign:
+            if there > routes.lines[r, 1] or whole[e, p, DIRECTION] != sign:
                 gone, there = 0.0, way
             x, y, after, tx, ty = _at(routes, r, there, piece)
             share, who = _allowed(real, route, agent, radius, e, p, x, y)
@@ -451,7 +487,7 @@ def _go_on(real, whole, route, walls, routes, wall_arrays, pace, agent, radius, 
     whole[e, p, BLOCKED_BY] = blocker
     if blocker != NOBODY and gone < _MOVED * pace.seconds:
         whole[e, p, WAIT] += 1
-        if whole[e, p, WAIT] > routes.patience[r]:
+        if whole[e, p, WAIT] > routes.table[r, 6]:
             whole[e, p, MODE], whole[e, p, ROUND_TICKS], whole[e, p, WAIT] = ROUND, 0, 0
             whole[e, p, SIDE] = _choose_side(
                 real, route, walls, wall_arrays, agent, radius, e, p, sign * tx, sign * ty
@@ -476,7 +512,9 @@ def _clear(real, route, agent, radius, e, p, x, y):
             if route[e, j] < 0:
                 continue
             dx, dy, near = real[e, j, X0] - x, real[e, j, Y0] - y, 2.0 * radius
-        least = min(least, math.sqrt(dx * dx + dy * dy) - near)
+        square = dx * dx + dy * dy
+        if square < (least + near) * (least + near):
+            least = math.sqrt(square) - near
     return least
 
 
@@ -503,21 +541,21 @@ def _choose_side(real, route, walls, wall_arrays, agent, radius, e, p, tx, ty):
 @njit
 def _nearest(routes, r, way, piece, sign, x, y):
     """Nearest point of the path to (x, y), from `way` up to 3 m on: its way, distance, piece."""
-    first, last = routes.first[r], routes.first[r + 1] - 2
+    first, last = routes.table[r, 0], routes.table[r, 1] - 2
     best, found, where = 1e30, way, piece
     k = first + piece
     gone = 0.0
     while first <= k <= last and gone < 3.0:
-        low, high = routes.way[k], routes.way[k + 1]
+        low, high = routes.points[k, 4], routes.points[k + 1, 4]
         if sign > 0:
             low = max(low, way)
         else:
             high = min(high, way)
-        tx, ty = routes.tangent[k, 0], routes.tangent[k, 1]
-        at = routes.way[k] + (x - routes.place[k, 0]) * tx + (y - routes.place[k, 1]) * ty
+        tx, ty = routes.points[k, 2], routes.points[k, 3]
+        at = routes.points[k, 4] + (x - routes.points[k, 0]) * tx + (y - routes.points[k, 1]) * ty
         at = min(max(at, low), high)
-        left = at - routes.way[k]
-        dx, dy = routes.place[k, 0] + tx * left - x, routes.place[k, 1] + ty * left - y
+        left = at - routes.points[k, 4]
+        dx, dy = routes.points[k, 0] + tx * left - x, routes.points[k, 1] + ty * left - y
         square = dx * dx + dy * dy
         if square < best:
             best, found, where = square, at, k - first
@@ -539,8 +577,8 @@ def _clear_line(walls, wall_arrays, e, x, y, u, v):
 def _come_home(whole, routes, r, way, piece, e, p):
     """Be on the path again; stops that were passed are left out."""
     whole[e, p, MODE], whole[e, p, PIECE], whole[e, p, WAIT] = ON_PATH, piece, 0
-    first, last = routes.hold_first[r], routes.hold_first[r + 1]
-    while first + whole[e, p, HOLD] < last and routes.hold_at[first + whole[e, p, HOLD]] < way:
+    first, last = routes.table[r, 2], routes.table[r, 3]
+    while first + whole[e, p, HOLD] < last and routes.holds[first + whole[e, p, HOLD], 0] < way:
         whole[e, p, HOLD] += 1
 
 
@@ -586,21 +624,21 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
     r, dt = route[e, p], pace.seconds
     sign, side = whole[e, p, DIRECTION], whole[e, p, SIDE]
     x, y, v = real[e, p, X0], real[e, p, Y0], real[e, p, SPEED]
-    length = routes.length[r]
+    length = routes.lines[r, 1]
     whole[e, p, ROUND_TICKS] += 1
     if (
         whole[e, p, ROUND_TICKS] > _ROUND_SECONDS * pace.rate
         or whole[e, p, WAIT] > _NO_WAY_SECONDS * pace.rate
     ):
         if whole[e, p, WAIT] > 0 and whole[e, p, TURNED] % 2 == 1:
-            whole[e, p, ASIDE_LEFT] = routes.patience[r]
+            whole[e, p, ASIDE_LEFT] = routes.table[r, 6]
         whole[e, p, WAIT] = 0
         whole[e, p, ROUND_TICKS], whole[e, p, SIDE] = 0, -side
         whole[e, p, DIRECTION] = sign = -sign
         whole[e, p, TURNED] += 1
         whole[e, p, BACK_LEFT] = 0
-        if sign < 0 and routes.after[r] != 1:
-            whole[e, p, BACK_LEFT] = _BACK_SECONDS * pace.rate + routes.patience[r]
+        if sign < 0 and routes.table[r, 4] != 1:
+            whole[e, p, BACK_LEFT] = _BACK_SECONDS * pace.rate + routes.table[r, 6]
         side = -side
     if whole[e, p, ASIDE_LEFT] > 0:
         whole[e, p, ASIDE_LEFT] -= 1
@@ -608,7 +646,7 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
         return
     way, aside, piece = _nearest(routes, r, real[e, p, WAY], whole[e, p, PIECE], sign, x, y)
     real[e, p, WAY], whole[e, p, PIECE] = way, piece
-    fastest = min(_ROUND_SPEED, routes.speed[r])
+    fastest = min(_ROUND_SPEED, routes.lines[r, 0])
     now = min(v + ACCELERATION * dt * 0.875, fastest)
     step = 0.5 * (v + now) * dt
     bx, by, best = 0.0, 0.0, -1e30
@@ -641,7 +679,7 @@ def _go_round(real, whole, route, walls, routes, wall_arrays, pace, agent, radiu
     else:
         dx, dy = dx / size, dy / size
     here = _clear(real, route, agent, radius, e, p, x, y)
-    for turn in range(-2, 7):
+    for turn in _TURNS:
         if best == 1.0:  # the path itself, near by and free
             break
         if turn >= 0:
